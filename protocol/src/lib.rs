@@ -1,0 +1,36 @@
+//! What travels between an R4 board and its hosts: message types, frames and their version.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | [`channel`] | names, units and abilities of a board's channels |
+//! | [`message`] | requests, replies, refusals, telemetry, heartbeats |
+//! | [`state`] | safety states and trip causes |
+//! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
+//! | [`frame`] | COBS + CRC-16 frames on a byte link |
+//!
+//! Every wire change bumps [`VERSION`], changes [`SCHEMA_HASH`] by itself, and gets a line in `CHANGELOG.md`.
+//! All values are SI: radians, metres, seconds, volts; duty is a share of the supply in -1..=1; angles are at the output
+//! shaft.
+#![no_std]
+
+pub mod channel;
+pub mod config;
+pub mod frame;
+pub mod message;
+pub mod state;
+
+pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
+pub use frame::{FrameDecoder, FrameError, encode_frame};
+pub use message::{DeviceInfo, DeviceStats, Refusal, Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost};
+pub use state::{Cause, Causes, SafetyState};
+
+/// Version of the messages in this crate. A board and a host talk only when theirs are equal.
+pub const VERSION: u16 = 1;
+
+/// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
+pub const SCHEMA_HASH: u64 = {
+    use postcard_schema::key::hash::fnv1a64::hash_ty_path;
+    // `from_le_bytes` of two FNV-1a hashes; the paths keep the two directions apart.
+    u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
+        ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1)
+};

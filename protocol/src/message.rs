@@ -1,0 +1,348 @@
+//! The messages, in both directions.
+//!
+//! postcard sends the position of an enum's variant: append variants and fields, never reorder or remove.
+
+use core::fmt;
+
+use heapless::{String, Vec};
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    channel::{ChannelId, ChannelInfo, Mode, Range},
+    config::PidGains,
+    state::{Causes, SafetyState},
+};
+
+/// Most samples in one [`Telemetry`] frame.
+pub const MAX_SAMPLES: usize = 8;
+
+/// Host to board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum ToDevice {
+    /// Something that is answered by exactly one [`ToHost::Response`] with the same `seq`.
+    Request {
+        /// Chosen by the host, echoed by the board.
+        seq: u16,
+        /// What is asked.
+        request: Request,
+    },
+    /// "I am alive". Answered by [`ToHost::Heartbeat`]; without one for the link timeout the board trips.
+    Heartbeat {
+        /// From [`DeviceInfo`]; a heartbeat of another session does not count.
+        session: u16,
+        /// The host's clock, echoed back.
+        host_us: u64,
+    },
+}
+
+/// Board to host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum ToHost {
+    /// The answer to one request.
+    Response {
+        /// Of the request.
+        seq: u16,
+        /// What came of it.
+        result: Result<Reply, Refusal>,
+    },
+    /// The answer to a heartbeat.
+    Heartbeat {
+        /// From the heartbeat that is answered.
+        host_us: u64,
+        /// The board's clock when it answered.
+        device_us: u64,
+        /// Where the supervisor stands.
+        state: SafetyState,
+        /// Causes latched by a trip.
+        causes: Causes,
+    },
+    /// Samples of subscribed channels.
+    Telemetry(Telemetry),
+}
+
+/// What a host can ask.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Request {
+    /// Opens a session. Must come first; its encoding never changes, so that any two versions can refuse each other.
+    Hello {
+        /// [`crate::VERSION`] of the host.
+        version: u16,
+        /// [`crate::SCHEMA_HASH`] of the host.
+        schema: u64,
+    },
+    /// Closes the session: disarms, ends subscriptions, and the missing heartbeat no longer trips.
+    Bye,
+    /// Describes channel number `index` in the board's list.
+    Describe {
+        /// 0 to [`DeviceInfo::channels`] - 1.
+        index: u8,
+    },
+    /// Lets outputs move.
+    Arm,
+    /// Makes outputs safe in an orderly way.
+    Disarm,
+    /// Leaves a trip, once no cause is present.
+    Clear,
+    /// Trips the board: outputs safe, latched.
+    Stop,
+    /// Commands one motor channel.
+    Set {
+        /// Which.
+        channel: ChannelId,
+        /// To what.
+        setpoint: Setpoint,
+        /// When the host decided this, on the board's clock.
+        sent_us: u64,
+        /// How long after `sent_us` it may still be carried out.
+        ttl_ms: u16,
+    },
+    /// Samples of `channel` every `period_ms`; 0 ends them.
+    Subscribe {
+        /// Which.
+        channel: ChannelId,
+        /// How often.
+        period_ms: u16,
+    },
+    /// Changes the gains of one loop, without a jump of its output.
+    SetGains {
+        /// Which.
+        channel: ChannelId,
+        /// Which of its loops; [`Mode::Duty`] has none.
+        mode: Mode,
+        /// The new gains.
+        gains: PidGains,
+    },
+    /// Counters since power-up.
+    Stats,
+}
+
+/// A motor command.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Setpoint {
+    /// How the number is meant.
+    pub mode: Mode,
+    /// rad or m; rad/s or m/s; share of the supply.
+    pub value: f32,
+}
+
+/// What a board answers when it does as asked.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Reply {
+    /// To [`Request::Hello`].
+    Hello(DeviceInfo),
+    /// To [`Request::Describe`].
+    Channel(ChannelInfo),
+    /// To [`Request::Stats`].
+    Stats(DeviceStats),
+    /// To everything else: it was done.
+    Done,
+}
+
+/// Who answers, and the session it opened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct DeviceInfo {
+    /// The robot's name.
+    pub robot: String<32>,
+    /// Version of the firmware.
+    pub firmware: String<16>,
+    /// For heartbeats.
+    pub session: u16,
+    /// How many channels [`Request::Describe`] knows.
+    pub channels: u8,
+    /// The host must send heartbeats more often than this.
+    pub link_timeout_ms: u16,
+    /// The board's clock.
+    pub device_us: u64,
+    /// Where the supervisor stands.
+    pub state: SafetyState,
+    /// Causes latched by a trip.
+    pub causes: Causes,
+}
+
+/// What the board counted since power-up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct DeviceStats {
+    /// Control ticks run.
+    pub ticks: u32,
+    /// Control ticks that ended after the next one was due.
+    pub late_ticks: u32,
+    /// Longest time from the start of a tick to its last output written.
+    pub worst_tick_us: u32,
+    /// I2C transfers that failed and were repeated.
+    pub bus_retries: u32,
+    /// Frames taken.
+    pub frames: u32,
+    /// Frames dropped: bad encoding or checksum, too long, or no message of this version.
+    pub bad_frames: u32,
+    /// Requests refused.
+    pub refused: u32,
+    /// Telemetry frames dropped because the link was full.
+    pub telemetry_dropped: u32,
+}
+
+/// Why a request was not carried out. Nothing was changed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Refusal {
+    /// The host speaks another version of the protocol.
+    ProtocolMismatch {
+        /// [`crate::VERSION`] of the board.
+        version: u16,
+        /// [`crate::SCHEMA_HASH`] of the board.
+        schema: u64,
+    },
+    /// No session: [`Request::Hello`] must come first.
+    NoSession,
+    /// Another host's session is alive.
+    InUse,
+    /// The board has no such channel.
+    UnknownChannel {
+        /// As asked.
+        channel: ChannelId,
+    },
+    /// The channel cannot be commanded in this mode.
+    WrongMode {
+        /// As asked.
+        channel: ChannelId,
+        /// As asked.
+        mode: Mode,
+    },
+    /// NaN or infinite.
+    NotFinite {
+        /// As asked.
+        channel: ChannelId,
+    },
+    /// Outside what the channel can take.
+    OutOfRange {
+        /// As asked.
+        channel: ChannelId,
+        /// As asked.
+        asked: f32,
+        /// What it can take.
+        range: Range,
+    },
+    /// Outputs move only while armed.
+    NotArmed {
+        /// Where the supervisor stands.
+        state: SafetyState,
+    },
+    /// Arming or clearing while causes are present.
+    CausesPresent {
+        /// Those.
+        causes: Causes,
+    },
+    /// Arming while a trip is latched: clear it first.
+    Tripped {
+        /// What tripped.
+        causes: Causes,
+    },
+    /// Older than its time-to-live on arrival.
+    Expired {
+        /// How old.
+        age_ms: u32,
+        /// How old it may be.
+        ttl_ms: u16,
+    },
+    /// Gains must be finite and not negative.
+    BadGains {
+        /// As asked.
+        channel: ChannelId,
+    },
+    /// The board has no room for another subscription.
+    TooManySubscriptions,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ProtocolMismatch { version, schema } => write!(
+                f,
+                "the board speaks protocol {version} (schema {schema:016x}), this program {} ({:016x}): \
+                 flash the firmware of this release, or use the program of the board's",
+                crate::VERSION,
+                crate::SCHEMA_HASH
+            ),
+            Self::NoSession => f.write_str("no session is open: connect again"),
+            Self::InUse => f.write_str("another host is connected to this board: end its session first"),
+            Self::UnknownChannel { channel } => {
+                write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
+            }
+            Self::WrongMode { channel, mode } => {
+                write!(f, "{channel} cannot be commanded by {mode}: `r4 info` lists what it can take")
+            }
+            Self::NotFinite { channel } => {
+                write!(f, "the set point for {channel} is not a finite number")
+            }
+            Self::OutOfRange { channel, asked, range } => {
+                write!(f, "{channel} takes {} to {}, not {asked}", range.min, range.max)
+            }
+            Self::NotArmed { state } => write!(f, "the board is {state}: arm it first"),
+            Self::CausesPresent { causes } => {
+                write!(f, "still present: {causes}")?;
+                causes.iter().try_for_each(|cause| write!(f, "; {}", cause.advice()))
+            }
+            Self::Tripped { causes } => {
+                write!(f, "the board has tripped ({causes}): clear it first")
+            }
+            Self::Expired { age_ms, ttl_ms } => {
+                write!(f, "the command was {age_ms} ms old on arrival and may be {ttl_ms} ms: the link is too slow")
+            }
+            Self::BadGains { channel } => {
+                write!(f, "gains for {channel} must be finite and not negative")
+            }
+            Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
+        }
+    }
+}
+
+impl core::error::Error for Refusal {}
+
+/// Samples taken at one moment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Telemetry {
+    /// The board's clock.
+    pub device_us: u64,
+    /// Where the supervisor stands.
+    pub state: SafetyState,
+    /// Causes latched by a trip.
+    pub causes: Causes,
+    /// What was subscribed and is due.
+    pub samples: Vec<Sample, MAX_SAMPLES>,
+}
+
+/// The value of one channel.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Sample {
+    /// Of a motor channel.
+    Motor {
+        /// Which.
+        channel: ChannelId,
+        /// What it follows.
+        setpoint: Setpoint,
+        /// In counts of [`ChannelInfo::resolution`].
+        position: i32,
+        /// rad/s or m/s.
+        speed: f32,
+        /// Share of the supply at the bridge.
+        duty: f32,
+        /// In position mode: at the set point and at rest.
+        settled: bool,
+    },
+    /// Of a pure input.
+    Scalar {
+        /// Which.
+        channel: ChannelId,
+        /// In the channel's unit.
+        value: f32,
+    },
+}
+
+impl Sample {
+    /// The channel it belongs to.
+    #[must_use]
+    pub const fn channel(&self) -> ChannelId {
+        match self {
+            Self::Motor { channel, .. } | Self::Scalar { channel, .. } => *channel,
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Safety states and the causes that trip a board.
+
+use core::fmt;
+
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Where the board's safety supervisor stands. Outputs move only in [`SafetyState::Armed`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum SafetyState {
+    /// Outputs safe; arming is possible while no cause is present.
+    Disarmed,
+    /// Outputs follow commands.
+    Armed,
+    /// Outputs safe; latched until cleared while no cause is present.
+    Tripped,
+}
+
+impl fmt::Display for SafetyState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Disarmed => "disarmed",
+            Self::Armed => "armed",
+            Self::Tripped => "tripped",
+        })
+    }
+}
+
+/// Why a board trips. The number is the bit in [`Causes`]: append, never reorder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Cause {
+    /// The dead-man's handle is released or its wire is cut.
+    DeadMan = 0,
+    /// A range sensor sees something nearer than its limit.
+    Proximity = 1,
+    /// No heartbeat from the host within the configured timeout.
+    LinkLost = 2,
+    /// The host asked for a stop.
+    HostStop = 3,
+    /// The board came out of a watchdog reset.
+    WatchdogReset = 4,
+    /// A transfer on the board's I2C bus failed and could not be recovered.
+    I2cFault = 5,
+    /// A chip does not hold what was written to it.
+    ReadBackMismatch = 6,
+    /// A supply rail is outside its configured range.
+    SupplyOutOfRange = 7,
+    /// Position feedback contradicts the drive: wrong way, impossible speed, sensor open or shorted.
+    EncoderImplausible = 8,
+    /// The motor is driven hard and does not move.
+    Stalled = 9,
+    /// The control loop missed its deadline repeatedly.
+    ControlOverrun = 10,
+    /// The configuration is missing or contradicts itself.
+    BadConfiguration = 11,
+}
+
+impl Cause {
+    /// Every cause, in bit order.
+    pub const ALL: [Self; 12] = [
+        Self::DeadMan,
+        Self::Proximity,
+        Self::LinkLost,
+        Self::HostStop,
+        Self::WatchdogReset,
+        Self::I2cFault,
+        Self::ReadBackMismatch,
+        Self::SupplyOutOfRange,
+        Self::EncoderImplausible,
+        Self::Stalled,
+        Self::ControlOverrun,
+        Self::BadConfiguration,
+    ];
+
+    /// What a person does about it.
+    #[must_use]
+    pub const fn advice(self) -> &'static str {
+        match self {
+            Self::DeadMan => "hold the dead-man's handle, or check its wire",
+            Self::Proximity => "clear the space in front of the range sensors",
+            Self::LinkLost => "keep one host connected; it must send a heartbeat within the timeout",
+            Self::HostStop => "clear it when it is safe to go on",
+            Self::WatchdogReset => "read the fault history before going on: the firmware hung",
+            Self::I2cFault => "check the board's I2C wiring and pull-ups",
+            Self::ReadBackMismatch => "check the output chips' supply",
+            Self::SupplyOutOfRange => "check the battery and the fuses",
+            Self::EncoderImplausible => "check the encoder or potentiometer wiring and its direction",
+            Self::Stalled => "free the mechanism, or raise the stall limits",
+            Self::ControlOverrun => "report it: the control loop does not fit its period",
+            Self::BadConfiguration => "correct the robot's configuration",
+        }
+    }
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::DeadMan => "dead-man released",
+            Self::Proximity => "proximity",
+            Self::LinkLost => "link lost",
+            Self::HostStop => "host stop",
+            Self::WatchdogReset => "watchdog reset",
+            Self::I2cFault => "I2C fault",
+            Self::ReadBackMismatch => "read-back mismatch",
+            Self::SupplyOutOfRange => "supply out of range",
+            Self::EncoderImplausible => "feedback implausible",
+            Self::Stalled => "stalled",
+            Self::ControlOverrun => "control overrun",
+            Self::BadConfiguration => "bad configuration",
+        })
+    }
+}
+
+/// A set of [`Cause`]s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Causes(u16);
+
+impl Causes {
+    /// No cause.
+    pub const NONE: Self = Self(0);
+
+    /// The set of one cause.
+    #[must_use]
+    pub const fn only(cause: Cause) -> Self {
+        Self(1 << cause as u8)
+    }
+
+    /// Whether no cause is in the set.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether `cause` is in the set.
+    #[must_use]
+    pub const fn contains(self, cause: Cause) -> bool {
+        self.0 & (1 << cause as u8) != 0
+    }
+
+    /// Both sets together.
+    #[must_use]
+    pub const fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Puts `cause` in or takes it out.
+    pub const fn set(&mut self, cause: Cause, present: bool) {
+        let bit = 1 << cause as u8;
+        if present {
+            self.0 |= bit;
+        } else {
+            self.0 &= !bit;
+        }
+    }
+
+    /// The set as its bits, bit n being [`Cause::ALL`]`[n]`.
+    #[must_use]
+    pub const fn bits(self) -> u16 {
+        self.0
+    }
+
+    /// The set with these bits; bits without a cause are kept, so that a newer board's cause is not lost.
+    #[must_use]
+    pub const fn from_bits(bits: u16) -> Self {
+        Self(bits)
+    }
+
+    /// The causes this version knows, in bit order.
+    pub fn iter(self) -> impl Iterator<Item = Cause> {
+        Cause::ALL.into_iter().filter(move |cause| self.contains(*cause))
+    }
+}
+
+impl fmt::Display for Causes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut separator = "";
+        for cause in self.iter() {
+            write!(f, "{separator}{cause}")?;
+            separator = ", ";
+        }
+        if self.is_empty() { f.write_str("none") } else { Ok(()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cause_has_its_own_bit_and_comes_back() {
+        for (bit, cause) in Cause::ALL.into_iter().enumerate() {
+            let only = Causes::only(cause);
+            assert_eq!(only.bits(), 1 << bit);
+            assert!(only.iter().eq([cause]));
+        }
+    }
+}
