@@ -1,1 +1,71 @@
-//! placeholder
+//! Carriers and robots as data.
+//!
+//! A *carrier* file says what is on the board: pins, addresses, connectors, electrical limits. A *robot* file says what
+//! is plugged in, how it is calibrated and controlled, and, for the simulator alone, what is true about it. [`load`]
+//! reads and checks both and makes the firmware's [`BoardConfig`](r4_protocol::config::BoardConfig).
+//!
+//! ```
+//! let robot = r4_boards::load("osmc-bench")?;
+//! assert_eq!(robot.config.motors[0].lines.all(), [0, 1, 2, 3]);
+//! assert_eq!(robot.carrier.pin("enc0_a").map(|pin| pin.stm32.to_string()), Some("PJ8".to_owned()));
+//! # Ok::<(), r4_boards::BoardError>(())
+//! ```
+
+pub mod carrier;
+mod error;
+mod number;
+mod robot;
+mod source;
+
+use std::path::Path;
+
+pub use carrier::Carrier;
+pub use error::{BoardError, Location};
+pub use number::Interval;
+pub use robot::{PlantFile, Robot, SimulatedMotor, SimulatedRail, SimulatedSensor, Simulation, TruePoint};
+use source::{Folder, Source};
+
+const ROBOTS: [&str; 1] = ["osmc-bench"];
+const CARRIERS: [&str; 1] = ["r4-carrier"];
+
+/// The names of the robots that are part of the program.
+pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
+    ROBOTS.into_iter()
+}
+
+/// The names of the carriers that are part of the program.
+pub fn carrier_names() -> impl ExactSizeIterator<Item = &'static str> {
+    CARRIERS.into_iter()
+}
+
+/// Reads and checks a robot: a name out of [`names`], or the path of a `.toml` file.
+///
+/// The files that a robot file names (carrier, plants) are looked for beside it, then among the built-in ones.
+///
+/// # Errors
+/// The first thing that is wrong, with file, line and field.
+pub fn load(name_or_path: &str) -> Result<Robot, BoardError> {
+    let (source, folder) = find(name_or_path, "robot", &ROBOTS)?;
+    robot::read(&source, &folder)
+}
+
+/// Reads and checks a carrier: a name out of [`carrier_names`], or the path of a `.toml` file.
+///
+/// # Errors
+/// The first thing that is wrong, with file, line and field.
+pub fn load_carrier(name_or_path: &str) -> Result<Carrier, BoardError> {
+    carrier::read(&find(name_or_path, "carrier", &CARRIERS)?.0)
+}
+
+fn find(name_or_path: &str, what: &'static str, known: &[&'static str]) -> Result<(Source, Folder), BoardError> {
+    if name_or_path.ends_with(".toml") {
+        let path = Path::new(name_or_path);
+        let source = Source::read(path).map_err(|(path, source)| BoardError::NotReadable { path, source })?;
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        return Ok((source, Folder::At(folder)));
+    }
+    let unknown = || BoardError::UnknownName { what, name: name_or_path.to_owned(), known: known.to_vec() };
+    let name = known.iter().find(|known| **known == name_or_path).ok_or_else(unknown)?;
+    let source = Source::built_in(&format!("{name}.toml")).ok_or_else(unknown)?;
+    Ok((source, Folder::BuiltIn))
+}

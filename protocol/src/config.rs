@@ -66,6 +66,12 @@ impl BridgeLines {
     pub const fn all(self) -> [u8; 4] {
         [self.ahi, self.ali, self.bhi, self.bli]
     }
+
+    /// The lowest of the four.
+    #[must_use]
+    pub fn first(self) -> u8 {
+        self.ahi.min(self.ali).min(self.bhi).min(self.bli)
+    }
 }
 
 /// A motor on an OSMC bridge, with its feedback and loops.

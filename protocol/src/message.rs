@@ -200,6 +200,11 @@ pub enum Refusal {
         /// As asked.
         channel: ChannelId,
     },
+    /// The board's list of channels ends before this.
+    NoSuchIndex {
+        /// As asked.
+        index: u8,
+    },
     /// The channel cannot be commanded in this mode.
     WrongMode {
         /// As asked.
@@ -267,6 +272,7 @@ impl fmt::Display for Refusal {
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
             }
+            Self::NoSuchIndex { index } => write!(f, "the board has no channel number {index} in its list"),
             Self::WrongMode { channel, mode } => {
                 write!(f, "{channel} cannot be commanded by {mode}: `r4 info` lists what it can take")
             }

@@ -1,1 +1,30 @@
-//! placeholder
+//! The application of an R4 board: chip drivers, control loops, sensing, safety supervisor, dispatch of messages.
+//!
+//! Runs unchanged on the board, in an emulator and in the simulator: everything below is reached through the traits of
+//! [`platform`], `embedded-hal-async`, `embedded-io-async` and `embassy-time`. No heap, no `std`, and nothing here may
+//! ask where it runs.
+//!
+//! Three tasks share one [`Shared`]; a binary runs them at descending priority:
+//!
+//! | task | does |
+//! | --- | --- |
+//! | [`safety::supervise`] | watches every trip cause, owns the state machine and the hardware stop lines |
+//! | [`control::run`] | each period: sense, close the loops, write the outputs; owns the I2C bus |
+//! | [`link::serve`] | one per link: frames in, requests dispatched, telemetry out |
+#![no_std]
+
+pub mod chips;
+pub mod control;
+pub mod link;
+pub mod outputs;
+pub mod platform;
+pub mod safety;
+pub mod sensing;
+mod shared;
+
+mod dispatch;
+
+pub use shared::{MotorStatus, ResetCause, Shared};
+
+/// Version of this firmware, as told to hosts.
+pub const FIRMWARE_VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -1,1 +1,38 @@
-//! placeholder
+//! A simulated R4 board: the firmware's own code on virtual time, register-level chips, and motors with physics.
+//!
+//! ```text
+//!  Simulation (clock.rs, executor.rs): virtual nanoseconds, tasks by priority
+//!    firmware tasks ── traits ──> lines.rs, io.rs: GPIO, I2C controller, counters, converter
+//!                                   └─> world.rs: i2c.rs ─ chips/ ─ osmc.rs ─ plants ─ rails ─ sensors
+//!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
+//! ```
+//!
+//! Chip models are written from datasheets and share no constant with the firmware's drivers. What a real chip ignores
+//! in silence is reported ([`misuse`]). Same robot, same seed, same host: same bits, on every machine.
+//!
+//! ```
+//! use r4_sim::{Pace, SimBoard, Simulation};
+//!
+//! let mut simulation = Simulation::new(Pace::Free);
+//! let board = SimBoard::start(&mut simulation, &r4_boards::load("osmc-bench")?, 1)?;
+//! let clock = simulation.clock();
+//! simulation.block_on(clock.sleep(1_000_000_000));
+//! assert_eq!(board.world().misuse(), []);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod board;
+pub mod chips;
+mod clock;
+mod executor;
+pub mod i2c;
+mod io;
+pub mod lines;
+pub mod link;
+pub mod misuse;
+pub mod osmc;
+pub mod world;
+
+pub use board::{SimBoard, SimError};
+pub use clock::{Clock, Sleep};
+pub use executor::{Pace, Simulation};

@@ -1,2 +1,38 @@
-//! placeholder
-fn main() {}
+//! `r4`: drives R4 boards, real and simulated.
+
+mod args;
+mod commands;
+mod quantity;
+mod report;
+mod session;
+mod table;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use r4_protocol::Mode;
+
+use args::{Args, Command};
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    let result = match &args.command {
+        Command::Demo(demo) => commands::demo::run(&args, demo),
+        Command::Info => commands::info::run(&args),
+        Command::Arm { seconds } => commands::state::arm(&args, *seconds),
+        Command::Disarm => commands::state::disarm(&args),
+        Command::Clear => commands::state::clear(&args),
+        Command::Move(motion) => commands::motion::run(&args, motion, Mode::Position),
+        Command::Speed(motion) => commands::motion::run(&args, motion, Mode::Speed),
+        Command::Duty(motion) => commands::motion::run(&args, motion, Mode::Duty),
+        Command::Watch(watch) => commands::watch::run(&args, watch),
+    };
+    match result {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("r4: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,1 +1,43 @@
-//! placeholder
+//! Recorded runs of an R4 board: MCAP files that Foxglove and PlotJuggler open as they are.
+//!
+//! [`Recorder`] writes what a board says, [`Log`] reads it back into typed series. Messages are JSON with a JSON Schema:
+//!
+//! | topic | fields |
+//! | --- | --- |
+//! | `/osmc0` … (rotary) | `setpoint_mode`, `setpoint`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled` |
+//! | `/actuator1` … (linear) | the same with `position_m`, `speed_m_s` |
+//! | `/supply0` … | one of `voltage_v`, `angle_rad`, `speed_rad_s`, `distance_m`, `speed_m_s`, `duty`, `on` |
+//! | `/state` | `state`, `causes`, `causes_bits`; a message when it changes |
+//! | `/command` | `channel`, `setpoint_mode`, `setpoint`; a message per command sent |
+//!
+//! `setpoint` is in rad or m, rad/s or m/s, or a share of the supply, by `setpoint_mode`. A number that is not finite is
+//! left out of its message. Who was recorded is in the metadata record `r4.run`.
+//!
+//! Every time is the board's. No file holds a wall clock, a host name or anything drawn at random: two identical runs
+//! make identical bytes.
+//!
+//! ```
+//! # use std::io::Cursor;
+//! # use r4_log::{Header, Log, Recorder};
+//! # use r4_protocol::{Causes, SafetyState};
+//! let header = Header { robot: "osmc-bench".into(), board: "sim:osmc-bench".into(), firmware: "0.1.0".into(),
+//!     protocol_version: r4_protocol::VERSION, channels: Vec::new() };
+//! let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
+//! recorder.state(1_000, SafetyState::Armed, Causes::NONE)?;
+//! let file = recorder.finish()?.into_inner();
+//!
+//! let log = Log::from_bytes(&file)?;
+//! assert_eq!(log.header, header);
+//! assert_eq!(log.states[0].time_s, 0.001);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod container;
+mod header;
+mod message;
+mod read;
+mod record;
+
+pub use header::Header;
+pub use read::{Log, LogError, Logged, LoggedCommand, MotorSample, MotorSeries, ScalarSeries, StateChange, Warning};
+pub use record::{RecordError, Recorder};

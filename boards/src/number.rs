@@ -1,0 +1,136 @@
+//! Numbers that are checked while they are read, so that the error carries their line.
+
+use std::{fmt::Display, str::FromStr};
+
+use r4_protocol::{
+    channel::{ChannelId, Range},
+    config::OSMC_DUTY_HARD_MAX,
+};
+use serde::{Deserialize, Deserializer, de::Error};
+
+pub(crate) fn finite<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    checked(deserializer, |_| true, "finite")
+}
+
+pub(crate) fn positive<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    checked(deserializer, |value| value > 0.0, "above 0")
+}
+
+pub(crate) fn not_negative<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    checked(deserializer, |value| value >= 0.0, "0 or above")
+}
+
+/// A duty above 0, at most what no configuration may exceed.
+pub(crate) fn duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    checked(deserializer, |value| value > 0.0 && value <= f64::from(OSMC_DUTY_HARD_MAX), "above 0 and at most 0.98")
+}
+
+pub(crate) fn optional_duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f32>, D::Error> {
+    duty(deserializer).map(Some)
+}
+
+pub(crate) fn optional_positive<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    positive(deserializer).map(Some)
+}
+
+/// The firmware's limits ([`r4_protocol::config::BoardConfig::validate`]), checked here to have the line.
+pub(crate) fn control_period_us<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    checked(deserializer, |value| (500.0..=20_000.0).contains(&value), "500 to 20000")
+}
+
+/// As [`control_period_us`].
+pub(crate) fn link_timeout_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    checked(deserializer, |value| (20.0..=1000.0).contains(&value), "20 to 1000")
+}
+
+/// PCA9685 datasheet 7.3.5: prescaler 255 to 3.
+pub(crate) fn pwm_frequency_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    checked(deserializer, |value| (24.0..=1526.0).contains(&value), "24 to 1526, which is what the PCA9685 has")
+}
+
+/// A reading of an ideal 10-bit converter.
+pub(crate) fn code_10bit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    checked(deserializer, |value| (0.0..=1023.0).contains(&value), "0 to 1023")
+}
+
+/// A number of the files.
+pub(crate) trait Number<'de>: Deserialize<'de> + Copy + Display + Into<f64> {}
+
+impl<'de, T: Deserialize<'de> + Copy + Display + Into<f64>> Number<'de> for T {}
+
+fn checked<'de, D, T>(deserializer: D, holds: fn(f64) -> bool, rule: &str) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    let value = T::deserialize(deserializer)?;
+    let number: f64 = value.into();
+    if number.is_finite() && holds(number) {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is out of range, must be {rule}")))
+    }
+}
+
+/// A closed interval, `{ min = ..., max = ... }`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "RawInterval")]
+pub struct Interval {
+    /// Lowest value.
+    pub min: f64,
+    /// Highest value.
+    pub max: f64,
+}
+
+impl From<Interval> for Range {
+    fn from(interval: Interval) -> Self {
+        Self::new(interval.min as f32, interval.max as f32)
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawInterval {
+    #[serde(deserialize_with = "finite")]
+    min: f64,
+    #[serde(deserialize_with = "finite")]
+    max: f64,
+}
+
+impl TryFrom<RawInterval> for Interval {
+    type Error = &'static str;
+
+    fn try_from(raw: RawInterval) -> Result<Self, Self::Error> {
+        let interval = Self { min: raw.min, max: raw.max };
+        let Range { min, max } = interval.into();
+        if !(min.is_finite() && max.is_finite()) {
+            Err("min and max must fit into 32-bit floats")
+        } else if min < max {
+            Ok(interval)
+        } else {
+            Err("min must be below max")
+        }
+    }
+}
+
+/// A channel's name, as in `osmc0`.
+pub(crate) fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    ChannelId::from_str(&text).map_err(|why| D::Error::custom(format!("`{text}` is {why}")))
+}

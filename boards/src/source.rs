@@ -1,0 +1,194 @@
+//! A TOML file as text, and the way from a field to its line and back.
+
+use std::{
+    borrow::Cow,
+    collections::HashMap,
+    fmt::Display,
+    io,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use serde::de::DeserializeOwned;
+use toml::{
+    Spanned,
+    de::{DeTable, DeValue},
+};
+
+use crate::error::{BoardError, Location};
+
+/// The files that are part of the program: path below `boards/`, text.
+const BUILT_IN: [(&str, &str); 4] = [
+    ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
+    ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
+    ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
+    ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
+];
+
+/// Where the files that a file names are looked up.
+pub(crate) enum Folder {
+    /// Among the built-in files.
+    BuiltIn,
+    /// In a folder, and where it does not have the file, among the built-in files.
+    At(PathBuf),
+}
+
+impl Folder {
+    /// Reads `path`, relative to this folder.
+    ///
+    /// # Errors
+    /// The path looked for, and why it cannot be read.
+    pub(crate) fn read(&self, path: &str) -> Result<Source, (String, io::Error)> {
+        let outside = match self {
+            Self::BuiltIn => Err((path.to_owned(), io::ErrorKind::NotFound.into())),
+            Self::At(folder) => Source::read(&folder.join(path)),
+        };
+        match outside {
+            Err((_, why)) if why.kind() == io::ErrorKind::NotFound => Source::built_in(path).ok_or_else(|| {
+                let looked_for = match self {
+                    Self::BuiltIn => path.to_owned(),
+                    Self::At(folder) => folder.join(path).display().to_string(),
+                };
+                (looked_for, why)
+            }),
+            read => read,
+        }
+    }
+}
+
+/// One file.
+pub(crate) struct Source {
+    /// As it is shown to a person.
+    pub(crate) name: String,
+    pub(crate) text: Cow<'static, str>,
+}
+
+impl Source {
+    pub(crate) fn built_in(path: &str) -> Option<Self> {
+        let (path, text) = BUILT_IN.into_iter().find(|(known, _)| *known == path)?;
+        Some(Self { name: format!("boards/{path}"), text: Cow::Borrowed(text) })
+    }
+
+    pub(crate) fn read(path: &Path) -> Result<Self, (String, io::Error)> {
+        let name = path.display().to_string();
+        match std::fs::read_to_string(path) {
+            Ok(text) => Ok(Self { name, text: Cow::Owned(text) }),
+            Err(why) => Err((name, why)),
+        }
+    }
+
+    /// The file as a `T`. The error names the line and the field.
+    pub(crate) fn parse<T: DeserializeOwned>(&self) -> Result<T, BoardError> {
+        toml::from_str(&self.text).map_err(|error| {
+            let at = match error.span() {
+                Some(span) => self.location(span.start),
+                None => Location { file: self.name.clone(), line: 1, field: String::new() },
+            };
+            BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
+        })
+    }
+
+    /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.
+    pub(crate) fn at(&self, path: impl Display) -> Location {
+        let field = path.to_string();
+        let (root, _) = DeTable::parse_recoverable(&self.text);
+        let mut found = 0;
+        let mut table = Some(root.get_ref());
+        let mut element: Option<&Spanned<DeValue<'_>>> = None;
+        for step in field.split(['.', '[']) {
+            let next = match step.strip_suffix(']') {
+                Some(index) => element
+                    .and_then(|value| value.get_ref().as_array())
+                    .and_then(|array| index.parse::<usize>().ok().and_then(|index| array.get(index))),
+                None => table.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == step)).map(|(_, v)| v),
+            };
+            let Some(next) = next else { break };
+            found = next.span().start;
+            table = next.get_ref().as_table();
+            element = Some(next);
+        }
+        Location { file: self.name.clone(), line: self.line(found), field }
+    }
+
+    /// The line and the field at a byte offset.
+    fn location(&self, offset: usize) -> Location {
+        let (root, _) = DeTable::parse_recoverable(&self.text);
+        let field = field_in_table(root.get_ref(), offset).unwrap_or_else(|| self.key_in_line(offset));
+        Location { file: self.name.clone(), line: self.line(offset), field }
+    }
+
+    fn line(&self, offset: usize) -> usize {
+        let before = self.text.as_bytes().iter().take(offset);
+        1 + before.filter(|byte| **byte == b'\n').count()
+    }
+
+    /// What stands left of the `=`, for a line that is no TOML.
+    fn key_in_line(&self, offset: usize) -> String {
+        let line = self.text.lines().nth(self.line(offset) - 1).unwrap_or_default();
+        line.split_once('=').map(|(key, _)| key.trim().to_owned()).unwrap_or_default()
+    }
+}
+
+fn covers(span: &Range<usize>, offset: usize) -> bool {
+    span.contains(&offset) || span.start == offset
+}
+
+fn field_in_table(table: &DeTable<'_>, offset: usize) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let key_text = key.get_ref();
+        match field_in_value(value, offset) {
+            Some(inner) if inner.is_empty() || inner.starts_with('[') => Some(format!("{key_text}{inner}")),
+            Some(inner) => Some(format!("{key_text}.{inner}")),
+            None => covers(&key.span(), offset).then(|| key_text.to_string()),
+        }
+    })
+}
+
+/// The path inside `value`; empty for the value itself.
+///
+/// A table with a header spans only the header, so what is inside comes first.
+fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String> {
+    let inside = match value.get_ref() {
+        DeValue::Table(table) => field_in_table(table, offset),
+        DeValue::Array(array) => array.iter().enumerate().find_map(|(index, element)| {
+            let inner = field_in_value(element, offset)?;
+            let dot = if inner.is_empty() || inner.starts_with('[') { "" } else { "." };
+            Some(format!("[{index}]{dot}{inner}"))
+        }),
+        _ => None,
+    };
+    inside.or_else(|| covers(&value.span(), offset).then(String::new))
+}
+
+/// Things of which each may be used once in a file.
+pub(crate) struct Claims<'s> {
+    source: &'s Source,
+    taken: HashMap<(&'static str, String), String>,
+}
+
+impl<'s> Claims<'s> {
+    pub(crate) fn new(source: &'s Source) -> Self {
+        Self { source, taken: HashMap::new() }
+    }
+
+    /// Takes `name` for the field at `path`.
+    ///
+    /// # Errors
+    /// [`BoardError::UsedTwice`], with the line of the first use.
+    pub(crate) fn take(
+        &mut self,
+        what: &'static str,
+        name: impl Display,
+        path: impl Display,
+    ) -> Result<(), BoardError> {
+        let name = name.to_string();
+        let path = path.to_string();
+        match self.taken.insert((what, name.clone()), path.clone()) {
+            None => Ok(()),
+            Some(first) => {
+                let first_line = self.source.at(first).line;
+                Err(BoardError::UsedTwice { at: self.source.at(path), what, name, first_line })
+            }
+        }
+    }
+}

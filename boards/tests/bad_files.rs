@@ -1,0 +1,344 @@
+//! What is said about a file with a mistake: file, line, field, and what is expected.
+
+use std::{fs, path::Path};
+
+use proptest::prelude::*;
+use r4_boards::{BoardError, Robot, load, load_carrier};
+use tempfile::TempDir;
+
+const ROBOT: &str = include_str!("../osmc-bench.toml");
+const CARRIER: &str = include_str!("../r4-carrier.toml");
+
+/// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
+/// `to` is.
+struct Mistake {
+    from: &'static str,
+    to: &'static str,
+    line: Option<&'static str>,
+    field: &'static str,
+    says: &'static str,
+}
+
+const fn mistake(
+    from: &'static str,
+    to: &'static str,
+    line: &'static str,
+    field: &'static str,
+    says: &'static str,
+) -> Mistake {
+    Mistake { from, to, line: Some(line), field, says }
+}
+
+/// The mistake made in the line where it is reported.
+const fn there(from: &'static str, to: &'static str, field: &'static str, says: &'static str) -> Mistake {
+    Mistake { from, to, line: None, field, says }
+}
+
+const ROBOT_MISTAKES: &[Mistake] = &[
+    // Not TOML.
+    there("speed_max_rad_s = 5.0", "speed_max_rad_s = ", "osmc[0].speed_max_rad_s", "string values must be quoted"),
+    there("kp_duty_per_rad = 2.0", "kp_duty_per_rad = 2.0.0", "osmc[0].position_pid.kp_duty_per_rad", "invalid float"),
+    there("[osmc.profile]", "[osmc.profile", "", "expected"),
+    mistake(
+        "kp_duty_per_rad = 2.0",
+        "kp_duty_per_rad = 2.0\nkp_duty_per_rad = 3.0",
+        "kp_duty_per_rad = 3.0",
+        "",
+        "duplicate key",
+    ),
+    // Wrong types, unknown and missing fields.
+    there("link_timeout_ms = 200", "link_timeout_ms = \"200\"", "link_timeout_ms", "expected"),
+    there("control_period_us = 1000", "control_period_us = -1", "control_period_us", "expected u32"),
+    there("speed_filter_s = 0.010", "speed_filter_ms = 10", "osmc[0].speed_filter_ms", "unknown field"),
+    there("static_duty = 0.35", "static_duti = 0.35", "osmc[0].feed_forward.static_duti", "expected `static_duty`"),
+    there("emf_v = 24.0", "emf = 24.0", "simulation.rail[0].emf", "unknown field `emf`"),
+    mistake("speed_max_rad_s = 5.0\n", "", "[[osmc]]", "osmc[0]", "missing field `speed_max_rad_s`"),
+    mistake("travel_rad = 0.005\n", "", "[osmc.stall]", "osmc[0].stall", "missing field `travel_rad`"),
+    mistake("name = \"osmc-bench\"\n", "", "# The bench", "", "missing field `name`"),
+    there("name = \"osmc-bench\"", "name = \"a name that is longer than thirty-two bytes\"", "name", "32"),
+    // Numbers out of their range.
+    there("control_period_us = 1000", "control_period_us = 100", "control_period_us", "must be 500 to 20000"),
+    there("link_timeout_ms = 200", "link_timeout_ms = 2000", "link_timeout_ms", "must be 20 to 1000"),
+    there(
+        "duty_max = 0.902",
+        "duty_max = 0.99",
+        "osmc[0].duty_max",
+        "0.99 is out of range, must be above 0 and at most",
+    ),
+    there("duty_max = 0.784", "duty_max = nan", "actuator[0].duty_max", "must be above 0"),
+    there("kp_duty_per_rad = 2.0", "kp_duty_per_rad = -2.0", "osmc[0].position_pid.kp_duty_per_rad", "0 or above"),
+    there("ki_duty_per_m_s = 30.0", "ki_duty_per_m_s = inf", "actuator[0].position_pid.ki_duty_per_m_s", "0 or above"),
+    there("speed_m_s = 0.008", "speed_m_s = 1e300", "actuator[0].profile.speed_m_s", "above 0"),
+    there("counts_per_turn = 2400", "counts_per_turn = 0", "osmc[0].encoder.counts_per_turn", "above 0"),
+    there("code_16bit = 63357", "code_16bit = 65536", "actuator[0].potentiometer.high.code_16bit", "u16"),
+    there("code_10bit = 989.0", "code_10bit = 1024", "simulation.linear[0].potentiometer.high.code_10bit", "0 to 1023"),
+    there("min = 20.0, max = 30.0", "min = 30.0, max = 20.0", "supply[0].range_v", "min must be below max"),
+    there("max = 0.1 }\nspeed", "max = 1e39 }\nspeed", "actuator[0].position_m", "32-bit"),
+    // References to what is not there.
+    there("channel = \"osmc0\" #", "channel = \"osmc7\" #", "osmc[0].channel", "no OSMC connector `7`, write 0 to 3"),
+    there("channel = \"osmc0\" #", "channel = \"motor0\" #", "osmc[0].channel", "`motor0` is not a channel name"),
+    there("channel = \"osmc0\" #", "channel = \"actuator0\" #", "osmc[0].channel", "named osmc"),
+    there(
+        "channel = \"actuator1\"\nposition",
+        "channel = \"osmc1\"\nposition",
+        "actuator[0].channel",
+        "named actuator",
+    ),
+    there("channel = \"supply0\" #", "channel = \"analog0\" #", "supply[0].channel", "named supply"),
+    there("input = 0\ncounts", "input = 9\ncounts", "osmc[0].encoder.input", "no encoder `9`, write 0 to 3"),
+    there("input = 0\nlow = { code_16", "input = 6\nlow = { code_16", "actuator[0].potentiometer.input", "0 to 5"),
+    there("analog = 5\nrange_v", "analog = 6\nrange_v", "supply[1].analog", "no analog input `6`, write 0 to 5"),
+    there("carrier = \"r4-carrier\"", "carrier = \"r5\"", "carrier", "no carrier `r5`, write r4-carrier"),
+    there("plants/osmc-bench-rotary.toml", "plants/no.toml", "simulation.rotary[0].plant", "cannot be read"),
+    there("rail = \"supply0\"", "rail = \"supply2\"", "simulation.rotary[0].rail", "write supply0 or supply1"),
+    there(
+        "encoder = { input = 0, lines",
+        "encoder = { input = 4, lines",
+        "simulation.rotary[0].encoder.input",
+        "no encoder `4`",
+    ),
+    there(
+        "channel = \"osmc0\"\nplant",
+        "channel = \"osmc1\"\nplant",
+        "simulation.rotary[0].channel",
+        "no motor of that kind `osmc1`, write osmc0",
+    ),
+    // Used twice.
+    mistake(
+        "analog = 5\nrange_v",
+        "analog = 4\nrange_v",
+        "analog = 4\nrange_v = { min = 10",
+        "supply[1].analog",
+        "`4`",
+    ),
+    mistake("\"supply1\" #", "\"supply0\" #", "\"supply0\" # 12 V", "supply[1].channel", "`supply0` is already used"),
+    there(
+        "channel = \"actuator1\"\nposition",
+        "channel = \"actuator0\"\nposition",
+        "actuator[0].channel",
+        "`0` is already",
+    ),
+    mistake(
+        "analog = 5\nemf",
+        "analog = 4\nemf",
+        "analog = 4\nemf_v = 12",
+        "simulation.rail[1].analog",
+        "already used",
+    ),
+    // Rules between fields.
+    mistake(
+        "static_duty = 0.35",
+        "static_duty = 0.95",
+        "[[osmc]]",
+        "osmc[0]",
+        "osmc0: feed-forward must not be negative",
+    ),
+    mistake("code_16bit = 63357", "code_16bit = 1858", "[[actuator]]", "actuator[0]", "need different codes"),
+    mistake("time_ms = 1000\n\n# GLA", "time_ms = 0\n\n# GLA", "time_ms = 0", "osmc[0].stall.time_ms", "above 0"),
+    mistake(
+        "high = { code_10bit = 989.0, position_m = 0.1 }",
+        "high = { code_10bit = 989.0, position_m = -0.1 }",
+        "high = { code_10bit",
+        "simulation.linear[0].potentiometer.high.position_m",
+        "above the low point",
+    ),
+];
+
+const CARRIER_MISTAKES: &[Mistake] = &[
+    there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
+    there(
+        "kind = \"gpio\" },\n\n    # Stepper",
+        "kind = \"gpoi\" },\n\n    # Stepper",
+        "pins[11].kind",
+        "expected one of",
+    ),
+    there("\"PJ6\"", "\"PJ8\"", "pins[1].stm32", "pin `PJ8` is already used in line 23"),
+    there("header = \"D37\"", "header = \"D4\"", "pins[1].header", "header pin `D4` is already used"),
+    there("id = \"dir0\"", "id = \"step0\"", "pins[13].id", "function `step0` is already used"),
+    there(
+        "\"PI11\", signal = \"EXTI11\"",
+        "\"PA10\", signal = \"EXTI10\"",
+        "pins[7].stm32",
+        "EXTI line `10` is already used",
+    ),
+    there("\"PI11\", signal = \"EXTI11\"", "\"PI11\", signal = \"EXTI10\"", "pins[7].signal", "its own number"),
+    there("\"TIM8_CH2\"", "\"TIM8_CH1\"", "pins[1].signal", "signal `TIM8_CH1` is already used"),
+    there("signal = \"TIM8_CH2\", af = 3", "signal = \"TIM8_CH2\"", "pins[1].af", "cap and bus pins have an af"),
+    there("signal = \"TIM8_CH2\"", "signal = \"TIM5_CH2\"", "pins[1].signal", "keeps the time"),
+    there("address = 0x40", "address = 0x18", "i2c.devices[1].address", "0x40 to 0x77"),
+    there("address = 0x20", "address = 0x78", "i2c.devices[0].address", "0x08 to 0x77"),
+    there("rate_hz = 400_000", "rate_hz = 1_000_000", "i2c.rate_hz", "at most 400000"),
+    there("frequency_hz = 1526.0\n# Used", "frequency_hz = 2000.0\n# Used", "osmc.frequency_hz", "24 to 1526"),
+    there("duty_max_hard = 0.98\n# PCA", "duty_max_hard = 0.99\n# PCA", "osmc.duty_max_hard", "at most 0.98"),
+    there("address = 0x41", "address = 0x40", "i2c.devices[2].address", "I2C address `0x40` is already used"),
+    mistake(
+        "address = 0x41",
+        "address = 0x70",
+        "{ address = 0x70",
+        "i2c.reserved[0].address",
+        "`0x70` is already used",
+    ),
+    mistake(
+        "duty_max_hard = 0.98\n# PCA",
+        "duty_max_hard = 0.9\n# PCA",
+        "duty_max_default",
+        "osmc.duty_max_default",
+        "at most osmc.duty_max_hard",
+    ),
+    there("ali = 13", "ali = 12", "osmc.connectors[3].ali", "PWM output `12 of osmc_pwm` is already used"),
+    mistake(
+        "direction = 6, brake",
+        "direction = 8, brake",
+        "outputs = [8",
+        "relay.outputs[0]",
+        "expander bit `8 of expander` is already used",
+    ),
+    there("b = \"enc1_b\"", "b = \"enc1_a\"", "encoder.connectors[1].b", "`enc1_a` is already used"),
+    there("bli = 15", "bli = 16", "osmc.connectors[3].bli", "no PWM output `16`, write 0 to 15"),
+    there("disable = \"osmc_dis\"", "disable = \"osmc_off\"", "osmc.disable", "no pin `osmc_off`"),
+    there("disable = \"osmc_dis\"", "disable = \"ain0\"", "osmc.disable", "a kind that cannot do this"),
+    there("pwm = \"dhb_pwm\"", "pwm = \"expander\"", "dhb.pwm", "a kind that cannot do this"),
+    there("motor_power = 0", "motor_power = 8", "relay.motor_power", "number of a relay"),
+    there("ignition = 1", "ignition = 0", "relay.ignition", "relay `0` is already used"),
+    there("full_scale_v = 50.0", "full_scale_v = 3.0", "analog.full_scale_v", "a divider cannot amplify"),
+    there(
+        "min = 0.001, max = 0.002",
+        "min = 0.0001, max = 0.002",
+        "servo.pulse_default_s",
+        "inside servo.pulse_hard_s",
+    ),
+];
+
+/// A robot file in a folder of its own, and what loading it says.
+fn load_text(folder: &Path, text: &str) -> Result<Robot, BoardError> {
+    let path = folder.join("robot.toml");
+    fs::write(&path, text).expect("a writable folder");
+    load(path.to_str().expect("UTF-8"))
+}
+
+fn load_carrier_text(folder: &Path, text: &str) -> Result<(), BoardError> {
+    let path = folder.join("carrier.toml");
+    fs::write(&path, text).expect("a writable folder");
+    load_carrier(path.to_str().expect("UTF-8")).map(drop)
+}
+
+fn line_of(text: &str, part: &str) -> usize {
+    let offset = text.find(part).unwrap_or_else(|| panic!("no `{part}` in the file"));
+    1 + text[..offset].matches('\n').count()
+}
+
+/// What is not as expected.
+fn check(
+    mistake: &Mistake,
+    original: &str,
+    file: &str,
+    load: impl Fn(&str) -> Result<(), BoardError>,
+) -> Option<String> {
+    let Mistake { from, to, line, field, says } = mistake;
+    let line = match line {
+        Some(line) => line_of(&original.replacen(from, to, 1), line),
+        None => line_of(original, from),
+    };
+    let Err(error) = load(&original.replacen(from, to, 1)) else { return Some(format!("`{to}` was taken")) };
+    let said = error.to_string();
+    let colon = if field.is_empty() { "" } else { ": " };
+    let place = format!("{file}:{line}{colon}{field}");
+    let expected = said.contains(&place) && said.contains(says);
+    (!expected).then(|| format!("`{to}`\n  expected `{place}` … `{says}`\n  said     `{said}`"))
+}
+
+#[test]
+fn mistakes_in_a_robot_file() {
+    let folder = TempDir::new().unwrap();
+    let load = |text: &str| load_text(folder.path(), text).map(drop);
+    let wrong: Vec<_> = ROBOT_MISTAKES.iter().filter_map(|m| check(m, ROBOT, "robot.toml", load)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn mistakes_in_a_carrier_file() {
+    let folder = TempDir::new().unwrap();
+    let load = |text: &str| load_carrier_text(folder.path(), text);
+    let wrong: Vec<_> = CARRIER_MISTAKES.iter().filter_map(|m| check(m, CARRIER, "carrier.toml", load)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_mistake_in_a_carrier_beside_the_robot_names_the_carrier() {
+    let folder = TempDir::new().unwrap();
+    let carrier = CARRIER.replacen("rate_hz = 400_000", "rate_hz = 0", 1);
+    fs::write(folder.path().join("r4-carrier.toml"), &carrier).unwrap();
+    let said = load_text(folder.path(), ROBOT).unwrap_err().to_string();
+    assert!(said.contains(&format!("r4-carrier.toml:{}: i2c.rate_hz", line_of(&carrier, "rate_hz = 0"))), "{said}");
+}
+
+#[test]
+fn a_robot_may_have_less_than_its_carrier() {
+    let folder = TempDir::new().unwrap();
+    let header = &ROBOT[..ROBOT.find("# 73ZYT").unwrap()];
+    let robot = load_text(folder.path(), header).unwrap();
+    assert!(robot.config.motors.is_empty() && robot.simulation.is_empty());
+    let without_simulation = &ROBOT[..ROBOT.find("[[simulation.rotary]]").unwrap()];
+    let robot = load_text(folder.path(), without_simulation).unwrap();
+    assert!(robot.config.motors.len() == 2 && robot.simulation.is_empty());
+}
+
+#[test]
+fn what_exists_is_simulated() {
+    let folder = TempDir::new().unwrap();
+    let without_rails = &ROBOT[..ROBOT.find("[[simulation.rail]]").unwrap()];
+    let said = load_text(folder.path(), without_rails).unwrap_err().to_string();
+    assert!(said.contains("simulation: needs one rail table for each supply"), "{said}");
+}
+
+#[test]
+fn nothing_there() {
+    let said = load("osmc_bench").unwrap_err().to_string();
+    assert_eq!(said, "there is no robot `osmc_bench`: write osmc-bench, or the path of a .toml file");
+    let said = load("no/such.toml").unwrap_err().to_string();
+    assert!(said.starts_with("no/such.toml: cannot be read"), "{said}");
+    assert!(matches!(load("/tmp"), Err(BoardError::UnknownName { .. })));
+    assert!(load_carrier("r5").unwrap_err().to_string().contains("write r4-carrier"));
+}
+
+fn without_line(text: &str, gone: usize) -> String {
+    let lines = text.lines().enumerate().filter(|(index, _)| *index != gone);
+    lines.map(|(_, line)| format!("{line}\n")).collect()
+}
+
+fn places(error: &BoardError) -> bool {
+    let said = error.to_string();
+    ["robot.toml:", "carrier.toml:"].iter().any(|file| {
+        let line = said.find(file).and_then(|at| said[at + file.len()..].split(':').next());
+        line.is_some_and(|line| line.parse::<usize>().is_ok_and(|line| line > 0))
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+
+    #[test]
+    fn damaged_files_are_refused_with_a_place_or_taken(
+        start in 0..CARRIER.len(),
+        length in 0..60_usize,
+        inserted in "[\\[\\]{}=\",.0-9a-z\n-]{0,4}",
+        line in 0..200_usize,
+    ) {
+        let folder = TempDir::new().unwrap();
+        for (text, is_robot) in [(ROBOT, true), (CARRIER, false)] {
+            let load = |text: &str| {
+                if is_robot { load_text(folder.path(), text).map(drop) } else { load_carrier_text(folder.path(), text) }
+            };
+            let mut bytes = text.as_bytes().to_vec();
+            let start = start % bytes.len();
+            let end = (start + length).min(bytes.len());
+            bytes.splice(start..end, inserted.bytes());
+            // what is left of a character that was cut is replaced: a file that is no UTF-8 is not readable at all
+            for damaged in [String::from_utf8_lossy(&bytes).into_owned(), without_line(text, line)] {
+                if let Err(error) = load(&damaged) {
+                    prop_assert!(places(&error), "{error}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! PCA9685: sixteen 12-bit PWM outputs (NXP datasheet rev. 4).
+
+mod registers;
+
+use embassy_time::{Duration, Timer};
+use embedded_hal_async::i2c::I2c;
+use registers as reg;
+
+/// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). Differs by several percent from chip to chip.
+const OSCILLATOR_HZ: f32 = 25e6;
+/// Steps of a PWM period.
+const STEPS: f32 = 4096.0;
+/// The oscillator needs this after `SLEEP` is cleared (datasheet 7.3.1.1).
+const OSCILLATOR_START: Duration = Duration::from_micros(500);
+
+/// What one output does: 12-bit "on" and "off" counts with their full-on and full-off flags.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Output([u8; 4]);
+
+impl Output {
+    /// Always low.
+    pub const LOW: Self = Self([0, 0, 0, reg::FULL]);
+    /// Always high.
+    pub const HIGH: Self = Self([0, reg::FULL, 0, 0]);
+
+    /// High from the start of the period for `share` of it, rounded to 1/4096; ends are always high or low.
+    #[must_use]
+    pub fn high_for(share: f32) -> Self {
+        // On == off must not be programmed (datasheet 7.3.3), and 4096 does not fit: both ends have their own flags.
+        match libm::roundf(share * STEPS) as u16 {
+            0 => Self::LOW,
+            4096.. => Self::HIGH,
+            off => {
+                let [low, high] = off.to_le_bytes();
+                Self([0, 0, low, high])
+            }
+        }
+    }
+
+    /// The bytes of `ON_L, ON_H, OFF_L, OFF_H`.
+    #[must_use]
+    pub const fn registers(self) -> [u8; 4] {
+        self.0
+    }
+}
+
+/// Why an operation did not succeed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PwmError<E> {
+    /// The transfer failed.
+    Bus(E),
+    /// A register does not hold what was written.
+    Mismatch {
+        /// Which.
+        register: u8,
+        /// What was written.
+        written: u8,
+        /// What was read.
+        read: u8,
+    },
+}
+
+impl<E> From<E> for PwmError<E> {
+    fn from(error: E) -> Self {
+        Self::Bus(error)
+    }
+}
+
+/// A PCA9685 at one address. The bus is lent for each call.
+#[derive(Clone, Copy, Debug)]
+pub struct Pca9685 {
+    address: u8,
+    prescale: u8,
+}
+
+impl Pca9685 {
+    const MODE1_RUNNING: u8 = reg::MODE1_AI | reg::MODE1_ALLCALL;
+
+    /// The chip at `address`, to run at the frequency nearest to `frequency_hz` it has.
+    #[must_use]
+    pub fn new(address: u8, frequency_hz: f32) -> Self {
+        // 3 is the hardware's minimum, 1526 Hz (datasheet 7.3.5).
+        let prescale = libm::roundf(OSCILLATOR_HZ / (STEPS * frequency_hz)) - 1.0;
+        Self { address, prescale: prescale.clamp(3.0, 255.0) as u8 }
+    }
+
+    /// Length of one PWM period at the nominal oscillator.
+    #[must_use]
+    pub fn period(&self) -> Duration {
+        let ns = 4096 * (u64::from(self.prescale) + 1) * 40;
+        Duration::from_micros(ns.div_ceil(1000))
+    }
+
+    /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads all of it back.
+    ///
+    /// Takes about 1.2 ms at 400 kHz. Outputs are off before, during and after, whatever state the chip was in.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn init<B: I2c>(&self, bus: &mut B) -> Result<(), PwmError<B::Error>> {
+        self.all_off(bus).await?;
+        bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING | reg::MODE1_SLEEP]).await?;
+        bus.write(self.address, &[reg::PRE_SCALE, self.prescale]).await?;
+        bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
+        bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING]).await?;
+        Timer::after(OSCILLATOR_START).await;
+        self.verify_mode(bus).await?;
+        for output in 0..16 {
+            self.verify_off(bus, output).await?;
+        }
+        Ok(())
+    }
+
+    /// Turns every output off, in one transfer of 3 bytes.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn all_off<B: I2c>(&self, bus: &mut B) -> Result<(), B::Error> {
+        bus.write(self.address, &[reg::ALL_LED_OFF_H, reg::FULL]).await
+    }
+
+    /// Sets four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn set_four<B: I2c>(&self, bus: &mut B, first: u8, outputs: [Output; 4]) -> Result<(), B::Error> {
+        let mut bytes = [0; 17];
+        bytes[0] = on_register(first);
+        for (bytes, output) in bytes[1..].chunks_exact_mut(4).zip(outputs) {
+            bytes.copy_from_slice(&output.registers());
+        }
+        bus.write(self.address, &bytes).await
+    }
+
+    /// Changes only the "off" count of `output`, whose "on" count is 0: 3 bytes after the address.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn set_off_count<B: I2c>(&self, bus: &mut B, output: u8, to: Output) -> Result<(), B::Error> {
+        let [_, _, low, high] = to.registers();
+        bus.write(self.address, &[on_register(output) + 2, low, high]).await
+    }
+
+    /// Reads `output` back and compares.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn verify<B: I2c>(&self, bus: &mut B, output: u8, written: Output) -> Result<(), PwmError<B::Error>> {
+        let mut read = [0; 4];
+        bus.write_read(self.address, &[on_register(output)], &mut read).await?;
+        compare(on_register(output), written.registers(), read)
+    }
+
+    /// Reads back that `output` is off; the counts behind the full-off flag do not matter.
+    ///
+    /// # Errors
+    /// A failed transfer, or the flag is not set.
+    pub async fn verify_off<B: I2c>(&self, bus: &mut B, output: u8) -> Result<(), PwmError<B::Error>> {
+        let register = on_register(output) + 3;
+        let mut read = [0];
+        bus.write_read(self.address, &[register], &mut read).await?;
+        compare(register, [reg::FULL], [read[0] & reg::FULL])
+    }
+
+    /// Reads back mode and prescaler: a chip that lost its supply for a moment is asleep at 200 Hz.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), PwmError<B::Error>> {
+        let mut modes = [0; 2];
+        bus.write_read(self.address, &[reg::MODE1], &mut modes).await?;
+        compare(reg::MODE1, [Self::MODE1_RUNNING, reg::MODE2_OUTDRV], modes)?;
+        let mut prescale = [0];
+        bus.write_read(self.address, &[reg::PRE_SCALE], &mut prescale).await?;
+        compare(reg::PRE_SCALE, [self.prescale], prescale)
+    }
+}
+
+const fn on_register(output: u8) -> u8 {
+    reg::LED0_ON_L + 4 * output
+}
+
+fn compare<E, const N: usize>(first: u8, written: [u8; N], read: [u8; N]) -> Result<(), PwmError<E>> {
+    // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
+    let mut compared = written.into_iter().zip(read).zip(first..);
+    match compared.find(|((written, read), _)| written != read) {
+        Some(((written, read), register)) => Err(PwmError::Mismatch { register, written, read }),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_become_counts_and_ends_become_flags() {
+        assert_eq!(Output::high_for(0.0), Output::LOW);
+        assert_eq!(Output::high_for(1.0), Output::HIGH);
+        assert_eq!(Output::high_for(0.5).registers(), [0, 0, 0x00, 0x08]);
+        assert_eq!(Output::high_for(0.9).registers(), [0, 0, 0x66, 0x0E]); // 3686
+        assert_eq!(Output::high_for(f32::NAN), Output::LOW);
+    }
+
+    #[test]
+    fn frequencies_of_the_datasheet() {
+        assert_eq!(Pca9685::new(0x40, 50.0).prescale, 121);
+        assert_eq!(Pca9685::new(0x40, 200.0).prescale, 30);
+        assert_eq!(Pca9685::new(0x40, 1526.0).prescale, 3);
+        assert_eq!(Pca9685::new(0x40, 1526.0).period().as_micros(), 656);
+    }
+}

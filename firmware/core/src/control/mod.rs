@@ -1,0 +1,8 @@
+//! The control loop: each period sense, close the loops, write the outputs.
+
+pub mod motor;
+pub mod pid;
+pub mod profile;
+mod task;
+
+pub use task::{BoardIo, run};

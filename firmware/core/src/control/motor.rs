@@ -1,0 +1,252 @@
+//! One motor channel: feedback, loops, path, limits and watching.
+
+use r4_protocol::{
+    Cause, Causes, Mode, Setpoint,
+    config::{Feedback, MotorConfig, PidGains},
+};
+
+use super::{
+    pid::{BadPeriod, OutputLimits, Pid},
+    profile::Profile,
+};
+use crate::{
+    sensing::{encoder::Encoder, potentiometer::Potentiometer},
+    shared::MotorStatus,
+};
+
+/// One count of a potentiometer channel's position on the wire, m.
+pub(crate) const POT_RESOLUTION_M: f32 = 1e-6;
+
+/// One count of the channel's position on the wire, rad or m.
+pub(crate) fn resolution(feedback: Feedback) -> f32 {
+    match feedback {
+        Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
+        Feedback::Potentiometer { .. } => POT_RESOLUTION_M,
+    }
+}
+
+enum Sensor {
+    Encoder(Encoder),
+    Potentiometer(Potentiometer),
+}
+
+/// A motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
+pub struct Motor {
+    config: MotorConfig,
+    period_s: f32,
+    sensor: Sensor,
+    position_loop: Pid,
+    speed_loop: Pid,
+    profile: Profile,
+    speed_ref: f32,
+    setpoint: Setpoint,
+    /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
+    position: f64,
+    position_counts: i32,
+    speed: f32,
+    duty: f32,
+    at_rest_s: f32,
+    watch: StallWatch,
+}
+
+impl Motor {
+    /// A motor at rest, without command.
+    ///
+    /// # Errors
+    /// [`BadPeriod`] unless `period_s` is finite and positive.
+    pub fn new(config: MotorConfig, period_s: f32) -> Result<Self, BadPeriod> {
+        let filter_s = config.speed_filter_s;
+        Ok(Self {
+            sensor: match config.feedback {
+                Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
+                Feedback::Potentiometer { low, high, .. } => {
+                    Sensor::Potentiometer(Potentiometer::new(low, high, period_s, filter_s))
+                }
+            },
+            position_loop: Pid::new(config.position_pid, period_s)?,
+            speed_loop: Pid::new(config.speed_pid, period_s)?,
+            profile: Profile::new(config.profile, period_s),
+            speed_ref: 0.0,
+            setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
+            position: 0.0,
+            position_counts: 0,
+            speed: 0.0,
+            duty: 0.0,
+            at_rest_s: 0.0,
+            watch: StallWatch::default(),
+            period_s,
+            config,
+        })
+    }
+
+    /// Takes the counter or converter code of this period.
+    ///
+    /// Returns [`Cause::EncoderImplausible`] when the sensor cannot be where it says.
+    pub fn sense(&mut self, raw: u16) -> Causes {
+        let resolution = resolution(self.config.feedback);
+        match &mut self.sensor {
+            Sensor::Encoder(encoder) => {
+                let (counts, counts_per_s) = encoder.update(raw);
+                self.position_counts = counts;
+                self.position = f64::from(counts) * f64::from(resolution);
+                self.speed = counts_per_s * resolution;
+                Causes::NONE
+            }
+            Sensor::Potentiometer(pot) => match pot.update(raw) {
+                Ok((position_m, speed_m_s)) => {
+                    self.position = position_m.into();
+                    self.position_counts = (position_m / resolution) as i32;
+                    self.speed = speed_m_s;
+                    Causes::NONE
+                }
+                Err(_) => Causes::only(Cause::EncoderImplausible),
+            },
+        }
+    }
+
+    /// Takes a command, which dispatch has checked.
+    pub fn command(&mut self, setpoint: Setpoint) {
+        let last = core::mem::replace(&mut self.setpoint, setpoint);
+        self.at_rest_s = 0.0;
+        match (last.mode, setpoint.mode) {
+            (Mode::Position, Mode::Position) => self.profile.shift_target(setpoint.value - last.value),
+            (_, Mode::Position) => {
+                self.position_loop.reset(self.duty);
+                self.profile.start(self.distance(), self.speed);
+            }
+            (Mode::Speed, Mode::Speed) => {}
+            (_, Mode::Speed) => {
+                self.speed_loop.reset(self.duty);
+                self.speed_ref = self.speed;
+            }
+            (_, Mode::Duty) => {}
+        }
+    }
+
+    /// Forgets the command and the state of the loops: the outputs are being made safe.
+    pub fn stop(&mut self) {
+        self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
+        self.duty = 0.0;
+        self.at_rest_s = 0.0;
+        self.watch = StallWatch::default();
+    }
+
+    /// Takes new gains for one loop, without a jump.
+    pub fn set_gains(&mut self, mode: Mode, gains: PidGains) {
+        match mode {
+            Mode::Position => self.position_loop.set_gains(gains),
+            Mode::Speed => self.speed_loop.set_gains(gains),
+            Mode::Duty => {}
+        }
+    }
+
+    /// One period: the duty for the bridge, and the causes seen in how the motor answers.
+    pub fn step(&mut self) -> (f32, Causes) {
+        let limits = OutputLimits { magnitude: self.config.duty_max, slew_per_s: self.config.duty_slew_per_s };
+        let wanted = match self.setpoint.mode {
+            Mode::Position => self.step_position(limits),
+            Mode::Speed => self.step_speed(limits),
+            Mode::Duty => {
+                let step = limits.slew_per_s * self.period_s;
+                self.setpoint.value.clamp(self.duty - step, self.duty + step).clamp(-limits.magnitude, limits.magnitude)
+            }
+        };
+        self.duty = if self.leaves_its_range(wanted) { 0.0 } else { wanted };
+        let causes = self.watch.step(self.duty, self.position, self.period_s, &self.config);
+        (self.duty, causes)
+    }
+
+    fn step_position(&mut self, limits: OutputLimits) -> f32 {
+        let distance = self.distance();
+        let (to_go, path_speed) = self.profile.step();
+        let near = to_go == 0.0 && distance.abs() <= self.config.settle.error;
+        self.at_rest_s = match near && self.speed.abs() <= self.config.settle.speed {
+            true => self.at_rest_s + self.period_s,
+            false => 0.0,
+        };
+        if near && self.is_settled() {
+            // Held by its own friction: a loop that went on integrating over stiction would hunt.
+            self.position_loop.reset(0.0);
+            return 0.0;
+        }
+        // While the path moves, friction is overcome in its direction; afterwards towards the target.
+        let towards = match (path_speed != 0.0, near) {
+            (true, _) => path_speed.signum(),
+            (false, false) => distance.signum(),
+            (false, true) => 0.0,
+        };
+        // The derivative damps motion relative to the path, not the path itself.
+        let path_duty = self.feed_forward(towards, path_speed) + self.position_loop.gains().kd * path_speed;
+        self.position_loop.step(distance - to_go, self.speed, path_duty, limits)
+    }
+
+    fn step_speed(&mut self, limits: OutputLimits) -> f32 {
+        let change = self.config.profile.acceleration * self.period_s;
+        self.speed_ref = self.setpoint.value.clamp(self.speed_ref - change, self.speed_ref + change);
+        let towards = if self.speed_ref == 0.0 { 0.0 } else { self.speed_ref.signum() };
+        let path_duty = self.feed_forward(towards, self.speed_ref);
+        self.speed_loop.step(self.speed_ref - self.speed, 0.0, path_duty, limits)
+    }
+
+    fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
+        self.config.feed_forward.static_duty * towards + self.config.feed_forward.duty_per_speed * speed
+    }
+
+    /// From the measured position to the set point, rad or m.
+    fn distance(&self) -> f32 {
+        (f64::from(self.setpoint.value) - self.position) as f32
+    }
+
+    /// Whether `duty` would drive the motor beyond the positions it may have, in whatever mode.
+    fn leaves_its_range(&self, duty: f32) -> bool {
+        let range = self.config.position;
+        (duty > 0.0 && self.position >= range.max.into()) || (duty < 0.0 && self.position <= range.min.into())
+    }
+
+    fn is_settled(&self) -> bool {
+        self.setpoint.mode == Mode::Position && self.at_rest_s * 1e3 >= f32::from(self.config.settle.time_ms)
+    }
+
+    /// For telemetry.
+    #[must_use]
+    pub fn status(&self) -> MotorStatus {
+        MotorStatus {
+            setpoint: self.setpoint,
+            position: self.position_counts,
+            speed: self.speed,
+            duty: self.duty,
+            settled: self.is_settled(),
+        }
+    }
+}
+
+/// Watches whether a motor that is driven hard moves, and which way.
+#[derive(Clone, Copy, Debug, Default)]
+struct StallWatch {
+    sign: f32,
+    start: f64,
+    elapsed_s: f32,
+}
+
+impl StallWatch {
+    fn step(&mut self, duty: f32, position: f64, period_s: f32, config: &MotorConfig) -> Causes {
+        let sign = if duty.abs() >= config.stall.duty { duty.signum() } else { 0.0 };
+        if sign == 0.0 || sign != self.sign {
+            *self = Self { sign, start: position, elapsed_s: 0.0 };
+            return Causes::NONE;
+        }
+        self.elapsed_s += period_s;
+        if self.elapsed_s * 1e3 < f32::from(config.stall.time_ms) {
+            return Causes::NONE;
+        }
+        let travel = (position - self.start) as f32 * sign;
+        *self = Self { sign, start: position, elapsed_s: 0.0 };
+        if travel <= -config.stall.travel {
+            Causes::only(Cause::EncoderImplausible)
+        } else if travel < config.stall.travel {
+            Causes::only(Cause::Stalled)
+        } else {
+            Causes::NONE
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! PID with derivative on the measurement, back-calculation anti-windup, clipped and slew-limited output.
+
+use r4_protocol::config::PidGains;
+
+/// What the output may do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OutputLimits {
+    /// Largest magnitude.
+    pub magnitude: f32,
+    /// Fastest change, 1/s.
+    pub slew_per_s: f32,
+}
+
+/// A PID loop of fixed period.
+///
+/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited, with
+/// `I += (ki e + (u - u_unlimited) / T) dt` and `T = kp / ki`, so that the integral follows the limited output instead
+/// of winding up. The derivative acts on the measured speed `v`, never on the error: a step of the set point does not
+/// kick. There is no time in the interface: the period is fixed, so nothing divides by a measured interval and a wait
+/// before the first step leaves no trace.
+#[derive(Clone, Debug)]
+pub struct Pid {
+    gains: PidGains,
+    period_s: f32,
+    integral: f32,
+    error: f32,
+    speed: f32,
+    output: f32,
+}
+
+/// The period of a loop must be a positive number of seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BadPeriod;
+
+impl Pid {
+    /// A loop at rest.
+    ///
+    /// # Errors
+    /// [`BadPeriod`] unless `period_s` is finite and positive.
+    pub fn new(gains: PidGains, period_s: f32) -> Result<Self, BadPeriod> {
+        if !period_s.is_finite() || period_s <= 0.0 {
+            return Err(BadPeriod);
+        }
+        Ok(Self { gains, period_s, integral: 0.0, error: 0.0, speed: 0.0, output: 0.0 })
+    }
+
+    /// One period.
+    ///
+    /// `error` is set point minus measurement, `speed` the filtered rate of the measurement, `feed_forward` a duty.
+    /// An input that is not finite, or too large to compute with, leaves the loop as it was.
+    pub fn step(&mut self, error: f32, speed: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
+        let PidGains { kp, ki, kd } = self.gains;
+        let unlimited = kp * error + self.integral - kd * speed + feed_forward;
+        if !unlimited.is_finite() {
+            return self.output;
+        }
+        let step = limits.slew_per_s * self.period_s;
+        let output = unlimited.clamp(self.output - step, self.output + step).clamp(-limits.magnitude, limits.magnitude);
+        // Without a proportional part the tracking time is one period: the integral is simply not moved past a limit.
+        let tracking = if kp > 0.0 { (ki / kp * self.period_s).min(1.0) } else { 1.0 };
+        let integral = self.integral + ki * error * self.period_s + (output - unlimited) * tracking;
+        // No error or load needs more than the whole range of the output, from one end to the other.
+        self.integral = integral.clamp(-2.0 * limits.magnitude, 2.0 * limits.magnitude);
+        self.error = error;
+        self.speed = speed;
+        self.output = output;
+        output
+    }
+
+    /// The gains in use.
+    #[must_use]
+    pub const fn gains(&self) -> PidGains {
+        self.gains
+    }
+
+    /// Takes new gains without a jump: the integral absorbs what the other parts change by.
+    pub fn set_gains(&mut self, gains: PidGains) {
+        let change = (gains.kp - self.gains.kp) * self.error - (gains.kd - self.gains.kd) * self.speed;
+        self.integral -= change;
+        self.gains = gains;
+    }
+
+    /// Puts the loop at rest with the output at `output`, from where the slew limit starts.
+    pub fn reset(&mut self, output: f32) {
+        self.integral = 0.0;
+        self.error = 0.0;
+        self.speed = 0.0;
+        self.output = output;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const FREE: OutputLimits = OutputLimits { magnitude: f32::MAX, slew_per_s: f32::MAX };
+    const PERIOD_S: f32 = 1e-3;
+
+    fn pid(kp: f32, ki: f32, kd: f32) -> Pid {
+        Pid::new(PidGains { kp, ki, kd }, PERIOD_S).expect("valid period")
+    }
+
+    #[test]
+    fn the_three_parts_follow_their_formulas() {
+        assert_eq!(pid(2.0, 0.0, 0.0).step(0.5, 9.0, 0.25, FREE), 1.25);
+        assert_eq!(pid(0.0, 0.0, 0.5).step(7.0, 3.0, 0.0, FREE), -1.5);
+        let mut integral = pid(0.0, 4.0, 0.0);
+        let after_a_second = (0..=1000).map(|_| integral.step(0.5, 0.0, 0.0, FREE)).last().expect("stepped");
+        // 1000 sums in f32 of 0.002: relative error below 1000 ulp/2.
+        assert!((after_a_second - 2.0).abs() < 1e-4, "{after_a_second}");
+    }
+
+    #[test]
+    fn a_long_saturation_does_not_wind_up() {
+        let limits = OutputLimits { magnitude: 0.5, slew_per_s: f32::MAX };
+        let mut pid = pid(2.0, 5.0, 0.0);
+        for _ in 0..60_000 {
+            assert_eq!(pid.step(1.0, 0.0, 0.0, limits), 0.5);
+        }
+        // The error turns: the output must leave the limit within two tracking times (kp/ki = 0.4 s), not after a minute.
+        let periods = (0..60_000).take_while(|_| pid.step(-0.01, 0.0, 0.0, limits) > 0.0).count();
+        assert!(periods < 800, "{periods} ms at the wrong sign");
+    }
+
+    #[test]
+    fn output_never_jumps_more_than_the_slew_limit() {
+        let limits = OutputLimits { magnitude: 0.9, slew_per_s: 10.0 };
+        let mut pid = pid(50.0, 5.0, 0.1);
+        let mut last = 0.0;
+        for period in 0..2000u16 {
+            let error = if period / 100 % 2 == 0 { 1.0 } else { -1.0 };
+            let output = pid.step(error, 0.0, 0.0, limits);
+            // One rounding of the sum last + step.
+            assert!((output - last).abs() <= 10.0 * PERIOD_S + 1e-6);
+            last = output;
+        }
+    }
+
+    #[test]
+    fn a_period_that_is_no_time_is_refused() {
+        for bad in [0.0, -1e-3, f32::NAN, f32::INFINITY] {
+            assert_eq!(Pid::new(PidGains { kp: 1.0, ki: 0.0, kd: 0.0 }, bad).err(), Some(BadPeriod));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn new_gains_do_not_move_the_output(
+            before in [0.0f32..10.0, 0.0..10.0, 0.0..1.0], after in [0.0f32..10.0, 0.0..10.0, 0.0..1.0],
+            error in -1.0f32..1.0, speed in -5.0f32..5.0,
+        ) {
+            let mut pid = pid(before[0], before[1], before[2]);
+            for _ in 0..100 {
+                pid.step(error, speed, 0.0, FREE);
+            }
+            let last = pid.step(error, speed, 0.0, FREE);
+            pid.set_gains(PidGains { kp: after[0], ki: after[1], kd: after[2] });
+            let next = pid.step(error, speed, 0.0, FREE);
+            // Only the integral may move on, by one period of the old gain; the rest is rounding of sums up to 30.
+            prop_assert!((next - last - before[1] * error * PERIOD_S).abs() < 1e-4, "{} -> {}", last, next);
+        }
+
+        #[test]
+        fn any_input_gives_a_finite_output_within_its_limits(
+            inputs in prop::collection::vec((any::<f32>(), any::<f32>(), any::<f32>()), 1..50),
+        ) {
+            let limits = OutputLimits { magnitude: 0.95, slew_per_s: 20.0 };
+            let mut pid = pid(1e3, 1e3, 1e3);
+            for (error, speed, feed_forward) in inputs {
+                let output = pid.step(error, speed, feed_forward, limits);
+                prop_assert!(output.abs() <= 0.95, "{}", output);
+            }
+            // And it recovers from whatever that was.
+            for _ in 0..10_000 {
+                pid.step(0.0, 0.0, 0.0, limits);
+            }
+            prop_assert!(pid.step(0.0, 0.0, 0.0, limits).is_finite());
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! The control task: one pass per period, and out of turn when outputs must be made safe.
+
+use embassy_futures::select::{Either, select};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::{Duration, Instant, Timer};
+use heapless::Vec;
+use r4_protocol::{
+    Cause, Causes, SafetyState,
+    config::{BoardConfig, Feedback, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
+};
+
+use super::motor::Motor;
+use crate::{
+    outputs::{OutputFault, Outputs},
+    platform::{AnalogInputs, Bus, Encoders},
+    sensing::filter::LowPass,
+    shared::Shared,
+};
+
+/// While armed, one thing is read back from the chips every so many periods; while safe, every period.
+const CHECK_EVERY: u32 = 8;
+/// While safe, the safe state is written again every so many periods.
+const REASSERT_EVERY: u32 = 16;
+/// Smooths a rail against the dips of single PWM periods, s.
+const SUPPLY_FILTER_S: f32 = 0.01;
+/// A rail is back in range only this share of the range inside it.
+const SUPPLY_HYSTERESIS: f32 = 0.02;
+
+/// What the control task works with.
+pub struct BoardIo<B, E, A> {
+    /// The I2C bus with the board's chips.
+    pub bus: B,
+    /// Quadrature counters.
+    pub encoders: E,
+    /// Analog inputs.
+    pub analog: A,
+}
+
+/// Runs the control loop for ever, with the second highest priority.
+pub async fn run<M, B, E, A>(shared: &Shared<M>, io: BoardIo<B, E, A>) -> !
+where
+    M: RawMutex,
+    B: Bus,
+    E: Encoders,
+    A: AnalogInputs,
+{
+    let BoardIo { bus, encoders, analog } = io;
+    let config = shared.config();
+    let mut control = Control::new(config, bus, encoders, analog);
+    let started = control.outputs.init().await;
+    control.note(started);
+    shared.set_control_causes(control.causes());
+    shared.started.signal(());
+
+    let period = Duration::from_micros(config.control_period_us.into());
+    let mut due = Instant::now();
+    loop {
+        let begin = Instant::now();
+        shared.control_tick(begin);
+        control.tick(shared).await;
+        due += period;
+        let end = Instant::now();
+        shared.count(|stats| {
+            stats.ticks = stats.ticks.wrapping_add(1);
+            stats.worst_tick_us = stats.worst_tick_us.max((end - begin).as_micros() as u32);
+            stats.bus_retries = stats.bus_retries.wrapping_add(control.outputs.take_retries());
+            if end > due {
+                stats.late_ticks = stats.late_ticks.wrapping_add(1);
+            }
+        });
+        if end > due {
+            // Skip what was missed: two passes at once would see the same sensors twice.
+            due = end;
+        }
+        while let Either::Second(()) = select(Timer::at(due), shared.make_safe.wait()).await {
+            if shared.safety().state != SafetyState::Armed {
+                let result = control.make_safe().await;
+                control.note(result);
+                shared.set_control_causes(control.causes());
+            }
+        }
+    }
+}
+
+struct Control<B, E, A> {
+    outputs: Outputs<B>,
+    encoders: E,
+    analog: A,
+    motors: Vec<Motor, MAX_MOTORS>,
+    supplies: Vec<Supply, MAX_SUPPLIES>,
+    /// The arming whose commands are being followed.
+    epoch: u16,
+    tick: u32,
+    fault: Option<OutputFault>,
+    bad_configuration: bool,
+    sensors: Causes,
+}
+
+impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
+    /// With a configuration that is not valid there are no motors to drive, only outputs to hold safe.
+    fn new(config: &BoardConfig, bus: B, encoders: E, analog: A) -> Self {
+        let period_s = config.control_period_us as f32 * 1e-6;
+        let motors = config.motors.iter().map_while(|motor| Motor::new(*motor, period_s).ok()).collect();
+        let bad_configuration = config.validate().is_err();
+        Self {
+            outputs: Outputs::new(bus, config),
+            encoders,
+            analog,
+            motors: if bad_configuration { Vec::new() } else { motors },
+            supplies: config.supplies.iter().map(|supply| Supply::new(*supply, period_s)).collect(),
+            epoch: 0,
+            tick: 0,
+            fault: None,
+            bad_configuration,
+            sensors: Causes::NONE,
+        }
+    }
+
+    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        self.tick = self.tick.wrapping_add(1);
+        self.sense(shared);
+        let view = shared.safety();
+        let result = if view.state == SafetyState::Armed {
+            self.drive(shared, view.epoch).await
+        } else {
+            self.hold_safe().await
+        };
+        self.note(result);
+        for (index, motor) in self.motors.iter().enumerate() {
+            shared.publish(index, motor.status());
+        }
+        shared.set_control_causes(self.causes());
+    }
+
+    fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let mut causes = Causes::NONE;
+        for (motor, config) in self.motors.iter_mut().zip(&shared.config().motors) {
+            let raw = match config.feedback {
+                Feedback::Encoder { index, .. } => self.encoders.count(index),
+                Feedback::Potentiometer { analog, .. } => self.analog.code(analog),
+            };
+            causes = causes.union(motor.sense(raw));
+        }
+        for (index, supply) in self.supplies.iter_mut().enumerate() {
+            let (volts, in_range) = supply.update(self.analog.code(supply.config.analog));
+            shared.publish_supply(index, volts);
+            if !in_range {
+                causes.set(Cause::SupplyOutOfRange, true);
+            }
+        }
+        self.sensors = causes;
+    }
+
+    /// One period of every loop. A motor's outputs are written in the order of the channels.
+    async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, epoch: u16) -> Result<(), OutputFault> {
+        if epoch != self.epoch {
+            self.epoch = epoch;
+            self.motors.iter_mut().for_each(Motor::stop);
+        }
+        for (index, motor) in self.motors.iter_mut().enumerate() {
+            if let Some((mode, gains)) = shared.take_gains(index) {
+                motor.set_gains(mode, gains);
+            }
+            if let Some(setpoint) = shared.take_command(index) {
+                motor.command(setpoint);
+            }
+            let (duty, causes) = motor.step();
+            causes.iter().for_each(|cause| shared.trip(cause));
+            // A stop that came while another bridge was written must not wait for this one.
+            if shared.safety().state != SafetyState::Armed {
+                return self.make_safe().await;
+            }
+            self.outputs.drive(index, duty).await?;
+        }
+        if self.tick.is_multiple_of(CHECK_EVERY) { self.outputs.check_next().await } else { Ok(()) }
+    }
+
+    async fn make_safe(&mut self) -> Result<(), OutputFault> {
+        self.motors.iter_mut().for_each(Motor::stop);
+        self.outputs.make_safe().await
+    }
+
+    async fn hold_safe(&mut self) -> Result<(), OutputFault> {
+        self.motors.iter_mut().for_each(Motor::stop);
+        if self.fault.is_some() {
+            // Whatever the chip lost, it gets again.
+            return self.outputs.init().await;
+        }
+        if self.tick.is_multiple_of(REASSERT_EVERY) {
+            self.outputs.make_safe().await?;
+        }
+        self.outputs.check_next().await
+    }
+
+    fn note(&mut self, result: Result<(), OutputFault>) {
+        self.fault = result.err();
+    }
+
+    fn causes(&self) -> Causes {
+        let mut causes = self.sensors;
+        causes.set(Cause::I2cFault, self.fault == Some(OutputFault::Bus));
+        causes.set(Cause::ReadBackMismatch, self.fault == Some(OutputFault::Mismatch));
+        causes.set(Cause::BadConfiguration, self.bad_configuration);
+        causes
+    }
+}
+
+/// One measured rail.
+struct Supply {
+    config: SupplyConfig,
+    filter: Option<LowPass>,
+    period_s: f32,
+    in_range: bool,
+}
+
+impl Supply {
+    fn new(config: SupplyConfig, period_s: f32) -> Self {
+        Self { config, filter: None, period_s, in_range: true }
+    }
+
+    /// Volts, and whether they are in range.
+    fn update(&mut self, code: u16) -> (f32, bool) {
+        let measured_v = f32::from(code) * self.config.volts_per_code;
+        let period_s = self.period_s;
+        let filter = self.filter.get_or_insert_with(|| {
+            let mut filter = LowPass::new(SUPPLY_FILTER_S, period_s);
+            filter.reset(measured_v);
+            filter
+        });
+        let volts = filter.step(measured_v);
+        let range = self.config.range_v;
+        let margin = if self.in_range { 0.0 } else { (range.max - range.min) * SUPPLY_HYSTERESIS };
+        self.in_range = volts >= range.min + margin && volts <= range.max - margin;
+        (volts, self.in_range)
+    }
+}

@@ -1,0 +1,132 @@
+//! States and causes of the board, as a pure function.
+
+use r4_protocol::{Causes, Refusal, SafetyState};
+
+/// Where the board stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Safety {
+    /// Outputs safe. [`Event::Arm`] leaves, while no cause is present.
+    Disarmed,
+    /// The only state in which an output may move.
+    Armed,
+    /// Outputs safe. Keeps every cause seen; [`Event::Clear`] leaves to `Disarmed`, while none is present.
+    Tripped {
+        /// Every cause since the trip.
+        causes: Causes,
+    },
+}
+
+/// What the machine reacts to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// Time passed; causes may have come or gone.
+    Tick,
+    /// The host wants outputs to move.
+    Arm,
+    /// The host wants outputs safe.
+    Disarm,
+    /// The host leaves a trip behind.
+    Clear,
+    /// Something happened that trips and is over at once.
+    Trip(Causes),
+}
+
+impl Safety {
+    /// The state after `event` while the causes in `present` hold, and why the event was refused if it was.
+    ///
+    /// A present cause trips from every state and whatever the event.
+    #[must_use = "the new state must be kept"]
+    pub fn next(self, event: Event, present: Causes) -> (Self, Result<(), Refusal>) {
+        let momentary = if let Event::Trip(causes) = event { causes } else { Causes::NONE };
+        let tripping = present.union(momentary);
+        if !tripping.is_empty() {
+            let refused = match event {
+                Event::Arm | Event::Clear => Err(Refusal::CausesPresent { causes: present }),
+                Event::Tick | Event::Disarm | Event::Trip(_) => Ok(()),
+            };
+            return (Self::Tripped { causes: self.causes().union(tripping) }, refused);
+        }
+        match (self, event) {
+            (Self::Tripped { causes }, Event::Arm) => (self, Err(Refusal::Tripped { causes })),
+            (Self::Tripped { .. }, Event::Clear) => (Self::Disarmed, Ok(())),
+            (Self::Disarmed, Event::Arm) => (Self::Armed, Ok(())),
+            (Self::Armed, Event::Disarm) => (Self::Disarmed, Ok(())),
+            (Self::Disarmed | Self::Armed | Self::Tripped { .. }, _) => (self, Ok(())),
+        }
+    }
+
+    /// As told to hosts.
+    #[must_use]
+    pub const fn state(self) -> SafetyState {
+        match self {
+            Self::Disarmed => SafetyState::Disarmed,
+            Self::Armed => SafetyState::Armed,
+            Self::Tripped { .. } => SafetyState::Tripped,
+        }
+    }
+
+    /// The latched causes; none unless tripped.
+    #[must_use]
+    pub const fn causes(self) -> Causes {
+        match self {
+            Self::Tripped { causes } => causes,
+            Self::Disarmed | Self::Armed => Causes::NONE,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::Cause;
+
+    use super::*;
+
+    /// Every subset of the known causes: 2^12.
+    fn all_causes() -> impl Iterator<Item = Causes> {
+        (0..1u16 << Cause::ALL.len()).map(Causes::from_bits)
+    }
+
+    fn all_states() -> impl Iterator<Item = Safety> {
+        [Safety::Disarmed, Safety::Armed]
+            .into_iter()
+            .chain(all_causes().filter(|c| !c.is_empty()).map(|causes| Safety::Tripped { causes }))
+    }
+
+    /// Every event but trips with several causes at once: those differ from `present` in nothing the machine looks at.
+    fn all_events() -> impl Iterator<Item = Event> {
+        [Event::Tick, Event::Arm, Event::Disarm, Event::Clear]
+            .into_iter()
+            .chain(Cause::ALL.map(|cause| Event::Trip(Causes::only(cause))))
+    }
+
+    /// Walks the whole table: 4097 states x 16 events x 4096 sets of present causes.
+    #[test]
+    fn the_whole_table_is_safe() {
+        for state in all_states() {
+            for event in all_events() {
+                for present in all_causes() {
+                    let (next, result) = state.next(event, present);
+                    let momentary = if let Event::Trip(causes) = event { causes } else { Causes::NONE };
+                    let tripping = present.union(momentary);
+                    if !tripping.is_empty() {
+                        // Every cause trips from every state, and none is forgotten.
+                        assert_eq!(next, Safety::Tripped { causes: state.causes().union(tripping) });
+                    }
+                    if next == Safety::Armed {
+                        // Armed is entered only by Arm from Disarmed, without causes.
+                        assert!(state == Safety::Armed || (state == Safety::Disarmed && event == Event::Arm));
+                        assert!(present.is_empty());
+                    }
+                    if state.state() == SafetyState::Tripped && next.state() != SafetyState::Tripped {
+                        // A trip is left only by Clear, without causes, and never straight into Armed.
+                        assert_eq!((event, next), (Event::Clear, Safety::Disarmed));
+                        assert!(present.is_empty());
+                    }
+                    if result.is_err() {
+                        assert!(next != Safety::Armed && matches!(event, Event::Arm | Event::Clear));
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! First-order low-pass.
+
+/// Low-pass `y += (x - y) dt / (tau + dt)`: backward Euler of `tau y' = x - y`, DC gain exactly 1.
+#[derive(Clone, Copy, Debug)]
+pub struct LowPass {
+    share: f32,
+    value: f32,
+}
+
+impl LowPass {
+    /// A filter of time constant `tau_s`, stepped every `period_s`, at rest at 0.
+    #[must_use]
+    pub fn new(tau_s: f32, period_s: f32) -> Self {
+        Self { share: period_s / (tau_s + period_s), value: 0.0 }
+    }
+
+    /// Takes one input and returns the filtered value.
+    pub fn step(&mut self, input: f32) -> f32 {
+        self.value += (input - self.value) * self.share;
+        self.value
+    }
+
+    /// Puts the filter at rest at `value`.
+    pub fn reset(&mut self, value: f32) {
+        self.value = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_reaches_63_percent_after_tau_and_ends_exactly_there() {
+        let mut filter = LowPass::new(0.1, 1e-3);
+        let after_tau = (0..100).map(|_| filter.step(1.0)).last().expect("stepped");
+        // Backward Euler: 1 - (1 + 1/100)^-100 = 0.6303; the exact exponential is 0.6321.
+        assert!((after_tau - 0.6303).abs() < 1e-3, "{after_tau}");
+        let end = (0..5000).map(|_| filter.step(1.0)).last().expect("stepped");
+        assert!((end - 1.0).abs() < 1e-6, "DC gain is 1: {end}");
+    }
+}

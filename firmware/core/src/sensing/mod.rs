@@ -1,0 +1,5 @@
+//! From counts and codes to position and speed.
+
+pub mod encoder;
+pub mod filter;
+pub mod potentiometer;

@@ -1,0 +1,313 @@
+//! What the tasks share. Every access is one short critical section; no task can make another wait for longer.
+
+use core::cell::RefCell;
+
+use embassy_sync::{
+    blocking_mutex::{Mutex, raw::RawMutex},
+    signal::Signal,
+};
+use embassy_time::{Duration, Instant};
+use r4_protocol::{
+    Cause, Causes, ChannelId, DeviceStats, Mode, Refusal, SafetyState, Setpoint,
+    config::{BoardConfig, MAX_MOTORS, MAX_SUPPLIES, PidGains},
+};
+
+use crate::safety::{Event, Safety};
+
+/// Why the processor started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power, reset pin or a deliberate restart.
+    Normal,
+    /// A watchdog bit: the firmware hung.
+    Watchdog,
+}
+
+/// What a motor does, as published by the control loop each period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorStatus {
+    /// What it follows.
+    pub setpoint: Setpoint,
+    /// In counts of the channel's resolution.
+    pub position: i32,
+    /// rad/s or m/s
+    pub speed: f32,
+    /// Share of the supply at the bridge.
+    pub duty: f32,
+    /// In position mode: at the set point and at rest.
+    pub settled: bool,
+}
+
+impl MotorStatus {
+    const IDLE: Self = Self {
+        setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
+        position: 0,
+        speed: 0.0,
+        duty: 0.0,
+        settled: false,
+    };
+}
+
+/// Where the supervisor stands, for the other tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SafetyView {
+    pub(crate) state: SafetyState,
+    pub(crate) causes: Causes,
+    /// Counts armings, so that a command from before the last one cannot be carried out after it.
+    pub(crate) epoch: u16,
+}
+
+/// The one host session a board can have.
+#[derive(Clone, Copy, Debug)]
+struct Session {
+    id: u16,
+    link: u8,
+    last_heartbeat: Instant,
+}
+
+struct State {
+    safety: Safety,
+    epoch: u16,
+    /// Causes that hold now, by the supervisor's last look.
+    present: Causes,
+    /// Causes that hold now, by the control loop's last period.
+    control_causes: Causes,
+    last_tick: Instant,
+    session: Option<Session>,
+    next_session: u16,
+    commands: [Option<Setpoint>; MAX_MOTORS],
+    gains: [Option<(Mode, PidGains)>; MAX_MOTORS],
+    motors: [MotorStatus; MAX_MOTORS],
+    supplies_v: [f32; MAX_SUPPLIES],
+    stats: DeviceStats,
+}
+
+/// What the tasks of one board share.
+pub struct Shared<M: RawMutex> {
+    config: BoardConfig,
+    state: Mutex<M, RefCell<State>>,
+    /// Wakes the supervisor: the state changed or must be looked at.
+    pub(crate) supervisor: Signal<M, ()>,
+    /// Wakes the control loop out of turn: outputs must be made safe.
+    pub(crate) make_safe: Signal<M, ()>,
+    /// The outputs were initialised, or could not be.
+    pub(crate) started: Signal<M, ()>,
+}
+
+impl<M: RawMutex> Shared<M> {
+    /// The state of a board that has just started.
+    #[must_use]
+    pub fn new(config: BoardConfig, reset: ResetCause) -> Self {
+        let safety = match reset {
+            ResetCause::Normal => Safety::Disarmed,
+            ResetCause::Watchdog => Safety::Tripped { causes: Causes::only(Cause::WatchdogReset) },
+        };
+        let mut control_causes = Causes::NONE;
+        control_causes.set(Cause::BadConfiguration, config.validate().is_err());
+        Self {
+            config,
+            state: Mutex::new(RefCell::new(State {
+                safety,
+                epoch: 0,
+                present: control_causes,
+                control_causes,
+                last_tick: Instant::now(),
+                session: None,
+                next_session: 1,
+                commands: [None; MAX_MOTORS],
+                gains: [None; MAX_MOTORS],
+                motors: [MotorStatus::IDLE; MAX_MOTORS],
+                supplies_v: [0.0; MAX_SUPPLIES],
+                stats: DeviceStats::default(),
+            })),
+            supervisor: Signal::new(),
+            make_safe: Signal::new(),
+            started: Signal::new(),
+        }
+    }
+
+    /// The board's configuration.
+    #[must_use]
+    pub fn config(&self) -> &BoardConfig {
+        &self.config
+    }
+
+    fn with<T>(&self, f: impl FnOnce(&mut State) -> T) -> T {
+        self.state.lock(|state| f(&mut state.borrow_mut()))
+    }
+
+    // Safety.
+
+    pub(crate) fn safety(&self) -> SafetyView {
+        self.with(|s| SafetyView { state: s.safety.state(), causes: s.safety.causes(), epoch: s.epoch })
+    }
+
+    /// Puts `event` to the state machine with the causes that are present, and wakes whoever must act on a change.
+    pub(crate) fn request(&self, event: Event) -> Result<(), Refusal> {
+        let (changed, result) = self.with(|s| s.apply(event));
+        if changed {
+            self.supervisor.signal(());
+            self.make_safe.signal(());
+        }
+        result
+    }
+
+    /// Trips for a cause that is over at once.
+    pub(crate) fn trip(&self, cause: Cause) {
+        // A trip is never refused.
+        let _ = self.request(Event::Trip(Causes::only(cause)));
+    }
+
+    /// The supervisor's look: `watched` are the causes it sees itself; those of the other tasks are added here.
+    pub(crate) fn supervise(&self, mut watched: Causes, now: Instant) -> SafetyView {
+        let link_timeout = Duration::from_millis(self.config.link_timeout_ms.into());
+        let overrun = Duration::from_micros((self.config.control_period_us * CONTROL_OVERRUN_PERIODS).into());
+        let changed = self.with(|s| {
+            let link_lost = s.session.is_some_and(|session| now - session.last_heartbeat > link_timeout);
+            watched.set(Cause::LinkLost, link_lost);
+            watched.set(Cause::ControlOverrun, now - s.last_tick > overrun);
+            s.present = watched.union(s.control_causes);
+            s.apply(Event::Tick).0
+        });
+        if changed {
+            self.make_safe.signal(());
+        }
+        self.safety()
+    }
+
+    // Control.
+
+    pub(crate) fn control_tick(&self, now: Instant) {
+        self.with(|s| s.last_tick = now);
+    }
+
+    pub(crate) fn set_control_causes(&self, causes: Causes) {
+        let new = self.with(|s| {
+            let new = causes.bits() & !s.control_causes.bits() != 0;
+            s.control_causes = causes;
+            new
+        });
+        if new {
+            self.supervisor.signal(());
+        }
+    }
+
+    pub(crate) fn take_command(&self, motor: usize) -> Option<Setpoint> {
+        self.with(|s| s.commands[motor].take())
+    }
+
+    pub(crate) fn take_gains(&self, motor: usize) -> Option<(Mode, PidGains)> {
+        self.with(|s| s.gains[motor].take())
+    }
+
+    pub(crate) fn publish(&self, motor: usize, status: MotorStatus) {
+        self.with(|s| s.motors[motor] = status);
+    }
+
+    pub(crate) fn publish_supply(&self, supply: usize, volts: f32) {
+        self.with(|s| s.supplies_v[supply] = volts);
+    }
+
+    pub(crate) fn count(&self, f: impl FnOnce(&mut DeviceStats)) {
+        self.with(|s| f(&mut s.stats));
+    }
+
+    // Links.
+
+    pub(crate) fn motor_index(&self, channel: ChannelId) -> Option<usize> {
+        self.config.motors.iter().position(|motor| motor.id == channel)
+    }
+
+    pub(crate) fn supply_index(&self, channel: ChannelId) -> Option<usize> {
+        self.config.supplies.iter().position(|supply| supply.id == channel)
+    }
+
+    pub(crate) fn motor(&self, index: usize) -> MotorStatus {
+        self.with(|s| s.motors[index])
+    }
+
+    pub(crate) fn supply_v(&self, index: usize) -> f32 {
+        self.with(|s| s.supplies_v[index])
+    }
+
+    pub(crate) fn stats(&self) -> DeviceStats {
+        self.with(|s| s.stats)
+    }
+
+    /// Stores a command for the control loop's next period; a later one replaces it.
+    pub(crate) fn command(&self, motor: usize, setpoint: Setpoint) -> Result<(), Refusal> {
+        self.with(|s| match s.safety {
+            Safety::Armed => {
+                s.commands[motor] = Some(setpoint);
+                Ok(())
+            }
+            _ => Err(Refusal::NotArmed { state: s.safety.state() }),
+        })
+    }
+
+    pub(crate) fn change_gains(&self, motor: usize, mode: Mode, gains: PidGains) {
+        self.with(|s| s.gains[motor] = Some((mode, gains)));
+    }
+
+    /// Opens a session for `link`, closing the one that link had.
+    ///
+    /// # Errors
+    /// [`Refusal::InUse`] while another link's session is alive.
+    pub(crate) fn open_session(&self, link: u8, now: Instant) -> Result<u16, Refusal> {
+        let timeout = Duration::from_millis(self.config.link_timeout_ms.into());
+        self.with(|s| match s.session {
+            Some(session) if session.link != link && now - session.last_heartbeat <= timeout => Err(Refusal::InUse),
+            _ => Ok(()),
+        })?;
+        // A host that starts anew does not know what the last one left running.
+        self.request(Event::Disarm)?;
+        Ok(self.with(|s| {
+            let id = s.next_session;
+            s.next_session = id.wrapping_add(1);
+            s.session = Some(Session { id, link, last_heartbeat: now });
+            id
+        }))
+    }
+
+    /// Whether `link` holds the session.
+    pub(crate) fn has_session(&self, link: u8) -> bool {
+        self.with(|s| s.session.is_some_and(|session| session.link == link))
+    }
+
+    /// Takes a heartbeat; false when it belongs to no open session.
+    pub(crate) fn heartbeat(&self, link: u8, id: u16, now: Instant) -> bool {
+        self.with(|s| match &mut s.session {
+            Some(session) if session.link == link && session.id == id => {
+                session.last_heartbeat = now;
+                true
+            }
+            _ => false,
+        })
+    }
+
+    /// Ends the session of `link` in an orderly way.
+    pub(crate) fn close_session(&self, link: u8) {
+        if self.has_session(link) {
+            // Disarming is never refused.
+            let _ = self.request(Event::Disarm);
+            self.with(|s| s.session = None);
+        }
+    }
+}
+
+/// The control loop counts as dead after this many periods without a tick.
+const CONTROL_OVERRUN_PERIODS: u32 = 5;
+
+impl State {
+    /// Returns whether the state changed.
+    fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
+        let (next, result) = self.safety.next(event, self.present);
+        let changed = next.state() != self.safety.state();
+        if changed && next == Safety::Armed {
+            self.epoch = self.epoch.wrapping_add(1);
+            self.commands = [None; MAX_MOTORS];
+        }
+        self.safety = next;
+        (changed, result)
+    }
+}

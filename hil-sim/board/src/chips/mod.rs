@@ -1,0 +1,108 @@
+//! Register-level models of the chips on the board, each written from its datasheet.
+//!
+//! A model shares no constant with the firmware's driver of the same chip: a wrong address in the driver must not
+//! cancel itself out here.
+
+pub mod pca9685;
+
+/// Counts in one PWM cycle of a [`Line`].
+pub const COUNTS: u16 = 4096;
+
+/// What one digital output does: a steady level, or a pattern that repeats every PWM cycle.
+///
+/// All lines of one chip share the start of the cycle, so their counts can be compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Line {
+    /// Driven low.
+    #[default]
+    Low,
+    /// Driven high.
+    High,
+    /// Not driven; whatever is connected decides.
+    HighZ,
+    /// High from count `on` up to, not including, count `off`; past the end of the cycle if `off` is not above `on`.
+    /// Counts are 0 to 4095 and differ. An open-drain output releases the line where this says high.
+    Pwm {
+        /// Where the line goes high.
+        on: u16,
+        /// Where the line goes low.
+        off: u16,
+    },
+}
+
+impl Line {
+    /// Whether the line is high at `count` of a cycle; `floating` is the level it takes when not driven.
+    #[must_use]
+    pub const fn is_high_at(self, count: u16, floating: bool) -> bool {
+        match self {
+            Self::Low => false,
+            Self::High => true,
+            Self::HighZ => floating,
+            Self::Pwm { on, off } if on < off => on <= count && count < off,
+            Self::Pwm { on, off } if on > off => on <= count || count < off,
+            Self::Pwm { .. } => false,
+        }
+    }
+
+    /// Counts of a cycle for which the line is high; `floating` is the level it takes when not driven.
+    #[must_use]
+    pub const fn counts_high(self, floating: bool) -> u16 {
+        match self {
+            Self::Low => 0,
+            Self::High => COUNTS,
+            Self::HighZ => {
+                if floating {
+                    COUNTS
+                } else {
+                    0
+                }
+            }
+            Self::Pwm { on, off } => off.wrapping_sub(on) % COUNTS,
+        }
+    }
+
+    /// The same line behind an inverter.
+    #[must_use]
+    pub const fn inverted(self) -> Self {
+        match self {
+            Self::Low => Self::High,
+            Self::High => Self::Low,
+            Self::HighZ => Self::HighZ,
+            Self::Pwm { on, off } => Self::Pwm { on: off, off: on },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_high_is_the_number_of_high_counts() {
+        let lines = [
+            Line::Low,
+            Line::High,
+            Line::HighZ,
+            Line::Pwm { on: 0, off: 1 },
+            Line::Pwm { on: 511, off: 3071 },
+            Line::Pwm { on: 2047, off: 767 },
+            Line::Pwm { on: 4095, off: 0 },
+            Line::Pwm { on: 9, off: 9 },
+        ];
+        for line in lines {
+            for floating in [false, true] {
+                let counted = (0..COUNTS).filter(|&count| line.is_high_at(count, floating)).count();
+                assert_eq!(counted, usize::from(line.counts_high(floating)), "{line:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn inverted_is_high_where_the_line_is_low() {
+        for line in [Line::Low, Line::High, Line::Pwm { on: 511, off: 3071 }, Line::Pwm { on: 2047, off: 767 }] {
+            for count in 0..COUNTS {
+                assert_ne!(line.is_high_at(count, false), line.inverted().is_high_at(count, false));
+            }
+        }
+    }
+}

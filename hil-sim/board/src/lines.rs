@@ -1,0 +1,144 @@
+//! GPIO lines between the processor and the rest of the board.
+
+use std::{
+    cell::{Cell, RefCell},
+    convert::Infallible,
+    future::poll_fn,
+    rc::Rc,
+    task::{Poll, Waker},
+};
+
+use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
+use embedded_hal_async::digital::Wait;
+
+/// A line that someone outside drives and the processor reads.
+#[derive(Default)]
+pub struct Line {
+    high: Cell<bool>,
+    edges: Cell<u64>,
+    waiting: RefCell<Option<Waker>>,
+}
+
+impl Line {
+    /// A line at a level.
+    #[must_use]
+    pub fn new(high: bool) -> Rc<Self> {
+        Rc::new(Self { high: Cell::new(high), ..Self::default() })
+    }
+
+    /// Drives the line; wakes whoever waits for an edge.
+    pub fn set(&self, high: bool) {
+        if self.high.replace(high) != high {
+            self.edges.set(self.edges.get() + 1);
+            if let Some(waker) = self.waiting.take() {
+                waker.wake();
+            }
+        }
+    }
+
+    /// The level.
+    #[must_use]
+    pub fn is_high(&self) -> bool {
+        self.high.get()
+    }
+}
+
+/// The processor's end of an input line.
+pub(crate) struct InputLine(pub(crate) Rc<Line>);
+
+impl InputLine {
+    /// Ready at the first edge after the call after which `wanted` holds.
+    async fn edge(&mut self, wanted: impl Fn(bool) -> bool) {
+        let mut seen = self.0.edges.get();
+        poll_fn(|context| {
+            if self.0.edges.get() != seen {
+                seen = self.0.edges.get();
+                if wanted(self.0.is_high()) {
+                    return Poll::Ready(());
+                }
+            }
+            *self.0.waiting.borrow_mut() = Some(context.waker().clone());
+            Poll::Pending
+        })
+        .await;
+    }
+}
+
+impl ErrorType for InputLine {
+    type Error = Infallible;
+}
+
+impl InputPin for InputLine {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.is_high())
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.0.is_high())
+    }
+}
+
+impl Wait for InputLine {
+    async fn wait_for_high(&mut self) -> Result<(), Infallible> {
+        if !self.0.is_high() {
+            self.edge(|high| high).await;
+        }
+        Ok(())
+    }
+
+    async fn wait_for_low(&mut self) -> Result<(), Infallible> {
+        if self.0.is_high() {
+            self.edge(|high| !high).await;
+        }
+        Ok(())
+    }
+
+    async fn wait_for_rising_edge(&mut self) -> Result<(), Infallible> {
+        self.edge(|high| high).await;
+        Ok(())
+    }
+
+    async fn wait_for_falling_edge(&mut self) -> Result<(), Infallible> {
+        self.edge(|high| !high).await;
+        Ok(())
+    }
+
+    async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
+        self.edge(|_| true).await;
+        Ok(())
+    }
+}
+
+/// The processor's end of an output line; `drive` is told each change.
+pub(crate) struct OutputLine<F> {
+    high: Option<bool>,
+    drive: F,
+}
+
+impl<F: FnMut(bool)> OutputLine<F> {
+    /// A line not driven yet.
+    pub(crate) fn new(drive: F) -> Self {
+        Self { high: None, drive }
+    }
+
+    fn set(&mut self, high: bool) -> Result<(), Infallible> {
+        if self.high.replace(high) != Some(high) {
+            (self.drive)(high);
+        }
+        Ok(())
+    }
+}
+
+impl<F> ErrorType for OutputLine<F> {
+    type Error = Infallible;
+}
+
+impl<F: FnMut(bool)> OutputPin for OutputLine<F> {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.set(false)
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.set(true)
+    }
+}

@@ -1,0 +1,292 @@
+//! What a chip or the bus was asked to do that its datasheet forbids or silently ignores.
+//!
+//! Real silicon says nothing: a servo runs at the wrong rate, a bridge loses its gate charge. The models behave as the
+//! silicon does and also keep a note, so that a test can ask for none.
+
+use core::fmt;
+
+/// One leg of a full bridge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Leg {
+    /// The leg that drives motor terminal A.
+    A,
+    /// The leg that drives motor terminal B.
+    B,
+}
+
+impl fmt::Display for Leg {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::A => "A",
+            Self::B => "B",
+        })
+    }
+}
+
+/// What was done wrong. The text (`Display`) says what the real part does and what to do instead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum MisuseKind {
+    /// A register address the chip does not have was selected.
+    UnmappedRegister {
+        /// The address sent.
+        register: u8,
+    },
+    /// The reserved test register was written.
+    TestModeWritten {
+        /// The value sent.
+        value: u8,
+    },
+    /// PRE_SCALE was written while the chip was awake.
+    PrescaleWhileAwake {
+        /// The value sent.
+        value: u8,
+        /// The value that stays in force.
+        kept: u8,
+    },
+    /// PRE_SCALE was written with a value under the hardware minimum.
+    PrescaleBelowMinimum {
+        /// The value sent.
+        value: u8,
+        /// The value the chip took.
+        taken: u8,
+    },
+    /// A 1 was written to RESTART before the oscillator had had time to start.
+    RestartTooEarly {
+        /// Time since SLEEP was cleared; 0 if it is still set or was cleared by the same write.
+        awake_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// PWM registers were written while the oscillator was starting.
+    OutputsBeforeOscillatorReady {
+        /// Time since SLEEP was cleared.
+        awake_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// EXTCLK was set without being asleep first.
+    ExternalClockWhileAwake,
+    /// The chip was woken with EXTCLK set, and nothing drives the pin.
+    ExternalClockMissing,
+    /// The same count was written for switching on and for switching off.
+    OnEqualsOff {
+        /// The output, 0 to 15.
+        channel: u8,
+        /// The count written to both.
+        count: u16,
+    },
+    /// Full OFF was written to part of a channel while outputs change on ACK.
+    FullOffNotApplied {
+        /// The output, 0 to 15.
+        channel: u8,
+    },
+    /// Several chips drove the bus in the same read.
+    SeveralReaders {
+        /// The address read from, 7 bits.
+        address: u8,
+        /// How many chips answered.
+        chips: usize,
+    },
+    /// A read of no bytes.
+    EmptyRead {
+        /// The address read from, 7 bits.
+        address: u8,
+    },
+    /// Both inputs of a leg were high at the same time, with the high side switched.
+    ShootThroughAttempt {
+        /// The leg.
+        leg: Leg,
+        /// For how many of the 4096 counts of a cycle.
+        counts: u16,
+    },
+    /// A high side is switched while its low side never turns on.
+    HighSideWithoutRefresh {
+        /// The leg.
+        leg: Leg,
+    },
+    /// The direction was reversed without both low sides having been off for a whole PWM period.
+    ReversalWithoutDeadTime {
+        /// For how long both had been off.
+        off_ns: u64,
+        /// One PWM period.
+        needed_ns: u64,
+    },
+}
+
+impl fmt::Display for MisuseKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::UnmappedRegister { register } => write!(
+                f,
+                "register 0x{register:02X} does not exist: the chip does not acknowledge it and ignores the rest of the \
+                 transfer; send the address of an existing register first"
+            ),
+            Self::TestModeWritten { value } => write!(
+                f,
+                "0x{value:02X} written to the test register: the datasheet calls the result unpredictable; never write it"
+            ),
+            Self::PrescaleWhileAwake { value, kept } => write!(
+                f,
+                "PRE_SCALE 0x{value:02X} written while awake: the chip ignores it and keeps 0x{kept:02X}; set \
+                 MODE1.SLEEP first"
+            ),
+            Self::PrescaleBelowMinimum { value, taken } => write!(
+                f,
+                "PRE_SCALE 0x{value:02X} is below the hardware minimum: the chip takes 0x{taken:02X}; write that or more"
+            ),
+            Self::RestartTooEarly { awake_ns, needed_ns } => write!(
+                f,
+                "RESTART written {awake_ns} ns after waking: the oscillator is not running yet, and the channels stay \
+                 off; clear MODE1.SLEEP, wait {needed_ns} ns, then write it"
+            ),
+            Self::OutputsBeforeOscillatorReady { awake_ns, needed_ns } => write!(
+                f,
+                "PWM registers written {awake_ns} ns after waking: timing of the outputs is not guaranteed; write them \
+                 before clearing MODE1.SLEEP, or wait {needed_ns} ns after it"
+            ),
+            Self::ExternalClockWhileAwake => f.write_str(
+                "MODE1.EXTCLK written while awake: the chip ignores it; set SLEEP, then write SLEEP and EXTCLK together",
+            ),
+            Self::ExternalClockMissing => f.write_str(
+                "woken with MODE1.EXTCLK set and no clock on the pin: no output will move; EXTCLK is sticky, so reset \
+                 the chip or cycle its power to return to the internal oscillator",
+            ),
+            Self::OnEqualsOff { channel, count } => write!(
+                f,
+                "output {channel}: on and off counts are both {count}, which the datasheet forbids: the output stays \
+                 off; use the full-ON or full-OFF bit"
+            ),
+            Self::FullOffNotApplied { channel } => write!(
+                f,
+                "output {channel}: full OFF written with MODE2.OCH set, but not all four registers of the channel: the \
+                 output keeps running; write all four, or clear OCH"
+            ),
+            Self::SeveralReaders { address, chips } => write!(
+                f,
+                "{chips} chips answered a read from 0x{address:02X}: the controller sees the AND of their data; read \
+                 each chip at its own address"
+            ),
+            Self::EmptyRead { address } => write!(
+                f,
+                "read of no bytes from 0x{address:02X}: the chip already drives the first data bit and may hold SDA \
+                 low, so that no STOP is possible; read one byte, or probe with an empty write"
+            ),
+            Self::ShootThroughAttempt { leg, counts } => write!(
+                f,
+                "leg {leg}: high and low inputs are both high for {counts} of 4096 counts while the high side is \
+                 switched: the driver lets the low side win; switch one input of a leg only"
+            ),
+            Self::HighSideWithoutRefresh { leg } => write!(
+                f,
+                "leg {leg}: the high side is switched and the low side never turns on: the bootstrap capacitor is not \
+                 recharged, and the high FET will leave saturation; turn the low side on in every cycle"
+            ),
+            Self::ReversalWithoutDeadTime { off_ns, needed_ns } => write!(
+                f,
+                "direction reversed after both low sides were off for {off_ns} ns: outputs change at period ends only, \
+                 so both directions may overlap in one period; hold both low inputs low for {needed_ns} ns or more"
+            ),
+        }
+    }
+}
+
+/// One thing done wrong: when, to which part, what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Misuse {
+    /// Virtual time.
+    pub time_ns: u64,
+    /// The kind of part, for example `"PCA9685"`.
+    pub chip: &'static str,
+    /// Its 7-bit I2C address; for a part without one, its number on the board.
+    pub address: u8,
+    /// What was done.
+    pub kind: MisuseKind,
+}
+
+impl fmt::Display for Misuse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ns, {} 0x{:02X}: {}", self.time_ns, self.chip, self.address, self.kind)
+    }
+}
+
+/// How many were seen, and the first of them. Takes no memory until something goes wrong.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MisuseLog {
+    total: u64,
+    first: Vec<Misuse>,
+}
+
+impl MisuseLog {
+    /// As many are kept; the rest are counted.
+    pub const KEPT: usize = 64;
+
+    /// Nothing seen.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { total: 0, first: Vec::new() }
+    }
+
+    /// Counts one, and keeps it while there is room.
+    #[cold]
+    pub fn report(&mut self, misuse: Misuse) {
+        self.total = self.total.saturating_add(1);
+        if self.first.len() < Self::KEPT {
+            self.first.push(misuse);
+        }
+    }
+
+    /// All that were seen, kept or not.
+    #[must_use]
+    pub const fn total(&self) -> u64 {
+        self.total
+    }
+
+    /// The first of them, oldest first.
+    #[must_use]
+    pub fn first(&self) -> &[Misuse] {
+        &self.first
+    }
+
+    /// Whether nothing was seen.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.total == 0
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.total = 0;
+        self.first.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_all_and_keeps_the_first() {
+        let mut log = MisuseLog::new();
+        for time_ns in 0..100 {
+            let kind = MisuseKind::TestModeWritten { value: 1 };
+            log.report(Misuse { time_ns, chip: "PCA9685", address: 0x40, kind });
+        }
+        assert_eq!(log.total(), 100);
+        assert_eq!(log.first().len(), MisuseLog::KEPT);
+        assert_eq!(log.first()[63].time_ns, 63);
+        log.clear();
+        assert!(log.is_empty() && log.first().is_empty());
+    }
+
+    #[test]
+    fn text_names_time_part_and_remedy() {
+        let kind = MisuseKind::PrescaleWhileAwake { value: 0x79, kept: 0x1E };
+        let text = Misuse { time_ns: 12, chip: "PCA9685", address: 0x42, kind }.to_string();
+        assert_eq!(
+            text,
+            "12 ns, PCA9685 0x42: PRE_SCALE 0x79 written while awake: the chip ignores it and keeps 0x1E; set \
+             MODE1.SLEEP first"
+        );
+    }
+}

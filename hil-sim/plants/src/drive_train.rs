@@ -1,0 +1,369 @@
+//! A brushed motor, its transmission and the mass at its output: the core of both base models.
+//!
+//! ```text
+//! L di/dt = u − R i − k v          k: force per ampere at the output = volts per unit of output speed
+//! M dv/dt = k i − B v − friction + load
+//!   dx/dt = v
+//! ```
+//!
+//! The linear part is stepped exactly ([`crate::discretisation`]) under inputs held over the step. Friction, and the
+//! diodes of an open bridge, are *dry*: a level of force (voltage) against motion (current), of any size up to the level
+//! at zero. Each is a constant input while its variable keeps its sign; where the speed would change sign the step is
+//! cut there, so a stop is a stop (speed 0.0 to the bit) and a reversal costs no time. There is no smoothing and no
+//! chatter.
+//!
+//! # Accuracy
+//! Exact to rounding for constant input, constant load and Coulomb friction while moving. What depends on speed or
+//! position is taken half-way through the step: second order. The instant of a stop is found by a secant: second order.
+//! An impact on an end stop and a break-away take effect at a boundary of steps: first order, within
+//! [`MAX_STEP_S`].
+
+use crate::{
+    discretisation::{FirstOrder, SecondOrder},
+    effect::friction::{Direction, FrictionStage, total_level},
+    model::{DcGearMotor, LinearActuator, Model},
+};
+
+/// Longest step taken. Short against what friction and load do at the 1 kHz at which plants are controlled; the
+/// electrical time constant needs no shorter one.
+pub(crate) const MAX_STEP_S: f64 = 2.5e-4;
+
+/// Below this `L/R` the current follows the voltage at once: `i = (u − k v) / R`. It settles 250 times within a step.
+const QUASI_STATIC_S: f64 = 1e-6;
+
+/// Two body diodes in series, 0.7 V each, in the path of a current through an open bridge.
+const DIODES_V: f64 = 1.4;
+
+/// How often a step may be cut: a stop, a reversal, and one more.
+const MAX_CUTS: usize = 3;
+
+/// What the bridge puts across the motor.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Terminals {
+    pub(crate) duty: f64,
+    pub(crate) coast: f64,
+    pub(crate) supply_v: f64,
+    /// Resistance of the supply, in series with the motor while it is across it.
+    pub(crate) source_ohm: f64,
+}
+
+/// What moves.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Motion {
+    pub(crate) current_a: f64,
+    /// Of the motor side, in output units.
+    pub(crate) speed: f64,
+    /// Of the motor side, in output units.
+    pub(crate) position: f64,
+    /// Mean over the last step: where the next one will be half-way.
+    acceleration: f64,
+}
+
+/// Constants of a base model, in output units.
+#[derive(Clone, Copy, Debug)]
+struct Constants {
+    resistance_ohm: f64,
+    inductance_h: f64,
+    force_per_ampere: f64,
+    mass: f64,
+    viscous: f64,
+    /// Dry friction per transmitted force.
+    loss: f64,
+    /// Positions of the end stops.
+    stops: Option<[f64; 2]>,
+}
+
+impl From<&DcGearMotor> for Constants {
+    fn from(motor: &DcGearMotor) -> Self {
+        Self {
+            resistance_ohm: motor.resistance_ohm,
+            inductance_h: motor.inductance_h,
+            force_per_ampere: motor.gear_ratio * motor.torque_constant_nm_per_a,
+            mass: motor.inertia_kg_m2,
+            viscous: motor.viscous_nm_s_per_rad,
+            loss: 0.0,
+            stops: None,
+        }
+    }
+}
+
+impl From<&LinearActuator> for Constants {
+    fn from(actuator: &LinearActuator) -> Self {
+        let motor_rad_per_m = std::f64::consts::TAU / actuator.lead_m_per_rev;
+        Self {
+            resistance_ohm: actuator.resistance_ohm,
+            inductance_h: actuator.inductance_h,
+            force_per_ampere: motor_rad_per_m * actuator.torque_constant_nm_per_a,
+            mass: actuator.moving_mass_kg + actuator.rotor_inertia_kg_m2 * motor_rad_per_m * motor_rad_per_m,
+            viscous: actuator.viscous_n_s_per_m,
+            loss: 1.0 - actuator.efficiency,
+            stops: Some([0.0, actuator.stroke_m]),
+        }
+    }
+}
+
+/// The linear part over one length of step and one resistance of the circuit.
+#[derive(Clone, Copy, Debug, Default)]
+struct Step {
+    step_s: f64,
+    circuit_ohm: f64,
+    /// Current and speed together; not used in the quasi-static case.
+    coupled: SecondOrder,
+    /// Speed alone with the current settled; used in the quasi-static case only.
+    settled: FirstOrder,
+    /// Speed alone with the terminals open.
+    open: FirstOrder,
+    /// Share of the current left at rest.
+    current_kept: f64,
+}
+
+/// Electrical input over a step: the mean voltage, and the level of the diodes against the current.
+#[derive(Clone, Copy, Debug)]
+struct Voltage {
+    mean_v: f64,
+    diodes_v: f64,
+}
+
+impl Constants {
+    fn is_quasi_static(&self, circuit_ohm: f64) -> bool {
+        self.inductance_h < QUASI_STATIC_S * circuit_ohm
+    }
+
+    fn step(&self, step_s: f64, circuit_ohm: f64) -> Step {
+        let k = self.force_per_ampere;
+        let (coupled, settled, current_kept) = if self.is_quasi_static(circuit_ohm) {
+            let rate = (self.viscous + k * k / circuit_ohm) / self.mass;
+            (SecondOrder::default(), FirstOrder::new(rate, step_s), 0.0)
+        } else {
+            let inductance_h = self.inductance_h;
+            let matrix = [[-circuit_ohm / inductance_h, -k / inductance_h], [k / self.mass, -self.viscous / self.mass]];
+            let kept = libm::exp(-step_s * circuit_ohm / inductance_h);
+            (SecondOrder::new(matrix, step_s), FirstOrder::default(), kept)
+        };
+        let open = FirstOrder::new(self.viscous / self.mass, step_s);
+        Step { step_s, circuit_ohm, coupled, settled, open, current_kept }
+    }
+
+    /// Sign of the current while the diodes act: its own or, from zero, that of a voltage which overcomes them.
+    /// 0 when it stays zero.
+    fn current_sign(&self, motion: &Motion, voltage: Voltage) -> f64 {
+        if motion.current_a != 0.0 {
+            return motion.current_a.signum();
+        }
+        let driving_v = voltage.mean_v - self.force_per_ampere * motion.speed;
+        if driving_v.abs() <= voltage.diodes_v { 0.0 } else { driving_v.signum() }
+    }
+
+    /// Current after a step at rest.
+    fn current_at_rest(&self, step: &Step, motion: &Motion, voltage: Voltage) -> f64 {
+        let sign = self.current_sign(motion, voltage);
+        let settled_a = (voltage.mean_v - sign * voltage.diodes_v) / step.circuit_ohm;
+        let current_a = settled_a + (motion.current_a - settled_a) * step.current_kept;
+        if voltage.diodes_v > 0.0 && current_a * sign <= 0.0 { 0.0 } else { current_a }
+    }
+
+    /// Motion after a step under a constant force besides the motor's, end stops aside.
+    fn free(&self, step: &Step, motion: &Motion, voltage: Voltage, force: f64) -> Motion {
+        let sign = self.current_sign(motion, voltage);
+        if voltage.diodes_v > 0.0 && sign == 0.0 {
+            return self.with_open_terminals(step, motion, force, 0.0);
+        }
+        let terminal_v = voltage.mean_v - sign * voltage.diodes_v;
+        let next = if self.is_quasi_static(step.circuit_ohm) {
+            self.with_settled_current(step, motion, terminal_v, force)
+        } else {
+            self.with_current(step, motion, terminal_v, force)
+        };
+        if voltage.diodes_v > 0.0 && next.current_a * sign < 0.0 {
+            return self.with_open_terminals(step, motion, force, self.charge_until_open(step, motion, terminal_v));
+        }
+        next
+    }
+
+    fn with_current(&self, step: &Step, motion: &Motion, terminal_v: f64, force: f64) -> Motion {
+        let SecondOrder { transition: e, integral: p, double_integral: q } = &step.coupled;
+        let (i, v) = (motion.current_a, motion.speed);
+        let (di, dv) = (terminal_v / self.inductance_h, force / self.mass);
+        Motion {
+            current_a: e[0][0] * i + e[0][1] * v + p[0][0] * di + p[0][1] * dv,
+            speed: e[1][0] * i + e[1][1] * v + p[1][0] * di + p[1][1] * dv,
+            position: motion.position + p[1][0] * i + p[1][1] * v + q[1][0] * di + q[1][1] * dv,
+            acceleration: 0.0,
+        }
+    }
+
+    fn with_settled_current(&self, step: &Step, motion: &Motion, terminal_v: f64, force: f64) -> Motion {
+        let k = self.force_per_ampere;
+        let next = first_order(&step.settled, motion, (k * terminal_v / step.circuit_ohm + force) / self.mass);
+        Motion { current_a: (terminal_v - k * next.speed) / step.circuit_ohm, ..next }
+    }
+
+    /// The current is zero but for a `charge_as` at the start of the step, which acts as a blow.
+    fn with_open_terminals(&self, step: &Step, motion: &Motion, force: f64, charge_as: f64) -> Motion {
+        let kicked = Motion { speed: motion.speed + self.force_per_ampere * charge_as / self.mass, ..*motion };
+        Motion { current_a: 0.0, ..first_order(&step.open, &kicked, force / self.mass) }
+    }
+
+    /// Charge that still flows until the diodes block: from `i(t) = (i₀ + V/R) exp(−R t/L) − V/R` down to 0, with `V`
+    /// the voltage against the current.
+    fn charge_until_open(&self, step: &Step, motion: &Motion, terminal_v: f64) -> f64 {
+        let sign = motion.current_a.signum();
+        let against_v = sign * (self.force_per_ampere * motion.speed - terminal_v);
+        let (i, r, l) = (motion.current_a.abs(), step.circuit_ohm, self.inductance_h);
+        if against_v <= 0.0 || l <= 0.0 || i <= 0.0 {
+            return 0.0;
+        }
+        let until_s = l / r * libm::log1p(r * i / against_v);
+        sign * ((l * i - against_v * until_s) / r).max(0.0)
+    }
+
+    fn is_against_stop(&self, position: f64, direction: Direction) -> bool {
+        self.stops.is_some_and(|[low, high]| match direction {
+            Direction::Forward => position >= high,
+            Direction::Backward => position <= low,
+        })
+    }
+
+    /// Inelastic: a stop takes all speed.
+    fn stopped(&self, motion: Motion) -> Motion {
+        match self.stops {
+            Some([low, _]) if motion.position < low => {
+                Motion { position: low, speed: 0.0, acceleration: 0.0, ..motion }
+            }
+            Some([_, high]) if motion.position > high => {
+                Motion { position: high, speed: 0.0, acceleration: 0.0, ..motion }
+            }
+            _ => motion,
+        }
+    }
+}
+
+fn first_order(step: &FirstOrder, motion: &Motion, acceleration: f64) -> Motion {
+    Motion {
+        speed: step.kept * motion.speed + step.integral * acceleration,
+        position: motion.position + step.integral * motion.speed + step.double_integral * acceleration,
+        ..*motion
+    }
+}
+
+/// A base model and its state.
+#[derive(Clone, Debug)]
+pub(crate) struct DriveTrain {
+    constants: Constants,
+    /// The last full step and the last shorter one; the linear part is worth keeping.
+    full: Step,
+    part: Step,
+    pub(crate) motion: Motion,
+}
+
+impl DriveTrain {
+    pub(crate) fn new(model: &Model) -> Self {
+        let constants = match model {
+            Model::DcGearMotor(motor) => motor.into(),
+            Model::LinearActuator(actuator) => actuator.into(),
+        };
+        Self { constants, full: Step::default(), part: Step::default(), motion: Motion::default() }
+    }
+
+    /// At rest, without current, at this position or the end stop before it.
+    pub(crate) fn rest_at(&mut self, position: f64) {
+        self.motion = self.constants.stopped(Motion { position, ..Motion::default() });
+    }
+
+    /// Where half of the step will have been gone, to first order.
+    pub(crate) fn position_half_way(&self, step_s: f64) -> f64 {
+        self.motion.position + 0.5 * step_s * self.motion.speed
+    }
+
+    /// One step of at most [`MAX_STEP_S`] under a constant load, positive towards positive positions.
+    pub(crate) fn advance(&mut self, terminals: &Terminals, friction: &[FrictionStage], load: f64, step_s: f64) {
+        let mut left_s = step_s;
+        for cut in 0..=MAX_CUTS {
+            left_s -= self.advance_to_stop(terminals, friction, load, left_s, cut < MAX_CUTS);
+            if left_s <= 0.0 {
+                return;
+            }
+        }
+    }
+
+    /// Time gone: all of it or, if the plant came to a stop and the step may be cut, the time until then.
+    fn advance_to_stop(
+        &mut self,
+        terminals: &Terminals,
+        friction: &[FrictionStage],
+        load: f64,
+        step_s: f64,
+        may_cut: bool,
+    ) -> f64 {
+        let constants = self.constants;
+        let motion = self.motion;
+        let circuit_ohm = constants.resistance_ohm + terminals.duty * terminals.duty * terminals.source_ohm;
+        let voltage = voltage(terminals, constants.force_per_ampere * motion.speed);
+        let step = *self.step(step_s, circuit_ohm);
+
+        let direction = if motion.speed == 0.0 {
+            let current_a = constants.current_at_rest(&step, &motion, voltage);
+            let motor_force = constants.force_per_ampere * current_a;
+            let force = motor_force + load;
+            let direction = Direction::of(force);
+            let held = || total_level(friction, direction, 0.0, motion.position) + constants.loss * motor_force.abs();
+            if force == 0.0 || constants.is_against_stop(motion.position, direction) || force.abs() <= held() {
+                self.motion = Motion { current_a, acceleration: 0.0, ..motion };
+                return step_s;
+            }
+            direction
+        } else {
+            Direction::of(motion.speed)
+        };
+
+        let sign = direction.sign();
+        let speed_half_way = (sign * (motion.speed + 0.5 * step_s * motion.acceleration)).max(0.0);
+        let position_half_way = motion.position + 0.5 * step_s * motion.speed;
+        let level = total_level(friction, direction, speed_half_way, position_half_way)
+            + constants.loss * (constants.force_per_ampere * motion.current_a).abs();
+        let force = load - sign * level;
+        let next = constants.free(&step, &motion, voltage, force);
+
+        let turns_around = next.speed * sign < 0.0;
+        let sticks = || level > 0.0 || total_level(friction, direction.reverse(), 0.0, motion.position) > 0.0;
+        if turns_around && sticks() {
+            if motion.speed == 0.0 {
+                // enough force to break away only at the end of the step: it does in the next one
+                let current_a = constants.current_at_rest(&step, &motion, voltage);
+                self.motion = Motion { current_a, acceleration: 0.0, ..motion };
+                return step_s;
+            }
+            let stop_s = step_s * motion.speed.abs() / (motion.speed.abs() + next.speed.abs());
+            if may_cut && stop_s < step_s {
+                let step = *self.step(stop_s, circuit_ohm);
+                let at_stop = constants.free(&step, &motion, voltage, force);
+                self.motion = constants.stopped(Motion { speed: 0.0, acceleration: 0.0, ..at_stop });
+                return stop_s;
+            }
+            self.motion = constants.stopped(Motion { speed: 0.0, acceleration: 0.0, ..next });
+            return step_s;
+        }
+        let acceleration = (next.speed - motion.speed) / step_s;
+        self.motion = constants.stopped(Motion { acceleration, ..next });
+        step_s
+    }
+
+    fn step(&mut self, step_s: f64, circuit_ohm: f64) -> &Step {
+        let kept = if step_s == MAX_STEP_S { &mut self.full } else { &mut self.part };
+        if kept.step_s != step_s || kept.circuit_ohm != circuit_ohm {
+            *kept = self.constants.step(step_s, circuit_ohm);
+        }
+        kept
+    }
+}
+
+/// While coasting a current flows on through the body diodes against the supply. The rail is taken to float up to the
+/// back-EMF rather than to brake the motor, so a plant without supply coasts too.
+fn voltage(terminals: &Terminals, back_emf_v: f64) -> Voltage {
+    let diodes_v = if terminals.coast > 0.0 {
+        terminals.coast * (terminals.supply_v.max(back_emf_v.abs()) + DIODES_V)
+    } else {
+        0.0
+    };
+    Voltage { mean_v: terminals.duty * terminals.supply_v, diodes_v }
+}

@@ -1,0 +1,177 @@
+//! Forces against motion: at rest they hold up to their level, in motion they slow down and never turn around.
+
+use super::Effect;
+use crate::{
+    model::{PerKind, PlantKind},
+    parameter::{Parameter, fitted},
+};
+
+const LEVEL: Parameter = Parameter::new("torque_nm", "N m").linear("force_n", "N").within(0.0, 1e6).typical(0.3);
+
+fitted! {
+    /// A constant force against motion, which also holds at rest.
+    ///
+    /// # Source
+    /// Armstrong-Hélouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for
+    /// the control of machines with friction*, Automatica 30 (1994), 2.1.
+    pub struct CoulombFriction {
+        /// The force.
+        pub level: LEVEL;
+    }
+}
+
+fitted! {
+    /// Friction on top of Coulomb's at rest, falling off with speed: `level · exp(-(speed / stribeck)²)`.
+    ///
+    /// # Source
+    /// As [`CoulombFriction`], 2.1, the Stribeck curve in Gaussian form.
+    pub struct StaticFriction {
+        /// Excess of the break-away force over the Coulomb force.
+        pub level: LEVEL;
+        /// Speed at which 1/e of the excess is left.
+        pub stribeck: Parameter::new("stribeck_rad_s", "rad/s").linear("stribeck_m_s", "m/s").within(1e-6, 1e3).typical(0.1);
+    }
+}
+
+fitted! {
+    /// A constant force against motion, different forwards and backwards.
+    pub struct DirectionFriction {
+        /// Against motion forwards.
+        pub forward: Parameter::new("forward_torque_nm", "N m").linear("forward_force_n", "N").within(0.0, 1e6).typical(0.4);
+        /// Against motion backwards.
+        pub backward: Parameter::new("backward_torque_nm", "N m").linear("backward_force_n", "N").within(0.0, 1e6).typical(0.2);
+    }
+}
+
+fitted! {
+    /// A force against motion that varies periodically with position, between 0 and `level`: a bent shaft, a seal, a
+    /// worn stretch of screw.
+    pub struct PositionFriction {
+        /// At its highest.
+        pub level: LEVEL;
+        /// How often.
+        pub periods: super::load::PERIODS;
+        /// At position 0: 0 is half-way up, π/2 highest.
+        pub phase_rad: super::load::PHASE;
+    }
+}
+
+fitted! {
+    /// A force against motion by the square of speed: air, a stirrer, a hydraulic damper.
+    pub struct QuadraticDrag {
+        /// Force over speed squared.
+        pub drag: Parameter::new("drag_nm_s2_per_rad2", "N m s^2/rad^2")
+            .linear("drag_n_s2_per_m2", "N s^2/m^2").within(0.0, 1e6).typical(0.01);
+    }
+}
+
+/// Which way something moves or would.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Direction {
+    Forward,
+    Backward,
+}
+
+impl Direction {
+    /// Direction of a number that is not 0.
+    pub(crate) fn of(number: f64) -> Self {
+        if number > 0.0 { Self::Forward } else { Self::Backward }
+    }
+
+    pub(crate) fn sign(self) -> f64 {
+        if self == Self::Forward { 1.0 } else { -1.0 }
+    }
+
+    pub(crate) fn reverse(self) -> Self {
+        if self == Self::Forward { Self::Backward } else { Self::Forward }
+    }
+}
+
+/// A friction effect, ready to be stepped.
+#[derive(Clone, Debug)]
+pub(crate) enum FrictionStage {
+    Coulomb(CoulombFriction),
+    Static(StaticFriction),
+    Direction(DirectionFriction),
+    /// With the factor from position to angle within the period.
+    Position(PositionFriction, f64),
+    Drag(QuadraticDrag),
+}
+
+impl FrictionStage {
+    /// The stage of a friction effect; `None` for an effect that acts elsewhere.
+    pub(crate) fn new(effect: &Effect, kind: PlantKind) -> Option<Self> {
+        Some(match effect {
+            Effect::CoulombFriction(friction) => Self::Coulomb(*friction),
+            Effect::StaticFriction(friction) => Self::Static(*friction),
+            Effect::DirectionFriction(friction) => Self::Direction(*friction),
+            Effect::PositionFriction(friction) => Self::Position(*friction, angle_per_position(kind, friction.periods)),
+            Effect::QuadraticDrag(drag) => Self::Drag(*drag),
+            _ => return None,
+        })
+    }
+
+    /// Force against motion in `direction`, never negative; at `speed` 0, the force it holds against.
+    #[inline]
+    pub(crate) fn level(&self, direction: Direction, speed: f64, position: f64) -> f64 {
+        match self {
+            Self::Coulomb(friction) => friction.level,
+            Self::Static(friction) => {
+                let ratio = speed / friction.stribeck;
+                // exp(-40) of a force is below the rounding of the rest
+                if ratio * ratio > 40.0 { 0.0 } else { friction.level * libm::exp(-ratio * ratio) }
+            }
+            Self::Direction(friction) => match direction {
+                Direction::Forward => friction.forward,
+                Direction::Backward => friction.backward,
+            },
+            Self::Position(friction, angle_per_position) => {
+                0.5 * friction.level * (1.0 + libm::sin(angle_per_position * position + friction.phase_rad))
+            }
+            Self::Drag(drag) => drag.drag * speed * speed,
+        }
+    }
+}
+
+/// Sum of the levels of several frictions.
+#[inline]
+pub(crate) fn total_level(stages: &[FrictionStage], direction: Direction, speed: f64, position: f64) -> f64 {
+    stages.iter().map(|stage| stage.level(direction, speed, position)).sum()
+}
+
+/// Radians within the period per unit of position: periods are counted per turn, or per metre.
+pub(crate) fn angle_per_position(kind: PlantKind, periods: f64) -> f64 {
+    periods * PerKind { rotary: 1.0, linear: std::f64::consts::TAU }.of(kind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn level(effect: Effect, direction: Direction, speed: f64, position: f64) -> f64 {
+        FrictionStage::new(&effect, PlantKind::Rotary).unwrap().level(direction, speed, position)
+    }
+
+    #[test]
+    fn static_friction_falls_by_e_at_the_stribeck_speed() {
+        let effect = Effect::StaticFriction(StaticFriction { level: 2.0, stribeck: 0.5 });
+        assert_eq!(level(effect, Direction::Forward, 0.0, 0.0), 2.0);
+        let left = level(effect, Direction::Forward, 0.5, 0.0);
+        assert!((left - 2.0 / std::f64::consts::E).abs() < 1e-15); // one rounding of exp
+        assert_eq!(level(effect, Direction::Backward, 50.0, 0.0), 0.0);
+    }
+
+    #[test]
+    fn direction_position_and_drag_take_their_own_variable() {
+        let direction = Effect::DirectionFriction(DirectionFriction { forward: 0.4, backward: 0.2 });
+        assert_eq!(level(direction, Direction::Forward, 1.0, 1.0), 0.4);
+        assert_eq!(level(direction, Direction::Backward, 1.0, 1.0), 0.2);
+        let drag = Effect::QuadraticDrag(QuadraticDrag { drag: 0.5 });
+        assert_eq!(level(drag, Direction::Forward, 3.0, 1.0), 4.5);
+        // two periods per turn: highest at 1/8 turn, 0 at 3/8
+        let position = Effect::PositionFriction(PositionFriction { level: 1.0, periods: 2.0, phase_rad: 0.0 });
+        let eighth = std::f64::consts::FRAC_PI_4;
+        assert!((level(position, Direction::Forward, 1.0, eighth) - 1.0).abs() < 1e-15);
+        assert!(level(position, Direction::Forward, 1.0, 3.0 * eighth).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,158 @@
+//! Effects on the duty, before it becomes a voltage.
+
+use super::{Effect, delay::DelayLine, slew::Slew};
+pub use super::{delay::InputDelay, slew::SlewLimit};
+use crate::{
+    parameter::{Parameter, fitted},
+    plant::Drive,
+};
+
+fitted! {
+    /// A duty below a threshold does nothing; above, the output continues from zero: `u - D`, so that full duty gives
+    /// `1 - D`.
+    pub struct DeadZone {
+        /// The threshold.
+        pub duty: Parameter::new("duty", "1").within(0.0, 1.0).typical(0.1);
+    }
+}
+
+impl DeadZone {
+    /// The duty that is left.
+    #[must_use]
+    pub fn apply(&self, duty: f64) -> f64 {
+        (duty.abs() - self.duty).max(0.0).copysign(duty)
+    }
+}
+
+fitted! {
+    /// The duty acts by a power of itself, `|u|^p`; full duty stays full. Convex (`p > 1`) is the crawl at small duty
+    /// of a bridge whose current is discontinuous; put it after a [`DeadZone`] for `(u - D)^p`.
+    pub struct GainCurve {
+        /// `p`.
+        pub exponent: Parameter::new("exponent", "1").within(0.1, 10.0).typical(2.0);
+    }
+}
+
+impl GainCurve {
+    /// The duty that acts.
+    #[must_use]
+    pub fn apply(&self, duty: f64) -> f64 {
+        libm::pow(duty.abs(), self.exponent).copysign(duty)
+    }
+}
+
+fitted! {
+    /// The duty is clipped.
+    pub struct Saturation {
+        /// Largest duty, either way.
+        pub duty: Parameter::new("duty", "1").within(0.0, 1.0).typical(0.9);
+    }
+}
+
+impl Saturation {
+    /// The duty that is left.
+    #[must_use]
+    pub fn apply(&self, duty: f64) -> f64 {
+        duty.clamp(-self.duty, self.duty)
+    }
+}
+
+fitted! {
+    /// The duty acts by another factor forwards than backwards.
+    pub struct DirectionAsymmetry {
+        /// Factor on positive duties.
+        pub forward_gain: Parameter::new("forward_gain", "1").within(0.0, 2.0).typical(1.0);
+        /// Factor on negative duties.
+        pub backward_gain: Parameter::new("backward_gain", "1").within(0.0, 2.0).typical(0.9);
+    }
+}
+
+impl DirectionAsymmetry {
+    /// The duty that acts.
+    #[must_use]
+    pub fn apply(&self, duty: f64) -> f64 {
+        duty * if duty > 0.0 { self.forward_gain } else { self.backward_gain }
+    }
+}
+
+/// An input effect with its memory.
+#[derive(Clone, Debug)]
+pub(crate) enum InputStage {
+    DeadZone(DeadZone),
+    GainCurve(GainCurve),
+    Saturation(Saturation),
+    DirectionAsymmetry(DirectionAsymmetry),
+    Delay(DelayLine),
+    Slew(Slew),
+}
+
+impl InputStage {
+    /// The stage of an input effect; `None` for an effect that acts elsewhere.
+    pub(crate) fn new(effect: &Effect) -> Option<Self> {
+        Some(match effect {
+            Effect::DeadZone(zone) => Self::DeadZone(*zone),
+            Effect::GainCurve(curve) => Self::GainCurve(*curve),
+            Effect::Saturation(saturation) => Self::Saturation(*saturation),
+            Effect::DirectionAsymmetry(asymmetry) => Self::DirectionAsymmetry(*asymmetry),
+            Effect::InputDelay(delay) => Self::Delay(DelayLine::new(delay)),
+            Effect::SlewLimit(limit) => Self::Slew(Slew::new(limit)),
+            _ => return None,
+        })
+    }
+
+    /// Whether its output may change while its input does not.
+    pub(crate) fn has_memory(&self) -> bool {
+        matches!(self, Self::Delay(_) | Self::Slew(_))
+    }
+
+    /// When its output will change if its input does not; never, for a stage without such a plan.
+    pub(crate) fn next_change_s(&self) -> f64 {
+        match self {
+            Self::Delay(line) => line.next_change_s(),
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// What comes out over the step from `now_s` that is `step_s` long; the mean, where it changes within. A step of 0
+    /// only tells it of the drive, and may be repeated.
+    pub(crate) fn apply(&mut self, drive: Drive, now_s: f64, step_s: f64) -> Drive {
+        let duty = match self {
+            Self::DeadZone(zone) => zone.apply(drive.duty),
+            Self::GainCurve(curve) => curve.apply(drive.duty),
+            Self::Saturation(saturation) => saturation.apply(drive.duty),
+            Self::DirectionAsymmetry(asymmetry) => asymmetry.apply(drive.duty),
+            Self::Delay(line) => return line.apply(drive, now_s),
+            Self::Slew(slew) => slew.apply(drive.duty, step_s),
+        };
+        Drive { duty, ..drive }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dead_zone_swallows_small_duties_and_continues_from_zero() {
+        let zone = DeadZone { duty: 0.25 };
+        for (duty, left) in [(0.0, 0.0), (0.25, 0.0), (-0.2, 0.0), (0.5, 0.25), (-0.5, -0.25), (1.0, 0.75)] {
+            assert_eq!(zone.apply(duty), left, "{duty}");
+        }
+    }
+
+    #[test]
+    fn a_gain_curve_keeps_full_duty_and_the_sign() {
+        let curve = GainCurve { exponent: 2.0 };
+        for (duty, acting) in [(0.0, 0.0), (0.5, 0.25), (-0.5, -0.25), (1.0, 1.0), (-1.0, -1.0)] {
+            assert_eq!(curve.apply(duty), acting, "{duty}");
+        }
+    }
+
+    #[test]
+    fn saturation_and_asymmetry_act_by_sign() {
+        assert_eq!(Saturation { duty: 0.9 }.apply(-1.0), -0.9);
+        assert_eq!(Saturation { duty: 0.9 }.apply(0.3), 0.3);
+        let asymmetry = DirectionAsymmetry { forward_gain: 1.0, backward_gain: 0.5 };
+        assert_eq!([asymmetry.apply(0.5), asymmetry.apply(-0.5)], [0.5, -0.25]);
+    }
+}

@@ -1,0 +1,110 @@
+//! Forces on the output whatever its motion.
+
+use super::{Effect, friction::angle_per_position, noise::Noise};
+use crate::{
+    model::PlantKind,
+    parameter::{Parameter, fitted},
+};
+
+pub(crate) const PERIODS: Parameter =
+    Parameter::new("periods_per_turn", "1/turn").linear("periods_per_m", "1/m").within(0.0, 1e4).typical(1.0);
+pub(crate) const PHASE: Parameter =
+    Parameter::new("phase_rad", "rad").within(-std::f64::consts::TAU, std::f64::consts::TAU);
+
+fitted! {
+    /// A constant force towards negative positions, such as a weight; negative, towards positive positions.
+    pub struct ConstantLoad {
+        /// The force.
+        pub force: Parameter::new("torque_nm", "N m").linear("force_n", "N").within(-1e6, 1e6).typical(0.5);
+    }
+}
+
+fitted! {
+    /// A weight off the axis: the torque `-torque · sin(position + phase)`, so that it hangs at `position = -phase`.
+    pub struct GravityLoad {
+        /// Weight times distance from the axis.
+        pub torque_nm: Parameter::new("torque_nm", "N m").within(0.0, 1e6).typical(0.5);
+        /// Angle from hanging at position 0.
+        pub phase_rad: PHASE;
+    }
+}
+
+fitted! {
+    /// A force by the sine of a multiple of position, whatever the motion: magnets against slots.
+    pub struct Cogging {
+        /// Largest force.
+        pub amplitude: Parameter::new("torque_nm", "N m").linear("force_n", "N").within(0.0, 1e6).typical(0.1);
+        /// How often.
+        pub periods: PERIODS;
+        /// At position 0.
+        pub phase_rad: PHASE;
+    }
+}
+
+fitted! {
+    /// A random force: Gaussian, with an autocorrelation that falls by e in the correlation time. A stretch of time cut
+    /// into other steps gives another force of the same statistics.
+    pub struct RandomLoad {
+        /// Standard deviation.
+        pub deviation: Parameter::new("deviation_nm", "N m").linear("deviation_n", "N").within(0.0, 1e6).typical(0.05);
+        /// How long it takes to change.
+        pub correlation_s: super::noise::CORRELATION;
+    }
+}
+
+/// A load, ready to be stepped.
+#[derive(Clone, Debug)]
+pub(crate) enum LoadStage {
+    Constant(ConstantLoad),
+    Gravity(GravityLoad),
+    /// With the factor from position to angle within the period.
+    Cogging(Cogging, f64),
+    Random(Noise),
+}
+
+impl LoadStage {
+    /// The stage of a load; `None` for an effect that acts elsewhere. `stream` tells two noises of one plant apart.
+    pub(crate) fn new(effect: &Effect, kind: PlantKind, seed: u64, stream: usize) -> Option<Self> {
+        Some(match effect {
+            Effect::ConstantLoad(load) => Self::Constant(*load),
+            Effect::GravityLoad(load) => Self::Gravity(*load),
+            Effect::Cogging(cogging) => Self::Cogging(*cogging, angle_per_position(kind, cogging.periods)),
+            Effect::RandomLoad(load) => Self::Random(Noise::new(load.deviation, load.correlation_s, seed, stream)),
+            _ => return None,
+        })
+    }
+
+    /// Force towards positive positions over a step that is at `position` half-way.
+    #[inline]
+    pub(crate) fn force(&mut self, position: f64, step_s: f64) -> f64 {
+        match self {
+            Self::Constant(load) => -load.force,
+            Self::Gravity(load) => -load.torque_nm * libm::sin(position + load.phase_rad),
+            Self::Cogging(cogging, angle_per_position) => {
+                cogging.amplitude * libm::sin(*angle_per_position * position + cogging.phase_rad)
+            }
+            Self::Random(noise) => noise.next(step_s),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gravity_pulls_back_and_cogging_repeats() {
+        let mut gravity = LoadStage::new(
+            &Effect::GravityLoad(GravityLoad { torque_nm: 2.0, phase_rad: 0.0 }),
+            PlantKind::Rotary,
+            0,
+            0,
+        )
+        .unwrap();
+        assert_eq!(gravity.force(std::f64::consts::FRAC_PI_2, 1e-3), -2.0);
+        let cogging = Effect::Cogging(Cogging { amplitude: 1.0, periods: 500.0, phase_rad: 0.0 });
+        let mut cogging = LoadStage::new(&cogging, PlantKind::Linear, 0, 0).unwrap();
+        assert!((cogging.force(0.0005, 1e-3) - 1.0).abs() < 1e-15); // a quarter of 1/500 m
+        assert!((cogging.force(0.0025, 1e-3) - 1.0).abs() < 1e-12); // and one period on; the angle rounds to 1e-15
+    }
+}

@@ -1,0 +1,251 @@
+//! Effects: what a real plant does that its base model does not.
+//!
+//! Each effect is one type with public parameters, a `PARAMETERS` table and, where it has no memory, the formula itself
+//! as a method. What remembers (delay, lag, noise …) keeps its memory in a private stage that a [`crate::Plant`] builds.
+
+use crate::{
+    error::{InvalidField, Problem},
+    model::PlantKind,
+    parameter::{Fitted, Parameter},
+};
+
+pub mod backlash;
+mod delay;
+pub mod friction;
+pub mod input;
+pub mod load;
+mod noise;
+pub mod sensor;
+mod slew;
+pub mod supply;
+
+use backlash::Backlash;
+use delay::InputDelay;
+use friction::{CoulombFriction, DirectionFriction, PositionFriction, QuadraticDrag, StaticFriction};
+use input::{DeadZone, DirectionAsymmetry, GainCurve, Saturation};
+use load::{Cogging, ConstantLoad, GravityLoad, RandomLoad};
+use sensor::{Eccentricity, EncoderOffset, EncoderScale, MissedEdges, PotentiometerDeadSpot, SensorLag, SensorNoise};
+use slew::SlewLimit;
+use supply::SupplySag;
+
+/// Where in the plant an effect acts. Those at one point act in the order of the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum InsertionPoint {
+    /// On the duty, before it becomes a voltage.
+    Input,
+    /// On the voltage of the supply.
+    Supply,
+    /// A force against motion, at the motor side of the backlash. Friction levels add up.
+    Friction,
+    /// A force whatever the motion, at the motor side of the backlash. Loads add up.
+    Load,
+    /// Between the motor side and the output.
+    Transmission,
+    /// Between the position of the output and what its sensor tells.
+    Sensor,
+}
+
+/// What an effect's contribution is a function of: where its trace shows in a residual.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Dependence {
+    /// The commanded duty.
+    Input,
+    /// The speed of the output.
+    Speed,
+    /// The position of the output.
+    Position,
+    /// The acceleration of the output.
+    Acceleration,
+    /// The sign of the speed or of the duty.
+    Direction,
+    /// Time itself.
+    Time,
+    /// The voltage of the supply or the current drawn from it.
+    Supply,
+    /// What went before.
+    History,
+}
+
+impl Dependence {
+    /// The word used in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Input => "input",
+            Self::Speed => "speed",
+            Self::Position => "position",
+            Self::Acceleration => "acceleration",
+            Self::Direction => "direction",
+            Self::Time => "time",
+            Self::Supply => "supply",
+            Self::History => "history",
+        }
+    }
+}
+
+/// What is known of an effect before it is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EffectInfo {
+    /// Name in files and reports.
+    pub name: &'static str,
+    /// What it does, in one sentence.
+    pub summary: &'static str,
+    /// Where it acts.
+    pub insertion: InsertionPoint,
+    /// What its contribution is a function of.
+    pub depends_on: &'static [Dependence],
+    /// Which plants can have it.
+    pub kinds: &'static [PlantKind],
+    /// Names, units and bounds.
+    pub parameters: &'static [Parameter],
+    /// The effect with every parameter at its typical value.
+    pub typical: Effect,
+}
+
+const ANY: &[PlantKind] = &[PlantKind::Rotary, PlantKind::Linear];
+const ROTARY: &[PlantKind] = &[PlantKind::Rotary];
+
+/// The enum and the catalogue from one table, so that neither can lack what the other has.
+macro_rules! effects {
+    ($($variant:ident, $name:literal, $insertion:ident, $kinds:ident, [$($dependence:ident),+], $summary:literal;)+) => {
+        /// Any effect.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        pub enum Effect {
+            $(#[doc = concat!("`", $name, "`: ", $summary)] $variant($variant),)+
+        }
+
+        $(impl $variant {
+            /// Its page in the catalogue.
+            pub const INFO: EffectInfo = EffectInfo {
+                name: $name,
+                summary: $summary,
+                insertion: InsertionPoint::$insertion,
+                depends_on: &[$(Dependence::$dependence),+],
+                kinds: $kinds,
+                parameters: Self::PARAMETERS,
+                typical: Effect::$variant(Self::TYPICAL),
+            };
+        })+
+
+        static CATALOGUE: &[EffectInfo] = &[$($variant::INFO),+];
+
+        impl Effect {
+            /// Its page in the catalogue.
+            #[must_use]
+            pub const fn info(&self) -> &'static EffectInfo {
+                match self { $(Self::$variant(_) => &$variant::INFO,)+ }
+            }
+
+            fn fitted(&self) -> &dyn Fitted {
+                match self { $(Self::$variant(effect) => effect,)+ }
+            }
+        }
+
+        impl Fitted for Effect {
+            fn parameters(&self) -> &'static [Parameter] {
+                self.fitted().parameters()
+            }
+
+            fn value(&self, index: usize) -> Option<f64> {
+                self.fitted().value(index)
+            }
+
+            fn value_mut(&mut self, index: usize) -> Option<&mut f64> {
+                match self { $(Self::$variant(effect) => effect.value_mut(index),)+ }
+            }
+        }
+    };
+}
+
+effects! {
+    DeadZone, "dead-zone", Input, ANY, [Input],
+        "A duty below a threshold does nothing; above, the output continues from zero.";
+    GainCurve, "gain-curve", Input, ANY, [Input],
+        "The duty acts by a power of itself; full duty stays full.";
+    Saturation, "saturation", Input, ANY, [Input],
+        "The duty is clipped.";
+    DirectionAsymmetry, "direction-asymmetry", Input, ANY, [Input, Direction],
+        "The duty acts by another factor forwards than backwards.";
+    InputDelay, "input-delay", Input, ANY, [Input, History],
+        "The drive acts a fixed time after it was commanded.";
+    SlewLimit, "slew-limit", Input, ANY, [Input, History],
+        "The duty changes at no more than a given rate.";
+    SupplySag, "supply-sag", Supply, ANY, [Supply, Input, Speed],
+        "The supply voltage falls with the current drawn from it.";
+    CoulombFriction, "coulomb-friction", Friction, ANY, [Direction],
+        "A constant force against motion, which also holds at rest.";
+    StaticFriction, "static-friction", Friction, ANY, [Speed, Direction],
+        "Friction on top of Coulomb's at rest, falling off with speed (Stribeck).";
+    DirectionFriction, "direction-friction", Friction, ANY, [Direction],
+        "A constant force against motion, different forwards and backwards.";
+    PositionFriction, "position-friction", Friction, ANY, [Position, Direction],
+        "A force against motion that varies periodically with position.";
+    QuadraticDrag, "quadratic-drag", Friction, ANY, [Speed],
+        "A force against motion by the square of speed.";
+    ConstantLoad, "constant-load", Load, ANY, [Time],
+        "A constant force towards negative positions, such as a weight.";
+    GravityLoad, "gravity-load", Load, ROTARY, [Position],
+        "A weight off the axis: a torque by the sine of position.";
+    Cogging, "cogging", Load, ANY, [Position],
+        "A force by the sine of a multiple of position, whatever the motion.";
+    RandomLoad, "random-load", Load, ANY, [Time],
+        "A random force of given deviation and correlation time.";
+    Backlash, "backlash", Transmission, ANY, [History, Direction],
+        "The output trails the motor side by half a gap in either direction.";
+    EncoderScale, "encoder-scale", Sensor, ANY, [Position],
+        "The sensor tells a multiple of the position.";
+    EncoderOffset, "encoder-offset", Sensor, ANY, [Position],
+        "The sensor's zero is elsewhere.";
+    Eccentricity, "eccentricity", Sensor, ROTARY, [Position],
+        "The sensor's disc sits off the axis: an error once per turn.";
+    MissedEdges, "missed-edges", Sensor, ANY, [Speed, History],
+        "Above a speed a share of the sensor's edges is lost for good.";
+    PotentiometerDeadSpot, "potentiometer-dead-spot", Sensor, ANY, [Position, History],
+        "Within a band of positions the wiper has no contact and the last reading stays.";
+    SensorLag, "sensor-lag", Sensor, ANY, [Speed, History],
+        "The sensor follows the position as a first-order low-pass.";
+    SensorNoise, "sensor-noise", Sensor, ANY, [Time],
+        "A random error of given deviation and correlation time.";
+}
+
+/// Every effect there is, with its parameters, units and bounds and what it depends on.
+#[must_use]
+pub fn catalogue() -> &'static [EffectInfo] {
+    CATALOGUE
+}
+
+impl EffectInfo {
+    /// The effect of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<&'static Self> {
+        CATALOGUE.iter().find(|info| info.name == name)
+    }
+}
+
+impl Effect {
+    /// Name in files and reports.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        self.info().name
+    }
+
+    /// Whether a plant of this kind can have the effect with these values.
+    ///
+    /// # Errors
+    /// [`InvalidField`] with `field` `effect` ([`Problem::WrongKind`]) or the name of the first parameter out of range.
+    pub fn check(&self, kind: PlantKind) -> Result<(), InvalidField> {
+        if !self.info().kinds.contains(&kind) {
+            return Err(InvalidField { field: "effect".into(), problem: Problem::WrongKind { kind } });
+        }
+        check_values(self, kind)
+    }
+}
+
+/// Whether every parameter is in range; the error's `field` is the parameter's name.
+pub(crate) fn check_values(fitted: &dyn Fitted, kind: PlantKind) -> Result<(), InvalidField> {
+    for (index, parameter) in fitted.parameters().iter().enumerate() {
+        let value = fitted.value(index).unwrap_or(f64::NAN);
+        parameter.check(kind, value).map_err(|problem| InvalidField { field: parameter.name(kind).into(), problem })?;
+    }
+    Ok(())
+}

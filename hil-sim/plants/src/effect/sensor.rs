@@ -1,0 +1,237 @@
+//! Effects between the position of the output and what its sensor tells.
+
+use super::{
+    Effect,
+    load::PHASE,
+    noise::{CORRELATION, Noise},
+};
+use crate::parameter::{Parameter, fitted};
+
+fitted! {
+    /// The sensor tells a multiple of the position: counts per turn or volts per metre other than believed.
+    pub struct EncoderScale {
+        /// Told over true.
+        pub scale: Parameter::new("scale", "1").within(0.1, 10.0).typical(1.01);
+    }
+}
+
+fitted! {
+    /// The sensor's zero is elsewhere.
+    pub struct EncoderOffset {
+        /// Added to the position.
+        pub offset: Parameter::new("offset_rad", "rad").linear("offset_m", "m").within(-1e3, 1e3).typical(0.01);
+    }
+}
+
+fitted! {
+    /// The sensor's disc sits off the axis: an error once per turn, `amplitude · sin(position + phase)`.
+    pub struct Eccentricity {
+        /// Largest error.
+        pub amplitude_rad: Parameter::new("amplitude_rad", "rad").within(0.0, 1.0).typical(0.01);
+        /// At position 0.
+        pub phase_rad: PHASE;
+    }
+}
+
+fitted! {
+    /// Above a speed a share of the sensor's edges is lost for good: `(|speed| - threshold) / reference`, at most all.
+    ///
+    /// The lost way adds up with the sign of the motion, so the sensor falls behind whichever way it turns. It is the
+    /// mean that is modelled, not the single edge.
+    pub struct MissedEdges {
+        /// Speed up to which none is lost.
+        pub threshold: Parameter::new("threshold_rad_s", "rad/s").linear("threshold_m_s", "m/s").within(0.0, 1e4).typical(1.0);
+        /// Speed above the threshold at which all would be lost.
+        pub reference: Parameter::new("reference_rad_s", "rad/s").linear("reference_m_s", "m/s").within(1e-3, 1e6).typical(100.0);
+    }
+}
+
+impl MissedEdges {
+    /// Share of the edges lost at a speed, in 0..=1.
+    #[must_use]
+    pub fn share(&self, speed: f64) -> f64 {
+        ((speed.abs() - self.threshold) / self.reference).clamp(0.0, 1.0)
+    }
+}
+
+fitted! {
+    /// Within a band of positions the wiper has no contact and the last reading before it stays.
+    ///
+    /// A plant that starts within the band reads its lower edge.
+    pub struct PotentiometerDeadSpot {
+        /// Lower edge of the band.
+        pub start: Parameter::new("start_rad", "rad").linear("start_m", "m").within(-1e3, 1e3).typical(0.05);
+        /// Width of the band.
+        pub width: Parameter::new("width_rad", "rad").linear("width_m", "m").within(0.0, 1e3).typical(0.002);
+    }
+}
+
+impl PotentiometerDeadSpot {
+    /// Whether the wiper has no contact.
+    #[must_use]
+    pub fn covers(&self, position: f64) -> bool {
+        position > self.start && position < self.start + self.width
+    }
+}
+
+fitted! {
+    /// The sensor follows the position as a first-order low-pass.
+    pub struct SensorLag {
+        /// At constant speed the reading is this late.
+        pub time_constant_s: Parameter::new("time_constant_s", "s").within(1e-6, 100.0).typical(0.01);
+    }
+}
+
+fitted! {
+    /// A random error: Gaussian, with an autocorrelation that falls by e in the correlation time. A stretch of time cut
+    /// into other steps gives another error of the same statistics.
+    pub struct SensorNoise {
+        /// Standard deviation.
+        pub deviation: Parameter::new("deviation_rad", "rad").linear("deviation_m", "m").within(0.0, 10.0).typical(1e-3);
+        /// How long it takes to change.
+        pub correlation_s: CORRELATION;
+    }
+}
+
+/// A sensor effect with its memory.
+#[derive(Clone, Debug)]
+pub(crate) enum SensorStage {
+    Scale(EncoderScale),
+    Offset(EncoderOffset),
+    Eccentricity(Eccentricity),
+    MissedEdges { effect: MissedEdges, before: f64, lost: f64 },
+    DeadSpot { effect: PotentiometerDeadSpot, held: f64 },
+    Lag { effect: SensorLag, before: f64, reading: f64 },
+    Noise(Noise),
+}
+
+impl SensorStage {
+    /// The stage of a sensor effect; `None` for an effect that acts elsewhere. `stream` as in
+    /// [`super::load::LoadStage::new`].
+    pub(crate) fn new(effect: &Effect, seed: u64, stream: usize) -> Option<Self> {
+        Some(match effect {
+            Effect::EncoderScale(scale) => Self::Scale(*scale),
+            Effect::EncoderOffset(offset) => Self::Offset(*offset),
+            Effect::Eccentricity(eccentricity) => Self::Eccentricity(*eccentricity),
+            Effect::MissedEdges(effect) => Self::MissedEdges { effect: *effect, before: 0.0, lost: 0.0 },
+            Effect::PotentiometerDeadSpot(effect) => Self::DeadSpot { effect: *effect, held: 0.0 },
+            Effect::SensorLag(effect) => Self::Lag { effect: *effect, before: 0.0, reading: 0.0 },
+            Effect::SensorNoise(noise) => Self::Noise(Noise::new(noise.deviation, noise.correlation_s, seed, stream)),
+            _ => return None,
+        })
+    }
+
+    /// Whether what it tells depends on more than the position now, so that it must see every step.
+    pub(crate) fn has_memory(&self) -> bool {
+        !matches!(self, Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_))
+    }
+
+    /// Forgets, and tells what it tells after a long rest at `position`.
+    pub(crate) fn settle(&mut self, position: f64) -> f64 {
+        match self {
+            Self::MissedEdges { before, lost, .. } => {
+                *before = position;
+                *lost = 0.0;
+                position
+            }
+            Self::DeadSpot { effect, held } => {
+                *held = if effect.covers(position) { effect.start } else { position };
+                *held
+            }
+            Self::Lag { before, reading, .. } => {
+                *before = position;
+                *reading = position;
+                position
+            }
+            Self::Noise(noise) => position + noise.value(),
+            Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) => self.apply(position, 0.0),
+        }
+    }
+
+    /// What it tells at `position`, reached from the last one at constant speed in `step_s`.
+    pub(crate) fn apply(&mut self, position: f64, step_s: f64) -> f64 {
+        match self {
+            Self::Scale(scale) => position * scale.scale,
+            Self::Offset(offset) => position + offset.offset,
+            Self::Eccentricity(eccentricity) => {
+                position + eccentricity.amplitude_rad * libm::sin(position + eccentricity.phase_rad)
+            }
+            Self::MissedEdges { effect, before, lost } => {
+                let way = position - *before;
+                *before = position;
+                *lost += effect.share(way / step_s) * way;
+                position - *lost
+            }
+            Self::DeadSpot { effect, held } => {
+                if !effect.covers(position) {
+                    *held = position;
+                }
+                *held
+            }
+            Self::Lag { effect, before, reading } => {
+                // exact for a ramp: the reading is `tau · speed` late, and what it differs from that decays
+                let late = effect.time_constant_s * (position - *before) / step_s;
+                let decay = libm::exp(-step_s / effect.time_constant_s);
+                *reading = position - late + (*reading - *before + late) * decay;
+                *before = position;
+                *reading
+            }
+            Self::Noise(noise) => position + noise.next(step_s),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stage(effect: Effect) -> SensorStage {
+        SensorStage::new(&effect, 0, 0).unwrap()
+    }
+
+    #[test]
+    fn missed_edges_fall_behind_in_both_directions_and_do_not_come_back() {
+        let mut sensor = stage(Effect::MissedEdges(MissedEdges { threshold: 2.0, reference: 16.0 }));
+        sensor.settle(0.0);
+        assert_eq!(sensor.apply(1.0, 0.5), 1.0); // 2 rad/s: at the threshold, none lost
+        assert_eq!(sensor.apply(4.0, 0.5), 3.25); // 6 rad/s: a quarter of 3 rad
+        assert_eq!(sensor.apply(1.0, 0.5), 1.0); // back at the same speed: a quarter of -3 rad makes it up again
+        assert_eq!(sensor.apply(4.0, 3.0), 4.0); // slowly: none lost
+        assert_eq!(sensor.apply(1.0, 0.5), 1.75); // fast backwards only: left on the positive side
+    }
+
+    #[test]
+    fn a_dead_spot_holds_the_last_reading() {
+        let mut sensor = stage(Effect::PotentiometerDeadSpot(PotentiometerDeadSpot { start: 0.5, width: 0.25 }));
+        assert_eq!(sensor.settle(0.625), 0.5);
+        assert_eq!(sensor.settle(0.0), 0.0);
+        assert_eq!([0.375, 0.625, 0.7, 0.875].map(|at| sensor.apply(at, 1e-3)), [0.375, 0.375, 0.375, 0.875]);
+        assert_eq!([0.625, 0.25].map(|at| sensor.apply(at, 1e-3)), [0.875, 0.25]);
+    }
+
+    #[test]
+    fn a_lag_is_exact_on_a_ramp_whatever_the_steps() {
+        // reading of x = v t from rest: v (t - tau (1 - exp(-t / tau)))
+        let expected = 3.0 * (0.5 - 0.2 * (1.0 - (-2.5f64).exp()));
+        for steps in [1, 10, 137] {
+            let mut sensor = stage(Effect::SensorLag(SensorLag { time_constant_s: 0.2 }));
+            sensor.settle(0.0);
+            let step_s = 0.5 / f64::from(steps);
+            let mut reading = 0.0;
+            for step in 1..=steps {
+                reading = sensor.apply(3.0 * step_s * f64::from(step), step_s);
+            }
+            // rounding: 1e-16 of the position, divided by the step over the time constant, per step
+            assert!((reading - expected).abs() < 1e-12, "{steps}: {reading} against {expected}");
+        }
+    }
+
+    #[test]
+    fn scale_offset_and_eccentricity_follow_their_formula() {
+        assert_eq!(stage(Effect::EncoderScale(EncoderScale { scale: 1.25 })).apply(2.0, 1e-3), 2.5);
+        assert_eq!(stage(Effect::EncoderOffset(EncoderOffset { offset: -0.5 })).apply(2.0, 1e-3), 1.5);
+        let wobble = Effect::Eccentricity(Eccentricity { amplitude_rad: 0.25, phase_rad: 0.0 });
+        let quarter = std::f64::consts::FRAC_PI_2;
+        assert_eq!(stage(wobble).apply(quarter, 1e-3), quarter + 0.25);
+    }
+}

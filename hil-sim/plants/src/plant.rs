@@ -1,0 +1,235 @@
+//! A plant: a base model and its effects, stepped.
+
+use crate::{
+    drive_train::{DriveTrain, MAX_STEP_S, Terminals},
+    effect::{
+        Effect, backlash::Play, friction::FrictionStage, input::InputStage, load::LoadStage, sensor::SensorStage,
+    },
+    model::PlantKind,
+    spec::PlantSpec,
+};
+
+/// What the bridge does to the motor's terminals, averaged over a PWM period.
+///
+/// Of the period, the supply is across the motor for `|duty|` and the terminals are open for `coast`; for the rest they
+/// are shorted (brake). Ripple within the period is left out: exact for a PWM fast against `L/R`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// Signed share of time the supply is across the motor, -1..=1; positive drives towards positive positions.
+    pub duty: f64,
+    /// Share of time the terminals are open, 0..=1. It comes first: `|duty|` is at most what it leaves.
+    pub coast: f64,
+}
+
+impl Drive {
+    /// Terminals open: the current decays through the bridge's diodes, then nothing brakes but friction.
+    pub const COAST: Self = Self { duty: 0.0, coast: 1.0 };
+    /// Terminals shorted.
+    pub const BRAKE: Self = Self { duty: 0.0, coast: 0.0 };
+
+    /// Supply across the motor for a signed share of time, brake for the rest (slow decay).
+    #[must_use]
+    pub const fn with_brake(duty: f64) -> Self {
+        Self { duty, coast: 0.0 }
+    }
+
+    /// Supply across the motor for a signed share of time, terminals open for the rest (fast decay).
+    #[must_use]
+    pub const fn with_coast(duty: f64) -> Self {
+        Self { duty, coast: 1.0 - duty.abs() }
+    }
+
+    /// Both shares in their ranges.
+    fn clipped(self) -> Self {
+        let coast = self.coast.clamp(0.0, 1.0);
+        Self { duty: self.duty.clamp(coast - 1.0, 1.0 - coast), coast }
+    }
+}
+
+/// A base model and its effects, with their state.
+///
+/// Positions, speeds and forces are at the output shaft or rod: rad, rad/s and N m, or m, m/s and N.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    kind: PlantKind,
+    train: DriveTrain,
+    now_s: f64,
+    input: Vec<InputStage>,
+    input_has_memory: bool,
+    source_ohm: f64,
+    friction: Vec<FrictionStage>,
+    loads: Vec<LoadStage>,
+    plays: Vec<Play>,
+    sensor: Vec<SensorStage>,
+    sensor_has_memory: bool,
+    acting: Drive,
+    position: f64,
+    speed: f64,
+    sensed_position: f64,
+}
+
+/// A step shorter than this is not worth taking: the rounding of longer ones adds up to it.
+const SHORTEST_STEP_S: f64 = 1e-12;
+
+impl Plant {
+    /// At rest at position 0, without current, its noises started from `seed`.
+    #[must_use]
+    pub fn new(spec: &PlantSpec, seed: u64) -> Self {
+        let kind = spec.kind();
+        let effects = || spec.effects().iter();
+        let numbered = || effects().enumerate();
+        let input: Vec<_> = effects().filter_map(InputStage::new).collect();
+        let sensor: Vec<_> = numbered().filter_map(|(stream, effect)| SensorStage::new(effect, seed, stream)).collect();
+        let mut plant = Self {
+            kind,
+            train: DriveTrain::new(spec.model()),
+            now_s: 0.0,
+            input_has_memory: input.iter().any(InputStage::has_memory),
+            input,
+            source_ohm: effects()
+                .map(|effect| if let Effect::SupplySag(sag) = effect { sag.source_ohm } else { 0.0 })
+                .sum(),
+            friction: effects().filter_map(|effect| FrictionStage::new(effect, kind)).collect(),
+            loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
+            plays: effects()
+                .filter_map(
+                    |effect| if let Effect::Backlash(backlash) = effect { Some(Play::new(backlash)) } else { None },
+                )
+                .collect(),
+            sensor_has_memory: sensor.iter().any(SensorStage::has_memory),
+            sensor,
+            acting: Drive::COAST,
+            position: 0.0,
+            speed: 0.0,
+            sensed_position: 0.0,
+        };
+        plant.set_position(0.0);
+        plant
+    }
+
+    /// Whether the output turns or slides.
+    #[must_use]
+    pub fn kind(&self) -> PlantKind {
+        self.kind
+    }
+
+    /// Puts the plant at rest at a position, without current; the backlash is centred and the sensor has settled.
+    /// What is under way in the input goes on. A position beyond an end stop becomes the stop; one that is not finite is ignored.
+    pub fn set_position(&mut self, position: f64) {
+        if !position.is_finite() {
+            return;
+        }
+        self.train.rest_at(position);
+        self.position = self.train.motion.position;
+        self.speed = 0.0;
+        for play in &mut self.plays {
+            play.centre(self.position);
+        }
+        self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.settle(told));
+    }
+
+    /// Lets time pass under a constant drive and a supply of `supply_v` before sag.
+    ///
+    /// Any `dt_s`, in steps of at most [`Plant::max_step_s`]; its cost is proportional to their number. Cutting a
+    /// stretch of time into other calls changes the result only by the error of the steps, which is nil for the linear
+    /// part, and by which random numbers fall where. A duty or coast out of range is clipped and a negative supply is
+    /// taken as 0. The call is ignored when `dt_s` is not positive or anything is not finite: no time passes then.
+    pub fn advance(&mut self, drive: Drive, supply_v: f64, dt_s: f64) {
+        let finite = drive.duty.is_finite() && drive.coast.is_finite() && supply_v.is_finite() && dt_s.is_finite();
+        if !finite || dt_s <= 0.0 {
+            return;
+        }
+        let drive = drive.clipped();
+        let supply_v = supply_v.max(0.0);
+        if !self.input_has_memory {
+            self.acting = self.through_input(drive, dt_s);
+        }
+        let mut left_s = dt_s;
+        while left_s > 0.0 {
+            let step_s = self.next_step_s(drive, left_s);
+            if self.input_has_memory {
+                self.acting = self.through_input(drive, step_s);
+            }
+            self.step(supply_v, step_s);
+            self.now_s += step_s;
+            left_s -= step_s;
+            if left_s < SHORTEST_STEP_S.min(0.5 * step_s) {
+                break;
+            }
+        }
+        if !self.sensor_has_memory {
+            self.sense(dt_s);
+        }
+    }
+
+    /// Longest step into which [`Plant::advance`] divides its time, in seconds.
+    #[must_use]
+    pub fn max_step_s(&self) -> f64 {
+        MAX_STEP_S
+    }
+
+    /// Up to the next instant at which a delayed input changes, for which the input is told of the drive beforehand.
+    fn next_step_s(&mut self, drive: Drive, left_s: f64) -> f64 {
+        let step_s = left_s.min(MAX_STEP_S);
+        if !self.input_has_memory {
+            return step_s;
+        }
+        self.through_input(drive, 0.0);
+        let change_s = self.input.iter().map(InputStage::next_change_s).fold(f64::INFINITY, f64::min) - self.now_s;
+        if change_s > SHORTEST_STEP_S { step_s.min(change_s) } else { step_s }
+    }
+
+    fn through_input(&mut self, drive: Drive, step_s: f64) -> Drive {
+        let now_s = self.now_s;
+        self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, now_s, step_s)).clipped()
+    }
+
+    fn step(&mut self, supply_v: f64, step_s: f64) {
+        let position_half_way = self.train.position_half_way(step_s);
+        let load = self.loads.iter_mut().map(|stage| stage.force(position_half_way, step_s)).sum();
+        let Drive { duty, coast } = self.acting;
+        let terminals = Terminals { duty, coast, supply_v, source_ohm: self.source_ohm };
+        self.train.advance(&terminals, &self.friction, load, step_s);
+        let motor_side = (self.train.motion.position, self.train.motion.speed);
+        (self.position, self.speed) =
+            self.plays.iter_mut().fold(motor_side, |(position, speed), play| play.apply(position, speed));
+        if self.sensor_has_memory {
+            self.sense(step_s);
+        }
+    }
+
+    fn sense(&mut self, step_s: f64) {
+        self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.apply(told, step_s));
+    }
+
+    /// True position of the output.
+    #[must_use]
+    pub fn position(&self) -> f64 {
+        self.position
+    }
+
+    /// True speed of the output; 0 while the motor side crosses a gap.
+    #[must_use]
+    pub fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// What an ideal sensor of the position would be coupled to, after the sensor effects; not yet counts or codes.
+    #[must_use]
+    pub fn sensed_position(&self) -> f64 {
+        self.sensed_position
+    }
+
+    /// Current in the winding, positive driving towards positive positions.
+    #[must_use]
+    pub fn motor_current_a(&self) -> f64 {
+        self.train.motion.current_a
+    }
+
+    /// Current drawn from the rail, averaged over a PWM period; negative when the motor feeds back.
+    #[must_use]
+    pub fn supply_current_a(&self) -> f64 {
+        let current_a = self.train.motion.current_a;
+        self.acting.duty * current_a - self.acting.coast * current_a.abs()
+    }
+}

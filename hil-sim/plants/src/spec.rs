@@ -1,0 +1,122 @@
+//! What a plant is made of.
+
+use crate::{
+    effect::{Effect, check_values},
+    error::{InvalidField, PlantError, Problem},
+    model::{Model, PlantKind},
+    parameter::Fitted,
+    spec_text,
+};
+
+/// A base model, its effects, and where the numbers come from. Every value is in range: there is no other way to make
+/// one, so a [`crate::Plant`] can be built from any.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlantSpec {
+    model: Model,
+    source: String,
+    effects: Vec<Effect>,
+}
+
+impl PlantSpec {
+    /// A plant of these parts. `source` tells where the numbers come from.
+    ///
+    /// # Errors
+    /// [`InvalidField`] names the first parameter out of range, or an effect the model cannot have.
+    pub fn new(model: Model, source: impl Into<String>, effects: Vec<Effect>) -> Result<Self, InvalidField> {
+        let kind = model.kind();
+        check_values(&model, kind)
+            .map_err(|error| InvalidField { field: format!("parameters.{}", error.field), ..error })?;
+        for (index, effect) in effects.iter().enumerate() {
+            effect.check(kind).map_err(|error| in_effect(index, error))?;
+        }
+        Ok(Self { model, source: source.into(), effects })
+    }
+
+    /// Reads a plant file. `source_name` is what messages call it.
+    ///
+    /// # Errors
+    /// [`PlantError`] with the file, the line and the field.
+    pub fn from_toml(source_name: &str, text: &str) -> Result<Self, PlantError> {
+        spec_text::read(source_name, text)
+    }
+
+    /// The plant as a file, which [`PlantSpec::from_toml`] reads back to the bit. Comments of a file it was read from
+    /// are not kept.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        spec_text::write(self)
+    }
+
+    /// The base model.
+    #[must_use]
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Whether the output turns or slides.
+    #[must_use]
+    pub fn kind(&self) -> PlantKind {
+        self.model.kind()
+    }
+
+    /// Where the numbers come from.
+    #[must_use]
+    pub fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// The effects; those at one insertion point act in this order.
+    #[must_use]
+    pub fn effects(&self) -> &[Effect] {
+        &self.effects
+    }
+
+    /// Says anew where the numbers come from.
+    pub fn set_source(&mut self, source: impl Into<String>) {
+        self.source = source.into();
+    }
+
+    /// Adds an effect behind the others.
+    ///
+    /// # Errors
+    /// As [`PlantSpec::new`]; nothing is changed then.
+    pub fn push_effect(&mut self, effect: Effect) -> Result<(), InvalidField> {
+        effect.check(self.kind()).map_err(|error| in_effect(self.effects.len(), error))?;
+        self.effects.push(effect);
+        Ok(())
+    }
+
+    /// Takes an effect away; `None` if there is none at this index.
+    pub fn remove_effect(&mut self, index: usize) -> Option<Effect> {
+        (index < self.effects.len()).then(|| self.effects.remove(index))
+    }
+
+    /// Sets a parameter of the base model by name.
+    ///
+    /// # Errors
+    /// As [`Fitted::set`]; nothing is changed then.
+    pub fn set_parameter(&mut self, name: &str, value: f64) -> Result<(), InvalidField> {
+        let kind = self.kind();
+        self.model
+            .set(kind, name, value)
+            .map_err(|problem| InvalidField { field: format!("parameters.{name}"), problem })
+    }
+
+    /// Sets a parameter of an effect by name.
+    ///
+    /// # Errors
+    /// As [`Fitted::set`], and [`Problem::NoSuchEffect`]; nothing is changed then.
+    pub fn set_effect_parameter(&mut self, index: usize, name: &str, value: f64) -> Result<(), InvalidField> {
+        let kind = self.kind();
+        let effects = self.effects.len();
+        let effect = self.effects.get_mut(index).ok_or_else(|| InvalidField {
+            field: format!("effects[{index}]"),
+            problem: Problem::NoSuchEffect { effects },
+        })?;
+        effect.set(kind, name, value).map_err(|problem| in_effect(index, InvalidField { field: name.into(), problem }))
+    }
+}
+
+pub(crate) fn in_effect(index: usize, error: InvalidField) -> InvalidField {
+    InvalidField { field: format!("effects[{index}].{}", error.field), ..error }
+}

@@ -1,0 +1,271 @@
+//! `r4 demo`: the set points of the OSMC evaluation, on one board, with the paper's results beside ours.
+
+use std::{
+    fs,
+    io::Cursor,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_driver::TelemetryStream;
+use r4_log::{Header, Log, Recorder};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint, Unit};
+use r4_sim::Pace;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::print_json;
+use crate::{
+    args::{Args, Demo},
+    quantity::human,
+    report::{self, Align, Cell, Column},
+    session::{self, Elapsed, Session},
+    table,
+};
+
+/// Set points and results printed in the paper, in degrees and millimetres.
+///
+/// Alabi, Camara, Fox, "Evaluation of OSMC open source motor driver for reproducible robotics research", TAROS 2023,
+/// Tables 1 and 2.
+const ROTARY: ([(f64, f64); 4], ChannelId) =
+    ([(90.0, 91.0), (180.0, 182.0), (270.0, 272.0), (360.0, 363.0)], ChannelId::new(ChannelKind::Osmc, 0));
+const LINEAR: ([(f64, f64); 5], ChannelId) = (
+    [(10.0, 7.0), (25.0, 23.0), (40.0, 39.0), (70.0, 68.0), (85.0, 83.0)],
+    ChannelId::new(ChannelKind::Actuator, 1),
+);
+/// What "settled" promises, in degrees and millimetres.
+const WITHIN_DEG: f64 = 1.0;
+const WITHIN_MM: f64 = 0.2;
+/// A set point that is not reached by then is not reached, s.
+const TIMEOUT_S: f64 = 30.0;
+/// Each set point is held this long before it is read off, as a person with a ruler would, s.
+const HOLD_S: f64 = 0.5;
+/// How often channels are logged, ms.
+const LOG_EVERY_MS: u16 = 10;
+
+/// One set point: what was asked, what the paper got, what we got.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    channel: String,
+    set: f64,
+    unit: &'static str,
+    /// Measured in the paper.
+    paper: f64,
+    /// Where the output really rests: the simulated shaft itself, as the paper's ruler and protractor saw theirs.
+    ours: f64,
+    error_paper: f64,
+    error_ours: f64,
+    /// From the command until the board reports rest at the set point.
+    settling_s: Option<f64>,
+    /// What the board's own sensor says.
+    measured: Option<f64>,
+    within: f64,
+    met: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    board: String,
+    rows: Vec<Row>,
+    simulated_s: f64,
+    real_time_factor: f64,
+    log_sha256: String,
+    log: PathBuf,
+    report: PathBuf,
+}
+
+type Log2 = Recorder<Cursor<Vec<u8>>>;
+
+pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
+    let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
+        ProgressStyle::with_template("{bar:30} {pos}/{len} set points, {msg}").unwrap_or(ProgressStyle::default_bar()),
+    );
+    let ((rows, log), elapsed) =
+        session::run(args, Pace::Free, async |session| drive(args, session, &progress).await)?;
+    progress.finish_and_clear();
+
+    let log_path = demo.out.join("log.mcap");
+    let report_path = demo.out.join("report.html");
+    fs::create_dir_all(&demo.out).with_context(|| format!("cannot make the folder {}", demo.out.display()))?;
+    write(&log_path, &log)?;
+    let page = report::html(&Log::from_bytes(&log)?, "OSMC evaluation", &[page_table(&rows, &args.board.to_string())]);
+    write(&report_path, page.as_bytes())?;
+
+    let met = rows.iter().all(|row| row.met);
+    let report = Report {
+        board: args.board.to_string(),
+        rows,
+        simulated_s: elapsed.simulated_s,
+        real_time_factor: elapsed.real_time_factor(),
+        log_sha256: Sha256::digest(&log).iter().map(|byte| format!("{byte:02x}")).collect(),
+        log: log_path,
+        report: report_path,
+    };
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report, elapsed);
+    }
+    if !met {
+        eprintln!("r4: not every set point settled within {WITHIN_DEG} deg / {WITHIN_MM} mm");
+    }
+    Ok(met)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Drives all set points and returns what came of each, and the log.
+async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<(Vec<Row>, Vec<u8>)> {
+    let board = session.board;
+    let header = Header {
+        robot: board.info().robot.to_string(),
+        board: args.board.to_string(),
+        firmware: board.info().firmware.to_string(),
+        protocol_version: r4_protocol::VERSION,
+        channels: board.channels().to_vec(),
+    };
+    let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
+    let mut telemetry = board.telemetry();
+    for channel in board.channels() {
+        board.subscribe(channel.id, LOG_EVERY_MS).await?;
+    }
+    let rows = session
+        .armed(async || {
+            let mut rows = Vec::new();
+            let rotary = ROTARY.0.iter().map(|point| (ROTARY.1, *point));
+            for (channel, (set, paper)) in rotary.chain(LINEAR.0.iter().map(|point| (LINEAR.1, *point))) {
+                progress.set_message(format!("{channel} to {set}"));
+                rows.push(set_point(session, &mut recorder, &mut telemetry, channel, set, paper).await?);
+                progress.inc(1);
+            }
+            Ok(rows)
+        })
+        .await?;
+    record(&mut recorder, &mut telemetry)?;
+    Ok((rows, recorder.finish()?.into_inner()))
+}
+
+async fn set_point(
+    session: &Session<'_>,
+    recorder: &mut Log2,
+    telemetry: &mut TelemetryStream,
+    channel: ChannelId,
+    set: f64,
+    paper: f64,
+) -> anyhow::Result<Row> {
+    let board = session.board;
+    let info = board.channel(channel).context("the demo needs the channels of osmc-bench")?;
+    let (per_si, unit, _) = human(info.unit);
+    let within = if info.unit == Unit::M { WITHIN_MM } else { WITHIN_DEG };
+    let target = set / per_si;
+    let setpoint = Setpoint { mode: Mode::Position, value: target as f32 };
+    recorder.command(board.device_us(), channel, setpoint)?;
+    let reached = match board.move_to(channel, target, TIMEOUT_S).await {
+        Ok(reached) => Some(reached),
+        // A row that says so, and the other set points are still tried.
+        Err(r4_driver::Error::NotSettled { .. }) => None,
+        Err(error) => return Err(error.into()),
+    };
+    board.sleep_s(HOLD_S).await;
+    record(recorder, telemetry)?;
+    let measured = reached.map(|motion| motion.position * per_si);
+    let ours = session.true_position(channel).map(|position| position * per_si).or(measured).unwrap_or(f64::NAN);
+    let error_ours = ours - set;
+    Ok(Row {
+        channel: channel.to_string(),
+        set,
+        unit,
+        paper,
+        ours,
+        error_paper: paper - set,
+        error_ours,
+        settling_s: reached.map(|motion| motion.after_s),
+        measured,
+        within,
+        met: reached.is_some() && error_ours.abs() <= within,
+    })
+}
+
+/// Writes what has arrived since the last call.
+fn record(recorder: &mut Log2, telemetry: &mut TelemetryStream) -> anyhow::Result<()> {
+    while let Some(frame) = telemetry.try_next() {
+        recorder.telemetry(&frame)?;
+    }
+    anyhow::ensure!(telemetry.dropped() == 0, "{} telemetry frames were lost before they were logged", telemetry.dropped());
+    Ok(())
+}
+
+fn print(report: &Report, elapsed: Elapsed) {
+    let header = ["channel", "set", "paper", "ours", "error paper", "error ours", "settled after", ""];
+    let mut table = table::new(&header, 1..7);
+    for row in &report.rows {
+        let decimals = if row.unit == "mm" { 2 } else { 2 };
+        table.add_row([
+            row.channel.clone(),
+            format!("{} {}", row.set, row.unit),
+            format!("{}", row.paper),
+            format!("{:.decimals$}", row.ours),
+            format!("{:+}", row.error_paper),
+            format!("{:+.decimals$}", row.error_ours),
+            row.settling_s.map_or("never".into(), |s| format!("{s:.2} s")),
+            if row.met { "ok".into() } else { format!("over {} {}", row.within, row.unit) },
+        ]);
+    }
+    println!("OSMC evaluation on {} (simulated motors; paper: Alabi, Camara, Fox, TAROS 2023)", report.board);
+    println!("{table}");
+    println!(
+        "{:.1} s simulated in {:.2} s, {:.0} x real time",
+        elapsed.simulated_s,
+        elapsed.wall_s,
+        elapsed.real_time_factor()
+    );
+    println!("log    {} (sha256 {})", report.log.display(), &report.log_sha256[..16]);
+    println!("report {}", report.report.display());
+}
+
+/// The same table for the page.
+fn page_table(rows: &[Row], board: &str) -> report::Table {
+    let column = |title: &str, unit: Option<&str>, align| Column { title: title.into(), unit: unit.map(Into::into), align };
+    let number = |value: f64, decimals| Cell::Number { value, decimals };
+    report::Table {
+        caption: "Set points".into(),
+        note: Some(format!(
+            "Paper: Alabi, Camara, Fox, \u{201c}Evaluation of OSMC open source motor driver for reproducible robotics \
+             research\u{201d}, TAROS 2023, Tables 1 and 2, real motors. Ours: {board}, simulated motors; where the simulated \
+             output really rests. Promised: within {WITHIN_DEG} deg and {WITHIN_MM} mm."
+        )),
+        columns: vec![
+            column("Channel", None, Align::Left),
+            column("Unit", None, Align::Left),
+            column("Set", None, Align::Right),
+            column("Paper", None, Align::Right),
+            column("Ours", None, Align::Right),
+            column("Error, paper", None, Align::Right),
+            column("Error, ours", None, Align::Right),
+            column("Settled after", Some("s"), Align::Right),
+            column("Result", None, Align::Left),
+        ],
+        rows: rows
+            .iter()
+            .map(|row| {
+                vec![
+                    Cell::Text(row.channel.clone()),
+                    Cell::Text(row.unit.into()),
+                    number(row.set, 0),
+                    number(row.paper, 0),
+                    number(row.ours, 2),
+                    number(row.error_paper, 0),
+                    number(row.error_ours, 2),
+                    row.settling_s.map_or(Cell::Text("never".into()), |settling_s| number(settling_s, 2)),
+                    Cell::Verdict {
+                        pass: row.met,
+                        text: if row.met { "met".into() } else { format!("over {} {}", row.within, row.unit) },
+                    },
+                ]
+            })
+            .collect(),
+    }
+}

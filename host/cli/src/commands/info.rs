@@ -1,0 +1,103 @@
+//! `r4 info`
+
+use r4_protocol::ChannelInfo;
+use r4_sim::Pace;
+use serde::Serialize;
+
+use super::print_json;
+use crate::{args::Args, session, table};
+
+#[derive(Serialize)]
+struct Report {
+    board: String,
+    robot: String,
+    firmware: String,
+    protocol: u16,
+    state: String,
+    causes: Vec<String>,
+    link_timeout_ms: u16,
+    channels: Vec<Channel>,
+}
+
+#[derive(Serialize)]
+struct Channel {
+    id: String,
+    kind: &'static str,
+    unit: String,
+    min: f32,
+    max: f32,
+    rate_hz: f32,
+    modes: Vec<ModeLimits>,
+}
+
+#[derive(Serialize)]
+struct ModeLimits {
+    mode: String,
+    unit: String,
+    min: f32,
+    max: f32,
+}
+
+impl From<&ChannelInfo> for Channel {
+    fn from(info: &ChannelInfo) -> Self {
+        let limits = |mode: &r4_protocol::ModeInfo| ModeLimits {
+            mode: mode.mode.to_string(),
+            unit: mode.unit.to_string(),
+            min: mode.range.min,
+            max: mode.range.max,
+        };
+        Self {
+            id: info.id.to_string(),
+            kind: info.id.kind.name(),
+            unit: info.unit.to_string(),
+            min: info.range.min,
+            max: info.range.max,
+            rate_hz: info.rate_hz,
+            modes: info.modes.iter().map(limits).collect(),
+        }
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
+    let (report, _) = session::run(args, Pace::Free, async |session| {
+        let info = session.board.info();
+        Ok(Report {
+            board: args.board.to_string(),
+            robot: info.robot.to_string(),
+            firmware: info.firmware.to_string(),
+            protocol: r4_protocol::VERSION,
+            state: info.state.to_string(),
+            causes: info.causes.iter().map(|cause| cause.to_string()).collect(),
+            link_timeout_ms: info.link_timeout_ms,
+            channels: session.board.channels().iter().map(Channel::from).collect(),
+        })
+    })?;
+    if args.json {
+        print_json(&report)?;
+        return Ok(true);
+    }
+    println!(
+        "{}: robot {}, firmware {}, protocol {}, {}, link timeout {} ms",
+        report.board, report.robot, report.firmware, report.protocol, report.state, report.link_timeout_ms
+    );
+    let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
+    for channel in &report.channels {
+        let rate = format!("{:.0}", channel.rate_hz);
+        if channel.modes.is_empty() {
+            table.add_row([&channel.id, "measured", &digits(channel.min), &digits(channel.max), &channel.unit, &rate]);
+        }
+        for (index, mode) in channel.modes.iter().enumerate() {
+            let id = if index == 0 { channel.id.as_str() } else { "" };
+            table.add_row([id, &mode.mode, &digits(mode.min), &digits(mode.max), &mode.unit, &rate]);
+        }
+    }
+    println!("{table}");
+    Ok(true)
+}
+
+/// Five significant digits at most, none of them noise of binary fractions.
+fn digits(value: f32) -> String {
+    let magnitude = value.abs().max(1e-9).log10().floor() as i32;
+    let text = format!("{value:.*}", (4 - magnitude).clamp(0, 6) as usize);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}

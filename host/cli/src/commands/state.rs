@@ -1,0 +1,80 @@
+//! `r4 arm`, `r4 disarm`, `r4 clear`
+
+use anyhow::bail;
+use r4_protocol::SafetyState;
+use r4_sim::Pace;
+use serde::Serialize;
+
+use super::print_json;
+use crate::{
+    args::Args,
+    session::{self, Session},
+};
+
+#[derive(Serialize)]
+struct State {
+    board: String,
+    state: String,
+    causes: Vec<String>,
+}
+
+/// How often an armed board is looked at, s.
+const LOOK_EVERY_S: f64 = 0.05;
+
+pub(crate) fn arm(args: &Args, seconds: Option<f64>) -> anyhow::Result<bool> {
+    session::run(args, Pace::RealTime(1.0), async |session| {
+        session
+            .armed(async || {
+                report(args, session).await?;
+                eprintln!("armed; Ctrl-C disarms");
+                let until_s = seconds.map(|seconds| session.board.now_s() + seconds);
+                while until_s.is_none_or(|until_s| session.board.now_s() < until_s) {
+                    session.board.sleep_s(LOOK_EVERY_S).await;
+                    if let (SafetyState::Tripped, causes) = session.board.safety() {
+                        return Err(r4_driver::Error::Stopped { causes }.into());
+                    }
+                }
+                Ok(())
+            })
+            .await
+    })?;
+    Ok(true)
+}
+
+pub(crate) fn disarm(args: &Args) -> anyhow::Result<bool> {
+    session::run(args, Pace::Free, async |session| {
+        session.board.disarm().await?;
+        report(args, session).await
+    })?;
+    Ok(true)
+}
+
+pub(crate) fn clear(args: &Args) -> anyhow::Result<bool> {
+    session::run(args, Pace::Free, async |session| {
+        session.board.clear().await?;
+        report(args, session).await
+    })?;
+    Ok(true)
+}
+
+/// Waits for the next word of the board and prints it.
+async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
+    let Some(first) = session.board.channels().first() else { bail!("the board has no channels") };
+    let mut telemetry = session.board.telemetry();
+    session.board.subscribe(first.id, 10).await?;
+    let frame = telemetry.next().await?;
+    session.board.subscribe(first.id, 0).await?;
+    let state = State {
+        board: args.board.to_string(),
+        state: frame.state.to_string(),
+        causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
+    };
+    if args.json {
+        return print_json(&state);
+    }
+    println!("{} is {}", state.board, state.state);
+    for cause in frame.causes.iter() {
+        println!("  {cause}: {}", cause.advice());
+    }
+    Ok(())
+}

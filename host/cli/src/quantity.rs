@@ -1,0 +1,103 @@
+//! Numbers with units, as people type and read them.
+
+use std::{f64::consts::TAU, fmt, str::FromStr};
+
+use r4_protocol::Unit;
+
+/// A number in SI with what it measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Quantity {
+    pub(crate) value: f64,
+    pub(crate) unit: Unit,
+}
+
+/// How a unit is written, what it measures, and how many of the SI unit it is.
+const UNITS: [(&str, Unit, f64); 15] = [
+    ("deg/s", Unit::RadPerS, TAU / 360.0),
+    ("rad/s", Unit::RadPerS, 1.0),
+    ("rpm", Unit::RadPerS, TAU / 60.0),
+    ("mm/s", Unit::MPerS, 1e-3),
+    ("m/s", Unit::MPerS, 1.0),
+    ("deg", Unit::Rad, TAU / 360.0),
+    ("°", Unit::Rad, TAU / 360.0),
+    ("rad", Unit::Rad, 1.0),
+    ("turns", Unit::Rad, TAU),
+    ("turn", Unit::Rad, TAU),
+    ("mm", Unit::M, 1e-3),
+    ("cm", Unit::M, 1e-2),
+    ("m", Unit::M, 1.0),
+    ("%", Unit::Duty, 1e-2),
+    ("", Unit::Duty, 1.0),
+];
+
+impl FromStr for Quantity {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        // The longest unit that fits: `deg/s` before nothing, `mm` before `m`.
+        let split = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
+        let (number, unit) = text.split_at(split);
+        let (_, unit, factor) = UNITS.into_iter().find(|(name, ..)| *name == unit.trim()).ok_or_else(|| {
+            let known: Vec<_> = UNITS.iter().map(|(name, ..)| *name).filter(|name| !name.is_empty()).collect();
+            format!("write a number and its unit without a space, as in 90deg; units are {}", known.join(" "))
+        })?;
+        match number.trim().parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Self { value: value * factor, unit }),
+            _ => Err(format!("`{number}` is not a number")),
+        }
+    }
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (factor, unit, decimals) = human(self.unit);
+        write!(f, "{:.decimals$}{}{unit}", self.value * factor, if unit.is_empty() { "" } else { " " })
+    }
+}
+
+/// What people read a unit in: factor from SI, its sign, and decimals that show what the board resolves.
+pub(crate) fn human(unit: Unit) -> (f64, &'static str, usize) {
+    match unit {
+        Unit::Rad => (360.0 / TAU, "deg", 2),
+        Unit::RadPerS => (360.0 / TAU, "deg/s", 1),
+        Unit::M => (1e3, "mm", 2),
+        Unit::MPerS => (1e3, "mm/s", 2),
+        Unit::Duty => (1.0, "", 3),
+        Unit::V => (1.0, "V", 2),
+        Unit::Bool => (1.0, "", 0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn people_and_si() {
+        for (text, value, unit) in [
+            ("90deg", TAU / 4.0, Unit::Rad),
+            ("-0.5turn", -TAU / 2.0, Unit::Rad),
+            ("60rpm", TAU, Unit::RadPerS),
+            ("25mm", 0.025, Unit::M),
+            ("10 mm/s", 0.01, Unit::MPerS),
+            ("-30%", -0.3, Unit::Duty),
+            (".5", 0.5, Unit::Duty),
+            ("1e-2m", 0.01, Unit::M),
+        ] {
+            let read: Quantity = text.parse().unwrap();
+            // One rounding of the product.
+            assert!((read.value - value).abs() < 1e-15 && read.unit == unit, "{text}: {read:?}");
+        }
+        for bad in ["", "deg", "12parsec", "1,5mm", "nan", "inf", "--3", "1e999rad"] {
+            assert!(bad.parse::<Quantity>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn shown_millimetres_are_not_truncated() {
+        let shown = |value| Quantity { value, unit: Unit::M }.to_string();
+        assert_eq!(shown(0.02499), "24.99 mm");
+        assert_eq!(shown(0.009_996), "10.00 mm");
+    }
+}

@@ -1,0 +1,361 @@
+//! A run as one HTML page that needs nothing else: no network, no fonts, no scripts.
+//!
+//! The same log and tables give the same bytes.
+
+mod channel;
+mod plot;
+mod series;
+
+use std::fmt::Write as _;
+
+use r4_log::Log;
+
+use plot::{Figure, number};
+
+const PAGE: &str = include_str!("page.html");
+const STYLE: &str = include_str!("style.css");
+
+/// A table above the plots.
+#[derive(Clone, Debug)]
+pub(crate) struct Table {
+    /// What it shows.
+    pub(crate) caption: String,
+    /// Below the table: where the numbers come from, what the limits are.
+    pub(crate) note: Option<String>,
+    /// From left to right.
+    pub(crate) columns: Vec<Column>,
+    /// From top to bottom, each with a cell per column.
+    pub(crate) rows: Vec<Vec<Cell>>,
+}
+
+/// The head of a column.
+#[derive(Clone, Debug)]
+pub(crate) struct Column {
+    /// What is in it.
+    pub(crate) title: String,
+    /// Of its numbers.
+    pub(crate) unit: Option<String>,
+    /// Of its cells.
+    pub(crate) align: Align,
+}
+
+/// Where the text of a column stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Align {
+    /// For words.
+    Left,
+    /// For numbers.
+    Right,
+}
+
+/// What is in one field of a table.
+#[derive(Clone, Debug)]
+pub(crate) enum Cell {
+    /// Words, or a number that is already written.
+    Text(String),
+    /// A number; one that is not finite is shown as a dash.
+    Number {
+        /// In the column's unit.
+        value: f64,
+        /// Digits after the point.
+        decimals: usize,
+    },
+    /// Whether something held. Counted in the head of the page.
+    Verdict {
+        /// It held.
+        pass: bool,
+        /// What is written, such as "passed" or "0.3 V too low".
+        text: String,
+    },
+}
+
+/// The page for `log`, headed `title`, with `tables` above the plots.
+#[must_use]
+pub(crate) fn html(log: &Log, title: &str, tables: &[Table]) -> String {
+    let mut body = String::new();
+    // writing to a string does not fail
+    let _ = write_body(&mut body, log, title, tables);
+    // escaped text holds no "<!--", so nothing that was put in is taken for a place
+    PAGE.replace("<!--title-->", &escaped(title))
+        .replace("<!--style-->", STYLE.trim_end())
+        .replace("<!--body-->", &body)
+}
+
+/// `text` as it has to be written in HTML, in attributes too.
+fn escaped(text: &str) -> String {
+    let mut html = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => html.push_str("&amp;"),
+            '<' => html.push_str("&lt;"),
+            '>' => html.push_str("&gt;"),
+            '"' => html.push_str("&quot;"),
+            '\'' => html.push_str("&#39;"),
+            other => html.push(other),
+        }
+    }
+    html
+}
+
+fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
+    write_head(body, log, title, tables)?;
+    for table in tables {
+        write_table(body, table)?;
+    }
+    if log.states.len() > 1 {
+        write_table(body, &state_table(log))?;
+    }
+    if log.motors.len() > 1 {
+        body.push_str("<nav><span>Plots</span>");
+        for series in &log.motors {
+            let id = series.info.id;
+            write!(body, " <a href=\"#{id}\">{id}</a>")?;
+        }
+        body.push_str("</nav>\n");
+    }
+    for series in &log.motors {
+        let id = series.info.id;
+        let kind = if series.is_linear() { "linear" } else { "rotary" };
+        writeln!(body, "<section id=\"{id}\">\n<h2>{id} <small>{kind}</small></h2>")?;
+        write_facts(body, &channel::motor_facts(series))?;
+        write_figure(body, &channel::motor_figure(log, series))?;
+        body.push_str("</section>\n");
+    }
+    if let Some(figure) = channel::input_figure(log) {
+        body.push_str("<section>\n<h2>Inputs</h2>\n");
+        write_figure(body, &figure)?;
+        body.push_str("</section>\n");
+    }
+    body.push_str(
+        "<footer>All times are the board's clock. Long series are drawn as the extremes of short spans of time: \
+         no peak is lost.</footer>",
+    );
+    Ok(())
+}
+
+fn write_head(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
+    writeln!(body, "<header>\n<h1>{}</h1>", escaped(title))?;
+    let verdicts = tables.iter().flat_map(|table| table.rows.iter().flatten());
+    let verdicts: Vec<bool> =
+        verdicts.filter_map(|cell| if let Cell::Verdict { pass, .. } = cell { Some(*pass) } else { None }).collect();
+    let (all, passed) = (verdicts.len(), verdicts.iter().filter(|pass| **pass).count());
+    match all {
+        0 => {}
+        _ if passed == all => writeln!(body, "<p class=\"outcome pass\">\u{2713} {passed} of {all} passed</p>")?,
+        _ => writeln!(body, "<p class=\"outcome fail\">\u{2717} {} of {all} failed</p>", all - passed)?,
+    }
+    let header = &log.header;
+    let mut facts = vec![
+        ("Robot", header.robot.clone()),
+        ("Board", header.board.clone()),
+        ("Firmware", header.firmware.clone()),
+        ("Protocol", header.protocol_version.to_string()),
+        ("Duration", format!("{} s", number(log.duration_s(), 3))),
+    ];
+    if let Some((start_s, _)) = log.time_span_s() {
+        facts.push(("Board's clock at the start", format!("{} s", number(start_s, 3))));
+    }
+    write_facts(body, &facts)?;
+    body.push_str("</header>\n");
+    if !log.warnings.is_empty() {
+        body.push_str("<div class=\"warnings\"><strong>This log is not complete</strong>\n<ul>\n");
+        for warning in &log.warnings {
+            writeln!(body, "<li>{}</li>", escaped(&warning.to_string()))?;
+        }
+        body.push_str("</ul></div>\n");
+    }
+    Ok(())
+}
+
+fn write_facts(body: &mut String, facts: &[(&str, String)]) -> std::fmt::Result {
+    body.push_str("<dl class=\"facts\">\n");
+    for (name, value) in facts {
+        writeln!(body, "<div><dt>{name}</dt><dd>{}</dd></div>", escaped(value))?;
+    }
+    body.push_str("</dl>\n");
+    Ok(())
+}
+
+fn write_figure(body: &mut String, figure: &Figure) -> std::fmt::Result {
+    writeln!(body, "<figure><div class=\"scroll\">\n{}</div></figure>", figure.svg())
+}
+
+fn write_table(body: &mut String, table: &Table) -> std::fmt::Result {
+    let class = |align: Align| if align == Align::Right { " class=\"right\"" } else { "" };
+    writeln!(
+        body,
+        "<div class=\"table\"><div class=\"scroll\"><table>\n<caption>{}</caption>",
+        escaped(&table.caption)
+    )?;
+    body.push_str("<thead><tr>");
+    for column in &table.columns {
+        write!(body, "<th scope=\"col\"{}>{}", class(column.align), escaped(&column.title))?;
+        if let Some(unit) = &column.unit {
+            write!(body, " <span>({})</span>", escaped(unit))?;
+        }
+        body.push_str("</th>");
+    }
+    body.push_str("</tr></thead>\n<tbody>\n");
+    for row in &table.rows {
+        body.push_str("<tr>");
+        for (index, cell) in row.iter().enumerate() {
+            let align = table.columns.get(index).map_or(Align::Left, |column| column.align);
+            match cell {
+                Cell::Text(text) => write!(body, "<td{}>{}</td>", class(align), escaped(text))?,
+                Cell::Number { value, decimals } => {
+                    write!(body, "<td{}>{}</td>", class(align), number(*value, *decimals))?;
+                }
+                Cell::Verdict { pass, text } => {
+                    let (kind, mark) = if *pass { ("pass", "\u{2713}") } else { ("fail", "\u{2717}") };
+                    write!(body, "<td class=\"{kind}\"><span>{mark} {}</span></td>", escaped(text))?;
+                }
+            }
+        }
+        body.push_str("</tr>\n");
+    }
+    body.push_str("</tbody></table></div>\n");
+    if let Some(note) = &table.note {
+        writeln!(body, "<p class=\"note\">{}</p>", escaped(note))?;
+    }
+    body.push_str("</div>\n");
+    Ok(())
+}
+
+fn state_table(log: &Log) -> Table {
+    let start_s = log.time_span_s().map_or(0.0, |(start_s, _)| start_s);
+    let rows = log.states.iter().map(|change| {
+        let causes = if change.causes.is_empty() { String::new() } else { change.causes.to_string() };
+        let advice: Vec<&str> = change.causes.iter().map(|cause| cause.advice()).collect();
+        let time = Cell::Number { value: change.time_s - start_s, decimals: 3 };
+        vec![time, Cell::Text(change.state.to_string()), Cell::Text(causes), Cell::Text(advice.join("; "))]
+    });
+    let column = |title: &str, unit: Option<&str>, align| Column {
+        title: title.to_owned(),
+        unit: unit.map(str::to_owned),
+        align,
+    };
+    Table {
+        caption: "Safety state".to_owned(),
+        note: None,
+        columns: vec![
+            column("Time", Some("s"), Align::Right),
+            column("State", None, Align::Left),
+            column("Causes", None, Align::Left),
+            column("What to do", None, Align::Left),
+        ],
+        rows: rows.collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use r4_log::{Header, Recorder};
+    use r4_protocol::{
+        Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, SafetyState, Sample, Setpoint,
+        Telemetry, Unit,
+    };
+
+    use super::*;
+
+    const HOSTILE: &str = "<script>alert('&\"')</script><!--body-->";
+
+    /// A motor that reaches a set point of 90 degrees, and a trip.
+    fn log(ticks: u16) -> Log {
+        let id = ChannelId::new(ChannelKind::Osmc, 0);
+        let range = Range::symmetric(3.2);
+        let duty = ModeInfo { mode: Mode::Duty, unit: Unit::Duty, range: Range::symmetric(0.9) };
+        let position = ModeInfo { mode: Mode::Position, unit: Unit::Rad, range };
+        let motor = ChannelInfo {
+            id,
+            unit: Unit::Rad,
+            range,
+            rate_hz: 1_000.0,
+            resolution: 0.001,
+            modes: [position, duty].into_iter().collect(),
+        };
+        let header = Header {
+            robot: HOSTILE.into(),
+            board: "sim:bench".into(),
+            firmware: "0.1.0".into(),
+            protocol_version: 1,
+            channels: vec![motor],
+        };
+        let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
+        for tick in 0..ticks {
+            let (state, causes) = match tick {
+                ..900 => (SafetyState::Armed, Causes::NONE),
+                900.. => (SafetyState::Tripped, Causes::only(Cause::DeadMan)),
+            };
+            let sample = Sample::Motor {
+                channel: id,
+                setpoint: Setpoint { mode: Mode::Position, value: std::f32::consts::FRAC_PI_2 },
+                position: i32::from(tick).min(1_571),
+                speed: 1.0,
+                duty: 0.5,
+                settled: tick > 1_580,
+            };
+            let samples = [sample].into_iter().collect();
+            let frame = Telemetry { device_us: 5_000_000 + u64::from(tick) * 1_000, state, causes, samples };
+            recorder.telemetry(&frame).expect("the channel is in the header");
+        }
+        Log::from_bytes(&recorder.finish().expect("finished").into_inner()).expect("a log")
+    }
+
+    fn table() -> Table {
+        let column = |title: &str| Column { title: title.into(), unit: Some("<V>".into()), align: Align::Right };
+        let verdict = |pass| Cell::Verdict { pass, text: HOSTILE.into() };
+        Table {
+            caption: HOSTILE.into(),
+            note: Some(HOSTILE.into()),
+            columns: vec![column("a"), column("b")],
+            rows: vec![
+                vec![Cell::Number { value: -1.25, decimals: 1 }, verdict(true)],
+                vec![Cell::Number { value: f64::NAN, decimals: 1 }, verdict(false)],
+                vec![Cell::Text(HOSTILE.into())],
+            ],
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_shown_is_taken_for_markup() {
+        let page = html(&log(2_000), HOSTILE, &[table()]);
+        assert!(!page.contains("<script") && !page.contains("<!--") && !page.contains("<V>"));
+        assert_eq!(page.matches("&lt;script&gt;").count(), 8, "title twice, robot, caption, note, three cells");
+    }
+
+    #[test]
+    fn a_page_needs_nothing_else_and_is_the_same_twice() {
+        let page = html(&log(2_000), "run", &[table()]);
+        assert_eq!(page, html(&log(2_000), "run", &[table()]));
+        for outside in ["src=", "@import", "url(", "<link"] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        let addresses = page.matches("http").count();
+        assert_eq!(addresses, page.matches("http://www.w3.org/2000/svg").count(), "a name, not an address");
+    }
+
+    #[test]
+    fn the_head_counts_verdicts_and_the_plots_follow() {
+        let page = html(&log(2_000), "run", &[table()]);
+        for expected in
+            ["1 of 2 failed", "1.999 s", "5.000 s", "Position (°)", "Error (°)", "limit ±0.90", "tripped: dead-man"]
+        {
+            assert!(page.contains(expected), "{expected}");
+        }
+        assert!(page.contains(&number(-1.25, 1)) && number(-1.25, 1).starts_with('\u{2212}'));
+        assert_eq!(number(-0.001, 1), "0.0");
+        assert!(html(&log(2_000), "run", &[]).matches("</p>").count() == 0, "no verdict without a table");
+    }
+
+    #[test]
+    fn every_length_of_log_has_a_page() {
+        for ticks in [0, 1, 2, 3, 901] {
+            let page = html(&log(ticks), "run", &[]);
+            assert!(page.ends_with("</html>\n"), "{ticks}");
+            assert_eq!(page.matches("<svg").count(), usize::from(ticks > 0), "{ticks}");
+            assert!(!page.contains("NaN") && !page.contains("inf\""), "{ticks}");
+        }
+    }
+}

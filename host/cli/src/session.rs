@@ -1,0 +1,149 @@
+//! From `--board` to a session with that board.
+
+use std::{
+    future::Future,
+    pin::pin,
+    rc::Rc,
+    str::FromStr,
+    sync::atomic::{AtomicBool, Ordering},
+    time::Instant,
+};
+
+use anyhow::{Context, anyhow, bail};
+use r4_boards::Robot;
+use r4_driver::{Board, Clock, with_board};
+use r4_sim::{Pace, SimBoard, Simulation};
+
+use crate::args::Args;
+
+/// What `--board` names.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Target {
+    /// A simulated board of this robot: a built-in name or a TOML file.
+    Sim(String),
+}
+
+impl FromStr for Target {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            Some(("sim", robot)) if !robot.is_empty() => Ok(Self::Sim(robot.to_owned())),
+            Some(("emu" | "serial" | "can" | "tcp", _)) => {
+                Err(format!("`{text}`: this version only has simulated boards, as in sim:osmc-bench"))
+            }
+            _ => Err(format!("`{text}` names no board: write sim: and a robot, as in sim:osmc-bench")),
+        }
+    }
+}
+
+impl std::fmt::Display for Target {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Sim(robot) => write!(f, "sim:{robot}"),
+        }
+    }
+}
+
+/// The time a session runs on.
+#[derive(Clone)]
+pub(crate) struct HostClock(r4_sim::Clock);
+
+impl Clock for HostClock {
+    fn now_us(&self) -> u64 {
+        self.0.now_ns() / 1000
+    }
+
+    fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()> {
+        self.0.sleep_until(at_us.saturating_mul(1000))
+    }
+}
+
+/// A connected board, and what only the program knows about it.
+pub(crate) struct Session<'s> {
+    pub(crate) board: &'s Board<HostClock>,
+    simulated: Rc<SimBoard>,
+}
+
+impl Session<'_> {
+    /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
+    pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
+        self.simulated.world().position(channel)
+    }
+
+    /// Arms, runs `work`, and disarms whatever came of it.
+    pub(crate) async fn armed<T>(&self, work: impl AsyncFnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
+        self.board.arm().await.context("cannot arm")?;
+        let result = work().await;
+        let disarmed = self.board.disarm().await;
+        let value = result?;
+        disarmed.context("cannot disarm; closing the session makes the board stop by itself")?;
+        Ok(value)
+    }
+}
+
+/// How long a simulation ran, in its own time and on the wall.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Elapsed {
+    pub(crate) simulated_s: f64,
+    pub(crate) wall_s: f64,
+}
+
+impl Elapsed {
+    pub(crate) fn real_time_factor(self) -> f64 {
+        self.simulated_s / self.wall_s.max(1e-9)
+    }
+}
+
+/// How often Ctrl-C is looked for, on the session's clock.
+const INTERRUPT_POLL_US: u64 = 10_000;
+
+/// Set by Ctrl-C.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// Connects to the board that `args` name and runs `work` in a session with it.
+///
+/// Ctrl-C disarms, closes the session and is an error.
+pub(crate) fn run<T>(
+    args: &Args,
+    default_pace: Pace,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<(T, Elapsed)> {
+    let Target::Sim(name) = &args.board;
+    let robot: Robot = r4_boards::load(name)?;
+    let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
+    let board = Rc::new(SimBoard::start(&mut simulation, &robot, args.seed)?);
+    let clock = simulation.clock();
+    let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
+    // A second handler cannot be set; the first one does the same.
+    let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
+    let begin = Instant::now();
+    let host = with_board(port.rx, port.tx, HostClock(clock.clone()), async |connected| {
+        let session = Session { board: connected, simulated: board };
+        unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
+    });
+    let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
+    let elapsed =
+        Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+    let value = result.with_context(|| format!("cannot connect to {}", args.board))??;
+    Ok((value, elapsed))
+}
+
+async fn unless_interrupted<T>(
+    session: &Session<'_>,
+    clock: HostClock,
+    work: impl Future<Output = anyhow::Result<T>>,
+) -> anyhow::Result<T> {
+    let interrupt = async {
+        while !INTERRUPTED.load(Ordering::Relaxed) {
+            clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
+        }
+    };
+    match futures::future::select(pin!(work), pin!(interrupt)).await {
+        futures::future::Either::Left((result, _)) => result,
+        futures::future::Either::Right(((), _)) => {
+            session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;
+            bail!("interrupted; the board is disarmed")
+        }
+    }
+}

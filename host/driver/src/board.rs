@@ -1,0 +1,319 @@
+//! A connected board.
+
+use std::{
+    pin::pin,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU16, Ordering},
+    },
+};
+
+use futures::{
+    channel::{mpsc, oneshot},
+    future::{Either, select},
+};
+use r4_protocol::{
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState,
+    Sample, Setpoint, ToDevice, VERSION, config::PidGains,
+};
+
+use crate::{
+    Clock, Error,
+    connection::State,
+    telemetry::{TelemetryStream, lock},
+};
+
+/// A request without an answer after this long has failed.
+const REQUEST_TIMEOUT_MS: u32 = 500;
+/// Set points older than this on arrival are refused by the board.
+const SETPOINT_TTL_MS: u16 = 100;
+
+/// A board with an open session. Made by [`crate::with_board`].
+pub struct Board<C> {
+    wire: Wire<C>,
+    info: DeviceInfo,
+    channels: Vec<ChannelInfo>,
+}
+
+/// Requests and their answers.
+pub(crate) struct Wire<C> {
+    clock: C,
+    state: Arc<Mutex<State>>,
+    outgoing: mpsc::UnboundedSender<ToDevice>,
+    next_seq: AtomicU16,
+}
+
+/// How long [`Board::drive`] follows a motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Until {
+    /// Until it rests at its position; after the time-out it is an error.
+    Settled {
+        /// s
+        timeout_s: f64,
+    },
+    /// For this long.
+    Elapsed {
+        /// s
+        seconds: f64,
+    },
+}
+
+/// What a motor did when [`Board::drive`] looked last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// rad or m
+    pub position: f64,
+    /// rad/s or m/s
+    pub speed: f64,
+    /// Share of the supply.
+    pub duty: f64,
+    /// Whether it rested at its position.
+    pub settled: bool,
+    /// From the command to that look, s.
+    pub after_s: f64,
+}
+
+/// How often a motor is looked at while it is driven, ms.
+const LOOK_EVERY_MS: u16 = 10;
+
+impl<C: Clock> Board<C> {
+    /// Says hello and asks for every channel.
+    pub(crate) async fn open(wire: Wire<C>) -> Result<Self, Error> {
+        let sent_us = wire.clock.now_us();
+        let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+        let Reply::Hello(info) = wire.request("hello", hello).await? else {
+            return Err(Error::WrongReply { request: "hello" });
+        };
+        lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
+        let mut channels = Vec::new();
+        for index in 0..info.channels {
+            match wire.request("describe", Request::Describe { index }).await? {
+                Reply::Channel(channel) => channels.push(channel),
+                _ => return Err(Error::WrongReply { request: "describe" }),
+            }
+        }
+        Ok(Self { wire, info, channels })
+    }
+
+    /// Ends the session. Whether the answer arrives changes nothing: without heartbeats the board ends it too.
+    pub(crate) async fn close(&self) {
+        let _ = self.wire.request("bye", Request::Bye).await;
+    }
+
+    /// Who this is, as told when the session was opened.
+    #[must_use]
+    pub fn info(&self) -> &DeviceInfo {
+        &self.info
+    }
+
+    /// The channels, as the board describes them.
+    #[must_use]
+    pub fn channels(&self) -> &[ChannelInfo] {
+        &self.channels
+    }
+
+    /// What the board says of `channel`.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownChannel`] when it has no such channel.
+    pub fn channel(&self, channel: ChannelId) -> Result<&ChannelInfo, Error> {
+        let found = self.channels.iter().find(|info| info.id == channel);
+        found.ok_or(Error::Refused(Refusal::UnknownChannel { channel }))
+    }
+
+    /// Where the supervisor stood when it was last heard of.
+    #[must_use]
+    pub fn safety(&self) -> (SafetyState, Causes) {
+        lock(&self.wire.state).safety.unwrap_or((SafetyState::Disarmed, Causes::NONE))
+    }
+
+    /// Frames from the board that were damaged and dropped.
+    #[must_use]
+    pub fn bad_frames(&self) -> u64 {
+        lock(&self.wire.state).bad_frames
+    }
+
+    /// The board's clock now, µs, as far as heartbeats tell.
+    #[must_use]
+    pub fn device_us(&self) -> u64 {
+        lock(&self.wire.state).device_us(self.wire.clock.now_us())
+    }
+
+    /// Seconds on the driver's clock.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.wire.clock.now_us() as f64 * 1e-6
+    }
+
+    /// Waits.
+    pub async fn sleep_s(&self, seconds: f64) {
+        self.wire.clock.sleep_until(self.wire.clock.now_us() + (seconds.max(0.0) * 1e6) as u64).await;
+    }
+
+    /// Lets outputs move.
+    ///
+    /// # Errors
+    /// [`Refusal::CausesPresent`] or [`Refusal::Tripped`], besides what befalls any request.
+    pub async fn arm(&self) -> Result<(), Error> {
+        self.wire.done("arm", Request::Arm).await
+    }
+
+    /// Makes outputs safe.
+    ///
+    /// # Errors
+    /// What befalls any request.
+    pub async fn disarm(&self) -> Result<(), Error> {
+        self.wire.done("disarm", Request::Disarm).await
+    }
+
+    /// Leaves a trip behind.
+    ///
+    /// # Errors
+    /// [`Refusal::CausesPresent`], besides what befalls any request.
+    pub async fn clear(&self) -> Result<(), Error> {
+        self.wire.done("clear", Request::Clear).await
+    }
+
+    /// Trips the board.
+    ///
+    /// # Errors
+    /// What befalls any request.
+    pub async fn stop(&self) -> Result<(), Error> {
+        self.wire.done("stop", Request::Stop).await
+    }
+
+    /// Commands a motor channel. The board follows it from its next control period on.
+    ///
+    /// # Errors
+    /// A refusal that says what the channel takes, besides what befalls any request.
+    pub async fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Result<(), Error> {
+        let sent_us = self.device_us();
+        self.wire.done("set", Request::Set { channel, setpoint, sent_us, ttl_ms: SETPOINT_TTL_MS }).await
+    }
+
+    /// Changes the gains of one loop until power-down.
+    ///
+    /// # Errors
+    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides what befalls any request.
+    pub async fn set_gains(&self, channel: ChannelId, mode: Mode, gains: PidGains) -> Result<(), Error> {
+        self.wire.done("set gains", Request::SetGains { channel, mode, gains }).await
+    }
+
+    /// Asks for samples of `channel` every `period_ms`; 0 ends them. Read them from [`Board::telemetry`].
+    ///
+    /// # Errors
+    /// [`Refusal::TooManySubscriptions`], besides what befalls any request.
+    pub async fn subscribe(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
+        self.wire.done("subscribe", Request::Subscribe { channel, period_ms }).await
+    }
+
+    /// All telemetry from now on.
+    #[must_use]
+    pub fn telemetry(&self) -> TelemetryStream {
+        lock(&self.wire.state).streams.open()
+    }
+
+    /// What the board has counted.
+    ///
+    /// # Errors
+    /// What befalls any request.
+    pub async fn stats(&self) -> Result<DeviceStats, Error> {
+        match self.wire.request("stats", Request::Stats).await? {
+            Reply::Stats(stats) => Ok(stats),
+            _ => Err(Error::WrongReply { request: "stats" }),
+        }
+    }
+
+    /// Sends `channel` to `target` (rad or m) and waits until it rests there, at most `timeout_s`.
+    ///
+    /// # Errors
+    /// As [`Board::drive`].
+    pub async fn move_to(&self, channel: ChannelId, target: f64, timeout_s: f64) -> Result<Motion, Error> {
+        let setpoint = Setpoint { mode: Mode::Position, value: target as f32 };
+        self.drive(channel, setpoint, Until::Settled { timeout_s }).await
+    }
+
+    /// Commands `channel` and follows it by its telemetry. The board keeps following the set point afterwards.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] when the board trips or is disarmed, [`Error::NotSettled`] after the time-out, besides what
+    /// befalls any request.
+    pub async fn drive(&self, channel: ChannelId, setpoint: Setpoint, until: Until) -> Result<Motion, Error> {
+        let resolution = f64::from(self.channel(channel)?.resolution);
+        let mut telemetry = self.telemetry();
+        self.subscribe(channel, LOOK_EVERY_MS).await?;
+        let begin_us = self.device_us();
+        self.set(channel, setpoint).await?;
+        loop {
+            let frame = telemetry.next().await?;
+            if frame.state != SafetyState::Armed {
+                return Err(Error::Stopped { causes: frame.causes });
+            }
+            let after_s = frame.device_us.saturating_sub(begin_us) as f64 * 1e-6;
+            let own = frame.samples.iter().find_map(|sample| match *sample {
+                // The frames under way when the command was sent still follow the last one.
+                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled }
+                    if of == channel && followed == setpoint =>
+                {
+                    Some(Motion {
+                        position: f64::from(position) * resolution,
+                        speed: speed.into(),
+                        duty: duty.into(),
+                        settled,
+                        after_s,
+                    })
+                }
+                _ => None,
+            });
+            let Some(motion) = own else { continue };
+            match until {
+                Until::Settled { .. } if motion.settled => return Ok(motion),
+                Until::Settled { timeout_s } if after_s > timeout_s => {
+                    let (target, position) = (setpoint.value.into(), motion.position);
+                    return Err(Error::NotSettled { channel, target, position, after_s });
+                }
+                Until::Elapsed { seconds } if after_s >= seconds => return Ok(motion),
+                Until::Settled { .. } | Until::Elapsed { .. } => {}
+            }
+        }
+    }
+}
+
+impl<C: Clock> Wire<C> {
+    pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
+        Self { clock, state, outgoing, next_seq: AtomicU16::new(0) }
+    }
+
+    async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
+        match self.request(name, request).await? {
+            Reply::Done => Ok(()),
+            _ => Err(Error::WrongReply { request: name }),
+        }
+    }
+
+    async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
+        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
+        let (sender, answer) = oneshot::channel();
+        {
+            let mut state = lock(&self.state);
+            if let Some(end) = &state.end {
+                return Err(end.clone());
+            }
+            state.pending.insert(seq, sender);
+        }
+        let timed_out = Error::TimedOut { request: name, after_ms: REQUEST_TIMEOUT_MS };
+        if self.outgoing.unbounded_send(ToDevice::Request { seq, request }).is_err() {
+            return Err(lock(&self.state).end.clone().unwrap_or(timed_out));
+        }
+        let until_us = self.clock.now_us() + u64::from(REQUEST_TIMEOUT_MS) * 1000;
+        match select(answer, pin!(self.clock.sleep_until(until_us))).await {
+            Either::Left((Ok(result), _)) => Ok(result?),
+            // The link ended, which dropped the sender.
+            Either::Left((Err(_), _)) => Err(lock(&self.state).end.clone().unwrap_or(timed_out)),
+            Either::Right(((), _)) => {
+                lock(&self.state).pending.remove(&seq);
+                Err(timed_out)
+            }
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! What can go wrong between a host and a board.
+
+use r4_protocol::{Causes, ChannelId, Refusal};
+
+/// Why an operation on a board did not succeed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// The board got the request and said no.
+    #[error("{0}")]
+    Refused(#[from] Refusal),
+    /// No answer in time, though the link is alive. What was asked may or may not have been done.
+    #[error("the board did not answer `{request}` within {after_ms} ms: it is busy, or frames are being lost")]
+    TimedOut {
+        /// What was asked.
+        request: &'static str,
+        /// How long was waited.
+        after_ms: u32,
+    },
+    /// The board stopped answering heartbeats.
+    #[error("link lost: no heartbeat from the board for {silent_ms} ms; check cable and power, then connect again")]
+    LinkLost {
+        /// How long it has been silent.
+        silent_ms: u32,
+    },
+    /// The link itself failed.
+    #[error("the link failed ({reason}); check cable and power, then connect again")]
+    LinkFailed {
+        /// As the link told it.
+        reason: String,
+    },
+    /// The board answered something else than the protocol says.
+    #[error("the board gave the wrong kind of answer to `{request}`: its firmware is faulty, flash it again")]
+    WrongReply {
+        /// What was asked.
+        request: &'static str,
+    },
+    /// The board tripped or was disarmed while something was waited for.
+    #[error("the board stopped: {causes}{}", advice(*causes))]
+    Stopped {
+        /// The latched causes; none when it was disarmed.
+        causes: Causes,
+    },
+    /// A motor did not reach its set point in time.
+    #[error("{channel} was not settled after {after_s:.1} s: at {position:.4}, asked for {target:.4}")]
+    NotSettled {
+        /// Which.
+        channel: ChannelId,
+        /// rad or m
+        target: f64,
+        /// rad or m
+        position: f64,
+        /// How long was waited.
+        after_s: f64,
+    },
+}
+
+fn advice(causes: Causes) -> String {
+    causes.iter().map(|cause| format!("; {}", cause.advice())).collect()
+}

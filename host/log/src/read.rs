@@ -1,0 +1,444 @@
+//! Reading a run.
+
+use std::{
+    collections::BTreeMap,
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use mcap::{
+    MAGIC,
+    records::{Channel, MessageHeader, Metadata, Record, SchemaHeader, op},
+};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, Mode, SafetyState};
+
+use crate::{
+    container::{self, Chunk, RawRecord, Records},
+    header::{self, BadHeader, Header, mode_from},
+    message::{
+        COMMAND_TOPIC, CommandMessage, LINEAR_MOTOR, MotorMessage, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage,
+        StateMessage, is_linear, state_from,
+    },
+};
+
+/// Why a file could not be read as a recorded run.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// Not an MCAP file, or nothing is left of it.
+    #[error("this is not an MCAP file: give a log that `r4` recorded")]
+    NotMcap,
+    /// The file ends before it says which board it is of.
+    #[error("the file ends after {length} bytes, before it says what was recorded: copy it again, or record again")]
+    CutShort {
+        /// Bytes there are.
+        length: usize,
+    },
+    /// An MCAP file of another program.
+    #[error("this MCAP file was written by \"{library}\", not by `r4`: open it with the program that made it")]
+    Foreign {
+        /// What the file says wrote it.
+        library: String,
+    },
+    /// A log of another version of this crate.
+    #[error("the log has format {found}, this program reads {known}: use the version of `r4` that recorded it")]
+    Format {
+        /// Of the file.
+        found: String,
+        /// Of this crate.
+        known: &'static str,
+    },
+    /// The metadata record lacks a field, or it is none that this version knows.
+    #[error("the log's header has no usable \"{key}\": use the version of `r4` that recorded it, or record again")]
+    BadHeader {
+        /// Which field.
+        key: &'static str,
+    },
+}
+
+/// Something in a file that is not in the [`Log`] made from it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Warning {
+    /// Recording was interrupted, or the file was copied incompletely; all before is read.
+    #[error("the file ends early: the recording was interrupted or the copy is incomplete; all before it is shown")]
+    CutShort,
+    /// Part of the file is damaged and was left out.
+    #[error("the file is damaged from byte {offset} on: that part is left out")]
+    Damaged {
+        /// Byte at which that part starts.
+        offset: usize,
+    },
+    /// Another program has compressed part of the file; that part was left out.
+    #[error("part of the file is compressed ({compression}) and left out: decompress it first, with `mcap decompress`")]
+    Compressed {
+        /// How.
+        compression: String,
+    },
+    /// Messages of a topic that do not have the fields they should, and were left out.
+    #[error("{messages} messages of {topic} cannot be read and are left out")]
+    Unreadable {
+        /// Which topic.
+        topic: String,
+        /// How many.
+        messages: usize,
+    },
+}
+
+/// A set point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Logged {
+    /// How the number is meant.
+    pub mode: Mode,
+    /// rad or m; rad/s or m/s; share of the supply. NaN where none was recorded.
+    pub value: f64,
+}
+
+/// A motor channel at one moment. NaN stands for a number that was not finite, or that the channel does not have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorSample {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// What it follows.
+    pub setpoint: Logged,
+    /// Position as measured, in counts of [`ChannelInfo::resolution`].
+    pub position_counts: i32,
+    /// rad or m.
+    pub position: f64,
+    /// rad/s or m/s.
+    pub speed: f64,
+    /// Share of the supply at the bridge.
+    pub duty: f64,
+    /// In position mode: at the set point and at rest.
+    pub settled: bool,
+}
+
+/// A motor channel over a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotorSeries {
+    /// What the channel is.
+    pub info: ChannelInfo,
+    /// In order of time; at least one.
+    pub samples: Vec<MotorSample>,
+}
+
+impl MotorSeries {
+    /// Whether it moves in a line (m, m/s); otherwise it turns (rad, rad/s).
+    #[must_use]
+    pub fn is_linear(&self) -> bool {
+        is_linear(&self.info)
+    }
+}
+
+/// An input over a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScalarSeries {
+    /// What the channel is.
+    pub info: ChannelInfo,
+    /// Time (s) and value (the channel's unit; NaN where it was not finite), in order of time; at least one.
+    pub samples: Vec<(f64, f64)>,
+}
+
+/// The safety supervisor from one moment on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StateChange {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// Where it stands.
+    pub state: SafetyState,
+    /// Causes latched by a trip.
+    pub causes: Causes,
+}
+
+/// A command that was sent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoggedCommand {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// Which channel.
+    pub channel: ChannelId,
+    /// To what.
+    pub setpoint: Logged,
+}
+
+/// A recorded run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log {
+    /// Which board was recorded.
+    pub header: Header,
+    /// Motor channels with samples, in the header's order.
+    pub motors: Vec<MotorSeries>,
+    /// Other channels with samples, in the header's order.
+    pub scalars: Vec<ScalarSeries>,
+    /// Changes of the safety state, in order of time.
+    pub states: Vec<StateChange>,
+    /// Commands sent, in order of time.
+    pub commands: Vec<LoggedCommand>,
+    /// What could not be read; empty for a sound file.
+    pub warnings: Vec<Warning>,
+}
+
+impl Log {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// [`LogError::Io`], and those of [`from_bytes`](Self::from_bytes).
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
+        let path = path.as_ref();
+        let bytes = fs::read(path).map_err(|source| LogError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes)
+    }
+
+    /// Reads a file that is in memory.
+    ///
+    /// A file that is cut or damaged after its header gives what can be read, and [`warnings`](Self::warnings).
+    ///
+    /// # Errors
+    /// A [`LogError`] when the file is no log, or ends before its header.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
+        if !bytes.starts_with(MAGIC) {
+            return Err(LogError::NotMcap);
+        }
+        let mut reader = Reader::default();
+        for record in Records::new(bytes, MAGIC.len()) {
+            match (record.opcode, record.cut) {
+                (op::CHUNK, _) => reader.chunk(&record),
+                (_, true) => reader.cut_short = true,
+                (op::DATA_END, false) => {
+                    reader.data_ended = true;
+                    break;
+                }
+                (_, false) => reader.record(&record)?,
+            }
+        }
+        reader.cut_short |= !reader.data_ended || !bytes.ends_with(MAGIC);
+        reader.finish(bytes.len())
+    }
+
+    /// The samples of motor channel `id`.
+    #[must_use]
+    pub fn motor(&self, id: ChannelId) -> Option<&MotorSeries> {
+        self.motors.iter().find(|series| series.info.id == id)
+    }
+
+    /// The samples of input `id`.
+    #[must_use]
+    pub fn scalar(&self, id: ChannelId) -> Option<&ScalarSeries> {
+        self.scalars.iter().find(|series| series.info.id == id)
+    }
+
+    /// The board's clock at the first and at the last thing recorded, s; `None` for an empty log.
+    #[must_use]
+    pub fn time_span_s(&self) -> Option<(f64, f64)> {
+        let motors = self.motors.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
+        let scalars = self.scalars.iter().flat_map(|series| series.samples.iter().map(|(time_s, _)| *time_s));
+        let states = self.states.iter().map(|change| change.time_s);
+        let commands = self.commands.iter().map(|command| command.time_s);
+        motors.chain(scalars).chain(states).chain(commands).fold(None, |span, time_s| match span {
+            None => Some((time_s, time_s)),
+            Some((first, last)) => Some((time_s.min(first), time_s.max(last))),
+        })
+    }
+
+    /// How long the run was, s; 0 for an empty log.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.time_span_s().map_or(0.0, |(first, last)| last - first)
+    }
+}
+
+/// What a topic's messages are.
+#[derive(Clone, PartialEq)]
+enum Content {
+    Motor(ChannelId),
+    Scalar(ChannelId),
+    State,
+    Command,
+}
+
+struct Topic {
+    name: String,
+    /// `None` for topics of other programs: a log may have been merged with them.
+    content: Option<Content>,
+    unreadable: usize,
+}
+
+#[derive(Default)]
+struct Reader {
+    library: String,
+    header: Option<Header>,
+    schemas: BTreeMap<u16, String>,
+    topics: BTreeMap<u16, Topic>,
+    motors: BTreeMap<ChannelId, Vec<MotorSample>>,
+    scalars: BTreeMap<ChannelId, Vec<(f64, f64)>>,
+    states: Vec<StateChange>,
+    commands: Vec<LoggedCommand>,
+    warnings: Vec<Warning>,
+    data_ended: bool,
+    cut_short: bool,
+}
+
+impl Reader {
+    fn warn(&mut self, warning: Warning) {
+        if !self.warnings.contains(&warning) {
+            self.warnings.push(warning);
+        }
+    }
+
+    fn chunk(&mut self, record: &RawRecord) {
+        self.cut_short |= record.cut;
+        match container::chunk(record) {
+            Chunk::Records(records) => {
+                for record in &records {
+                    // no headers in chunks, so no error to pass on
+                    let _ = self.record(record);
+                }
+            }
+            Chunk::Compressed(compression) => self.warn(Warning::Compressed { compression }),
+            Chunk::Damaged => self.warn(Warning::Damaged { offset: record.offset }),
+        }
+    }
+
+    fn record(&mut self, record: &RawRecord) -> Result<(), LogError> {
+        if !matches!(record.opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA) {
+            return Ok(());
+        }
+        match mcap::parse_record(record.opcode, record.body) {
+            Ok(Record::Header(header)) => self.library = header.library,
+            Ok(Record::Schema { header: SchemaHeader { id, name, .. }, .. }) => {
+                self.schemas.insert(id, name);
+            }
+            Ok(Record::Channel(channel)) => self.topic(channel),
+            Ok(Record::Message { header, data }) => self.message(&header, &data),
+            Ok(Record::Metadata(Metadata { name, metadata })) if name == header::RECORD_NAME => {
+                if self.header.is_none() {
+                    self.header = Some(Header::from_metadata(&metadata).map_err(|bad| match bad {
+                        BadHeader::Format { found } => LogError::Format { found, known: header::FORMAT },
+                        BadHeader::Field { key } => LogError::BadHeader { key },
+                    })?);
+                }
+            }
+            Ok(_) => {}
+            Err(_) => self.warn(Warning::Damaged { offset: record.offset }),
+        }
+        Ok(())
+    }
+
+    fn topic(&mut self, channel: Channel) {
+        let Channel { id, schema_id, topic: name, .. } = channel;
+        let motor = self.schemas.get(&schema_id).is_some_and(|name| name == ROTARY_MOTOR || name == LINEAR_MOTOR);
+        let content = match name.as_str() {
+            STATE_TOPIC => Some(Content::State),
+            COMMAND_TOPIC => Some(Content::Command),
+            _ => {
+                let channel = name.strip_prefix('/').and_then(|name| name.parse().ok());
+                channel.map(|id| if motor { Content::Motor(id) } else { Content::Scalar(id) })
+            }
+        };
+        // the same channel is repeated in the summary, and may be in every chunk
+        self.topics.entry(id).or_insert(Topic { name, content, unreadable: 0 });
+    }
+
+    fn message(&mut self, header: &MessageHeader, data: &[u8]) {
+        // a message without its channel was in a chunk of its own that is damaged
+        let Some(topic) = self.topics.get(&header.channel_id) else { return };
+        let Some(content) = topic.content.clone() else { return };
+        // exact up to 2^53 ns, 104 days; the nearest nanoseconds beyond
+        let time_s = header.log_time as f64 / 1e9;
+        let taken = match content {
+            Content::Motor(id) => self.motor(id, time_s, data),
+            Content::Scalar(id) => self.scalar(id, time_s, data),
+            Content::State => self.state(time_s, data),
+            Content::Command => self.command(time_s, data),
+        };
+        if taken.is_none()
+            && let Some(topic) = self.topics.get_mut(&header.channel_id)
+        {
+            topic.unreadable += 1;
+        }
+    }
+
+    fn info(&self, id: ChannelId) -> Option<&ChannelInfo> {
+        self.header.as_ref()?.channels.iter().find(|info| info.id == id)
+    }
+
+    fn motor(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: MotorMessage = serde_json::from_slice(data).ok()?;
+        let (position, speed) = if is_linear(self.info(id)?) {
+            (message.position_m, message.speed_m_s)
+        } else {
+            (message.position_rad, message.speed_rad_s)
+        };
+        let sample = MotorSample {
+            time_s,
+            setpoint: Logged { mode: mode_from(message.setpoint_mode)?, value: number(message.setpoint) },
+            position_counts: message.position_counts,
+            position: position.unwrap_or(f64::NAN),
+            speed: number(speed),
+            duty: number(message.duty),
+            settled: message.settled,
+        };
+        self.motors.entry(id).or_default().push(sample);
+        Some(())
+    }
+
+    fn scalar(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: ScalarMessage = serde_json::from_slice(data).ok()?;
+        let value = number(message.value(self.info(id)?.unit));
+        self.scalars.entry(id).or_default().push((time_s, value));
+        Some(())
+    }
+
+    fn state(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: StateMessage = serde_json::from_slice(data).ok()?;
+        let state = state_from(message.state)?;
+        self.states.push(StateChange { time_s, state, causes: Causes::from_bits(message.causes_bits) });
+        Some(())
+    }
+
+    fn command(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: CommandMessage = serde_json::from_slice(data).ok()?;
+        let setpoint = Logged { mode: mode_from(message.setpoint_mode)?, value: number(message.setpoint) };
+        self.commands.push(LoggedCommand { time_s, channel: message.channel.parse().ok()?, setpoint });
+        Some(())
+    }
+
+    fn finish(mut self, length: usize) -> Result<Log, LogError> {
+        let Some(header) = self.header else {
+            let library = self.library;
+            return Err(if self.cut_short { LogError::CutShort { length } } else { LogError::Foreign { library } });
+        };
+        for Topic { name, unreadable, .. } in self.topics.into_values().filter(|topic| topic.unreadable > 0) {
+            self.warnings.push(Warning::Unreadable { topic: name, messages: unreadable });
+        }
+        if self.cut_short {
+            self.warnings.push(Warning::CutShort);
+        }
+        let (mut motors, mut scalars) = (Vec::new(), Vec::new());
+        for info in &header.channels {
+            if let Some(mut samples) = self.motors.remove(&info.id) {
+                samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+                motors.push(MotorSeries { info: info.clone(), samples });
+            }
+            if let Some(mut samples) = self.scalars.remove(&info.id) {
+                samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+                scalars.push(ScalarSeries { info: info.clone(), samples });
+            }
+        }
+        self.states.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        self.commands.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        let (states, commands, warnings) = (self.states, self.commands, self.warnings);
+        Ok(Log { header, motors, scalars, states, commands, warnings })
+    }
+}
+
+/// The number recorded, or NaN where none was.
+fn number(value: Option<f32>) -> f64 {
+    value.map_or(f64::NAN, f64::from)
+}

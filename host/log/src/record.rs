@@ -1,0 +1,186 @@
+//! Writing a run.
+
+use std::{
+    collections::BTreeMap,
+    io::{Seek, Write},
+};
+
+use mcap::{
+    WriteOptions, Writer,
+    records::{MessageHeader, Metadata},
+};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, SafetyState, Sample, Setpoint, Telemetry};
+use serde::Serialize;
+
+use crate::{
+    header::{self, Header, mode_name},
+    message::{
+        self, COMMAND_TOPIC, CommandMessage, MotorMessage, STATE_TOPIC, ScalarMessage, Schema, StateMessage, finite,
+        is_linear, state_name,
+    },
+};
+
+/// A chunk is the most that is lost in other readers when the recording program dies; 256 KiB are about 0.4 s of four
+/// motors at 1 kHz. [`crate::Log`] also reads what is in the unfinished chunk.
+const CHUNK_BYTES: u64 = 256 * 1024;
+
+/// Why something could not be recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// A sample of a channel that the header does not list; the rest of the frame was not recorded.
+    #[error("the log's header does not describe {channel}: list every channel of the board when the recording starts")]
+    UnknownChannel {
+        /// Which.
+        channel: ChannelId,
+    },
+    /// A log counts nanoseconds in 64 bits, and the board's clock is beyond that: 584 years.
+    #[error("the board's clock says {device_us} us, which no log can hold: restart the board")]
+    TimeOutOfRange {
+        /// What the clock says.
+        device_us: u64,
+    },
+    /// The file could not be written.
+    #[error("cannot write the log ({0}): check the free space and the permissions of its folder")]
+    Write(#[from] mcap::McapError),
+    /// A message could not be turned into JSON.
+    #[error("cannot encode a message of the log ({0}): report this as a defect")]
+    Encode(#[from] serde_json::Error),
+}
+
+/// A topic of the file, and how many messages it has.
+#[derive(Clone, Copy)]
+struct Topic {
+    id: u16,
+    messages: u32,
+}
+
+/// Writes what a board says and is told to an MCAP file.
+///
+/// A recorder that is dropped finishes its file too, but cannot say whether that went well: call
+/// [`finish`](Self::finish).
+pub struct Recorder<W: Write + Seek> {
+    mcap: Writer<W>,
+    channels: Vec<ChannelInfo>,
+    topics: BTreeMap<String, Topic>,
+    state: Option<(SafetyState, Causes)>,
+}
+
+impl<W: Write + Seek> Recorder<W> {
+    /// Starts a file with `header`. Give a [`std::io::BufWriter`] rather than a bare file.
+    ///
+    /// # Errors
+    /// [`RecordError::Write`] when `writer` fails.
+    pub fn new(writer: W, header: &Header) -> Result<Self, RecordError> {
+        let mut mcap = WriteOptions::new()
+            .compression(None)
+            .chunk_size(Some(CHUNK_BYTES))
+            .library(concat!("r4-log/", env!("CARGO_PKG_VERSION")))
+            .create(writer)?;
+        mcap.write_metadata(&Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? })?;
+        Ok(Self { mcap, channels: header.channels.clone(), topics: BTreeMap::new(), state: None })
+    }
+
+    /// Records every sample of a frame, and the safety state where it changed.
+    ///
+    /// # Errors
+    /// See [`RecordError`]; the samples before the one at fault are recorded.
+    pub fn telemetry(&mut self, telemetry: &Telemetry) -> Result<(), RecordError> {
+        let device_us = telemetry.device_us;
+        self.state(device_us, telemetry.state, telemetry.causes)?;
+        for sample in &telemetry.samples {
+            let channel = sample.channel();
+            let info = self.channels.iter().find(|info| info.id == channel);
+            let info = info.ok_or(RecordError::UnknownChannel { channel })?;
+            let (unit, resolution, linear) = (info.unit, info.resolution, is_linear(info));
+            let topic = format!("/{channel}");
+            match *sample {
+                Sample::Motor { setpoint, position, speed, duty, settled, .. } => {
+                    let meters_or_rad = f64::from(position) * f64::from(resolution);
+                    let measured = (resolution.is_finite() && resolution != 0.0).then_some(meters_or_rad);
+                    let message = MotorMessage {
+                        setpoint_mode: mode_name(setpoint.mode),
+                        setpoint: finite(setpoint.value),
+                        position_counts: position,
+                        position_rad: measured.filter(|_| !linear),
+                        position_m: measured.filter(|_| linear),
+                        speed_rad_s: finite(speed).filter(|_| !linear),
+                        speed_m_s: finite(speed).filter(|_| linear),
+                        duty: finite(duty),
+                        settled,
+                    };
+                    self.write(device_us, &topic, || message::motor_schema(linear), &message)?;
+                }
+                Sample::Scalar { value, .. } => {
+                    let message = ScalarMessage::new(unit, value);
+                    self.write(device_us, &topic, || message::scalar_schema(unit), &message)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Records a command that was sent to `channel`.
+    ///
+    /// # Errors
+    /// See [`RecordError`].
+    pub fn command(&mut self, device_us: u64, channel: ChannelId, setpoint: Setpoint) -> Result<(), RecordError> {
+        let message = CommandMessage {
+            channel: &channel.to_string(),
+            setpoint_mode: mode_name(setpoint.mode),
+            setpoint: finite(setpoint.value),
+        };
+        self.write(device_us, COMMAND_TOPIC, message::command_schema, &message)
+    }
+
+    /// Records where the safety supervisor stands, if that is not what was recorded last.
+    ///
+    /// # Errors
+    /// See [`RecordError`].
+    pub fn state(&mut self, device_us: u64, state: SafetyState, causes: Causes) -> Result<(), RecordError> {
+        if self.state == Some((state, causes)) {
+            return Ok(());
+        }
+        let message = StateMessage {
+            state: state_name(state),
+            causes: causes.iter().map(|cause| cause.to_string()).collect(),
+            causes_bits: causes.bits(),
+        };
+        self.write(device_us, STATE_TOPIC, message::state_schema, &message)?;
+        self.state = Some((state, causes));
+        Ok(())
+    }
+
+    /// Writes the index at the end of the file and gives the writer back.
+    ///
+    /// # Errors
+    /// [`RecordError::Write`] when the writer fails.
+    pub fn finish(mut self) -> Result<W, RecordError> {
+        self.mcap.finish()?;
+        let mut writer = self.mcap.into_inner();
+        writer.flush().map_err(mcap::McapError::from)?;
+        Ok(writer)
+    }
+
+    fn write(
+        &mut self,
+        device_us: u64,
+        name: &str,
+        schema: impl FnOnce() -> Schema,
+        message: &impl Serialize,
+    ) -> Result<(), RecordError> {
+        let log_time = device_us.checked_mul(1_000).ok_or(RecordError::TimeOutOfRange { device_us })?;
+        let data = serde_json::to_vec(message)?;
+        let topic = match self.topics.get_mut(name) {
+            Some(topic) => topic,
+            None => {
+                let Schema { name: schema, json } = schema();
+                let schema = self.mcap.add_schema(schema, "jsonschema", json.as_bytes())?;
+                let id = self.mcap.add_channel(schema, name, "json", &BTreeMap::new())?;
+                self.topics.entry(name.to_owned()).or_insert(Topic { id, messages: 0 })
+            }
+        };
+        let header = MessageHeader { channel_id: topic.id, sequence: topic.messages, log_time, publish_time: log_time };
+        topic.messages = topic.messages.wrapping_add(1);
+        Ok(self.mcap.write_to_known_channel(&header, &data)?)
+    }
+}

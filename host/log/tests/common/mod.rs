@@ -1,0 +1,89 @@
+//! A small run to test with.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+use std::io::Cursor;
+
+use r4_log::{Header, Recorder};
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, SafetyState, Sample, Setpoint,
+    Telemetry, Unit,
+};
+
+pub(crate) const OSMC: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
+pub(crate) const ACTUATOR: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
+pub(crate) const DHB: ChannelId = ChannelId::new(ChannelKind::Dhb, 2);
+pub(crate) const SUPPLY: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
+pub(crate) const SWITCH: ChannelId = ChannelId::new(ChannelKind::Switch, 3);
+
+pub(crate) fn header() -> Header {
+    let channel = |id, unit, range, resolution, modes: &[(Mode, Unit, Range)]| ChannelInfo {
+        id,
+        unit,
+        range,
+        rate_hz: 1_000.0,
+        resolution,
+        modes: modes.iter().map(|&(mode, unit, range)| ModeInfo { mode, unit, range }).collect(),
+    };
+    let duty = (Mode::Duty, Unit::Duty, Range::symmetric(0.9));
+    Header {
+        robot: "bench \"A\"".into(),
+        board: "sim:osmc-bench".into(),
+        firmware: "0.1.0".into(),
+        protocol_version: r4_protocol::VERSION,
+        channels: vec![
+            channel(
+                OSMC,
+                Unit::Rad,
+                Range::symmetric(f32::INFINITY),
+                0.001,
+                &[(Mode::Position, Unit::Rad, Range::symmetric(f32::INFINITY)), duty],
+            ),
+            channel(
+                ACTUATOR,
+                Unit::M,
+                Range::new(0.0, 0.1),
+                0.000_1,
+                &[
+                    (Mode::Position, Unit::M, Range::new(0.0, 0.1)),
+                    (Mode::Speed, Unit::MPerS, Range::symmetric(0.02)),
+                    duty,
+                ],
+            ),
+            channel(DHB, Unit::Duty, Range::symmetric(0.9), 0.0, &[duty]),
+            channel(SUPPLY, Unit::V, Range::new(0.0, 30.0), 0.0, &[]),
+            channel(SWITCH, Unit::Bool, Range::new(0.0, 1.0), 0.0, &[]),
+        ],
+    }
+}
+
+/// Twenty frames of every channel, an arming, a trip, two commands.
+pub(crate) fn run() -> Vec<u8> {
+    let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
+    recorder.state(500, SafetyState::Disarmed, Causes::NONE).unwrap();
+    recorder.command(900, OSMC, Setpoint { mode: Mode::Position, value: 1.5 }).unwrap();
+    recorder.command(950, ACTUATOR, Setpoint { mode: Mode::Speed, value: -0.01 }).unwrap();
+    for tick in 1..=20_i16 {
+        let motor = |channel, mode, value| Sample::Motor {
+            channel,
+            setpoint: Setpoint { mode, value },
+            position: i32::from(tick) * 7,
+            speed: 0.25,
+            duty: f32::from(tick) / 30.0,
+            settled: tick > 15,
+        };
+        let (state, causes) = match tick {
+            ..18 => (SafetyState::Armed, Causes::NONE),
+            18.. => (SafetyState::Tripped, Causes::only(Cause::DeadMan).union(Causes::from_bits(0x8000))),
+        };
+        let samples = [
+            motor(OSMC, Mode::Position, 1.5),
+            motor(ACTUATOR, Mode::Speed, -0.01),
+            motor(DHB, Mode::Duty, 0.5),
+            Sample::Scalar { channel: SUPPLY, value: 24.5 },
+            Sample::Scalar { channel: SWITCH, value: f32::from(tick % 2) },
+        ];
+        let device_us = tick.unsigned_abs().into();
+        recorder.telemetry(&Telemetry { device_us, state, causes, samples: samples.into_iter().collect() }).unwrap();
+    }
+    recorder.finish().unwrap().into_inner()
+}
