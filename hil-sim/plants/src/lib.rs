@@ -17,7 +17,8 @@
 //! | [`error`] | what can be wrong with a plant's description |
 //!
 //! An effect is one small type, used in two places: the simulator steps it, the identifier fits it. Effects act at five
-//! *insertion points*, in the order of the picture; several at one point act in the order of the file.
+//! *insertion points*, in the order of the picture; several at one point act in the order of the file
+//! (where that matters: frictions and loads add up, and a delay may be anywhere in its input).
 //!
 //! Everything is SI, `f64`, and at the output shaft or rod. The same description, seed and sequence of
 //! [`Plant::advance`] calls give the same bits on every machine.

@@ -3,7 +3,8 @@
 use crate::{
     drive_train::{DriveTrain, MAX_STEP_S, Terminals},
     effect::{
-        Effect, backlash::Play, friction::FrictionStage, input::InputStage, load::LoadStage, sensor::SensorStage,
+        Effect, backlash::Play, delay::DelayLine, friction::FrictionStage, input::InputStage, load::LoadStage,
+        sensor::SensorStage,
     },
     model::PlantKind,
     spec::PlantSpec,
@@ -54,7 +55,9 @@ pub struct Plant {
     kind: PlantKind,
     train: DriveTrain,
     now_s: f64,
+    delay: Option<DelayLine>,
     input: Vec<InputStage>,
+    /// Whether what acts may change while the drive does not.
     input_has_memory: bool,
     source_ohm: f64,
     friction: Vec<FrictionStage>,
@@ -78,13 +81,15 @@ impl Plant {
         let kind = spec.kind();
         let effects = || spec.effects().iter();
         let numbered = || effects().enumerate();
+        let delay = DelayLine::new(effects());
         let input: Vec<_> = effects().filter_map(InputStage::new).collect();
         let sensor: Vec<_> = numbered().filter_map(|(stream, effect)| SensorStage::new(effect, seed, stream)).collect();
         let mut plant = Self {
             kind,
             train: DriveTrain::new(spec.model()),
             now_s: 0.0,
-            input_has_memory: input.iter().any(InputStage::has_memory),
+            input_has_memory: delay.is_some() || input.iter().any(InputStage::has_memory),
+            delay,
             input,
             source_ohm: effects()
                 .map(|effect| if let Effect::SupplySag(sag) = effect { sag.source_ohm } else { 0.0 })
@@ -114,7 +119,8 @@ impl Plant {
     }
 
     /// Puts the plant at rest at a position, without current; the backlash is centred and the sensor has settled.
-    /// What is under way in the input goes on. A position beyond an end stop becomes the stop; one that is not finite is ignored.
+    /// What is under way in the input goes on. A position beyond an end stop becomes the stop; one that is not finite
+    /// is ignored.
     pub fn set_position(&mut self, position: f64) {
         if !position.is_finite() {
             return;
@@ -146,8 +152,9 @@ impl Plant {
         }
         let mut left_s = dt_s;
         while left_s > 0.0 {
-            let step_s = self.next_step_s(drive, left_s);
+            let mut step_s = left_s.min(MAX_STEP_S);
             if self.input_has_memory {
+                let drive = self.through_delay(drive, &mut step_s);
                 self.acting = self.through_input(drive, step_s);
             }
             self.step(supply_v, step_s);
@@ -168,20 +175,21 @@ impl Plant {
         MAX_STEP_S
     }
 
-    /// Up to the next instant at which a delayed input changes, for which the input is told of the drive beforehand.
-    fn next_step_s(&mut self, drive: Drive, left_s: f64) -> f64 {
-        let step_s = left_s.min(MAX_STEP_S);
-        if !self.input_has_memory {
-            return step_s;
+    /// The drive that has arrived by now; ends the step at the next one's arrival.
+    fn through_delay(&mut self, drive: Drive, step_s: &mut f64) -> Drive {
+        let Some(delay) = &mut self.delay else {
+            return drive;
+        };
+        let arrived = delay.apply(drive, self.now_s);
+        let next_s = delay.next_change_s() - self.now_s;
+        if next_s > SHORTEST_STEP_S {
+            *step_s = step_s.min(next_s);
         }
-        self.through_input(drive, 0.0);
-        let change_s = self.input.iter().map(InputStage::next_change_s).fold(f64::INFINITY, f64::min) - self.now_s;
-        if change_s > SHORTEST_STEP_S { step_s.min(change_s) } else { step_s }
+        arrived
     }
 
     fn through_input(&mut self, drive: Drive, step_s: f64) -> Drive {
-        let now_s = self.now_s;
-        self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, now_s, step_s)).clipped()
+        self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, step_s)).clipped()
     }
 
     fn step(&mut self, supply_v: f64, step_s: f64) {

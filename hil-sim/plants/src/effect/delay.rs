@@ -1,7 +1,11 @@
 //! The drive acts a fixed time after it was commanded.
+//!
+//! No other input effect depends on when something happens, so a delay can be before or behind it with the same result.
+//! A plant takes all its delays together, in front: there the drive changes by command only, however the others ramp it.
 
 use std::collections::VecDeque;
 
+use super::Effect;
 use crate::{
     parameter::{Parameter, fitted},
     plant::Drive,
@@ -35,20 +39,26 @@ pub(crate) struct DelayLine {
 }
 
 impl DelayLine {
-    pub(crate) fn new(delay: &InputDelay) -> Self {
-        Self {
-            delay_s: delay.delay_s,
+    /// The delays of a plant together; `None` if it has none.
+    pub(crate) fn new<'a>(effects: impl Iterator<Item = &'a Effect>) -> Option<Self> {
+        let delays = effects
+            .filter_map(|effect| if let Effect::InputDelay(delay) = effect { Some(delay.delay_s) } else { None });
+        let delay_s = delays.reduce(|total_s, delay_s| total_s + delay_s)?;
+        Some(Self {
+            delay_s,
             acting: Drive::COAST,
             newest: Drive::COAST,
             newest_from_s: f64::NEG_INFINITY,
-            under_way: VecDeque::with_capacity(CAPACITY + 1),
-        }
+            under_way: VecDeque::with_capacity(CAPACITY + 2),
+        })
     }
 
+    /// When what acts will change if the command does not; never, if nothing is under way.
     pub(crate) fn next_change_s(&self) -> f64 {
         self.under_way.front().map_or(f64::INFINITY, |(from_s, _)| *from_s)
     }
 
+    /// What acts at `now_s`, when `drive` is commanded.
     pub(crate) fn apply(&mut self, drive: Drive, now_s: f64) -> Drive {
         if drive != self.newest {
             self.newest = drive;
@@ -77,9 +87,13 @@ impl DelayLine {
 mod tests {
     use super::*;
 
+    fn line(delay_s: f64) -> DelayLine {
+        DelayLine::new([Effect::InputDelay(InputDelay { delay_s })].iter()).unwrap()
+    }
+
     #[test]
     fn a_change_acts_exactly_after_the_delay() {
-        let mut line = DelayLine::new(&InputDelay { delay_s: 0.010 });
+        let mut line = line(0.010);
         let [slow, fast] = [Drive::with_brake(0.2), Drive::with_brake(0.8)];
         assert_eq!(line.apply(slow, 1.000), Drive::COAST);
         assert_eq!(line.apply(fast, 1.004), Drive::COAST);
@@ -93,7 +107,7 @@ mod tests {
 
     #[test]
     fn the_queue_never_grows() {
-        let mut line = DelayLine::new(&InputDelay { delay_s: 0.1 });
+        let mut line = line(0.1);
         let capacity = line.under_way.capacity();
         for step in 0..100_000 {
             // 1 us apart: a hundred times closer than the queue can hold one by one
@@ -105,7 +119,7 @@ mod tests {
 
     #[test]
     fn no_delay_is_no_effect() {
-        let mut line = DelayLine::new(&InputDelay { delay_s: 0.0 });
+        let mut line = line(0.0);
         for step in 0..10 {
             let drive = Drive::with_brake(f64::from(step) / 10.0);
             assert_eq!(line.apply(drive, f64::from(step)), drive);

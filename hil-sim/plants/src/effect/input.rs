@@ -1,7 +1,6 @@
 //! Effects on the duty, before it becomes a voltage.
 
-use super::{Effect, delay::DelayLine, slew::Slew};
-pub use super::{delay::InputDelay, slew::SlewLimit};
+use super::{Effect, slew::Slew};
 use crate::{
     parameter::{Parameter, fitted},
     plant::Drive,
@@ -75,26 +74,24 @@ impl DirectionAsymmetry {
     }
 }
 
-/// An input effect with its memory.
+/// An input effect with its memory. The delays are not among them: see [`super::delay`].
 #[derive(Clone, Debug)]
 pub(crate) enum InputStage {
     DeadZone(DeadZone),
     GainCurve(GainCurve),
     Saturation(Saturation),
     DirectionAsymmetry(DirectionAsymmetry),
-    Delay(DelayLine),
     Slew(Slew),
 }
 
 impl InputStage {
-    /// The stage of an input effect; `None` for an effect that acts elsewhere.
+    /// The stage of an input effect; `None` for a delay and for an effect that acts elsewhere.
     pub(crate) fn new(effect: &Effect) -> Option<Self> {
         Some(match effect {
             Effect::DeadZone(zone) => Self::DeadZone(*zone),
             Effect::GainCurve(curve) => Self::GainCurve(*curve),
             Effect::Saturation(saturation) => Self::Saturation(*saturation),
             Effect::DirectionAsymmetry(asymmetry) => Self::DirectionAsymmetry(*asymmetry),
-            Effect::InputDelay(delay) => Self::Delay(DelayLine::new(delay)),
             Effect::SlewLimit(limit) => Self::Slew(Slew::new(limit)),
             _ => return None,
         })
@@ -102,26 +99,16 @@ impl InputStage {
 
     /// Whether its output may change while its input does not.
     pub(crate) fn has_memory(&self) -> bool {
-        matches!(self, Self::Delay(_) | Self::Slew(_))
+        matches!(self, Self::Slew(_))
     }
 
-    /// When its output will change if its input does not; never, for a stage without such a plan.
-    pub(crate) fn next_change_s(&self) -> f64 {
-        match self {
-            Self::Delay(line) => line.next_change_s(),
-            _ => f64::INFINITY,
-        }
-    }
-
-    /// What comes out over the step from `now_s` that is `step_s` long; the mean, where it changes within. A step of 0
-    /// only tells it of the drive, and may be repeated.
-    pub(crate) fn apply(&mut self, drive: Drive, now_s: f64, step_s: f64) -> Drive {
+    /// What comes out over a step; the mean, where it changes within.
+    pub(crate) fn apply(&mut self, drive: Drive, step_s: f64) -> Drive {
         let duty = match self {
             Self::DeadZone(zone) => zone.apply(drive.duty),
             Self::GainCurve(curve) => curve.apply(drive.duty),
             Self::Saturation(saturation) => saturation.apply(drive.duty),
             Self::DirectionAsymmetry(asymmetry) => asymmetry.apply(drive.duty),
-            Self::Delay(line) => return line.apply(drive, now_s),
             Self::Slew(slew) => slew.apply(drive.duty, step_s),
         };
         Drive { duty, ..drive }

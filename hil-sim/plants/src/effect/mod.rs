@@ -10,13 +10,13 @@ use crate::{
 };
 
 pub mod backlash;
-mod delay;
+pub mod delay;
 pub mod friction;
 pub mod input;
 pub mod load;
 mod noise;
 pub mod sensor;
-mod slew;
+pub mod slew;
 pub mod supply;
 
 use backlash::Backlash;

@@ -5,8 +5,10 @@ use crate::{
     EffectInfo, Fitted, InsertionPoint, PlantKind, catalogue,
     effect::{
         backlash::Backlash,
-        input::{DeadZone, GainCurve, InputDelay, SlewLimit},
+        delay::InputDelay,
+        input::{DeadZone, GainCurve},
         sensor::{EncoderOffset, EncoderScale, MissedEdges},
+        slew::SlewLimit,
     },
 };
 
@@ -31,6 +33,17 @@ fn two_delays_add_up() {
         run(plant, Drive::with_brake(1.0), 12.0, 20);
     }
     assert_close(twice.position(), once.position(), 1e-12, "position");
+}
+
+#[test]
+fn a_delay_behind_a_ramp_is_one_before_it() {
+    let [ramp, delay] =
+        [Effect::SlewLimit(SlewLimit { rate_per_s: 10.0 }), Effect::InputDelay(InputDelay { delay_s: 1e-9 })];
+    let [mut before, mut behind] = [motor(MOTOR, &[delay, ramp]), motor(MOTOR, &[ramp, delay])];
+    for plant in [&mut before, &mut behind] {
+        run(plant, Drive::with_brake(1.0), 12.0, 100);
+    }
+    assert_eq!(before.position(), behind.position());
 }
 
 #[test]
