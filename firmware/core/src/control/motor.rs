@@ -45,6 +45,8 @@ pub struct Motor {
     position_counts: i32,
     speed: f32,
     duty: f32,
+    /// Within the band around the target in which a position counts as reached.
+    near: bool,
     at_rest_s: f32,
     watch: StallWatch,
 }
@@ -72,6 +74,7 @@ impl Motor {
             position_counts: 0,
             speed: 0.0,
             duty: 0.0,
+            near: false,
             at_rest_s: 0.0,
             watch: StallWatch::default(),
             period_s,
@@ -107,6 +110,7 @@ impl Motor {
     /// Takes a command, which dispatch has checked.
     pub fn command(&mut self, setpoint: Setpoint) {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
+        self.near = false;
         self.at_rest_s = 0.0;
         match (last.mode, setpoint.mode) {
             (Mode::Position, Mode::Position) => self.profile.shift_target(setpoint.value - last.value),
@@ -127,6 +131,7 @@ impl Motor {
     pub fn stop(&mut self) {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
         self.duty = 0.0;
+        self.near = false;
         self.at_rest_s = 0.0;
         self.watch = StallWatch::default();
     }
@@ -159,18 +164,25 @@ impl Motor {
     fn step_position(&mut self, limits: OutputLimits) -> f32 {
         let distance = self.distance();
         let (to_go, path_speed) = self.profile.step();
-        let near = to_go == 0.0 && distance.abs() <= self.config.settle.error;
-        self.at_rest_s = match near && self.speed.abs() <= self.config.settle.speed {
+        // Left only at twice the error that enters it: noise at the edge must not start the motor again.
+        let band = self.config.settle.error * if self.near { 2.0 } else { 1.0 };
+        let was_settled = self.is_settled();
+        self.near = to_go == 0.0 && distance.abs() <= band;
+        if was_settled && !self.near {
+            // Pushed away: the way back is a path like any other.
+            self.profile.start(distance, self.speed);
+        }
+        self.at_rest_s = match self.near && self.speed.abs() <= self.config.settle.speed {
             true => self.at_rest_s + self.period_s,
             false => 0.0,
         };
-        if near && self.is_settled() {
+        if self.is_settled() {
             // Held by its own friction: a loop that went on integrating over stiction would hunt.
             self.position_loop.reset(0.0);
             return 0.0;
         }
         // While the path moves, friction is overcome in its direction; afterwards towards the target.
-        let towards = match (path_speed != 0.0, near) {
+        let towards = match (path_speed != 0.0, self.near) {
             (true, _) => path_speed.signum(),
             (false, false) => distance.signum(),
             (false, true) => 0.0,

@@ -13,11 +13,13 @@ pub struct OutputLimits {
 
 /// A PID loop of fixed period.
 ///
-/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited, with
-/// `I += (ki e + (u - u_unlimited) / T) dt` and `T = kp / ki`, so that the integral follows the limited output instead
-/// of winding up. The derivative acts on the measured speed `v`, never on the error: a step of the set point does not
-/// kick. There is no time in the interface: the period is fixed, so nothing divides by a measured interval and a wait
-/// before the first step leaves no trace.
+/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured speed `v`,
+/// never on the error: a step of the set point does not kick. There is no time in the interface: the period is fixed, so
+/// nothing divides by a measured interval and a wait before the first step leaves no trace.
+///
+/// Anti-windup: while the output is limited and the error asks for more, integration waits and back-calculation with the
+/// tracking time `kp / ki` unloads `I`, though never past zero. Unlimited back-calculation would drive `I` to the limit
+/// itself during a long saturation, or far beyond zero on a large step, and either is an overshoot later.
 #[derive(Clone, Debug)]
 pub struct Pid {
     gains: PidGains,
@@ -56,11 +58,16 @@ impl Pid {
         }
         let step = limits.slew_per_s * self.period_s;
         let output = unlimited.clamp(self.output - step, self.output + step).clamp(-limits.magnitude, limits.magnitude);
-        // Without a proportional part the tracking time is one period: the integral is simply not moved past a limit.
-        let tracking = if kp > 0.0 { (ki / kp * self.period_s).min(1.0) } else { 1.0 };
-        let integral = self.integral + ki * error * self.period_s + (output - unlimited) * tracking;
-        // No error or load needs more than the whole range of the output, from one end to the other.
-        self.integral = integral.clamp(-2.0 * limits.magnitude, 2.0 * limits.magnitude);
+        let excess = unlimited - output;
+        self.integral = if excess * error > 0.0 {
+            // Without a proportional part the tracking time is one period.
+            let tracking = if kp > 0.0 { (ki / kp * self.period_s).min(1.0) } else { 1.0 };
+            let unload = (excess * tracking).abs().min(self.integral.abs());
+            if self.integral * excess > 0.0 { self.integral - unload.copysign(excess) } else { self.integral }
+        } else {
+            // No load needs more than the whole range of the output, from one end to the other.
+            (self.integral + ki * error * self.period_s).clamp(-2.0 * limits.magnitude, 2.0 * limits.magnitude)
+        };
         self.error = error;
         self.speed = speed;
         self.output = output;
@@ -119,9 +126,16 @@ mod tests {
         for _ in 0..60_000 {
             assert_eq!(pid.step(1.0, 0.0, 0.0, limits), 0.5);
         }
-        // The error turns: the output must leave the limit within two tracking times (kp/ki = 0.4 s), not after a minute.
-        let periods = (0..60_000).take_while(|_| pid.step(-0.01, 0.0, 0.0, limits) > 0.0).count();
-        assert!(periods < 800, "{periods} ms at the wrong sign");
+        // Nothing was integrated in that minute: the output turns with the error.
+        assert!(pid.step(-0.01, 0.0, 0.0, limits) < 0.0);
+
+        // And what was integrated before the limit was reached is unloaded in a few tracking times of kp / ki = 0.4 s.
+        let mut loaded = self::pid(2.0, 5.0, 0.0);
+        while loaded.step(0.2, 0.0, 0.0, limits) < 0.5 {}
+        for _ in 0..4000 {
+            loaded.step(1.0, 0.0, 0.0, limits);
+        }
+        assert!(loaded.step(-0.01, 0.0, 0.0, limits) < 0.0);
     }
 
     #[test]

@@ -37,6 +37,7 @@ mod tests {
         // Backward Euler: 1 - (1 + 1/100)^-100 = 0.6303; the exact exponential is 0.6321.
         assert!((after_tau - 0.6303).abs() < 1e-3, "{after_tau}");
         let end = (0..5000).map(|_| filter.step(1.0)).last().expect("stepped");
-        assert!((end - 1.0).abs() < 1e-6, "DC gain is 1: {end}");
+        // It stops where a step is lost in the rounding: half an ulp over the share of a period, 3e-8 / 0.01.
+        assert!((end - 1.0).abs() < 6e-6, "DC gain is 1: {end}");
     }
 }

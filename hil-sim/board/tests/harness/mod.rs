@@ -1,19 +1,38 @@
 //! A simulated bench with a host connected to it, for tests of the firmware on the board's chips.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use std::rc::Rc;
+use std::{
+    cell::RefCell,
+    future::{pending, poll_fn},
+    pin::pin,
+    rc::Rc,
+    task::Poll,
+};
 
+use embedded_io_async::{Read, Write};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_protocol::{Causes, ChannelId, ChannelKind, Mode, SafetyState, Setpoint};
-use r4_sim::{Pace, SimBoard, Simulation};
+use r4_plants::{Effect, Plant, PlantSpec};
+use r4_protocol::{
+    Causes, ChannelId, ChannelKind, DeviceInfo, FrameDecoder, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState,
+    Setpoint, ToDevice, ToHost, VERSION, encode_frame, frame::MAX_FRAME,
+};
+use r4_sim::{
+    Pace, SimBoard, Simulation,
+    i2c::{Disturbance, Injection, Span, WireRecord},
+    link::Port,
+};
 
 pub(crate) const ROTARY: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 pub(crate) const LINEAR: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
 pub(crate) const SUPPLY_24: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
 pub(crate) const SUPPLY_12: ChannelId = ChannelId::new(ChannelKind::Supply, 1);
 
+pub(crate) const US: u64 = 1_000;
 pub(crate) const MS: u64 = 1_000_000;
+
+/// What turns all outputs of a PCA9685 off, in one write: ALL_LED_OFF_H, full OFF (datasheet 7.3.4).
+pub(crate) const ALL_OFF: [u8; 2] = [0xFD, 0x10];
 
 /// The simulation's clock, as the driver wants it.
 #[derive(Clone)]
@@ -59,8 +78,115 @@ impl Bench<'_> {
 
     /// Whether a bridge does nothing to its motor: every transistor off.
     pub(crate) fn is_off(&self, channel: ChannelId) -> bool {
+        self.device().is_off(channel)
+    }
+
+    /// The board without its host.
+    pub(crate) fn device(&self) -> Device {
+        Device { board: self.board.clone(), clock: self.clock.clone() }
+    }
+
+    /// Arms and turns the rotary motor until it runs, for `ns` at least.
+    pub(crate) async fn run_rotary(&self, ns: u64) {
+        self.host.arm().await.expect("nothing is wrong yet");
+        self.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
+        self.clock.sleep(300 * MS + ns).await;
+        let speed = self.board.world().speed(ROTARY).expect("the bench has the channel");
+        assert!(speed > 0.5, "the motor must run before it can be stopped: {speed} rad/s");
+    }
+}
+
+/// The board and the world, to watch and to break.
+#[derive(Clone)]
+pub(crate) struct Device {
+    pub(crate) board: Rc<SimBoard>,
+    pub(crate) clock: r4_sim::Clock,
+}
+
+impl Device {
+    /// Whether a bridge does nothing to its motor: every transistor off.
+    pub(crate) fn is_off(&self, channel: ChannelId) -> bool {
         self.board.world().drive(channel).expect("the bench has the channel").coast == 1.0
     }
+
+    /// Signed share of the supply at a motor.
+    pub(crate) fn duty(&self, channel: ChannelId) -> f64 {
+        self.board.world().drive(channel).expect("the bench has the channel").duty
+    }
+
+    /// Waits until `done`, looking every 10 µs of virtual time, at most until `limit_ns` after `since_ns`; how long after
+    /// `since_ns` that was, ns.
+    pub(crate) async fn wait_until(&self, since_ns: u64, limit_ns: u64, mut done: impl FnMut() -> bool) -> Option<u64> {
+        loop {
+            let after_ns = self.clock.now_ns() - since_ns;
+            if done() {
+                return Some(after_ns);
+            }
+            if after_ns > limit_ns {
+                return None;
+            }
+            self.clock.sleep(10 * US).await;
+        }
+    }
+
+    /// Waits until both bridges of the bench are off.
+    pub(crate) async fn wait_off(&self, since_ns: u64, limit_ns: u64) -> Option<u64> {
+        self.wait_until(since_ns, limit_ns, || self.is_off(ROTARY) && self.is_off(LINEAR)).await
+    }
+
+    /// Waits until all outputs of the chip were turned off over the wire: to the STOP of the transfer.
+    pub(crate) async fn wait_all_off_written(&self, since_ns: u64, limit_ns: u64) -> Option<u64> {
+        let written = || self.wire_since(since_ns).find(|record| record.fault.is_none() && record.written == ALL_OFF);
+        self.wait_until(since_ns, limit_ns, || written().is_some()).await?;
+        written().map(|record| record.end_ns - since_ns)
+    }
+
+    /// Keeps what goes over the bus from now on.
+    pub(crate) fn record_wire(&self) {
+        self.board.world().bus.set_trace(100_000);
+    }
+
+    /// Transfers that began at `since_ns` or later, oldest first.
+    pub(crate) fn wire_since(&self, since_ns: u64) -> impl Iterator<Item = WireRecord> + use<> {
+        let records: Vec<_> =
+            self.board.world().bus.trace().filter(|record| record.start_ns >= since_ns).cloned().collect();
+        records.into_iter()
+    }
+
+    /// Disturbs the bus from now on, until [`Device::free_bus`].
+    pub(crate) fn disturb(&self, disturbance: Disturbance) {
+        self.inject(disturbance, Span::Time { from_ns: self.clock.now_ns(), until_ns: u64::MAX });
+    }
+
+    pub(crate) fn inject(&self, disturbance: Disturbance, span: Span) {
+        self.board.world().bus.inject(Injection { disturbance, span, address: None });
+    }
+
+    pub(crate) fn free_bus(&self) {
+        self.board.world().bus.clear_injections();
+    }
+
+    /// Gives a motor its physics with one more effect, at rest where it is.
+    pub(crate) fn add_effect(&self, robot: &Robot, channel: ChannelId, effect: Effect) {
+        self.board.world().set_plant(channel, Plant::new(&plant_with(robot, channel, effect), 1));
+    }
+
+    /// Gives a motor the physics of the robot's file.
+    pub(crate) fn repair(&self, robot: &Robot, channel: ChannelId) {
+        self.board.world().set_plant(channel, Plant::new(&plant(robot, channel), 1));
+    }
+}
+
+/// A motor's physics, as the robot's file has it.
+pub(crate) fn plant(robot: &Robot, channel: ChannelId) -> PlantSpec {
+    let motor = robot.simulation.motors.iter().find(|motor| motor.channel == channel).expect("the bench has the channel");
+    PlantSpec::from_toml(&motor.plant.name, &motor.plant.text).expect("built in")
+}
+
+fn plant_with(robot: &Robot, channel: ChannelId, effect: Effect) -> PlantSpec {
+    let mut spec = plant(robot, channel);
+    spec.push_effect(effect).expect("the motor can have the effect");
+    spec
 }
 
 /// The built-in bench.
@@ -89,4 +215,130 @@ pub(crate) fn bench_with_misuse<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<
     let result = simulation.block_on(session).expect("time goes on").expect("a session");
     let misuse = board.world().misuse().iter().map(ToString::to_string).collect();
     (result, misuse)
+}
+
+/// As [`bench`], but after `work` the host is gone without a word, and `alone` goes on with the board.
+pub(crate) fn bench_left_alone<A, T>(
+    robot: &Robot,
+    work: impl AsyncFnOnce(&Bench<'_>) -> A,
+    alone: impl AsyncFnOnce(&Device, A) -> T,
+) -> T {
+    let mut simulation = Simulation::new(Pace::Free);
+    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let port = board.connect().expect("nobody is connected yet");
+    let device = Device { board, clock: simulation.clock() };
+    let left = RefCell::new(None);
+    let mut session = Box::pin(with_board(port.rx, port.tx, HostClock(simulation.clock()), async |host| {
+        let bench = Bench { host, board: device.board.clone(), clock: device.clock.clone() };
+        *left.borrow_mut() = Some(work(&bench).await);
+        pending::<()>().await;
+    }));
+    let work = poll_fn(|context| {
+        // The session only ends by an error, which leaves nothing behind.
+        let ended = session.as_mut().poll(context).is_ready();
+        assert!(!ended, "no session");
+        left.borrow_mut().take().map_or(Poll::Pending, Poll::Ready)
+    });
+    let result = simulation.block_on(work).expect("time goes on");
+    drop(session);
+    let result = simulation.block_on(alone(&device, result)).expect("time goes on");
+    assert_eq!(device.board.world().misuse(), [], "what a chip would have suffered or ignored in silence");
+    result
+}
+
+/// What `future` gives, or `None` if it takes longer than `ns`.
+pub(crate) async fn within<T>(clock: &r4_sim::Clock, ns: u64, future: impl Future<Output = T>) -> Option<T> {
+    let (mut future, mut sleep) = (pin!(future), pin!(clock.sleep(ns)));
+    poll_fn(|context| match future.as_mut().poll(context) {
+        Poll::Ready(value) => Poll::Ready(Some(value)),
+        Poll::Pending => sleep.as_mut().poll(context).map(|()| None),
+    })
+    .await
+}
+
+/// A host that speaks bytes: no driver, no heartbeat of its own.
+pub(crate) struct RawHost {
+    port: Port,
+    clock: r4_sim::Clock,
+    decoder: FrameDecoder,
+    heard: Vec<ToHost>,
+    next_seq: u16,
+}
+
+impl RawHost {
+    pub(crate) async fn send_bytes(&mut self, bytes: &[u8]) {
+        let Ok(()) = self.port.tx.write_all(bytes).await;
+    }
+
+    pub(crate) async fn send(&mut self, message: &ToDevice) {
+        self.send_bytes(&frame(message)).await;
+    }
+
+    /// Everything that arrives in the next `ms`.
+    pub(crate) async fn listen(&mut self, ms: u64) -> Vec<ToHost> {
+        let until_ns = self.clock.now_ns() + ms * MS;
+        while let Some(left_ns @ 1..) = until_ns.checked_sub(self.clock.now_ns()) {
+            self.receive(left_ns).await;
+        }
+        std::mem::take(&mut self.heard)
+    }
+
+    /// The answer to `request`; panics when there is none.
+    pub(crate) async fn ask(&mut self, request: Request) -> Result<Reply, Refusal> {
+        let seq = self.next_seq;
+        self.next_seq = seq.wrapping_add(1);
+        self.send(&ToDevice::Request { seq, request: request.clone() }).await;
+        let until_ns = self.clock.now_ns() + 50 * MS;
+        while let Some(left_ns @ 1..) = until_ns.checked_sub(self.clock.now_ns()) {
+            let own = |message: &ToHost| matches!(message, ToHost::Response { seq: of, .. } if *of == seq);
+            if let Some(place) = self.heard.iter().position(own) {
+                let ToHost::Response { result, .. } = self.heard.remove(place) else { unreachable!() };
+                return result;
+            }
+            self.receive(left_ns).await;
+        }
+        panic!("no answer to {request:?}");
+    }
+
+    /// Opens a session.
+    pub(crate) async fn hello(&mut self) -> DeviceInfo {
+        let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+        match self.ask(hello).await {
+            Ok(Reply::Hello(info)) => info,
+            other => panic!("{other:?} to a hello"),
+        }
+    }
+
+    pub(crate) async fn stats(&mut self) -> r4_protocol::DeviceStats {
+        match self.ask(Request::Stats).await {
+            Ok(Reply::Stats(stats)) => stats,
+            other => panic!("{other:?} when asked for statistics"),
+        }
+    }
+
+    async fn receive(&mut self, ns: u64) {
+        let mut buffer = [0; 256];
+        let Some(Ok(len)) = within(&self.clock, ns, self.port.rx.read(&mut buffer)).await else { return };
+        for byte in &buffer[..len] {
+            if let Some(message) = self.decoder.push(*byte) {
+                self.heard.push(message.expect("the board sends whole frames"));
+            }
+        }
+    }
+}
+
+/// The bytes of a message.
+pub(crate) fn frame(message: &ToDevice) -> Vec<u8> {
+    encode_frame(message, &mut [0; MAX_FRAME]).expect("every message fits").to_vec()
+}
+
+/// Powers up `robot` and runs `work` with a host that speaks bytes.
+pub(crate) fn raw_bench<T>(robot: &Robot, work: impl AsyncFnOnce(&mut RawHost, &Device) -> T) -> T {
+    let mut simulation = Simulation::new(Pace::Free);
+    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let port = board.connect().expect("nobody is connected yet");
+    let clock = simulation.clock();
+    let device = Device { board, clock: clock.clone() };
+    let mut host = RawHost { port, clock, decoder: FrameDecoder::new(), heard: Vec::new(), next_seq: 0 };
+    simulation.block_on(work(&mut host, &device)).expect("time goes on")
 }

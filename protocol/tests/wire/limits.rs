@@ -1,0 +1,136 @@
+//! Every message fits a frame, and the buffers end where they should.
+
+use proptest::{prop_assert, proptest};
+use r4_protocol::{
+    ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, ToDevice, ToHost, Unit,
+    encode_frame,
+    frame::{MAX_FRAME, MAX_MESSAGE, MessageTooLong},
+};
+
+use crate::{frame, payload, receive, samples, strategies};
+
+/// Bytes of the longest message to a board: a `Set`.
+const LONGEST_TO_DEVICE: usize = 25;
+/// Bytes of the longest message to a host: a full `Telemetry`.
+const LONGEST_TO_HOST: usize = 192;
+
+/// The lengths are pinned because the schema hash does not see how much a `Vec` or a `String` holds.
+#[test]
+fn the_longest_message_of_each_kind_fits_a_frame() {
+    let request = ToDevice::Request { seq: u16::MAX, request: samples::largest_request() };
+    let heartbeat = ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX };
+    let reply = |reply| ToHost::Response { seq: u16::MAX, result: Ok(reply) };
+    let telemetry = ToHost::Telemetry(samples::largest_telemetry());
+    for (what, len, expected) in [
+        ("request", payload(&request).len(), LONGEST_TO_DEVICE),
+        ("heartbeat", payload(&heartbeat).len(), 14),
+        ("hello", payload(&reply(samples::largest_reply())).len(), 77),
+        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 55),
+        ("telemetry", payload(&telemetry).len(), LONGEST_TO_HOST),
+    ] {
+        assert_eq!(len, expected, "{what}");
+        assert!(len <= MAX_MESSAGE, "{what}");
+    }
+}
+
+proptest! {
+    /// So that the longest messages above are the longest.
+    #[test]
+    fn no_message_is_longer_than_the_longest(to_device in strategies::to_device(), to_host in strategies::to_host()) {
+        prop_assert!(payload(&to_device).len() <= LONGEST_TO_DEVICE);
+        prop_assert!(payload(&to_host).len() <= LONGEST_TO_HOST);
+    }
+}
+
+/// A stand-in for a message: as long as its test wants it.
+type Bytes = heapless::Vec<u8, 400>;
+
+/// `len` bytes with their length before them.
+fn bytes_of_encoded_length(len: usize, value: u8) -> Bytes {
+    let bytes: Bytes = core::iter::repeat_n(value, len - 2).collect();
+    assert_eq!(payload(&bytes).len(), len, "a length of 128 or more takes two bytes");
+    bytes
+}
+
+#[test]
+fn the_longest_frame_goes_through_and_a_longer_message_is_not_sent() {
+    for value in [0x00, 0x55, 0xFF] {
+        let longest = bytes_of_encoded_length(MAX_MESSAGE, value);
+        assert_eq!(frame(&longest).len(), MAX_FRAME, "COBS adds one byte, whatever the message holds");
+        assert_eq!(receive::<Bytes>(&frame(&longest)), [Ok(longest)]);
+        let longer = bytes_of_encoded_length(MAX_MESSAGE + 1, value);
+        assert_eq!(encode_frame(&longer, &mut [0; MAX_FRAME]), Err(MessageTooLong));
+    }
+}
+
+/// Without delimiters a frame has at most `MAX_FRAME` - 1 bytes. The decoder's buffer has room for one more, so that
+/// one is not told from a frame; from the next one on it is.
+#[test]
+fn a_frame_that_is_too_long_is_one_error_and_the_next_frame_is_taken() {
+    let next = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    for len in [MAX_FRAME + 1, MAX_FRAME + 2, 2 * MAX_FRAME, 2 * MAX_FRAME + 1, 100_000] {
+        for value in [0x01, 0x55, 0xFF] {
+            let mut bytes = vec![value; len];
+            bytes.push(0);
+            bytes.extend(frame(&next));
+            assert_eq!(receive(&bytes), [Err(FrameError::TooLong), Ok(next.clone())], "{len} bytes of {value:#04x}");
+        }
+    }
+}
+
+/// A good frame at the end of an endless one is not taken out of it.
+#[test]
+fn a_frame_inside_a_too_long_one_is_not_taken() {
+    let message = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    let mut bytes = vec![0x01; MAX_FRAME + 1];
+    bytes.extend(frame(&message));
+    assert_eq!(receive::<ToDevice>(&bytes), [Err(FrameError::TooLong)]);
+}
+
+#[test]
+fn delimiters_alone_are_not_frames() {
+    let message = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    let mut bytes = vec![0; 1000];
+    bytes.extend(frame(&message));
+    bytes.extend([0; 1000]);
+    assert_eq!(receive(&bytes), [Ok(message)]);
+}
+
+#[test]
+fn a_frame_too_short_for_a_checksum_is_malformed() {
+    for bytes in [&[0x01, 0][..], &[0x02, 0x55, 0], &[0x01, 0x01, 0], &[0x03, 0x55, 0], &[0xFF, 0]] {
+        assert_eq!(receive::<ToDevice>(bytes), [Err(FrameError::Malformed)], "{bytes:02x?}");
+    }
+}
+
+/// Undamaged, but longer, shorter or other than this version's messages.
+#[test]
+fn a_message_of_another_version_is_not_a_message() {
+    let unknown_variant = 2u8;
+    assert_eq!(receive::<ToDevice>(&frame(&unknown_variant)), [Err(FrameError::NotAMessage)]);
+    let heartbeat = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    assert_eq!(receive::<ToDevice>(&frame(&(heartbeat, 0u8))), [Err(FrameError::NotAMessage)], "a field more");
+    assert_eq!(receive::<ToDevice>(&frame(&(1u8, 7u8))), [Err(FrameError::NotAMessage)], "a field less");
+    assert_eq!(receive::<ToDevice>(&frame(&())), [Err(FrameError::NotAMessage)], "nothing");
+}
+
+/// A board with more samples or longer names than this version's is another version's: an error, not a cut-off list.
+#[test]
+fn lists_longer_than_this_versions_are_not_a_message() {
+    let samples = samples::largest_telemetry().samples;
+    let one_more: heapless::Vec<_, 9> = samples.iter().chain(&samples[..1]).copied().collect();
+    let telemetry = (2u8, 1u8, 0u8, 0u8, one_more);
+    assert_eq!(receive::<ToHost>(&frame(&telemetry)), [Err(FrameError::NotAMessage)]);
+}
+
+fn largest_channel() -> ChannelInfo {
+    let mode = ModeInfo { mode: Mode::Duty, unit: Unit::Bool, range: Range::symmetric(f32::MAX) };
+    ChannelInfo {
+        id: ChannelId::new(ChannelKind::DeadMan, u8::MAX),
+        unit: Unit::Bool,
+        range: Range::symmetric(f32::MAX),
+        rate_hz: f32::MAX,
+        resolution: f32::MAX,
+        modes: [mode; 3].into_iter().collect(),
+    }
+}

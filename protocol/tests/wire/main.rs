@@ -1,0 +1,44 @@
+//! The wire format, seen from outside the crate: golden bytes, limits, and what damage on a link does.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | `samples` | hand-written messages, the source of `tests/golden/v1.txt` |
+//! | `golden` | those bytes, the schema hash, and the encodings that are frozen for ever |
+//! | `coverage` | which enum variants a message holds, read off its bytes and the schema |
+//! | `strategies` | any message, for property tests |
+//! | `limits` | every message fits a frame; the decoder's buffer ends where it should |
+//! | `damage` | cut, flipped, random bytes |
+
+mod coverage;
+mod damage;
+mod golden;
+mod limits;
+mod samples;
+mod strategies;
+
+use r4_protocol::{FrameDecoder, FrameError, encode_frame, frame::MAX_FRAME};
+use serde::{Serialize, de::DeserializeOwned};
+
+/// One frame, delimiter included.
+fn frame<T: Serialize>(message: &T) -> Vec<u8> {
+    let mut buffer = [0; MAX_FRAME];
+    encode_frame(message, &mut buffer).expect("the message fits").to_vec()
+}
+
+/// What comes before CRC and COBS.
+fn payload<T: Serialize>(message: &T) -> Vec<u8> {
+    let mut buffer = [0; 1024];
+    postcard::to_slice(message, &mut buffer).expect("the message fits").to_vec()
+}
+
+/// Everything a fresh decoder makes of `bytes`.
+fn receive<T: DeserializeOwned>(bytes: &[u8]) -> Vec<Result<T, FrameError>> {
+    let mut decoder = FrameDecoder::new();
+    bytes.iter().filter_map(|byte| decoder.push(*byte)).collect()
+}
+
+/// Whether a fresh decoder takes exactly one message from `frame`, and it is `message`. Compares bytes: a NaN comes back
+/// with every bit, but is not equal to itself.
+fn gives_back<T: Serialize + DeserializeOwned>(frame: &[u8], message: &T) -> bool {
+    matches!(&receive::<T>(frame)[..], [Ok(received)] if payload(received) == payload(message))
+}

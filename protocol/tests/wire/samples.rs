@@ -1,0 +1,296 @@
+//! Hand-written messages: at least one for every enum variant that can travel, and those with extreme values.
+
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, Mode, ModeInfo, Range, Refusal, Reply,
+    Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, config::PidGains, message::MAX_SAMPLES,
+};
+
+const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
+const ACTUATOR1: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
+const SUPPLY0: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
+/// The channel name with the largest bytes.
+const LAST: ChannelId = ChannelId::new(ChannelKind::DeadMan, u8::MAX);
+/// A quiet NaN, pinned: `f32::NAN`'s bits are not promised.
+const NAN: f32 = f32::from_bits(0x7FC0_0000);
+/// A schema hash that is nobody's, so that the rows do not change with the schema.
+const SCHEMA: u64 = 0x0123_4567_89AB_CDEF;
+
+/// Names are `what` or `what-which`; they are the rows' names in the golden table.
+pub(crate) fn to_device() -> Vec<(&'static str, ToDevice)> {
+    let mut rows: Vec<(&'static str, ToDevice)> = requests()
+        .into_iter()
+        .zip(1..)
+        .map(|((name, request), seq)| (name, ToDevice::Request { seq, request }))
+        .collect();
+    rows.extend([
+        ("request-seq-0", ToDevice::Request { seq: 0, request: Request::Stats }),
+        ("request-seq-127", ToDevice::Request { seq: 127, request: Request::Stats }),
+        ("request-seq-128", ToDevice::Request { seq: 128, request: Request::Stats }),
+        ("request-seq-largest", ToDevice::Request { seq: u16::MAX, request: Request::Stats }),
+        ("request-largest", ToDevice::Request { seq: u16::MAX, request: largest_request() }),
+        ("heartbeat", ToDevice::Heartbeat { session: 7, host_us: 1_234_567 }),
+        ("heartbeat-zero", ToDevice::Heartbeat { session: 0, host_us: 0 }),
+        ("heartbeat-largest", ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX }),
+    ]);
+    rows
+}
+
+/// As [`to_device`].
+pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
+    let mut rows: Vec<(&'static str, ToHost)> = replies()
+        .into_iter()
+        .map(|(name, reply)| (name, Ok(reply)))
+        .chain(refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
+        .zip(1..)
+        .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
+        .collect();
+    rows.push(("response-largest", ToHost::Response { seq: u16::MAX, result: Ok(largest_reply()) }));
+    rows.extend(heartbeats());
+    rows.extend(telemetry().map(|(name, telemetry)| (name, ToHost::Telemetry(telemetry))));
+    rows
+}
+
+/// The request with the most bytes.
+pub(crate) fn largest_request() -> Request {
+    Request::Set {
+        channel: LAST,
+        setpoint: Setpoint { mode: Mode::Duty, value: f32::MAX },
+        sent_us: u64::MAX,
+        ttl_ms: u16::MAX,
+    }
+}
+
+/// The reply with the most bytes.
+pub(crate) fn largest_reply() -> Reply {
+    Reply::Hello(DeviceInfo {
+        robot: "thirty-two bytes of a robot name".try_into().expect("32 bytes"),
+        firmware: "255.255.65535-rc".try_into().expect("16 bytes"),
+        session: u16::MAX,
+        channels: u8::MAX,
+        link_timeout_ms: u16::MAX,
+        device_us: u64::MAX,
+        state: SafetyState::Tripped,
+        causes: Causes::from_bits(u16::MAX),
+    })
+}
+
+/// The telemetry with the most bytes.
+pub(crate) fn largest_telemetry() -> Telemetry {
+    Telemetry {
+        device_us: u64::MAX,
+        state: SafetyState::Tripped,
+        causes: Causes::from_bits(u16::MAX),
+        samples: [LARGEST_SAMPLE; MAX_SAMPLES].into_iter().collect(),
+    }
+}
+
+const LARGEST_SAMPLE: Sample = Sample::Motor {
+    channel: LAST,
+    setpoint: Setpoint { mode: Mode::Duty, value: f32::MAX },
+    position: i32::MIN,
+    speed: f32::MIN,
+    duty: f32::MIN_POSITIVE,
+    settled: true,
+};
+
+fn requests() -> Vec<(&'static str, Request)> {
+    let set = |channel, mode, value| Request::Set {
+        channel,
+        setpoint: Setpoint { mode, value },
+        sent_us: 1_000_000,
+        ttl_ms: 50,
+    };
+    let gains = PidGains { kp: 0.5, ki: 2.0, kd: 0.0625 };
+    let subscribe = |kind, index| Request::Subscribe { channel: ChannelId::new(kind, index), period_ms: 20 };
+    vec![
+        ("hello", Request::Hello { version: 1, schema: SCHEMA }),
+        ("hello-largest", Request::Hello { version: u16::MAX, schema: u64::MAX }),
+        ("bye", Request::Bye),
+        ("describe", Request::Describe { index: 3 }),
+        ("describe-largest", Request::Describe { index: u8::MAX }),
+        ("arm", Request::Arm),
+        ("disarm", Request::Disarm),
+        ("clear", Request::Clear),
+        ("stop", Request::Stop),
+        ("set-position", set(OSMC0, Mode::Position, 1.5)),
+        ("set-speed", set(ACTUATOR1, Mode::Speed, -0.02)),
+        ("set-duty", set(OSMC0, Mode::Duty, -1.0)),
+        ("set-minus-zero", set(OSMC0, Mode::Duty, -0.0)),
+        ("set-subnormal", set(OSMC0, Mode::Duty, f32::from_bits(1))),
+        ("set-nan", set(OSMC0, Mode::Speed, NAN)),
+        ("set-infinite", set(OSMC0, Mode::Speed, f32::NEG_INFINITY)),
+        ("subscribe-osmc", subscribe(ChannelKind::Osmc, 3)),
+        ("subscribe-actuator", subscribe(ChannelKind::Actuator, 1)),
+        ("subscribe-dhb", subscribe(ChannelKind::Dhb, 3)),
+        ("subscribe-bldc", subscribe(ChannelKind::Bldc, 3)),
+        ("subscribe-servo", subscribe(ChannelKind::Servo, 15)),
+        ("subscribe-stepper", subscribe(ChannelKind::Stepper, 3)),
+        ("subscribe-relay", subscribe(ChannelKind::Relay, 7)),
+        ("subscribe-encoder", subscribe(ChannelKind::Encoder, 3)),
+        ("subscribe-switch", subscribe(ChannelKind::Switch, 3)),
+        ("subscribe-range", subscribe(ChannelKind::Range, 3)),
+        ("subscribe-analog", subscribe(ChannelKind::Analog, 5)),
+        ("subscribe-supply", subscribe(ChannelKind::Supply, 0)),
+        ("subscribe-dac", subscribe(ChannelKind::Dac, 1)),
+        ("subscribe-dead-man", subscribe(ChannelKind::DeadMan, 0)),
+        ("subscribe-end", Request::Subscribe { channel: SUPPLY0, period_ms: 0 }),
+        ("subscribe-largest", Request::Subscribe { channel: LAST, period_ms: u16::MAX }),
+        ("set-gains-position", Request::SetGains { channel: ACTUATOR1, mode: Mode::Position, gains }),
+        ("set-gains-speed", Request::SetGains { channel: OSMC0, mode: Mode::Speed, gains }),
+        ("stats", Request::Stats),
+    ]
+}
+
+fn replies() -> Vec<(&'static str, Reply)> {
+    let input = |kind, unit, max, rate_hz| {
+        let (id, range) = (ChannelId::new(kind, 2), Range::new(0.0, max));
+        Reply::Channel(ChannelInfo { id, unit, range, rate_hz, resolution: 0.0, modes: heapless::Vec::new() })
+    };
+    let mode = |mode, unit, limit| ModeInfo { mode, unit, range: Range::symmetric(limit) };
+    let stats = DeviceStats {
+        ticks: 1,
+        late_ticks: 2,
+        worst_tick_us: 300,
+        bus_retries: 4,
+        frames: 50_000,
+        bad_frames: 6,
+        refused: 7,
+        telemetry_dropped: 8,
+    };
+    vec![
+        (
+            "welcome",
+            Reply::Hello(DeviceInfo {
+                robot: "osmc-bench".try_into().expect("short"),
+                firmware: "0.1.0".try_into().expect("short"),
+                session: 7,
+                channels: 4,
+                link_timeout_ms: 200,
+                device_us: 2_000_000,
+                state: SafetyState::Disarmed,
+                causes: Causes::NONE,
+            }),
+        ),
+        (
+            "channel-rad",
+            Reply::Channel(ChannelInfo {
+                id: OSMC0,
+                unit: Unit::Rad,
+                range: Range::symmetric(8.0),
+                rate_hz: 1000.0,
+                resolution: 0.0015,
+                modes: [
+                    mode(Mode::Position, Unit::Rad, 8.0),
+                    mode(Mode::Speed, Unit::RadPerS, 20.0),
+                    mode(Mode::Duty, Unit::Duty, 0.95),
+                ]
+                .into_iter()
+                .collect(),
+            }),
+        ),
+        (
+            "channel-m",
+            Reply::Channel(ChannelInfo {
+                id: ACTUATOR1,
+                unit: Unit::M,
+                range: Range::new(0.01, 0.09),
+                rate_hz: 1000.0,
+                resolution: 1e-6,
+                modes: [mode(Mode::Speed, Unit::MPerS, 0.02)].into_iter().collect(),
+            }),
+        ),
+        ("channel-v", input(ChannelKind::Supply, Unit::V, 30.0, 100.0)),
+        ("channel-bool", input(ChannelKind::DeadMan, Unit::Bool, 1.0, 1000.0)),
+        ("channel-infinite", input(ChannelKind::Range, Unit::M, f32::INFINITY, NAN)),
+        ("counters", Reply::Stats(stats)),
+        (
+            "counters-largest",
+            Reply::Stats(DeviceStats {
+                ticks: u32::MAX,
+                late_ticks: u32::MAX,
+                worst_tick_us: u32::MAX,
+                bus_retries: u32::MAX,
+                frames: u32::MAX,
+                bad_frames: u32::MAX,
+                refused: u32::MAX,
+                telemetry_dropped: u32::MAX,
+            }),
+        ),
+        ("done", Reply::Done),
+    ]
+}
+
+fn refusals() -> Vec<(&'static str, Refusal)> {
+    let range = Range::new(-1.5, 2.5);
+    let causes = Causes::only(Cause::DeadMan).union(Causes::only(Cause::SupplyOutOfRange));
+    vec![
+        ("refused-protocol-mismatch", Refusal::ProtocolMismatch { version: 1, schema: SCHEMA }),
+        ("refused-protocol-mismatch-largest", Refusal::ProtocolMismatch { version: u16::MAX, schema: u64::MAX }),
+        ("refused-no-session", Refusal::NoSession),
+        ("refused-in-use", Refusal::InUse),
+        ("refused-unknown-channel", Refusal::UnknownChannel { channel: LAST }),
+        ("refused-no-such-index", Refusal::NoSuchIndex { index: u8::MAX }),
+        ("refused-wrong-mode", Refusal::WrongMode { channel: SUPPLY0, mode: Mode::Duty }),
+        ("refused-not-finite", Refusal::NotFinite { channel: OSMC0 }),
+        ("refused-out-of-range", Refusal::OutOfRange { channel: OSMC0, asked: 2.75, range }),
+        ("refused-not-armed-disarmed", Refusal::NotArmed { state: SafetyState::Disarmed }),
+        ("refused-not-armed-tripped", Refusal::NotArmed { state: SafetyState::Tripped }),
+        ("refused-causes-present", Refusal::CausesPresent { causes }),
+        ("refused-causes-present-all", Refusal::CausesPresent { causes: every_cause() }),
+        ("refused-tripped", Refusal::Tripped { causes: Causes::only(Cause::BadConfiguration) }),
+        ("refused-expired", Refusal::Expired { age_ms: 80, ttl_ms: 50 }),
+        ("refused-expired-largest", Refusal::Expired { age_ms: u32::MAX, ttl_ms: u16::MAX }),
+        ("refused-bad-gains", Refusal::BadGains { channel: ACTUATOR1 }),
+        ("refused-too-many-subscriptions", Refusal::TooManySubscriptions),
+    ]
+}
+
+fn heartbeats() -> [(&'static str, ToHost); 4] {
+    let beat = |state, causes| ToHost::Heartbeat { host_us: 1_234_567, device_us: 2_000_000, state, causes };
+    [
+        ("heartbeat-disarmed", beat(SafetyState::Disarmed, Causes::NONE)),
+        ("heartbeat-armed", beat(SafetyState::Armed, Causes::NONE)),
+        ("heartbeat-tripped", beat(SafetyState::Tripped, Causes::only(Cause::LinkLost))),
+        (
+            "heartbeat-largest",
+            ToHost::Heartbeat {
+                host_us: u64::MAX,
+                device_us: u64::MAX,
+                state: SafetyState::Tripped,
+                causes: Causes::from_bits(u16::MAX),
+            },
+        ),
+    ]
+}
+
+fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
+    let motor = |position, speed, settled| Sample::Motor {
+        channel: OSMC0,
+        setpoint: Setpoint { mode: Mode::Position, value: 1.5 },
+        position,
+        speed,
+        duty: -0.25,
+        settled,
+    };
+    let volts = Sample::Scalar { channel: SUPPLY0, value: 24.5 };
+    let armed = |samples: &[Sample]| Telemetry {
+        device_us: 2_000_000,
+        state: SafetyState::Armed,
+        causes: Causes::NONE,
+        samples: samples.iter().copied().collect(),
+    };
+    [
+        ("telemetry-empty", armed(&[])),
+        ("telemetry-motor", armed(&[motor(-63, 0.0, true)])),
+        ("telemetry-scalar", armed(&[volts])),
+        ("telemetry-both", armed(&[motor(1000, 3.5, false), volts])),
+        ("telemetry-position-largest", armed(&[motor(i32::MAX, f32::MAX, false)])),
+        ("telemetry-nan", armed(&[Sample::Scalar { channel: SUPPLY0, value: NAN }])),
+        ("telemetry-largest", largest_telemetry()),
+    ]
+    .into_iter()
+}
+
+fn every_cause() -> Causes {
+    Cause::ALL.into_iter().fold(Causes::NONE, |all, cause| all.union(Causes::only(cause)))
+}

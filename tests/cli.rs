@@ -1,0 +1,665 @@
+//! What a user does with `r4`, done to the program itself.
+
+use std::{
+    fmt::Write as _,
+    fs,
+    io::{BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::mpsc::{Receiver, RecvTimeoutError, channel},
+    thread,
+    time::{Duration, Instant},
+};
+
+use r4_log::Log;
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use tempfile::TempDir;
+
+/// A run that is not over by then hangs. The longest takes a second.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// What the demo promises, and what a move is held to here.
+const WITHIN_DEG: f64 = 1.0;
+const WITHIN_MM: f64 = 0.2;
+
+// The program under test.
+
+/// A started `r4`; stopped when dropped.
+struct Running {
+    child: Child,
+    begin: Instant,
+    out: Option<Receiver<String>>,
+    err: Receiver<String>,
+}
+
+/// What a user sees of a run.
+#[derive(Debug)]
+struct Seen {
+    /// `None` when a signal ended it.
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+/// `r4` with these arguments, away from the sources and from the user's settings.
+fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
+    command.args(args).current_dir(env!("CARGO_TARGET_TMPDIR")).env_remove("R4_BOARD").stdin(Stdio::null());
+    command
+}
+
+fn start(mut command: Command) -> Running {
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("r4 starts");
+    let out = child.stdout.take().map(lines);
+    let err = child.stderr.take().map(lines).expect("piped");
+    Running { child, begin: Instant::now(), out, err }
+}
+
+/// Lines as they come, read in a thread: the pipe is closed when the receiver is dropped.
+fn lines(pipe: impl Read + Send + 'static) -> Receiver<String> {
+    let (sender, receiver) = channel();
+    thread::spawn(move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    receiver
+}
+
+/// The next line, or `None` at the end.
+fn next(from: &Receiver<String>, begin: Instant) -> Option<String> {
+    match from.recv_timeout(PATIENCE.saturating_sub(begin.elapsed())) {
+        Ok(line) => Some(line),
+        Err(RecvTimeoutError::Disconnected) => None,
+        Err(RecvTimeoutError::Timeout) => panic!("r4 is still running after {PATIENCE:?}"),
+    }
+}
+
+fn rest(from: &Receiver<String>, begin: Instant) -> String {
+    std::iter::from_fn(|| next(from, begin)).fold(String::new(), |all, line| all + &line + "\n")
+}
+
+impl Running {
+    fn finish(mut self) -> Seen {
+        let out = self.out.take().map(|out| rest(&out, self.begin)).unwrap_or_default();
+        let err = rest(&self.err, self.begin);
+        let code = self.child.wait().expect("it has ended").code();
+        Seen { code, out, err }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // After `finish` there is nothing left to kill.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn r4(args: &[&str]) -> Seen {
+    start(command(args)).finish()
+}
+
+/// A run that must succeed and say nothing on stderr.
+fn good(args: &[&str]) -> String {
+    let seen = r4(args);
+    assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
+    seen.out
+}
+
+/// The one JSON object on stdout of a run that must succeed.
+fn good_json(args: &[&str]) -> Value {
+    object(&good(args))
+}
+
+fn object(text: &str) -> Value {
+    let value: Value = serde_json::from_str(text).unwrap_or_else(|why| panic!("{why}: {text}"));
+    assert!(value.is_object(), "{text}");
+    value
+}
+
+/// What is wrong with how bad input was received, if anything.
+fn complaint(args: &[&str], says: &[&str]) -> Option<String> {
+    let seen = r4(args);
+    let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
+    let refused = matches!(seen.code, Some(1 | 2)) && seen.out.is_empty();
+    (!told || !refused).then(|| format!("{args:?} should say {says:?}: {seen:#?}\n"))
+}
+
+/// Each is refused: exit code 1 or 2, a message on stderr with all of these words, nothing on stdout.
+fn all_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
+    let complaints: String = cases.into_iter().filter_map(|(args, says)| complaint(args, says)).collect();
+    assert!(complaints.is_empty(), "{complaints}");
+}
+
+fn number(value: &Value, field: &str) -> f64 {
+    value[field].as_f64().unwrap_or_else(|| panic!("`{field}` is a number in {value}"))
+}
+
+fn text<'v>(value: &'v Value, field: &str) -> &'v str {
+    value[field].as_str().unwrap_or_else(|| panic!("`{field}` is text in {value}"))
+}
+
+fn array<'v>(value: &'v Value, field: &str) -> &'v [Value] {
+    value[field].as_array().unwrap_or_else(|| panic!("`{field}` is a list in {value}"))
+}
+
+fn path(path: &Path) -> &str {
+    path.to_str().expect("a temporary path is UTF-8")
+}
+
+// A robot of the user's own: the files of osmc-bench in a folder, to be changed.
+
+const ROBOT: &str = include_str!("../boards/osmc-bench.toml");
+const ACTUATOR: &str = include_str!("../boards/plants/osmc-bench-actuator.toml");
+
+struct Own {
+    folder: TempDir,
+    robot: String,
+}
+
+impl Own {
+    fn new(robot: &str, actuator: &str) -> Self {
+        let folder = TempDir::new().expect("a temporary folder");
+        fs::create_dir(folder.path().join("plants")).unwrap_or_else(|why| panic!("{why}"));
+        for (name, text) in [("robot.toml", robot), ("plants/osmc-bench-actuator.toml", actuator)] {
+            fs::write(folder.path().join(name), text).unwrap_or_else(|why| panic!("{name}: {why}"));
+        }
+        let robot = format!("sim:{}", path(&folder.path().join("robot.toml")));
+        Self { folder, robot }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+}
+
+/// `file` with the first line after `section` that sets `key` replaced, and that line's number.
+///
+/// By name and not by value, so that no test cares how the bench is tuned.
+fn edited(file: &str, section: &str, key: &str, line: &str) -> (String, usize) {
+    let section = file.lines().position(|line| line.starts_with(section)).expect("the section is there");
+    let sets = |line: &&str| line.split_once('=').is_some_and(|(name, _)| name.trim() == key);
+    let index = section + file.lines().skip(section).position(|line| sets(&line)).expect("the key is there");
+    let lines = file.lines().enumerate().map(|(at, old)| if at == index { line } else { old });
+    (lines.fold(String::new(), |all, line| all + line + "\n"), index + 1)
+}
+
+/// An actuator whose screw nothing on this bench can move.
+fn stuck() -> String {
+    edited(ACTUATOR, "[[effects]]", "force_n", "force_n = 1e6").0
+}
+
+// r4 demo
+
+/// Channel, set point, the paper's result and unit: Alabi, Camara, Fox, TAROS 2023, Tables 1 and 2.
+const PAPER: [(&str, f64, f64, &str); 9] = [
+    ("osmc0", 90.0, 91.0, "deg"),
+    ("osmc0", 180.0, 182.0, "deg"),
+    ("osmc0", 270.0, 272.0, "deg"),
+    ("osmc0", 360.0, 363.0, "deg"),
+    ("actuator1", 10.0, 7.0, "mm"),
+    ("actuator1", 25.0, 23.0, "mm"),
+    ("actuator1", 40.0, 39.0, "mm"),
+    ("actuator1", 70.0, 68.0, "mm"),
+    ("actuator1", 85.0, 83.0, "mm"),
+];
+
+#[test]
+fn demo_json_reports_every_set_point_within_its_promise() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("new/folder");
+    let report = good_json(&["demo", "--out", path(&out), "--json"]);
+    assert_eq!(text(&report, "board"), "sim:osmc-bench");
+    let rows = array(&report, "rows");
+    assert_eq!(rows.len(), PAPER.len());
+    let mut settling_s = 0.0;
+    for (row, (channel, set, paper, unit)) in rows.iter().zip(PAPER) {
+        assert_eq!((text(row, "channel"), text(row, "unit")), (channel, unit));
+        assert_eq!((number(row, "set"), number(row, "paper"), number(row, "error_paper")), (set, paper, paper - set));
+        let within = if unit == "deg" { WITHIN_DEG } else { WITHIN_MM };
+        let (ours, error) = (number(row, "ours"), number(row, "error_ours"));
+        assert!((ours - set - error).abs() < 1e-9 && error.abs() <= within, "{row}");
+        assert!(number(row, "settling_s") > 0.0, "{row}");
+        settling_s += number(row, "settling_s");
+    }
+    assert!(number(&report, "simulated_s") > settling_s, "{report}");
+    assert!(number(&report, "real_time_factor") > 1.0, "{report}");
+
+    let log = fs::read(out.join("log.mcap")).unwrap();
+    let sha256 = Sha256::digest(&log).iter().fold(String::new(), |mut hex, byte| {
+        let _ = write!(hex, "{byte:02x}");
+        hex
+    });
+    assert_eq!(text(&report, "log_sha256"), sha256);
+    assert!(out.join("report.html").is_file());
+}
+
+#[test]
+fn demo_logs_what_it_reports() {
+    let folder = TempDir::new().unwrap();
+    let report = good_json(&["demo", "--out", path(folder.path()), "--json"]);
+    let log = Log::read(folder.path().join("log.mcap")).unwrap();
+    assert!(log.warnings.is_empty(), "{:?}", log.warnings);
+    assert_eq!((log.header.robot.as_str(), log.header.board.as_str()), ("osmc-bench", "sim:osmc-bench"));
+    let per_si = |unit: &str| if unit == "deg" { 1f64.to_degrees() } else { 1e3 };
+    assert_eq!(log.commands.len(), PAPER.len());
+    for (command, (channel, set, _, unit)) in log.commands.iter().zip(PAPER) {
+        assert_eq!(command.channel.to_string(), channel);
+        // Set points travel as 32-bit floats: 24 bits of 360.
+        assert!((command.setpoint.value * per_si(unit) - set).abs() < 360.0 / f64::from(1 << 23), "{command:?}");
+    }
+    for index in [3, 8] {
+        let row = &array(&report, "rows")[index];
+        let motor = log.motor(text(row, "channel").parse().unwrap()).unwrap();
+        let last = motor.samples.last().unwrap().position * per_si(text(row, "unit"));
+        // What the sensor saw last is where the output rests, but for an encoder count (0.15 deg) or the converter's
+        // noise (5 codes of 1.6 um).
+        assert!((last - number(row, "ours")).abs() < 0.2, "{last}: {row}");
+    }
+}
+
+#[test]
+fn demo_report_is_self_contained() {
+    let folder = TempDir::new().unwrap();
+    good(&["demo", "--out", path(folder.path())]);
+    let page = fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(
+        page.to_lowercase().starts_with("<!doctype html>")
+            && page.contains("<svg")
+            && page.trim_end().ends_with("</html>")
+    );
+    // The namespace of SVG is a name that looks like an address; nothing loads it.
+    let page = page.replace("http://www.w3.org/2000/svg", "");
+    for outside in ["http:", "https:", "<script", "<link", "<img", "<iframe", "src=", "@import", "url("] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    for (channel, ..) in PAPER {
+        assert!(page.contains(channel), "{channel}");
+    }
+}
+
+#[test]
+fn demo_is_the_same_for_a_seed_and_another_for_another() {
+    let folder = TempDir::new().unwrap();
+    let run = |name: &str, seed: &str| {
+        let out = folder.path().join(name);
+        let mut report = good_json(&["demo", "--seed", seed, "--out", path(&out), "--json"]);
+        // What may differ: the speed of the machine and where the files were asked for.
+        for field in ["real_time_factor", "log", "report"] {
+            report.as_object_mut().unwrap().remove(field);
+        }
+        let file = |name| fs::read(out.join(name)).unwrap();
+        (report, file("log.mcap"), file("report.html"))
+    };
+    let (first, again, other) = (run("first", "7"), run("again", "7"), run("other", "8"));
+    assert!(first == again, "{}\n{}", first.0, again.0);
+    assert!(first.1 != other.1, "the noise does not depend on the seed");
+}
+
+#[test]
+fn demo_prints_a_table_for_people() {
+    let folder = TempDir::new().unwrap();
+    let printed = good(&["demo", "--out", path(folder.path())]);
+    for (channel, set, paper, unit) in PAPER {
+        let words = [channel, &set.to_string(), unit, &paper.to_string(), "ok"];
+        let has_all = |line: &str| words.iter().all(|word| line.split_whitespace().any(|of_line| of_line == *word));
+        assert!(printed.lines().any(has_all), "no line with {words:?} in\n{printed}");
+    }
+    for word in ["x real time", "sha256", path(&folder.path().join("log.mcap")), "report.html"] {
+        assert!(printed.contains(word), "no {word} in\n{printed}");
+    }
+}
+
+#[test]
+fn demo_measures_the_output_and_not_the_sensor() {
+    // The rod is at 99 mm where the calibration has 100: sensor and controller agree, and both are wrong by 1 %.
+    let high = "high = { code_10bit = 989.0, position_m = 0.099 }";
+    let own = Own::new(&edited(ROBOT, "[simulation.linear.potentiometer]", "high", high).0, ACTUATOR);
+    let seen = r4(&["--board", &own.robot, "demo", "--out", path(&own.path("out")), "--json"]);
+    assert_eq!(seen.code, Some(1), "{seen:?}");
+    assert!(seen.err.contains("not every set point"), "{seen:?}");
+    for (row, (channel, set, ..)) in array(&object(&seen.out), "rows").iter().zip(PAPER).skip(4) {
+        assert_eq!(text(row, "channel"), channel);
+        assert!((number(row, "error_ours") + 0.01 * set).abs() <= WITHIN_MM, "{row}");
+    }
+}
+
+#[test]
+fn demo_tells_which_set_points_never_settled_and_keeps_the_log() {
+    // A nanometre is below the converter's noise: the actuator arrives and is never at rest.
+    let own = Own::new(&edited(ROBOT, "[actuator.settle]", "error_m", "error_m = 1e-9").0, ACTUATOR);
+    let out = own.path("out");
+    let seen = r4(&["--board", &own.robot, "demo", "--out", path(&out), "--json"]);
+    assert_eq!(seen.code, Some(1), "{seen:?}");
+    assert!(seen.err.contains("not every set point"), "{seen:?}");
+    let report = object(&seen.out);
+    for (row, (channel, ..)) in array(&report, "rows").iter().zip(PAPER) {
+        assert_eq!(row["settling_s"].is_null(), channel == "actuator1", "{row}");
+    }
+    assert!(out.join("log.mcap").is_file() && out.join("report.html").is_file());
+}
+
+// r4 info
+
+#[test]
+fn info_describes_every_channel() {
+    let report = good_json(&["info", "--json"]);
+    assert_eq!(text(&report, "board"), "sim:osmc-bench");
+    assert!(!text(&report, "firmware").is_empty());
+    assert_eq!(report["protocol"], r4_protocol::VERSION);
+    let channels: Vec<_> = array(&report, "channels")
+        .iter()
+        .map(|channel| {
+            assert!(number(channel, "min") < number(channel, "max") && number(channel, "rate_hz") > 0.0, "{channel}");
+            (text(channel, "id"), text(channel, "kind"), text(channel, "unit"))
+        })
+        .collect();
+    let expected = [
+        ("osmc0", "osmc", "rad"),
+        ("actuator1", "actuator", "m"),
+        ("supply0", "supply", "V"),
+        ("supply1", "supply", "V"),
+    ];
+    assert_eq!(channels, expected);
+
+    let printed = good(&["info"]);
+    for (id, ..) in expected {
+        assert!(printed.contains(id), "{id} in\n{printed}");
+    }
+}
+
+// r4 move, speed, duty
+
+#[test]
+fn a_motor_goes_where_it_is_sent() {
+    for (channel, typed, set, within) in [
+        ("osmc0", "90deg", 90f64.to_radians(), WITHIN_DEG.to_radians()),
+        ("osmc0", "0.25turn", 90f64.to_radians(), WITHIN_DEG.to_radians()),
+        ("actuator1", "25mm", 0.025, WITHIN_MM * 1e-3),
+        ("actuator1", "0.04m", 0.04, WITHIN_MM * 1e-3),
+    ] {
+        let end = good_json(&["move", channel, typed, "--json"]);
+        assert_eq!((text(&end, "channel"), text(&end, "mode"), &end["settled"]), (channel, "position", &true.into()));
+        assert!((number(&end, "set") - set).abs() < 1e-9, "{typed}: {end}");
+        assert!((number(&end, "position") - set).abs() <= within, "{typed}: {end}");
+    }
+    let printed = good(&["move", "actuator1", "25mm"]);
+    assert!(printed.starts_with("actuator1 rests at ") && printed.contains("25.00 mm"), "{printed}");
+}
+
+#[test]
+fn speed_and_duty_are_held_for_a_time() {
+    let end = good_json(&["speed", "osmc0", "1rad/s", "--for", "3", "--json"]);
+    assert_eq!((text(&end, "mode"), text(&end, "unit")), ("speed", "rad/s"));
+    // How well a speed is held is a matter of the firmware's own tests: here, that it is this speed and this time.
+    assert!((number(&end, "speed") - 1.0).abs() < 0.2, "{end}");
+    assert!((number(&end, "seconds") - 3.0).abs() < 0.1, "{end}");
+
+    let end = good_json(&["duty", "osmc0", "80%", "--json"]);
+    assert_eq!((text(&end, "mode"), text(&end, "unit")), ("duty", "duty"));
+    assert!((number(&end, "duty") - 0.8).abs() < 1e-6 && number(&end, "position") > 0.0, "{end}");
+    assert!((number(&end, "seconds") - 2.0).abs() < 0.1, "the default: {end}");
+
+    for args in [["speed", "actuator1", "5mm/s"], ["duty", "actuator1", "0.5"]] {
+        let printed = good(&args);
+        assert!(printed.starts_with("actuator1 at ") && printed.contains("now stopped"), "{printed}");
+    }
+}
+
+#[test]
+fn a_negative_value_is_typed_like_any_other() {
+    for args in [["move", "osmc0", "-90deg", "--json"], ["move", "osmc0", "--json", "-90deg"]] {
+        let end = good_json(&args);
+        assert!((number(&end, "position").to_degrees() + 90.0).abs() <= WITHIN_DEG, "{end}");
+    }
+    let end = good_json(&["speed", "osmc0", "-1rad/s", "--json"]);
+    assert!(number(&end, "speed") < 0.0, "{end}");
+    for typed in ["-60%", "-0.6"] {
+        let end = good_json(&["duty", "osmc0", typed, "--json"]);
+        assert!((number(&end, "duty") + 0.6).abs() < 1e-6, "{end}");
+    }
+    all_refused([
+        (&["move", "actuator1", "-5mm"][..], &["actuator1", " to "][..]),
+        (&["arm", "--for", "-1", "--pace", "max"], &["--for", "above 0"]),
+        (&["watch", "--for", "-1", "--pace", "max"], &["--for", "above 0"]),
+        (&["arm", "--pace", "-1", "--for", "1"], &["--pace", "above 0"]),
+    ]);
+}
+
+#[test]
+fn a_motor_that_cannot_move_is_an_error_in_bounded_time() {
+    let own = Own::new(ROBOT, &stuck());
+    all_refused([
+        (&["--board", &own.robot, "move", "actuator1", "25mm"][..], &["stalled", "free the mechanism"][..]),
+        (&["--board", &own.robot, "move", "actuator1", "25mm", "--json"], &["stalled"]),
+    ]);
+    let seen = r4(&["--board", &own.robot, "demo", "--out", path(&own.path("out")), "--json"]);
+    assert!(seen.code == Some(1) && seen.err.contains("stalled"), "{seen:?}");
+}
+
+#[test]
+fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
+    // Stuck, and the stall is not looked for within the 30 s a move is given.
+    let own = Own::new(&edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0, &stuck());
+    all_refused([
+        (&["--board", &own.robot, "move", "actuator1", "25mm"][..], &["actuator1", "not settled", "30.0 s"][..]),
+        (&["move", "actuator1", "25mm", "--for", "0.5"], &["actuator1", "not settled", "0.5 s"]),
+    ]);
+}
+
+// r4 arm, disarm, clear, watch
+
+#[test]
+fn arm_for_a_time_then_disarm_and_clear() {
+    let seen = r4(&["arm", "--for", "2", "--pace", "max", "--json"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+    let state = object(&seen.out);
+    assert_eq!((text(&state, "board"), text(&state, "state")), ("sim:osmc-bench", "armed"));
+    assert!(array(&state, "causes").is_empty());
+    assert!(seen.err.contains("Ctrl-C disarms"), "{seen:?}");
+    for verb in ["disarm", "clear"] {
+        assert_eq!(text(&good_json(&[verb, "--json"]), "state"), "disarmed");
+        assert_eq!(good(&[verb]), "sim:osmc-bench is disarmed\n");
+    }
+}
+
+#[test]
+fn a_flat_battery_is_named_and_nothing_moves() {
+    // The board trips below 20 V.
+    let own = Own::new(&edited(ROBOT, "[[simulation.rail]]", "emf_v", "emf_v = 19.0").0, ACTUATOR);
+    let board = ["--board", &own.robot];
+    let with = |args: &[&'static str]| -> Vec<&str> { board.into_iter().chain(args.iter().copied()).collect() };
+    let says = ["supply out of range", "battery"];
+    for args in [&["arm", "--for", "1", "--pace", "max"][..], &["move", "osmc0", "90deg"], &["clear"]] {
+        all_refused([(&with(args)[..], &says[..])]);
+    }
+    let state = good_json(&with(&["disarm", "--json"]));
+    assert_eq!(text(&state, "state"), "tripped");
+    assert_eq!(array(&state, "causes"), ["supply out of range"]);
+}
+
+#[test]
+fn watch_prints_channels_as_they_change() {
+    let printed = good(&["watch", "--for", "1", "--pace", "max", "--json"]);
+    let lines: Vec<Value> = printed.lines().map(object).collect();
+    let times: Vec<f64> = lines.iter().map(|line| number(line, "time_s")).collect();
+    // Five a second, and one more or less at the ends.
+    assert!((4..=6).contains(&times.len()) && times.is_sorted_by(|a, b| a < b), "{times:?}");
+    assert!(times.iter().all(|time_s| (0.0..=1.1).contains(time_s)), "{times:?}");
+    for line in &lines {
+        assert_eq!(text(line, "state"), "disarmed");
+        let channels: Vec<_> = array(line, "channels").iter().map(|value| text(value, "channel")).collect();
+        assert_eq!(channels, ["osmc0", "actuator1", "supply0", "supply1"]);
+    }
+    let volts = number(&array(&lines[0], "channels")[2], "value");
+    assert!((volts - 24.0).abs() < 0.5, "{volts}");
+
+    let printed = good(&["watch", "supply0", "--rate", "50", "--for", "1", "--pace", "max"]);
+    assert!((49..=51).contains(&printed.lines().count()), "{printed}");
+    assert!(printed.lines().all(|line| line.contains("supply0") && !line.contains("osmc0")), "{printed}");
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_and_a_polite_kill_disarm() {
+    for signal in ["-INT", "-TERM"] {
+        let running = start(command(&["arm"]));
+        let armed = std::iter::from_fn(|| next(&running.err, running.begin)).any(|line| line.contains("armed"));
+        assert!(armed, "{:?}", running.finish());
+        let pid = running.child.id().to_string();
+        assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
+        let seen = running.finish();
+        assert!(seen.code.is_some_and(|code| code != 0), "{signal}: {seen:?}");
+        assert!(seen.err.contains("the board is disarmed"), "{signal}: {seen:?}");
+    }
+}
+
+// Bad input
+
+#[test]
+fn a_bad_argument_is_refused_with_what_to_type_instead() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("file");
+    fs::write(&file, "").unwrap();
+    let (below_file, no_file) = (file.join("out"), format!("sim:{}", path(&folder.path().join("none.toml"))));
+    all_refused([
+        // Which board.
+        (&["--board", "sim:nothing", "info"][..], &["nothing", "osmc-bench", ".toml"][..]),
+        (&["--board", "sim:nothing", "demo", "--json"], &["nothing", "osmc-bench", ".toml"]),
+        (&["--board", "osmc-bench", "info"], &["osmc-bench", "sim:osmc-bench"]),
+        (&["--board", "", "info"], &["sim:osmc-bench"]),
+        (&["--board", "sim:", "info"], &["sim:osmc-bench"]),
+        (&["--board", "serial:/dev/ttyACM0", "info"], &["serial:/dev/ttyACM0", "this version", "sim:osmc-bench"]),
+        (&["--board", "can:can0", "info"], &["this version", "sim:osmc-bench"]),
+        (&["--board", &no_file, "info"], &["none.toml", "cannot be read"]),
+        // Which channel.
+        (&["move", "osmc9", "90deg"], &["osmc9", "`r4 info`"]),
+        (&["move", "motor", "90deg"], &["motor", "osmc0"]),
+        (&["move", "supply0", "12deg"], &["supply0", "`r4 info`"]),
+        (&["watch", "osmc3", "--for", "1", "--pace", "max"], &["osmc3", "`r4 info`"]),
+        // What is no quantity.
+        (&["move", "osmc0"], &["<VALUE>"]),
+        (&["move", "osmc0", "90"], &["osmc0", "deg"]),
+        (&["move", "osmc0", "fast"], &["fast", "90deg"]),
+        (&["move", "osmc0", "nan deg"], &["nan deg", "90deg"]),
+        (&["move", "osmc0", "1e999rad"], &["1e999"]),
+        (&["move", "osmc0", "1e300rad"], &["osmc0"]),
+        (&["duty", "osmc0", "NaN"], &["NaN", "90deg"]),
+        (&["speed", "osmc0", "infrad/s"], &["infrad/s", "90deg"]),
+        // What the channel does not take.
+        (&["move", "osmc0", "25mm"], &["osmc0", "position", "deg"]),
+        (&["move", "actuator1", "90deg"], &["actuator1", "position", "mm"]),
+        (&["speed", "osmc0", "90deg"], &["osmc0", "speed", "deg/s"]),
+        (&["duty", "osmc0", "90deg"], &["osmc0", "duty"]),
+        (&["move", "osmc0", "11turn"], &["osmc0", " to "]),
+        (&["move", "actuator1", "150mm"], &["actuator1", " to "]),
+        (&["speed", "osmc0", "100rad/s"], &["osmc0", " to "]),
+        (&["duty", "osmc0", "1.5"], &["osmc0", "-0.902 to 0.902"]),
+        // Options.
+        (&["arm", "--for=-1", "--pace", "max"], &["--for", "above 0"]),
+        (&["arm", "--for", "nan", "--pace", "max"], &["--for", "above 0"]),
+        (&["arm", "--pace", "0", "--for", "1"], &["--pace", "above 0", "max"]),
+        (&["arm", "--pace", "nan", "--for", "1"], &["--pace", "above 0", "max"]),
+        (&["watch", "--rate", "0", "--for", "1"], &["--rate", "0.1 to 500"]),
+        (&["info", "--seed", "lucky"], &["--seed", "lucky"]),
+        (&["demo", "--out", path(&below_file)], &["file/out"]),
+        // No verb, or none that is known.
+        (&[], &["Usage", "demo", "info"]),
+        (&["fly"], &["fly", "Usage"]),
+    ]);
+}
+
+#[test]
+fn a_mistake_in_a_file_is_reported_with_file_line_and_field() {
+    let robot = |section, key, line| {
+        let (text, at) = edited(ROBOT, section, key, line);
+        (Own::new(&text, ACTUATOR), format!("robot.toml:{at}: "))
+    };
+    let plant = |section, key, line| {
+        let (text, at) = edited(ACTUATOR, section, key, line);
+        (Own::new(ROBOT, &text), format!("osmc-bench-actuator.toml:{at}: "))
+    };
+    for ((own, place), field, says) in [
+        (robot("[[osmc]]", "speed_max_rad_s", "speed_max_rad_s ="), "osmc[0].speed_max_rad_s", ""),
+        (robot("[[osmc]]", "speed_filter_s", "speed_filter_ms = 10"), "osmc[0].speed_filter_ms", "`speed_filter_s`"),
+        (robot("[[osmc]]", "duty_max", "duty_max = 1.5"), "osmc[0].duty_max", "at most"),
+        (robot("[[actuator]]", "channel", "channel = \"actuator9\""), "actuator[0].channel", "0 to 3"),
+        (robot("[[simulation.rotary]]", "plant", "plant = \"no.toml\""), "simulation.rotary[0].plant", "no.toml"),
+        (plant("[parameters]", "resistance_ohm", "resistance_ohm = 0.0"), "parameters.resistance_ohm", "outside"),
+        (plant("[[effects]]", "force_n", "force = 100.0"), "effects[1].force", "force_n"),
+        (plant("[[effects]]", "effect", "effect = \"magic\""), "effects[0].effect", "coulomb-friction"),
+    ] {
+        all_refused([(&["--board", &own.robot, "info"][..], &[&place[..], field, says][..])]);
+    }
+}
+
+#[test]
+fn a_robot_without_a_simulation_exists_as_hardware_only() {
+    let (hardware, _) = ROBOT.split_once("\n[[simulation").unwrap();
+    let own = Own::new(hardware, ACTUATOR);
+    all_refused([(&["--board", &own.robot, "info"][..], &["robot.toml", "[simulation]"][..])]);
+}
+
+#[test]
+fn the_board_may_come_from_the_environment() {
+    let with = |args: &[&str]| {
+        let mut command = command(args);
+        command.env("R4_BOARD", "sim:nothing");
+        start(command).finish()
+    };
+    let seen = with(&["info"]);
+    assert!(seen.code == Some(1) && seen.err.contains("`nothing`"), "{seen:?}");
+    assert_eq!(with(&["--board", "sim:osmc-bench", "info"]).code, Some(0), "what is typed comes first");
+}
+
+#[test]
+fn a_message_says_it_once() {
+    let own = Own::new(&edited(ROBOT, "[[simulation.rotary]]", "plant", "plant = \"no.toml\"").0, ACTUATOR);
+    let flat = Own::new(&edited(ROBOT, "[[simulation.rail]]", "emf_v", "emf_v = 19.0").0, ACTUATOR);
+    for args in [
+        &["--board", "sim:none.toml", "info"][..],
+        &["--board", &own.robot, "info"],
+        &["--board", &flat.robot, "clear"],
+        &["move", "osmc9", "90deg"],
+        &["duty", "osmc0", "1.5"],
+    ] {
+        let seen = r4(args);
+        let message = seen.err.trim_end();
+        let twice = message.match_indices(": ").any(|(at, colon)| {
+            let (before, after) = (&message[..at], &message[at + colon.len()..]);
+            before.ends_with(after)
+        });
+        assert!(!message.is_empty() && !twice, "{args:?}: {message}");
+    }
+}
+
+#[test]
+fn a_pace_that_no_clock_can_keep_is_refused() {
+    all_refused([(&["arm", "--for", "1", "--pace", "1e-300"][..], &["--pace"][..])]);
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_ends_the_program_quietly() {
+    let mut running = start(command(&["watch", "--pace", "max"]));
+    let out = running.out.take().unwrap();
+    assert!(next(&out, running.begin).is_some());
+    drop(out);
+    let seen = running.finish();
+    assert!(seen.code != Some(101) && !seen.err.contains("panicked"), "{seen:?}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn output_that_cannot_be_written_is_an_error() {
+    let folder = TempDir::new().unwrap();
+    for args in [&["info"][..], &["info", "--json"], &["demo", "--out", path(folder.path()), "--json"]] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let mut child = command(args).stdout(full).stderr(Stdio::piped()).spawn().unwrap();
+        let err = child.stderr.take().map(lines).unwrap();
+        let seen = Running { child, begin: Instant::now(), out: None, err }.finish();
+        assert!(seen.code == Some(1) && !seen.err.contains("panicked") && !seen.err.is_empty(), "{args:?}: {seen:?}");
+    }
+}
