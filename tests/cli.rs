@@ -425,7 +425,7 @@ fn a_negative_value_is_typed_like_any_other() {
         (&["move", "actuator1", "-5mm"][..], &["actuator1", " to "][..]),
         (&["arm", "--for", "-1", "--pace", "max"], &["--for", "above 0"]),
         (&["watch", "--for", "-1", "--pace", "max"], &["--for", "above 0"]),
-        (&["arm", "--pace", "-1", "--for", "1"], &["--pace", "above 0"]),
+        (&["arm", "--pace", "-1", "--for", "1"], &["--pace", "0.01"]),
     ]);
 }
 
@@ -561,8 +561,8 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         // Options.
         (&["arm", "--for=-1", "--pace", "max"], &["--for", "above 0"]),
         (&["arm", "--for", "nan", "--pace", "max"], &["--for", "above 0"]),
-        (&["arm", "--pace", "0", "--for", "1"], &["--pace", "above 0", "max"]),
-        (&["arm", "--pace", "nan", "--for", "1"], &["--pace", "above 0", "max"]),
+        (&["arm", "--pace", "0", "--for", "1"], &["--pace", "0.01", "max"]),
+        (&["arm", "--pace", "nan", "--for", "1"], &["--pace", "0.01", "max"]),
         (&["watch", "--rate", "0", "--for", "1"], &["--rate", "0.1 to 500"]),
         (&["info", "--seed", "lucky"], &["--seed", "lucky"]),
         (&["demo", "--out", path(&below_file)], &["file/out"]),

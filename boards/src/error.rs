@@ -37,7 +37,7 @@ pub enum BoardError {
         known: Vec<&'static str>,
     },
     /// The file named by the caller cannot be read.
-    #[error("{path}: cannot be read: {source}")]
+    #[error("{path}: cannot be read")]
     NotReadable {
         /// The path, as it was given.
         path: String,
@@ -45,7 +45,7 @@ pub enum BoardError {
         source: io::Error,
     },
     /// A file that this file names cannot be read, and is not built in either.
-    #[error("{at}: `{path}` cannot be read: {source}")]
+    #[error("{at}: `{path}` cannot be read")]
     MissingFile {
         /// Where it is named.
         at: Location,

@@ -14,6 +14,7 @@ use r4_firmware::{
     safety::{SafetyPins, supervise},
 };
 use r4_plants::PlantError;
+use r4_protocol::ChannelId;
 
 use crate::{
     executor::Simulation,
@@ -34,6 +35,18 @@ pub enum SimError {
     NoSimulation {
         /// Of the robot.
         file: String,
+    },
+    /// A motor starts where it cannot be.
+    #[error("{file}: {channel} starts at {start}, beyond its end stop at {stop}: correct its start in [simulation]")]
+    StartBeyondStop {
+        /// Of the robot.
+        file: String,
+        /// Which motor.
+        channel: ChannelId,
+        /// rad or m
+        start: f64,
+        /// rad or m
+        stop: f64,
     },
     /// A plant's file is wrong.
     #[error(transparent)]
@@ -58,6 +71,13 @@ impl SimBoard {
         }
         let clock = simulation.clock();
         let world = Rc::new(RefCell::new(World::new(robot, clock.clone(), seed)?));
+        for motor in &robot.simulation.motors {
+            let stop = world.borrow_mut().position(motor.channel).unwrap_or(motor.start);
+            if stop != motor.start {
+                let (file, channel, start) = (robot.file.clone(), motor.channel, motor.start);
+                return Err(SimError::StartBeyondStop { file, channel, start, stop });
+            }
+        }
         let dead_man = Line::new(true);
         let shared: Rc<Shared<NoopRawMutex>> =
             clock.enter(|| Rc::new(Shared::new(robot.config.clone(), ResetCause::Normal)));

@@ -116,7 +116,8 @@ impl Simulation {
 
     fn keep_pace(&self, (wall, begin_ns): (Instant, u64), next_ns: u64) {
         if let Pace::RealTime(factor) = self.pace {
-            let due = Duration::from_nanos(next_ns - begin_ns).div_f64(factor);
+            let due_s = (next_ns - begin_ns) as f64 * 1e-9 / factor;
+            let due = Duration::try_from_secs_f64(due_s).unwrap_or(Duration::MAX);
             // Pacing for a person: the only place in the simulator that looks at the wall.
             std::thread::sleep(due.saturating_sub(wall.elapsed()));
         }

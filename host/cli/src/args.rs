@@ -9,21 +9,22 @@ use crate::{quantity::Quantity, session::Target};
 
 /// Drives R4 boards, real and simulated.
 ///
-/// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood.
+/// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 130 after
+/// Ctrl-C, which disarms first.
 #[derive(Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
-    /// Print the result as one JSON object on stdout; messages stay on stderr
+    /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
     #[arg(long, global = true)]
     pub(crate) json: bool,
     /// Seed of a simulated board's noise
     #[arg(long, global = true, default_value_t = 1)]
     pub(crate) seed: u64,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
-    #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max")]
+    #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
     #[command(subcommand)]
     pub(crate) command: Command,
@@ -38,7 +39,7 @@ pub(crate) enum Command {
     /// Arm and stay connected until Ctrl-C, or for a time
     Arm {
         /// Disarm after this long
-        #[arg(long = "for", value_parser = seconds, value_name = "SECONDS")]
+        #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: Option<f64>,
     },
     /// Make outputs safe
@@ -67,10 +68,10 @@ pub(crate) struct Motion {
     /// The channel, as in osmc0 or actuator1
     pub(crate) channel: ChannelId,
     /// A number with its unit: 90deg 1.57rad 0.25turn 25mm 0.025m | 60rpm 2rad/s 10mm/s | 0.3 or 30%
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_hyphen_values = true)]
     pub(crate) value: Quantity,
     /// How long: to hold a speed or duty [default: 2], to wait for a position [default: 30]
-    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS")]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
 
@@ -82,7 +83,7 @@ pub(crate) struct Watch {
     #[arg(long, default_value_t = 5.0, value_parser = rate)]
     pub(crate) rate: f64,
     /// Stop after this long
-    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS")]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
 
@@ -105,8 +106,8 @@ fn parse_pace(text: &str) -> Result<r4_sim::Pace, String> {
         return Ok(r4_sim::Pace::Free);
     }
     match text.parse::<f64>() {
-        Ok(factor) if factor > 0.0 && factor.is_finite() => Ok(r4_sim::Pace::RealTime(factor)),
-        _ => Err("a number above 0 (1 is real time), or max".into()),
+        Ok(factor) if (0.01..=1e6).contains(&factor) => Ok(r4_sim::Pace::RealTime(factor)),
+        _ => Err("0.01 to 1000000 (1 is real time), or max".into()),
     }
 }
 

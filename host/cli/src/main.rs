@@ -2,6 +2,7 @@
 
 mod args;
 mod commands;
+mod output;
 mod quantity;
 mod report;
 mod session;
@@ -13,6 +14,8 @@ use clap::Parser;
 use r4_protocol::Mode;
 
 use args::{Args, Command};
+use output::OutputError;
+use session::Interrupted;
 
 fn main() -> ExitCode {
     let args = Args::parse();
@@ -30,9 +33,13 @@ fn main() -> ExitCode {
     match result {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
+        // Whoever reads the output has seen enough.
+        Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
+        // Watching ends when the person who watches says so.
+        Err(error) if error.is::<Interrupted>() && matches!(args.command, Command::Watch(_)) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("r4: {error:#}");
-            ExitCode::FAILURE
+            if error.is::<Interrupted>() { ExitCode::from(130) } else { ExitCode::FAILURE }
         }
     }
 }

@@ -52,7 +52,12 @@ impl FromStr for Quantity {
 impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (factor, unit, decimals) = human(self.unit);
-        write!(f, "{:.decimals$}{}{unit}", self.value * factor, if unit.is_empty() { "" } else { " " })
+        let number = format!("{:.decimals$}", self.value * factor);
+        // What rounds to zero has no sign.
+        let is_zero = !number.contains(|digit: char| ('1'..='9').contains(&digit));
+        let number = if is_zero { number.trim_start_matches('-') } else { &number };
+        let space = if unit.is_empty() { "" } else { " " };
+        f.pad(&format!("{number}{space}{unit}"))
     }
 }
 
@@ -99,5 +104,6 @@ mod tests {
         let shown = |value| Quantity { value, unit: Unit::M }.to_string();
         assert_eq!(shown(0.02499), "24.99 mm");
         assert_eq!(shown(0.009_996), "10.00 mm");
+        assert_eq!(shown(-0.000_001), "0.00 mm");
     }
 }

@@ -32,7 +32,10 @@ impl FromStr for Target {
             Some(("emu" | "serial" | "can" | "tcp", _)) => {
                 Err(format!("`{text}`: this version only has simulated boards, as in sim:osmc-bench"))
             }
-            _ => Err(format!("`{text}` names no board: write sim: and a robot, as in sim:osmc-bench")),
+            _ => {
+                let known: Vec<_> = r4_boards::names().map(|name| format!("sim:{name}")).collect();
+                Err(format!("`{text}` names no board: write sim: and a robot's name or file; built in: {}", known.join(" ")))
+            }
         }
     }
 }
@@ -95,6 +98,11 @@ impl Elapsed {
     }
 }
 
+/// Somebody pressed Ctrl-C.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted; the board is disarmed")]
+pub(crate) struct Interrupted;
+
 /// How often Ctrl-C is looked for, on the session's clock.
 const INTERRUPT_POLL_US: u64 = 10_000;
 
@@ -143,7 +151,7 @@ async fn unless_interrupted<T>(
         futures::future::Either::Left((result, _)) => result,
         futures::future::Either::Right(((), _)) => {
             session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;
-            bail!("interrupted; the board is disarmed")
+            Err(Interrupted.into())
         }
     }
 }

@@ -239,7 +239,8 @@ impl<C: Clock> Board<C> {
     /// [`Error::Stopped`] when the board trips or is disarmed, [`Error::NotSettled`] after the time-out, besides what
     /// befalls any request.
     pub async fn drive(&self, channel: ChannelId, setpoint: Setpoint, until: Until) -> Result<Motion, Error> {
-        let resolution = f64::from(self.channel(channel)?.resolution);
+        let info = self.channel(channel)?;
+        let (resolution, unit) = (f64::from(info.resolution), info.unit);
         let mut telemetry = self.telemetry();
         self.subscribe(channel, LOOK_EVERY_MS).await?;
         let begin_us = self.device_us();
@@ -249,7 +250,7 @@ impl<C: Clock> Board<C> {
             if frame.state != SafetyState::Armed {
                 return Err(Error::Stopped { causes: frame.causes });
             }
-            let after_s = frame.device_us.saturating_sub(begin_us) as f64 * 1e-6;
+            let after_s = frame.device_us.saturating_sub(begin_us) as f64 / 1e6;
             let own = frame.samples.iter().find_map(|sample| match *sample {
                 // The frames under way when the command was sent still follow the last one.
                 Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled }
@@ -270,7 +271,7 @@ impl<C: Clock> Board<C> {
                 Until::Settled { .. } if motion.settled => return Ok(motion),
                 Until::Settled { timeout_s } if after_s > timeout_s => {
                     let (target, position) = (setpoint.value.into(), motion.position);
-                    return Err(Error::NotSettled { channel, target, position, after_s });
+                    return Err(Error::NotSettled { channel, target, position, unit, after_s });
                 }
                 Until::Elapsed { seconds } if after_s >= seconds => return Ok(motion),
                 Until::Settled { .. } | Until::Elapsed { .. } => {}

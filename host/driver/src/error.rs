@@ -1,12 +1,12 @@
 //! What can go wrong between a host and a board.
 
-use r4_protocol::{Causes, ChannelId, Refusal};
+use r4_protocol::{Causes, ChannelId, Refusal, Unit};
 
 /// Why an operation on a board did not succeed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// The board got the request and said no.
-    #[error("{0}")]
+    #[error(transparent)]
     Refused(#[from] Refusal),
     /// No answer in time, though the link is alive. What was asked may or may not have been done.
     #[error("the board did not answer `{request}` within {after_ms} ms: it is busy, or frames are being lost")]
@@ -41,7 +41,7 @@ pub enum Error {
         causes: Causes,
     },
     /// A motor did not reach its set point in time.
-    #[error("{channel} was not settled after {after_s:.1} s: at {position:.4}, asked for {target:.4}")]
+    #[error("{channel} was not settled after {after_s:.1} s: at {position:.4} {unit}, asked for {target:.4} {unit}")]
     NotSettled {
         /// Which.
         channel: ChannelId,
@@ -49,6 +49,8 @@ pub enum Error {
         target: f64,
         /// rad or m
         position: f64,
+        /// Of both.
+        unit: Unit,
         /// How long was waited.
         after_s: f64,
     },

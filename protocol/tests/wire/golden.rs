@@ -69,11 +69,12 @@ fn the_schema_of_this_version_is_pinned() {
 /// `VERSION` says.
 #[test]
 fn hello_and_its_refusal_are_frozen_for_ever() {
-    let hello = ToDevice::Request { seq: 0x1234, request: Request::Hello { version: 0x0102, schema: 0x8000_0000_0000_0001 } };
+    let hello =
+        ToDevice::Request { seq: 0x1234, request: Request::Hello { version: 0x0102, schema: 0x8000_0000_0000_0001 } };
     let request = [
         0, // ToDevice::Request
         0xB4, 0x24, // seq
-        0, // Request::Hello
+        0,    // Request::Hello
         0x82, 0x02, // version
         0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x01, // schema
     ];
@@ -83,14 +84,18 @@ fn hello_and_its_refusal_are_frozen_for_ever() {
     let response = [
         0, // ToHost::Response
         0xB4, 0x24, // seq
-        1, // Err
-        0, // Refusal::ProtocolMismatch
+        1,    // Err
+        0,    // Refusal::ProtocolMismatch
         0x82, 0x02, // version
         0x81, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x80, 0x01, // schema
     ];
     assert_eq!(payload(&ToHost::Response { seq: 0x1234, result: Err(refusal) }), response);
 
-    assert_eq!(hex(&frame(&hello)), "0103b4240f820281808080808080808001366300", "COBS, the checksum and its place are frozen with it");
+    assert_eq!(
+        hex(&frame(&hello)),
+        "0103b4240f820281808080808080808001366300",
+        "COBS, the checksum and its place are frozen with it"
+    );
 }
 
 /// One row for each sample, `direction name hex`.

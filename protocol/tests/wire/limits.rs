@@ -25,7 +25,7 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
         ("request", payload(&request).len(), LONGEST_TO_DEVICE),
         ("heartbeat", payload(&heartbeat).len(), 14),
         ("hello", payload(&reply(samples::largest_reply())).len(), 77),
-        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 55),
+        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 56),
         ("telemetry", payload(&telemetry).len(), LONGEST_TO_HOST),
     ] {
         assert_eq!(len, expected, "{what}");

@@ -149,9 +149,8 @@ fn channel() -> impl Strategy<Value = ChannelId> {
     use ChannelKind::{
         Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range, Relay, Servo, Stepper, Supply, Switch,
     };
-    let kinds = vec![
-        Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan,
-    ];
+    let kinds =
+        vec![Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan];
     (select(kinds), any::<u8>()).prop_map(|(kind, index)| ChannelId::new(kind, index))
 }
 

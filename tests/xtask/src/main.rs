@@ -1,2 +1,90 @@
-//! placeholder
-fn main() {}
+//! Tasks of this repository: `cargo xtask test` is what CI runs.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | `test` | the steps of `cargo xtask test`, in their order |
+//! | `toolchain` | the parts of the Rust toolchain the steps need |
+//! | `summary` | what became of each step, as a table |
+
+mod summary;
+mod test;
+mod toolchain;
+
+use std::{env, path::PathBuf, process::ExitCode};
+
+const USAGE: &str = "\
+usage: cargo xtask <task>
+
+  test          everything CI checks: format, lints, firmware for the board, tests, documentation
+  test --fast   without the documentation";
+
+/// The exit code for a command line that means nothing here.
+const USAGE_ERROR: u8 = 2;
+
+#[derive(Debug, PartialEq)]
+enum Task {
+    Help,
+    Test { fast: bool },
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    match parse(&arguments) {
+        Ok(Task::Help) => {
+            println!("{USAGE}");
+            ExitCode::SUCCESS
+        }
+        Ok(Task::Test { fast }) => test::run(&root(), fast),
+        Err(problem) => {
+            eprintln!("error: {problem}\n\n{USAGE}");
+            ExitCode::from(USAGE_ERROR)
+        }
+    }
+}
+
+fn parse(arguments: &[String]) -> Result<Task, String> {
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
+        ["test"] => Ok(Task::Test { fast: false }),
+        ["test", "--fast"] => Ok(Task::Test { fast: true }),
+        [] => Err("no task given".into()),
+        ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        [unknown, ..] => Err(format!("there is no task `{unknown}`")),
+    }
+}
+
+/// The workspace: two folders above this crate, wherever the command was given.
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).ancestors().skip(2).take(1).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(line: &str) -> Result<Task, String> {
+        parse(&line.split_whitespace().map(String::from).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn command_lines_are_understood() {
+        assert_eq!(of("test"), Ok(Task::Test { fast: false }));
+        assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
+        assert_eq!(of("--help"), Ok(Task::Help));
+        assert_eq!(of("test --help"), Ok(Task::Help));
+    }
+
+    #[test]
+    fn others_are_refused_by_the_word_that_is_wrong() {
+        for (line, word) in [("", "no task"), ("tset", "tset"), ("test fast", "fast"), ("test --fast -x", "-x")] {
+            assert!(of(line).expect_err(line).contains(word), "{line}");
+        }
+    }
+
+    #[test]
+    fn the_root_is_the_workspace() {
+        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).expect("the root has a manifest");
+        assert!(manifest.starts_with("[workspace]"));
+    }
+}

@@ -49,6 +49,8 @@ where
     let mut control = Control::new(config, bus, encoders, analog);
     let started = control.outputs.init().await;
     control.note(started);
+    // Sensors are read before the first host is answered: it is told of a flat battery at once.
+    control.sense(shared);
     shared.set_control_causes(control.causes());
     shared.started.signal(());
 

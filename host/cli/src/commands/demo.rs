@@ -15,9 +15,9 @@ use r4_sim::Pace;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::print_json;
 use crate::{
     args::{Args, Demo},
+    output,
     quantity::human,
     report::{self, Align, Cell, Column},
     session::{self, Elapsed, Session},
@@ -75,7 +75,8 @@ struct Report {
     report: PathBuf,
 }
 
-type Log2 = Recorder<Cursor<Vec<u8>>>;
+/// A log in memory: it is hashed and drawn before it is written.
+type MemoryLog = Recorder<Cursor<Vec<u8>>>;
 
 pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
@@ -92,7 +93,7 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let page = report::html(&Log::from_bytes(&log)?, "OSMC evaluation", &[page_table(&rows, &args.board.to_string())]);
     write(&report_path, page.as_bytes())?;
 
-    let met = rows.iter().all(|row| row.met);
+    let met = rows.len() == ROTARY.0.len() + LINEAR.0.len() && rows.iter().all(|row| row.met);
     let report = Report {
         board: args.board.to_string(),
         rows,
@@ -103,9 +104,9 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
         report: report_path,
     };
     if args.json {
-        print_json(&report)?;
+        output::json(&report)?;
     } else {
-        print(&report, elapsed);
+        print(&report, elapsed)?;
     }
     if !met {
         eprintln!("r4: not every set point settled within {WITHIN_DEG} deg / {WITHIN_MM} mm");
@@ -120,6 +121,9 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 /// Drives all set points and returns what came of each, and the log.
 async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<(Vec<Row>, Vec<u8>)> {
     let board = session.board;
+    for channel in [ROTARY.1, LINEAR.1] {
+        board.channel(channel).context("the demo needs the channels of osmc-bench")?;
+    }
     let header = Header {
         robot: board.info().robot.to_string(),
         board: args.board.to_string(),
@@ -138,8 +142,13 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
             let rotary = ROTARY.0.iter().map(|point| (ROTARY.1, *point));
             for (channel, (set, paper)) in rotary.chain(LINEAR.0.iter().map(|point| (LINEAR.1, *point))) {
                 progress.set_message(format!("{channel} to {set}"));
-                rows.push(set_point(session, &mut recorder, &mut telemetry, channel, set, paper).await?);
+                let (row, stopped) = set_point(session, &mut recorder, &mut telemetry, channel, set, paper).await?;
+                rows.push(row);
                 progress.inc(1);
+                if let Some(error) = stopped {
+                    progress.suspend(|| eprintln!("r4: {error}; the set points after {channel} {set} were not tried"));
+                    break;
+                }
             }
             Ok(rows)
         })
@@ -150,31 +159,32 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
 
 async fn set_point(
     session: &Session<'_>,
-    recorder: &mut Log2,
+    recorder: &mut MemoryLog,
     telemetry: &mut TelemetryStream,
     channel: ChannelId,
     set: f64,
     paper: f64,
-) -> anyhow::Result<Row> {
+) -> anyhow::Result<(Row, Option<r4_driver::Error>)> {
     let board = session.board;
-    let info = board.channel(channel).context("the demo needs the channels of osmc-bench")?;
+    let info = board.channel(channel)?;
     let (per_si, unit, _) = human(info.unit);
     let within = if info.unit == Unit::M { WITHIN_MM } else { WITHIN_DEG };
     let target = set / per_si;
     let setpoint = Setpoint { mode: Mode::Position, value: target as f32 };
     recorder.command(board.device_us(), channel, setpoint)?;
-    let reached = match board.move_to(channel, target, TIMEOUT_S).await {
-        Ok(reached) => Some(reached),
+    let (settling_s, measured, stopped) = match board.move_to(channel, target, TIMEOUT_S).await {
+        Ok(reached) => (Some(reached.after_s), Some(reached.position), None),
         // A row that says so, and the other set points are still tried.
-        Err(r4_driver::Error::NotSettled { .. }) => None,
+        Err(r4_driver::Error::NotSettled { position, .. }) => (None, Some(position), None),
+        Err(error @ r4_driver::Error::Stopped { .. }) => (None, None, Some(error)),
         Err(error) => return Err(error.into()),
     };
     board.sleep_s(HOLD_S).await;
     record(recorder, telemetry)?;
-    let measured = reached.map(|motion| motion.position * per_si);
+    let measured = measured.map(|position| position * per_si);
     let ours = session.true_position(channel).map(|position| position * per_si).or(measured).unwrap_or(f64::NAN);
     let error_ours = ours - set;
-    Ok(Row {
+    let row = Row {
         channel: channel.to_string(),
         set,
         unit,
@@ -182,15 +192,16 @@ async fn set_point(
         ours,
         error_paper: paper - set,
         error_ours,
-        settling_s: reached.map(|motion| motion.after_s),
+        settling_s,
         measured,
         within,
-        met: reached.is_some() && error_ours.abs() <= within,
-    })
+        met: settling_s.is_some() && error_ours.abs() <= within,
+    };
+    Ok((row, stopped))
 }
 
 /// Writes what has arrived since the last call.
-fn record(recorder: &mut Log2, telemetry: &mut TelemetryStream) -> anyhow::Result<()> {
+fn record(recorder: &mut MemoryLog, telemetry: &mut TelemetryStream) -> anyhow::Result<()> {
     while let Some(frame) = telemetry.try_next() {
         recorder.telemetry(&frame)?;
     }
@@ -198,32 +209,32 @@ fn record(recorder: &mut Log2, telemetry: &mut TelemetryStream) -> anyhow::Resul
     Ok(())
 }
 
-fn print(report: &Report, elapsed: Elapsed) {
+fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
     let header = ["channel", "set", "paper", "ours", "error paper", "error ours", "settled after", ""];
     let mut table = table::new(&header, 1..7);
     for row in &report.rows {
-        let decimals = if row.unit == "mm" { 2 } else { 2 };
         table.add_row([
             row.channel.clone(),
             format!("{} {}", row.set, row.unit),
             format!("{}", row.paper),
-            format!("{:.decimals$}", row.ours),
+            format!("{:.2}", row.ours),
             format!("{:+}", row.error_paper),
-            format!("{:+.decimals$}", row.error_ours),
+            format!("{:+.2}", row.error_ours),
             row.settling_s.map_or("never".into(), |s| format!("{s:.2} s")),
             if row.met { "ok".into() } else { format!("over {} {}", row.within, row.unit) },
         ]);
     }
-    println!("OSMC evaluation on {} (simulated motors; paper: Alabi, Camara, Fox, TAROS 2023)", report.board);
-    println!("{table}");
-    println!(
+    let simulated = "simulated motors; paper: Alabi, Camara, Fox, TAROS 2023";
+    output::line(format_args!("OSMC evaluation on {} ({simulated})", report.board))?;
+    output::line(table)?;
+    output::line(format_args!(
         "{:.1} s simulated in {:.2} s, {:.0} x real time",
         elapsed.simulated_s,
         elapsed.wall_s,
         elapsed.real_time_factor()
-    );
-    println!("log    {} (sha256 {})", report.log.display(), &report.log_sha256[..16]);
-    println!("report {}", report.report.display());
+    ))?;
+    output::line(format_args!("log    {} (sha256 {})", report.log.display(), &report.log_sha256[..16]))?;
+    Ok(output::line(format_args!("report {}", report.report.display()))?)
 }
 
 /// The same table for the page.

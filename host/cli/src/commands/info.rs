@@ -4,8 +4,7 @@ use r4_protocol::ChannelInfo;
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::print_json;
-use crate::{args::Args, session, table};
+use crate::{args::Args, output, session, table};
 
 #[derive(Serialize)]
 struct Report {
@@ -73,13 +72,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
         })
     })?;
     if args.json {
-        print_json(&report)?;
+        output::json(&report)?;
         return Ok(true);
     }
-    println!(
+    output::line(format_args!(
         "{}: robot {}, firmware {}, protocol {}, {}, link timeout {} ms",
         report.board, report.robot, report.firmware, report.protocol, report.state, report.link_timeout_ms
-    );
+    ))?;
+    for cause in &report.causes {
+        output::line(format_args!("  tripped by: {cause}"))?;
+    }
     let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
     for channel in &report.channels {
         let rate = format!("{:.0}", channel.rate_hz);
@@ -91,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
             table.add_row([id, &mode.mode, &digits(mode.min), &digits(mode.max), &mode.unit, &rate]);
         }
     }
-    println!("{table}");
+    output::line(table)?;
     Ok(true)
 }
 

@@ -6,36 +6,32 @@ pub(crate) mod motion;
 pub(crate) mod state;
 pub(crate) mod watch;
 
-use r4_protocol::{Mode, Setpoint};
-use serde::Serialize;
+use anyhow::bail;
+use r4_protocol::{ChannelId, Mode, Setpoint, Unit};
 
 use crate::{quantity::Quantity, session::Session};
 
-/// Prints `value` as the one JSON object of a command.
-fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
-    println!("{}", serde_json::to_string(value)?);
-    Ok(())
-}
-
 /// The set point that a typed quantity means for a channel, checked against what the channel says it takes.
-fn setpoint(
-    session: &Session<'_>,
-    channel: r4_protocol::ChannelId,
-    mode: Mode,
-    quantity: Quantity,
-) -> anyhow::Result<Setpoint> {
+fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Quantity) -> anyhow::Result<Setpoint> {
     let info = session.board.channel(channel)?;
     let Some(takes) = info.mode(mode) else {
-        anyhow::bail!("{channel} cannot be commanded by {mode}: `r4 info` lists what it can take");
+        bail!("{channel} cannot be commanded by {mode}: `r4 info` lists what it can take");
     };
     if takes.unit != quantity.unit {
-        let example = Quantity { value: f64::from(takes.range.max) / 2.0, unit: takes.unit };
-        anyhow::bail!(
-            "{channel} takes a {mode} in {}, for example {}, not one in {}",
-            takes.unit,
-            example.to_string().replace(' ', ""),
-            quantity.unit,
-        );
+        let example = match takes.unit {
+            Unit::Rad => "an angle, as in 90deg or 1.57rad",
+            Unit::RadPerS => "a speed, as in 60deg/s, 1rad/s or 10rpm",
+            Unit::M => "a length, as in 25mm or 0.025m",
+            Unit::MPerS => "a speed, as in 5mm/s",
+            Unit::Duty => "a share of the supply without a unit, as in 0.3 or 30%",
+            Unit::V | Unit::Bool => "nothing that can be typed",
+        };
+        bail!("{channel} takes as {mode} {example}");
     }
-    Ok(Setpoint { mode, value: quantity.value as f32 })
+    let setpoint = Setpoint { mode, value: quantity.value as f32 };
+    if !takes.range.contains(setpoint.value) {
+        let limit = |value: f32| Quantity { value: value.into(), unit: takes.unit };
+        bail!("{channel} takes a {mode} from {} to {}, not {quantity}", limit(takes.range.min), limit(takes.range.max));
+    }
+    Ok(setpoint)
 }

@@ -5,9 +5,10 @@ use r4_protocol::{Mode, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::{print_json, setpoint};
+use super::setpoint;
 use crate::{
     args::{Args, Motion},
+    output,
     quantity::Quantity,
     session,
 };
@@ -45,7 +46,7 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
         Ok((end, position_unit))
     })?;
     if args.json {
-        print_json(&Outcome {
+        output::json(&Outcome {
             board: args.board.to_string(),
             channel: channel.to_string(),
             mode: mode.to_string(),
@@ -63,11 +64,13 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
     let position = Quantity { value: end.position, unit: position_unit };
     let speed = Quantity { value: end.speed, unit: speed_unit };
     match mode {
-        Mode::Position => println!("{channel} rests at {position}, asked for {set}, after {:.2} s", end.after_s),
-        Mode::Speed | Mode::Duty => println!(
+        Mode::Position => {
+            output::line(format_args!("{channel} rests at {position}, asked for {set}, after {:.2} s", end.after_s))?;
+        }
+        Mode::Speed | Mode::Duty => output::line(format_args!(
             "{channel} at {position}, moving at {speed}, duty {:.3}, after {:.2} s of {mode} {set}; now stopped",
             end.duty, end.after_s
-        ),
+        ))?,
     }
     Ok(true)
 }

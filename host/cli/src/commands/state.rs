@@ -5,9 +5,9 @@ use r4_protocol::SafetyState;
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::print_json;
 use crate::{
     args::Args,
+    output,
     session::{self, Session},
 };
 
@@ -70,11 +70,11 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
         causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
     };
     if args.json {
-        return print_json(&state);
+        return output::json(&state);
     }
-    println!("{} is {}", state.board, state.state);
+    output::line(format_args!("{} is {}", state.board, state.state))?;
     for cause in frame.causes.iter() {
-        println!("  {cause}: {}", cause.advice());
+        output::line(format_args!("  {cause}: {}", cause.advice()))?;
     }
     Ok(())
 }

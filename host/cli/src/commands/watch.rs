@@ -4,9 +4,9 @@ use r4_protocol::{ChannelId, Sample, Telemetry, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::print_json;
 use crate::{
     args::{Args, Watch},
+    output,
     quantity::Quantity,
     session::{self, Session},
 };
@@ -68,9 +68,9 @@ fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Resul
         };
         values.push((info.unit, Value { channel: info.id.to_string(), unit: info.unit.to_string(), value, speed, duty }));
     }
-    let time_s = frame.device_us as f64 * 1e-6;
+    let time_s = frame.device_us as f64 / 1e6;
     if args.json {
-        return print_json(&Line {
+        return output::json(&Line {
             time_s,
             state: frame.state.to_string(),
             causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
@@ -90,6 +90,5 @@ fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Resul
     if !frame.causes.is_empty() {
         line += &format!("  {}", frame.causes);
     }
-    println!("{line}");
-    Ok(())
+    Ok(output::line(line)?)
 }

@@ -1,0 +1,321 @@
+//! Bytes straight into the board's link: whatever comes is survived, counted or refused, and moves nothing; the next good
+//! frame is taken.
+
+mod harness;
+
+use harness::{
+    Device, LINEAR, MS, ROTARY, RawHost, SUPPLY_24, bench, frame, osmc_bench, raw_bench,
+};
+use proptest::prelude::*;
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Setpoint,
+    ToDevice, ToHost, VERSION, config::PidGains, frame::MAX_FRAME,
+};
+
+const NO_MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 3);
+const GAINS: PidGains = PidGains { kp: 1.0, ki: 0.0, kd: 0.0 };
+
+/// A command that is decided now, as the board's clock is the simulation's.
+fn set(device: &Device, channel: ChannelId, mode: Mode, value: f32) -> Request {
+    set_at(device.clock.now_ns() / 1000, channel, mode, value)
+}
+
+fn set_at(sent_us: u64, channel: ChannelId, mode: Mode, value: f32) -> Request {
+    Request::Set { channel, setpoint: Setpoint { mode, value }, sent_us, ttl_ms: 50 }
+}
+
+fn nothing_moved(device: &Device) {
+    for (channel, start) in [(ROTARY, 0.0), (LINEAR, osmc_bench().simulation.motors[1].start)] {
+        let position = device.board.world().position(channel).expect("the bench has the channel");
+        assert!(position == start && device.duty(channel) == 0.0, "{channel} at {position}");
+    }
+}
+
+#[test]
+fn before_a_hello_everything_but_stopping_is_refused() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        let requests = [
+            Request::Describe { index: 0 },
+            Request::Arm,
+            Request::Disarm,
+            Request::Clear,
+            set(device, ROTARY, Mode::Duty, 0.8),
+            Request::Subscribe { channel: ROTARY, period_ms: 1 },
+            Request::SetGains { channel: ROTARY, mode: Mode::Position, gains: GAINS },
+            Request::Stats,
+        ];
+        for request in requests {
+            assert_eq!(host.ask(request.clone()).await, Err(Refusal::NoSession), "{request:?}");
+        }
+        host.send(&ToDevice::Heartbeat { session: 1, host_us: 0 }).await;
+        assert_eq!(host.listen(20).await, [], "a heartbeat without a session is not answered");
+        assert_eq!(host.ask(Request::Bye).await, Ok(Reply::Done));
+        assert_eq!(host.hello().await.state, SafetyState::Disarmed);
+        assert_eq!(host.ask(Request::Bye).await, Ok(Reply::Done));
+        assert_eq!(host.ask(Request::Stop).await, Ok(Reply::Done), "anyone may stop the board");
+        let info = host.hello().await;
+        assert_eq!((info.state, info.causes), (SafetyState::Tripped, Causes::only(Cause::HostStop)));
+        nothing_moved(device);
+    });
+}
+
+#[test]
+fn another_version_or_schema_gets_no_session() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        for (version, schema) in [(VERSION + 1, SCHEMA_HASH), (VERSION, SCHEMA_HASH ^ 1), (0, 0)] {
+            let refused = host.ask(Request::Hello { version, schema }).await;
+            assert_eq!(refused, Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }));
+            assert_eq!(host.ask(Request::Arm).await, Err(Refusal::NoSession));
+        }
+        // A refused one does not end the session there is.
+        host.hello().await;
+        host.ask(Request::Hello { version: VERSION + 1, schema: SCHEMA_HASH }).await.unwrap_err();
+        host.stats().await;
+    });
+}
+
+/// A frame with one of its bytes changed, and still without a delimiter inside.
+fn changed(mut bytes: Vec<u8>, place: usize) -> Vec<u8> {
+    bytes[place] = if bytes[place] == 0xFF { 1 } else { bytes[place] + 1 };
+    bytes
+}
+
+#[test]
+fn damaged_frames_are_counted_and_the_next_good_one_is_taken() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        let arm = frame(&ToDevice::Request { seq: 999, request: Request::Arm });
+        let repeated = [&arm[..3], &arm[2..]].concat();
+        let swapped = [&arm[..1], &[arm[2], arm[1]], &arm[3..]].concat();
+        let cases: [(&str, Vec<u8>, u32); 12] = [
+            ("only delimiters", vec![0; 50], 0),
+            ("garbage", b"\x01\x02 no frame at all \xFF\xFE\0".to_vec(), 1),
+            ("one byte", vec![7, 0], 1),
+            ("a CRC without a message", vec![3, 0xFF, 0xFF, 0], 1),
+            ("a frame cut short", [&arm[..arm.len() - 3], &[0]].concat(), 1),
+            ("a frame without its beginning", arm[2..].to_vec(), 1),
+            ("a changed byte of the message", changed(arm.clone(), 2), 1),
+            ("a changed byte of the CRC", changed(arm.clone(), arm.len() - 2), 1),
+            ("a repeated byte", repeated, 1),
+            ("bytes in the wrong order", swapped, 1),
+            ("a frame longer than any", [vec![1; MAX_FRAME + 1], vec![0]].concat(), 1),
+            ("a frame far longer than any", [vec![0xAA; 5000], vec![0]].concat(), 1),
+        ];
+        for (what, bytes, bad) in cases {
+            let before = host.stats().await;
+            host.send_bytes(&bytes).await;
+            let after = host.stats().await;
+            assert_eq!(after.bad_frames - before.bad_frames, bad, "{what}");
+            // The one that asked.
+            assert_eq!(after.frames - before.frames, 1, "{what}");
+            host.listen(10).await;
+        }
+        assert_eq!(host.hello().await.state, SafetyState::Disarmed);
+        nothing_moved(device);
+    });
+}
+
+/// A frame that lost its delimiter takes the next one with it; the one after is taken.
+#[test]
+fn a_lost_delimiter_costs_one_more_frame() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        host.hello().await;
+        let stats = |seq| frame(&ToDevice::Request { seq, request: Request::Stats });
+        let first = stats(1);
+        host.send_bytes(&[&first[..first.len() - 1], &stats(2), &stats(3)].concat()).await;
+        let heard = host.listen(20).await;
+        assert!(matches!(heard[..], [ToHost::Response { seq: 3, result: Ok(Reply::Stats(_)) }]), "{heard:?}");
+    });
+}
+
+#[test]
+fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
+    let range = |channel: usize, mode| {
+        let motor = &osmc_bench().config.motors[channel];
+        match mode {
+            Mode::Position => motor.position,
+            Mode::Speed => Range::symmetric(motor.speed_max),
+            Mode::Duty => Range::symmetric(motor.duty_max),
+        }
+    };
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(Request::Arm).await.unwrap();
+        for (index, channel) in [(0, ROTARY), (1, LINEAR)] {
+            for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
+                let range = range(index, mode);
+                for asked in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                    let refused = host.ask(set(device, channel, mode, asked)).await;
+                    assert_eq!(refused, Err(Refusal::NotFinite { channel }), "{mode} {asked}");
+                }
+                for asked in [range.max * 1.001, range.min - 0.001, f32::MAX, f32::MIN] {
+                    let refused = host.ask(set(device, channel, mode, asked)).await;
+                    assert_eq!(refused, Err(Refusal::OutOfRange { channel, asked, range }), "{mode}");
+                }
+            }
+        }
+        // 51 ms old with 50 ms to live; a board that has run for less would be asked from before its start.
+        host.listen(100).await;
+        let late = set_at(device.clock.now_ns() / 1000 - 51_000, ROTARY, Mode::Duty, 0.8);
+        let bad_gains = PidGains { kp: f32::NAN, ..GAINS };
+        let cases = [
+            (late, Refusal::Expired { age_ms: 51, ttl_ms: 50 }),
+            (set(device, NO_MOTOR, Mode::Duty, 0.8), Refusal::UnknownChannel { channel: NO_MOTOR }),
+            (set(device, SUPPLY_24, Mode::Duty, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Duty }),
+            (set(device, SUPPLY_24, Mode::Speed, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Speed }),
+            (Request::Describe { index: 4 }, Refusal::NoSuchIndex { index: 4 }),
+            (Request::Describe { index: 255 }, Refusal::NoSuchIndex { index: 255 }),
+            (
+                Request::Subscribe { channel: NO_MOTOR, period_ms: 1 },
+                Refusal::UnknownChannel { channel: NO_MOTOR },
+            ),
+            (
+                Request::SetGains { channel: ROTARY, mode: Mode::Duty, gains: GAINS },
+                Refusal::WrongMode { channel: ROTARY, mode: Mode::Duty },
+            ),
+            (
+                Request::SetGains { channel: ROTARY, mode: Mode::Speed, gains: bad_gains },
+                Refusal::BadGains { channel: ROTARY },
+            ),
+        ];
+        let before = host.stats().await.refused;
+        for (place, (request, refusal)) in (1..).zip(cases) {
+            assert_eq!(host.ask(request.clone()).await, Err(refusal), "{request:?}");
+            assert_eq!(host.stats().await.refused - before, place);
+        }
+        nothing_moved(device);
+        // Not because nothing could move: the same with numbers that fit does.
+        host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await.unwrap();
+        host.listen(20).await;
+        assert!(device.duty(ROTARY) > 0.0);
+    });
+}
+
+#[test]
+fn commands_are_refused_unless_armed() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        for (request, state) in [(Request::Disarm, SafetyState::Disarmed), (Request::Stop, SafetyState::Tripped)] {
+            host.ask(request).await.unwrap();
+            let refused = host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await;
+            assert_eq!(refused, Err(Refusal::NotArmed { state }));
+        }
+        host.ask(Request::Clear).await.unwrap();
+        host.ask(Request::Arm).await.unwrap();
+        host.listen(20).await;
+        nothing_moved(device);
+    });
+}
+
+#[test]
+fn a_heartbeat_of_another_session_does_not_keep_the_link() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        for (other, state) in [(0, SafetyState::Armed), (1, SafetyState::Tripped)] {
+            let session = host.hello().await.session;
+            host.ask(Request::Arm).await.unwrap();
+            // 300 ms, longer than the link timeout of 200 ms.
+            let mut answers = 0;
+            for _ in 0..6 {
+                host.send(&ToDevice::Heartbeat { session: session.wrapping_add(other), host_us: 7 }).await;
+                let heard = host.listen(50).await;
+                answers += heard.iter().filter(|m| matches!(m, ToHost::Heartbeat { host_us: 7, .. })).count();
+            }
+            assert_eq!(answers, if other == 0 { 6 } else { 0 });
+            let armed = host.ask(set(device, ROTARY, Mode::Duty, 0.0)).await;
+            assert_eq!(armed, if other == 0 { Ok(Reply::Done) } else { Err(Refusal::NotArmed { state }) });
+        }
+    });
+}
+
+#[test]
+fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
+    bench(&osmc_bench(), async |bench| {
+        bench.host.arm().await.unwrap();
+        let mut telemetry = bench.host.telemetry();
+        let channels: Vec<_> = bench.host.channels().iter().map(|channel| channel.id).collect();
+        for channel in &channels {
+            bench.host.subscribe(*channel, 1).await.unwrap();
+        }
+        // Both motors under way, and turning around.
+        for (rotary, linear) in [(3.0, 0.02), (-3.0, 0.005)] {
+            bench.set(ROTARY, Mode::Position, rotary).await.unwrap();
+            bench.set(LINEAR, Mode::Position, linear).await.unwrap();
+            while telemetry.try_next().is_some() {}
+            let begin_ns = bench.clock.now_ns();
+            bench.sleep_ms(1000).await;
+            let mut samples = vec![0; channels.len()];
+            while let Some(frame) = telemetry.try_next() {
+                for sample in frame.samples {
+                    samples[channels.iter().position(|channel| *channel == sample.channel()).unwrap()] += 1;
+                }
+            }
+            // One each millisecond, but for those under way at either end.
+            let expected = (bench.clock.now_ns() - begin_ns) / MS;
+            assert!(samples.iter().all(|count| expected.abs_diff(*count) <= 2), "{samples:?} in {expected} ms");
+        }
+        let stats = bench.host.stats().await.unwrap();
+        assert_eq!((stats.late_ticks, stats.telemetry_dropped), (0, 0), "the longest took {} us", stats.worst_tick_us);
+    });
+}
+
+/// Whole frames, pieces of frames and noise, but never a whole request to arm.
+fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
+    let message = prop_oneof![
+        any::<u64>().prop_map(|schema| Request::Hello { version: VERSION, schema }),
+        Just(Request::Hello { version: VERSION, schema: SCHEMA_HASH }),
+        Just(Request::Clear),
+        Just(Request::Bye),
+        Just(Request::Stats),
+        (any::<u8>()).prop_map(|index| Request::Describe { index }),
+        (any::<u8>(), any::<u16>()).prop_map(|(index, period_ms)| Request::Subscribe {
+            channel: ChannelId::new(ChannelKind::Osmc, index),
+            period_ms,
+        }),
+        (any::<f32>(), any::<u64>(), any::<u16>()).prop_map(|(value, sent_us, ttl_ms)| Request::Set {
+            channel: ROTARY,
+            setpoint: Setpoint { mode: Mode::Duty, value },
+            sent_us,
+            ttl_ms,
+        }),
+        any::<[f32; 3]>().prop_map(|[kp, ki, kd]| Request::SetGains {
+            channel: ROTARY,
+            mode: Mode::Speed,
+            gains: PidGains { kp, ki, kd },
+        }),
+    ];
+    let whole = (any::<u16>(), message).prop_map(|(seq, request)| frame(&ToDevice::Request { seq, request }));
+    let beat = (any::<u16>(), any::<u64>())
+        .prop_map(|(session, host_us)| frame(&ToDevice::Heartbeat { session, host_us }));
+    // COBS makes the damage visible to the CRC, never invisible: a flipped bit gives no other valid frame.
+    let damaged = (any::<u16>(), any::<prop::sample::Index>(), 0..8u8).prop_map(|(seq, place, bit)| {
+        let mut arm = frame(&ToDevice::Request { seq, request: Request::Arm });
+        let place = place.index(arm.len() - 1);
+        arm[place] ^= 1 << bit;
+        arm
+    });
+    let noise = prop::collection::vec(any::<u8>(), 0..300);
+    let piece = prop_oneof![3 => whole, 1 => beat, 2 => damaged, 2 => noise];
+    prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_bytes_are_survived_and_never_arm(bytes in any_bytes(), chunk in 1..100usize) {
+        raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
+            for chunk in bytes.chunks(chunk) {
+                host.send_bytes(chunk).await;
+                assert!(device.is_off(ROTARY) && device.is_off(LINEAR));
+            }
+            // Ends whatever frame is open.
+            host.send_bytes(&[0]).await;
+            host.listen(50).await;
+            let info = host.hello().await;
+            let quiet = Causes::NONE.union(Causes::only(Cause::LinkLost));
+            assert!(info.state != SafetyState::Armed && info.causes.union(quiet) == quiet, "{}", info.causes);
+            nothing_moved(device);
+            assert_eq!(device.board.world().misuse(), []);
+        });
+    }
+}

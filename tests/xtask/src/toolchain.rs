@@ -1,0 +1,102 @@
+//! The parts of the Rust toolchain that the steps need beyond cargo and rustc.
+//!
+//! What is missing is found out by asking the tools, so that a Rust that did not come from rustup will do; only adding
+//! what is missing needs rustup.
+
+use std::{env, ffi::OsString, path::Path, process::Command};
+
+/// The Cortex-M7 of the Giga.
+pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// The cargo that runs this, so that every step uses the same toolchain.
+pub(crate) fn cargo() -> OsString {
+    env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Part {
+    Rustfmt,
+    Clippy,
+    Target,
+}
+
+impl Part {
+    const ALL: [Self; 3] = [Self::Rustfmt, Self::Clippy, Self::Target];
+
+    fn is_there(self, root: &Path) -> bool {
+        match self {
+            Self::Rustfmt => output(Command::new(cargo()).args(["fmt", "--version"]), root).is_some(),
+            Self::Clippy => output(Command::new(cargo()).args(["clippy", "--version"]), root).is_some(),
+            Self::Target => {
+                let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+                output(Command::new(rustc).args(["--print", "target-libdir", "--target", TARGET]), root)
+                    .is_some_and(|folder| Path::new(folder.trim()).is_dir())
+            }
+        }
+    }
+
+    /// For `rustup`: it works on the toolchain that runs this, as long as it is called in the workspace.
+    fn rustup_arguments(self) -> [&'static str; 3] {
+        match self {
+            Self::Rustfmt => ["component", "add", "rustfmt"],
+            Self::Clippy => ["component", "add", "clippy"],
+            Self::Target => ["target", "add", TARGET],
+        }
+    }
+
+    fn name(self) -> &'static str {
+        self.rustup_arguments()[2]
+    }
+}
+
+/// Adds what is missing.
+///
+/// # Errors
+/// What a person has to install.
+pub(crate) fn complete(root: &Path) -> Result<(), String> {
+    let missing = || Part::ALL.into_iter().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
+    for part in missing() {
+        println!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
+        // Whether it worked is seen by looking again.
+        let _ = Command::new("rustup").args(part.rustup_arguments()).current_dir(root).status();
+    }
+    match &missing()[..] {
+        [] => Ok(()),
+        missing => Err(advice(missing, output(Command::new("rustup").arg("--version"), root).is_some())),
+    }
+}
+
+fn advice(missing: &[Part], with_rustup: bool) -> String {
+    let names: Vec<_> = missing.iter().map(|part| part.name()).collect();
+    let commands: String =
+        missing.iter().map(|part| format!("\n  rustup {}", part.rustup_arguments().join(" "))).collect();
+    let how = if with_rustup {
+        "rustup could not add them; when you are online again, run in this folder:"
+    } else {
+        "there is no rustup to add them. Install them with what installed your Rust, or install rustup \
+         (https://rustup.rs) and run in this folder:"
+    };
+    format!("this Rust toolchain lacks {}.\n{how}{commands}", names.join(", "))
+}
+
+/// What a command prints, or `None` when it cannot be run or fails.
+fn output(command: &mut Command, folder: &Path) -> Option<String> {
+    let output = command.current_dir(folder).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_advice_names_every_missing_part_and_its_command() {
+        for with_rustup in [false, true] {
+            let advice = advice(&[Part::Clippy, Part::Target], with_rustup);
+            assert!(advice.contains("lacks clippy, thumbv7em-none-eabihf"), "{advice}");
+            assert!(advice.contains("\n  rustup component add clippy\n"), "{advice}");
+            assert!(advice.ends_with("\n  rustup target add thumbv7em-none-eabihf"), "{advice}");
+            assert!(!advice.contains("rustfmt"), "{advice}");
+        }
+    }
+}
