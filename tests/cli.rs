@@ -443,7 +443,8 @@ fn a_motor_that_cannot_move_is_an_error_in_bounded_time() {
 #[test]
 fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
     // Stuck, and the stall is not looked for within the 30 s a move is given.
-    let own = Own::new(&edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0, &stuck());
+    let robot = edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0;
+    let own = Own::new(&edited(&robot, "[actuator.follow]", "error_m", "error_m = 1.0").0, &stuck());
     all_refused([
         (&["--board", &own.robot, "move", "actuator1", "25mm"][..], &["actuator1", "not settled", "30.0 s"][..]),
         (&["move", "actuator1", "25mm", "--for", "0.5"], &["actuator1", "not settled", "0.5 s"]),

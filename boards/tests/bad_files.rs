@@ -37,11 +37,11 @@ const fn there(from: &'static str, to: &'static str, field: &'static str, says: 
 const ROBOT_MISTAKES: &[Mistake] = &[
     // Not TOML.
     there("speed_max_rad_s = 5.0", "speed_max_rad_s = ", "osmc[0].speed_max_rad_s", "string values must be quoted"),
-    there("kp_duty_per_rad = 2.0", "kp_duty_per_rad = 2.0.0", "osmc[0].position_pid.kp_duty_per_rad", "invalid float"),
+    there("kp_duty_per_rad = 4.0", "kp_duty_per_rad = 4.0.0", "osmc[0].position_pid.kp_duty_per_rad", "invalid float"),
     there("[osmc.profile]", "[osmc.profile", "", "expected"),
     mistake(
-        "kp_duty_per_rad = 2.0",
-        "kp_duty_per_rad = 2.0\nkp_duty_per_rad = 3.0",
+        "kp_duty_per_rad = 4.0",
+        "kp_duty_per_rad = 4.0\nkp_duty_per_rad = 3.0",
         "kp_duty_per_rad = 3.0",
         "",
         "duplicate key",
@@ -66,8 +66,8 @@ const ROBOT_MISTAKES: &[Mistake] = &[
         "0.99 is out of range, must be above 0 and at most",
     ),
     there("duty_max = 0.784", "duty_max = nan", "actuator[0].duty_max", "must be above 0"),
-    there("kp_duty_per_rad = 2.0", "kp_duty_per_rad = -2.0", "osmc[0].position_pid.kp_duty_per_rad", "0 or above"),
-    there("ki_duty_per_m_s = 30.0", "ki_duty_per_m_s = inf", "actuator[0].position_pid.ki_duty_per_m_s", "0 or above"),
+    there("kp_duty_per_rad = 4.0", "kp_duty_per_rad = -4.0", "osmc[0].position_pid.kp_duty_per_rad", "0 or above"),
+    there("ki_duty_per_m_s = 400.0", "ki_duty_per_m_s = inf", "actuator[0].position_pid.ki_duty_per_m_s", "0 or above"),
     there("speed_m_s = 0.008", "speed_m_s = 1e300", "actuator[0].profile.speed_m_s", "above 0"),
     there("counts_per_turn = 2400", "counts_per_turn = 0", "osmc[0].encoder.counts_per_turn", "above 0"),
     there("code_16bit = 63357", "code_16bit = 65536", "actuator[0].potentiometer.high.code_16bit", "u16"),
@@ -134,7 +134,13 @@ const ROBOT_MISTAKES: &[Mistake] = &[
         "osmc0: feed-forward must not be negative",
     ),
     mistake("code_16bit = 63357", "code_16bit = 1858", "[[actuator]]", "actuator[0]", "need different codes"),
-    mistake("time_ms = 1000\n\n# GLA", "time_ms = 0\n\n# GLA", "time_ms = 0", "osmc[0].stall.time_ms", "above 0"),
+    mistake(
+        "time_ms = 300\n\n[osmc.follow]",
+        "time_ms = 0\n\n[osmc.follow]",
+        "time_ms = 0",
+        "osmc[0].stall.time_ms",
+        "above 0",
+    ),
     mistake(
         "high = { code_10bit = 989.0, position_m = 0.1 }",
         "high = { code_10bit = 989.0, position_m = -0.1 }",

@@ -107,6 +107,8 @@ pub struct MotorConfig {
     pub settle: SettleConfig,
     /// When a motor counts as stalled.
     pub stall: StallConfig,
+    /// When a motor counts as not following its path.
+    pub follow: FollowConfig,
 }
 
 /// What measures a motor's position.
@@ -153,10 +155,13 @@ pub struct PidGains {
 }
 
 impl PidGains {
-    /// Whether every gain is finite and not negative.
+    /// No gain is higher: with any error a sensor can have, the loop computes in finite numbers.
+    pub const MAX: f32 = 1e6;
+
+    /// Whether every gain is from 0 to [`PidGains::MAX`].
     #[must_use]
     pub fn is_valid(&self) -> bool {
-        [self.kp, self.ki, self.kd].iter().all(|gain| gain.is_finite() && *gain >= 0.0)
+        [self.kp, self.ki, self.kd].into_iter().all(|gain| (0.0..=Self::MAX).contains(&gain))
     }
 }
 
@@ -185,6 +190,15 @@ pub struct SettleConfig {
     pub error: f32,
     /// rad/s or m/s
     pub speed: f32,
+    /// ms
+    pub time_ms: u16,
+}
+
+/// A motor that is further than `error` from its path for `time_ms`, in position mode, does not follow it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct FollowConfig {
+    /// rad or m
+    pub error: f32,
     /// ms
     pub time_ms: u16,
 }
@@ -258,6 +272,11 @@ impl BoardConfig {
             for line in motor.lines.all() {
                 rule(line < 16 && take(&mut lines_used, line), "bridge lines must be 0 to 15, each used once")?;
             }
+            let first = motor.lines.first();
+            rule(
+                motor.lines.all().iter().all(|line| line - first < 4),
+                "a bridge's lines must be four in a row, so that one transfer sets them",
+            )?;
             match motor.feedback {
                 Feedback::Encoder { index, .. } => rule(
                     usize::from(index) < ENCODERS && take(&mut encoders_used, index),
@@ -277,11 +296,16 @@ impl BoardConfig {
                 "the analog input must exist and be used once",
             )?;
             rule(positive(supply.volts_per_code), "volts_per_code must be positive")?;
-            rule(supply.range_v.min < supply.range_v.max, "range_v must have min below max")?;
+            let Range { min, max } = supply.range_v;
+            rule(min.is_finite() && max.is_finite() && min < max, "range_v must have a finite min below a finite max")?;
         }
         let ids = || self.motors.iter().map(|m| m.id).chain(self.supplies.iter().map(|s| s.id));
         for (position, id) in ids().enumerate() {
             check(Some(id), !ids().take(position).any(|other| other == id), "the channel is named twice")?;
+        }
+        for (position, motor) in self.motors.iter().enumerate() {
+            let taken = self.motors[..position].iter().any(|other| other.id.index == motor.id.index);
+            check(Some(motor.id), !taken, "the bridge connector is used twice")?;
         }
         Ok(())
     }
@@ -304,11 +328,14 @@ impl MotorConfig {
             _ => rule(false, "an osmc channel needs an encoder, an actuator a potentiometer")?,
         }
         rule(self.id.index < 4, "bridges are numbered 0 to 3")?;
-        rule(self.position.min < self.position.max, "position must have min below max")?;
+        rule(
+            self.position.min.is_finite() && self.position.max.is_finite() && self.position.min < self.position.max,
+            "position must have a finite min below a finite max",
+        )?;
         rule(positive(self.speed_max), "speed_max must be positive")?;
         rule(self.duty_max > 0.0 && self.duty_max <= OSMC_DUTY_HARD_MAX, "duty_max must be above 0 and at most 0.98")?;
         rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
-        rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be finite and not negative")?;
+        rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;
         rule(not_negative(self.speed_filter_s), "speed_filter_s must not be negative")?;
         rule(
             positive(self.profile.speed) && positive(self.profile.acceleration),
@@ -324,7 +351,9 @@ impl MotorConfig {
         rule(
             positive(self.stall.duty) && positive(self.stall.travel) && self.stall.time_ms > 0,
             "stall duty, travel and time must be positive",
-        )
+        )?;
+        rule(self.stall.duty < self.duty_max, "stall duty must be below duty_max, or a stall is never seen")?;
+        rule(positive(self.follow.error) && self.follow.time_ms > 0, "follow error and time must be positive")
     }
 }
 

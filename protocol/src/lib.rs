@@ -8,7 +8,7 @@
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
 //!
-//! Every wire change bumps [`VERSION`], changes [`SCHEMA_HASH`] by itself, and gets a line in `CHANGELOG.md`.
+//! Every wire change bumps [`VERSION`], most change [`SCHEMA_HASH`] by themselves, and each gets a line in `CHANGELOG.md`.
 //! All values are SI: radians, metres, seconds, volts; duty is a share of the supply in -1..=1; angles are at the output
 //! shaft.
 #![no_std]
@@ -28,9 +28,15 @@ pub use state::{Cause, Causes, SafetyState};
 pub const VERSION: u16 = 1;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
+///
+/// It sees names, types and variants, how many samples a telemetry frame holds and how many causes there are; not units
+/// and meanings, and not how long a name may be.
 pub const SCHEMA_HASH: u64 = {
     use postcard_schema::key::hash::fnv1a64::hash_ty_path;
     // `from_le_bytes` of two FNV-1a hashes; the paths keep the two directions apart.
-    u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
-        ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1)
+    let shapes = u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
+        ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1);
+    let capacities = (message::MAX_SAMPLES as u64) << 32 | Cause::ALL.len() as u64;
+    // An odd factor moves every bit of the capacities through the word (Knuth's multiplicative hash).
+    shapes ^ capacities.wrapping_mul(0x9E37_79B9_7F4A_7C15)
 };

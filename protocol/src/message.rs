@@ -248,13 +248,18 @@ pub enum Refusal {
         /// How old it may be.
         ttl_ms: u16,
     },
-    /// Gains must be finite and not negative.
+    /// Gains must be 0 to [`PidGains::MAX`].
     BadGains {
         /// As asked.
         channel: ChannelId,
     },
     /// The board has no room for another subscription.
     TooManySubscriptions,
+    /// Decided further in the future than its time-to-live: the host has the board's clock wrong.
+    ClockAhead {
+        /// How far.
+        ahead_ms: u32,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -294,7 +299,10 @@ impl fmt::Display for Refusal {
                 write!(f, "the command was {age_ms} ms old on arrival and may be {ttl_ms} ms: the link is too slow")
             }
             Self::BadGains { channel } => {
-                write!(f, "gains for {channel} must be finite and not negative")
+                write!(f, "gains for {channel} must be 0 to 1000000")
+            }
+            Self::ClockAhead { ahead_ms } => {
+                write!(f, "the command is dated {ahead_ms} ms ahead of the board's clock: connect again")
             }
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }

@@ -10,9 +10,9 @@ use proptest::{
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
     config::{
-        ANALOG_INPUTS, BoardConfig, BridgeLines, ConfigError, ENCODERS, FeedForward, Feedback, MAX_MOTORS,
-        MAX_SUPPLIES, MotorConfig, OSMC_DUTY_HARD_MAX, PidGains, PotPoint, ProfileLimits, PwmConfig, SettleConfig,
-        StallConfig, SupplyConfig,
+        ANALOG_INPUTS, BoardConfig, BridgeLines, ConfigError, ENCODERS, FeedForward, Feedback, FollowConfig,
+        MAX_MOTORS, MAX_SUPPLIES, MotorConfig, OSMC_DUTY_HARD_MAX, PidGains, PotPoint, ProfileLimits, PwmConfig,
+        SettleConfig, StallConfig, SupplyConfig,
     },
 };
 
@@ -46,7 +46,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.motors[0].duty_max = OSMC_DUTY_HARD_MAX,
         |c| c.motors[0].id.index = 3,
         |c| c.motors[0].speed_filter_s = 0.0,
-        |c| c.motors[0].position_pid = PidGains { kp: 0.0, ki: 0.0, kd: 0.0 },
+        |c| c.motors[0].position_pid = PidGains { kp: 0.0, ki: 0.0, kd: PidGains::MAX },
         |c| c.motors[0].feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0 },
     ];
     for (number, change) in ends.into_iter().enumerate() {
@@ -86,15 +86,18 @@ fn every_rule_of_a_motor_can_be_broken() {
     let kind = "an osmc channel needs an encoder, an actuator a potentiometer";
     let low_high = "the low calibration point must be below the high one";
     let duty = "duty_max must be above 0 and at most 0.98";
+    let position = "position must have a finite min below a finite max";
     let speed = "speed_max must be positive";
     let slew = "duty_slew_per_s must be positive";
-    let gains = "gains must be finite and not negative";
+    let gains = "gains must be 0 to 1000000";
     let filter = "speed_filter_s must not be negative";
     let profile = "profile speed and acceleration must be positive";
     let forward = "feed-forward must not be negative, and static_duty must stay below duty_max";
     let settle = "settle error and speed must be positive";
     let stall = "stall duty, travel and time must be positive";
-    let cases: [Case; 40] = [
+    let unseen = "stall duty must be below duty_max, or a stall is never seen";
+    let follow = "follow error and time must be positive";
+    let cases: [Case; 49] = [
         (osmc, kind, |c| c.motors[0].feedback = c.motors[1].feedback),
         (Some(ACTUATOR1), kind, |c| c.motors[1].feedback = c.motors[0].feedback),
         (Some(SUPPLY0), kind, |c| c.motors[0].id = SUPPLY0),
@@ -106,8 +109,10 @@ fn every_rule_of_a_motor_can_be_broken() {
         (Some(ACTUATOR1), low_high, |c| pot(c, |low, _| low.position_m = f32::NEG_INFINITY)),
         (Some(ACTUATOR1), low_high, |c| pot(c, |_, high| high.position_m = f32::NAN)),
         (Some(ChannelId::new(ChannelKind::Osmc, 4)), "bridges are numbered 0 to 3", |c| c.motors[0].id.index = 4),
-        (osmc, "position must have min below max", |c| c.motors[0].position = Range::new(1.0, 1.0)),
-        (osmc, "position must have min below max", |c| c.motors[0].position = Range::new(f32::NAN, 1.0)),
+        (osmc, position, |c| c.motors[0].position = Range::new(1.0, 1.0)),
+        (osmc, position, |c| c.motors[0].position = Range::new(f32::NAN, 1.0)),
+        (osmc, position, |c| c.motors[0].position.min = f32::NEG_INFINITY),
+        (osmc, position, |c| c.motors[0].position.max = f32::INFINITY),
         (osmc, speed, |c| c.motors[0].speed_max = 0.0),
         (osmc, speed, |c| c.motors[0].speed_max = f32::INFINITY),
         (osmc, duty, |c| c.motors[0].duty_max = 0.0),
@@ -121,6 +126,7 @@ fn every_rule_of_a_motor_can_be_broken() {
         (osmc, gains, |c| c.motors[0].speed_pid.kp = f32::NAN),
         (osmc, gains, |c| c.motors[0].speed_pid.ki = -f32::MIN_POSITIVE),
         (osmc, gains, |c| c.motors[0].speed_pid.kd = -1.0),
+        (osmc, gains, |c| c.motors[0].position_pid.kp = PidGains::MAX.next_up()),
         (osmc, filter, |c| c.motors[0].speed_filter_s = -0.001),
         (osmc, filter, |c| c.motors[0].speed_filter_s = f32::NAN),
         (osmc, profile, |c| c.motors[0].profile.speed = 0.0),
@@ -135,6 +141,12 @@ fn every_rule_of_a_motor_can_be_broken() {
         (osmc, stall, |c| c.motors[0].stall.duty = f32::NAN),
         (osmc, stall, |c| c.motors[0].stall.travel = -1.0),
         (osmc, stall, |c| c.motors[0].stall.time_ms = 0),
+        (osmc, unseen, |c| c.motors[0].stall.duty = c.motors[0].duty_max),
+        (osmc, unseen, |c| c.motors[0].stall.duty = 1.0),
+        (osmc, follow, |c| c.motors[0].follow.error = 0.0),
+        (osmc, follow, |c| c.motors[0].follow.error = f32::NAN),
+        (osmc, follow, |c| c.motors[0].follow.error = f32::INFINITY),
+        (osmc, follow, |c| c.motors[0].follow.time_ms = 0),
         // The second motor's numbers are looked at too.
         (Some(ACTUATOR1), speed, |c| c.motors[1].speed_max = -1.0),
         (Some(ACTUATOR1), stall, |c| c.motors[1].stall.travel = f32::INFINITY),
@@ -145,8 +157,9 @@ fn every_rule_of_a_motor_can_be_broken() {
 #[test]
 fn every_rule_of_a_supply_can_be_broken() {
     let volts = "volts_per_code must be positive";
-    let range = "range_v must have min below max";
-    let cases: [Case; 6] = [
+    let range = "range_v must have a finite min below a finite max";
+    let cases: [Case; 7] = [
+        (Some(SUPPLY0), range, |c| c.supplies[0].range_v = Range::new(f32::NEG_INFINITY, f32::INFINITY)),
         (Some(OSMC0), "a supply needs a supply channel name", |c| c.supplies[0].id = OSMC0),
         (Some(SUPPLY0), volts, |c| c.supplies[0].volts_per_code = 0.0),
         (Some(SUPPLY0), volts, |c| c.supplies[0].volts_per_code = f32::NAN),
@@ -163,7 +176,12 @@ fn every_rule_between_channels_can_be_broken() {
     let encoder = "the encoder must exist and be used once";
     let analog = "the analog input must exist and be used once";
     let twice = "the channel is named twice";
-    let cases: [Case; 11] = [
+    let in_a_row = "a bridge's lines must be four in a row, so that one transfer sets them";
+    let cases: [Case; 13] = [
+        (Some(OSMC0), in_a_row, |c| c.motors[0].lines = BridgeLines { ahi: 0, ali: 1, bhi: 2, bli: 12 }),
+        (Some(ChannelId::new(ChannelKind::Actuator, 0)), "the bridge connector is used twice", |c| {
+            c.motors[1].id.index = c.motors[0].id.index
+        }),
         (Some(OSMC0), lines, |c| c.motors[0].lines = BridgeLines { ahi: 13, ali: 14, bhi: 15, bli: 16 }),
         (Some(OSMC0), lines, |c| c.motors[0].lines.bli = u8::MAX),
         (Some(OSMC0), lines, |c| c.motors[0].lines.bli = c.motors[0].lines.ahi),
@@ -270,6 +288,7 @@ fn good() -> BoardConfig {
         feed_forward: FeedForward { static_duty: 0.03, duty_per_speed: 0.04 },
         settle: SettleConfig { error: 0.01, speed: 0.05, time_ms: 50 },
         stall: StallConfig { duty: 0.5, travel: 0.05, time_ms: 500 },
+        follow: FollowConfig { error: 0.5, time_ms: 500 },
     };
     let arm = MotorConfig {
         id: ACTUATOR1,
@@ -311,24 +330,27 @@ fn configs() -> impl Strategy<Value = BoardConfig> {
 
 fn motors() -> BoxedStrategy<MotorConfig> {
     let pid = || [f32s(), f32s(), f32s()].prop_map(|[kp, ki, kd]| PidGains { kp, ki, kd });
-    let numbers = vec(f32s(), 13);
-    (ids(), lines(), feedbacks(), any::<bool>(), pid(), pid(), numbers, any::<(u16, u16)>())
-        .prop_map(|(id, lines, feedback, inverted, position_pid, speed_pid, n, (settle_ms, stall_ms))| MotorConfig {
-            id,
-            lines,
-            inverted,
-            feedback,
-            position: Range { min: n[0], max: n[1] },
-            speed_max: n[2],
-            duty_max: n[3],
-            duty_slew_per_s: n[4],
-            position_pid,
-            speed_pid,
-            speed_filter_s: n[5],
-            profile: ProfileLimits { speed: n[6], acceleration: n[7] },
-            feed_forward: FeedForward { static_duty: n[8], duty_per_speed: n[9] },
-            settle: SettleConfig { error: n[10], speed: n[11], time_ms: settle_ms },
-            stall: StallConfig { duty: n[12], travel: n[4], time_ms: stall_ms },
+    let numbers = vec(f32s(), 15);
+    (ids(), lines(), feedbacks(), any::<bool>(), pid(), pid(), numbers, any::<(u16, u16, u16)>())
+        .prop_map(|(id, lines, feedback, inverted, position_pid, speed_pid, n, (settle_ms, stall_ms, follow_ms))| {
+            MotorConfig {
+                id,
+                lines,
+                inverted,
+                feedback,
+                position: Range { min: n[0], max: n[1] },
+                speed_max: n[2],
+                duty_max: n[3],
+                duty_slew_per_s: n[4],
+                position_pid,
+                speed_pid,
+                speed_filter_s: n[5],
+                profile: ProfileLimits { speed: n[6], acceleration: n[7] },
+                feed_forward: FeedForward { static_duty: n[8], duty_per_speed: n[9] },
+                settle: SettleConfig { error: n[10], speed: n[11], time_ms: settle_ms },
+                stall: StallConfig { duty: n[12], travel: n[13], time_ms: stall_ms },
+                follow: FollowConfig { error: n[14], time_ms: follow_ms },
+            }
         })
         .boxed()
 }

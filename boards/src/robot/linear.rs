@@ -3,7 +3,8 @@
 use r4_protocol::{
     channel::ChannelId,
     config::{
-        BridgeLines, FeedForward, Feedback, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
+        BridgeLines, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig,
+        StallConfig,
     },
 };
 use serde::Deserialize;
@@ -33,6 +34,7 @@ pub(super) struct LinearMotor {
     feed_forward: StaticAndSpeed,
     settle: Settle,
     stall: Stall,
+    follow: Follow,
 }
 
 #[derive(Deserialize)]
@@ -109,6 +111,15 @@ struct Settle {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Follow {
+    #[serde(deserialize_with = "positive")]
+    error_m: f32,
+    #[serde(deserialize_with = "positive")]
+    time_ms: u16,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Stall {
     #[serde(deserialize_with = "positive")]
     duty: f32,
@@ -155,6 +166,7 @@ impl LinearMotor {
                 time_ms: self.settle.time_ms,
             },
             stall: StallConfig { duty: self.stall.duty, travel: self.stall.travel_m, time_ms: self.stall.time_ms },
+            follow: FollowConfig { error: self.follow.error_m, time_ms: self.follow.time_ms },
         }
     }
 }

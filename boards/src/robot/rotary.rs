@@ -2,7 +2,10 @@
 
 use r4_protocol::{
     channel::ChannelId,
-    config::{BridgeLines, FeedForward, Feedback, MotorConfig, PidGains, ProfileLimits, SettleConfig, StallConfig},
+    config::{
+        BridgeLines, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains, ProfileLimits, SettleConfig,
+        StallConfig,
+    },
 };
 use serde::Deserialize;
 
@@ -31,6 +34,7 @@ pub(super) struct RotaryMotor {
     feed_forward: StaticAndSpeed,
     settle: Settle,
     stall: Stall,
+    follow: Follow,
 }
 
 #[derive(Deserialize)]
@@ -95,6 +99,15 @@ struct Settle {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Follow {
+    #[serde(deserialize_with = "positive")]
+    error_rad: f32,
+    #[serde(deserialize_with = "positive")]
+    time_ms: u16,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Stall {
     #[serde(deserialize_with = "positive")]
     duty: f32,
@@ -141,6 +154,7 @@ impl RotaryMotor {
                 time_ms: self.settle.time_ms,
             },
             stall: StallConfig { duty: self.stall.duty, travel: self.stall.travel_rad, time_ms: self.stall.time_ms },
+            follow: FollowConfig { error: self.follow.error_rad, time_ms: self.follow.time_ms },
         }
     }
 }

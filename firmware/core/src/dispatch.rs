@@ -68,7 +68,10 @@ fn answer<M: RawMutex>(
         Request::Disarm => shared.request(Event::Disarm)?,
         Request::Clear => shared.request(Event::Clear)?,
         Request::Set { channel, setpoint, sent_us, ttl_ms } => {
-            // A host clock slightly ahead of ours is no age.
+            let ahead_ms = sent_us.saturating_sub(now.as_micros()) / 1000;
+            if ahead_ms > ttl_ms.into() {
+                return Err(Refusal::ClockAhead { ahead_ms: u32::try_from(ahead_ms).unwrap_or(u32::MAX) });
+            }
             let age_ms = now.as_micros().saturating_sub(sent_us) / 1000;
             if age_ms > ttl_ms.into() {
                 let age_ms = u32::try_from(age_ms).unwrap_or(u32::MAX);

@@ -17,13 +17,16 @@ use crate::{dispatch::dispatch, shared::Shared};
 /// Answers waiting for the transmitter; a host that asks faster than its link carries is held back by the link itself.
 const ANSWERS: usize = 4;
 
+/// How often a link looks whether the board has started.
+const START_POLL: Duration = Duration::from_millis(1);
+
 /// Serves one link until it fails. `number` tells the links of a board apart.
 ///
 /// Waits for the outputs to be in a known state before it takes the first message.
 pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u8, rx: R, tx: W) {
-    shared.started.wait().await;
-    // Other links wait for the same.
-    shared.started.signal(());
+    while !shared.has_started() {
+        Timer::after(START_POLL).await;
+    }
     let answers: Channel<NoopRawMutex, ToHost, ANSWERS> = Channel::new();
     let subscriptions: Mutex<NoopRawMutex, _> = Mutex::new(core::cell::RefCell::new(Subscriptions::default()));
     let receive = receive(shared, number, rx, &answers, &subscriptions);
@@ -66,6 +69,10 @@ async fn transmit<M: RawMutex, W: Write>(
     subscriptions: &SharedSubscriptions,
 ) {
     let mut buffer = [0; MAX_FRAME];
+    // Ends whatever half a frame the host may still hold from before.
+    if tx.write_all(&[0]).await.is_err() {
+        return;
+    }
     loop {
         let due = subscriptions.lock(|s| s.borrow().next_due());
         let message = match select(answers.receive(), Timer::at(due)).await {

@@ -72,11 +72,15 @@ struct State {
     present: Causes,
     /// Causes that hold now, by the control loop's last period.
     control_causes: Causes,
-    last_tick: Instant,
+    /// `None` until the control loop runs.
+    last_tick: Option<Instant>,
     session: Option<Session>,
     next_session: u16,
-    commands: [Option<Setpoint>; MAX_MOTORS],
-    gains: [Option<(Mode, PidGains)>; MAX_MOTORS],
+    /// With the arming they were given in.
+    commands: [Option<(u16, Setpoint)>; MAX_MOTORS],
+    /// Of the position and of the speed loop.
+    gains: [[Option<PidGains>; 2]; MAX_MOTORS],
+    started: bool,
     motors: [MotorStatus; MAX_MOTORS],
     supplies_v: [f32; MAX_SUPPLIES],
     stats: DeviceStats,
@@ -90,8 +94,6 @@ pub struct Shared<M: RawMutex> {
     pub(crate) supervisor: Signal<M, ()>,
     /// Wakes the control loop out of turn: outputs must be made safe.
     pub(crate) make_safe: Signal<M, ()>,
-    /// The outputs were initialised, or could not be.
-    pub(crate) started: Signal<M, ()>,
 }
 
 impl<M: RawMutex> Shared<M> {
@@ -111,18 +113,18 @@ impl<M: RawMutex> Shared<M> {
                 epoch: 0,
                 present: control_causes,
                 control_causes,
-                last_tick: Instant::now(),
+                last_tick: None,
                 session: None,
                 next_session: 1,
                 commands: [None; MAX_MOTORS],
-                gains: [None; MAX_MOTORS],
+                gains: [[None; 2]; MAX_MOTORS],
+                started: false,
                 motors: [MotorStatus::IDLE; MAX_MOTORS],
                 supplies_v: [0.0; MAX_SUPPLIES],
                 stats: DeviceStats::default(),
             })),
             supervisor: Signal::new(),
             make_safe: Signal::new(),
-            started: Signal::new(),
         }
     }
 
@@ -161,11 +163,11 @@ impl<M: RawMutex> Shared<M> {
     /// The supervisor's look: `watched` are the causes it sees itself; those of the other tasks are added here.
     pub(crate) fn supervise(&self, mut watched: Causes, now: Instant) -> SafetyView {
         let link_timeout = Duration::from_millis(self.config.link_timeout_ms.into());
-        let overrun = Duration::from_micros((self.config.control_period_us * CONTROL_OVERRUN_PERIODS).into());
+        let overrun = Duration::from_micros(u64::from(self.config.control_period_us) * CONTROL_OVERRUN_PERIODS);
         let changed = self.with(|s| {
-            let link_lost = s.session.is_some_and(|session| now - session.last_heartbeat > link_timeout);
+            let link_lost = s.session.is_some_and(|session| since(session.last_heartbeat, now) > link_timeout);
             watched.set(Cause::LinkLost, link_lost);
-            watched.set(Cause::ControlOverrun, now - s.last_tick > overrun);
+            watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
             s.present = watched.union(s.control_causes);
             s.apply(Event::Tick).0
         });
@@ -178,7 +180,7 @@ impl<M: RawMutex> Shared<M> {
     // Control.
 
     pub(crate) fn control_tick(&self, now: Instant) {
-        self.with(|s| s.last_tick = now);
+        self.with(|s| s.last_tick = Some(now));
     }
 
     pub(crate) fn set_control_causes(&self, causes: Causes) {
@@ -192,12 +194,23 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    pub(crate) fn take_command(&self, motor: usize) -> Option<Setpoint> {
-        self.with(|s| s.commands[motor].take())
+    /// The newest command of this arming; one of a later arming is left for the next period.
+    pub(crate) fn take_command(&self, motor: usize, epoch: u16) -> Option<Setpoint> {
+        self.with(|s| s.commands[motor].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
 
-    pub(crate) fn take_gains(&self, motor: usize) -> Option<(Mode, PidGains)> {
-        self.with(|s| s.gains[motor].take())
+    /// New gains of the position and of the speed loop.
+    pub(crate) fn take_gains(&self, motor: usize) -> [Option<PidGains>; 2] {
+        self.with(|s| core::mem::take(&mut s.gains[motor]))
+    }
+
+    /// The outputs are in a known state, or could not be brought into one; hosts may be answered.
+    pub(crate) fn set_started(&self) {
+        self.with(|s| s.started = true);
+    }
+
+    pub(crate) fn has_started(&self) -> bool {
+        self.with(|s| s.started)
     }
 
     pub(crate) fn publish(&self, motor: usize, status: MotorStatus) {
@@ -238,15 +251,20 @@ impl<M: RawMutex> Shared<M> {
     pub(crate) fn command(&self, motor: usize, setpoint: Setpoint) -> Result<(), Refusal> {
         self.with(|s| match s.safety {
             Safety::Armed => {
-                s.commands[motor] = Some(setpoint);
+                s.commands[motor] = Some((s.epoch, setpoint));
                 Ok(())
             }
             _ => Err(Refusal::NotArmed { state: s.safety.state() }),
         })
     }
 
+    /// Stores gains for the control loop's next period, armed or not. Open duty has none.
     pub(crate) fn change_gains(&self, motor: usize, mode: Mode, gains: PidGains) {
-        self.with(|s| s.gains[motor] = Some((mode, gains)));
+        self.with(|s| match mode {
+            Mode::Position => s.gains[motor][0] = Some(gains),
+            Mode::Speed => s.gains[motor][1] = Some(gains),
+            Mode::Duty => {}
+        });
     }
 
     /// Opens a session for `link`, closing the one that link had.
@@ -256,7 +274,9 @@ impl<M: RawMutex> Shared<M> {
     pub(crate) fn open_session(&self, link: u8, now: Instant) -> Result<u16, Refusal> {
         let timeout = Duration::from_millis(self.config.link_timeout_ms.into());
         self.with(|s| match s.session {
-            Some(session) if session.link != link && now - session.last_heartbeat <= timeout => Err(Refusal::InUse),
+            Some(session) if session.link != link && since(session.last_heartbeat, now) <= timeout => {
+                Err(Refusal::InUse)
+            }
             _ => Ok(()),
         })?;
         // A host that starts anew does not know what the last one left running.
@@ -295,8 +315,13 @@ impl<M: RawMutex> Shared<M> {
     }
 }
 
+/// From `then` to `now`; nothing when another task has already seen a later moment.
+fn since(then: Instant, now: Instant) -> Duration {
+    now.saturating_duration_since(then)
+}
+
 /// The control loop counts as dead after this many periods without a tick.
-const CONTROL_OVERRUN_PERIODS: u32 = 5;
+const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
 impl State {
     /// Returns whether the state changed.

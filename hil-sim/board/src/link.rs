@@ -53,10 +53,7 @@ pub fn serial(clock: &Clock, baud: u32) -> (Port, Port) {
         }))
     };
     let (there, back) = (pipe(), pipe());
-    (
-        Port { rx: Receiver(back.clone()), tx: Sender(there.clone()) },
-        Port { rx: Receiver(there), tx: Sender(back) },
-    )
+    (Port { rx: Receiver(back.clone()), tx: Sender(there.clone()) }, Port { rx: Receiver(there), tx: Sender(back) })
 }
 
 impl ErrorType for Receiver {

@@ -66,8 +66,7 @@ impl World {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
         let osmc_pwm = Rc::new(RefCell::new(Pca9685::new(robot.config.osmc_pwm.address, PWM_OSCILLATOR_HZ)));
         bus.attach(osmc_pwm.clone());
-        let rails: Vec<_> =
-            robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
+        let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
         let mut motors = Vec::new();
         for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
             // The file's reader has checked that rail and motor exist.
@@ -252,7 +251,8 @@ impl World {
     pub fn misuse(&self) -> Vec<Misuse> {
         let pwm = self.osmc_pwm.borrow();
         let bridges = self.motors.iter().flat_map(|motor| motor.bridge.misuse().first());
-        let mut all: Vec<_> = self.bus.misuse().first().iter().chain(pwm.misuse().first()).chain(bridges).copied().collect();
+        let mut all: Vec<_> =
+            self.bus.misuse().first().iter().chain(pwm.misuse().first()).chain(bridges).copied().collect();
         all.sort_by_key(|misuse| misuse.time_ns);
         all
     }

@@ -177,9 +177,8 @@ fn driver() -> Pca9685 {
 /// `an_external_clock_is_reported`.
 fn any_write() -> impl Strategy<Value = [u8; 2]> {
     let register = prop_oneof![Just(MODE1), Just(MODE2), 0..=0x45u8, 0xFA..=0xFEu8];
-    (register, any::<u8>()).prop_map(|(register, value)| {
-        [register, if register == MODE1 { value & !0x40 } else { value }]
-    })
+    (register, any::<u8>())
+        .prop_map(|(register, value)| [register, if register == MODE1 { value & !0x40 } else { value }])
 }
 
 proptest! {
@@ -190,6 +189,8 @@ proptest! {
     #[test]
     fn setting_up_from_any_state_ends_off(writes in prop::collection::vec(any_write(), 0..40), wait_us in 600u64..50_000) {
         let ended = on_rig(async |mut bus, clock| {
+            // No bridge would take these outputs well.
+            bus.0.borrow_mut().bridges.clear();
             for write in writes {
                 // In any state of MODE1 the chip has this address, so every write is acknowledged.
                 bus.write(0x40, &write).await.unwrap();
@@ -202,7 +203,6 @@ proptest! {
                 rig.catch_up();
                 rig.bus.misuse_mut().clear();
                 rig.chip.borrow_mut().misuse_mut().clear();
-                rig.bridges.iter_mut().for_each(|(_, bridge)| bridge.misuse_mut().clear());
                 rig.chip.borrow().pwm_period_ns()
             };
             let begin_ns = clock.now_ns();
@@ -274,7 +274,8 @@ fn any_step() -> impl Strategy<Value = Step> {
     let duty = prop_oneof![Just(0.0f32), Just(0.95), Just(-0.95), -0.98f32..0.98];
     let disturbance = prop_oneof![
         Just(Disturbance::AddressNack),
-        (0..4usize).prop_map(|byte| Disturbance::DataNack { byte }),
+        // The register pointer. A later byte leaves half a write in the chip until the repeat, which is misuse by itself.
+        Just(Disturbance::DataNack { byte: 0 }),
         Just(Disturbance::StuckLow { persistent: false }),
     ];
     prop_oneof![
@@ -416,13 +417,13 @@ fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
 #[test]
 fn no_loop_drives_beyond_the_duty_cap() {
     let mut robot = osmc_bench();
+    robot.simulation.motors[1].start = 0.02;
     for motor in &mut robot.config.motors {
         motor.position_pid.kp *= 100.0;
         motor.speed_pid.ki *= 100.0;
     }
     for (mode, rotary, linear) in [(Mode::Position, 20.0, 0.09), (Mode::Speed, -5.0, 0.010)] {
         bench(&robot, async |bench| {
-            bench.board.world().set_position(LINEAR, 0.02);
             bench.host.arm().await.unwrap();
             bench.set(ROTARY, mode, rotary).await.unwrap();
             bench.set(LINEAR, mode, linear).await.unwrap();

@@ -10,8 +10,8 @@ mod harness;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use harness::{
-    Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, bench_with_misuse, osmc_bench,
-    raw_bench,
+    Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, bench_with_misuse,
+    osmc_bench, raw_bench,
 };
 use r4_boards::Robot;
 use r4_driver::Error;
@@ -62,13 +62,20 @@ struct Trip<I: AsyncFn(&Bench<'_>, &Robot)> {
     moments: u64,
 }
 
+/// The bench, its rod somewhere on its stroke.
+fn bench_with_rod_at(start_m: f64) -> Robot {
+    let mut robot = osmc_bench();
+    robot.simulation.motors[1].start = start_m;
+    robot
+}
+
 /// For causes that are over at once.
 fn nothing(_: &Device, _: &Robot) {}
 
 impl<I: AsyncFn(&Bench<'_>, &Robot)> Trip<I> {
     /// Runs it: off in time, tripped, latched, and afterwards as new.
     fn check(&self, name: &str) {
-        let robot = osmc_bench();
+        let robot = bench_with_rod_at(0.010);
         let (mut worst_off_ns, mut worst_written_ns) = (0, None);
         for moment in 0..self.moments {
             let phase_ns = moment * CHECKS * CHECK_EVERY * PERIOD_NS / self.moments + moment * 137 * US;
@@ -104,24 +111,31 @@ impl<I: AsyncFn(&Bench<'_>, &Robot)> Trip<I> {
         assert!(state == SafetyState::Tripped && causes.contains(cause), "{state}: {causes}");
         if self.stays {
             for refused in [bench.host.clear().await, bench.host.arm().await] {
-                let present = matches!(refused, Err(Error::Refused(Refusal::CausesPresent { causes })) if causes.contains(cause));
+                let present =
+                    matches!(refused, Err(Error::Refused(Refusal::CausesPresent { causes })) if causes.contains(cause));
                 assert!(present, "{cause}: {refused:?} while it is present");
             }
         }
         (self.remedy)(&device, robot);
         bench.sleep_ms(SETTLED_MS).await;
         let refused = bench.host.arm().await;
-        assert!(matches!(refused, Err(Error::Refused(Refusal::Tripped { causes })) if causes.contains(cause)), "{refused:?}");
+        assert!(
+            matches!(refused, Err(Error::Refused(Refusal::Tripped { causes })) if causes.contains(cause)),
+            "{refused:?}"
+        );
         assert_eq!(bench.host.safety().0, SafetyState::Tripped);
-        bench.host.clear().await.unwrap();
+        bench.host.clear().await.expect("the cause is gone");
         assert_eq!(bench.safety().await, (SafetyState::Disarmed, Causes::NONE));
-        bench.host.arm().await.unwrap();
+        bench.host.arm().await.expect("cleared");
         bench.sleep_ms(200).await;
         assert_eq!(bench.host.safety().0, SafetyState::Armed, "{}", bench.host.safety().1);
         assert_eq!(device.duty(ROTARY), 0.0, "the command from before the trip is not resumed");
-        bench.set(ROTARY, Mode::Duty, 0.8).await.unwrap();
+        bench.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
         bench.sleep_ms(300).await;
-        assert!(bench.board.world().speed(ROTARY).unwrap() > 0.5, "a new command moves the motor");
+        assert!(
+            bench.board.world().speed(ROTARY).expect("the bench has the channel") > 0.5,
+            "a new command moves the motor"
+        );
     }
 }
 
@@ -235,7 +249,8 @@ fn supply_trips(rail: ChannelId, from_v: f64, to_v: f64, limit_v: f64) {
     let trip = Trip {
         cause: Cause::SupplyOutOfRange,
         inject: async |bench: &Bench<'_>, _: &Robot| bench.board.world().set_emf(rail, to_v),
-        stays: true, remedy,
+        stays: true,
+        remedy,
         // One period until it is sampled, and one more for the filter's backward Euler.
         off_ns: (crossed_ms * 1e6) as u64 + 2 * PERIOD_NS,
         written_ns: Some((crossed_ms * 1e6) as u64 + 2 * PERIOD_NS + WRITTEN_SAFE_NS),
@@ -256,6 +271,9 @@ fn supply_too_low_or_too_high() {
     }
 }
 
+/// A potentiometer may crackle for 5 ms; then a period until it is sampled, and one until that pass is over.
+const CRACKLE_NS: u64 = 5 * MS + 2 * PERIOD_NS;
+
 #[test]
 fn potentiometer_wiper_open_or_shorted() {
     // Far beyond the converter's range either way: code 0 or 65535, as a wiper at ground or at the reference.
@@ -263,8 +281,7 @@ fn potentiometer_wiper_open_or_shorted() {
         bench.device().add_effect(robot, LINEAR, Effect::EncoderOffset(EncoderOffset { offset }));
     }
     let remedy: fn(&Device, &Robot) = |device, robot| device.repair(robot, LINEAR);
-    // Sampled within a period; the control loop wakes the supervisor at the end of that pass.
-    let (off_ns, written_ns) = (2 * PERIOD_NS, Some(2 * PERIOD_NS + WRITTEN_SAFE_NS));
+    let (off_ns, written_ns) = (CRACKLE_NS, Some(CRACKLE_NS + WRITTEN_SAFE_NS));
     let cause = Cause::EncoderImplausible;
     let open = async |bench: &Bench<'_>, robot: &Robot| shift(bench, robot, -1.0);
     Trip { cause, inject: open, stays: true, remedy, off_ns, written_ns, moments: 4 }.check("wiper at ground");
@@ -276,7 +293,7 @@ fn potentiometer_wiper_open_or_shorted() {
 /// that may be asked for, 30 mm in a millisecond 3000 times.
 #[test]
 fn feedback_that_jumps() {
-    for (channel, jump) in [(ROTARY, std::f64::consts::PI), (LINEAR, 0.03)] {
+    for (channel, jump, off_ns) in [(ROTARY, std::f64::consts::PI, 2 * PERIOD_NS), (LINEAR, 0.03, CRACKLE_NS)] {
         Trip {
             cause: Cause::EncoderImplausible,
             inject: async |bench: &Bench<'_>, _: &Robot| {
@@ -285,8 +302,8 @@ fn feedback_that_jumps() {
             },
             stays: false,
             remedy: nothing,
-            off_ns: 2 * PERIOD_NS,
-            written_ns: Some(2 * PERIOD_NS + WRITTEN_SAFE_NS),
+            off_ns,
+            written_ns: Some(off_ns + WRITTEN_SAFE_NS),
             moments: 2,
         }
         .check(&format!("{channel} jumps"));
@@ -295,7 +312,11 @@ fn feedback_that_jumps() {
 
 /// A driven motor counts as stalled when it covers less than `stall.travel` in a window of `stall.time_ms`. One that
 /// stops in the middle of a window may have covered that before, so the next window tells.
-const LONGEST_STALL_NS: u64 = 2 * 1000 * MS + 2 * PERIOD_NS + SUPERVISOR_NS;
+fn longest_stall_ns(channel: ChannelId) -> u64 {
+    let config = osmc_bench().config;
+    let motor = config.motors.iter().find(|motor| motor.id == channel).expect("the bench has the channel");
+    2 * u64::from(motor.stall.time_ms) * MS + 2 * PERIOD_NS + SUPERVISOR_NS
+}
 
 #[test]
 fn motor_jams_under_way() {
@@ -309,8 +330,8 @@ fn motor_jams_under_way() {
         },
         stays: false,
         remedy: |device, robot| device.repair(robot, ROTARY),
-        off_ns: 401 * MS + LONGEST_STALL_NS,
-        written_ns: Some(401 * MS + LONGEST_STALL_NS + WRITTEN_SAFE_NS),
+        off_ns: 401 * MS + longest_stall_ns(ROTARY),
+        written_ns: Some(401 * MS + longest_stall_ns(ROTARY) + WRITTEN_SAFE_NS),
         moments: 1,
     }
     .check("jam");
@@ -321,21 +342,23 @@ fn potentiometer_with_a_dead_spot() {
     Trip {
         cause: Cause::Stalled,
         inject: async |bench, robot| {
-            // From 11 mm on the last reading stays; at 10 mm/s the rod gets there in 0.1 s.
+            // The rod stands at 10 mm. From 11 mm on the last reading stays; at 10 mm/s it gets there in 0.1 s.
             let dead_spot = Effect::PotentiometerDeadSpot(PotentiometerDeadSpot { start: 0.011, width: 0.05 });
             bench.device().add_effect(robot, LINEAR, dead_spot);
-            bench.board.world().set_position(LINEAR, 0.010);
-            bench.sleep_ms(100).await;
             bench.set(LINEAR, Mode::Duty, 0.78).await.unwrap();
         },
         stays: false,
         remedy: |device, robot| device.repair(robot, LINEAR),
-        off_ns: 100 * MS + 300 * MS + LONGEST_STALL_NS,
-        written_ns: Some(400 * MS + LONGEST_STALL_NS + WRITTEN_SAFE_NS),
+        // 0.3 s to the dead spot, starting included.
+        off_ns: 300 * MS + longest_stall_ns(LINEAR),
+        written_ns: Some(300 * MS + longest_stall_ns(LINEAR) + WRITTEN_SAFE_NS),
         moments: 1,
     }
     .check("dead spot");
 }
+
+/// Makes a configuration wrong.
+type Spoil = fn(&mut BoardConfig);
 
 /// Feedback that counts the wrong way makes the loops run away. From the moment the bridge has the duty from which a stall
 /// counts, the trip comes within the configured time.
@@ -349,10 +372,12 @@ fn feedback_that_counts_the_wrong_way() {
         config.motors[0].inverted = true;
     }
     fn potentiometer(config: &mut BoardConfig) {
-        let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else { panic!("no potentiometer") };
+        let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else {
+            panic!("no potentiometer")
+        };
         std::mem::swap(&mut low.code, &mut high.code);
     }
-    let cases: [(&str, fn(&mut BoardConfig), ChannelId, Mode, f32); 5] = [
+    let cases: [(&str, Spoil, ChannelId, Mode, f32); 5] = [
         ("encoder", encoder, ROTARY, Mode::Position, 1.0),
         ("encoder", encoder, ROTARY, Mode::Speed, -2.0),
         ("bridge", bridge, ROTARY, Mode::Position, -1.0),
@@ -360,9 +385,8 @@ fn feedback_that_counts_the_wrong_way() {
         ("potentiometer", potentiometer, LINEAR, Mode::Speed, 0.008),
     ];
     for (what, invert, channel, mode, value) in cases {
-        let mut robot = osmc_bench();
+        let mut robot = bench_with_rod_at(0.05);
         invert(&mut robot.config);
-        robot.simulation.motors[1].start = 0.05;
         let stall = robot.config.motors[if channel == ROTARY { 0 } else { 1 }].stall;
         bench(&robot, async |bench| {
             let device = bench.device();
@@ -421,7 +445,7 @@ fn a_host_that_comes_back_finds_the_trip_and_nothing_moves() {
 
 #[test]
 fn a_configuration_that_contradicts_itself_never_arms() {
-    let cases: [(&str, fn(&mut BoardConfig)); 15] = [
+    let cases: [(&str, Spoil); 15] = [
         ("no control period", |config| config.control_period_us = 0),
         ("an endless control period", |config| config.control_period_us = u32::MAX),
         ("no link timeout", |config| config.link_timeout_ms = 0),
@@ -435,7 +459,9 @@ fn a_configuration_that_contradicts_itself_never_arms() {
         ("a duty beyond the hard limit", |config| config.motors[0].duty_max = 1.0),
         ("a gain that is no number", |config| config.motors[0].position_pid.kp = f32::NAN),
         ("a potentiometer with equal ends", |config| {
-            let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else { panic!("no potentiometer") };
+            let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else {
+                panic!("no potentiometer")
+            };
             high.code = low.code;
         }),
         ("an empty supply range", |config| config.supplies[0].range_v = Range::new(30.0, 20.0)),
@@ -547,12 +573,16 @@ fn a_stop_cleared_at_once_still_stops() {
                 std::task::Poll::Ready(())
             })
             .await;
-            let limit_ns = WRITTEN_SAFE_NS + MS;
-            let written_ns = device.wait_all_off_written(at_ns, limit_ns).await;
-            let stopped = device.duty(ROTARY) == 0.0;
-            assert!(stopped && written_ns.is_some(), "moment {moment}: written {written_ns:?}, duty {}", device.duty(ROTARY));
-            bench.sleep_ms(20).await;
-            assert_eq!(device.duty(ROTARY), 0.0);
+            let written_ns = device.wait_all_off_written(at_ns, WRITTEN_SAFE_NS).await;
+            assert!(
+                written_ns.is_some_and(|ns| ns <= WRITTEN_SAFE_NS),
+                "moment {moment}: written off after {written_ns:?}"
+            );
+            // The chip takes it over at the end of a PWM period of 0.66 ms.
+            for _ in 0..20 {
+                bench.sleep_ms(1).await;
+                assert_eq!(device.duty(ROTARY), 0.0, "moment {moment}: the old command goes on");
+            }
             bench.host.disarm().await.unwrap();
             bench.host.clear().await.unwrap();
         }
@@ -562,11 +592,9 @@ fn a_stop_cleared_at_once_still_stops() {
 #[test]
 fn bus_faults_that_pass_are_counted_and_do_not_trip() {
     let one = Span::Transfers { count: 1 };
-    for disturbance in [
-        Disturbance::AddressNack,
-        Disturbance::DataNack { byte: 0 },
-        Disturbance::StuckLow { persistent: false },
-    ] {
+    for disturbance in
+        [Disturbance::AddressNack, Disturbance::DataNack { byte: 0 }, Disturbance::StuckLow { persistent: false }]
+    {
         // In a control loop that writes, and in one that only reads back; at eight moments each.
         for moment in 0..16 {
             bench(&osmc_bench(), async |bench| {
@@ -616,17 +644,18 @@ fn dead_man_released_at_any_moment() {
     let mut random = Pcg64::seed_from_u64(SEED);
     let mut between = move |low: u64, high: u64| low + random.next_u64() % (high - low);
     let (mut worst_off_ns, mut worst_written_ns) = (0, 0);
-    bench(&osmc_bench(), async |bench| {
+    bench(&bench_with_rod_at(0.05), async |bench| {
         let device = bench.device();
         for case in 0..300 {
             bench.host.arm().await.unwrap();
             let (mode, rotary, linear) = match between(0, 3) {
                 0 => (Mode::Duty, 0.9, 0.78),
                 1 => (Mode::Speed, 2.0, 0.008),
-                _ => (Mode::Position, 6.0, 0.09),
+                _ => (Mode::Position, 6.0, 0.0),
             };
             // Back and forth, so that reversals are met too.
             let sign = if between(0, 2) == 0 { 1.0 } else { -1.0 };
+            let linear = if mode == Mode::Position { 0.05 + sign * 0.04 } else { sign * linear };
             bench.set(ROTARY, mode, sign * rotary).await.unwrap();
             bench.set(LINEAR, mode, linear).await.unwrap();
             bench.clock.sleep(between(0, 60 * MS)).await;
@@ -644,10 +673,11 @@ fn dead_man_released_at_any_moment() {
             worst_off_ns = worst_off_ns.max(off_ns.unwrap_or(u64::MAX));
             worst_written_ns = worst_written_ns.max(written_ns.unwrap_or(u64::MAX));
             bench.board.dead_man().set(true);
-            bench.board.world().set_position(LINEAR, 0.05);
             bench.sleep_ms(30).await;
             bench.host.clear().await.unwrap();
         }
     });
-    eprintln!("dead-man, 300 moments: off after at most {worst_off_ns} ns, written off after at most {worst_written_ns} ns");
+    eprintln!(
+        "dead-man, 300 moments: off after at most {worst_off_ns} ns, written off after at most {worst_written_ns} ns"
+    );
 }

@@ -34,7 +34,10 @@ impl FromStr for Target {
             }
             _ => {
                 let known: Vec<_> = r4_boards::names().map(|name| format!("sim:{name}")).collect();
-                Err(format!("`{text}` names no board: write sim: and a robot's name or file; built in: {}", known.join(" ")))
+                Err(format!(
+                    "`{text}` names no board: write sim: and a robot's name or file; built in: {}",
+                    known.join(" ")
+                ))
             }
         }
     }
@@ -131,8 +134,7 @@ pub(crate) fn run<T>(
         unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
     });
     let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
-    let elapsed =
-        Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+    let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
     let value = result.with_context(|| format!("cannot connect to {}", args.board))??;
     Ok((value, elapsed))
 }

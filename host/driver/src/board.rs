@@ -25,6 +25,8 @@ use crate::{
 
 /// A request without an answer after this long has failed.
 const REQUEST_TIMEOUT_MS: u32 = 500;
+/// A board that does not answer so many times is not there.
+const HELLO_ATTEMPTS: u32 = 3;
 /// Set points older than this on arrival are refused by the board.
 const SETPOINT_TTL_MS: u16 = 100;
 
@@ -79,12 +81,10 @@ const LOOK_EVERY_MS: u16 = 10;
 impl<C: Clock> Board<C> {
     /// Says hello and asks for every channel.
     pub(crate) async fn open(wire: Wire<C>) -> Result<Self, Error> {
-        let sent_us = wire.clock.now_us();
-        let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
-        let Reply::Hello(info) = wire.request("hello", hello).await? else {
-            return Err(Error::WrongReply { request: "hello" });
-        };
-        lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
+        let (info, sent_us) = Self::hello(&wire).await?;
+        let heartbeat = lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
+        // Also wakes the transmitter, which keeps the session from now on.
+        let _ = wire.outgoing.unbounded_send(heartbeat);
         let mut channels = Vec::new();
         for index in 0..info.channels {
             match wire.request("describe", Request::Describe { index }).await? {
@@ -93,6 +93,22 @@ impl<C: Clock> Board<C> {
             }
         }
         Ok(Self { wire, info, channels })
+    }
+
+    /// Says hello until it is answered: the first bytes on a fresh link are often lost or glued to others.
+    async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
+        let mut attempts = HELLO_ATTEMPTS;
+        loop {
+            let sent_us = wire.clock.now_us();
+            let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+            attempts -= 1;
+            match wire.request("hello", hello).await {
+                Ok(Reply::Hello(info)) => return Ok((info, sent_us)),
+                Ok(_) => return Err(Error::WrongReply { request: "hello" }),
+                Err(Error::TimedOut { .. }) if attempts > 0 => {}
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     /// Ends the session. Whether the answer arrives changes nothing: without heartbeats the board ends it too.
@@ -245,28 +261,34 @@ impl<C: Clock> Board<C> {
         self.subscribe(channel, LOOK_EVERY_MS).await?;
         let begin_us = self.device_us();
         self.set(channel, setpoint).await?;
+        let (Until::Settled { timeout_s: limit_s } | Until::Elapsed { seconds: limit_s }) = until;
+        // By our clock, should the board's telemetry never show what was asked for.
+        let deadline_us =
+            self.wire.clock.now_us() + (limit_s.max(0.0) * 1e6) as u64 + u64::from(REQUEST_TIMEOUT_MS) * 1000;
+        let mut followed_once = false;
         loop {
-            let frame = telemetry.next().await?;
+            let frame = match select(pin!(telemetry.next()), pin!(self.wire.clock.sleep_until(deadline_us))).await {
+                Either::Left((frame, _)) => frame?,
+                Either::Right(((), _)) => return Err(Error::NotFollowed { channel }),
+            };
             if frame.state != SafetyState::Armed {
                 return Err(Error::Stopped { causes: frame.causes });
             }
             let after_s = frame.device_us.saturating_sub(begin_us) as f64 / 1e6;
             let own = frame.samples.iter().find_map(|sample| match *sample {
-                // The frames under way when the command was sent still follow the last one.
-                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled }
-                    if of == channel && followed == setpoint =>
-                {
-                    Some(Motion {
-                        position: f64::from(position) * resolution,
-                        speed: speed.into(),
-                        duty: duty.into(),
-                        settled,
-                        after_s,
-                    })
+                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled } if of == channel => {
+                    let position = f64::from(position) * resolution;
+                    Some((followed, Motion { position, speed: speed.into(), duty: duty.into(), settled, after_s }))
                 }
                 _ => None,
             });
-            let Some(motion) = own else { continue };
+            let Some((followed, motion)) = own else { continue };
+            match (followed == setpoint, followed_once) {
+                (true, _) => followed_once = true,
+                // Under way when the command was sent, and so still of the last one.
+                (false, false) => continue,
+                (false, true) => return Err(Error::NotFollowed { channel }),
+            }
             match until {
                 Until::Settled { .. } if motion.settled => return Ok(motion),
                 Until::Settled { timeout_s } if after_s > timeout_s => {
@@ -282,7 +304,9 @@ impl<C: Clock> Board<C> {
 
 impl<C: Clock> Wire<C> {
     pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
-        Self { clock, state, outgoing, next_seq: AtomicU16::new(0) }
+        // Not from 0: an answer to a host before us, still under way, must not pass for one to us.
+        let next_seq = AtomicU16::new((clock.now_us() >> 4) as u16);
+        Self { clock, state, outgoing, next_seq }
     }
 
     async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
@@ -302,6 +326,8 @@ impl<C: Clock> Wire<C> {
             }
             state.pending.insert(seq, sender);
         }
+        // Also when this future is dropped, nobody waits any more.
+        let _waiting = Waiting { state: &self.state, seq };
         let timed_out = Error::TimedOut { request: name, after_ms: REQUEST_TIMEOUT_MS };
         if self.outgoing.unbounded_send(ToDevice::Request { seq, request }).is_err() {
             return Err(lock(&self.state).end.clone().unwrap_or(timed_out));
@@ -311,10 +337,19 @@ impl<C: Clock> Wire<C> {
             Either::Left((Ok(result), _)) => Ok(result?),
             // The link ended, which dropped the sender.
             Either::Left((Err(_), _)) => Err(lock(&self.state).end.clone().unwrap_or(timed_out)),
-            Either::Right(((), _)) => {
-                lock(&self.state).pending.remove(&seq);
-                Err(timed_out)
-            }
+            Either::Right(((), _)) => Err(timed_out),
         }
+    }
+}
+
+/// A request that waits for its answer.
+struct Waiting<'s> {
+    state: &'s Mutex<State>,
+    seq: u16,
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        lock(self.state).pending.remove(&self.seq);
     }
 }

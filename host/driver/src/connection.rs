@@ -36,8 +36,25 @@ pub(crate) struct State {
     pub(crate) end: Option<Error>,
     pub(crate) bad_frames: u64,
     session: Option<Session>,
-    /// Board clock minus host clock, µs, from the fastest round trip so far, and that round trip.
-    offset_us: Option<(i64, u64)>,
+    offset: Option<Offset>,
+}
+
+/// Board clock minus host clock, as one round trip showed it.
+#[derive(Clone, Copy)]
+struct Offset {
+    us: i64,
+    round_trip_us: u64,
+    seen_us: u64,
+}
+
+/// Two crystals drift apart by no more than this share, of which an old offset is worth less.
+const DRIFT: f64 = 200e-6;
+
+impl Offset {
+    /// How wrong it may be by now, µs.
+    fn uncertainty_us(&self, now_us: u64) -> f64 {
+        self.round_trip_us as f64 / 2.0 + now_us.saturating_sub(self.seen_us) as f64 * DRIFT
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -50,19 +67,21 @@ struct Session {
 impl State {
     /// The board's clock when the host's shows `host_us`.
     pub(crate) fn device_us(&self, host_us: u64) -> u64 {
-        host_us.saturating_add_signed(self.offset_us.map_or(0, |(offset, _)| offset))
+        host_us.saturating_add_signed(self.offset.map_or(0, |offset| offset.us))
     }
 
     /// Takes the board's clock as read between `sent_us` and `now_us` of ours.
     fn clock_seen(&mut self, sent_us: u64, device_us: u64, now_us: u64) {
         let round_trip_us = now_us.saturating_sub(sent_us);
-        if self.offset_us.is_none_or(|(_, best)| round_trip_us <= best) {
-            let middle_us = sent_us + round_trip_us / 2;
-            self.offset_us = Some((device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us));
+        let middle_us = sent_us + round_trip_us / 2;
+        let new = Offset { us: device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us, seen_us: now_us };
+        if self.offset.is_none_or(|old| new.uncertainty_us(now_us) <= old.uncertainty_us(now_us)) {
+            self.offset = Some(new);
         }
     }
 
-    pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) {
+    /// Takes the session that the board opened, and returns the heartbeat that keeps it.
+    pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) -> ToDevice {
         self.clock_seen(sent_us, info.device_us, now_us);
         self.safety = Some((info.state, info.causes));
         self.session = Some(Session {
@@ -70,6 +89,7 @@ impl State {
             timeout_us: u64::from(info.link_timeout_ms) * 1000,
             last_heard_us: now_us,
         });
+        ToDevice::Heartbeat { session: info.session, host_us: now_us }
     }
 
     fn receive(&mut self, message: ToHost, now_us: u64) {
@@ -127,9 +147,11 @@ where
     };
     let receive = receive(&state, &clock, rx);
     let transmit = transmit(&state, &clock, tx, messages);
+    let listen = listen(&state, &clock);
     let link = async {
-        let error = match select(pin!(receive), pin!(transmit)).await {
-            Either::Left((error, _)) | Either::Right((error, _)) => error,
+        let error = match select(pin!(listen), select(pin!(receive), pin!(transmit))).await {
+            Either::Left((error, _)) => error,
+            Either::Right((Either::Left((error, _)) | Either::Right((error, _)), _)) => error,
         };
         lock(&state).end(error);
         // The session ends by itself now: whatever it waits for has failed.
@@ -162,31 +184,55 @@ async fn receive<C: Clock, R: Read>(state: &Mutex<State>, clock: &C, mut rx: R) 
     }
 }
 
+/// Ends when the board has been silent for too long. Its own future: a stuck transmitter must not stop it.
+async fn listen<C: Clock>(state: &Mutex<State>, clock: &C) -> Error {
+    /// How often a session is looked for before there is one, µs.
+    const LOOK_EVERY_US: u64 = 50_000;
+    loop {
+        let session = lock(state).session;
+        let now_us = clock.now_us();
+        let until_us = match session {
+            None => now_us + LOOK_EVERY_US,
+            Some(session) => {
+                let silent_us = now_us.saturating_sub(session.last_heard_us);
+                let allowed_us = session.timeout_us * SILENT_TIMEOUTS;
+                if silent_us > allowed_us {
+                    return Error::LinkLost { silent_ms: (silent_us / 1000) as u32 };
+                }
+                now_us + (allowed_us - silent_us) + 1
+            }
+        };
+        clock.sleep_until(until_us).await;
+    }
+}
+
 async fn transmit<C: Clock, W: Write>(
     state: &Mutex<State>,
     clock: &C,
     mut tx: W,
     mut messages: mpsc::UnboundedReceiver<ToDevice>,
 ) -> Error {
+    let failed = |error: W::Error| Error::LinkFailed { reason: format!("{error:?}") };
+    // Ends whatever half a frame the board may still hold from a host before us.
+    if let Err(error) = tx.write_all(&[0]).await {
+        return failed(error);
+    }
     let mut buffer = [0; MAX_FRAME];
-    let mut next_heartbeat_us = clock.now_us();
+    let mut next_heartbeat_us = 0;
     loop {
         let session = lock(state).session;
-        let message = if let Some(session) = session {
-            match select(messages.next(), pin!(clock.sleep_until(next_heartbeat_us))).await {
-                Either::Left((message, _)) => message,
-                Either::Right(((), _)) => {
-                    let now_us = clock.now_us();
-                    let silent_us = now_us.saturating_sub(session.last_heard_us);
-                    if silent_us > session.timeout_us * SILENT_TIMEOUTS {
-                        return Error::LinkLost { silent_ms: (silent_us / 1000) as u32 };
-                    }
-                    next_heartbeat_us = now_us + session.timeout_us / HEARTBEATS_PER_TIMEOUT;
-                    Some(ToDevice::Heartbeat { session: session.id, host_us: now_us })
-                }
+        let message = match session {
+            // Before all else, so that no amount of requests can starve it.
+            Some(session) if clock.now_us() >= next_heartbeat_us => {
+                let host_us = clock.now_us();
+                next_heartbeat_us = host_us + session.timeout_us / HEARTBEATS_PER_TIMEOUT;
+                Some(ToDevice::Heartbeat { session: session.id, host_us })
             }
-        } else {
-            messages.next().await
+            Some(_) => match select(messages.next(), pin!(clock.sleep_until(next_heartbeat_us))).await {
+                Either::Left((message, _)) => message,
+                Either::Right(((), _)) => continue,
+            },
+            None => messages.next().await,
         };
         let Some(message) = message else {
             // The board's handle is gone, and with it all who could ask for something.
@@ -194,10 +240,10 @@ async fn transmit<C: Clock, W: Write>(
         };
         let Ok(frame) = encode_frame(&message, &mut buffer) else { continue };
         if let Err(error) = tx.write_all(frame).await {
-            return Error::LinkFailed { reason: format!("{:?}", error) };
+            return failed(error);
         }
         if let Err(error) = tx.flush().await {
-            return Error::LinkFailed { reason: format!("{:?}", error) };
+            return failed(error);
         }
     }
 }

@@ -40,6 +40,12 @@ pub enum Error {
         /// The latched causes; none when it was disarmed.
         causes: Causes,
     },
+    /// The motor follows another set point, or its telemetry has stopped.
+    #[error("{channel} no longer follows this set point: somebody else commands it too, or ended its telemetry")]
+    NotFollowed {
+        /// Which.
+        channel: ChannelId,
+    },
     /// A motor did not reach its set point in time.
     #[error("{channel} was not settled after {after_s:.1} s: at {position:.4} {unit}, asked for {target:.4} {unit}")]
     NotSettled {

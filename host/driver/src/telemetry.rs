@@ -58,12 +58,16 @@ impl TelemetryStream {
 
 /// Where the connection puts frames for all streams.
 #[derive(Default)]
-pub(crate) struct Streams(Vec<Weak<Mutex<Queue>>>);
+pub(crate) struct Streams {
+    queues: Vec<Weak<Mutex<Queue>>>,
+    end: Option<Error>,
+}
 
 impl Streams {
     pub(crate) fn open(&mut self) -> TelemetryStream {
-        let queue = Arc::default();
-        self.0.push(Arc::downgrade(&queue));
+        // After the end a stream says so at once.
+        let queue = Arc::new(Mutex::new(Queue { end: self.end.clone(), ..Queue::default() }));
+        self.queues.push(Arc::downgrade(&queue));
         TelemetryStream(queue)
     }
 
@@ -78,11 +82,12 @@ impl Streams {
     }
 
     pub(crate) fn end(&mut self, error: &Error) {
+        self.end = Some(error.clone());
         self.each(|queue| queue.end = Some(error.clone()));
     }
 
     fn each(&mut self, mut f: impl FnMut(&mut Queue)) {
-        self.0.retain(|queue| {
+        self.queues.retain(|queue| {
             let Some(queue) = queue.upgrade() else { return false };
             let mut queue = lock(&queue);
             f(&mut queue);

@@ -5,6 +5,7 @@ use r4_protocol::{
     ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, ToDevice, ToHost, Unit,
     encode_frame,
     frame::{MAX_FRAME, MAX_MESSAGE, MessageTooLong},
+    message::MAX_SAMPLES,
 };
 
 use crate::{frame, payload, receive, samples, strategies};
@@ -63,12 +64,11 @@ fn the_longest_frame_goes_through_and_a_longer_message_is_not_sent() {
     }
 }
 
-/// Without delimiters a frame has at most `MAX_FRAME` - 1 bytes. The decoder's buffer has room for one more, so that
-/// one is not told from a frame; from the next one on it is.
+/// Without delimiters a frame has at most `MAX_FRAME` - 1 bytes.
 #[test]
 fn a_frame_that_is_too_long_is_one_error_and_the_next_frame_is_taken() {
     let next = ToDevice::Heartbeat { session: 7, host_us: 1 };
-    for len in [MAX_FRAME + 1, MAX_FRAME + 2, 2 * MAX_FRAME, 2 * MAX_FRAME + 1, 100_000] {
+    for len in [MAX_FRAME, MAX_FRAME + 1, MAX_FRAME + 2, 2 * MAX_FRAME, 2 * MAX_FRAME + 1, 100_000] {
         for value in [0x01, 0x55, 0xFF] {
             let mut bytes = vec![value; len];
             bytes.push(0);
@@ -118,7 +118,7 @@ fn a_message_of_another_version_is_not_a_message() {
 #[test]
 fn lists_longer_than_this_versions_are_not_a_message() {
     let samples = samples::largest_telemetry().samples;
-    let one_more: heapless::Vec<_, 9> = samples.iter().chain(&samples[..1]).copied().collect();
+    let one_more: heapless::Vec<_, { MAX_SAMPLES + 1 }> = samples.iter().chain(&samples[..1]).copied().collect();
     let telemetry = (2u8, 1u8, 0u8, 0u8, one_more);
     assert_eq!(receive::<ToHost>(&frame(&telemetry)), [Err(FrameError::NotAMessage)]);
 }

@@ -242,6 +242,7 @@ fn refusals() -> Vec<(&'static str, Refusal)> {
         ("refused-expired-largest", Refusal::Expired { age_ms: u32::MAX, ttl_ms: u16::MAX }),
         ("refused-bad-gains", Refusal::BadGains { channel: ACTUATOR1 }),
         ("refused-too-many-subscriptions", Refusal::TooManySubscriptions),
+        ("refused-clock-ahead", Refusal::ClockAhead { ahead_ms: u32::MAX }),
     ]
 }
 

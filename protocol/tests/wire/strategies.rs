@@ -82,6 +82,7 @@ fn refusal() -> BoxedStrategy<Refusal> {
         causes().prop_map(|causes| Refusal::Tripped { causes }),
         (u32s(), u16s()).prop_map(|(age_ms, ttl_ms)| Refusal::Expired { age_ms, ttl_ms }),
         channel().prop_map(|channel| Refusal::BadGains { channel }),
+        u32s().prop_map(|ahead_ms| Refusal::ClockAhead { ahead_ms }),
     ]
     .boxed()
 }

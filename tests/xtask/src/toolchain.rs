@@ -71,7 +71,7 @@ fn advice(missing: &[Part], with_rustup: bool) -> String {
     let commands: String =
         missing.iter().map(|part| format!("\n  rustup {}", part.rustup_arguments().join(" "))).collect();
     let how = if with_rustup {
-        "rustup could not add them; when you are online again, run in this folder:"
+        "rustup could not add them, see above. When it can, run in this folder:"
     } else {
         "there is no rustup to add them. Install them with what installed your Rust, or install rustup \
          (https://rustup.rs) and run in this folder:"

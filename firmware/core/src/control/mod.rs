@@ -4,5 +4,6 @@ pub mod motor;
 pub mod pid;
 pub mod profile;
 mod task;
+mod watch;
 
 pub use task::{BoardIo, run};

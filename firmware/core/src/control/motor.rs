@@ -2,15 +2,16 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{Feedback, MotorConfig, PidGains},
+    config::{Feedback, MotorConfig, PidGains, ProfileLimits},
 };
 
 use super::{
     pid::{BadPeriod, OutputLimits, Pid},
     profile::Profile,
+    watch::{Seen, Watch},
 };
 use crate::{
-    sensing::{encoder::Encoder, potentiometer::Potentiometer},
+    sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
     shared::MotorStatus,
 };
 
@@ -44,12 +45,33 @@ pub struct Motor {
     position: f64,
     position_counts: i32,
     speed: f32,
+    /// Filtered rate of the speed, for the derivative of the speed loop.
+    acceleration: LowPass,
+    acceleration_now: f32,
+    /// What the loops want, and what the bridge makes of it.
     duty: f32,
+    applied: f32,
+    /// In position mode: how far from the path.
+    path_error: Option<f32>,
+    /// While settled.
+    hold: Option<Hold>,
     /// Within the band around the target in which a position counts as reached.
     near: bool,
     at_rest_s: f32,
-    watch: StallWatch,
+    watch: Watch,
 }
+
+/// How a settled motor is held: with the duty it settled at, which is let go as far as the motor stays.
+#[derive(Clone, Copy)]
+struct Hold {
+    duty: f32,
+    position: f64,
+}
+
+/// A settled motor's duty is let go with this time constant, s.
+const LET_GO_S: f32 = 0.2;
+/// Less than this does nothing to a motor on a bridge.
+const NO_DUTY: f32 = 0.01;
 
 impl Motor {
     /// A motor at rest, without command.
@@ -73,10 +95,15 @@ impl Motor {
             position: 0.0,
             position_counts: 0,
             speed: 0.0,
+            acceleration: LowPass::new(filter_s, period_s),
+            acceleration_now: 0.0,
             duty: 0.0,
+            applied: 0.0,
+            path_error: None,
+            hold: None,
             near: false,
             at_rest_s: 0.0,
-            watch: StallWatch::default(),
+            watch: Watch::default(),
             period_s,
             config,
         })
@@ -87,7 +114,8 @@ impl Motor {
     /// Returns [`Cause::EncoderImplausible`] when the sensor cannot be where it says.
     pub fn sense(&mut self, raw: u16) -> Causes {
         let resolution = resolution(self.config.feedback);
-        match &mut self.sensor {
+        let last_speed = self.speed;
+        let causes = match &mut self.sensor {
             Sensor::Encoder(encoder) => {
                 let (counts, counts_per_s) = encoder.update(raw);
                 self.position_counts = counts;
@@ -104,7 +132,9 @@ impl Motor {
                 }
                 Err(_) => Causes::only(Cause::EncoderImplausible),
             },
-        }
+        };
+        self.acceleration_now = self.acceleration.step((self.speed - last_speed) / self.period_s);
+        causes
     }
 
     /// Takes a command, which dispatch has checked.
@@ -112,6 +142,7 @@ impl Motor {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
         self.near = false;
         self.at_rest_s = 0.0;
+        self.hold = None;
         match (last.mode, setpoint.mode) {
             (Mode::Position, Mode::Position) => self.profile.shift_target(setpoint.value - last.value),
             (_, Mode::Position) => {
@@ -131,9 +162,12 @@ impl Motor {
     pub fn stop(&mut self) {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
         self.duty = 0.0;
+        self.applied = 0.0;
+        self.path_error = None;
+        self.hold = None;
         self.near = false;
         self.at_rest_s = 0.0;
-        self.watch = StallWatch::default();
+        self.watch = Watch::default();
     }
 
     /// Takes new gains for one loop, without a jump.
@@ -148,6 +182,7 @@ impl Motor {
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
         let limits = OutputLimits { magnitude: self.config.duty_max, slew_per_s: self.config.duty_slew_per_s };
+        self.path_error = None;
         let wanted = match self.setpoint.mode {
             Mode::Position => self.step_position(limits),
             Mode::Speed => self.step_speed(limits),
@@ -156,9 +191,21 @@ impl Motor {
                 self.setpoint.value.clamp(self.duty - step, self.duty + step).clamp(-limits.magnitude, limits.magnitude)
             }
         };
-        self.duty = if self.leaves_its_range(wanted) { 0.0 } else { wanted };
-        let causes = self.watch.step(self.duty, self.position, self.period_s, &self.config);
+        self.duty = wanted;
+        if self.leaves_its_range(wanted) {
+            self.duty = 0.0;
+            self.position_loop.reset(0.0);
+            self.speed_loop.reset(0.0);
+            self.speed_ref = 0.0;
+        }
+        let seen = Seen { duty: self.duty, position: self.position, path_error: self.path_error };
+        let causes = self.watch.step(seen, resolution(self.config.feedback), self.period_s, &self.config);
         (self.duty, causes)
+    }
+
+    /// Takes what the bridge made of the last duty: nothing, while it rests between directions.
+    pub fn set_applied(&mut self, duty: f32) {
+        self.applied = duty;
     }
 
     fn step_position(&mut self, limits: OutputLimits) -> f32 {
@@ -177,27 +224,55 @@ impl Motor {
             false => 0.0,
         };
         if self.is_settled() {
-            // Held by its own friction: a loop that went on integrating over stiction would hunt.
-            self.position_loop.reset(0.0);
-            return 0.0;
+            return self.hold();
         }
+        self.hold = None;
         // While the path moves, friction is overcome in its direction; afterwards towards the target.
         let towards = match (path_speed != 0.0, self.near) {
             (true, _) => path_speed.signum(),
             (false, false) => distance.signum(),
             (false, true) => 0.0,
         };
+        let path_error = distance - to_go;
+        self.path_error = Some(path_error);
         // The derivative damps motion relative to the path, not the path itself.
-        let path_duty = self.feed_forward(towards, path_speed) + self.position_loop.gains().kd * path_speed;
-        self.position_loop.step(distance - to_go, self.speed, path_duty, limits)
+        let rate = self.speed - path_speed;
+        self.position_loop.step(path_error, rate, self.feed_forward(towards, path_speed), limits)
+    }
+
+    /// A loop that went on integrating over stiction would hunt, and one that let go at once would drop a load. So the
+    /// duty is let go slowly, as long as the motor stays: friction takes over what it can hold, the rest remains.
+    fn hold(&mut self) -> f32 {
+        let hold = self.hold.get_or_insert(Hold { duty: self.duty, position: self.position });
+        let stays = (self.position - hold.position).abs() as f32 <= self.config.settle.error;
+        if stays {
+            hold.duty -= hold.duty * self.period_s / LET_GO_S;
+        }
+        if hold.duty.abs() < NO_DUTY {
+            hold.duty = 0.0;
+        }
+        self.position_loop.hold(hold.duty);
+        hold.duty
     }
 
     fn step_speed(&mut self, limits: OutputLimits) -> f32 {
-        let change = self.config.profile.acceleration * self.period_s;
-        self.speed_ref = self.setpoint.value.clamp(self.speed_ref - change, self.speed_ref + change);
+        let ProfileLimits { acceleration, .. } = self.config.profile;
+        // Slow enough to stop before the end of the range.
+        let range = self.config.position;
+        let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
+        let (down, up) =
+            (stoppable(self.position - f64::from(range.min)), stoppable(f64::from(range.max) - self.position));
+        let wanted = self.setpoint.value.clamp(-down, up);
+        let change = acceleration * self.period_s;
+        self.speed_ref = wanted.clamp(self.speed_ref - change, self.speed_ref + change);
+        if wanted == 0.0 && self.speed_ref == 0.0 && self.speed.abs() <= self.config.settle.speed {
+            // Standing still needs no duty; an integral left from before would only heat the motor.
+            self.speed_loop.reset(0.0);
+            return 0.0;
+        }
         let towards = if self.speed_ref == 0.0 { 0.0 } else { self.speed_ref.signum() };
         let path_duty = self.feed_forward(towards, self.speed_ref);
-        self.speed_loop.step(self.speed_ref - self.speed, 0.0, path_duty, limits)
+        self.speed_loop.step(self.speed_ref - self.speed, self.acceleration_now, path_duty, limits)
     }
 
     fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
@@ -226,39 +301,8 @@ impl Motor {
             setpoint: self.setpoint,
             position: self.position_counts,
             speed: self.speed,
-            duty: self.duty,
+            duty: self.applied,
             settled: self.is_settled(),
-        }
-    }
-}
-
-/// Watches whether a motor that is driven hard moves, and which way.
-#[derive(Clone, Copy, Debug, Default)]
-struct StallWatch {
-    sign: f32,
-    start: f64,
-    elapsed_s: f32,
-}
-
-impl StallWatch {
-    fn step(&mut self, duty: f32, position: f64, period_s: f32, config: &MotorConfig) -> Causes {
-        let sign = if duty.abs() >= config.stall.duty { duty.signum() } else { 0.0 };
-        if sign == 0.0 || sign != self.sign {
-            *self = Self { sign, start: position, elapsed_s: 0.0 };
-            return Causes::NONE;
-        }
-        self.elapsed_s += period_s;
-        if self.elapsed_s * 1e3 < f32::from(config.stall.time_ms) {
-            return Causes::NONE;
-        }
-        let travel = (position - self.start) as f32 * sign;
-        *self = Self { sign, start: position, elapsed_s: 0.0 };
-        if travel <= -config.stall.travel {
-            Causes::only(Cause::EncoderImplausible)
-        } else if travel < config.stall.travel {
-            Causes::only(Cause::Stalled)
-        } else {
-            Causes::NONE
         }
     }
 }

@@ -13,8 +13,8 @@ pub struct OutputLimits {
 
 /// A PID loop of fixed period.
 ///
-/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured speed `v`,
-/// never on the error: a step of the set point does not kick. There is no time in the interface: the period is fixed, so
+/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured rate `v`
+/// (relative to the path, where there is one), never on the error: a step of the set point does not kick. There is no time in the interface: the period is fixed, so
 /// nothing divides by a measured interval and a wait before the first step leaves no trace.
 ///
 /// Anti-windup: while the output is limited and the error asks for more, integration waits and back-calculation with the
@@ -26,7 +26,7 @@ pub struct Pid {
     period_s: f32,
     integral: f32,
     error: f32,
-    speed: f32,
+    rate: f32,
     output: f32,
 }
 
@@ -43,20 +43,22 @@ impl Pid {
         if !period_s.is_finite() || period_s <= 0.0 {
             return Err(BadPeriod);
         }
-        Ok(Self { gains, period_s, integral: 0.0, error: 0.0, speed: 0.0, output: 0.0 })
+        Ok(Self { gains, period_s, integral: 0.0, error: 0.0, rate: 0.0, output: 0.0 })
     }
 
     /// One period.
     ///
-    /// `error` is set point minus measurement, `speed` the filtered rate of the measurement, `feed_forward` a duty.
-    /// An input that is not finite, or too large to compute with, leaves the loop as it was.
-    pub fn step(&mut self, error: f32, speed: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
+    /// `error` is set point minus measurement, `rate` the filtered rate of the measurement, `feed_forward` a duty.
+    /// An input that is not finite, or too large to compute with, takes the output to 0 at its slew limit and leaves the
+    /// rest of the loop as it was.
+    pub fn step(&mut self, error: f32, rate: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
         let PidGains { kp, ki, kd } = self.gains;
-        let unlimited = kp * error + self.integral - kd * speed + feed_forward;
+        let unlimited = kp * error + self.integral - kd * rate + feed_forward;
+        let step = limits.slew_per_s * self.period_s;
         if !unlimited.is_finite() {
+            self.output = 0.0f32.clamp(self.output - step, self.output + step);
             return self.output;
         }
-        let step = limits.slew_per_s * self.period_s;
         let output = unlimited.clamp(self.output - step, self.output + step).clamp(-limits.magnitude, limits.magnitude);
         let excess = unlimited - output;
         self.integral = if excess * error > 0.0 {
@@ -69,29 +71,29 @@ impl Pid {
             (self.integral + ki * error * self.period_s).clamp(-2.0 * limits.magnitude, 2.0 * limits.magnitude)
         };
         self.error = error;
-        self.speed = speed;
+        self.rate = rate;
         self.output = output;
         output
     }
 
-    /// The gains in use.
-    #[must_use]
-    pub const fn gains(&self) -> PidGains {
-        self.gains
-    }
-
     /// Takes new gains without a jump: the integral absorbs what the other parts change by.
     pub fn set_gains(&mut self, gains: PidGains) {
-        let change = (gains.kp - self.gains.kp) * self.error - (gains.kd - self.gains.kd) * self.speed;
+        let change = (gains.kp - self.gains.kp) * self.error - (gains.kd - self.gains.kd) * self.rate;
         self.integral -= change;
         self.gains = gains;
+    }
+
+    /// Puts the loop at rest holding `output`, as if that had been integrated.
+    pub fn hold(&mut self, output: f32) {
+        self.reset(output);
+        self.integral = output;
     }
 
     /// Puts the loop at rest with the output at `output`, from where the slew limit starts.
     pub fn reset(&mut self, output: f32) {
         self.integral = 0.0;
         self.error = 0.0;
-        self.speed = 0.0;
+        self.rate = 0.0;
         self.output = output;
     }
 }
@@ -163,15 +165,15 @@ mod tests {
         #[test]
         fn new_gains_do_not_move_the_output(
             before in [0.0f32..10.0, 0.0..10.0, 0.0..1.0], after in [0.0f32..10.0, 0.0..10.0, 0.0..1.0],
-            error in -1.0f32..1.0, speed in -5.0f32..5.0,
+            error in -1.0f32..1.0, speed in -5.0f32..5.0, feed_forward in -1.0f32..1.0,
         ) {
             let mut pid = pid(before[0], before[1], before[2]);
             for _ in 0..100 {
-                pid.step(error, speed, 0.0, FREE);
+                pid.step(error, speed, feed_forward, FREE);
             }
-            let last = pid.step(error, speed, 0.0, FREE);
+            let last = pid.step(error, speed, feed_forward, FREE);
             pid.set_gains(PidGains { kp: after[0], ki: after[1], kd: after[2] });
-            let next = pid.step(error, speed, 0.0, FREE);
+            let next = pid.step(error, speed, feed_forward, FREE);
             // Only the integral may move on, by one period of the old gain; the rest is rounding of sums up to 30.
             prop_assert!((next - last - before[1] * error * PERIOD_S).abs() < 1e-4, "{} -> {}", last, next);
         }

@@ -5,7 +5,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, SafetyState,
+    Cause, Causes, Mode, SafetyState,
     config::{BoardConfig, Feedback, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
 };
 
@@ -14,13 +14,15 @@ use crate::{
     outputs::{OutputFault, Outputs},
     platform::{AnalogInputs, Bus, Encoders},
     sensing::filter::LowPass,
-    shared::Shared,
+    shared::{SafetyView, Shared},
 };
 
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 8;
 /// While safe, the safe state is written again every so many periods.
 const REASSERT_EVERY: u32 = 16;
+/// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
+const LATE_IN_A_ROW: u32 = 10;
 /// Smooths a rail against the dips of single PWM periods, s.
 const SUPPLY_FILTER_S: f32 = 0.01;
 /// A rail is back in range only this share of the range inside it.
@@ -47,15 +49,15 @@ where
     let BoardIo { bus, encoders, analog } = io;
     let config = shared.config();
     let mut control = Control::new(config, bus, encoders, analog);
-    let started = control.outputs.init().await;
-    control.note(started);
+    control.initialise().await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
     shared.set_control_causes(control.causes());
-    shared.started.signal(());
+    shared.set_started();
 
     let period = Duration::from_micros(config.control_period_us.into());
     let mut due = Instant::now();
+    let mut late_in_a_row = 0;
     loop {
         let begin = Instant::now();
         shared.control_tick(begin);
@@ -70,14 +72,18 @@ where
                 stats.late_ticks = stats.late_ticks.wrapping_add(1);
             }
         });
+        late_in_a_row = if end > due { late_in_a_row + 1 } else { 0 };
         if end > due {
             // Skip what was missed: two passes at once would see the same sensors twice.
             due = end;
         }
+        if late_in_a_row == LATE_IN_A_ROW {
+            late_in_a_row = 0;
+            shared.trip(Cause::ControlOverrun);
+        }
         while let Either::Second(()) = select(Timer::at(due), shared.make_safe.wait()).await {
             if shared.safety().state != SafetyState::Armed {
-                let result = control.make_safe().await;
-                control.note(result);
+                control.make_safe().await;
                 shared.set_control_causes(control.causes());
             }
         }
@@ -93,7 +99,10 @@ struct Control<B, E, A> {
     /// The arming whose commands are being followed.
     epoch: u16,
     tick: u32,
+    /// What went wrong with the outputs since they were last initialised.
     fault: Option<OutputFault>,
+    /// Whether the safe state has been written since the outputs were last driven.
+    safe: bool,
     bad_configuration: bool,
     sensors: Causes,
 }
@@ -113,6 +122,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             epoch: 0,
             tick: 0,
             fault: None,
+            safe: false,
             bad_configuration,
             sensors: Causes::NONE,
         }
@@ -121,13 +131,17 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
     async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
         self.tick = self.tick.wrapping_add(1);
         self.sense(shared);
+        for (index, motor) in self.motors.iter_mut().enumerate() {
+            for (mode, gains) in [Mode::Position, Mode::Speed].into_iter().zip(shared.take_gains(index)) {
+                gains.into_iter().for_each(|gains| motor.set_gains(mode, gains));
+            }
+        }
         let view = shared.safety();
-        let result = if view.state == SafetyState::Armed {
-            self.drive(shared, view.epoch).await
+        if view.state == SafetyState::Armed {
+            self.drive(shared, view).await;
         } else {
-            self.hold_safe().await
-        };
-        self.note(result);
+            self.hold_safe().await;
+        }
         for (index, motor) in self.motors.iter().enumerate() {
             shared.publish(index, motor.status());
         }
@@ -153,49 +167,64 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         self.sensors = causes;
     }
 
-    /// One period of every loop. A motor's outputs are written in the order of the channels.
-    async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, epoch: u16) -> Result<(), OutputFault> {
-        if epoch != self.epoch {
-            self.epoch = epoch;
+    /// One period of every loop, for the arming in `view`. Outputs are written in the order of the channels.
+    async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+        if view.epoch != self.epoch {
+            self.epoch = view.epoch;
             self.motors.iter_mut().for_each(Motor::stop);
         }
-        for (index, motor) in self.motors.iter_mut().enumerate() {
-            if let Some((mode, gains)) = shared.take_gains(index) {
-                motor.set_gains(mode, gains);
-            }
-            if let Some(setpoint) = shared.take_command(index) {
+        self.safe = false;
+        for index in 0..self.motors.len() {
+            let motor = &mut self.motors[index];
+            if let Some(setpoint) = shared.take_command(index, view.epoch) {
                 motor.command(setpoint);
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));
             // A stop that came while another bridge was written must not wait for this one.
-            if shared.safety().state != SafetyState::Armed {
+            if shared.safety() != view {
                 return self.make_safe().await;
             }
-            self.outputs.drive(index, duty).await?;
+            match self.outputs.drive(index, duty).await {
+                Ok(applied) => motor.set_applied(applied),
+                Err(fault) => self.fault = Some(fault),
+            }
         }
-        if self.tick.is_multiple_of(CHECK_EVERY) { self.outputs.check_next().await } else { Ok(()) }
+        if self.tick.is_multiple_of(CHECK_EVERY) {
+            self.check().await;
+        }
     }
 
-    async fn make_safe(&mut self) -> Result<(), OutputFault> {
-        self.motors.iter_mut().for_each(Motor::stop);
-        self.outputs.make_safe().await
+    async fn initialise(&mut self) {
+        // The only way out of a fault: whatever a chip lost, it gets again.
+        self.fault = self.outputs.init().await.err();
+        self.safe = self.fault.is_none();
     }
 
-    async fn hold_safe(&mut self) -> Result<(), OutputFault> {
+    async fn make_safe(&mut self) {
         self.motors.iter_mut().for_each(Motor::stop);
+        match self.outputs.make_safe().await {
+            Ok(()) => self.safe = true,
+            Err(fault) => self.fault = Some(fault),
+        }
+    }
+
+    async fn hold_safe(&mut self) {
+        self.motors.iter_mut().for_each(Motor::stop);
+        if !self.safe || self.tick.is_multiple_of(REASSERT_EVERY) {
+            self.make_safe().await;
+        }
         if self.fault.is_some() {
-            // Whatever the chip lost, it gets again.
-            return self.outputs.init().await;
+            self.initialise().await;
+        } else {
+            self.check().await;
         }
-        if self.tick.is_multiple_of(REASSERT_EVERY) {
-            self.outputs.make_safe().await?;
-        }
-        self.outputs.check_next().await
     }
 
-    fn note(&mut self, result: Result<(), OutputFault>) {
-        self.fault = result.err();
+    async fn check(&mut self) {
+        if let Err(fault) = self.outputs.check_next().await {
+            self.fault = Some(fault);
+        }
     }
 
     fn causes(&self) -> Causes {

@@ -30,15 +30,16 @@ pub struct Outputs<B> {
 }
 
 impl<B: Bus> Outputs<B> {
-    /// The outputs as `config` wires them. Call [`Outputs::init`] before anything else.
+    /// The outputs as `config` wires them, or none to drive when it is not valid. Call [`Outputs::init`] before anything else.
     #[must_use]
     pub fn new(bus: B, config: &BoardConfig) -> Self {
         let osmc = Pca9685::new(config.osmc_pwm.address, config.osmc_pwm.frequency_hz);
         // A change takes effect at the end of the running PWM period; a whole one must then pass with both low sides off.
         let reversal = 2 * osmc.period();
+        let motors = config.motors.iter().filter(|_| config.validate().is_ok());
         Self {
             bus,
-            bridges: config.motors.iter().map(|motor| Bridge::new(motor.lines, motor.inverted, reversal)).collect(),
+            bridges: motors.map(|motor| Bridge::new(motor.lines, motor.inverted, reversal)).collect(),
             osmc,
             next_check: 0,
             retries: 0,

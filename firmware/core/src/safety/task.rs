@@ -38,15 +38,18 @@ where
 {
     let mut ticker = Ticker::every(PERIOD);
     let mut released_at: Option<Instant> = None;
+    let mut kick = false;
     // Outputs of a GPIO cannot fail on any supported board; a pin that reports an error is treated as released.
     let _ = pins.osmc_disable.set_high();
     let _ = pins.pwm_output_disable.set_high();
     loop {
         let now = Instant::now();
-        if !pins.dead_man.is_high().unwrap_or(false) {
+        // A pin that cannot be read is not held.
+        let held = pins.dead_man.is_high().unwrap_or(false);
+        if !held {
             released_at = Some(now);
         }
-        let released = released_at.is_some_and(|at| now - at < DEAD_MAN_HELD_FOR);
+        let released = released_at.is_some_and(|at| now.saturating_duration_since(at) < DEAD_MAN_HELD_FOR);
         let mut watched = Causes::NONE;
         watched.set(Cause::DeadMan, released);
         let view = shared.supervise(watched, now);
@@ -56,10 +59,17 @@ where
                 pins.osmc_disable.set_high().and(pins.pwm_output_disable.set_high())
             }
         };
-        if let Either3::First(()) =
-            select3(ticker.next(), shared.supervisor.wait(), pins.dead_man.wait_for_any_edge()).await
-        {
-            let _ = if (now.as_millis() & 1) == 0 { pins.heartbeat.set_high() } else { pins.heartbeat.set_low() };
+        // Waiting for a level and not for an edge: one that came while we worked is not missed.
+        let other_level =
+            async { if held { pins.dead_man.wait_for_low().await } else { pins.dead_man.wait_for_high().await } };
+        match select3(ticker.next(), shared.supervisor.wait(), other_level).await {
+            Either3::First(()) => {
+                kick = !kick;
+                let _ = if kick { pins.heartbeat.set_high() } else { pins.heartbeat.set_low() };
+            }
+            Either3::Second(()) => {}
+            // Released, or released and held again before we could look: both are a release.
+            Either3::Third(_) => released_at = Some(Instant::now()),
         }
     }
 }

@@ -4,9 +4,6 @@ use r4_protocol::config::PotPoint;
 
 use super::filter::LowPass;
 
-/// The wiper is open or shorted this share of the calibrated span beyond its ends.
-const BEYOND_ENDS: f32 = 0.03;
-
 /// The straight line through two calibration points. The one place where codes become metres and back.
 #[derive(Clone, Copy, Debug)]
 pub struct PotScale {
@@ -36,17 +33,31 @@ impl PotScale {
 }
 
 /// Position and speed of a rod with a potentiometer.
+///
+/// A code is implausible when it lies beyond the calibrated ends, towards a rail as an open or shorted wiper puts it, or
+/// jumps as no rod does. Up to [`BRIDGED_S`] of such codes are bridged with the last position: worn tracks crackle. One
+/// that stays for [`REACQUIRED_S`] at a plausible place is taken for where the rod is now.
 #[derive(Clone, Debug)]
 pub struct Potentiometer {
     scale: PotScale,
-    plausible_m: (f32, f32),
+    /// Lowest and highest plausible code.
+    codes: (f32, f32),
+    jump_m: f32,
     period_s: f32,
-    position: Option<f32>,
+    position_m: Option<f32>,
+    implausible_s: f32,
     position_filter: LowPass,
     speed_filter: LowPass,
 }
 
-/// The wiper cannot be where the code says: it is open or shorted.
+/// Share of the calibrated span beyond its ends at which a code is implausible, and within which it may jump.
+const MARGIN: f32 = 0.03;
+/// Implausible codes for up to this long are bridged, s.
+pub const BRIDGED_S: f32 = 0.005;
+/// After a jump, a plausible code that stays for this long is believed, s.
+pub const REACQUIRED_S: f32 = 0.1;
+
+/// The wiper cannot be where the code says: it is open, shorted, or not the rod's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Implausible;
 
@@ -54,12 +65,16 @@ impl Potentiometer {
     /// A potentiometer calibrated at `low` and `high`, read every `period_s`; `filter_s` smooths its speed.
     #[must_use]
     pub fn new(low: PotPoint, high: PotPoint, period_s: f32, filter_s: f32) -> Self {
-        let margin = (high.position_m - low.position_m) * BEYOND_ENDS;
+        let (lowest, highest) = (f32::from(low.code.min(high.code)), f32::from(low.code.max(high.code)));
+        let margin = (highest - lowest) * MARGIN;
         Self {
             scale: PotScale::new(low, high),
-            plausible_m: (low.position_m - margin, high.position_m + margin),
+            // Near a rail, half way to it: a wiper shorted to it must not pass for the end of the stroke.
+            codes: (lowest - margin.min(lowest / 2.0), highest + margin.min((f32::from(u16::MAX) - highest) / 2.0)),
+            jump_m: (high.position_m - low.position_m) * MARGIN,
             period_s,
-            position: None,
+            position_m: None,
+            implausible_s: 0.0,
             // A tenth of the speed filter: takes the converter's noise, adds little lag to the loop.
             position_filter: LowPass::new(filter_s / 10.0, period_s),
             speed_filter: LowPass::new(filter_s, period_s),
@@ -69,19 +84,39 @@ impl Potentiometer {
     /// Takes the code of this period and returns position (m) and speed (m/s).
     ///
     /// # Errors
-    /// [`Implausible`] when the code lies 3 % of the calibrated span beyond its ends; the position is then not changed.
+    /// [`Implausible`], from the first code on if none was plausible before; the position is then not changed.
     pub fn update(&mut self, code: u16) -> Result<(f32, f32), Implausible> {
         let measured_m = self.scale.position_m(code.into());
-        if measured_m < self.plausible_m.0 || measured_m > self.plausible_m.1 {
-            return Err(Implausible);
+        let possible = (self.codes.0..=self.codes.1).contains(&f32::from(code));
+        let Some(last_m) = self.position_m else {
+            if !possible {
+                return Err(Implausible);
+            }
+            return Ok(self.acquire(measured_m));
+        };
+        if possible && (measured_m - last_m).abs() <= self.jump_m {
+            self.implausible_s = 0.0;
+            let position_m = self.position_filter.step(measured_m);
+            self.position_m = Some(position_m);
+            return Ok((position_m, self.speed_filter.step((position_m - last_m) / self.period_s)));
         }
-        let last_m = *self.position.get_or_insert_with(|| {
-            self.position_filter.reset(measured_m);
-            measured_m
-        });
-        let position_m = self.position_filter.step(measured_m);
-        self.position = Some(position_m);
-        Ok((position_m, self.speed_filter.step((position_m - last_m) / self.period_s)))
+        self.implausible_s += self.period_s;
+        if self.implausible_s <= BRIDGED_S {
+            return Ok((last_m, self.speed_filter.step(0.0)));
+        }
+        if possible && self.implausible_s > REACQUIRED_S {
+            self.acquire(measured_m);
+        }
+        Err(Implausible)
+    }
+
+    /// Starts at rest at a position.
+    fn acquire(&mut self, position_m: f32) -> (f32, f32) {
+        self.position_filter.reset(position_m);
+        self.speed_filter.reset(0.0);
+        self.position_m = Some(position_m);
+        self.implausible_s = 0.0;
+        (position_m, 0.0)
     }
 }
 
@@ -110,17 +145,44 @@ mod tests {
         }
     }
 
+    /// As on the bench: 10-bit codes 29 and 989 for 0 and 100 mm.
+    fn bench() -> Potentiometer {
+        let point = |code, position_m| PotPoint { code, position_m };
+        Potentiometer::new(point(1858, 0.0), point(63_357, 0.1), 1e-3, 0.05)
+    }
+
     #[test]
     fn open_and_short_are_told_from_positions() {
-        let mut pot = Potentiometer::new(
-            PotPoint { code: 1858, position_m: 0.0 },
-            PotPoint { code: 63_357, position_m: 0.1 },
-            1e-3,
-            0.05,
-        );
-        assert!(pot.update(1858).is_ok());
-        assert!(pot.update(63_357).is_ok());
-        assert_eq!(pot.update(0), Err(Implausible));
-        assert_eq!(pot.update(u16::MAX), Err(Implausible));
+        for code in [1858, 1500, 63_357, 64_000] {
+            assert!(bench().update(code).is_ok(), "{code}");
+        }
+        // Shorted to a rail, with hundreds of codes of converter offset.
+        for code in [0, 40, 900, 64_800, u16::MAX] {
+            assert_eq!(bench().update(code), Err(Implausible), "{code}");
+        }
+    }
+
+    #[test]
+    fn crackling_is_bridged_and_a_lost_wiper_is_not() {
+        let mut pot = bench();
+        let (rest_m, _) = pot.update(30_000).expect("plausible");
+        for _ in 0..4 {
+            assert_eq!(pot.update(0).expect("bridged").0, rest_m);
+        }
+        assert!(pot.update(30_000).is_ok());
+        let implausible_after = (0..1000).position(|_| pot.update(0).is_err());
+        assert!(implausible_after.is_some_and(|periods| periods <= 6), "{implausible_after:?} periods");
+        // Never believed: it is no place of the rod.
+        assert!((0..1000).all(|_| pot.update(0).is_err()));
+    }
+
+    #[test]
+    fn a_jump_is_implausible_until_it_stays() {
+        let mut pot = bench();
+        pot.update(30_000).expect("plausible");
+        let bad = (0..1000).filter(|_| pot.update(40_000).is_err()).count();
+        // From 5 ms to 100 ms.
+        assert!((90..=100).contains(&bad), "{bad} periods");
+        assert!((pot.update(40_000).expect("believed").0 - pot.scale.position_m(40_000.0)).abs() < 1e-6);
     }
 }

@@ -179,7 +179,8 @@ impl Device {
 
 /// A motor's physics, as the robot's file has it.
 pub(crate) fn plant(robot: &Robot, channel: ChannelId) -> PlantSpec {
-    let motor = robot.simulation.motors.iter().find(|motor| motor.channel == channel).expect("the bench has the channel");
+    let motor =
+        robot.simulation.motors.iter().find(|motor| motor.channel == channel).expect("the bench has the channel");
     PlantSpec::from_toml(&motor.plant.name, &motor.plant.text).expect("built in")
 }
 

@@ -30,10 +30,8 @@ use crate::{
 /// Tables 1 and 2.
 const ROTARY: ([(f64, f64); 4], ChannelId) =
     ([(90.0, 91.0), (180.0, 182.0), (270.0, 272.0), (360.0, 363.0)], ChannelId::new(ChannelKind::Osmc, 0));
-const LINEAR: ([(f64, f64); 5], ChannelId) = (
-    [(10.0, 7.0), (25.0, 23.0), (40.0, 39.0), (70.0, 68.0), (85.0, 83.0)],
-    ChannelId::new(ChannelKind::Actuator, 1),
-);
+const LINEAR: ([(f64, f64); 5], ChannelId) =
+    ([(10.0, 7.0), (25.0, 23.0), (40.0, 39.0), (70.0, 68.0), (85.0, 83.0)], ChannelId::new(ChannelKind::Actuator, 1));
 /// What "settled" promises, in degrees and millimetres.
 const WITHIN_DEG: f64 = 1.0;
 const WITHIN_MM: f64 = 0.2;
@@ -82,8 +80,7 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
         ProgressStyle::with_template("{bar:30} {pos}/{len} set points, {msg}").unwrap_or(ProgressStyle::default_bar()),
     );
-    let ((rows, log), elapsed) =
-        session::run(args, Pace::Free, async |session| drive(args, session, &progress).await)?;
+    let ((rows, log), elapsed) = session::run(args, Pace::Free, async |session| drive(args, session, &progress).await)?;
     progress.finish_and_clear();
 
     let log_path = demo.out.join("log.mcap");
@@ -205,7 +202,11 @@ fn record(recorder: &mut MemoryLog, telemetry: &mut TelemetryStream) -> anyhow::
     while let Some(frame) = telemetry.try_next() {
         recorder.telemetry(&frame)?;
     }
-    anyhow::ensure!(telemetry.dropped() == 0, "{} telemetry frames were lost before they were logged", telemetry.dropped());
+    anyhow::ensure!(
+        telemetry.dropped() == 0,
+        "{} telemetry frames were lost before they were logged",
+        telemetry.dropped()
+    );
     Ok(())
 }
 
@@ -239,7 +240,8 @@ fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
 
 /// The same table for the page.
 fn page_table(rows: &[Row], board: &str) -> report::Table {
-    let column = |title: &str, unit: Option<&str>, align| Column { title: title.into(), unit: unit.map(Into::into), align };
+    let column =
+        |title: &str, unit: Option<&str>, align| Column { title: title.into(), unit: unit.map(Into::into), align };
     let number = |value: f64, decimals| Cell::Number { value, decimals };
     report::Table {
         caption: "Set points".into(),

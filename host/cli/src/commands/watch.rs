@@ -66,7 +66,8 @@ fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Resul
             }
             Sample::Scalar { value, .. } => (value.into(), None, None),
         };
-        values.push((info.unit, Value { channel: info.id.to_string(), unit: info.unit.to_string(), value, speed, duty }));
+        values
+            .push((info.unit, Value { channel: info.id.to_string(), unit: info.unit.to_string(), value, speed, duty }));
     }
     let time_s = frame.device_us as f64 / 1e6;
     if args.json {

@@ -93,7 +93,7 @@ impl Pca9685 {
 
     /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads all of it back.
     ///
-    /// Takes about 1.2 ms at 400 kHz. Outputs are off before, during and after, whatever state the chip was in.
+    /// Takes about 2.6 ms at 400 kHz. Outputs are off before, during and after, whatever state the chip was in.
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.

@@ -1,0 +1,76 @@
+//! Watches whether a motor does what it is driven to.
+
+use r4_protocol::{Cause, Causes, config::MotorConfig};
+
+/// What one period of a motor looked like.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    /// Share of the supply.
+    pub(super) duty: f32,
+    /// rad or m
+    pub(super) position: f64,
+    /// Distance from the path in position mode, rad or m.
+    pub(super) path_error: Option<f32>,
+}
+
+/// Memory of a motor's watch.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Watch {
+    /// Where the motor was in the last period.
+    last: Option<f64>,
+    /// Direction of hard drive, since when, and from where.
+    sign: f32,
+    driven_s: f32,
+    start: f64,
+    /// Where it was when it should have come round to the direction of the drive.
+    turned: Option<f64>,
+    off_path_s: f32,
+}
+
+/// A motor that is driven hard the other way may still run on for this long.
+const TURN_ROUND_S: f32 = 0.15;
+/// A sensor that shows more than this many times the highest speed within a period, and a few counts, has jumped.
+const JUMP_SPEEDS: f32 = 4.0;
+const JUMP_COUNTS: f32 = 8.0;
+
+impl Watch {
+    /// Takes one period and returns the causes it shows.
+    pub(super) fn step(&mut self, seen: Seen, resolution: f32, period_s: f32, config: &MotorConfig) -> Causes {
+        let mut causes = self.drive(seen, period_s, config);
+        let moved = self.last.replace(seen.position).map_or(0.0, |last| (seen.position - last) as f32);
+        let possible = JUMP_SPEEDS * config.speed_max * period_s + JUMP_COUNTS * resolution;
+        causes.set(Cause::EncoderImplausible, causes.contains(Cause::EncoderImplausible) || moved.abs() > possible);
+        let error = seen.path_error.unwrap_or(0.0);
+        self.off_path_s = if error.abs() > config.follow.error { self.off_path_s + period_s } else { 0.0 };
+        if self.off_path_s * 1e3 >= f32::from(config.follow.time_ms) {
+            self.off_path_s = 0.0;
+            // One that goes away from its path is misread; one that only lags has too much to move.
+            let away = moved * error < 0.0;
+            causes.set(if away { Cause::EncoderImplausible } else { Cause::Stalled }, true);
+        }
+        causes
+    }
+
+    /// Driven hard, a motor moves, and in the direction of the drive.
+    fn drive(&mut self, seen: Seen, period_s: f32, config: &MotorConfig) -> Causes {
+        let sign = if seen.duty.abs() >= config.stall.duty { seen.duty.signum() } else { 0.0 };
+        if sign == 0.0 || sign != self.sign {
+            *self = Self { sign, driven_s: 0.0, start: seen.position, turned: None, ..*self };
+            return Causes::NONE;
+        }
+        self.driven_s += period_s;
+        let travel = |from: f64| (seen.position - from) as f32 * sign;
+        if self.driven_s >= TURN_ROUND_S {
+            let turned = *self.turned.get_or_insert(seen.position);
+            if travel(turned) <= -config.stall.travel {
+                return Causes::only(Cause::EncoderImplausible);
+            }
+        }
+        if self.driven_s * 1e3 < f32::from(config.stall.time_ms) {
+            return Causes::NONE;
+        }
+        let travelled = travel(self.start);
+        *self = Self { driven_s: 0.0, start: seen.position, turned: None, ..*self };
+        if travelled < config.stall.travel { Causes::only(Cause::Stalled) } else { Causes::NONE }
+    }
+}
