@@ -53,7 +53,7 @@ const ROBOT_MISTAKES: &[Mistake] = &[
     there("static_duty = 0.35", "static_duti = 0.35", "osmc[0].feed_forward.static_duti", "expected `static_duty`"),
     there("emf_v = 24.0", "emf = 24.0", "simulation.rail[0].emf", "unknown field `emf`"),
     mistake("speed_max_rad_s = 5.0\n", "", "[[osmc]]", "osmc[0]", "missing field `speed_max_rad_s`"),
-    mistake("travel_rad = 0.005\n", "", "[osmc.stall]", "osmc[0].stall", "missing field `travel_rad`"),
+    mistake("travel_rad = 0.02\n", "", "[osmc.stall]", "osmc[0].stall", "missing field `travel_rad`"),
     mistake("name = \"osmc-bench\"\n", "", "# The bench", "", "missing field `name`"),
     there("name = \"osmc-bench\"", "name = \"a name that is longer than thirty-two bytes\"", "name", "32"),
     // Numbers out of their range.
