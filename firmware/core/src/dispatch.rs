@@ -77,12 +77,12 @@ fn answer<M: RawMutex>(
                 let age_ms = u32::try_from(age_ms).unwrap_or(u32::MAX);
                 return Err(Refusal::Expired { age_ms, ttl_ms });
             }
-            let index = motor_index(shared, channel)?;
+            let index = motor_index(shared, channel, setpoint.mode)?;
             check_setpoint(&shared.config().motors[index], setpoint)?;
             shared.command(index, setpoint)?;
         }
         Request::SetGains { channel, mode, gains } => {
-            let index = motor_index(shared, channel)?;
+            let index = motor_index(shared, channel, mode)?;
             if mode == Mode::Duty {
                 return Err(Refusal::WrongMode { channel, mode });
             }
@@ -101,9 +101,9 @@ fn answer<M: RawMutex>(
     Ok(Reply::Done)
 }
 
-fn motor_index<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<usize, Refusal> {
+fn motor_index<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, mode: Mode) -> Result<usize, Refusal> {
     shared.motor_index(channel).ok_or_else(|| match shared.supply_index(channel) {
-        Some(_) => Refusal::WrongMode { channel, mode: Mode::Duty },
+        Some(_) => Refusal::WrongMode { channel, mode },
         None => Refusal::UnknownChannel { channel },
     })
 }

@@ -8,8 +8,8 @@ use r4_firmware::platform::{AnalogInputs, Bus, Encoders};
 
 use crate::{i2c::Fault, world::World};
 
-/// The controller gives a transfer up after this long without progress.
-const BUS_TIMEOUT_NS: u64 = 5_000_000;
+/// The controller gives a transfer up after this long without progress: twice the longest transfer on this bus.
+const BUS_TIMEOUT_NS: u64 = 1_000_000;
 
 /// The I2C controller.
 ///

@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
-const CHECK_EVERY: u32 = 8;
+const CHECK_EVERY: u32 = 4;
 /// While safe, the safe state is written again every so many periods.
 const REASSERT_EVERY: u32 = 16;
 /// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
@@ -82,7 +82,9 @@ where
             shared.trip(Cause::ControlOverrun);
         }
         while let Either::Second(()) = select(Timer::at(due), shared.make_safe.wait()).await {
-            if shared.safety().state != SafetyState::Armed {
+            // Stopped, also when it has been cleared and armed again before we could look.
+            let view = shared.safety();
+            if view.state != SafetyState::Armed || view.epoch != control.epoch {
                 control.make_safe().await;
                 shared.set_control_causes(control.causes());
             }

@@ -20,6 +20,9 @@ pub enum OutputFault {
     Mismatch,
 }
 
+/// A transfer that fails so often has failed.
+const TRIES: u32 = 3;
+
 /// The outputs of one board.
 pub struct Outputs<B> {
     bus: B,
@@ -51,9 +54,10 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
-        self.bridges.iter_mut().for_each(Bridge::now_off);
         let osmc = self.osmc;
-        self.checked(async |bus: &mut B| osmc.init(bus).await).await
+        self.checked(async |bus: &mut B| osmc.init(bus).await).await?;
+        self.bridges.iter_mut().for_each(Bridge::now_off);
+        Ok(())
     }
 
     /// Turns every motor output off, whatever it did.
@@ -61,9 +65,10 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
     pub async fn make_safe(&mut self) -> Result<(), OutputFault> {
-        self.bridges.iter_mut().for_each(Bridge::now_off);
         let osmc = self.osmc;
-        self.checked(async |bus: &mut B| Ok(osmc.all_off(bus).await?)).await
+        self.checked(async |bus: &mut B| Ok(osmc.all_off(bus).await?)).await?;
+        self.bridges.iter_mut().for_each(Bridge::now_off);
+        Ok(())
     }
 
     /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has.
@@ -98,20 +103,22 @@ impl<B: Bus> Outputs<B> {
         core::mem::take(&mut self.retries)
     }
 
-    /// Repeats a failed transfer once, then frees the bus and tries a last time.
+    /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
+    /// it costs a time-out.
     async fn checked<T>(
         &mut self,
         mut operation: impl AsyncFnMut(&mut B) -> Result<T, PwmError<B::Error>>,
     ) -> Result<T, OutputFault> {
-        for attempt in 0..3 {
+        let mut tries = 1;
+        loop {
             match operation(&mut self.bus).await {
                 Ok(done) => return Ok(done),
                 Err(PwmError::Mismatch { .. }) => return Err(OutputFault::Mismatch),
-                Err(PwmError::Bus(_)) if attempt == 0 => {}
+                Err(PwmError::Bus(_)) if tries == TRIES => return Err(OutputFault::Bus),
                 Err(PwmError::Bus(_)) => self.bus.recover().await,
             }
+            tries += 1;
             self.retries += 1;
         }
-        Err(OutputFault::Bus)
     }
 }

@@ -42,7 +42,7 @@ impl Bridge {
         Self { lines, inverted, reversal, state: State::Off { since: Instant::now() } }
     }
 
-    /// All lines of the chip were just turned off.
+    /// All lines of the chip have just been turned off.
     pub fn now_off(&mut self) {
         if let State::On { .. } = self.state {
             self.state = State::Off { since: Instant::now() };

@@ -93,15 +93,18 @@ impl Pca9685 {
 
     /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads all of it back.
     ///
-    /// Takes about 2.6 ms at 400 kHz. Outputs are off before, during and after, whatever state the chip was in.
+    /// Takes about 2.6 ms at 400 kHz. Outputs go off at the end of the PWM cycle that is running, and stay off, whatever
+    /// state the chip was in.
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
     pub async fn init<B: I2c>(&self, bus: &mut B) -> Result<(), PwmError<B::Error>> {
+        // First, for a chip that changes its outputs on ACK would not take the next transfer, one that inverts them would
+        // take it for all on.
+        bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
         self.all_off(bus).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING | reg::MODE1_SLEEP]).await?;
         bus.write(self.address, &[reg::PRE_SCALE, self.prescale]).await?;
-        bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING]).await?;
         Timer::after(OSCILLATOR_START).await;
         self.verify_mode(bus).await?;
