@@ -8,7 +8,7 @@ use r4_protocol::{
     ToDevice, ToHost, Unit, VERSION, config::MotorConfig,
 };
 
-use crate::{FIRMWARE_VERSION, control::motor, link::Subscriptions, safety::Event, shared::Shared};
+use crate::{FIRMWARE_VERSION, control::motor, safety::Event, shared::Shared, telemetry::Subscriptions};
 
 /// Answers `message`, which came over `link`; `None` for what wants no answer.
 pub(crate) fn dispatch<M: RawMutex>(

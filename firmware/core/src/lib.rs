@@ -15,14 +15,14 @@
 
 pub mod chips;
 pub mod control;
+mod dispatch;
 pub mod link;
 pub mod outputs;
 pub mod platform;
 pub mod safety;
 pub mod sensing;
 mod shared;
-
-mod dispatch;
+mod telemetry;
 
 pub use shared::{MotorStatus, ResetCause, Shared};
 

@@ -5,14 +5,11 @@ use embassy_sync::{
     blocking_mutex::{Mutex, raw::NoopRawMutex, raw::RawMutex},
     channel::Channel,
 };
-use embassy_time::{Duration, Instant, Timer};
+use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
-use heapless::Vec;
-use r4_protocol::{
-    ChannelId, FrameDecoder, Sample, Telemetry, ToDevice, ToHost, encode_frame, frame::MAX_FRAME, message::MAX_SAMPLES,
-};
+use r4_protocol::{FrameDecoder, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
-use crate::{dispatch::dispatch, shared::Shared};
+use crate::{dispatch::dispatch, shared::Shared, telemetry::Subscriptions};
 
 /// Answers waiting for the transmitter; a host that asks faster than its link carries is held back by the link itself.
 const ANSWERS: usize = 4;
@@ -85,80 +82,4 @@ async fn transmit<M: RawMutex, W: Write>(
             return;
         }
     }
-}
-
-#[derive(Clone, Copy)]
-struct Subscription {
-    channel: ChannelId,
-    period: Duration,
-    due: Instant,
-}
-
-/// What the host of one link wants to be told, and when.
-#[derive(Default)]
-pub(crate) struct Subscriptions(Vec<Subscription, MAX_SAMPLES>);
-
-impl Subscriptions {
-    pub(crate) fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    /// Sets the period of `channel`; 0 ends it.
-    ///
-    /// # Errors
-    /// `()` when there is no room for another.
-    pub(crate) fn set(&mut self, channel: ChannelId, period_ms: u16, now: Instant) -> Result<(), ()> {
-        self.0.retain(|subscription| subscription.channel != channel);
-        if period_ms == 0 {
-            return Ok(());
-        }
-        let period = Duration::from_millis(period_ms.into());
-        // All periods start on the same grid, so that channels of one rate share their frames.
-        let due = Instant::from_ticks(now.as_ticks().next_multiple_of(period.as_ticks()));
-        self.0.push(Subscription { channel, period, due }).map_err(|_| ())
-    }
-
-    /// When the next samples are due. A new subscription is answered, which makes the transmitter look again.
-    fn next_due(&self) -> Instant {
-        self.0.iter().map(|subscription| subscription.due).min().unwrap_or(Instant::MAX)
-    }
-
-    /// The samples that are due now, if any.
-    fn telemetry<M: RawMutex>(&mut self, shared: &Shared<M>) -> Option<Telemetry> {
-        let now = Instant::now();
-        let mut samples = Vec::new();
-        let mut skipped = 0;
-        for subscription in self.0.iter_mut().filter(|subscription| subscription.due <= now) {
-            // As many samples as subscriptions: there is room.
-            let _ = samples.push(sample(shared, subscription.channel)?);
-            let behind = (now - subscription.due).as_ticks() / subscription.period.as_ticks();
-            skipped += behind as u32;
-            subscription.due += subscription.period * (behind as u32 + 1);
-        }
-        if skipped > 0 {
-            shared.count(|stats| stats.telemetry_dropped = stats.telemetry_dropped.wrapping_add(skipped));
-        }
-        let view = shared.safety();
-        (!samples.is_empty()).then(|| Telemetry {
-            device_us: now.as_micros(),
-            state: view.state,
-            causes: view.causes,
-            samples,
-        })
-    }
-}
-
-fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Option<Sample> {
-    if let Some(index) = shared.motor_index(channel) {
-        let status = shared.motor(index);
-        return Some(Sample::Motor {
-            channel,
-            setpoint: status.setpoint,
-            position: status.position,
-            speed: status.speed,
-            duty: status.duty,
-            settled: status.settled,
-        });
-    }
-    shared.supply_index(channel).map(|index| Sample::Scalar { channel, value: shared.supply_v(index) })
 }
