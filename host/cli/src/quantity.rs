@@ -49,15 +49,23 @@ impl FromStr for Quantity {
     }
 }
 
-impl fmt::Display for Quantity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (factor, unit, decimals) = human(self.unit);
+impl Quantity {
+    /// The number in the unit people read it in, without that unit.
+    pub(crate) fn number(self) -> String {
+        let (factor, _, decimals) = human(self.unit);
         let number = format!("{:.decimals$}", self.value * factor);
         // What rounds to zero has no sign.
         let is_zero = !number.contains(|digit: char| ('1'..='9').contains(&digit));
-        let number = if is_zero { number.trim_start_matches('-') } else { &number };
-        let space = if unit.is_empty() { "" } else { " " };
-        f.pad(&format!("{number}{space}{unit}"))
+        if is_zero { number.trim_start_matches('-').to_owned() } else { number }
+    }
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match human(self.unit).1 {
+            "" => f.write_str(&self.number()),
+            unit => write!(f, "{} {unit}", self.number()),
+        }
     }
 }
 

@@ -257,6 +257,24 @@ pub(crate) async fn within<T>(clock: &r4_sim::Clock, ns: u64, future: impl Futur
     .await
 }
 
+/// What both futures give, run side by side.
+pub(crate) async fn both<A, B>(a: impl Future<Output = A>, b: impl Future<Output = B>) -> (A, B) {
+    let (mut a, mut b) = (pin!(a), pin!(b));
+    let (mut of_a, mut of_b) = (None, None);
+    poll_fn(|context| {
+        if of_a.is_none() && let Poll::Ready(value) = a.as_mut().poll(context) {
+            of_a = Some(value);
+        }
+        if of_b.is_none() && let Poll::Ready(value) = b.as_mut().poll(context) {
+            of_b = Some(value);
+        }
+        if of_a.is_some() && of_b.is_some() { Poll::Ready(()) } else { Poll::Pending }
+    })
+    .await;
+    // Both are there: only then is it ready.
+    (of_a.expect("ready"), of_b.expect("ready"))
+}
+
 /// A host that speaks bytes: no driver, no heartbeat of its own.
 pub(crate) struct RawHost {
     port: Port,

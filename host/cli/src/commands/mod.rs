@@ -35,3 +35,8 @@ fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Qua
     }
     Ok(setpoint)
 }
+
+/// Unit of a motor's speed, from that of its position.
+fn speed_unit(position: Unit) -> Unit {
+    if position == Unit::M { Unit::MPerS } else { Unit::RadPerS }
+}

@@ -1,11 +1,11 @@
 //! `r4 move`, `r4 speed`, `r4 duty`
 
 use r4_driver::Until;
-use r4_protocol::{Mode, Unit};
+use r4_protocol::Mode;
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::setpoint;
+use super::{setpoint, speed_unit};
 use crate::{
     args::{Args, Motion},
     output,
@@ -60,9 +60,8 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
         })?;
         return Ok(true);
     }
-    let speed_unit = if position_unit == Unit::M { Unit::MPerS } else { Unit::RadPerS };
     let position = Quantity { value: end.position, unit: position_unit };
-    let speed = Quantity { value: end.speed, unit: speed_unit };
+    let speed = Quantity { value: end.speed, unit: speed_unit(position_unit) };
     match mode {
         Mode::Position => {
             output::line(format_args!("{channel} rests at {position}, asked for {set}, after {:.2} s", end.after_s))?;

@@ -1,13 +1,14 @@
 //! `r4 watch`
 
-use r4_protocol::{ChannelId, Sample, Telemetry, Unit};
+use r4_protocol::{ChannelId, Sample, Telemetry};
 use r4_sim::Pace;
 use serde::Serialize;
 
+use super::speed_unit;
 use crate::{
     args::{Args, Watch},
     output,
-    quantity::Quantity,
+    quantity::{Quantity, human},
     session::{self, Session},
 };
 
@@ -45,15 +46,35 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
             session.board.subscribe(channel, period_ms).await?;
         }
         let end_us = watch.seconds.map(|seconds| session.board.device_us() + (seconds * 1e6) as u64);
-        loop {
+        for printed in 0.. {
             let frame = telemetry.next().await?;
             if end_us.is_some_and(|end_us| frame.device_us > end_us) {
-                return Ok(());
+                break;
+            }
+            if !args.json && printed % HEADER_EVERY == 0 {
+                output::line(header(session, &frame)?)?;
             }
             print(args, session, &frame)?;
         }
+        Ok(())
     })?;
     Ok(true)
+}
+
+/// The header is printed again after so many lines, about a screen.
+const HEADER_EVERY: usize = 20;
+
+/// Names and units above the columns of [`print`].
+fn header(session: &Session<'_>, frame: &Telemetry) -> anyhow::Result<String> {
+    let mut line = format!("{:>9}  {:<8}", "s", "state");
+    for sample in &frame.samples {
+        let info = session.board.channel(sample.channel())?;
+        line += &format!("{:>13}", format!("{} {}", info.id, human(info.unit).1));
+        if let Sample::Motor { .. } = sample {
+            line += &format!("{:>9}{:>8}", human(speed_unit(info.unit)).1, "duty");
+        }
+    }
+    Ok(line)
 }
 
 fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Result<()> {
@@ -78,14 +99,12 @@ fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Resul
             channels: values.into_iter().map(|(_, value)| value).collect(),
         });
     }
-    let mut line = format!("{time_s:9.3} s  {:<8}", frame.state.to_string());
+    let mut line = format!("{time_s:9.3}  {:<8}", frame.state.to_string());
     for (unit, value) in values {
-        let speed_unit = if unit == Unit::M { Unit::MPerS } else { Unit::RadPerS };
-        let quantity = Quantity { value: value.value, unit };
-        line += &format!("  {} {:>10}", value.channel, quantity.to_string());
+        line += &format!("{:>13}", Quantity { value: value.value, unit }.number());
         if let (Some(speed), Some(duty)) = (value.speed, value.duty) {
-            let speed = Quantity { value: speed.into(), unit: speed_unit };
-            line += &format!(" {:>11} duty {duty:+.3}", speed.to_string());
+            let speed = Quantity { value: speed.into(), unit: speed_unit(unit) };
+            line += &format!("{:>9}{duty:>8.3}", speed.number());
         }
     }
     if !frame.causes.is_empty() {
