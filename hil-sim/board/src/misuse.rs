@@ -112,6 +112,55 @@ pub enum MisuseKind {
         /// One PWM period.
         needed_ns: u64,
     },
+    /// An address between or behind the registers was read or written.
+    UnimplementedRegister {
+        /// The address.
+        register: u8,
+    },
+    /// A register that can only be read was written.
+    ReadOnlyRegister {
+        /// Its address.
+        register: u8,
+    },
+    /// A port was read with its pin 7, which is documented as an output only, set as an input.
+    Pin7ReadAsInput {
+        /// The letter of the port.
+        port: char,
+    },
+    /// A command was sent while the EEPROM was being written.
+    EepromBusy {
+        /// Its first byte.
+        command: u8,
+        /// How long the write still takes.
+        ready_in_ns: u64,
+    },
+    /// The supply went away while the EEPROM was being written.
+    EepromWriteInterrupted {
+        /// How long the write would still have taken.
+        ready_in_ns: u64,
+    },
+    /// A command ended before its last byte.
+    CommandIncomplete {
+        /// Its first byte.
+        command: u8,
+    },
+    /// A byte that starts no command, or follows a complete one.
+    UnexpectedByte {
+        /// The byte.
+        byte: u8,
+    },
+    /// A command that reads or writes the chip's address bits, without the LDAC edge that has to go with it.
+    AddressCommand {
+        /// Its first byte.
+        command: u8,
+    },
+    /// LDAC went high again too soon.
+    LdacPulseTooShort {
+        /// For how long it was low.
+        low_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
 }
 
 impl fmt::Display for MisuseKind {
@@ -186,6 +235,48 @@ impl fmt::Display for MisuseKind {
                 f,
                 "direction reversed after both low sides were off for {off_ns} ns: outputs change at period ends only, \
                  so both directions may overlap in one period; hold both low inputs low for {needed_ns} ns or more"
+            ),
+            Self::UnimplementedRegister { register } => write!(
+                f,
+                "there is no register at 0x{register:02X}: what is written is lost and reads are not defined; check the \
+                 address, and whether IOCON.BANK is what you take it for"
+            ),
+            Self::ReadOnlyRegister { register } => {
+                write!(f, "register 0x{register:02X} is read-only: the chip ignores the write; leave it out")
+            }
+            Self::Pin7ReadAsInput { port } => write!(
+                f,
+                "GPIO{port} read with GP{port}7 as an input: an edge on that pin while its bit is sent can corrupt SDA; \
+                 use the pin as an output only"
+            ),
+            Self::EepromBusy { command, ready_in_ns } => write!(
+                f,
+                "command 0x{command:02X} sent during an EEPROM write: the chip acknowledges and ignores it; read the \
+                 RDY/BSY bit until it is 1, here for another {ready_in_ns} ns"
+            ),
+            Self::EepromWriteInterrupted { ready_in_ns } => write!(
+                f,
+                "supply lost {ready_in_ns} ns before the end of an EEPROM write: what it holds then is not defined; keep \
+                 the supply up until RDY/BSY is 1"
+            ),
+            Self::CommandIncomplete { command } => write!(
+                f,
+                "command 0x{command:02X} ended before its last byte: what was incomplete is dropped, and an EEPROM write \
+                 does not start; send all bytes"
+            ),
+            Self::UnexpectedByte { byte } => write!(
+                f,
+                "0x{byte:02X} starts no command, or follows a complete one: the datasheet does not say what the chip \
+                 does; start a new transfer for every command"
+            ),
+            Self::AddressCommand { command } => write!(
+                f,
+                "address command 0x{command:02X}: without a falling edge of LDAC in the 8th clock of this byte, which is \
+                 not simulated, the chip does not acknowledge what follows; program the address before assembly"
+            ),
+            Self::LdacPulseTooShort { low_ns, needed_ns } => write!(
+                f,
+                "LDAC low for {low_ns} ns: the outputs may not change; hold it low for {needed_ns} ns or more"
             ),
         }
     }

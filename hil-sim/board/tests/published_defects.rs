@@ -48,7 +48,7 @@ fn position_is_closed_loop() {
             }
             bench.sleep_ms(3000).await;
             // The band in which a settled position is left alone, and the count it is seen by.
-            let band = 2.0 * 0.0035 + COUNT_RAD;
+            let band = 2.0 * 0.004 + COUNT_RAD;
             assert!((bench.position(ROTARY) - 1.0).abs() < band, "{}", bench.position(ROTARY));
         }
     });
@@ -72,7 +72,7 @@ fn commands_faster_than_the_loop_give_finite_outputs() {
         }
         bench.sleep_ms(3000).await;
         // The band in which a settled position is left alone, and the count it is seen by.
-        let band = 2.0 * 0.0035 + COUNT_RAD;
+        let band = 2.0 * 0.004 + COUNT_RAD;
         assert!((bench.position(ROTARY) - 0.199).abs() < band, "{}", bench.position(ROTARY));
     });
 }

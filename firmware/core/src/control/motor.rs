@@ -39,8 +39,8 @@ pub struct Motor {
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
-    speed_ref: f32,
     setpoint: Setpoint,
+    following: Following,
     /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
     position: f64,
     position_counts: i32,
@@ -51,25 +51,50 @@ pub struct Motor {
     /// What the loops want, and what the bridge makes of it.
     duty: f32,
     applied: f32,
-    /// In position mode: how far from the path.
-    path_error: Option<f32>,
-    /// While settled.
-    hold: Option<Hold>,
-    /// Within the band around the target in which a position counts as reached.
-    near: bool,
-    at_rest_s: f32,
     watch: Watch,
 }
 
-/// How a settled motor is held: with the duty it settled at, which is let go as far as the motor stays.
+/// What following a set point needs to remember.
+#[derive(Clone, Copy)]
+enum Following {
+    /// An open duty: nothing.
+    Duty,
+    /// A speed: how far the ramp to it has come.
+    Speed { reference: f32 },
+    /// A position.
+    Position(Approach),
+}
+
+/// How far a motor has come to its position.
+#[derive(Clone, Copy, Default)]
+struct Approach {
+    /// Distance from the path.
+    path_error: f32,
+    /// Within the band around the target in which a position counts as reached.
+    near: bool,
+    /// Where friction was last overcome to.
+    towards: f32,
+    at_rest_s: f32,
+    /// While settled.
+    hold: Option<Hold>,
+}
+
+/// How a settled motor is held.
 #[derive(Clone, Copy)]
 struct Hold {
     duty: f32,
-    position: f64,
+    /// The duty and the position it came to rest with.
+    at_rest: (f32, f64),
+    /// Whether it has moved since, so that friction alone does not hold it.
+    slipped: bool,
 }
 
 /// A settled motor's duty is let go with this time constant, s.
 const LET_GO_S: f32 = 0.2;
+/// What an integral holds against the way to the target is let go with this time constant, s.
+const UNLOAD_S: f32 = 1.0;
+/// A motor that stands short of its target is driven harder at this rate until it moves, 1/s.
+const BREAK_AWAY_PER_S: f32 = 0.1;
 /// Less than this does nothing to a motor on a bridge.
 const NO_DUTY: f32 = 0.01;
 
@@ -90,8 +115,8 @@ impl Motor {
             position_loop: Pid::new(config.position_pid, period_s)?,
             speed_loop: Pid::new(config.speed_pid, period_s)?,
             profile: Profile::new(config.profile, period_s),
-            speed_ref: 0.0,
             setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
+            following: Following::Duty,
             position: 0.0,
             position_counts: 0,
             speed: 0.0,
@@ -99,10 +124,6 @@ impl Motor {
             acceleration_now: 0.0,
             duty: 0.0,
             applied: 0.0,
-            path_error: None,
-            hold: None,
-            near: false,
-            at_rest_s: 0.0,
             watch: Watch::default(),
             period_s,
             config,
@@ -140,33 +161,31 @@ impl Motor {
     /// Takes a command, which dispatch has checked.
     pub fn command(&mut self, setpoint: Setpoint) {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
-        self.near = false;
-        self.at_rest_s = 0.0;
-        self.hold = None;
-        match (last.mode, setpoint.mode) {
-            (Mode::Position, Mode::Position) => self.profile.shift_target(setpoint.value - last.value),
+        self.following = match (self.following, setpoint.mode) {
+            (Following::Position(_), Mode::Position) => {
+                self.profile.shift_target(setpoint.value - last.value);
+                Following::Position(Approach::default())
+            }
             (_, Mode::Position) => {
                 self.position_loop.reset(self.duty);
                 self.profile.start(self.distance(), self.speed);
+                Following::Position(Approach::default())
             }
-            (Mode::Speed, Mode::Speed) => {}
+            (Following::Speed { reference }, Mode::Speed) => Following::Speed { reference },
             (_, Mode::Speed) => {
                 self.speed_loop.reset(self.duty);
-                self.speed_ref = self.speed;
+                Following::Speed { reference: self.speed }
             }
-            (_, Mode::Duty) => {}
-        }
+            (_, Mode::Duty) => Following::Duty,
+        };
     }
 
     /// Forgets the command and the state of the loops: the outputs are being made safe.
     pub fn stop(&mut self) {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
+        self.following = Following::Duty;
         self.duty = 0.0;
         self.applied = 0.0;
-        self.path_error = None;
-        self.hold = None;
-        self.near = false;
-        self.at_rest_s = 0.0;
         self.watch = Watch::default();
     }
 
@@ -182,23 +201,29 @@ impl Motor {
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
         let limits = OutputLimits { magnitude: self.config.duty_max, slew_per_s: self.config.duty_slew_per_s };
-        self.path_error = None;
-        let wanted = match self.setpoint.mode {
-            Mode::Position => self.step_position(limits),
-            Mode::Speed => self.step_speed(limits),
-            Mode::Duty => {
+        let (wanted, following) = match self.following {
+            Following::Position(approach) => self.step_position(approach, limits),
+            Following::Speed { reference } => self.step_speed(reference, limits),
+            Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
-                self.setpoint.value.clamp(self.duty - step, self.duty + step).clamp(-limits.magnitude, limits.magnitude)
+                let duty = self.setpoint.value.clamp(self.duty - step, self.duty + step);
+                (duty.clamp(-limits.magnitude, limits.magnitude), Following::Duty)
             }
         };
         self.duty = wanted;
+        self.following = following;
         if self.leaves_its_range(wanted) {
             self.duty = 0.0;
             self.position_loop.reset(0.0);
             self.speed_loop.reset(0.0);
-            self.speed_ref = 0.0;
+            match &mut self.following {
+                Following::Speed { reference } => *reference = 0.0,
+                Following::Position(approach) => approach.hold = None,
+                Following::Duty => {}
+            }
         }
-        let seen = Seen { duty: self.duty, position: self.position, path_error: self.path_error };
+        let path_error = if let Following::Position(approach) = self.following { approach.path_error } else { 0.0 };
+        let seen = Seen { duty: self.duty, position: self.position, path_error };
         let causes = self.watch.step(seen, resolution(self.config.feedback), self.period_s, &self.config);
         (self.duty, causes)
     }
@@ -208,71 +233,90 @@ impl Motor {
         self.applied = duty;
     }
 
-    fn step_position(&mut self, limits: OutputLimits) -> f32 {
+    fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
         let (to_go, path_speed) = self.profile.step();
         // Left only at twice the error that enters it: noise at the edge must not start the motor again.
-        let band = self.config.settle.error * if self.near { 2.0 } else { 1.0 };
-        let was_settled = self.is_settled();
-        self.near = to_go == 0.0 && distance.abs() <= band;
-        if was_settled && !self.near {
+        let band = self.config.settle.error * if last.near { 2.0 } else { 1.0 };
+        let near = to_go == 0.0 && distance.abs() <= band;
+        if self.is_settled() && !near {
             // Pushed away: the way back is a path like any other.
             self.profile.start(distance, self.speed);
         }
-        self.at_rest_s = match self.near && self.speed.abs() <= self.config.settle.speed {
-            true => self.at_rest_s + self.period_s,
-            false => 0.0,
-        };
-        if self.is_settled() {
-            return self.hold();
-        }
-        self.hold = None;
-        // While the path moves, friction is overcome in its direction; afterwards towards the target.
-        let towards = match (path_speed != 0.0, self.near) {
+        let at_rest = near && self.speed.abs() <= self.config.settle.speed;
+        let at_rest_s = if at_rest { last.at_rest_s + self.period_s } else { 0.0 };
+        let path_error = distance - to_go;
+        // While the path moves, friction is overcome in its direction; afterwards towards the target. Within the band that
+        // stays as it was: without it a load would fall.
+        let towards = match (path_speed != 0.0, near) {
             (true, _) => path_speed.signum(),
             (false, false) => distance.signum(),
-            (false, true) => 0.0,
+            (false, true) => last.towards,
         };
-        let path_error = distance - to_go;
-        self.path_error = Some(path_error);
+        let approach = Approach { path_error, near, towards, at_rest_s, hold: None };
+        if self.rests_long_enough(at_rest_s) {
+            let new = Hold { duty: self.duty, at_rest: (self.duty, self.position), slipped: false };
+            let hold = self.hold(last.hold.unwrap_or(new), towards);
+            return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
+        }
+        if path_speed == 0.0 {
+            // What moved the motor along its path does not serve the way back from beyond the target.
+            self.position_loop.unload_against(distance, self.period_s / UNLOAD_S);
+            if !near && self.speed.abs() <= self.config.settle.speed {
+                // Short of its target and standing: an integral of a small error would take long to overcome friction.
+                self.position_loop.push((BREAK_AWAY_PER_S * self.period_s).copysign(distance), limits);
+            }
+        }
         // The derivative damps motion relative to the path, not the path itself.
         let rate = self.speed - path_speed;
-        self.position_loop.step(path_error, rate, self.feed_forward(towards, path_speed), limits)
+        let duty = self.position_loop.step(path_error, rate, self.feed_forward(towards, path_speed), limits);
+        (duty, Following::Position(approach))
     }
 
     /// A loop that went on integrating over stiction would hunt, and one that let go at once would drop a load. So the
-    /// duty is let go slowly, as long as the motor stays: friction takes over what it can hold, the rest remains.
-    fn hold(&mut self) -> f32 {
-        let hold = self.hold.get_or_insert(Hold { duty: self.duty, position: self.position });
-        let stays = (self.position - hold.position).abs() as f32 <= self.config.settle.error;
-        if stays {
+    /// duty is let go slowly; if the motor then slips, what it came to rest with holds it, and is kept.
+    fn hold(&mut self, mut hold: Hold, towards: f32) -> Hold {
+        let (duty_at_rest, position_at_rest) = hold.at_rest;
+        // Against its duty, that is: one that still creeps along with it is let go all the more.
+        let slip = (position_at_rest - self.position) as f32 * duty_at_rest.signum();
+        hold.slipped |= slip > self.config.settle.error / 2.0;
+        if hold.slipped {
+            let step = self.config.duty_slew_per_s * self.period_s;
+            hold.duty = duty_at_rest.clamp(hold.duty - step, hold.duty + step);
+        } else {
             hold.duty -= hold.duty * self.period_s / LET_GO_S;
+            if hold.duty.abs() < NO_DUTY {
+                hold.duty = 0.0;
+            }
         }
-        if hold.duty.abs() < NO_DUTY {
-            hold.duty = 0.0;
-        }
-        self.position_loop.hold(hold.duty);
-        hold.duty
+        // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the rest is
+        // what the load takes.
+        let friction = self.feed_forward(towards, 0.0);
+        let overcame =
+            if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
+        self.position_loop.hold(hold.duty, hold.duty - overcame);
+        hold
     }
 
-    fn step_speed(&mut self, limits: OutputLimits) -> f32 {
+    fn step_speed(&mut self, last: f32, limits: OutputLimits) -> (f32, Following) {
         let ProfileLimits { acceleration, .. } = self.config.profile;
         // Slow enough to stop before the end of the range.
         let range = self.config.position;
         let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
-        let (down, up) =
-            (stoppable(self.position - f64::from(range.min)), stoppable(f64::from(range.max) - self.position));
+        let down = stoppable(self.position - f64::from(range.min));
+        let up = stoppable(f64::from(range.max) - self.position);
         let wanted = self.setpoint.value.clamp(-down, up);
         let change = acceleration * self.period_s;
-        self.speed_ref = wanted.clamp(self.speed_ref - change, self.speed_ref + change);
-        if wanted == 0.0 && self.speed_ref == 0.0 && self.speed.abs() <= self.config.settle.speed {
+        let reference = wanted.clamp(last - change, last + change);
+        let following = Following::Speed { reference };
+        if wanted == 0.0 && reference == 0.0 && self.speed.abs() <= self.config.settle.speed {
             // Standing still needs no duty; an integral left from before would only heat the motor.
             self.speed_loop.reset(0.0);
-            return 0.0;
+            return (0.0, following);
         }
-        let towards = if self.speed_ref == 0.0 { 0.0 } else { self.speed_ref.signum() };
-        let path_duty = self.feed_forward(towards, self.speed_ref);
-        self.speed_loop.step(self.speed_ref - self.speed, self.acceleration_now, path_duty, limits)
+        let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
+        let path_duty = self.feed_forward(towards, reference);
+        (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
     }
 
     fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
@@ -291,7 +335,11 @@ impl Motor {
     }
 
     fn is_settled(&self) -> bool {
-        self.setpoint.mode == Mode::Position && self.at_rest_s * 1e3 >= f32::from(self.config.settle.time_ms)
+        matches!(self.following, Following::Position(approach) if self.rests_long_enough(approach.at_rest_s))
+    }
+
+    fn rests_long_enough(&self, at_rest_s: f32) -> bool {
+        at_rest_s * 1e3 >= f32::from(self.config.settle.time_ms)
     }
 
     /// For telemetry.

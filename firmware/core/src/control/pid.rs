@@ -83,10 +83,22 @@ impl Pid {
         self.gains = gains;
     }
 
-    /// Puts the loop at rest holding `output`, as if that had been integrated.
-    pub fn hold(&mut self, output: f32) {
+    /// Adds to the integral, within the limits of its own output.
+    pub fn push(&mut self, duty: f32, limits: OutputLimits) {
+        self.integral = (self.integral + duty).clamp(-limits.magnitude, limits.magnitude);
+    }
+
+    /// Lets go a share of an integral that works against `error`.
+    pub fn unload_against(&mut self, error: f32, share: f32) {
+        if self.integral * error < 0.0 {
+            self.integral -= self.integral * share;
+        }
+    }
+
+    /// Puts the loop at rest with the output at `output`, of which `integral` had been integrated.
+    pub fn hold(&mut self, output: f32, integral: f32) {
         self.reset(output);
-        self.integral = output;
+        self.integral = integral;
     }
 
     /// Puts the loop at rest with the output at `output`, from where the slew limit starts.

@@ -9,8 +9,8 @@ pub(super) struct Seen {
     pub(super) duty: f32,
     /// rad or m
     pub(super) position: f64,
-    /// Distance from the path in position mode, rad or m.
-    pub(super) path_error: Option<f32>,
+    /// Distance from the path, rad or m; 0 where there is none.
+    pub(super) path_error: f32,
 }
 
 /// Memory of a motor's watch.
@@ -40,7 +40,7 @@ impl Watch {
         let moved = self.last.replace(seen.position).map_or(0.0, |last| (seen.position - last) as f32);
         let possible = JUMP_SPEEDS * config.speed_max * period_s + JUMP_COUNTS * resolution;
         causes.set(Cause::EncoderImplausible, causes.contains(Cause::EncoderImplausible) || moved.abs() > possible);
-        let error = seen.path_error.unwrap_or(0.0);
+        let error = seen.path_error;
         self.off_path_s = if error.abs() > config.follow.error { self.off_path_s + period_s } else { 0.0 };
         if self.off_path_s * 1e3 >= f32::from(config.follow.time_ms) {
             self.off_path_s = 0.0;

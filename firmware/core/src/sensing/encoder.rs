@@ -15,7 +15,6 @@ pub struct Encoder {
     /// Since the last count; no more than it takes to call the shaft still, as which it also starts.
     periods_since_count: u32,
     still_after_periods: u32,
-    counts_per_period: f32,
     period_s: f32,
     filter: LowPass,
 }
@@ -34,7 +33,6 @@ impl Encoder {
             position: 0,
             periods_since_count: still_after_periods,
             still_after_periods,
-            counts_per_period: 0.0,
             period_s,
             filter: LowPass::new(filter_s, period_s),
         }
@@ -51,16 +49,19 @@ impl Encoder {
         self.periods_since_count = (self.periods_since_count + 1).min(self.still_after_periods);
         let periods = self.periods_since_count as f32;
         if delta != 0 {
-            self.counts_per_period = delta as f32 / periods;
+            // Each interval counts for as long as it lasted: held into the next one, the mean would come out too high.
+            let counts_per_s = delta as f32 / (periods * self.period_s);
+            for _ in 0..self.periods_since_count {
+                self.filter.step(counts_per_s);
+            }
             self.periods_since_count = 0;
-        } else if self.periods_since_count == self.still_after_periods {
-            self.counts_per_period = 0.0;
         } else {
             // Less than one count in all this time: the speed cannot be higher than one count over it.
-            let most = 1.0 / periods;
-            self.counts_per_period = self.counts_per_period.clamp(-most, most);
+            let still = self.periods_since_count == self.still_after_periods;
+            let most = if still { 0.0 } else { 1.0 / (periods * self.period_s) };
+            self.filter.reset(self.filter.value().clamp(-most, most));
         }
-        (self.position, self.filter.step(self.counts_per_period / self.period_s))
+        (self.position, self.filter.value())
     }
 }
 
@@ -103,9 +104,9 @@ mod tests {
     fn speed_is_right_from_a_tenth_to_a_thousand_counts_per_ms() {
         for counts_per_ms in [0.1, 0.37, 1.0, 7.3, 100.0, 999.7] {
             let speed = f64::from(measured(counts_per_ms, 1000));
-            // Counts that come every 2 or 3 periods read as 1/2 and 1/3 in turn: the mean of the inverse is up to 5 % more
-            // than the inverse of the mean, and as much again is ripple behind the filter. At high speed it is one count.
-            let tolerance = (0.1 * counts_per_ms).min(1.0) * 1000.0;
+            // Intervals of a whole number of periods: as much ripple as a period is of the filter's 20 ms, and what one
+            // count more or less is of the periods it averages over.
+            let tolerance = counts_per_ms * 1000.0 * 0.03 + 1.0;
             assert!((speed - counts_per_ms * 1000.0).abs() <= tolerance, "{counts_per_ms} counts/ms: {speed}");
         }
     }

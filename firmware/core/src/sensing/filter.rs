@@ -20,6 +20,12 @@ impl LowPass {
         self.value
     }
 
+    /// The filtered value.
+    #[must_use]
+    pub fn value(&self) -> f32 {
+        self.value
+    }
+
     /// Puts the filter at rest at `value`.
     pub fn reset(&mut self, value: f32) {
         self.value = value;

@@ -262,10 +262,14 @@ pub(crate) async fn both<A, B>(a: impl Future<Output = A>, b: impl Future<Output
     let (mut a, mut b) = (pin!(a), pin!(b));
     let (mut of_a, mut of_b) = (None, None);
     poll_fn(|context| {
-        if of_a.is_none() && let Poll::Ready(value) = a.as_mut().poll(context) {
+        if of_a.is_none()
+            && let Poll::Ready(value) = a.as_mut().poll(context)
+        {
             of_a = Some(value);
         }
-        if of_b.is_none() && let Poll::Ready(value) = b.as_mut().poll(context) {
+        if of_b.is_none()
+            && let Poll::Ready(value) = b.as_mut().poll(context)
+        {
             of_b = Some(value);
         }
         if of_a.is_some() && of_b.is_some() { Poll::Ready(()) } else { Poll::Pending }

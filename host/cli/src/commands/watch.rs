@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
 /// The header is printed again after so many lines, about a screen.
 const HEADER_EVERY: usize = 20;
 
-/// Names and units above the columns of [`print`].
+/// Names and units above the columns of [`print()`].
 fn header(session: &Session<'_>, frame: &Telemetry) -> anyhow::Result<String> {
     let mut line = format!("{:>9}  {:<8}", "s", "state");
     for sample in &frame.samples {
