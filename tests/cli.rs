@@ -451,6 +451,22 @@ fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
     ]);
 }
 
+#[test]
+fn what_was_not_held_is_not_success() {
+    for (args, says) in [
+        // Faster than the motor at its duty cap; at the end of the stroke, where the drive is cut and stays so.
+        (&["speed", "osmc0", "200deg/s"][..], "did not hold speed 200.0 deg/s"),
+        (&["duty", "actuator1", "60%", "--for", "15"], "duty 0.000, at 100.0"),
+        (&["duty", "actuator1", "60%", "--for", "15.3"], "duty 0.000, at 100.0"),
+        (&["speed", "actuator1", "10mm/s", "--for", "20"], "did not hold speed"),
+    ] {
+        let seen = r4(args);
+        assert!(seen.code == Some(1) && seen.err.contains(says), "{args:?} should say {says}: {seen:?}");
+        let json = r4(&[args, &["--json"][..]].concat());
+        assert_eq!(object(&json.out)["held"], false, "{json:?}");
+    }
+}
+
 // r4 arm, disarm, clear, watch
 
 #[test]

@@ -86,7 +86,9 @@ impl Cause {
             Self::ReadBackMismatch => "check the output chips' supply",
             Self::SupplyOutOfRange => "check the battery and the fuses",
             Self::EncoderImplausible => "check the encoder or potentiometer wiring and its direction",
-            Self::Stalled => "free the mechanism, or raise the stall limits",
+            Self::Stalled => {
+                "check that its sensor shows motion and free the mechanism; only then raise the stall limits"
+            }
             Self::ControlOverrun => "report it: the control loop does not fit its period",
             Self::BadConfiguration => "correct the robot's configuration",
         }

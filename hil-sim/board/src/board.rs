@@ -31,7 +31,7 @@ const LINK_BAUD: u32 = 1_000_000;
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// Its file does not say what is true.
-    #[error("{file} has no [simulation] part, so there is no world to simulate: add one, or connect the real board")]
+    #[error("{file} has no [simulation] part, so there is no world to simulate: add one")]
     NoSimulation {
         /// Of the robot.
         file: String,

@@ -16,7 +16,7 @@
 //! | [`parameter`] | named, bounded parameters with units, which an identifier can vary |
 //! | [`error`] | what can be wrong with a plant's description |
 //!
-//! An effect is one small type, used in two places: the simulator steps it, the identifier fits it. Effects act at five
+//! An effect is one small type for two uses: the simulator steps it, an identifier (still to come) fits it. Effects act at six
 //! *insertion points*, in the order of the picture; several at one point act in the order of the file
 //! (where that matters: frictions and loads add up, and a delay may be anywhere in its input).
 //!

@@ -48,6 +48,8 @@ pub struct Motor {
     /// Filtered rate of the speed, for the derivative of the speed loop.
     acceleration: LowPass,
     acceleration_now: f32,
+    /// The end of its range the motor stands at: 1, -1, or 0.
+    at_end: f32,
     /// What the loops want, and what the bridge makes of it.
     duty: f32,
     applied: f32,
@@ -122,6 +124,7 @@ impl Motor {
             speed: 0.0,
             acceleration: LowPass::new(filter_s, period_s),
             acceleration_now: 0.0,
+            at_end: 0.0,
             duty: 0.0,
             applied: 0.0,
             watch: Watch::default(),
@@ -212,7 +215,8 @@ impl Motor {
         };
         self.duty = wanted;
         self.following = following;
-        if self.leaves_its_range(wanted) {
+        self.at_end = self.end_of_range();
+        if wanted * self.at_end > 0.0 {
             self.duty = 0.0;
             self.position_loop.reset(0.0);
             self.speed_loop.reset(0.0);
@@ -328,10 +332,22 @@ impl Motor {
         (f64::from(self.setpoint.value) - self.position) as f32
     }
 
-    /// Whether `duty` would drive the motor beyond the positions it may have, in whatever mode.
-    fn leaves_its_range(&self, duty: f32) -> bool {
+    /// The end of its range the motor stands at. Without a position to go to, it has left an end only by more than its
+    /// sensor's noise, or that noise would drive it against the end again and again.
+    fn end_of_range(&self) -> f32 {
         let range = self.config.position;
-        (duty > 0.0 && self.position >= range.max.into()) || (duty < 0.0 && self.position <= range.min.into())
+        let margin = match self.following {
+            Following::Position(_) => 0.0,
+            Following::Speed { .. } | Following::Duty => self.config.settle.error,
+        };
+        let room = |end: f32| if self.at_end == end { margin } else { 0.0 };
+        if self.position >= f64::from(range.max - room(1.0)) {
+            1.0
+        } else if self.position <= f64::from(range.min + room(-1.0)) {
+            -1.0
+        } else {
+            0.0
+        }
     }
 
     fn is_settled(&self) -> bool {

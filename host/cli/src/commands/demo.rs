@@ -133,13 +133,17 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
     for channel in board.channels() {
         board.subscribe(channel.id, LOG_EVERY_MS).await?;
     }
+    // An encoder's zero is where power came on, wherever the shaft stood; a potentiometer's is its calibration.
+    let zero = session.true_position(ROTARY.1).unwrap_or(0.0);
     let rows = session
         .armed(async || {
             let mut rows = Vec::new();
             let rotary = ROTARY.0.iter().map(|point| (ROTARY.1, *point));
             for (channel, (set, paper)) in rotary.chain(LINEAR.0.iter().map(|point| (LINEAR.1, *point))) {
                 progress.set_message(format!("{channel} to {set}"));
-                let (row, stopped) = set_point(session, &mut recorder, &mut telemetry, channel, set, paper).await?;
+                let zero = if channel == ROTARY.1 { zero } else { 0.0 };
+                let point = SetPoint { channel, set, paper, zero };
+                let (row, stopped) = set_point(session, &mut recorder, &mut telemetry, point).await?;
                 rows.push(row);
                 progress.inc(1);
                 if let Some(error) = stopped {
@@ -154,13 +158,22 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
     Ok((rows, recorder.finish()?.into_inner()))
 }
 
+/// What to drive to, and what to compare with.
+#[derive(Clone, Copy)]
+struct SetPoint {
+    channel: ChannelId,
+    /// Degrees or millimetres, both.
+    set: f64,
+    paper: f64,
+    /// True position of the board's zero, rad or m.
+    zero: f64,
+}
+
 async fn set_point(
     session: &Session<'_>,
     recorder: &mut MemoryLog,
     telemetry: &mut TelemetryStream,
-    channel: ChannelId,
-    set: f64,
-    paper: f64,
+    SetPoint { channel, set, paper, zero }: SetPoint,
 ) -> anyhow::Result<(Row, Option<r4_driver::Error>)> {
     let board = session.board;
     let info = board.channel(channel)?;
@@ -179,7 +192,8 @@ async fn set_point(
     board.sleep_s(HOLD_S).await;
     record(recorder, telemetry)?;
     let measured = measured.map(|position| position * per_si);
-    let ours = session.true_position(channel).map(|position| position * per_si).or(measured).unwrap_or(f64::NAN);
+    let ours =
+        session.true_position(channel).map(|position| (position - zero) * per_si).or(measured).unwrap_or(f64::NAN);
     let error_ours = ours - set;
     let row = Row {
         channel: channel.to_string(),

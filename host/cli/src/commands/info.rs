@@ -1,10 +1,10 @@
 //! `r4 info`
 
-use r4_protocol::ChannelInfo;
+use r4_protocol::{ChannelInfo, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use crate::{args::Args, output, session, table};
+use crate::{args::Args, output, quantity::human, session, table};
 
 #[derive(Serialize)]
 struct Report {
@@ -27,6 +27,8 @@ struct Channel {
     max: f32,
     rate_hz: f32,
     modes: Vec<ModeLimits>,
+    #[serde(skip)]
+    si: Unit,
 }
 
 #[derive(Serialize)]
@@ -35,6 +37,8 @@ struct ModeLimits {
     unit: String,
     min: f32,
     max: f32,
+    #[serde(skip)]
+    si: Unit,
 }
 
 impl From<&ChannelInfo> for Channel {
@@ -44,6 +48,7 @@ impl From<&ChannelInfo> for Channel {
             unit: mode.unit.to_string(),
             min: mode.range.min,
             max: mode.range.max,
+            si: mode.unit,
         };
         Self {
             id: info.id.to_string(),
@@ -53,6 +58,7 @@ impl From<&ChannelInfo> for Channel {
             max: info.range.max,
             rate_hz: info.rate_hz,
             modes: info.modes.iter().map(limits).collect(),
+            si: info.unit,
         }
     }
 }
@@ -86,15 +92,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     for channel in &report.channels {
         let rate = format!("{:.0}", channel.rate_hz);
         if channel.modes.is_empty() {
-            table.add_row([&channel.id, "measured", &digits(channel.min), &digits(channel.max), &channel.unit, &rate]);
+            let [min, max, unit] = limits(channel.min, channel.max, channel.si);
+            table.add_row([&channel.id, "measured", &min, &max, &unit, &rate]);
         }
         for (index, mode) in channel.modes.iter().enumerate() {
             let id = if index == 0 { channel.id.as_str() } else { "" };
-            table.add_row([id, &mode.mode, &digits(mode.min), &digits(mode.max), &mode.unit, &rate]);
+            let [min, max, unit] = limits(mode.min, mode.max, mode.si);
+            table.add_row([id, &mode.mode, &min, &max, &unit, &rate]);
         }
     }
     output::line(table)?;
     Ok(true)
+}
+
+/// Both ends and the unit, as people read them.
+fn limits(min: f32, max: f32, unit: Unit) -> [String; 3] {
+    let (factor, name, _) = human(unit);
+    let shown = |value: f32| digits((f64::from(value) * factor) as f32);
+    [shown(min), shown(max), if name.is_empty() { unit.to_string() } else { name.to_owned() }]
 }
 
 /// Five significant digits at most, none of them noise of binary fractions.
