@@ -55,6 +55,11 @@ impl Clock {
         }
     }
 
+    /// Drops what a task asked for that has ended.
+    pub(crate) fn forget(&self, waker: &Waker) {
+        self.0.timers.borrow_mut().retain(|timer| !timer.waker.will_wake(waker));
+    }
+
     /// When the next sleeper wakes, or `None` when nobody sleeps.
     pub(crate) fn next_wake(&self) -> Option<u64> {
         self.0.timers.borrow().iter().map(|timer| timer.at_ns).min().filter(|at_ns| *at_ns != IDLE)

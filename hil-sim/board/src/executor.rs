@@ -90,7 +90,10 @@ impl Simulation {
                 }
                 if ready.0.swap(false, Ordering::Relaxed) {
                     match main.as_mut().poll(&mut Context::from_waker(&waker)) {
-                        Poll::Ready(value) => return Some(value),
+                        Poll::Ready(value) => {
+                            clock.forget(&waker);
+                            return Some(value);
+                        }
                         Poll::Pending => continue,
                     }
                 }
@@ -109,14 +112,15 @@ impl Simulation {
         let task = &mut self.tasks[index];
         task.ready.0.store(false, Ordering::Relaxed);
         if task.future.as_mut().poll(&mut Context::from_waker(&task.waker)).is_ready() {
-            self.tasks.remove(index);
+            let task = self.tasks.remove(index);
+            self.clock.forget(&task.waker);
         }
         true
     }
 
     fn keep_pace(&self, (wall, begin_ns): (Instant, u64), next_ns: u64) {
         if let Pace::RealTime(factor) = self.pace {
-            let due_s = (next_ns - begin_ns) as f64 * 1e-9 / factor;
+            let due_s = next_ns.saturating_sub(begin_ns) as f64 * 1e-9 / factor;
             let due = Duration::try_from_secs_f64(due_s).unwrap_or(Duration::MAX);
             // Pacing for a person: the only place in the simulator that looks at the wall.
             std::thread::sleep(due.saturating_sub(wall.elapsed()));

@@ -538,3 +538,41 @@ fn the_demo_s_set_points_are_reached_by_motors_other_than_the_bench_s() {
         failed.len()
     );
 }
+
+/// A host that streams its set points sends the same one again and again.
+#[test]
+fn a_repeated_set_point_does_not_disturb_a_motor_at_rest() {
+    let robot = osmc_bench();
+    bench(&robot, async |bench| {
+        let load = Effect::ConstantLoad(ConstantLoad { force: 0.15 });
+        let friction = Effect::CoulombFriction(CoulombFriction { level: 0.05 });
+        bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
+        bench.host.arm().await.unwrap();
+        bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap();
+        let mut farthest = 0.0;
+        for _ in 0..100 {
+            bench.set(ROTARY, Mode::Position, 1.0).await.unwrap();
+            farthest = f64::max(farthest, farthest_from(bench, ROTARY, 1.0, 50).await);
+        }
+        assert!(farthest <= 2.0 * SETTLE_RAD + COUNT_RAD, "{farthest} rad away");
+    });
+}
+
+#[test]
+fn speed_zero_holds_a_load() {
+    let robot = osmc_bench();
+    bench(&robot, async |bench| {
+        let load = Effect::ConstantLoad(ConstantLoad { force: 0.15 });
+        let friction = Effect::CoulombFriction(CoulombFriction { level: 0.05 });
+        bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
+        bench.host.arm().await.unwrap();
+        bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap();
+        bench.set(ROTARY, Mode::Speed, 0.0).await.unwrap();
+        bench.sleep_ms(2000).await;
+        let from = bench.position(ROTARY);
+        bench.sleep_ms(20_000).await;
+        // Before it was held it sank by 0.1 rad/s, 2 rad in this time.
+        assert!((bench.position(ROTARY) - from).abs() < 0.05, "{}", bench.position(ROTARY) - from);
+        assert_eq!(bench.safety().await.0, SafetyState::Armed);
+    });
+}

@@ -62,7 +62,7 @@ enum Following {
     /// An open duty: nothing.
     Duty,
     /// A speed: how far the ramp to it has come.
-    Speed { reference: f32 },
+    Speed { reference: f32, hold: Option<Hold> },
     /// A position.
     Position(Approach),
 }
@@ -165,19 +165,23 @@ impl Motor {
     pub fn command(&mut self, setpoint: Setpoint) {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
         self.following = match (self.following, setpoint.mode) {
-            (Following::Position(_), Mode::Position) => {
+            // A host that repeats its set point must not disturb a motor that rests there.
+            (Following::Position(approach), Mode::Position) if setpoint.value == last.value => {
+                Following::Position(approach)
+            }
+            (Following::Position(Approach { towards, .. }), Mode::Position) => {
                 self.profile.shift_target(setpoint.value - last.value);
-                Following::Position(Approach::default())
+                Following::Position(Approach { towards, ..Approach::default() })
             }
             (_, Mode::Position) => {
                 self.position_loop.reset(self.duty);
                 self.profile.start(self.distance(), self.speed);
                 Following::Position(Approach::default())
             }
-            (Following::Speed { reference }, Mode::Speed) => Following::Speed { reference },
+            (Following::Speed { reference, hold }, Mode::Speed) => Following::Speed { reference, hold },
             (_, Mode::Speed) => {
                 self.speed_loop.reset(self.duty);
-                Following::Speed { reference: self.speed }
+                Following::Speed { reference: self.speed, hold: None }
             }
             (_, Mode::Duty) => Following::Duty,
         };
@@ -206,7 +210,7 @@ impl Motor {
         let limits = OutputLimits { magnitude: self.config.duty_max, slew_per_s: self.config.duty_slew_per_s };
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
-            Following::Speed { reference } => self.step_speed(reference, limits),
+            Following::Speed { reference, hold } => self.step_speed(reference, hold, limits),
             Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
                 let duty = self.setpoint.value.clamp(self.duty - step, self.duty + step);
@@ -221,7 +225,7 @@ impl Motor {
             self.position_loop.reset(0.0);
             self.speed_loop.reset(0.0);
             match &mut self.following {
-                Following::Speed { reference } => *reference = 0.0,
+                Following::Speed { reference, hold } => (*reference, *hold) = (0.0, None),
                 Following::Position(approach) => approach.hold = None,
                 Following::Duty => {}
             }
@@ -259,8 +263,13 @@ impl Motor {
         };
         let approach = Approach { path_error, near, towards, at_rest_s, hold: None };
         if self.rests_long_enough(at_rest_s) {
-            let new = Hold { duty: self.duty, at_rest: (self.duty, self.position), slipped: false };
-            let hold = self.hold(last.hold.unwrap_or(new), towards);
+            let hold = self.let_go(last.hold.unwrap_or(self.new_hold()));
+            // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the
+            // rest is what the load takes.
+            let friction = self.feed_forward(towards, 0.0);
+            let overcame =
+                if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
+            self.position_loop.hold(hold.duty, hold.duty - overcame);
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
         if path_speed == 0.0 {
@@ -277,13 +286,20 @@ impl Motor {
         (duty, Following::Position(approach))
     }
 
+    /// A motor that has just come to rest.
+    fn new_hold(&self) -> Hold {
+        Hold { duty: self.duty, at_rest: (self.duty, self.position), slipped: false }
+    }
+
     /// A loop that went on integrating over stiction would hunt, and one that let go at once would drop a load. So the
     /// duty is let go slowly; if the motor then slips, what it came to rest with holds it, and is kept.
-    fn hold(&mut self, mut hold: Hold, towards: f32) -> Hold {
+    fn let_go(&self, mut hold: Hold) -> Hold {
         let (duty_at_rest, position_at_rest) = hold.at_rest;
         // Against its duty, that is: one that still creeps along with it is let go all the more.
         let slip = (position_at_rest - self.position) as f32 * duty_at_rest.signum();
-        hold.slipped |= slip > self.config.settle.error / 2.0;
+        // A duty that friction alone would take holds no load.
+        let holds = duty_at_rest.abs() > self.config.feed_forward.static_duty;
+        hold.slipped |= holds && slip > self.config.settle.error / 2.0;
         if hold.slipped {
             let step = self.config.duty_slew_per_s * self.period_s;
             hold.duty = duty_at_rest.clamp(hold.duty - step, hold.duty + step);
@@ -293,16 +309,10 @@ impl Motor {
                 hold.duty = 0.0;
             }
         }
-        // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the rest is
-        // what the load takes.
-        let friction = self.feed_forward(towards, 0.0);
-        let overcame =
-            if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
-        self.position_loop.hold(hold.duty, hold.duty - overcame);
         hold
     }
 
-    fn step_speed(&mut self, last: f32, limits: OutputLimits) -> (f32, Following) {
+    fn step_speed(&mut self, last: f32, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
         let ProfileLimits { acceleration, .. } = self.config.profile;
         // Slow enough to stop before the end of the range.
         let range = self.config.position;
@@ -312,12 +322,14 @@ impl Motor {
         let wanted = self.setpoint.value.clamp(-down, up);
         let change = acceleration * self.period_s;
         let reference = wanted.clamp(last - change, last + change);
-        let following = Following::Speed { reference };
-        if wanted == 0.0 && reference == 0.0 && self.speed.abs() <= self.config.settle.speed {
-            // Standing still needs no duty; an integral left from before would only heat the motor.
-            self.speed_loop.reset(0.0);
-            return (0.0, following);
+        // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
+        let stands = self.speed.abs() <= self.config.settle.speed;
+        if wanted == 0.0 && reference == 0.0 && (stands || hold.is_some_and(|hold| hold.slipped)) {
+            let hold = self.let_go(hold.unwrap_or(self.new_hold()));
+            self.speed_loop.hold(hold.duty, hold.duty);
+            return (hold.duty, Following::Speed { reference, hold: Some(hold) });
         }
+        let following = Following::Speed { reference, hold: None };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
         let path_duty = self.feed_forward(towards, reference);
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
@@ -332,15 +344,16 @@ impl Motor {
         (f64::from(self.setpoint.value) - self.position) as f32
     }
 
-    /// The end of its range the motor stands at. Without a position to go to, it has left an end only by more than its
-    /// sensor's noise, or that noise would drive it against the end again and again.
+    /// The end of its range the motor stands at. A position at the very end may be held from both sides; without one, the
+    /// motor has left an end only by more than its sensor's noise, or that would drive it there again and again.
     fn end_of_range(&self) -> f32 {
         let range = self.config.position;
-        let margin = match self.following {
-            Following::Position(_) => 0.0,
-            Following::Speed { .. } | Following::Duty => self.config.settle.error,
+        let error = self.config.settle.error;
+        let room = |end: f32| match self.following {
+            Following::Position(_) => -error,
+            Following::Speed { .. } | Following::Duty if self.at_end == end => error,
+            Following::Speed { .. } | Following::Duty => 0.0,
         };
-        let room = |end: f32| if self.at_end == end { margin } else { 0.0 };
         if self.position >= f64::from(range.max - room(1.0)) {
             1.0
         } else if self.position <= f64::from(range.min + room(-1.0)) {

@@ -11,6 +11,13 @@ pub struct OutputLimits {
     pub slew_per_s: f32,
 }
 
+impl OutputLimits {
+    /// An integral, bounded: no load needs more than the whole range of the output, from one end to the other.
+    fn bound(self, integral: f32) -> f32 {
+        integral.clamp(-2.0 * self.magnitude, 2.0 * self.magnitude)
+    }
+}
+
 /// A PID loop of fixed period.
 ///
 /// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured rate `v`
@@ -67,8 +74,7 @@ impl Pid {
             let unload = (excess * tracking).abs().min(self.integral.abs());
             if self.integral * excess > 0.0 { self.integral - unload.copysign(excess) } else { self.integral }
         } else {
-            // No load needs more than the whole range of the output, from one end to the other.
-            (self.integral + ki * error * self.period_s).clamp(-2.0 * limits.magnitude, 2.0 * limits.magnitude)
+            limits.bound(self.integral + ki * error * self.period_s)
         };
         self.error = error;
         self.rate = rate;
@@ -83,9 +89,9 @@ impl Pid {
         self.gains = gains;
     }
 
-    /// Adds to the integral, within the limits of its own output.
+    /// Adds to the integral.
     pub fn push(&mut self, duty: f32, limits: OutputLimits) {
-        self.integral = (self.integral + duty).clamp(-limits.magnitude, limits.magnitude);
+        self.integral = limits.bound(self.integral + duty);
     }
 
     /// Lets go a share of an integral that works against `error`.

@@ -189,7 +189,12 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             }
             match self.outputs.drive(index, duty).await {
                 Ok(applied) => motor.set_applied(applied),
-                Err(fault) => self.fault = Some(fault),
+                Err(fault) => {
+                    self.fault = Some(fault);
+                    // The supervisor acts now, and not after the time-outs of the other bridges.
+                    shared.set_control_causes(self.causes());
+                    return;
+                }
             }
         }
         if self.tick.is_multiple_of(CHECK_EVERY) {

@@ -46,17 +46,22 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
             session.board.subscribe(channel, period_ms).await?;
         }
         let end_us = watch.seconds.map(|seconds| session.board.device_us() + (seconds * 1e6) as u64);
-        for printed in 0.. {
+        let (mut since_header, mut last_shape) = (0, Vec::new());
+        loop {
             let frame = telemetry.next().await?;
             if end_us.is_some_and(|end_us| frame.device_us > end_us) {
-                break;
+                return Ok(());
             }
-            if !args.json && printed % HEADER_EVERY == 0 {
+            // Channels join one after another at the start.
+            let shape: Vec<_> = frame.samples.iter().map(Sample::channel).collect();
+            if !args.json && (since_header == HEADER_EVERY || shape != last_shape) {
                 output::line(header(session, &frame)?)?;
+                since_header = 0;
             }
+            since_header += 1;
+            last_shape = shape;
             print(args, session, &frame)?;
         }
-        Ok(())
     })?;
     Ok(true)
 }
