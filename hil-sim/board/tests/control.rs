@@ -167,8 +167,10 @@ fn a_settled_motor_holds_a_load_and_lets_go_where_friction_holds_it() {
         let robot = osmc_bench();
         bench(&robot, async |bench| {
             let friction = Effect::CoulombFriction(CoulombFriction { level: friction_nm });
-            bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
+            // Nothing holds the load before the motors' supply is on: it comes once that is.
             bench.host.arm().await.unwrap();
+            bench.sleep_ms(100).await;
+            bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
             bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap_or_else(|e| panic!("friction {friction_nm} N m: {e}"));
             let farthest = farthest_from(bench, ROTARY, 1.0, 20_000).await;
             // Left alone up to twice the settle error, as far as the encoder tells.

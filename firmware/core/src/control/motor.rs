@@ -176,7 +176,8 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 Following::Speed { reference: self.speed }
             }
-            (_, Mode::Duty) => Following::Duty,
+            // Dispatch lets no motor be switched.
+            (_, Mode::Duty | Mode::Switch) => Following::Duty,
         };
     }
 
@@ -194,7 +195,7 @@ impl Motor {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
-            Mode::Duty => {}
+            Mode::Duty | Mode::Switch => {}
         }
     }
 
