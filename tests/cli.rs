@@ -360,6 +360,8 @@ fn info_describes_every_channel() {
     let expected = [
         ("osmc0", "osmc", "rad"),
         ("actuator1", "actuator", "m"),
+        ("relay0", "relay", "bool"),
+        ("relay1", "relay", "bool"),
         ("supply0", "supply", "V"),
         ("supply1", "supply", "V"),
     ];
@@ -467,6 +469,22 @@ fn what_was_not_held_is_not_success() {
     }
 }
 
+#[test]
+fn a_relay_is_switched_and_told_of() {
+    for (state, closed) in [("on", true), ("off", false)] {
+        let outcome = good_json(&["relay", "relay1", state, "--json"]);
+        assert_eq!((text(&outcome, "channel"), &outcome["closed"]), ("relay1", &closed.into()));
+    }
+    assert_eq!(good(&["relay", "relay1", "on", "--for", "1"]), "relay1 was closed for 1 s; now open\n");
+    all_refused([
+        // The motors' supply is the board's own.
+        (&["relay", "relay0", "on"][..], &["relay0", "cannot be switched"][..]),
+        (&["relay", "relay7", "on"], &["relay7", "`r4 info`"]),
+        (&["relay", "osmc0", "on"], &["osmc0", "cannot be switched"]),
+        (&["relay", "relay1", "half"], &["half", "on", "off"]),
+    ]);
+}
+
 // r4 arm, disarm, clear, watch
 
 #[test]
@@ -509,9 +527,9 @@ fn watch_prints_channels_as_they_change() {
     for line in &lines {
         assert_eq!(text(line, "state"), "disarmed");
         let channels: Vec<_> = array(line, "channels").iter().map(|value| text(value, "channel")).collect();
-        assert_eq!(channels, ["osmc0", "actuator1", "supply0", "supply1"]);
+        assert_eq!(channels, ["osmc0", "actuator1", "relay0", "relay1", "supply0", "supply1"]);
     }
-    let volts = number(&array(&lines[0], "channels")[2], "value");
+    let volts = number(&array(&lines[0], "channels")[4], "value");
     assert!((volts - 24.0).abs() < 0.5, "{volts}");
 
     let printed = good(&["watch", "supply0", "--rate", "50", "--for", "1", "--pace", "max"]);

@@ -145,7 +145,7 @@ impl fmt::Display for Unit {
     }
 }
 
-/// How a motor channel is commanded.
+/// How a channel is commanded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Mode {
     /// Closed loop on position.
@@ -154,6 +154,8 @@ pub enum Mode {
     Speed,
     /// Open loop: a share of the supply.
     Duty,
+    /// On (1) or off (0).
+    Switch,
 }
 
 impl fmt::Display for Mode {
@@ -162,6 +164,7 @@ impl fmt::Display for Mode {
             Self::Position => "position",
             Self::Speed => "speed",
             Self::Duty => "duty",
+            Self::Switch => "switch",
         })
     }
 }

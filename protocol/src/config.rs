@@ -14,6 +14,8 @@ use crate::channel::{ChannelId, ChannelKind, Range};
 pub const MAX_MOTORS: usize = 4;
 /// Most supply rails measured.
 pub const MAX_SUPPLIES: usize = 4;
+/// Most relays.
+pub const MAX_RELAYS: usize = 8;
 /// Most analog inputs.
 pub const ANALOG_INPUTS: usize = 6;
 /// Most quadrature counters.
@@ -36,6 +38,39 @@ pub struct BoardConfig {
     pub motors: Vec<MotorConfig, MAX_MOTORS>,
     /// Supply rails.
     pub supplies: Vec<SupplyConfig, MAX_SUPPLIES>,
+    /// Where the relays are; needed when there are any.
+    pub expander: Option<ExpanderConfig>,
+    /// Relays.
+    pub relays: Vec<RelayConfig, MAX_RELAYS>,
+}
+
+/// An MCP23017.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct ExpanderConfig {
+    /// 7-bit I2C address.
+    pub address: u8,
+}
+
+/// A relay on the expander.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct RelayConfig {
+    /// [`ChannelKind::Relay`] and its number.
+    pub id: ChannelId,
+    /// Bit of the expander, 0 to 7 on port A, 8 to 15 on port B.
+    pub bit: u8,
+    /// Whether a low output closes it. An input, as after power-up, must leave it open either way.
+    pub active_low: bool,
+    /// What it switches.
+    pub role: RelayRole,
+}
+
+/// What a relay switches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum RelayRole {
+    /// Whatever the user wired to it; open until commanded.
+    General,
+    /// The motors' supply: closed while armed, opened first on a stop, not commanded by hosts.
+    MotorPower,
 }
 
 /// A PCA9685.
@@ -299,7 +334,18 @@ impl BoardConfig {
             let Range { min, max } = supply.range_v;
             rule(min.is_finite() && max.is_finite() && min < max, "range_v must have a finite min below a finite max")?;
         }
-        let ids = || self.motors.iter().map(|m| m.id).chain(self.supplies.iter().map(|s| s.id));
+        let mut bits_used = 0u32;
+        for relay in &self.relays {
+            let rule = |holds: bool, rule| check(Some(relay.id), holds, rule);
+            rule(relay.id.kind == ChannelKind::Relay, "a relay needs a relay channel name")?;
+            rule(self.expander.is_some(), "a relay needs the expander")?;
+            rule(relay.bit < 16 && take(&mut bits_used, relay.bit), "expander bits must be 0 to 15, each used once")?;
+        }
+        if let Some(expander) = self.expander {
+            board((0x20..0x28).contains(&expander.address), "an MCP23017 has an address from 0x20 to 0x27")?;
+        }
+        let supplies_and_relays = || self.supplies.iter().map(|s| s.id).chain(self.relays.iter().map(|r| r.id));
+        let ids = || self.motors.iter().map(|m| m.id).chain(supplies_and_relays());
         for (position, id) in ids().enumerate() {
             check(Some(id), !ids().take(position).any(|other| other == id), "the channel is named twice")?;
         }

@@ -25,7 +25,7 @@ pub use message::{DeviceInfo, DeviceStats, Refusal, Reply, Request, Sample, Setp
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///

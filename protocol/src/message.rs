@@ -86,7 +86,7 @@ pub enum Request {
     Clear,
     /// Trips the board: outputs safe, latched.
     Stop,
-    /// Commands one motor channel.
+    /// Commands one channel.
     Set {
         /// Which.
         channel: ChannelId,
@@ -108,7 +108,7 @@ pub enum Request {
     SetGains {
         /// Which.
         channel: ChannelId,
-        /// Which of its loops; [`Mode::Duty`] has none.
+        /// Which of its loops, [`Mode::Position`] or [`Mode::Speed`].
         mode: Mode,
         /// The new gains.
         gains: PidGains,
@@ -117,12 +117,12 @@ pub enum Request {
     Stats,
 }
 
-/// A motor command.
+/// A command to a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Setpoint {
     /// How the number is meant.
     pub mode: Mode,
-    /// rad or m; rad/s or m/s; share of the supply.
+    /// rad or m; rad/s or m/s; share of the supply; 0 or 1.
     pub value: f32,
 }
 

@@ -10,14 +10,16 @@ use proptest::{
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
     config::{
-        ANALOG_INPUTS, BoardConfig, BridgeLines, ConfigError, ENCODERS, FeedForward, Feedback, FollowConfig,
-        MAX_MOTORS, MAX_SUPPLIES, MotorConfig, OSMC_DUTY_HARD_MAX, PidGains, PotPoint, ProfileLimits, PwmConfig,
-        SettleConfig, StallConfig, SupplyConfig,
+        ANALOG_INPUTS, BoardConfig, BridgeLines, ConfigError, ENCODERS, ExpanderConfig, FeedForward, Feedback,
+        FollowConfig, MAX_MOTORS, MAX_RELAYS, MAX_SUPPLIES, MotorConfig, OSMC_DUTY_HARD_MAX, PidGains, PotPoint,
+        ProfileLimits, PwmConfig, RelayConfig, RelayRole, SettleConfig, StallConfig, SupplyConfig,
     },
 };
 
 const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 const ACTUATOR1: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
+const RELAY0: ChannelId = ChannelId::new(ChannelKind::Relay, 0);
+const RELAY1: ChannelId = ChannelId::new(ChannelKind::Relay, 1);
 const SUPPLY0: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
 const SUPPLY1: ChannelId = ChannelId::new(ChannelKind::Supply, 1);
 
@@ -150,6 +152,22 @@ fn every_rule_of_a_motor_can_be_broken() {
         // The second motor's numbers are looked at too.
         (Some(ACTUATOR1), speed, |c| c.motors[1].speed_max = -1.0),
         (Some(ACTUATOR1), stall, |c| c.motors[1].stall.travel = f32::INFINITY),
+    ];
+    check(&cases);
+}
+
+#[test]
+fn every_rule_of_a_relay_can_be_broken() {
+    let bits = "expander bits must be 0 to 15, each used once";
+    let address = "an MCP23017 has an address from 0x20 to 0x27";
+    let cases: [Case; 7] = [
+        (Some(OSMC0), "a relay needs a relay channel name", |c| c.relays[0].id = OSMC0),
+        (Some(RELAY0), "a relay needs the expander", |c| c.expander = None),
+        (Some(RELAY0), bits, |c| c.relays[0].bit = 16),
+        (Some(RELAY1), bits, |c| c.relays[1].bit = c.relays[0].bit),
+        (Some(RELAY1), "the channel is named twice", |c| c.relays[0].id = RELAY1),
+        (None, address, |c| c.expander = Some(ExpanderConfig { address: 0x1F })),
+        (None, address, |c| c.expander = Some(ExpanderConfig { address: 0x28 })),
     ];
     check(&cases);
 }
@@ -309,6 +327,11 @@ fn good() -> BoardConfig {
         osmc_pwm: PwmConfig { address: 0x40, frequency_hz: 1000.0 },
         motors: [wheel, arm].into_iter().collect(),
         supplies: [rail(SUPPLY0, 1), rail(SUPPLY1, 2)].into_iter().collect(),
+        expander: Some(ExpanderConfig { address: 0x20 }),
+        relays: [(RELAY0, 8, RelayRole::MotorPower), (RELAY1, 15, RelayRole::General)]
+            .map(|(id, bit, role)| RelayConfig { id, bit, active_low: true, role })
+            .into_iter()
+            .collect(),
     }
 }
 
@@ -316,14 +339,25 @@ fn configs() -> impl Strategy<Value = BoardConfig> {
     let pwm = (0x38..0x80u8, f32s()).prop_map(|(address, frequency_hz)| PwmConfig { address, frequency_hz });
     let motors = vec(motors(), 0..=MAX_MOTORS);
     let supplies = vec(supplies(), 0..=MAX_SUPPLIES);
-    (0..25_000u32, 0..1200u16, pwm, motors, supplies).prop_map(
-        |(control_period_us, link_timeout_ms, osmc_pwm, motors, supplies)| BoardConfig {
+    let expander = proptest::option::of(any::<u8>().prop_map(|address| ExpanderConfig { address }));
+    let role = any::<bool>().prop_map(|power| if power { RelayRole::MotorPower } else { RelayRole::General });
+    let relay = (ids(), any::<u8>(), any::<bool>(), role).prop_map(|(id, bit, active_low, role)| RelayConfig {
+        id,
+        bit,
+        active_low,
+        role,
+    });
+    let relays = vec(relay, 0..=MAX_RELAYS);
+    (0..25_000u32, 0..1200u16, pwm, motors, supplies, expander, relays).prop_map(
+        |(control_period_us, link_timeout_ms, osmc_pwm, motors, supplies, expander, relays)| BoardConfig {
             robot: heapless::String::new(),
             control_period_us,
             link_timeout_ms,
             osmc_pwm,
             motors: motors.into_iter().collect(),
             supplies: supplies.into_iter().collect(),
+            expander,
+            relays: relays.into_iter().collect(),
         },
     )
 }

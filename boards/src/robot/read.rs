@@ -4,7 +4,10 @@ use std::{fmt::Display, io::ErrorKind};
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{BoardConfig, BridgeLines, ConfigError, MotorConfig, PwmConfig, SupplyConfig},
+    config::{
+        BoardConfig, BridgeLines, ConfigError, ExpanderConfig, MotorConfig, PwmConfig, RelayConfig, RelayRole,
+        SupplyConfig,
+    },
 };
 use serde::Deserialize;
 
@@ -30,8 +33,28 @@ struct RobotFile {
     #[serde(default)]
     actuator: Vec<LinearMotor>,
     #[serde(default)]
+    relay: Vec<Relay>,
+    #[serde(default)]
     supply: Vec<Supply>,
     simulation: Option<simulation::Tables>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Relay {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    active_low: bool,
+    #[serde(default)]
+    role: Role,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Role {
+    #[default]
+    General,
+    MotorPower,
 }
 
 #[derive(Deserialize)]
@@ -98,6 +121,11 @@ impl Reader<'_> {
             motors.push((motor.config(lines, self.duty_max(motor.duty_max, &path)?), path));
         }
         motors.sort_by_key(|(motor, _)| motor.id.index);
+        let mut relays = Vec::new();
+        for (index, relay) in file.relay.iter().enumerate() {
+            let path = format!("relay[{index}]");
+            relays.push((self.relay(&mut claims, relay, &path)?, path));
+        }
         let mut supplies = Vec::new();
         for (index, supply) in file.supply.iter().enumerate() {
             let path = format!("supply[{index}]");
@@ -116,11 +144,23 @@ impl Reader<'_> {
                 .ok_or_else(|| too_many("osmc", "the firmware has at most 4 motors"))?,
             supplies: fit(supplies.iter().map(|(supply, _)| *supply))
                 .ok_or_else(|| too_many("supply", "the firmware has at most 4 supplies"))?,
+            // A robot without relays may have a board without the expander.
+            expander: carrier
+                .device(&carrier.relay.expander)
+                .filter(|_| !relays.is_empty())
+                .map(|device| ExpanderConfig { address: device.address }),
+            relays: fit(relays.iter().map(|(relay, _)| *relay))
+                .ok_or_else(|| too_many("relay", "the firmware has at most 8 relays"))?,
         };
         config.validate().map_err(|ConfigError { channel, rule }| {
             let motors = motors.iter().map(|(motor, path)| (motor.id, path));
             let supplies = supplies.iter().map(|(supply, path)| (supply.id, path));
-            let table = motors.chain(supplies).find(|(id, _)| Some(*id) == channel).map(|(_, path)| path.as_str());
+            let relays = relays.iter().map(|(relay, path)| (relay.id, path));
+            let table = motors
+                .chain(supplies)
+                .chain(relays)
+                .find(|(id, _)| Some(*id) == channel)
+                .map(|(_, path)| path.as_str());
             BoardError::Rule { at: self.source.at(table.unwrap_or_default()), channel, rule }
         })?;
         Ok(config)
@@ -158,6 +198,23 @@ impl Reader<'_> {
             Some(duty) => Ok(duty),
             None => Ok(osmc.duty_max_default),
         }
+    }
+
+    fn relay(&self, claims: &mut Claims<'_>, relay: &Relay, path: &str) -> Result<RelayConfig, BoardError> {
+        let path = format!("{path}.channel");
+        if relay.channel.kind != ChannelKind::Relay {
+            return Err(self.rule(path, "a channel of a relay table is named relay and the output's number"));
+        }
+        let (index, known) = (relay.channel.index, &self.carrier.relay);
+        let bit = known.outputs.get(usize::from(index));
+        let bit = bit.ok_or_else(|| self.no_such("relay output", index, known.outputs.len(), &path))?;
+        let role = match relay.role {
+            Role::General => RelayRole::General,
+            Role::MotorPower if index == known.motor_power => RelayRole::MotorPower,
+            Role::MotorPower => return Err(self.rule(path, "the motors' supply is on the carrier's relay.motor_power")),
+        };
+        claims.take("relay output", index, path)?;
+        Ok(RelayConfig { id: relay.channel, bit: *bit, active_low: relay.active_low, role })
     }
 
     fn supply(&self, claims: &mut Claims<'_>, supply: &Supply, path: &str) -> Result<SupplyConfig, BoardError> {

@@ -5,10 +5,17 @@ use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
     ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, Range, Refusal, Reply, Request, SCHEMA_HASH, Setpoint,
-    ToDevice, ToHost, Unit, VERSION, config::MotorConfig,
+    ToDevice, ToHost, Unit, VERSION,
+    config::{Feedback, MotorConfig, RelayRole},
 };
 
-use crate::{FIRMWARE_VERSION, control::motor, safety::Event, shared::Shared, telemetry::Subscriptions};
+use crate::{
+    FIRMWARE_VERSION,
+    control::motor,
+    safety::Event,
+    shared::{Output, Shared},
+    telemetry::Subscriptions,
+};
 
 /// Answers `message`, which came over `link`; `None` for what wants no answer.
 pub(crate) fn dispatch<M: RawMutex>(
@@ -77,22 +84,21 @@ fn answer<M: RawMutex>(
                 let age_ms = u32::try_from(age_ms).unwrap_or(u32::MAX);
                 return Err(Refusal::Expired { age_ms, ttl_ms });
             }
-            let index = motor_index(shared, channel, setpoint.mode)?;
-            check_setpoint(&shared.config().motors[index], setpoint)?;
-            shared.command(index, setpoint)?;
+            let output = output(shared, channel, setpoint.mode)?;
+            check_setpoint(channel, &modes_of(shared, output), setpoint)?;
+            shared.command(output, setpoint)?;
         }
         Request::SetGains { channel, mode, gains } => {
-            let index = motor_index(shared, channel, mode)?;
-            if mode == Mode::Duty {
+            let (Output::Motor(index), Mode::Position | Mode::Speed) = (output(shared, channel, mode)?, mode) else {
                 return Err(Refusal::WrongMode { channel, mode });
-            }
+            };
             if !gains.is_valid() {
                 return Err(Refusal::BadGains { channel });
             }
             shared.change_gains(index, mode, gains);
         }
         Request::Subscribe { channel, period_ms } => {
-            if shared.motor_index(channel).is_none() && shared.supply_index(channel).is_none() {
+            if !shared.has_channel(channel) {
                 return Err(Refusal::UnknownChannel { channel });
             }
             subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
@@ -101,24 +107,29 @@ fn answer<M: RawMutex>(
     Ok(Reply::Done)
 }
 
-fn motor_index<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, mode: Mode) -> Result<usize, Refusal> {
-    shared.motor_index(channel).ok_or_else(|| match shared.supply_index(channel) {
-        Some(_) => Refusal::WrongMode { channel, mode },
-        None => Refusal::UnknownChannel { channel },
+/// The output that `channel` is, for a command in `mode`.
+fn output<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, mode: Mode) -> Result<Output, Refusal> {
+    let motor = shared.motor_index(channel).map(Output::Motor);
+    let found = motor.or_else(|| shared.relay_index(channel).map(Output::Relay));
+    found.ok_or(if shared.has_channel(channel) {
+        Refusal::WrongMode { channel, mode }
+    } else {
+        Refusal::UnknownChannel { channel }
     })
 }
 
-fn check_setpoint(motor: &MotorConfig, setpoint: Setpoint) -> Result<(), Refusal> {
-    let (channel, asked) = (motor.id, setpoint.value);
+fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
+    let Setpoint { mode, value: asked } = setpoint;
     if !asked.is_finite() {
         return Err(Refusal::NotFinite { channel });
     }
-    let modes = modes(motor);
-    let mode = modes
-        .iter()
-        .find(|info| info.mode == setpoint.mode)
-        .ok_or(Refusal::WrongMode { channel, mode: setpoint.mode })?;
-    if mode.range.contains(asked) { Ok(()) } else { Err(Refusal::OutOfRange { channel, asked, range: mode.range }) }
+    let info = modes.iter().find(|info| info.mode == mode).ok_or(Refusal::WrongMode { channel, mode })?;
+    let half_switched = mode == Mode::Switch && asked != 0.0 && asked != 1.0;
+    if info.range.contains(asked) && !half_switched {
+        Ok(())
+    } else {
+        Err(Refusal::OutOfRange { channel, asked, range: info.range })
+    }
 }
 
 fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> DeviceInfo {
@@ -129,7 +140,7 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
         // A crate version is far shorter than the field.
         firmware: String::try_from(FIRMWARE_VERSION).unwrap_or_default(),
         session,
-        channels: (config.motors.len() + config.supplies.len()) as u8,
+        channels: (config.motors.len() + config.relays.len() + config.supplies.len()) as u8,
         link_timeout_ms: config.link_timeout_ms,
         device_us: now.as_micros(),
         state: view.state,
@@ -137,39 +148,50 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
     }
 }
 
-/// Channel `index` of the list: motors first, then supplies.
+/// Channel `index` of the list: motors, relays, supplies.
 fn channel_info<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ChannelInfo, Refusal> {
     let config = shared.config();
     let rate_hz = 1e6 / config.control_period_us as f32;
-    if let Some(motor) = config.motors.get(index) {
-        let modes = modes(motor);
-        return Ok(ChannelInfo {
-            id: motor.id,
-            unit: modes[0].unit,
-            range: modes[0].range,
-            rate_hz,
-            resolution: motor::resolution(motor.feedback),
-            modes,
-        });
-    }
-    let supply = config.supplies.get(index - config.motors.len());
-    supply.map_or(Err(Refusal::NoSuchIndex { index: index as u8 }), |supply| {
-        Ok(ChannelInfo {
-            id: supply.id,
-            unit: Unit::V,
-            range: supply.range_v,
-            rate_hz,
-            resolution: 0.0,
-            modes: Vec::new(),
-        })
-    })
+    let motors = config.motors.iter().enumerate().map(|(index, motor)| {
+        let modes = modes_of(shared, Output::Motor(index));
+        let resolution = motor::resolution(motor.feedback);
+        ChannelInfo { id: motor.id, unit: modes[0].unit, range: modes[0].range, rate_hz, resolution, modes }
+    });
+    let relays = config.relays.iter().enumerate().map(|(index, relay)| ChannelInfo {
+        id: relay.id,
+        unit: Unit::Bool,
+        range: SWITCH,
+        rate_hz,
+        resolution: 0.0,
+        modes: modes_of(shared, Output::Relay(index)),
+    });
+    let supplies = config.supplies.iter().map(|supply| ChannelInfo {
+        id: supply.id,
+        unit: Unit::V,
+        range: supply.range_v,
+        rate_hz,
+        resolution: 0.0,
+        modes: Vec::new(),
+    });
+    motors.chain(relays).chain(supplies).nth(index).ok_or(Refusal::NoSuchIndex { index: index as u8 })
 }
 
-/// What a motor can be commanded to do. The first is the channel's own quantity.
-fn modes(motor: &MotorConfig) -> Vec<ModeInfo, 3> {
+/// Off and on.
+const SWITCH: Range = Range::new(0.0, 1.0);
+
+/// What an output can be commanded to do: a motor's own quantity first; nothing for the relay in the motors' supply.
+fn modes_of<M: RawMutex>(shared: &Shared<M>, output: Output) -> Vec<ModeInfo, 3> {
+    match output {
+        Output::Motor(index) => motor_modes(&shared.config().motors[index]),
+        Output::Relay(index) if shared.config().relays[index].role == RelayRole::MotorPower => Vec::new(),
+        Output::Relay(_) => [ModeInfo { mode: Mode::Switch, unit: Unit::Bool, range: SWITCH }].into_iter().collect(),
+    }
+}
+
+fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, 3> {
     let (position, speed) = match motor.feedback {
-        r4_protocol::config::Feedback::Encoder { .. } => (Unit::Rad, Unit::RadPerS),
-        r4_protocol::config::Feedback::Potentiometer { .. } => (Unit::M, Unit::MPerS),
+        Feedback::Encoder { .. } => (Unit::Rad, Unit::RadPerS),
+        Feedback::Potentiometer { .. } => (Unit::M, Unit::MPerS),
     };
     [
         ModeInfo { mode: Mode::Position, unit: position, range: motor.position },

@@ -9,7 +9,7 @@ use embassy_sync::{
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
     Cause, Causes, ChannelId, DeviceStats, Mode, Refusal, SafetyState, Setpoint,
-    config::{BoardConfig, MAX_MOTORS, MAX_SUPPLIES, PidGains},
+    config::{BoardConfig, MAX_MOTORS, MAX_RELAYS, MAX_SUPPLIES, PidGains},
 };
 
 use crate::safety::{Event, Safety};
@@ -57,6 +57,25 @@ pub(crate) struct SafetyView {
     pub(crate) epoch: u16,
 }
 
+/// Most channels that take commands.
+const MAX_OUTPUTS: usize = MAX_MOTORS + MAX_RELAYS;
+
+/// A channel that takes commands, by its place in the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Output {
+    Motor(usize),
+    Relay(usize),
+}
+
+impl Output {
+    const fn slot(self) -> usize {
+        match self {
+            Self::Motor(index) => index,
+            Self::Relay(index) => MAX_MOTORS + index,
+        }
+    }
+}
+
 /// The one host session a board can have.
 #[derive(Clone, Copy, Debug)]
 struct Session {
@@ -77,11 +96,12 @@ struct State {
     session: Option<Session>,
     next_session: u16,
     /// With the arming they were given in.
-    commands: [Option<(u16, Setpoint)>; MAX_MOTORS],
+    commands: [Option<(u16, Setpoint)>; MAX_OUTPUTS],
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
     motors: [MotorStatus; MAX_MOTORS],
+    relays_closed: [bool; MAX_RELAYS],
     supplies_v: [f32; MAX_SUPPLIES],
     stats: DeviceStats,
 }
@@ -116,10 +136,11 @@ impl<M: RawMutex> Shared<M> {
                 last_tick: None,
                 session: None,
                 next_session: 1,
-                commands: [None; MAX_MOTORS],
+                commands: [None; MAX_OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
                 motors: [MotorStatus::IDLE; MAX_MOTORS],
+                relays_closed: [false; MAX_RELAYS],
                 supplies_v: [0.0; MAX_SUPPLIES],
                 stats: DeviceStats::default(),
             })),
@@ -195,8 +216,8 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// The newest command of this arming; one of a later arming is left for the next period.
-    pub(crate) fn take_command(&self, motor: usize, epoch: u16) -> Option<Setpoint> {
-        self.with(|s| s.commands[motor].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
+    pub(crate) fn take_command(&self, output: Output, epoch: u16) -> Option<Setpoint> {
+        self.with(|s| s.commands[output.slot()].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
 
     /// New gains of the position and of the speed loop.
@@ -217,6 +238,10 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.motors[motor] = status);
     }
 
+    pub(crate) fn publish_relay(&self, relay: usize, closed: bool) {
+        self.with(|s| s.relays_closed[relay] = closed);
+    }
+
     pub(crate) fn publish_supply(&self, supply: usize, volts: f32) {
         self.with(|s| s.supplies_v[supply] = volts);
     }
@@ -231,12 +256,26 @@ impl<M: RawMutex> Shared<M> {
         self.config.motors.iter().position(|motor| motor.id == channel)
     }
 
+    pub(crate) fn relay_index(&self, channel: ChannelId) -> Option<usize> {
+        self.config.relays.iter().position(|relay| relay.id == channel)
+    }
+
     pub(crate) fn supply_index(&self, channel: ChannelId) -> Option<usize> {
         self.config.supplies.iter().position(|supply| supply.id == channel)
     }
 
+    pub(crate) fn has_channel(&self, channel: ChannelId) -> bool {
+        self.motor_index(channel).is_some()
+            || self.relay_index(channel).is_some()
+            || self.supply_index(channel).is_some()
+    }
+
     pub(crate) fn motor(&self, index: usize) -> MotorStatus {
         self.with(|s| s.motors[index])
+    }
+
+    pub(crate) fn relay_closed(&self, index: usize) -> bool {
+        self.with(|s| s.relays_closed[index])
     }
 
     pub(crate) fn supply_v(&self, index: usize) -> f32 {
@@ -248,10 +287,10 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Stores a command for the control loop's next period; a later one replaces it.
-    pub(crate) fn command(&self, motor: usize, setpoint: Setpoint) -> Result<(), Refusal> {
+    pub(crate) fn command(&self, output: Output, setpoint: Setpoint) -> Result<(), Refusal> {
         self.with(|s| match s.safety {
             Safety::Armed => {
-                s.commands[motor] = Some((s.epoch, setpoint));
+                s.commands[output.slot()] = Some((s.epoch, setpoint));
                 Ok(())
             }
             _ => Err(Refusal::NotArmed { state: s.safety.state() }),
@@ -263,7 +302,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| match mode {
             Mode::Position => s.gains[motor][0] = Some(gains),
             Mode::Speed => s.gains[motor][1] = Some(gains),
-            Mode::Duty => {}
+            Mode::Duty | Mode::Switch => {}
         });
     }
 
@@ -330,7 +369,7 @@ impl State {
         let changed = next.state() != self.safety.state();
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
-            self.commands = [None; MAX_MOTORS];
+            self.commands = [None; MAX_OUTPUTS];
         }
         self.safety = next;
         (changed, result)

@@ -80,5 +80,8 @@ fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Option<Sample>
             settled: status.settled,
         });
     }
+    if let Some(index) = shared.relay_index(channel) {
+        return Some(Sample::Scalar { channel, value: shared.relay_closed(index).into() });
+    }
     shared.supply_index(channel).map(|index| Sample::Scalar { channel, value: shared.supply_v(index) })
 }

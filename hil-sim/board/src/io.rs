@@ -46,7 +46,10 @@ impl I2c for BoardBus {
         let result = {
             let mut world = self.0.borrow_mut();
             world.catch_up();
-            world.bus.execute(start_ns, address, operations)
+            let result = world.bus.execute(start_ns, address, operations);
+            // The expander's pins change with the transfer; the PWM chip's at the end of its cycle.
+            world.look_at_bridges();
+            result
         };
         match result {
             Ok(_) => Ok(()),

@@ -7,12 +7,18 @@ use std::{cell::RefCell, rc::Rc};
 
 use r4_boards::{Robot, SimulatedMotor, SimulatedRail, SimulatedSensor};
 use r4_plants::{Drive, Plant, PlantError, PlantSpec};
-use r4_protocol::{ChannelId, config::BridgeLines};
+use r4_protocol::{
+    ChannelId,
+    config::{BridgeLines, RelayConfig, RelayRole},
+};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
-    chips::pca9685::Pca9685,
+    chips::{
+        mcp23017::{Mcp23017, PinState, Port},
+        pca9685::Pca9685,
+    },
     clock::Clock,
     i2c::I2cBus,
     misuse::Misuse,
@@ -33,10 +39,14 @@ pub struct World {
     /// The board's I2C bus.
     pub bus: I2cBus,
     osmc_pwm: Rc<RefCell<Pca9685>>,
+    /// The port expander with its relays, on a robot that has some.
+    expander: Option<Rc<RefCell<Mcp23017>>>,
+    relays: Vec<RelayConfig>,
     osmc_disabled: bool,
     /// Whether bridge inputs may have changed since the bridges last looked.
     stale: bool,
     pwm_generation: u64,
+    expander_generation: u64,
     motors: Vec<Motor>,
     rails: Vec<Rail>,
     noise: Pcg64,
@@ -66,6 +76,8 @@ impl World {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
         let osmc_pwm = Rc::new(RefCell::new(Pca9685::new(robot.config.osmc_pwm.address, PWM_OSCILLATOR_HZ)));
         bus.attach(osmc_pwm.clone());
+        let expander = robot.config.expander.map(|config| Rc::new(RefCell::new(Mcp23017::new(config.address))));
+        expander.iter().for_each(|expander| bus.attach(expander.clone()));
         let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
         let mut motors = Vec::new();
         for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
@@ -81,9 +93,12 @@ impl World {
             now_ns: 0,
             bus,
             osmc_pwm,
+            expander,
+            relays: robot.config.relays.to_vec(),
             osmc_disabled: true,
             stale: true,
             pwm_generation: 0,
+            expander_generation: 0,
             motors,
             rails,
             noise,
@@ -123,13 +138,17 @@ impl World {
         }
     }
 
-    fn look_at_bridges(&mut self) {
+    /// Lets the bridges see their lines and supply as they are now.
+    pub(crate) fn look_at_bridges(&mut self) {
         let pwm = self.osmc_pwm.borrow();
-        if !self.stale && pwm.generation() == self.pwm_generation {
+        let expander_generation = self.expander.as_ref().map_or(0, |expander| expander.borrow().generation());
+        let seen = (pwm.generation(), expander_generation);
+        if !self.stale && seen == (self.pwm_generation, self.expander_generation) {
             return;
         }
         self.stale = false;
-        self.pwm_generation = pwm.generation();
+        (self.pwm_generation, self.expander_generation) = seen;
+        let powered = self.relays.iter().all(|relay| relay.role != RelayRole::MotorPower || self.is_closed(relay));
         for motor in &mut self.motors {
             let line = |output: u8| pwm.line(output.into());
             let inputs = BridgeInputs {
@@ -139,10 +158,18 @@ impl World {
                 bli: line(motor.lines.bli),
                 disabled: self.osmc_disabled,
             };
-            let gate_v = self.rails[motor.rail].volts.min(GATE_SUPPLY_V);
+            // Behind an open relay the bridge has no supply, and its driver turns everything off.
+            let gate_v = if powered { self.rails[motor.rail].volts.min(GATE_SUPPLY_V) } else { 0.0 };
             let output = motor.bridge.update(self.now_ns, &inputs, pwm.pwm_period_ns(), gate_v);
             motor.drive = Drive { duty: output.duty, coast: output.coast };
         }
+    }
+
+    /// Whether a relay's contact is closed: its input is driven to the level that pulls it, not floating.
+    fn is_closed(&self, relay: &RelayConfig) -> bool {
+        let Some(expander) = &self.expander else { return false };
+        let port = if relay.bit < 8 { Port::A } else { Port::B };
+        expander.borrow().pin_level(port, relay.bit % 8) == PinState::Driven(!relay.active_low)
     }
 
     /// The DISABLE line of the bridges.
@@ -207,6 +234,12 @@ impl World {
         self.motor(channel).map(|motor| motor.plant.speed())
     }
 
+    /// Whether a relay's contact is closed; `None` for a channel without a relay.
+    #[must_use]
+    pub fn relay_closed(&self, channel: ChannelId) -> Option<bool> {
+        self.relays.iter().find(|relay| relay.id == channel).map(|relay| self.is_closed(relay))
+    }
+
     /// What a motor's bridge does to it now.
     pub fn drive(&mut self, channel: ChannelId) -> Option<Drive> {
         self.catch_up();
@@ -253,6 +286,9 @@ impl World {
         let bridges = self.motors.iter().flat_map(|motor| motor.bridge.misuse().first());
         let mut all: Vec<_> =
             self.bus.misuse().first().iter().chain(pwm.misuse().first()).chain(bridges).copied().collect();
+        if let Some(expander) = &self.expander {
+            all.extend(expander.borrow().misuse().first());
+        }
         all.sort_by_key(|misuse| misuse.time_ns);
         all
     }

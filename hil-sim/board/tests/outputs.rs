@@ -11,7 +11,7 @@ use embedded_hal_async::i2c::I2c;
 use harness::{ALL_OFF, LINEAR, MS, ROTARY, US, bench, bench_with_misuse, osmc_bench};
 use proptest::prelude::*;
 use r4_firmware::{
-    chips::pca9685::{Pca9685, PwmError},
+    chips::{ChipError, pca9685::Pca9685},
     outputs::{OutputFault, Outputs},
     platform::Bus,
 };
@@ -38,8 +38,8 @@ const TOTEM_POLE: u8 = 0x04;
 const FASTEST: u8 = 3;
 /// One PWM period at that: 4096 · 4 / 25 MHz.
 const PWM_PERIOD_NS: u64 = 655_360;
-/// Everything is read back once in so many calls: the mode, and four lines of each of two bridges.
-const CHECKS: u64 = 9;
+/// Everything is read back once in so many calls: the mode, the relays, and four lines of each of two bridges.
+const CHECKS: u64 = 10;
 
 /// A bus with one PWM chip and the bridges of the bench behind it, which are never disabled.
 struct Rig {
@@ -151,18 +151,26 @@ impl Bus for RigBus {
     }
 }
 
+/// The bench without its relays: the rig has only the PWM chip.
+fn rig_config() -> BoardConfig {
+    let mut config = osmc_bench().config;
+    config.relays.clear();
+    config.expander = None;
+    config
+}
+
 /// Runs `work` with a rig that was just powered.
 fn on_rig<T>(work: impl AsyncFnOnce(RigBus, Clock) -> T) -> T {
     let mut simulation = Simulation::default();
     let clock = simulation.clock();
-    let rig = Rc::new(RefCell::new(Rig::new(clock.clone(), &osmc_bench().config)));
+    let rig = Rc::new(RefCell::new(Rig::new(clock.clone(), &rig_config())));
     simulation.block_on(work(RigBus(rig), clock)).expect("time goes on")
 }
 
 /// The same with outputs that are set up.
 fn with_outputs<T>(work: impl AsyncFnOnce(&mut Outputs<RigBus>, &RigBus, &Clock) -> T) -> T {
     on_rig(async |bus, clock| {
-        let mut outputs = Outputs::new(bus.clone(), &osmc_bench().config);
+        let mut outputs = Outputs::new(bus.clone(), &rig_config());
         outputs.init().await.expect("nothing is wrong");
         work(&mut outputs, &bus, &clock).await
     })
@@ -233,7 +241,7 @@ fn an_external_clock_is_reported() {
         bus.write(0x40, &[MODE1, 0x50]).await.unwrap();
         driver().init(&mut bus).await
     });
-    assert!(matches!(result, Err(PwmError::Mismatch { register: MODE1, .. })), "{result:?}");
+    assert!(matches!(result, Err(ChipError::Mismatch { register: MODE1, .. })), "{result:?}");
 }
 
 #[test]
@@ -395,9 +403,14 @@ fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
             bench.run_rotary(0).await;
             let device = bench.device();
             device.record_wire();
-            // Right after a read-back there is time for a write before the next: the flip meets the write.
+            // Right after a line was read back there is time for a write before the next look: the flip meets the write.
+            // The mode and the relays take two transfers each, of which the flip would meet the second.
             let begin_ns = device.clock.now_ns();
-            device.wait_until(begin_ns, 20 * MS, || device.wire_since(begin_ns).next().is_some()).await.expect("looks");
+            let line_read = || {
+                let mut reads = device.wire_since(begin_ns).filter(|record| !record.read.is_empty());
+                reads.any(|record| record.address == 0x40 && (LED0_ON_L..PRE_SCALE).contains(&record.written[0]))
+            };
+            device.wait_until(begin_ns, 20 * MS, line_read).await.expect("looks");
             let flip_ns = device.clock.now_ns();
             device.inject(Disturbance::BitFlip { byte, mask }, Span::Transfers { count: 1 });
             // Less than the slew limit of one period: a single write.

@@ -23,7 +23,7 @@ use r4_plants::{
     },
 };
 use r4_protocol::{
-    Cause, Causes, ChannelId, Mode, Range, Refusal, Request, SafetyState,
+    Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, Request, SafetyState,
     config::{BoardConfig, Feedback},
 };
 use r4_sim::i2c::{Disturbance, Span};
@@ -680,4 +680,70 @@ fn dead_man_released_at_any_moment() {
     eprintln!(
         "dead-man, 300 moments: off after at most {worst_off_ns} ns, written off after at most {worst_written_ns} ns"
     );
+}
+
+/// Both motors' supply goes over relay 0 on this bench.
+#[test]
+fn the_motor_power_relay_follows_arming_and_opens_first() {
+    let relay = ChannelId::new(ChannelKind::Relay, 0);
+    bench(&osmc_bench(), async |bench| {
+        let closed = || bench.board.world().relay_closed(relay).expect("the bench has the relay");
+        assert!(!closed(), "open at power-up");
+        bench.host.arm().await.expect("nothing is in the way");
+        bench.sleep_ms(20).await;
+        assert!(closed());
+        // Commands wait until the supply may be relied on.
+        bench.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
+        assert_eq!(bench.device().duty(ROTARY), 0.0);
+        bench.sleep_ms(500).await;
+        assert!(bench.board.world().speed(ROTARY).expect("a motor") > 0.5);
+
+        bench.board.world().bus.set_trace(64);
+        let released_ns = bench.clock.now_ns();
+        bench.board.dead_man().set(false);
+        bench.sleep_ms(5).await;
+        assert!(!closed());
+        // On the wire: the relays' latches before the PWM chip's all-off, the first of them within a millisecond.
+        let world = bench.board.world();
+        let written = |address: u8| {
+            let after = world.bus.trace().filter(|record| record.start_ns >= released_ns);
+            after
+                .filter(|record| record.address == address && !record.written.is_empty() && record.read.is_empty())
+                .map(|record| record.end_ns - released_ns)
+                .next()
+        };
+        let (relays_ns, motors_ns) = (written(0x20).expect("relays"), written(0x40).expect("motors"));
+        assert!(
+            relays_ns < motors_ns && relays_ns <= 1_000_000 && motors_ns <= 5_000_000,
+            "{relays_ns} {motors_ns} ns"
+        );
+    });
+}
+
+#[test]
+fn a_general_relay_is_switched_while_armed_and_opens_on_a_stop() {
+    let [power, relay] = [0, 1].map(|index| ChannelId::new(ChannelKind::Relay, index));
+    bench(&osmc_bench(), async |bench| {
+        let closed = || bench.board.world().relay_closed(relay).expect("the bench has the relay");
+        let not_armed = bench.set(relay, Mode::Switch, 1.0).await;
+        assert!(matches!(not_armed, Err(Error::Refused(Refusal::NotArmed { .. }))), "{not_armed:?}");
+        bench.host.arm().await.expect("nothing is in the way");
+        for (value, expected) in [(1.0, true), (0.0, false), (1.0, true)] {
+            bench.set(relay, Mode::Switch, value).await.expect("armed");
+            bench.sleep_ms(5).await;
+            assert_eq!(closed(), expected);
+        }
+        let half = bench.set(relay, Mode::Switch, 0.5).await;
+        assert!(matches!(half, Err(Error::Refused(Refusal::OutOfRange { .. }))), "{half:?}");
+        // The motors' supply is the supervisor's.
+        let by_hand = bench.set(power, Mode::Switch, 0.0).await;
+        assert!(matches!(by_hand, Err(Error::Refused(Refusal::WrongMode { .. }))), "{by_hand:?}");
+        bench.host.stop().await.expect("a stop is always taken");
+        bench.sleep_ms(5).await;
+        assert!(!closed());
+        bench.host.clear().await.expect("no cause is left");
+        bench.host.arm().await.expect("cleared");
+        bench.sleep_ms(20).await;
+        assert!(!closed(), "a relay closed before the stop stays open after it");
+    });
 }

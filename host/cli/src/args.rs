@@ -52,6 +52,8 @@ pub(crate) enum Command {
     Speed(Motion),
     /// Arm, give a motor a share of the supply for a time, disarm
     Duty(Motion),
+    /// Arm, close or open a relay for a time, disarm (which opens it)
+    Relay(Relay),
     /// Print channels as they change, until Ctrl-C or for a time
     Watch(Watch),
 }
@@ -73,6 +75,26 @@ pub(crate) struct Motion {
     /// How long: to hold a speed or duty [default: 2], to wait for a position [default: 30]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Relay {
+    /// The relay, as in relay1
+    pub(crate) channel: ChannelId,
+    /// Closed or open
+    pub(crate) state: Contact,
+    /// How long to stay armed [default: 2]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+}
+
+/// A relay's contact.
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+pub(crate) enum Contact {
+    /// Closed.
+    On,
+    /// Open.
+    Off,
 }
 
 #[derive(Debug, clap::Args)]

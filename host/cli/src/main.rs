@@ -28,6 +28,7 @@ fn main() -> ExitCode {
         Command::Move(motion) => commands::motion::run(&args, motion, Mode::Position),
         Command::Speed(motion) => commands::motion::run(&args, motion, Mode::Speed),
         Command::Duty(motion) => commands::motion::run(&args, motion, Mode::Duty),
+        Command::Relay(relay) => commands::relay::run(&args, relay),
         Command::Watch(watch) => commands::watch::run(&args, watch),
     };
     match result {

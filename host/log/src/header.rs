@@ -12,7 +12,7 @@ pub(crate) const RECORD_NAME: &str = "r4.run";
 pub(crate) const FORMAT: &str = "1";
 
 const UNITS: [Unit; 7] = [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool];
-const MODES: [Mode; 3] = [Mode::Position, Mode::Speed, Mode::Duty];
+const MODES: [Mode; 4] = [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch];
 
 /// Which board was recorded, and what its channels are.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,6 +76,7 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
         Mode::Position => "position",
         Mode::Speed => "speed",
         Mode::Duty => "duty",
+        Mode::Switch => "switch",
     }
 }
 

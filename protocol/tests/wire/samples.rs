@@ -115,6 +115,7 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("set-position", set(OSMC0, Mode::Position, 1.5)),
         ("set-speed", set(ACTUATOR1, Mode::Speed, -0.02)),
         ("set-duty", set(OSMC0, Mode::Duty, -1.0)),
+        ("set-switch", set(ChannelId::new(ChannelKind::Relay, 1), Mode::Switch, 1.0)),
         ("set-minus-zero", set(OSMC0, Mode::Duty, -0.0)),
         ("set-subnormal", set(OSMC0, Mode::Duty, f32::from_bits(1))),
         ("set-nan", set(OSMC0, Mode::Speed, NAN)),

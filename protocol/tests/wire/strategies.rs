@@ -160,7 +160,7 @@ fn unit() -> impl Strategy<Value = Unit> {
 }
 
 fn mode() -> impl Strategy<Value = Mode> {
-    select(vec![Mode::Position, Mode::Speed, Mode::Duty])
+    select(vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch])
 }
 
 fn state() -> impl Strategy<Value = SafetyState> {

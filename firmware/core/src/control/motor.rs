@@ -92,7 +92,7 @@ struct Hold {
 }
 
 /// A settled motor's duty is let go with this time constant, s.
-const LET_GO_S: f32 = 0.2;
+const LET_GO_S: f32 = 1.0;
 /// What an integral holds against the way to the target is let go with this time constant, s.
 const UNLOAD_S: f32 = 1.0;
 /// A motor that stands short of its target is driven harder at this rate until it moves, 1/s.
@@ -183,7 +183,8 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 Following::Speed { reference: self.speed, hold: None }
             }
-            (_, Mode::Duty) => Following::Duty,
+            // Dispatch lets no motor be switched.
+            (_, Mode::Duty | Mode::Switch) => Following::Duty,
         };
     }
 
@@ -201,7 +202,7 @@ impl Motor {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
-            Mode::Duty => {}
+            Mode::Duty | Mode::Switch => {}
         }
     }
 
@@ -324,12 +325,15 @@ impl Motor {
         let reference = wanted.clamp(last - change, last + change);
         // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
         let stands = self.speed.abs() <= self.config.settle.speed;
-        if wanted == 0.0 && reference == 0.0 && (stands || hold.is_some_and(|hold| hold.slipped)) {
+        // A load that slips once is left to the loop, which starts from what held it.
+        let slipped = hold.filter(|hold| hold.slipped && wanted == 0.0);
+        if wanted == 0.0 && reference == 0.0 && stands && slipped.is_none() {
             let hold = self.let_go(hold.unwrap_or(self.new_hold()));
-            self.speed_loop.hold(hold.duty, hold.duty);
+            let duty = if hold.slipped { hold.at_rest.0 } else { hold.duty };
+            self.speed_loop.hold(self.duty, duty);
             return (hold.duty, Following::Speed { reference, hold: Some(hold) });
         }
-        let following = Following::Speed { reference, hold: None };
+        let following = Following::Speed { reference, hold: slipped };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
         let path_duty = self.feed_forward(towards, reference);
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)

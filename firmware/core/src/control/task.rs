@@ -14,9 +14,11 @@ use crate::{
     outputs::{OutputFault, Outputs},
     platform::{AnalogInputs, Bus, Encoders},
     sensing::filter::LowPass,
-    shared::{SafetyView, Shared},
+    shared::{Output, SafetyView, Shared},
 };
 
+/// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
+const POWER_UP: Duration = Duration::from_millis(50);
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 4;
 /// While safe, the safe state is written again every so many periods.
@@ -98,6 +100,8 @@ struct Control<B, E, A> {
     analog: A,
     motors: Vec<Motor, MAX_MOTORS>,
     supplies: Vec<Supply, MAX_SUPPLIES>,
+    /// When the motors' supply may be relied on.
+    powered_at: Instant,
     /// The arming whose commands are being followed.
     epoch: u16,
     tick: u32,
@@ -121,6 +125,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             analog,
             motors: if bad_configuration { Vec::new() } else { motors },
             supplies: config.supplies.iter().map(|supply| Supply::new(*supply, period_s)).collect(),
+            powered_at: Instant::MIN,
             epoch: 0,
             tick: 0,
             fault: None,
@@ -146,6 +151,9 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         }
         for (index, motor) in self.motors.iter().enumerate() {
             shared.publish(index, motor.status());
+        }
+        for index in 0..shared.config().relays.len() {
+            shared.publish_relay(index, self.outputs.is_closed(index));
         }
         shared.set_control_causes(self.causes());
     }
@@ -174,12 +182,21 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         if view.epoch != self.epoch {
             self.epoch = view.epoch;
             self.motors.iter_mut().for_each(Motor::stop);
+            if self.outputs.has_motor_power_relay() {
+                self.outputs.close_motor_power();
+                self.powered_at = Instant::now() + POWER_UP;
+            }
         }
         self.safe = false;
+        self.switch_relays(shared, view).await;
         for index in 0..self.motors.len() {
             let motor = &mut self.motors[index];
-            if let Some(setpoint) = shared.take_command(index, view.epoch) {
+            if let Some(setpoint) = shared.take_command(Output::Motor(index), view.epoch) {
                 motor.command(setpoint);
+            }
+            if Instant::now() < self.powered_at {
+                // The motors' supply has just been closed: drivers need it before their inputs move.
+                continue;
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));
@@ -199,6 +216,17 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         }
         if self.tick.is_multiple_of(CHECK_EVERY) {
             self.check().await;
+        }
+    }
+
+    async fn switch_relays<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+        for index in 0..shared.config().relays.len() {
+            if let Some(setpoint) = shared.take_command(Output::Relay(index), view.epoch) {
+                self.outputs.switch(index, setpoint.value != 0.0);
+            }
+        }
+        if let Err(fault) = self.outputs.write_relays().await {
+            self.fault = Some(fault);
         }
     }
 

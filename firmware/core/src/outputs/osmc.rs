@@ -10,7 +10,10 @@ use embassy_time::{Duration, Instant};
 use embedded_hal_async::i2c::I2c;
 use r4_protocol::config::BridgeLines;
 
-use crate::chips::pca9685::{Output, Pca9685, PwmError};
+use crate::chips::{
+    ChipError,
+    pca9685::{Output, Pca9685},
+};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Direction {
@@ -85,7 +88,7 @@ impl Bridge {
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
-    pub async fn verify<B: I2c>(&self, chip: &Pca9685, bus: &mut B, line: usize) -> Result<(), PwmError<B::Error>> {
+    pub async fn verify<B: I2c>(&self, chip: &Pca9685, bus: &mut B, line: usize) -> Result<(), ChipError<B::Error>> {
         let output = self.lines.first() + line as u8;
         match self.state {
             State::Off { .. } => chip.verify_off(bus, output).await,

@@ -3,6 +3,7 @@
 pub(crate) mod demo;
 pub(crate) mod info;
 pub(crate) mod motion;
+pub(crate) mod relay;
 pub(crate) mod state;
 pub(crate) mod watch;
 

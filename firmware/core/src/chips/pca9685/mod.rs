@@ -6,6 +6,8 @@ use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use registers as reg;
 
+use super::{ChipError, compare};
+
 /// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). Differs by several percent from chip to chip.
 const OSCILLATOR_HZ: f32 = 25e6;
 /// Steps of a PWM period.
@@ -44,28 +46,6 @@ impl Output {
     }
 }
 
-/// Why an operation did not succeed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PwmError<E> {
-    /// The transfer failed.
-    Bus(E),
-    /// A register does not hold what was written.
-    Mismatch {
-        /// Which.
-        register: u8,
-        /// What was written.
-        written: u8,
-        /// What was read.
-        read: u8,
-    },
-}
-
-impl<E> From<E> for PwmError<E> {
-    fn from(error: E) -> Self {
-        Self::Bus(error)
-    }
-}
-
 /// A PCA9685 at one address. The bus is lent for each call.
 #[derive(Clone, Copy, Debug)]
 pub struct Pca9685 {
@@ -98,7 +78,7 @@ impl Pca9685 {
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
-    pub async fn init<B: I2c>(&self, bus: &mut B) -> Result<(), PwmError<B::Error>> {
+    pub async fn init<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         // First, for a chip that changes its outputs on ACK would not take the next transfer, one that inverts them would
         // take it for all on.
         bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
@@ -148,7 +128,7 @@ impl Pca9685 {
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
-    pub async fn verify<B: I2c>(&self, bus: &mut B, output: u8, written: Output) -> Result<(), PwmError<B::Error>> {
+    pub async fn verify<B: I2c>(&self, bus: &mut B, output: u8, written: Output) -> Result<(), ChipError<B::Error>> {
         let mut read = [0; 4];
         bus.write_read(self.address, &[on_register(output)], &mut read).await?;
         compare(on_register(output), written.registers(), read)
@@ -158,7 +138,7 @@ impl Pca9685 {
     ///
     /// # Errors
     /// A failed transfer, or the flag is not set.
-    pub async fn verify_off<B: I2c>(&self, bus: &mut B, output: u8) -> Result<(), PwmError<B::Error>> {
+    pub async fn verify_off<B: I2c>(&self, bus: &mut B, output: u8) -> Result<(), ChipError<B::Error>> {
         let register = on_register(output) + 3;
         let mut read = [0];
         bus.write_read(self.address, &[register], &mut read).await?;
@@ -169,7 +149,7 @@ impl Pca9685 {
     ///
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
-    pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), PwmError<B::Error>> {
+    pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         let mut modes = [0; 2];
         bus.write_read(self.address, &[reg::MODE1], &mut modes).await?;
         compare(reg::MODE1, [Self::MODE1_RUNNING, reg::MODE2_OUTDRV], modes)?;
@@ -181,15 +161,6 @@ impl Pca9685 {
 
 const fn on_register(output: u8) -> u8 {
     reg::LED0_ON_L + 4 * output
-}
-
-fn compare<E, const N: usize>(first: u8, written: [u8; N], read: [u8; N]) -> Result<(), PwmError<E>> {
-    // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
-    let mut compared = written.into_iter().zip(read).zip(first..);
-    match compared.find(|((written, read), _)| written != read) {
-        Some(((written, read), register)) => Err(PwmError::Mismatch { register, written, read }),
-        None => Ok(()),
-    }
 }
 
 #[cfg(test)]

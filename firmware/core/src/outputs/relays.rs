@@ -1,0 +1,113 @@
+//! Relays on the port expander.
+
+use embedded_hal_async::i2c::I2c;
+use heapless::Vec;
+use r4_protocol::config::{ExpanderConfig, MAX_RELAYS, RelayConfig, RelayRole};
+
+use crate::chips::{ChipError, mcp23017::Mcp23017};
+
+/// The relays of one expander, and what they were last told.
+#[derive(Clone, Debug)]
+pub(super) struct Relays {
+    chip: Mcp23017,
+    relays: Vec<RelayConfig, MAX_RELAYS>,
+    /// Which should be closed, by position in `relays`.
+    closed: [bool; MAX_RELAYS],
+    /// What the pins were last told; `None` when that is not known.
+    written: Option<u16>,
+}
+
+impl Relays {
+    /// Open relays.
+    pub(super) fn new(expander: ExpanderConfig, relays: Vec<RelayConfig, MAX_RELAYS>) -> Self {
+        Self { chip: Mcp23017::new(expander.address), relays, closed: [false; MAX_RELAYS], written: None }
+    }
+
+    /// Whether a relay switches the motors' supply.
+    pub(super) fn has_motor_power(&self) -> bool {
+        self.relays.iter().any(|relay| relay.role == RelayRole::MotorPower)
+    }
+
+    /// Opens all, from now on.
+    pub(super) fn open_all(&mut self) {
+        self.closed = [false; MAX_RELAYS];
+    }
+
+    /// Closes or opens one, from the next [`Relays::write`] on.
+    pub(super) fn switch(&mut self, index: usize, closed: bool) {
+        self.closed[index] = closed;
+    }
+
+    /// Whether one should be closed.
+    pub(super) fn is_closed(&self, index: usize) -> bool {
+        self.closed[index]
+    }
+
+    /// Closes the motors' supply, from the next [`Relays::write`] on.
+    pub(super) fn close_motor_power(&mut self) {
+        for (closed, relay) in self.closed.iter_mut().zip(&self.relays) {
+            *closed |= relay.role == RelayRole::MotorPower;
+        }
+    }
+
+    /// Sets the chip up with the relays as they should be.
+    pub(super) async fn init<B: I2c>(&mut self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
+        self.written = None;
+        self.chip.init(bus, self.levels()).await?;
+        self.written = Some(self.levels());
+        Ok(())
+    }
+
+    /// Writes what has changed, if anything has.
+    pub(super) async fn write<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        if self.written == Some(self.levels()) {
+            return Ok(());
+        }
+        self.rewrite(bus).await
+    }
+
+    /// Writes all of it.
+    pub(super) async fn rewrite<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        self.written = None;
+        self.chip.set(bus, self.levels()).await?;
+        self.written = Some(self.levels());
+        Ok(())
+    }
+
+    /// Reads back and compares.
+    pub(super) async fn verify<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
+        self.chip.verify(bus, self.levels()).await
+    }
+
+    /// The pins' levels. Pins without a relay are low.
+    fn levels(&self) -> u16 {
+        let high = self.relays.iter().zip(self.closed).filter(|(relay, closed)| relay.active_low != *closed);
+        high.fold(0, |levels, (relay, _)| levels | 1 << relay.bit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::{ChannelId, ChannelKind};
+
+    use super::*;
+
+    #[test]
+    fn polarity_is_per_relay_and_motor_power_is_only_that() {
+        let relay = |index, bit, active_low, role| RelayConfig {
+            id: ChannelId::new(ChannelKind::Relay, index),
+            bit,
+            active_low,
+            role,
+        };
+        let relays = [relay(0, 8, true, RelayRole::MotorPower), relay(3, 11, false, RelayRole::General)];
+        let mut relays = Relays::new(ExpanderConfig { address: 0x20 }, relays.into_iter().collect());
+        assert_eq!(relays.levels(), 0x0100, "all open");
+        relays.close_motor_power();
+        assert_eq!(relays.levels(), 0x0000);
+        relays.switch(1, true);
+        assert_eq!(relays.levels(), 0x0800);
+        relays.open_all();
+        assert_eq!(relays.levels(), 0x0100);
+    }
+}
