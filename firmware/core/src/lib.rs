@@ -1,6 +1,6 @@
 //! The application of an R4 board: chip drivers, control loops, sensing, safety supervisor, dispatch of messages.
 //!
-//! Runs unchanged on the board, in an emulator and in the simulator: everything below is reached through the traits of
+//! Written to run unchanged on the board, in an emulator and, today, in the simulator: everything below is reached through the traits of
 //! [`platform`], `embedded-hal-async`, `embedded-io-async` and `embassy-time`. No heap, no `std`, and nothing here may
 //! ask where it runs.
 //!

@@ -39,9 +39,9 @@ const SUPERVISOR_NS: u64 = MS;
 /// One pass of the control loop of the bench.
 const PERIOD_NS: u64 = MS;
 /// A steadily driven bench looks at its chip once in so many periods ...
-const CHECK_EVERY: u64 = 8;
-/// ... at one of so many things in turn: the mode and four lines of each of two bridges.
-const CHECKS: u64 = 9;
+const CHECK_EVERY: u64 = 4;
+/// ... at one of so many things in turn: the mode, the relays, and four lines of each of two bridges.
+const CHECKS: u64 = 10;
 /// More than anything needs to pass: contact bounce (20 ms), the supply's filter, setting the chip up again.
 const SETTLED_MS: u64 = 150;
 
@@ -211,8 +211,8 @@ fn bus_too_slow_for_the_control_loop() {
         remedy: |device, _| device.board.world().bus.set_rate_hz(400_000),
         // The slow transfer begins within `CHECK_EVERY` periods; five periods and one look of the supervisor later.
         off_ns: CHECK_EVERY * PERIOD_NS + 5 * PERIOD_NS + 2 * SUPERVISOR_NS,
-        // ... and then the transfer under way, and three bytes of 0.9 ms with their address.
-        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 4 * MS),
+        // ... and then the transfer under way, the relays' three bytes of 0.9 ms and the PWM chip's two, with their addresses.
+        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 4 * MS + 4 * MS),
         moments: 72,
     }
     .check("slow bus");

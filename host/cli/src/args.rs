@@ -54,7 +54,7 @@ pub(crate) enum Command {
     Duty(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
-    /// Print channels as they change, until Ctrl-C or for a time
+    /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
 }
 

@@ -188,7 +188,9 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             }
         }
         self.safe = false;
-        self.switch_relays(shared, view).await;
+        if let Err(fault) = self.switch_relays(shared, view).await {
+            return self.fail(shared, fault);
+        }
         for index in 0..self.motors.len() {
             let motor = &mut self.motors[index];
             if let Some(setpoint) = shared.take_command(Output::Motor(index), view.epoch) {
@@ -206,12 +208,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             }
             match self.outputs.drive(index, duty).await {
                 Ok(applied) => motor.set_applied(applied),
-                Err(fault) => {
-                    self.fault = Some(fault);
-                    // The supervisor acts now, and not after the time-outs of the other bridges.
-                    shared.set_control_causes(self.causes());
-                    return;
-                }
+                Err(fault) => return self.fail(shared, fault),
             }
         }
         if self.tick.is_multiple_of(CHECK_EVERY) {
@@ -219,15 +216,19 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         }
     }
 
-    async fn switch_relays<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+    /// Tells the supervisor now, and not after the time-outs of the other outputs.
+    fn fail<M: RawMutex>(&mut self, shared: &Shared<M>, fault: OutputFault) {
+        self.fault = Some(fault);
+        shared.set_control_causes(self.causes());
+    }
+
+    async fn switch_relays<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         for index in 0..shared.config().relays.len() {
             if let Some(setpoint) = shared.take_command(Output::Relay(index), view.epoch) {
                 self.outputs.switch(index, setpoint.value != 0.0);
             }
         }
-        if let Err(fault) = self.outputs.write_relays().await {
-            self.fault = Some(fault);
-        }
+        self.outputs.write_relays().await
     }
 
     async fn initialise(&mut self) {
