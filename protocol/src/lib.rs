@@ -6,6 +6,7 @@
 //! | [`message`] | requests, replies, refusals, telemetry, heartbeats |
 //! | [`state`] | safety states and trip causes |
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
+//! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
 //!
 //! Every wire change bumps [`VERSION`], most change [`SCHEMA_HASH`] by themselves, and each gets a line in `CHANGELOG.md`.
@@ -17,15 +18,20 @@ pub mod channel;
 pub mod config;
 pub mod frame;
 pub mod message;
+pub mod parameter;
 pub mod state;
 
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
-pub use message::{DeviceInfo, DeviceStats, Refusal, Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost};
+pub use message::{
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
+    Sample, Setpoint, Telemetry, ToDevice, ToHost,
+};
+pub use parameter::{Parameter, ParameterKey};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
