@@ -1,0 +1,2 @@
+//! Actuators.
+pub mod dhb;
