@@ -163,10 +163,8 @@ impl DhbMotor {
         let supply_changed = supply != self.supply;
         if supply_changed && supply == Supply::TooHigh {
             let millivolts = |volts: f64| (volts * 1e3).round() as u64;
-            let kind = MisuseKind::SupplyAboveLimit {
-                supply_mv: millivolts(supply_v),
-                limit_mv: millivolts(SUPPLY_MAX_V),
-            };
+            let kind =
+                MisuseKind::SupplyAboveLimit { supply_mv: millivolts(supply_v), limit_mv: millivolts(SUPPLY_MAX_V) };
             self.report(at_ns, kind);
         }
         if supply_changed || *inputs != self.inputs {

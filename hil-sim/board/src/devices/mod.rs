@@ -1,2 +1,3 @@
 //! Actuators.
 pub mod dhb;
+pub mod rc_servo;
