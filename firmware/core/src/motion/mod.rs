@@ -1,0 +1,3 @@
+//! Steppers: paths, pulse times, axes.
+
+pub mod scurve;
