@@ -173,10 +173,7 @@ impl Piece {
     #[must_use]
     pub fn distance_and_speed(&self, time_s: f64) -> (f64, f64) {
         let (t, Motion { speed, acceleration, .. }) = (time_s, self.start);
-        (
-            t * (speed + t * (acceleration / 2.0 + t * self.jerk / 6.0)),
-            speed + t * (acceleration + t * self.jerk / 2.0),
-        )
+        (t * (speed + t * (acceleration / 2.0 + t * self.jerk / 6.0)), speed + t * (acceleration + t * self.jerk / 2.0))
     }
 
     fn at(&self, time_s: f64) -> Motion {
@@ -425,16 +422,25 @@ mod tests {
             let extreme_s = (-piece.start.acceleration / piece.jerk).clamp(0.0, time_s);
             for time_s in [0.0, if extreme_s.is_finite() { extreme_s } else { 0.0 }, time_s] {
                 let (_, speed) = piece.distance_and_speed(time_s);
-                prop_assert!(speed.abs() <= limits.speed * above + limits.acceleration * rounded_s, "{speed} in {piece:?}, {limits:?}");
+                prop_assert!(
+                    speed.abs() <= limits.speed * above + limits.acceleration * rounded_s,
+                    "{speed} in {piece:?}, {limits:?}"
+                );
             }
             // The shift before braking: 1e-6 steps, or the rounding of the way; elsewhere rounding.
             let way = end.speed.abs() * next.start_s;
             prop_assert!(between(end.position, next.start.position).abs() <= 2e-6 + way * 1e-14, "{end:?} {next:?}");
-            prop_assert!((end.speed - next.start.speed).abs() <= limits.speed * 1e-9 + limits.acceleration * rounded_s, "{end:?} {next:?}");
+            prop_assert!(
+                (end.speed - next.start.speed).abs() <= limits.speed * 1e-9 + limits.acceleration * rounded_s,
+                "{end:?} {next:?}"
+            );
             if limits.jerk.is_finite() {
                 let jump = (end.acceleration - next.start.acceleration).abs();
                 // At the end of a path what its roots are exact to: sqrt of rounding of the speed.
-                prop_assert!(jump <= limits.acceleration * 1e-6 + (limits.jerk * limits.speed).sqrt() * 1e-6 + jerk_s, "{end:?} {next:?}");
+                prop_assert!(
+                    jump <= limits.acceleration * 1e-6 + (limits.jerk * limits.speed).sqrt() * 1e-6 + jerk_s,
+                    "{end:?} {next:?}"
+                );
             }
         }
         Ok(())
