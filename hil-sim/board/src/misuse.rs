@@ -269,6 +269,7 @@ pub enum MisuseKind {
         step_hz: u64,
         /// Speed of the rotor, in steps.
         rotor_hz: u64,
+    },
     // Sensors.
     /// An ultrasonic module's trigger was too short.
     TriggerTooShort {
@@ -503,6 +504,7 @@ impl fmt::Display for MisuseKind {
                 f,
                 "steps at {step_hz} Hz while the rotor turns at {rotor_hz} Hz: it falls out of step and stands until the \
                  steps pause; start and stop slower, or accelerate less"
+            ),
             // Sensors.
             Self::TriggerTooShort { high_ns, needed_ns } => write!(
                 f,
