@@ -38,9 +38,8 @@ pub(super) struct Bldc {
 
 impl Bldc {
     pub(super) fn look(&mut self, at_ns: u64, chips: &Chips, supplied: bool) {
-        let pin = |line: Option<r4_protocol::config::DriveLine>| {
-            line.map_or(PinState::Floating, |line| chips.pin(line.bit))
-        };
+        let pin =
+            |line: Option<r4_protocol::config::DriveLine>| line.map_or(PinState::Floating, |line| chips.pin(line.bit));
         let direction = if let Wiring::Line { line, .. } = self.wiring.reverse { Some(line) } else { None };
         let inputs = BldcInputs {
             throttle_v: self.throttle_v(chips),

@@ -68,7 +68,7 @@ pub struct SwitchInput {
 }
 
 /// A divided analog input and the voltage at it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct AnalogSource {
     /// Divider, clamp and converter.
     pub input: AnalogInput,
@@ -102,7 +102,7 @@ impl Pins {
             noise_rms_codes,
             ..AnalogInput::new(REFERENCE_V / (volts_per_code * CODE_MAX))
         };
-        let mut analogs = [None; 6];
+        let mut analogs = [const { None }; 6];
         for analog in &truth.analogs {
             if let Some(place) = analogs.get_mut(usize::from(analog.channel.index)) {
                 let input = input(analog.volts_per_code, analog.noise_rms_codes);
@@ -196,7 +196,9 @@ impl World {
             _ => None,
         });
         let (now_ns, pins) = (self.clock.now_ns(), &mut self.pins);
-        let (Some(signal), Some(counter)) = (pins.encoders.get_mut(index), pins.counters.get_mut(index)) else { return };
+        let (Some(signal), Some(counter)) = (pins.encoders.get_mut(index), pins.counters.get_mut(index)) else {
+            return;
+        };
         let left_out = signal.advance(now_ns, counts.unwrap_or(0.0), |transition: Transition| match counter {
             Counter::Timer(timer) => timer.take(transition),
             Counter::Interrupts(decoder) => decoder.update(transition.levels.a, transition.levels.b),
