@@ -129,12 +129,13 @@ fn a_lost_delimiter_costs_one_more_frame() {
 #[test]
 fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
     let range = |channel: usize, mode| {
-        let motor = &osmc_bench().config.motors[channel];
+        let motor = osmc_bench().config.motors[channel];
+        let control = motor.control.expect("a measured motor");
         match mode {
-            Mode::Position => motor.position,
-            Mode::Speed => Range::symmetric(motor.speed_max),
+            Mode::Position => control.position,
+            Mode::Speed => Range::symmetric(control.speed_max),
             Mode::Duty => Range::symmetric(motor.duty_max),
-            Mode::Switch => unreachable!("a motor is not switched"),
+            other => unreachable!("no motor has the mode {other}"),
         }
     };
     raw_bench(&osmc_bench(), async |host, device| {

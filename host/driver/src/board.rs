@@ -276,7 +276,9 @@ impl<C: Clock> Board<C> {
             }
             let after_s = frame.device_us.saturating_sub(begin_us) as f64 / 1e6;
             let own = frame.samples.iter().find_map(|sample| match *sample {
-                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled } if of == channel => {
+                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled, .. }
+                    if of == channel =>
+                {
                     let position = f64::from(position) * resolution;
                     Some((followed, Motion { position, speed: speed.into(), duty: duty.into(), settled, after_s }))
                 }
