@@ -262,9 +262,9 @@ impl BldcDrive {
             return;
         }
         let wanted = self.wanted_direction();
-        let speed_rad_s = self.anchor.speed_rad_s;
-        if wanted != self.direction && speed_rad_s * wanted < 0.0 && !self.is_at_standstill() {
-            self.report(MisuseKind::DirectionChangedWhileTurning { speed_mrad_s: milli(speed_rad_s) });
+        if wanted != self.direction && self.turns_against(wanted) {
+            let speed_mrad_s = milli(self.anchor.speed_rad_s);
+            self.report(MisuseKind::DirectionChangedWhileTurning { speed_mrad_s });
         }
         self.direction = wanted;
     }
@@ -288,17 +288,19 @@ impl BldcDrive {
             Mode::Coast
         } else if level(self.inputs.brake, self.spec.brake_pull) == self.spec.brake_when_high {
             Mode::Brake
-        } else if !self.ready || share == 0.0 {
-            Mode::Coast
-        } else if self.anchor.speed_rad_s * self.direction < 0.0 && !self.is_at_standstill() {
+        } else if !self.ready || share == 0.0 || self.turns_against(self.direction) {
             Mode::Coast
         } else {
             Mode::Drive { target_rad_s: share * self.direction * self.spec.top_speed_rad_s }
         }
     }
 
-    fn is_at_standstill(&self) -> bool {
-        self.anchor.speed_rad_s.abs() <= STANDSTILL * self.spec.top_speed_rad_s
+    fn turns_against(&self, direction: f64) -> bool {
+        self.anchor.speed_rad_s * direction < -self.standstill_rad_s()
+    }
+
+    fn standstill_rad_s(&self) -> f64 {
+        STANDSTILL * self.spec.top_speed_rad_s
     }
 
     /// When a coasting motor will stand; `None` if it does already, or does not coast.
@@ -307,7 +309,7 @@ impl BldcDrive {
         if self.mode != Mode::Coast || speed_rad_s == 0.0 {
             return None;
         }
-        let ratio = speed_rad_s / (STANDSTILL * self.spec.top_speed_rad_s);
+        let ratio = speed_rad_s / self.standstill_rad_s();
         let after_ns = (self.spec.coast_time_constant_s * ratio.ln() * 1e9).ceil() as u64;
         Some(self.anchor.at_ns.saturating_add(after_ns))
     }

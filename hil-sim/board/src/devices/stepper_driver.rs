@@ -14,11 +14,13 @@
 //! while disabled: the motor is not loaded.
 //!
 //! # The rotor
-//! The rotor's speed follows the rate of the steps with an acceleration in proportion to what is missing: the motor's
-//! highest when the two are apart by the start-stop rate. Further apart the rotor falls out of step and stands until the
-//! steps pause for 50 ms. So a motor starts and stops at once at up to the start-stop rate, goes faster by a ramp of up
-//! to its acceleration, and averages jitter. A change of direction is a stop and a start. Lost steps are whole:
-//! `commanded` less `position`.
+//! - Up to the start-stop rate each step is a start and a stop of its own.
+//! - Above it, the rotor's speed follows the rate of the steps with an acceleration in proportion to what is missing: the
+//!   motor's highest when the two are apart by the start-stop rate. Further apart the rotor falls out of step.
+//! - Steps may end, or turn round, where the rotor or the last interval is no faster than the start-stop rate. So a ramp of
+//!   up to the motor's acceleration is followed, and jitter of less than the start-stop rate averages out.
+//! - A rotor out of step stands until the steps pause for 50 ms. The steps it loses are `commanded` less `position`; a
+//!   sudden end of the steps is reported, but how far the rotor then slips is not modelled.
 //!
 //! Not modelled: torque, load, resonance, current and its reduction at rest, heat, the optocouplers' 5 mA.
 
@@ -54,13 +56,15 @@ struct Step {
 struct Rotor {
     /// The last step that the driver took.
     last: Option<Step>,
+    /// Rate of the steps in the last interval.
+    step_hz: f64,
     /// In the direction of the last step, not negative.
     speed_hz: f64,
     stalled: bool,
 }
 
 impl Rotor {
-    const AT_REST: Self = Self { last: None, speed_hz: 0.0, stalled: false };
+    const AT_REST: Self = Self { last: None, step_hz: 0.0, speed_hz: 0.0, stalled: false };
 }
 
 /// One driver with its motor. Calls are in order of time: a time before one already seen counts as that one.
@@ -299,24 +303,25 @@ impl StepperDriver {
         let Some(last) = self.rotor.last else { return };
         let interval_s = (step.rise_ns - last.rise_ns) as f64 * 1e-9;
         let step_hz = 1.0 / interval_s;
-        let change_hz = self.spec.acceleration_hz_s * interval_s;
-        let reach_hz = self.spec.start_stop_hz + change_hz;
         if last.forward != step.forward {
-            // The stop before the start.
-            if self.rotor.speed_hz > reach_hz {
+            if self.longest_interval_s().is_some() {
                 self.stall(step.rise_ns, step_hz);
                 return;
             }
             self.rotor.speed_hz = 0.0;
         }
+        let change_hz = self.spec.acceleration_hz_s * interval_s;
+        let reach_hz = self.spec.start_stop_hz + change_hz;
         let missing_hz = step_hz - self.rotor.speed_hz;
-        if missing_hz.abs() > reach_hz {
-            self.stall(step.rise_ns, step_hz);
-        } else if missing_hz.abs() <= change_hz {
+        // That a slow step did not come too late was seen when it rose.
+        if step_hz <= self.spec.start_stop_hz || missing_hz.abs() <= change_hz {
             self.rotor.speed_hz = step_hz;
-        } else {
+        } else if missing_hz.abs() <= reach_hz {
             self.rotor.speed_hz += change_hz * missing_hz / reach_hz;
+        } else {
+            self.stall(step.rise_ns, step_hz);
         }
+        self.rotor.step_hz = step_hz;
     }
 
     /// No step may be pending.
@@ -337,10 +342,11 @@ impl StepperDriver {
 
     /// Longest interval to the next step that the rotor can slow down for; `None` if it could also stop.
     ///
-    /// An interval `t` is too long where `1 / t < speed - start_stop - acceleration * t`: from the smaller root on.
+    /// An interval `t` is too long where `1 / t < speed - start_stop - acceleration * t`: from the smaller root on. In a
+    /// ramp down the steps may be slower than the rotor already; then theirs counts as the speed.
     fn longest_interval_s(&self) -> Option<f64> {
         let acceleration_hz_s = self.spec.acceleration_hz_s;
-        let excess_hz = self.rotor.speed_hz - self.spec.start_stop_hz;
+        let excess_hz = self.rotor.speed_hz.min(self.rotor.step_hz) - self.spec.start_stop_hz;
         let root_squared = excess_hz * excess_hz - 4.0 * acceleration_hz_s;
         // in the form that does not subtract numbers of nearly the same size
         (excess_hz > 0.0 && root_squared > 0.0).then(|| 2.0 / (excess_hz + root_squared.sqrt()))
@@ -358,10 +364,8 @@ impl StepperDriver {
 
     /// Whether a pulse at `at_ns` and those after it only count: all as the one before, and the rotor at their speed.
     fn is_steady(&mut self, at_ns: u64, interval_ns: u64, high_ns: u64) -> bool {
-        if at_ns < self.now_ns || interval_ns < 2 * PULSE_NS || interval_ns >= REST_NS {
-            return false;
-        }
-        if high_ns < PULSE_NS || interval_ns.saturating_sub(high_ns) < PULSE_NS {
+        let low_ns = interval_ns.saturating_sub(high_ns);
+        if at_ns < self.now_ns || high_ns < PULSE_NS || low_ns < PULSE_NS || interval_ns >= REST_NS {
             return false;
         }
         self.advance(at_ns);
@@ -371,7 +375,8 @@ impl StepperDriver {
             && self.rotor.last == Some(Step { rise_ns: before_ns, forward: self.forward })
             && self.rise_ns == Some(before_ns)
             && self.fall_ns == Some(before_ns.saturating_add(high_ns));
-        as_before && (self.rotor.stalled || self.rotor.speed_hz == 1.0 / (interval_ns as f64 * 1e-9))
+        let step_hz = 1.0 / (interval_ns as f64 * 1e-9);
+        as_before && (self.rotor.stalled || (self.rotor.speed_hz == step_hz && self.rotor.step_hz == step_hz))
     }
 
     /// Takes `count` steady steps, the last rising at `rise_ns`.
