@@ -100,7 +100,7 @@ impl Pins {
         }
         let input = |volts_per_code: f64, noise_rms_codes| AnalogInput {
             noise_rms_codes,
-            ..AnalogInput::new(REFERENCE_V / (volts_per_code * CODE_MAX))
+            ..AnalogInput::new(volts_per_code * CODE_MAX / REFERENCE_V)
         };
         let mut analogs = [const { None }; 6];
         for analog in &truth.analogs {
