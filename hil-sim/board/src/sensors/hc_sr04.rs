@@ -448,6 +448,11 @@ mod tests {
         // unplugged in the middle of an echo
         module.set_fault(310 * MS, Some(HcSr04Fault::Silent));
         assert_eq!(edges(&mut module, 400 * MS), [(300_510_000, true), (310 * MS, false)]);
+        // and before it rises
+        module.set_fault(400 * MS, None);
+        pulse(&mut module, 400 * MS, 10_000).expect("ping");
+        module.set_fault(400_100_000, Some(HcSr04Fault::Silent));
+        assert_eq!(edges(&mut module, 500 * MS), []);
     }
 
     #[test]

@@ -320,12 +320,14 @@ mod tests {
     #[test]
     fn only_whole_bytes_pass_a_wire_that_is_plugged() {
         let mut uart = UartLoopback::new(1_000_000, 16);
-        uart.write(0, b"abcdef");
+        uart.write(0, b"abcdefg");
         uart.set_connected(15_000, false);
         uart.set_connected(40_000, true);
         uart.set_connected(55_000, false);
         uart.set_connected(55_001, true);
-        assert_eq!(read(&mut uart, 100_000), (b"ae".to_vec(), 0));
+        // plugged in already: no change
+        uart.set_connected(65_000, true);
+        assert_eq!(read(&mut uart, 100_000), (b"aeg".to_vec(), 0));
     }
 
     proptest! {
@@ -449,6 +451,8 @@ mod tests {
         assert_eq!(bench.kinds(), [MisuseKind::WriteWithoutStop { bytes: 2 }]);
         assert!(!bench.chip.borrow().is_busy());
         assert_eq!(bench.chip.borrow().memory(), &[0xFF; 256]);
+        bench.write(S, &[0x42, 3]).expect("acknowledged");
+        assert_eq!(bench.read(2 * S, 0x40), [0xFF, 0xFF, 3, 0xFF]);
     }
 
     #[test]

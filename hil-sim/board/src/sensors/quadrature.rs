@@ -431,6 +431,36 @@ mod tests {
     }
 
     #[test]
+    fn a_glitch_at_the_time_of_an_edge_comes_first_however_often_one_looks() {
+        let turning_back = |looks: &[u64]| {
+            let mut signal = QuadratureSignal::new(3.0, 1);
+            signal.inject_glitch(Channel::A, 100, 50);
+            let seen = looks.iter().flat_map(|at_ns| advance(&mut signal, *at_ns, 3.0 - *at_ns as f64 / 100.0));
+            shown(&seen.collect::<Vec<_>>())
+        };
+        // left 3 at 0; at 100 the glitch on 11, then 10 under it; its end
+        let expected = [(0, 2), (100, 3), (100, 0), (150, 1)];
+        assert_eq!(turning_back(&[199]), expected);
+        assert_eq!(turning_back(&[100, 199]), expected);
+    }
+
+    #[test]
+    fn a_glitch_in_the_past_begins_now() {
+        let mut signal = QuadratureSignal::new(0.5, 1);
+        assert_eq!(shown(&advance(&mut signal, 1_000, 0.5)), []);
+        signal.inject_glitch(Channel::A, 10, 20);
+        assert_eq!(shown(&advance(&mut signal, 2_000, 0.5)), [(1_000, 1), (1_020, 0)]);
+    }
+
+    #[test]
+    fn chatter_goes_back_on_the_line_that_changed() {
+        let mut signal = QuadratureSignal::new(0.5, 1);
+        signal.set_noise(EdgeNoise { chatter_share: 1.0, chatter_ns: 5, lost_share: 0.0 });
+        let seen = shown(&advance(&mut signal, 200, 2.5));
+        assert_eq!(seen, [(50, 1), (55, 0), (60, 1), (150, 2), (155, 1), (160, 2)]);
+    }
+
+    #[test]
     fn a_lost_edge_shows_as_an_illegal_step() {
         let mut signal = QuadratureSignal::new(0.5, 1);
         let mut software = Software::default();
