@@ -66,12 +66,6 @@ impl Motion {
     pub const fn rest(steps: i64) -> Self {
         Self { position: Position::at_step(steps), speed: 0.0, acceleration: 0.0 }
     }
-
-    /// At rest where this is.
-    #[must_use]
-    pub fn halted(self) -> Self {
-        Self { speed: 0.0, acceleration: 0.0, ..self }
-    }
 }
 
 /// A stretch of time with constant jerk. The acceleration belongs to it, because in a trapezoid it jumps between them.
@@ -256,6 +250,13 @@ impl Path {
         path.finish(speed)
     }
 
+    /// Calls all positions of it differently.
+    pub fn shift(&mut self, by: i64) {
+        for piece in &mut self.pieces {
+            piece.start.position.steps = piece.start.position.steps.wrapping_add(by);
+        }
+    }
+
     /// The parts, in order of time; never none. The last has no end, and constant speed.
     #[must_use]
     pub fn pieces(&self) -> &[Piece] {
@@ -339,20 +340,16 @@ impl Builder {
 /// Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Advances in Engineering Software 28,
 /// 1997, 145-149). Ends at 1e-9 of the function or when the interval is down to rounding.
 fn root(low: (f64, f64), high: (f64, f64), function: impl Fn(f64) -> f64) -> f64 {
-    let (mut a, mut b, mut last) = (high, low, high);
+    let (mut a, mut b) = (high, low);
     let mut share = 0.5;
     for _ in 0..100 {
         let x = a.0 + share * (b.0 - a.0);
         let y = function(x);
-        if (y > 0.0) == (a.1 > 0.0) {
-            last = a;
-        } else {
-            (last, b) = (b, a);
-        }
+        let last = if (y > 0.0) == (a.1 > 0.0) { a } else { core::mem::replace(&mut b, a) };
         a = (x, y);
         let best = if a.1.abs() < b.1.abs() { a } else { b };
         let least = f64::EPSILON * (best.0.abs() + high.0 * 1e-3) / (b.0 - a.0).abs();
-        if best.1.abs() <= 1e-9 || !(least < 0.5) {
+        if best.1.abs() <= 1e-9 || least >= 0.5 {
             return best.0;
         }
         let place = (a.0 - b.0) / (last.0 - b.0);

@@ -333,6 +333,27 @@ mod tests {
             prop_assert!(worst_error(&path, 0, ticks, period)? <= 0.5 + SOLVED_TICKS + 1e-3);
         }
 
+        /// The pulse back has to wait for the direction line.
+        #[test]
+        fn a_turn_just_beyond_a_line_is_given_its_time(excess in 1e-9..1e-6f64, acceleration in 1e5..1e7f64) {
+            let limits = Limits { speed: 1e5, acceleration, jerk: f64::INFINITY };
+            let turning_at = |fraction| {
+                let from = Motion { position: Position { steps: 0, fraction }, speed: 1e4, acceleration: 0.0 };
+                let path = Path::to_speed(from, -1e4, &limits);
+                let top = path.at(1e4 / acceleration).position;
+                (path, top)
+            };
+            // Moved so that the top is beyond the middle between two steps by the excess.
+            let (_, top) = turning_at(0.0);
+            let (path, top) = turning_at(0.5 + excess - top.fraction);
+            let ticks = (path.duration_s() * TICK_HZ) as u64;
+            let (told, _) = pulses_of(&path, 0, ticks, PERIOD)?;
+            let back = told.iter().position(|(_, positive)| !positive).expect("it turns");
+            prop_assert_eq!(back as i64, top.steps);
+            // 2 sqrt(2 excess / a) are 9 us at most, and the line takes 15 us.
+            prop_assert_eq!(told[back].0 - told[back - 1].0, 150);
+        }
+
         #[test]
         fn the_highest_rate_is_kept_to_the_tick(start in -1000i64..1000, fraction in -0.49..0.49f64) {
             let limits = Limits { speed: TIMING.rate_max_hz(), acceleration: 1e6, jerk: 1e8 };
