@@ -1,7 +1,10 @@
 //! The board's outputs on I2C: the one owner of the bus, of the order of writes and of the safe state.
 
+pub mod bldc;
 pub mod bridge;
 mod expander;
+pub mod servo;
+mod slew;
 
 use heapless::Vec;
 use r4_protocol::config::{BoardConfig, MAX_MOTORS};
