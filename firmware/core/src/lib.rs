@@ -20,6 +20,7 @@ pub mod link;
 pub mod outputs;
 pub mod platform;
 pub mod safety;
+pub mod screen;
 pub mod sensing;
 mod shared;
 mod telemetry;
