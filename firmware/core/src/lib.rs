@@ -21,6 +21,7 @@ pub mod motion;
 pub mod outputs;
 pub mod platform;
 pub mod safety;
+pub mod screen;
 pub mod sensing;
 mod shared;
 mod telemetry;

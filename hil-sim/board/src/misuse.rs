@@ -5,6 +5,8 @@
 
 use core::fmt;
 
+use crate::chips::ili9488::ScreenMisuse;
+
 /// One leg of a full bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Leg {
@@ -302,11 +304,14 @@ pub enum MisuseKind {
         /// The bytes that were sent.
         bytes: usize,
     },
+    /// Something with the screen's controller.
+    Screen(ScreenMisuse),
 }
 
 impl fmt::Display for MisuseKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            Self::Screen(misuse) => misuse.fmt(f),
             Self::UnmappedRegister { register } => write!(
                 f,
                 "register 0x{register:02X} does not exist: the chip does not acknowledge it and ignores the rest of the \
