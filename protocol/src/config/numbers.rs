@@ -38,7 +38,8 @@ impl BoardConfig {
         self.set_parameters([(key, value)])
     }
 
-    /// Sets several numbers, all or none: only the configuration that comes of all of them must be valid.
+    /// Sets several numbers, all or none: only the configuration that comes of all of them must be valid. Takes room for a
+    /// copy of the configuration, some 2.5 kB of stack.
     ///
     /// # Errors
     /// As [`BoardConfig::set_parameter`].
