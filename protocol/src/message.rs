@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     channel::{ChannelId, ChannelInfo, Mode, Range},
-    config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
+    config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     parameter::ParameterKey,
     state::{Causes, SafetyState},
 };
@@ -131,7 +131,7 @@ pub enum Request {
     /// Changes the robot's name, as [`Request::SetParameter`] does a number.
     SetName {
         /// The new name.
-        robot: String<32>,
+        robot: String<MAX_NAME>,
     },
     /// Keeps all changes over a restart: all of them, or none if it fails.
     SaveParameters,
@@ -178,6 +178,8 @@ pub enum Request {
 
 /// Most bytes in one raw transfer.
 pub const MAX_RAW: usize = 64;
+/// Most bytes of the firmware's version.
+pub const MAX_FIRMWARE: usize = 16;
 
 /// A command to a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
@@ -268,9 +270,9 @@ pub struct MotorSnapshot {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct DeviceInfo {
     /// The robot's name.
-    pub robot: String<32>,
+    pub robot: String<MAX_NAME>,
     /// Version of the firmware.
-    pub firmware: String<16>,
+    pub firmware: String<MAX_FIRMWARE>,
     /// For heartbeats.
     pub session: u16,
     /// How many channels [`Request::Describe`] knows.
@@ -325,9 +327,9 @@ pub enum Refusal {
         /// As asked.
         channel: ChannelId,
     },
-    /// The board's list of channels ends before this.
+    /// The board's list of channels or parameters ends before this.
     NoSuchIndex {
-        /// As asked.
+        /// As asked, or 255 when it was more.
         index: u8,
     },
     /// The channel cannot be commanded in this mode.
@@ -432,7 +434,7 @@ impl fmt::Display for Refusal {
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
             }
-            Self::NoSuchIndex { index } => write!(f, "the board has no channel number {index} in its list"),
+            Self::NoSuchIndex { index } => write!(f, "the board's list has no number {index}"),
             Self::WrongMode { channel, mode } => {
                 write!(f, "{channel} cannot be commanded by {mode}: `r4 info` lists what it can take")
             }

@@ -4,6 +4,7 @@
 
 mod input;
 mod motor;
+mod numbers;
 mod output;
 
 use core::fmt;
@@ -24,6 +25,8 @@ pub use output::{
 
 use crate::channel::{ChannelId, ChannelKind, Range};
 
+/// Most bytes of a robot's name.
+pub const MAX_NAME: usize = 32;
 /// Most motors on bridges: four OSMC and four on DHB.
 pub const MAX_MOTORS: usize = 8;
 /// Most brushless drives.
@@ -46,12 +49,14 @@ pub const RANGE_SENSORS: usize = 4;
 pub const ANALOG_INPUTS: usize = 6;
 /// Most supply rails measured.
 pub const MAX_SUPPLIES: usize = 4;
+/// Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`.
+pub const MAX_EXACT: u32 = 1 << 24;
 
 /// One R4 board in one robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct BoardConfig {
     /// The robot's name.
-    pub robot: String<32>,
+    pub robot: String<MAX_NAME>,
     /// Period of the control loop, µs.
     pub control_period_us: u32,
     /// The board trips after this long without a heartbeat, ms; 20 to 1000.
