@@ -21,7 +21,7 @@ use embassy_time::{Duration, Instant, Timer, with_deadline, with_timeout};
 use embedded_hal_async::i2c::{Error, ErrorKind, NoAcknowledgeSource};
 use embedded_io_async::{Read, Write};
 use heapless::{Deque, Vec};
-use r4_protocol::{MAX_RAW, Refusal, Reply, Request};
+use r4_protocol::{Refusal, Reply, Request, message::MAX_RAW};
 
 use crate::platform::Bus;
 

@@ -1,0 +1,4 @@
+//! Actuators.
+pub mod bldc_drive;
+pub mod dhb;
+pub mod rc_servo;
