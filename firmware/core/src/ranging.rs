@@ -37,8 +37,7 @@ pub fn must_stop(config: &[RangeConfig], readings: &[RangeReading], now: Instant
     // One cycle more than a sensor may miss answers: pings that end late are not yet a dead task.
     let silence = cycle(config.len()) * (u32::from(LOST_AFTER) + 1);
     config.iter().zip(readings).any(|(config, reading)| {
-        config.stop_below_m.is_some()
-            && (reading.stop || now.saturating_duration_since(reading.updated) > silence)
+        config.stop_below_m.is_some() && (reading.stop || now.saturating_duration_since(reading.updated) > silence)
     })
 }
 

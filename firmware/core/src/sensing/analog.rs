@@ -5,7 +5,7 @@ use r4_protocol::{
     config::{AnalogConfig, SupplyConfig},
 };
 
-use super::filter::LowPass;
+use super::{filter::LowPass, periods};
 
 /// Smooths noise, and a rail's dips in single PWM periods, s.
 const FILTER_S: f32 = 0.01;
@@ -67,7 +67,7 @@ impl Analog {
             filter: LowPass::new(FILTER_S, period_s),
             quality: Quality::None,
             streak: (false, 0),
-            persistence_periods: (libm::roundf(PERSISTENCE_S / period_s) as u32).max(1),
+            persistence_periods: periods(PERSISTENCE_S, period_s),
             period_s,
             // Of a value that was never taken: the oldest that can be told.
             age_s: f32::INFINITY,
@@ -87,8 +87,8 @@ impl Analog {
         let good = judged == Quality::Good;
         let first = self.quality == Quality::None;
         let again = good != self.streak.0;
-        let periods = if again { 1 } else { self.streak.1 + 1 };
-        self.streak = (good, periods.min(self.persistence_periods));
+        let codes = if again { 1 } else { self.streak.1 + 1 };
+        self.streak = (good, codes.min(self.persistence_periods));
         let believed = self.quality == Quality::Good;
         if first || good == believed || self.streak.1 == self.persistence_periods {
             // Also from low to high: there is nothing left to believe.

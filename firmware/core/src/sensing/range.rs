@@ -257,7 +257,8 @@ mod tests {
 
     #[test]
     fn the_median_is_the_middle_in_any_order() {
-        for values in [[1.0, 2.0, 3.0], [1.0, 3.0, 2.0], [2.0, 1.0, 3.0], [2.0, 3.0, 1.0], [3.0, 1.0, 2.0], [3.0, 2.0, 1.0]]
+        for values in
+            [[1.0, 2.0, 3.0], [1.0, 3.0, 2.0], [2.0, 1.0, 3.0], [2.0, 3.0, 1.0], [3.0, 1.0, 2.0], [3.0, 2.0, 1.0]]
         {
             assert_eq!(median(&values), 2.0, "{values:?}");
         }
@@ -280,7 +281,7 @@ mod tests {
             for (index, echo) in echoes.iter().enumerate() {
                 let reading = sensor.update(*echo, Instant::MIN);
                 answered |= distance_m(echo).is_some();
-                let last: Vec<_> = echoes[..=index].iter().rev().take(3).map(distance_m).collect();
+                let last: heapless::Vec<_, 3> = echoes[..=index].iter().rev().take(3).map(distance_m).collect();
                 let near = last[0].is_some_and(|distance_m| distance_m < LIMIT_M);
                 let lost = !answered || last.len() == 3 && last.iter().all(Option::is_none);
                 let clear = last.len() == 3 && last.iter().all(|far| far.is_some_and(|far_m| far_m > LIMIT_M * 1.1));

@@ -2,6 +2,8 @@
 
 use r4_protocol::config::SwitchConfig;
 
+use super::periods;
+
 /// A level counts once it has been steady for this long, s: snap-action switches bounce for 1 to 3 ms.
 pub const DEBOUNCE_S: f32 = 0.005;
 
@@ -26,7 +28,7 @@ impl Switch {
     pub fn new(config: &SwitchConfig, period_s: f32) -> Self {
         Self {
             active_low: config.active_low,
-            debounce_periods: (libm::roundf(DEBOUNCE_S / period_s) as u32).max(1),
+            debounce_periods: periods(DEBOUNCE_S, period_s),
             steady: (false, 0),
             closed: None,
             changed: false,
@@ -36,8 +38,8 @@ impl Switch {
     /// Takes the level of this period and returns whether the switch is closed; open until a first level was steady.
     pub fn update(&mut self, high: bool) -> bool {
         let closed = high != self.active_low;
-        let periods = if closed == self.steady.0 { self.steady.1 + 1 } else { 1 };
-        self.steady = (closed, periods.min(self.debounce_periods));
+        let samples = if closed == self.steady.0 { self.steady.1 + 1 } else { 1 };
+        self.steady = (closed, samples.min(self.debounce_periods));
         self.changed = false;
         if self.steady.1 == self.debounce_periods {
             let before = self.closed.replace(closed);
