@@ -185,16 +185,19 @@ struct Rig {
     buses: [Rc<RefCell<BusLog>>; 2],
     devices: [Port; 2],
     transmitter_held: Rc<RefCell<bool>>,
+    io: Option<PassthroughIo<TestBus, Receiver, Transmitter>>,
 }
 
 impl Rig {
     fn new() -> Self {
-        Self::failing(0)
+        let mut rig = Self::idle(0);
+        rig.serve();
+        rig
     }
 
-    /// The receiver of connector 1 fails until `failing_until_ns`.
-    fn failing(failing_until_ns: u64) -> Self {
-        let mut simulation = Simulation::default();
+    /// Not serving yet. The receiver of connector 1 fails until `failing_until_ns`.
+    fn idle(failing_until_ns: u64) -> Self {
+        let simulation = Simulation::default();
         let clock = simulation.clock();
         let buses = [(); 2].map(|()| Rc::new(RefCell::new(BusLog::default())));
         let [(board0, device0), (board1, device1)] = [(); 2].map(|()| serial(&clock, BAUD));
@@ -206,12 +209,15 @@ impl Rig {
             uart_rx: [receiver(board0.rx, 0), receiver(board1.rx, failing_until_ns)],
             uart_tx: [transmitter(board0.tx, transmitter_held.clone()), transmitter(board1.tx, Rc::default())],
         };
-        let passthrough = Rc::new(Passthrough::new());
-        let served = passthrough.clone();
-        simulation.spawn(async move {
-            served.run(io).await;
+        let (passthrough, io) = (Rc::new(Passthrough::new()), Some(io));
+        Self { simulation, clock, passthrough, buses, devices: [device0, device1], transmitter_held, io }
+    }
+
+    fn serve(&mut self) {
+        let (passthrough, io) = (self.passthrough.clone(), self.io.take().unwrap());
+        self.simulation.spawn(async move {
+            passthrough.run(io).await;
         });
-        Self { simulation, clock, passthrough, buses, devices: [device0, device1], transmitter_held }
     }
 
     fn request(&mut self, request: &Request) -> Result<Reply, Refusal> {
@@ -325,7 +331,8 @@ fn a_hanging_transfer_ends_in_time_and_stops_neither_reception_nor_the_other_bus
     let (reader, log) = (rig.passthrough.clone(), seen.clone());
     rig.simulation.spawn(async move {
         clock.sleep(6 * MS).await;
-        log.borrow_mut().push(reader.request(&Request::UartRead { port: 1 }).await);
+        let answer = reader.request(&Request::UartRead { port: 1 }).await;
+        log.borrow_mut().push(answer);
     });
     let begin_ns = rig.clock.now_ns();
     let result = rig.simulation.block_on(passthrough.request(&hanging)).unwrap();
@@ -479,7 +486,8 @@ fn a_transmitter_that_takes_nothing_fails_in_time() {
 
 #[test]
 fn a_receiver_that_fails_is_asked_again_and_holds_nothing_up() {
-    let mut rig = Rig::failing(50 * MS);
+    let mut rig = Rig::idle(50 * MS);
+    rig.serve();
     rig.receive(0, b"left");
     rig.receive(1, b"right");
     assert_eq!((rig.read(0), rig.read(1)), (b"left".to_vec(), b"".to_vec()));
@@ -489,10 +497,12 @@ fn a_receiver_that_fails_is_asked_again_and_holds_nothing_up() {
 }
 
 #[test]
-fn without_anybody_who_serves_requests_end_in_time() {
-    let mut simulation = Simulation::default();
-    let clock = simulation.clock();
-    let passthrough = Passthrough::<NoopRawMutex>::new();
-    let answer = simulation.block_on(passthrough.request(&transfer(0, 0x08, &[1], 1))).unwrap();
-    assert_eq!((answer, clock.now_ns()), (Err(Refusal::TransferFailed), TIMEOUT_NS));
+fn what_nobody_served_in_time_is_not_carried_out_later() {
+    let mut rig = Rig::idle(0);
+    assert_eq!(rig.timed(&uart_write(0, b"x")), (Err(Refusal::TransferFailed), TIMEOUT_NS));
+    rig.serve();
+    rig.sleep(10 * MS);
+    let mut buffer = [0; 1];
+    assert_eq!(rig.simulation.block_on(rig.devices[0].rx.read(&mut buffer)), None, "nothing ever arrives");
+    assert_eq!(rig.request(&transfer(0, 0x08, &[1], 1)), counted(0x08, 1));
 }

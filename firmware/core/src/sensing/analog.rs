@@ -90,8 +90,7 @@ impl Analog {
         let codes = if again { 1 } else { self.streak.1 + 1 };
         self.streak = (good, codes.min(self.persistence_periods));
         let believed = self.quality == Quality::Good;
-        if first || good == believed || self.streak.1 == self.persistence_periods {
-            // Also from low to high: there is nothing left to believe.
+        if first || self.streak.1 == self.persistence_periods {
             self.quality = judged;
         }
         if !good {
@@ -236,6 +235,10 @@ mod tests {
             // To the last bit of f32: a filter at rest stays at rest.
             assert_eq!(analog.update(code(2.0)), good);
         }
+        hold(&mut analog, 0, PERIODS - 1);
+        // And goes on from there: 1/11 of the step.
+        let next = analog.update(code(3.1));
+        assert!((next.volts - 2.1).abs() < 2.0 * CONFIG.volts_per_code, "{next:?}");
     }
 
     #[test]

@@ -217,6 +217,8 @@ mod tests {
             assert_eq!((reading.updated, reading.age_ms(at(205))), (at(200), 105));
         }
         assert_eq!(sensor.reading.age_ms(at(70_000)), u16::MAX);
+        assert_eq!(sensor.update(TIME_OUT, at(300)).age_ms(at(300)), 200, "an echo out of range measures nothing");
+        feed(&mut sensor, &[Echo::None, Echo::None]);
         // Lost with the third: what it saw before is no part of the median any more.
         feed(&mut sensor, &[Echo::None]);
         assert_eq!(feed(&mut sensor, &[TIME_OUT]).quality, Quality::OutOfRange);
