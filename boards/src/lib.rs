@@ -22,7 +22,10 @@ use std::path::Path;
 pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
-pub use robot::{PlantFile, Robot, SimulatedMotor, SimulatedRail, SimulatedSensor, Simulation, TruePoint};
+pub use robot::{
+    PlantFile, Robot, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+};
 use source::{Folder, Source};
 
 const ROBOTS: [&str; 1] = ["osmc-bench"];

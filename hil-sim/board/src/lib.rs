@@ -33,6 +33,7 @@ pub mod lines;
 pub mod link;
 pub mod misuse;
 pub mod osmc;
+pub mod sensors;
 pub mod world;
 
 pub use board::{SimBoard, SimError};

@@ -270,6 +270,38 @@ pub enum MisuseKind {
         /// Speed of the rotor, in steps.
         rotor_hz: u64,
     },
+    // Sensors.
+    /// An ultrasonic module's trigger was too short.
+    TriggerTooShort {
+        /// For how long it was high.
+        high_ns: u64,
+        /// Time the data sheet asks for.
+        needed_ns: u64,
+    },
+    /// An ultrasonic module was triggered before its last echo had ended.
+    TriggerWhileBusy {
+        /// How long it still takes.
+        free_in_ns: u64,
+    },
+    /// An ultrasonic module was triggered soon after its last ping.
+    PingTooSoon {
+        /// Time since then.
+        since_ns: u64,
+        /// Time the data sheet asks for.
+        needed_ns: u64,
+    },
+    /// More bytes than a page holds were sent to an EEPROM in one write.
+    PageOverrun {
+        /// Where the write started.
+        word: u8,
+        /// What a page holds.
+        page_bytes: usize,
+    },
+    /// A write to an EEPROM was ended by something else than STOP.
+    WriteWithoutStop {
+        /// The bytes that were sent.
+        bytes: usize,
+    },
 }
 
 impl fmt::Display for MisuseKind {
@@ -472,6 +504,30 @@ impl fmt::Display for MisuseKind {
                 f,
                 "steps at {step_hz} Hz while the rotor turns at {rotor_hz} Hz: it falls out of step and stands until the \
                  steps pause; start and stop slower, or accelerate less"
+            ),
+            // Sensors.
+            Self::TriggerTooShort { high_ns, needed_ns } => write!(
+                f,
+                "trigger high for {high_ns} ns: the module ignores it; hold it high for {needed_ns} ns or more"
+            ),
+            Self::TriggerWhileBusy { free_in_ns } => write!(
+                f,
+                "triggered before the last echo had ended: the module ignores it; wait for the echo to fall, here for \
+                 another {free_in_ns} ns"
+            ),
+            Self::PingTooSoon { since_ns, needed_ns } => write!(
+                f,
+                "triggered {since_ns} ns after the last ping: late echoes of that one may be taken for near targets; \
+                 leave {needed_ns} ns between pings"
+            ),
+            Self::PageOverrun { word, page_bytes } => write!(
+                f,
+                "write from 0x{word:02X} with more than {page_bytes} bytes: the chip goes on at the start of the page \
+                 and overwrites what was sent first; start a new write for every page"
+            ),
+            Self::WriteWithoutStop { bytes } => write!(
+                f,
+                "{bytes} bytes sent without STOP after them: the chip drops them; end every write with STOP"
             ),
         }
     }
