@@ -91,3 +91,32 @@ pub trait Steppers {
 pub trait Peripherals: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
 
 impl<P: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}
+
+/// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
+pub trait Ranging {
+    /// Drives the trigger of sensor `index`. Numbers the board does not have do nothing.
+    fn trigger(&mut self, index: u8, high: bool);
+
+    /// Forgets the edges captured at the echo of sensor `index`.
+    fn clear(&mut self, index: u8);
+
+    /// The echo of sensor `index` since the last [`Ranging::clear`]. Numbers the board does not have are idle.
+    fn echo(&mut self, index: u8) -> EchoState;
+}
+
+/// An echo input since its capture was cleared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EchoState {
+    /// Low, and no whole pulse was captured: one whose beginning was cleared does not count.
+    Idle,
+    /// High, also when it has been since before the capture was cleared.
+    High {
+        /// For how long, as far as that was captured.
+        since_us: u32,
+    },
+    /// A whole pulse was captured: the first.
+    Done {
+        /// Its length.
+        width_us: u32,
+    },
+}

@@ -76,7 +76,7 @@ mod tests {
         /// Any walk by single edges is followed exactly, also over the ends of the counter, with levels seen twice.
         #[test]
         fn a_walk_is_followed(
-            start in 0usize..4, runs in prop::collection::vec((-2000i32..=2000, 1usize..3), 1..100),
+            start in 0usize..4, runs in prop::collection::vec((-4000i32..=4000, 1usize..3), 1..20),
         ) {
             let mut decoder = Decoder::new();
             let mut position = start as i32;
