@@ -74,8 +74,8 @@ pub trait Steppers {
 
     /// The present tick, wrapping.
     fn now(&mut self) -> u32;
-    /// Drives the enable that all share.
-    fn enable(&mut self, on: bool);
+    /// Sets the level of the enable line that all share.
+    fn enable(&mut self, high: bool);
     /// Appends events, which are in order of time and in the future; returns how many found room, counted from the first.
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize;
     /// Events not yet carried out.

@@ -37,7 +37,7 @@ pub enum BadStepper {
     Acceleration,
     /// `jerk` must be 0 or positive, and finite.
     Jerk,
-    /// `start_stop_speed` must be 0 or positive.
+    /// `start_speed` must be 0 or positive.
     StartStopSpeed,
     /// `position` must be an interval within ±2³¹ steps, but for infinite ends.
     Position,
@@ -281,7 +281,7 @@ impl Axis {
     pub fn stop_now(&mut self, hw: &mut impl Steppers) {
         hw.stop(self.index);
         self.observe(hw);
-        let start_stop = f64::from(self.config.start_stop_speed) * self.steps_per_rad;
+        let start_stop = f64::from(self.config.start_speed) * self.steps_per_rad;
         if self.fastest.iter().any(|speed| *speed > start_stop) {
             self.homed = false;
         }
@@ -473,7 +473,7 @@ fn check(config: &StepperConfig, steps_per_rad: f64, rate_max_hz: f64) -> Result
     if config.jerk != 0.0 && !positive(config.jerk) {
         return Err(BadStepper::Jerk);
     }
-    if config.start_stop_speed.is_nan() || config.start_stop_speed < 0.0 {
+    if config.start_speed.is_nan() || config.start_speed < 0.0 {
         return Err(BadStepper::StartStopSpeed);
     }
     let Range { min, max } = config.position;

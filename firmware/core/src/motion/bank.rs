@@ -36,6 +36,7 @@ enum Enable {
 #[derive(Debug)]
 pub struct Bank {
     axes: Vec<Axis, MAX_STEPPERS>,
+    active_low: bool,
     hold_when_safe: bool,
     wake_ticks: u32,
     enable: Enable,
@@ -43,31 +44,46 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// Steppers at rest, the enable off. With `hold_when_safe` the enable stays on once it is, so that loads are held.
+    /// Steppers at rest, the enable off; `active_low` when a low level enables. With `hold_when_safe` the enable stays on once it is, so that loads are held.
     ///
     /// # Errors
     /// The number of the stepper that cannot work, and why. Those beyond [`MAX_STEPPERS`] are none.
     pub fn new<H: Steppers>(
         configs: &[StepperConfig],
         driver: &DriverTiming,
+        active_low: bool,
         hold_when_safe: bool,
         period_us: u32,
         hw: &mut H,
     ) -> Result<Self, (u8, BadStepper)> {
         let timing = TickTiming::new::<H>(driver).ok_or((0, BadStepper::Timing))?;
         let mut axes = Vec::new();
-        for (index, config) in (0..).zip(configs.iter().take(MAX_STEPPERS)) {
-            let axis = Axis::new(index, *config, driver, period_us, hw).map_err(|bad| (index, bad))?;
+        for config in configs.iter().take(MAX_STEPPERS) {
+            let connector = config.id.index;
+            let axis = Axis::new(connector, *config, driver, period_us, hw).map_err(|bad| (connector, bad))?;
             let _ = axes.push(axis);
         }
-        hw.enable(false);
-        Ok(Self { axes, hold_when_safe, wake_ticks: timing.enable, enable: Enable::Off, armed: false })
+        let bank =
+            Self { axes, active_low, hold_when_safe, wake_ticks: timing.enable, enable: Enable::Off, armed: false };
+        hw.enable(bank.level(false));
+        Ok(bank)
+    }
+
+    /// Level of the line that enables, or not.
+    const fn level(&self, enabled: bool) -> bool {
+        enabled != self.active_low
+    }
+
+    /// Whether commands are taken.
+    #[must_use]
+    pub const fn is_armed(&self) -> bool {
+        self.armed
     }
 
     /// Turns the enable on. Commands are taken from now on and act when the drivers are awake.
     pub fn arm(&mut self, hw: &mut impl Steppers) {
         if self.enable == Enable::Off {
-            hw.enable(true);
+            hw.enable(self.level(true));
             self.enable = Enable::Since(hw.now());
         }
         self.armed = true;
@@ -81,18 +97,18 @@ impl Bank {
             axis.stop_now(hw);
         }
         if !self.hold_when_safe {
-            hw.enable(false);
+            hw.enable(self.level(false));
             self.enable = Enable::Off;
             self.axes.iter_mut().for_each(Axis::lose_home);
         }
     }
 
-    /// Commands one.
+    /// Commands stepper number `index` of the configuration.
     ///
     /// # Errors
     /// [`NotTaken`]; nothing changes.
-    pub fn command(&mut self, index: u8, command: Command) -> Result<(), NotTaken> {
-        let axis = self.axes.get_mut(usize::from(index)).ok_or(NotTaken::NoStepper)?;
+    pub fn command(&mut self, index: usize, command: Command) -> Result<(), NotTaken> {
+        let axis = self.axes.get_mut(index).ok_or(NotTaken::NoStepper)?;
         if !self.armed {
             return Err(NotTaken::NotArmed);
         }
@@ -123,7 +139,7 @@ impl Bank {
         }
     }
 
-    /// For telemetry, in the order of the steppers' numbers.
+    /// For telemetry, in the order of the configuration.
     pub fn status(&self) -> impl Iterator<Item = AxisStatus> + '_ {
         self.axes.iter().map(Axis::status)
     }

@@ -135,12 +135,13 @@ impl Steppers for Board {
 /// 16 micro-steps of 1.8 degrees: 509 steps to a radian, 51 kHz at full speed.
 fn config() -> StepperConfig {
     StepperConfig {
+        id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, 0),
         steps_per_turn: 3200,
         inverted: false,
         speed_max: 100.0,
         acceleration: 1000.0,
         jerk: 50_000.0,
-        start_stop_speed: 2.0,
+        start_speed: 2.0,
         position: Range::new(-300.0, 300.0),
         homing: None,
     }
@@ -413,7 +414,7 @@ fn bad_commands_are_refused_and_bad_configurations_named() {
     assert_eq!(why(StepperConfig { speed_max: 196.36, ..config() }), Some(BadStepper::Speed));
     assert_eq!(why(StepperConfig { acceleration: 0.0, ..config() }), Some(BadStepper::Acceleration));
     assert_eq!(why(StepperConfig { jerk: -1.0, ..config() }), Some(BadStepper::Jerk));
-    assert_eq!(why(StepperConfig { start_stop_speed: f32::NAN, ..config() }), Some(BadStepper::StartStopSpeed));
+    assert_eq!(why(StepperConfig { start_speed: f32::NAN, ..config() }), Some(BadStepper::StartStopSpeed));
     assert_eq!(why(StepperConfig { position: Range::new(1.0, 0.0), ..config() }), Some(BadStepper::Position));
     let homing = Some(Homing { speed_max: 101.0, ..HOMING });
     assert_eq!(why(StepperConfig { homing, ..config() }), Some(BadStepper::Homing));
@@ -427,7 +428,7 @@ fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
         let mut board = Board::default();
         // So fast that the first pulse comes 0.14 ms after the path begins.
         let configs = [StepperConfig { acceleration: 1e5, jerk: 0.0, ..config() }; 4];
-        let mut bank = Bank::new(&configs, &DRIVER, hold, PERIOD_US, &mut board).expect("good");
+        let mut bank = Bank::new(&configs, &DRIVER, false, hold, PERIOD_US, &mut board).expect("good");
         let no_switch = |_| None;
         let no_fault = |index, fault| panic!("stepper {index}: {fault:?}");
         assert_eq!(bank.command(0, Command::Position(1.0)), Err(NotTaken::NotArmed));

@@ -86,6 +86,12 @@ impl Servos {
         self.servos[index].motion.map(|motion| motion.angle)
     }
 
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.servos.len()
+    }
+
     /// How often [`Servos::write_next`] must be called in a control period of `period_s`, s, so that each servo of those
     /// that move is written every 20 ms: once, for up to 16 servos and 1.25 ms.
     #[must_use]
