@@ -188,6 +188,11 @@ pub struct Setpoint {
     pub value: f32,
 }
 
+impl Setpoint {
+    /// What a channel follows that has not been told anything.
+    pub const NONE: Self = Self { mode: Mode::Duty, value: 0.0 };
+}
+
 /// What a board answers when it does as asked.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Reply {

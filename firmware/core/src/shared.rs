@@ -8,8 +8,11 @@ use embassy_sync::{
 };
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
-    Cause, Causes, ChannelId, DeviceStats, Mode, Refusal, SafetyState, Setpoint,
-    config::{BoardConfig, MAX_MOTORS, MAX_RELAYS, MAX_SUPPLIES, PidGains},
+    Cause, Causes, DeviceStats, Mode, Quality, Refusal, SafetyState, Setpoint,
+    config::{
+        ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SERVOS, MAX_SUPPLIES,
+        PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
+    },
 };
 
 use crate::safety::{Event, Safety};
@@ -23,7 +26,7 @@ pub enum ResetCause {
     Watchdog,
 }
 
-/// What a motor does, as published by the control loop each period.
+/// What a motor or stepper does, as published by the control loop each period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorStatus {
     /// What it follows.
@@ -36,16 +39,22 @@ pub struct MotorStatus {
     pub duty: f32,
     /// In position mode: at the set point and at rest.
     pub settled: bool,
+    /// Whether the position is known, and not only counted from where power came on.
+    pub homed: bool,
 }
 
 impl MotorStatus {
-    const IDLE: Self = Self {
-        setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
-        position: 0,
-        speed: 0.0,
-        duty: 0.0,
-        settled: false,
-    };
+    pub(crate) const IDLE: Self =
+        Self { setpoint: Setpoint::NONE, position: 0, speed: 0.0, duty: 0.0, settled: false, homed: false };
+}
+
+/// What a channel does or shows now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Status {
+    Motor(MotorStatus),
+    Scalar(f32),
+    Encoder { position: i32, speed: f32, illegal: u32 },
+    Reading { value: f32, quality: Quality, taken: Instant },
 }
 
 /// Where the supervisor stands, for the other tasks.
@@ -57,22 +66,45 @@ pub(crate) struct SafetyView {
     pub(crate) epoch: u16,
 }
 
-/// Most channels that take commands.
-const MAX_OUTPUTS: usize = MAX_MOTORS + MAX_RELAYS;
+/// Channels that take commands; a brake is commanded beside its drive.
+const OUTPUTS: usize = MAX_MOTORS + 2 * MAX_BLDCS + MAX_SERVOS + STEPPERS + MAX_RELAYS + DAC_OUTPUTS;
+/// Most channels of a board, the dead-man's handle and the auxiliary stop with them.
+const CHANNELS: usize = OUTPUTS - MAX_BLDCS + ENCODERS + SWITCHES + RANGE_SENSORS + ANALOG_INPUTS + MAX_SUPPLIES + 2;
 
-/// A channel that takes commands, by its place in the configuration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Output {
-    Motor(usize),
-    Relay(usize),
+/// Where a channel's status is kept. Outputs come first, and their commands are kept in the same place.
+fn slot(place: Place) -> usize {
+    const BLDC: usize = MAX_MOTORS;
+    const SERVO: usize = BLDC + MAX_BLDCS;
+    const STEPPER: usize = SERVO + MAX_SERVOS;
+    const RELAY: usize = STEPPER + STEPPERS;
+    const DAC: usize = RELAY + MAX_RELAYS;
+    const ENCODER: usize = DAC + DAC_OUTPUTS;
+    const SWITCH: usize = ENCODER + ENCODERS;
+    const RANGE: usize = SWITCH + SWITCHES;
+    const ANALOG: usize = RANGE + RANGE_SENSORS;
+    const SUPPLY: usize = ANALOG + ANALOG_INPUTS;
+    const DEAD_MAN: usize = SUPPLY + MAX_SUPPLIES;
+    match place {
+        Place::Motor(index) => index,
+        Place::Bldc(index) => BLDC + index,
+        Place::Servo(index) => SERVO + index,
+        Place::Stepper(index) => STEPPER + index,
+        Place::Relay(index) => RELAY + index,
+        Place::Dac(index) => DAC + index,
+        Place::Encoder(index) => ENCODER + index,
+        Place::Switch(index) => SWITCH + index,
+        Place::Range(index) => RANGE + index,
+        Place::Analog(index) => ANALOG + index,
+        Place::Supply(index) => SUPPLY + index,
+        Place::DeadMan(index) => DEAD_MAN + index,
+    }
 }
 
-impl Output {
-    const fn slot(self) -> usize {
-        match self {
-            Self::Motor(index) => index,
-            Self::Relay(index) => MAX_MOTORS + index,
-        }
+/// Where the newest command of an output is kept; a brake's after all others, so that the next speed does not replace it.
+fn command_slot(place: Place, mode: Mode) -> usize {
+    match (place, mode) {
+        (Place::Bldc(index), Mode::Brake) => OUTPUTS - MAX_BLDCS + index,
+        _ => slot(place),
     }
 }
 
@@ -96,13 +128,13 @@ struct State {
     session: Option<Session>,
     next_session: u16,
     /// With the arming they were given in.
-    commands: [Option<(u16, Setpoint)>; MAX_OUTPUTS],
+    commands: [Option<(u16, Setpoint)>; OUTPUTS],
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
-    motors: [MotorStatus; MAX_MOTORS],
-    relays_closed: [bool; MAX_RELAYS],
-    supplies_v: [f32; MAX_SUPPLIES],
+    /// Causes that hold now, by the range sensors' last answers.
+    ranging_causes: Causes,
+    statuses: [Status; CHANNELS],
     stats: DeviceStats,
 }
 
@@ -124,6 +156,17 @@ impl<M: RawMutex> Shared<M> {
             ResetCause::Normal => Safety::Disarmed,
             ResetCause::Watchdog => Safety::Tripped { causes: Causes::only(Cause::WatchdogReset) },
         };
+        let mut statuses = [Status::Scalar(0.0); CHANNELS];
+        for (_, place) in config.channels() {
+            statuses[slot(place)] = match place {
+                Place::Motor(_) | Place::Stepper(_) => Status::Motor(MotorStatus::IDLE),
+                Place::Encoder(_) => Status::Encoder { position: 0, speed: 0.0, illegal: 0 },
+                Place::Range(_) | Place::Analog(_) => {
+                    Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
+                }
+                _ => Status::Scalar(0.0),
+            };
+        }
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, config.validate().is_err());
         Self {
@@ -136,12 +179,11 @@ impl<M: RawMutex> Shared<M> {
                 last_tick: None,
                 session: None,
                 next_session: 1,
-                commands: [None; MAX_OUTPUTS],
+                commands: [None; OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
-                motors: [MotorStatus::IDLE; MAX_MOTORS],
-                relays_closed: [false; MAX_RELAYS],
-                supplies_v: [0.0; MAX_SUPPLIES],
+                ranging_causes: Causes::NONE,
+                statuses,
                 stats: DeviceStats::default(),
             })),
             supervisor: Signal::new(),
@@ -189,7 +231,7 @@ impl<M: RawMutex> Shared<M> {
             let link_lost = s.session.is_some_and(|session| since(session.last_heartbeat, now) > link_timeout);
             watched.set(Cause::LinkLost, link_lost);
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
-            s.present = watched.union(s.control_causes);
+            s.present = watched.union(s.control_causes).union(s.ranging_causes);
             s.apply(Event::Tick).0
         });
         if changed {
@@ -215,9 +257,30 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
+    /// What the range sensors see; wakes the supervisor for a new cause.
+    pub(crate) fn set_ranging_causes(&self, causes: Causes) {
+        let new = self.with(|s| {
+            let new = causes.bits() & !s.ranging_causes.bits() != 0;
+            s.ranging_causes = causes;
+            new
+        });
+        if new {
+            self.supervisor.signal(());
+        }
+    }
+
     /// The newest command of this arming; one of a later arming is left for the next period.
-    pub(crate) fn take_command(&self, output: Output, epoch: u16) -> Option<Setpoint> {
-        self.with(|s| s.commands[output.slot()].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
+    pub(crate) fn take_command(&self, output: Place, epoch: u16) -> Option<Setpoint> {
+        self.take_from(slot(output), epoch)
+    }
+
+    /// The newest command to the brake of a brushless drive, as [`Shared::take_command`].
+    pub(crate) fn take_brake(&self, bldc: usize, epoch: u16) -> Option<bool> {
+        self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
+    }
+
+    fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
+        self.with(|s| s.commands[slot].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
 
     /// New gains of the position and of the speed loop.
@@ -234,16 +297,12 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.started)
     }
 
-    pub(crate) fn publish(&self, motor: usize, status: MotorStatus) {
-        self.with(|s| s.motors[motor] = status);
+    pub(crate) fn publish(&self, place: Place, status: Status) {
+        self.with(|s| s.statuses[slot(place)] = status);
     }
 
-    pub(crate) fn publish_relay(&self, relay: usize, closed: bool) {
-        self.with(|s| s.relays_closed[relay] = closed);
-    }
-
-    pub(crate) fn publish_supply(&self, supply: usize, volts: f32) {
-        self.with(|s| s.supplies_v[supply] = volts);
+    pub(crate) fn status(&self, place: Place) -> Status {
+        self.with(|s| s.statuses[slot(place)])
     }
 
     pub(crate) fn count(&self, f: impl FnOnce(&mut DeviceStats)) {
@@ -252,45 +311,15 @@ impl<M: RawMutex> Shared<M> {
 
     // Links.
 
-    pub(crate) fn motor_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.motors.iter().position(|motor| motor.id == channel)
-    }
-
-    pub(crate) fn relay_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.relays.iter().position(|relay| relay.id == channel)
-    }
-
-    pub(crate) fn supply_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.supplies.iter().position(|supply| supply.id == channel)
-    }
-
-    pub(crate) fn has_channel(&self, channel: ChannelId) -> bool {
-        self.motor_index(channel).is_some()
-            || self.relay_index(channel).is_some()
-            || self.supply_index(channel).is_some()
-    }
-
-    pub(crate) fn motor(&self, index: usize) -> MotorStatus {
-        self.with(|s| s.motors[index])
-    }
-
-    pub(crate) fn relay_closed(&self, index: usize) -> bool {
-        self.with(|s| s.relays_closed[index])
-    }
-
-    pub(crate) fn supply_v(&self, index: usize) -> f32 {
-        self.with(|s| s.supplies_v[index])
-    }
-
     pub(crate) fn stats(&self) -> DeviceStats {
         self.with(|s| s.stats)
     }
 
     /// Stores a command for the control loop's next period; a later one replaces it.
-    pub(crate) fn command(&self, output: Output, setpoint: Setpoint) -> Result<(), Refusal> {
+    pub(crate) fn command(&self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
         self.with(|s| match s.safety {
             Safety::Armed => {
-                s.commands[output.slot()] = Some((s.epoch, setpoint));
+                s.commands[command_slot(output, setpoint.mode)] = Some((s.epoch, setpoint));
                 Ok(())
             }
             _ => Err(Refusal::NotArmed { state: s.safety.state() }),
@@ -302,7 +331,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| match mode {
             Mode::Position => s.gains[motor][0] = Some(gains),
             Mode::Speed => s.gains[motor][1] = Some(gains),
-            Mode::Duty | Mode::Switch => {}
+            _ => {}
         });
     }
 
@@ -369,7 +398,7 @@ impl State {
         let changed = next.state() != self.safety.state();
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
-            self.commands = [None; MAX_OUTPUTS];
+            self.commands = [None; OUTPUTS];
         }
         self.safety = next;
         (changed, result)

@@ -6,15 +6,15 @@ use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, Mode, SafetyState,
-    config::{BoardConfig, Feedback, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
+    config::{BoardConfig, Feedback, MAX_MOTORS, MAX_SUPPLIES, Place, SupplyConfig},
 };
 
-use super::motor::Motor;
+use super::axis::Axis;
 use crate::{
     outputs::{OutputFault, Outputs},
-    platform::{AnalogInputs, Bus, Encoders},
+    platform::{Bus, Peripherals},
     sensing::filter::LowPass,
-    shared::{Output, SafetyView, Shared},
+    shared::{SafetyView, Shared, Status},
 };
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
@@ -31,26 +31,17 @@ const SUPPLY_FILTER_S: f32 = 0.01;
 const SUPPLY_HYSTERESIS: f32 = 0.02;
 
 /// What the control task works with.
-pub struct BoardIo<B, E, A> {
+pub struct BoardIo<B, P> {
     /// The I2C bus with the board's chips.
     pub bus: B,
-    /// Quadrature counters.
-    pub encoders: E,
-    /// Analog inputs.
-    pub analog: A,
+    /// Counters, converters, switches, step generators.
+    pub peripherals: P,
 }
 
 /// Runs the control loop for ever, with the second highest priority.
-pub async fn run<M, B, E, A>(shared: &Shared<M>, io: BoardIo<B, E, A>) -> !
-where
-    M: RawMutex,
-    B: Bus,
-    E: Encoders,
-    A: AnalogInputs,
-{
-    let BoardIo { bus, encoders, analog } = io;
+pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: BoardIo<B, P>) -> ! {
     let config = shared.config();
-    let mut control = Control::new(config, bus, encoders, analog);
+    let mut control = Control::new(config, io);
     control.initialise().await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
@@ -94,11 +85,10 @@ where
     }
 }
 
-struct Control<B, E, A> {
+struct Control<B, P> {
     outputs: Outputs<B>,
-    encoders: E,
-    analog: A,
-    motors: Vec<Motor, MAX_MOTORS>,
+    peripherals: P,
+    motors: Vec<Axis, MAX_MOTORS>,
     supplies: Vec<Supply, MAX_SUPPLIES>,
     /// When the motors' supply may be relied on.
     powered_at: Instant,
@@ -113,16 +103,15 @@ struct Control<B, E, A> {
     sensors: Causes,
 }
 
-impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
+impl<B: Bus, P: Peripherals> Control<B, P> {
     /// With a configuration that is not valid there are no motors to drive, only outputs to hold safe.
-    fn new(config: &BoardConfig, bus: B, encoders: E, analog: A) -> Self {
+    fn new(config: &BoardConfig, io: BoardIo<B, P>) -> Self {
         let period_s = config.control_period_us as f32 * 1e-6;
-        let motors = config.motors.iter().map_while(|motor| Motor::new(*motor, period_s).ok()).collect();
+        let motors = config.motors.iter().map_while(|motor| Axis::new(motor, period_s).ok()).collect();
         let bad_configuration = config.validate().is_err();
         Self {
-            outputs: Outputs::new(bus, config),
-            encoders,
-            analog,
+            outputs: Outputs::new(io.bus, config),
+            peripherals: io.peripherals,
             motors: if bad_configuration { Vec::new() } else { motors },
             supplies: config.supplies.iter().map(|supply| Supply::new(*supply, period_s)).collect(),
             powered_at: Instant::MIN,
@@ -137,6 +126,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
 
     async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
         self.tick = self.tick.wrapping_add(1);
+        self.outputs.begin_tick();
         self.sense(shared);
         for (index, motor) in self.motors.iter_mut().enumerate() {
             for (mode, gains) in [Mode::Position, Mode::Speed].into_iter().zip(shared.take_gains(index)) {
@@ -150,10 +140,10 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             self.hold_safe().await;
         }
         for (index, motor) in self.motors.iter().enumerate() {
-            shared.publish(index, motor.status());
+            shared.publish(Place::Motor(index), Status::Motor(motor.status()));
         }
         for index in 0..shared.config().relays.len() {
-            shared.publish_relay(index, self.outputs.is_closed(index));
+            shared.publish(Place::Relay(index), Status::Scalar(self.outputs.is_closed(index).into()));
         }
         shared.set_control_causes(self.causes());
     }
@@ -161,15 +151,16 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let mut causes = Causes::NONE;
         for (motor, config) in self.motors.iter_mut().zip(&shared.config().motors) {
-            let raw = match config.feedback {
-                Feedback::Encoder { index, .. } => self.encoders.count(index),
-                Feedback::Potentiometer { analog, .. } => self.analog.code(analog),
+            let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
+            let raw = match control.feedback {
+                Feedback::Encoder { index, .. } => self.peripherals.count(index),
+                Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
             };
-            causes = causes.union(motor.sense(raw));
+            causes = causes.union(motor.sense(raw, None));
         }
         for (index, supply) in self.supplies.iter_mut().enumerate() {
-            let (volts, in_range) = supply.update(self.analog.code(supply.config.analog));
-            shared.publish_supply(index, volts);
+            let (volts, in_range) = supply.update(self.peripherals.code(supply.config.analog));
+            shared.publish(Place::Supply(index), Status::Scalar(volts));
             if !in_range {
                 causes.set(Cause::SupplyOutOfRange, true);
             }
@@ -177,11 +168,11 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         self.sensors = causes;
     }
 
-    /// One period of every loop, for the arming in `view`. Outputs are written in the order of the channels.
+    /// One period of every loop, for the arming in `view`. Outputs are written in the order of [`Outputs::order`].
     async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
         if view.epoch != self.epoch {
             self.epoch = view.epoch;
-            self.motors.iter_mut().for_each(Motor::stop);
+            self.motors.iter_mut().for_each(Axis::stop);
             if self.outputs.has_motor_power_relay() {
                 self.outputs.close_motor_power();
                 self.powered_at = Instant::now() + POWER_UP;
@@ -191,9 +182,9 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         if let Err(fault) = self.switch_relays(shared, view).await {
             return self.fail(shared, fault);
         }
-        for index in 0..self.motors.len() {
+        for index in self.outputs.order(self.tick) {
             let motor = &mut self.motors[index];
-            if let Some(setpoint) = shared.take_command(Output::Motor(index), view.epoch) {
+            if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
                 motor.command(setpoint);
             }
             if Instant::now() < self.powered_at {
@@ -224,11 +215,11 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
 
     async fn switch_relays<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         for index in 0..shared.config().relays.len() {
-            if let Some(setpoint) = shared.take_command(Output::Relay(index), view.epoch) {
+            if let Some(setpoint) = shared.take_command(Place::Relay(index), view.epoch) {
                 self.outputs.switch(index, setpoint.value != 0.0);
             }
         }
-        self.outputs.write_relays().await
+        self.outputs.write_expander().await
     }
 
     async fn initialise(&mut self) {
@@ -238,7 +229,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
     }
 
     async fn make_safe(&mut self) {
-        self.motors.iter_mut().for_each(Motor::stop);
+        self.motors.iter_mut().for_each(Axis::stop);
         match self.outputs.make_safe().await {
             Ok(()) => self.safe = true,
             Err(fault) => self.fault = Some(fault),
@@ -246,7 +237,7 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
     }
 
     async fn hold_safe(&mut self) {
-        self.motors.iter_mut().for_each(Motor::stop);
+        self.motors.iter_mut().for_each(Axis::stop);
         if !self.safe || self.tick.is_multiple_of(REASSERT_EVERY) {
             self.make_safe().await;
         }

@@ -102,17 +102,19 @@ impl Pca9685 {
         bus.write(self.address, &[reg::ALL_LED_OFF_H, reg::FULL]).await
     }
 
-    /// Sets four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
+    /// Sets up to four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
     ///
     /// # Errors
     /// A failed transfer.
-    pub async fn set_four<B: I2c>(&self, bus: &mut B, first: u8, outputs: [Output; 4]) -> Result<(), B::Error> {
+    pub async fn set<B: I2c>(&self, bus: &mut B, first: u8, outputs: &[Output]) -> Result<(), B::Error> {
         let mut bytes = [0; 17];
         bytes[0] = on_register(first);
+        let mut end = 1;
         for (bytes, output) in bytes[1..].chunks_exact_mut(4).zip(outputs) {
             bytes.copy_from_slice(&output.registers());
+            end += 4;
         }
-        bus.write(self.address, &bytes).await
+        bus.write(self.address, &bytes[..end]).await
     }
 
     /// Changes only the "off" count of `output`, whose "on" count is 0: 3 bytes after the address.
