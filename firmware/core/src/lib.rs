@@ -21,6 +21,7 @@ pub mod outputs;
 pub mod platform;
 pub mod safety;
 pub mod sensing;
+pub mod storage;
 mod shared;
 mod telemetry;
 
