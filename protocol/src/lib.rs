@@ -27,7 +27,7 @@ pub use message::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
     Sample, Setpoint, Telemetry, ToDevice, ToHost,
 };
-pub use parameter::{Parameter, ParameterKey};
+pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.

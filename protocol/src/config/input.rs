@@ -3,7 +3,7 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ANALOG_INPUTS, ConfigError, ENCODERS, RANGE_SENSORS, SWITCHES, check, finite_range, positive};
+use super::{ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, RANGE_SENSORS, SWITCHES, check, finite_range, positive};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// A quadrature encoder that is read by itself, whether or not a motor uses it too.
@@ -68,7 +68,7 @@ impl EncoderConfig {
         let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
         rule(self.id.kind == ChannelKind::Encoder, "an encoder needs an encoder channel name")?;
         rule(usize::from(self.id.index) < ENCODERS, "encoders are numbered 0 to 3")?;
-        rule(self.counts_per_turn > 0, "counts_per_turn must be positive")
+        rule((1..=MAX_EXACT).contains(&self.counts_per_turn), "counts_per_turn must be 1 to 16777216")
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod input;
 mod motor;
+mod numbers;
 mod output;
 
 use core::fmt;
@@ -46,6 +47,8 @@ pub const RANGE_SENSORS: usize = 4;
 pub const ANALOG_INPUTS: usize = 6;
 /// Most supply rails measured.
 pub const MAX_SUPPLIES: usize = 4;
+/// Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`.
+pub const MAX_EXACT: u32 = 1 << 24;
 
 /// One R4 board in one robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]

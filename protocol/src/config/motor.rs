@@ -3,7 +3,7 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ANALOG_INPUTS, ConfigError, ENCODERS, SWITCHES, check, finite_range, not_negative, positive};
+use super::{ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, SWITCHES, check, finite_range, not_negative, positive};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// No configuration may let a bridge exceed this share: an OSMC's high side needs the rest to refresh its bootstrap, and the
@@ -276,7 +276,7 @@ impl ControlConfig {
         match self.feedback {
             Feedback::Encoder { index, counts_per_turn, .. } => {
                 rule(usize::from(index) < ENCODERS, "the encoder must exist and be used by one motor")?;
-                rule(counts_per_turn > 0, "counts_per_turn must be positive")?;
+                rule((1..=MAX_EXACT).contains(&counts_per_turn), "counts_per_turn must be 1 to 16777216")?;
             }
             Feedback::Potentiometer { analog, low, high } => {
                 rule(usize::from(analog) < ANALOG_INPUTS, "the analog input must exist and be used once")?;

@@ -3,7 +3,7 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, DAC_OUTPUTS, HomingConfig, STEPPERS, check, finite_range, not_negative, positive};
+use super::{ConfigError, DAC_OUTPUTS, HomingConfig, MAX_EXACT, STEPPERS, check, finite_range, not_negative, positive};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// The PCA9685 behind the servos.
@@ -266,7 +266,7 @@ impl StepperConfig {
         let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
         rule(self.id.kind == ChannelKind::Stepper, "a stepper needs a stepper channel name")?;
         rule(usize::from(self.id.index) < STEPPERS, "steppers are numbered 0 to 3")?;
-        rule(self.steps_per_turn > 0, "steps_per_turn must be positive")?;
+        rule((1..=MAX_EXACT).contains(&self.steps_per_turn), "steps_per_turn must be 1 to 16777216")?;
         let steps_per_rad = self.steps_per_turn as f32 / core::f32::consts::TAU;
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
         let counts = |position: f32| (position * steps_per_rad).abs() < 1e9;
