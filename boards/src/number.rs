@@ -4,7 +4,7 @@ use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
     channel::{ChannelId, Range},
-    config::OSMC_DUTY_HARD_MAX,
+    config::DUTY_HARD_MAX,
 };
 use serde::{Deserialize, Deserializer, de::Error};
 
@@ -34,7 +34,7 @@ where
 
 /// A duty above 0, at most what no configuration may exceed.
 pub(crate) fn duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
-    checked(deserializer, |value| value > 0.0 && value <= f64::from(OSMC_DUTY_HARD_MAX), "above 0 and at most 0.98")
+    checked(deserializer, |value| value > 0.0 && value <= f64::from(DUTY_HARD_MAX), "above 0 and at most 0.98")
 }
 
 pub(crate) fn optional_duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f32>, D::Error> {

@@ -3,8 +3,8 @@
 use r4_protocol::{
     channel::ChannelId,
     config::{
-        BridgeLines, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig,
-        StallConfig,
+        BridgeConfig, BridgeLines, ControlConfig, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains, PotPoint,
+        ProfileLimits, SettleConfig, StallConfig,
     },
 };
 use serde::Deserialize;
@@ -133,40 +133,43 @@ impl LinearMotor {
     pub(super) fn config(&self, lines: BridgeLines, duty_max: f32) -> MotorConfig {
         MotorConfig {
             id: self.channel,
-            lines,
+            bridge: BridgeConfig::Osmc(lines),
             inverted: self.inverted,
-            feedback: Feedback::Potentiometer {
-                analog: self.potentiometer.input,
-                low: (&self.potentiometer.low).into(),
-                high: (&self.potentiometer.high).into(),
-            },
-            position: self.position_m.into(),
-            speed_max: self.speed_max_m_s,
             duty_max,
             duty_slew_per_s: self.duty_slew_per_s,
-            position_pid: PidGains {
-                kp: self.position_pid.kp_duty_per_m,
-                ki: self.position_pid.ki_duty_per_m_s,
-                kd: self.position_pid.kd_duty_s_per_m,
-            },
-            speed_pid: PidGains {
-                kp: self.speed_pid.kp_duty_s_per_m,
-                ki: self.speed_pid.ki_duty_per_m,
-                kd: self.speed_pid.kd_duty_s2_per_m,
-            },
-            speed_filter_s: self.speed_filter_s,
-            profile: ProfileLimits { speed: self.profile.speed_m_s, acceleration: self.profile.acceleration_m_s2 },
-            feed_forward: FeedForward {
-                static_duty: self.feed_forward.static_duty,
-                duty_per_speed: self.feed_forward.duty_s_per_m,
-            },
-            settle: SettleConfig {
-                error: self.settle.error_m,
-                speed: self.settle.speed_m_s,
-                time_ms: self.settle.time_ms,
-            },
-            stall: StallConfig { duty: self.stall.duty, travel: self.stall.travel_m, time_ms: self.stall.time_ms },
-            follow: FollowConfig { error: self.follow.error_m, time_ms: self.follow.time_ms },
+            control: Some(ControlConfig {
+                feedback: Feedback::Potentiometer {
+                    analog: self.potentiometer.input,
+                    low: (&self.potentiometer.low).into(),
+                    high: (&self.potentiometer.high).into(),
+                },
+                position: self.position_m.into(),
+                speed_max: self.speed_max_m_s,
+                position_pid: PidGains {
+                    kp: self.position_pid.kp_duty_per_m,
+                    ki: self.position_pid.ki_duty_per_m_s,
+                    kd: self.position_pid.kd_duty_s_per_m,
+                },
+                speed_pid: PidGains {
+                    kp: self.speed_pid.kp_duty_s_per_m,
+                    ki: self.speed_pid.ki_duty_per_m,
+                    kd: self.speed_pid.kd_duty_s2_per_m,
+                },
+                speed_filter_s: self.speed_filter_s,
+                profile: ProfileLimits { speed: self.profile.speed_m_s, acceleration: self.profile.acceleration_m_s2 },
+                feed_forward: FeedForward {
+                    static_duty: self.feed_forward.static_duty,
+                    duty_per_speed: self.feed_forward.duty_s_per_m,
+                },
+                settle: SettleConfig {
+                    error: self.settle.error_m,
+                    speed: self.settle.speed_m_s,
+                    time_ms: self.settle.time_ms,
+                },
+                stall: StallConfig { duty: self.stall.duty, travel: self.stall.travel_m, time_ms: self.stall.time_ms },
+                follow: FollowConfig { error: self.follow.error_m, time_ms: self.follow.time_ms },
+                homing: None,
+            }),
         }
     }
 }

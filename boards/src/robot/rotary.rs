@@ -3,8 +3,8 @@
 use r4_protocol::{
     channel::ChannelId,
     config::{
-        BridgeLines, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains, ProfileLimits, SettleConfig,
-        StallConfig,
+        BridgeConfig, BridgeLines, ControlConfig, FeedForward, Feedback, FollowConfig, MotorConfig, PidGains,
+        ProfileLimits, SettleConfig, StallConfig,
     },
 };
 use serde::Deserialize;
@@ -121,40 +121,50 @@ impl RotaryMotor {
     pub(super) fn config(&self, lines: BridgeLines, duty_max: f32) -> MotorConfig {
         MotorConfig {
             id: self.channel,
-            lines,
+            bridge: BridgeConfig::Osmc(lines),
             inverted: self.inverted,
-            feedback: Feedback::Encoder {
-                index: self.encoder.input,
-                counts_per_turn: self.encoder.counts_per_turn,
-                inverted: self.encoder.inverted,
-            },
-            position: self.position_rad.into(),
-            speed_max: self.speed_max_rad_s,
             duty_max,
             duty_slew_per_s: self.duty_slew_per_s,
-            position_pid: PidGains {
-                kp: self.position_pid.kp_duty_per_rad,
-                ki: self.position_pid.ki_duty_per_rad_s,
-                kd: self.position_pid.kd_duty_s_per_rad,
-            },
-            speed_pid: PidGains {
-                kp: self.speed_pid.kp_duty_s_per_rad,
-                ki: self.speed_pid.ki_duty_per_rad,
-                kd: self.speed_pid.kd_duty_s2_per_rad,
-            },
-            speed_filter_s: self.speed_filter_s,
-            profile: ProfileLimits { speed: self.profile.speed_rad_s, acceleration: self.profile.acceleration_rad_s2 },
-            feed_forward: FeedForward {
-                static_duty: self.feed_forward.static_duty,
-                duty_per_speed: self.feed_forward.duty_s_per_rad,
-            },
-            settle: SettleConfig {
-                error: self.settle.error_rad,
-                speed: self.settle.speed_rad_s,
-                time_ms: self.settle.time_ms,
-            },
-            stall: StallConfig { duty: self.stall.duty, travel: self.stall.travel_rad, time_ms: self.stall.time_ms },
-            follow: FollowConfig { error: self.follow.error_rad, time_ms: self.follow.time_ms },
+            control: Some(ControlConfig {
+                feedback: Feedback::Encoder {
+                    index: self.encoder.input,
+                    counts_per_turn: self.encoder.counts_per_turn,
+                    inverted: self.encoder.inverted,
+                },
+                position: self.position_rad.into(),
+                speed_max: self.speed_max_rad_s,
+                position_pid: PidGains {
+                    kp: self.position_pid.kp_duty_per_rad,
+                    ki: self.position_pid.ki_duty_per_rad_s,
+                    kd: self.position_pid.kd_duty_s_per_rad,
+                },
+                speed_pid: PidGains {
+                    kp: self.speed_pid.kp_duty_s_per_rad,
+                    ki: self.speed_pid.ki_duty_per_rad,
+                    kd: self.speed_pid.kd_duty_s2_per_rad,
+                },
+                speed_filter_s: self.speed_filter_s,
+                profile: ProfileLimits {
+                    speed: self.profile.speed_rad_s,
+                    acceleration: self.profile.acceleration_rad_s2,
+                },
+                feed_forward: FeedForward {
+                    static_duty: self.feed_forward.static_duty,
+                    duty_per_speed: self.feed_forward.duty_s_per_rad,
+                },
+                settle: SettleConfig {
+                    error: self.settle.error_rad,
+                    speed: self.settle.speed_rad_s,
+                    time_ms: self.settle.time_ms,
+                },
+                stall: StallConfig {
+                    duty: self.stall.duty,
+                    travel: self.stall.travel_rad,
+                    time_ms: self.stall.time_ms,
+                },
+                follow: FollowConfig { error: self.follow.error_rad, time_ms: self.follow.time_ms },
+                homing: None,
+            }),
         }
     }
 }

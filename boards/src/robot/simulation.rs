@@ -94,7 +94,7 @@ impl Tables {
     ) -> Result<Simulation, BoardError> {
         let check = Check { reader, folder, motors, supplies };
         let mut claims = Claims::new(reader.source);
-        let mut simulation = Simulation { motors: self.motors(&check, &mut claims)?, rails: Vec::new() };
+        let mut simulation = Simulation { motors: self.motors(&check, &mut claims)?, ..Simulation::default() };
         for (index, rail) in self.rail.iter().enumerate() {
             simulation.rails.push(rail.check(&check, &mut claims, index)?);
         }
@@ -137,7 +137,7 @@ impl Rotary {
             plant: check.plant(&self.plant, format!("{path}.plant"))?,
             rail: self.rail,
             start: self.start_rad,
-            sensor: SimulatedSensor::Encoder { input, lines_per_turn },
+            sensor: Some(SimulatedSensor::Encoder { input, lines_per_turn }),
         })
     }
 }
@@ -159,7 +159,7 @@ impl Linear {
             plant: check.plant(&self.plant, format!("{path}.plant"))?,
             rail: self.rail,
             start: self.start_m,
-            sensor: SimulatedSensor::Potentiometer { input, low, high, noise_rms_codes },
+            sensor: Some(SimulatedSensor::Potentiometer { input, low, high, noise_rms_codes }),
         })
     }
 }

@@ -17,6 +17,7 @@ pub mod chips;
 pub mod control;
 mod dispatch;
 pub mod link;
+pub mod motion;
 pub mod outputs;
 pub mod platform;
 pub mod safety;

@@ -37,7 +37,57 @@ pub trait AnalogInputs {
     fn code(&mut self, index: u8) -> u16;
 }
 
-/// Everything of the processor that the control loop uses, in one.
-pub trait Peripherals: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs {}
+/// What one stepper driver's lines do, and when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepEvent {
+    /// Tick of the steppers' clock, wrapping.
+    pub at: u32,
+    /// What happens then.
+    pub action: StepAction,
+}
 
-impl<P: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs> Peripherals for P {}
+/// What one stepper driver's lines do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepAction {
+    /// One pulse: active from the event's tick for [`Steppers::PULSE_TICKS`].
+    Pulse,
+    /// The direction line turns: `true` for positive.
+    Direction(bool),
+}
+
+/// The step/direction drivers: a clock, a queue of events for each axis, one enable for all.
+///
+/// Events carry the tick at which they happen, so that how late the control loop runs moves no edge. A queue holds the
+/// events of 2.5 control periods at the highest rate. Numbers of axes the board does not have do nothing and read 0.
+///
+/// With a timer for each axis that runs through in PWM mode, its compare output is the pulse and its update interrupt, one
+/// for each event, loads the ticks to the next as the reload value, both preloaded. Gaps beyond the reload register are
+/// cut into stretches without a pulse, an idle axis too: the sum of all stretches is the clock. The timers start together
+/// and run from one source, so that the sum is the same for all.
+pub trait Steppers {
+    /// Ticks in a second of the clock that all axes share.
+    const TICK_HZ: u32;
+    /// How long a pulse is active.
+    const PULSE_TICKS: u32;
+    /// A direction line turns at its tick or at most this much later: an interrupt writes it. Pulses are exact.
+    const DIRECTION_LATENCY_TICKS: u32;
+
+    /// The present tick, wrapping.
+    fn now(&mut self) -> u32;
+    /// Drives the enable that all share.
+    fn enable(&mut self, on: bool);
+    /// Appends events, which are in order of time and in the future; returns how many found room, counted from the first.
+    fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize;
+    /// Events not yet carried out.
+    fn pending(&mut self, axis: u8) -> u32;
+    /// Pulses made with the direction line positive less those with it negative, since power-up, wrapping.
+    fn position(&mut self, axis: u8) -> i32;
+    /// Drops what is queued, at once and for good: when this returns, [`Steppers::position`] is final. A pulse that has
+    /// begun is completed and counted. The direction line stays as it is.
+    fn stop(&mut self, axis: u8);
+}
+
+/// Everything of the processor that the control loop uses, in one.
+pub trait Peripherals: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
+
+impl<P: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}

@@ -18,10 +18,10 @@ use r4_protocol::ChannelId;
 
 use crate::{
     executor::Simulation,
-    io::{BoardAnalog, BoardBus, BoardEncoders},
+    io::BoardBus,
     lines::{InputLine, Line, OutputLine},
     link::{Port, serial},
-    world::World,
+    world::{Processor, World},
 };
 
 /// Bits per second of the link to the host, as on the board's UART connectors.
@@ -94,11 +94,7 @@ impl SimBoard {
             // No external watchdog on this board yet.
             heartbeat: drive(|_, _| {}),
         };
-        let io = BoardIo {
-            bus: BoardBus(world.clone()),
-            encoders: BoardEncoders(world.clone()),
-            analog: BoardAnalog(world.clone()),
-        };
+        let io = BoardIo { bus: BoardBus(world.clone()), peripherals: Processor(world.clone()) };
         // Highest priority first, as the board's interrupt executors have it.
         let of_supervisor = shared.clone();
         simulation.spawn(async move { supervise(&of_supervisor, pins).await });

@@ -4,7 +4,7 @@ use std::{cell::RefCell, rc::Rc};
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, NoAcknowledgeSource, Operation};
 use embedded_hal_async::i2c::I2c;
-use r4_firmware::platform::{AnalogInputs, Bus, Encoders};
+use r4_firmware::platform::Bus;
 
 use crate::{i2c::Fault, world::World};
 
@@ -48,7 +48,7 @@ impl I2c for BoardBus {
             world.catch_up();
             let result = world.bus.execute(start_ns, address, operations);
             // The expander's pins change with the transfer; the PWM chip's at the end of its cycle.
-            world.look_at_bridges();
+            world.look_at_lines();
             result
         };
         match result {
@@ -71,23 +71,5 @@ impl Bus for BoardBus {
             (world.clock().clone(), world.bus.recover(now_ns))
         };
         clock.sleep_until(recovery.end_ns).await;
-    }
-}
-
-/// The quadrature counters.
-pub(crate) struct BoardEncoders(pub(crate) Rc<RefCell<World>>);
-
-impl Encoders for BoardEncoders {
-    fn count(&mut self, index: u8) -> u16 {
-        self.0.borrow_mut().encoder_count(index)
-    }
-}
-
-/// The analog-to-digital converter.
-pub(crate) struct BoardAnalog(pub(crate) Rc<RefCell<World>>);
-
-impl AnalogInputs for BoardAnalog {
-    fn code(&mut self, index: u8) -> u16 {
-        self.0.borrow_mut().analog_code(index)
     }
 }

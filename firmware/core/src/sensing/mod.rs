@@ -3,3 +3,4 @@
 pub mod encoder;
 pub mod filter;
 pub mod potentiometer;
+pub mod quadrature;

@@ -1,0 +1,4 @@
+//! Steppers: paths, pulse times, axes.
+
+pub mod scurve;
+pub mod steps;
