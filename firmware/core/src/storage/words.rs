@@ -22,7 +22,7 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorF
 /// Bytes of a word in flash: what the STM32H747 programs, and protects by its error correction, at once.
 const RAW_BYTES: usize = 32;
 /// Bytes of it that are not the checksum.
-const DATA_BYTES: usize = 30;
+pub(super) const DATA_BYTES: usize = 30;
 /// Words of a sector that are not for storing: two seals and `void`.
 const CONTROL_WORDS: usize = 3;
 const FIRST_SEAL: usize = 0;
