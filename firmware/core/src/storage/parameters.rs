@@ -275,9 +275,9 @@ mod tests {
     #[test]
     fn a_key_of_another_firmware_is_skipped_and_the_rest_is_not() {
         // Parameter 0x7F of channel kind 0x7E, between the name and the gain.
-        let mut item = Item::from_slice(&LAYOUT_1[..11]).expect("fits");
+        let mut item = Item::from_slice(&LAYOUT_1[..12]).expect("fits");
         item.extend_from_slice(b"\x08\x01\x7E\x00\x7F\0\0\0\x40").expect("fits");
-        item.extend_from_slice(&LAYOUT_1[11..]).expect("fits");
+        item.extend_from_slice(&LAYOUT_1[12..]).expect("fits");
         let mut skipped = Skipped::default();
         assert_eq!(decode(&item, &mut skipped).map(|(_, decoded)| decoded), Some(changes()));
         assert_eq!(skipped, Skipped { count: 1, first: Vec::new() });
@@ -288,7 +288,7 @@ mod tests {
         for end in 0..LAYOUT_1.len() {
             let decoded = decode(&LAYOUT_1[..end], &mut Skipped::default());
             // What ends between two values is one that was written so.
-            assert_eq!(decoded.is_some(), [11, 20].contains(&end), "{end} bytes");
+            assert_eq!(decoded.is_some(), [12, 21].contains(&end), "{end} bytes");
         }
     }
 
@@ -301,7 +301,7 @@ mod tests {
     #[test]
     fn an_old_layout_is_brought_up_step_by_step() {
         let mut item = Item::from_slice(b"\0").expect("fits");
-        item.extend_from_slice(&LAYOUT_1[11..]).expect("fits");
+        item.extend_from_slice(&LAYOUT_1[12..]).expect("fits");
         assert_eq!(upgrade(&mut item, 0, &[from_0]), Ok(()));
         let expected = Changes { robot: None, ..changes() };
         assert_eq!(decode(&item, &mut Skipped::default()).map(|(_, decoded)| decoded), Some(expected));
