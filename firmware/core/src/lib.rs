@@ -25,6 +25,7 @@ pub mod ranging;
 pub mod safety;
 pub mod screen;
 pub mod sensing;
+pub mod storage;
 mod shared;
 mod telemetry;
 
