@@ -4,8 +4,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
-    ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, Range, Refusal, Reply, Request, SCHEMA_HASH, Setpoint,
-    ToDevice, ToHost, Unit, VERSION,
+    ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request, SCHEMA_HASH,
+    SafetyState, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
@@ -101,7 +101,27 @@ fn answer<M: RawMutex>(
             place(shared, channel)?;
             subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
         }
-        _ => return Err(Refusal::BadTransfer),
+        Request::DescribeParameter { index } => {
+            return describe_parameter(shared, usize::from(index)).map(Reply::Parameter);
+        }
+        Request::SetParameter { key, value } => {
+            shared.pending(|config| config.set_parameter(key, value)).map_err(|error| match error {
+                SetError::Unknown => Refusal::UnknownParameter { key },
+                _ => Refusal::BadParameter { key, value },
+            })?;
+        }
+        Request::SetName { robot } => shared.pending(|config| config.robot = robot),
+        Request::ResetParameters => shared.pending(|config| config.clone_from(shared.built_in())),
+        Request::Restart => {
+            refuse_while_armed(shared)?;
+            shared.restart();
+        }
+        Request::SaveParameters
+        | Request::Fault { .. }
+        | Request::FaultSnapshot { .. }
+        | Request::I2cTransfer { .. }
+        | Request::UartWrite { .. }
+        | Request::UartRead { .. } => unreachable_deferred(),
     }
     Ok(Reply::Done)
 }

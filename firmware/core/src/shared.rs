@@ -15,7 +15,13 @@ use r4_protocol::{
     },
 };
 
-use crate::safety::{Event, Safety};
+use crate::{
+    passthrough::Passthrough,
+    ranging,
+    safety::{Event, Safety},
+    sensing::range::RangeReading,
+    storage::Storage,
+};
 
 /// Why the processor started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,8 +138,11 @@ struct State {
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
-    /// Causes that hold now, by the range sensors' last answers.
-    ranging_causes: Causes,
+    ranges: [RangeReading; RANGE_SENSORS],
+    /// Trips since the start.
+    trips: u32,
+    /// The configuration as hosts have changed it; it holds from the next start on, if it is saved.
+    pending: BoardConfig,
     statuses: [Status; CHANNELS],
     stats: DeviceStats,
 }
@@ -141,17 +150,24 @@ struct State {
 /// What the tasks of one board share.
 pub struct Shared<M: RawMutex> {
     config: BoardConfig,
+    built_in: BoardConfig,
     state: Mutex<M, RefCell<State>>,
     /// Wakes the supervisor: the state changed or must be looked at.
     pub(crate) supervisor: Signal<M, ()>,
     /// Wakes the control loop out of turn: outputs must be made safe.
     pub(crate) make_safe: Signal<M, ()>,
+    restart: Signal<M, ()>,
+    /// What is kept over a restart; [`crate::storage::run`] serves it.
+    pub storage: Storage<M>,
+    /// Raw access to connectors; its own task serves it.
+    pub passthrough: Passthrough<M>,
 }
 
 impl<M: RawMutex> Shared<M> {
-    /// The state of a board that has just started.
+    /// The state of a board that has just started with `config`: the configuration it was `built_in` with, and what was
+    /// saved of it since (see [`crate::storage::load`]).
     #[must_use]
-    pub fn new(config: BoardConfig, reset: ResetCause) -> Self {
+    pub fn new(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> Self {
         let safety = match reset {
             ResetCause::Normal => Safety::Disarmed,
             ResetCause::Watchdog => Safety::Tripped { causes: Causes::only(Cause::WatchdogReset) },
@@ -170,7 +186,7 @@ impl<M: RawMutex> Shared<M> {
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, config.validate().is_err());
         Self {
-            config,
+            built_in,
             state: Mutex::new(RefCell::new(State {
                 safety,
                 epoch: 0,
@@ -182,12 +198,18 @@ impl<M: RawMutex> Shared<M> {
                 commands: [None; OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
-                ranging_causes: Causes::NONE,
+                ranges: [RangeReading::NONE; RANGE_SENSORS],
+                trips: u32::from(reset == ResetCause::Watchdog),
+                pending: config.clone(),
                 statuses,
                 stats: DeviceStats::default(),
             })),
+            config,
             supervisor: Signal::new(),
             make_safe: Signal::new(),
+            restart: Signal::new(),
+            storage: Storage::new(),
+            passthrough: Passthrough::new(),
         }
     }
 
@@ -231,7 +253,8 @@ impl<M: RawMutex> Shared<M> {
             let link_lost = s.session.is_some_and(|session| since(session.last_heartbeat, now) > link_timeout);
             watched.set(Cause::LinkLost, link_lost);
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
-            s.present = watched.union(s.control_causes).union(s.ranging_causes);
+            watched.set(Cause::Proximity, ranging::must_stop(&self.config.ranges, &s.ranges, now));
+            s.present = watched.union(s.control_causes);
             s.apply(Event::Tick).0
         });
         if changed {
@@ -257,14 +280,13 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// What the range sensors see; wakes the supervisor for a new cause.
-    pub(crate) fn set_ranging_causes(&self, causes: Causes) {
-        let new = self.with(|s| {
-            let new = causes.bits() & !s.ranging_causes.bits() != 0;
-            s.ranging_causes = causes;
-            new
-        });
-        if new {
+    /// What a range sensor shows; wakes the supervisor when that is a reason to stop.
+    pub fn publish_range(&self, index: usize, reading: RangeReading) {
+        let taken = reading.measured.unwrap_or(Instant::MIN);
+        self.with(|s| s.ranges[index] = reading);
+        let status = Status::Reading { value: reading.distance_m, quality: reading.quality, taken };
+        self.publish(Place::Range(index), status);
+        if reading.stop {
             self.supervisor.signal(());
         }
     }
@@ -293,8 +315,17 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.started = true);
     }
 
+    /// Whether outputs are in a known state and every range sensor that can stop the board has been heard.
     pub(crate) fn has_started(&self) -> bool {
-        self.with(|s| s.started)
+        self.with(|s| {
+            let guards = self.config.ranges.iter().zip(&s.ranges).filter(|(range, _)| range.stop_below_m.is_some());
+            s.started && guards.into_iter().all(|(_, reading)| reading.quality != Quality::None)
+        })
+    }
+
+    /// Trips since the start of the board.
+    pub(crate) fn trips(&self) -> u32 {
+        self.with(|s| s.trips)
     }
 
     pub(crate) fn publish(&self, place: Place, status: Status) {
@@ -307,6 +338,28 @@ impl<M: RawMutex> Shared<M> {
 
     pub(crate) fn count(&self, f: impl FnOnce(&mut DeviceStats)) {
         self.with(|s| f(&mut s.stats));
+    }
+
+    // Configuration.
+
+    /// What the firmware was built with.
+    pub(crate) fn built_in(&self) -> &BoardConfig {
+        &self.built_in
+    }
+
+    /// The configuration as hosts have changed it.
+    pub(crate) fn pending<T>(&self, f: impl FnOnce(&mut BoardConfig) -> T) -> T {
+        self.with(|s| f(&mut s.pending))
+    }
+
+    /// Asks whoever runs the board to restart it.
+    pub(crate) fn restart(&self) {
+        self.restart.signal(());
+    }
+
+    /// Ready when a host has asked for a restart, which is only taken while the board is not armed.
+    pub async fn restart_requested(&self) {
+        self.restart.wait().await;
     }
 
     // Links.
@@ -396,6 +449,7 @@ impl State {
     fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
+        self.trips = self.trips.wrapping_add(u32::from(changed && next.state() == SafetyState::Tripped));
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];
