@@ -3,7 +3,9 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, RANGE_SENSORS, SWITCHES, check, finite_range, positive};
+use super::{
+    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, RANGE_SENSORS, SWITCHES, check, finite, finite_range, positive,
+};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// A quadrature encoder that is read by itself, whether or not a motor uses it too.
@@ -89,8 +91,8 @@ impl RangeConfig {
         let Range { min, max } = self.range_m;
         rule(widest.contains(min) && widest.contains(max) && min < max, "range_m must lie between 0.02 and 4 m")?;
         rule(
-            self.stop_below_m.is_none_or(|stop| self.range_m.contains(stop)),
-            "stop_below_m must lie within range_m, or nothing is ever nearer",
+            self.stop_below_m.is_none_or(|stop| stop > min && stop <= max),
+            "stop_below_m must lie within range_m and above its min, or nothing is ever nearer",
         )
     }
 }
@@ -101,7 +103,7 @@ impl AnalogConfig {
         rule(self.id.kind == ChannelKind::Analog, "an analog input needs an analog channel name")?;
         rule(usize::from(self.id.index) < ANALOG_INPUTS, "analog inputs are numbered 0 to 5")?;
         rule(positive(self.volts_per_code), "volts_per_code must be positive")?;
-        rule(self.offset_v.is_finite(), "offset_v must be finite")?;
+        rule(finite(self.offset_v), "offset_v must be finite")?;
         rule(finite_range(self.plausible_v), "plausible_v must have a finite min below a finite max")
     }
 }
@@ -112,6 +114,10 @@ impl SupplyConfig {
         rule(self.id.kind == ChannelKind::Supply, "a supply needs a supply channel name")?;
         rule(usize::from(self.analog) < ANALOG_INPUTS, "the analog input must exist and be used once")?;
         rule(positive(self.volts_per_code), "volts_per_code must be positive")?;
-        rule(finite_range(self.range_v), "range_v must have a finite min below a finite max")
+        rule(finite_range(self.range_v), "range_v must have a finite min below a finite max")?;
+        rule(
+            self.range_v.max < f32::from(u16::MAX) * self.volts_per_code,
+            "range_v must end below the converter's highest voltage, or a higher one is never seen",
+        )
     }
 }

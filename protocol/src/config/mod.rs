@@ -193,6 +193,9 @@ impl BoardConfig {
 
     /// Checks every number on its own and against the others.
     ///
+    /// What must be positive must be 1e-9 to 1e9, and no number may be larger: products and quotients of four such numbers
+    /// are finite, so that nothing the firmware computes from them is not.
+    ///
     /// # Errors
     /// The first rule that does not hold.
     pub fn validate(&self) -> Result<(), ConfigError> {
@@ -200,6 +203,7 @@ impl BoardConfig {
         self.validate_motors()?;
         self.validate_outputs()?;
         self.validate_inputs()?;
+        self.validate_homing()?;
         for (position, (id, _)) in self.channels().enumerate() {
             let twice = self.channels().take(position).any(|(other, _)| other == id);
             check(Some(id), !twice, "the channel is named twice")?;
@@ -215,7 +219,7 @@ impl BoardConfig {
         rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;
-            rule((0x40..0x78).contains(&chip.address), "a PCA9685 has an address from 0x40 to 0x77")?;
+            rule(pca9685_address(chip.address), PCA9685_RULE)?;
         }
         if let Some(chip) = self.servo_pwm {
             chip.validate()?;
@@ -290,8 +294,8 @@ impl BoardConfig {
         let mut servo_outputs = Used::default();
         for servo in &self.servos {
             let rule = |holds: bool, rule| check(Some(servo.id), holds, rule);
-            let Some(chip) = self.servo_pwm else { return rule(false, "a servo needs servo_pwm") };
-            servo.validate(chip.frequency_hz)?;
+            rule(self.servo_pwm.is_some(), "a servo needs servo_pwm")?;
+            servo.validate()?;
             rule(
                 servo.output < 16 && servo_outputs.take(servo.output),
                 "servo outputs must be 0 to 15, each used once",
@@ -326,6 +330,25 @@ impl BoardConfig {
         }
         Ok(())
     }
+
+    fn validate_homing(&self) -> Result<(), ConfigError> {
+        let motors = self.motors.iter().filter_map(|motor| Some((motor.id, motor.control.as_ref()?.homing?)));
+        let steppers = self.steppers.iter().filter_map(|stepper| Some((stepper.id, stepper.homing?)));
+        let mut switches = Used::default();
+        for (id, HomingConfig { switch, .. }) in motors.chain(steppers) {
+            let known = self.switches.iter().any(|config| config.id.index == switch);
+            let rule = "the homing switch must be in the list of switches, and belong to one axis";
+            check(Some(id), known && switches.take(switch), rule)?;
+        }
+        Ok(())
+    }
+}
+
+const PCA9685_RULE: &str = "a PCA9685 has an address from 0x40 to 0x77, but for 0x70, which all of them answer";
+
+/// Every PCA9685 answers its all-call address, 0x70, from power-up on (NXP datasheet, "LED All Call I2C-bus address").
+fn pca9685_address(address: u8) -> bool {
+    (0x40..0x78).contains(&address) && address != 0x70
 }
 
 /// Small numbers that have been taken.
@@ -346,14 +369,21 @@ fn check(channel: Option<ChannelId>, holds: bool, rule: &'static str) -> Result<
     if holds { Ok(()) } else { Err(ConfigError { channel, rule }) }
 }
 
+/// No number is larger, and none that must be positive smaller than its inverse.
+const LARGEST: f32 = 1e9;
+
+fn finite(value: f32) -> bool {
+    value.abs() <= LARGEST
+}
+
 fn positive(value: f32) -> bool {
-    value.is_finite() && value > 0.0
+    (1.0 / LARGEST..=LARGEST).contains(&value)
 }
 
 fn not_negative(value: f32) -> bool {
-    value.is_finite() && value >= 0.0
+    value == 0.0 || positive(value)
 }
 
 fn finite_range(range: Range) -> bool {
-    range.min.is_finite() && range.max.is_finite() && range.min < range.max
+    finite(range.min) && finite(range.max) && positive(range.max - range.min)
 }

@@ -153,6 +153,11 @@ pub struct PotPoint {
     pub position_m: f32,
 }
 
+/// Calibration points are no nearer, in 16-bit codes: 1/64 of the converter's range still tells 1/1000 of the stroke.
+const POT_SPAN: u16 = 1024;
+/// Codes of calibration points, 1/256 of the range away from either rail: room to tell a shorted wiper from an end.
+const POT_CODES: core::ops::RangeInclusive<u16> = 256..=u16::MAX - 256;
+
 /// How an axis finds its position: it seeks a switch, backs off it, and takes that place as known.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct HomingConfig {
@@ -164,9 +169,16 @@ pub struct HomingConfig {
     pub speed_max: f32,
 }
 
+pub(super) const HOMING_RULE: &str =
+    "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
+
 impl HomingConfig {
-    pub(super) fn is_valid(&self) -> bool {
-        usize::from(self.switch) < SWITCHES && self.position.is_finite() && positive(self.speed_max)
+    /// Whether it fits an axis with these limits.
+    pub(super) fn is_valid(&self, position: Range, speed_max: f32) -> bool {
+        usize::from(self.switch) < SWITCHES
+            && position.contains(self.position)
+            && positive(self.speed_max)
+            && self.speed_max <= speed_max
     }
 }
 
@@ -245,7 +257,7 @@ impl MotorConfig {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
         rule(self.id.index < 4, "bridges are numbered 0 to 3")?;
-        rule(self.duty_max > 0.0 && self.duty_max <= DUTY_HARD_MAX, "duty_max must be above 0 and at most 0.98")?;
+        rule(positive(self.duty_max) && self.duty_max <= DUTY_HARD_MAX, "duty_max must be above 0 and at most 0.98")?;
         rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
         match (self.bridge, self.id.kind) {
             (BridgeConfig::Osmc(lines), ChannelKind::Osmc | ChannelKind::Actuator) => rule(
@@ -273,29 +285,48 @@ impl MotorConfig {
 impl ControlConfig {
     fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
+        rule(finite_range(self.position), "position must have a finite min below a finite max")?;
+        let Range { min, max } = self.position;
         match self.feedback {
             Feedback::Encoder { index, counts_per_turn, .. } => {
                 rule(usize::from(index) < ENCODERS, "the encoder must exist and be used by one motor")?;
                 rule((1..=MAX_EXACT).contains(&counts_per_turn), "counts_per_turn must be 1 to 16777216")?;
+                // So that a count is an i32, with room for what an axis may turn beyond its range.
+                let counts = |position: f32| (position / core::f32::consts::TAU * counts_per_turn as f32).abs();
+                rule(counts(min) <= 1e9 && counts(max) <= 1e9, "position must be within 1e9 counts of 0")?;
             }
             Feedback::Potentiometer { analog, low, high } => {
                 rule(usize::from(analog) < ANALOG_INPUTS, "the analog input must exist and be used once")?;
-                rule(low.code != high.code, "the calibration points need different codes")?;
                 rule(
-                    low.position_m.is_finite() && high.position_m.is_finite() && low.position_m < high.position_m,
+                    low.code.abs_diff(high.code) >= POT_SPAN,
+                    "the calibration points need different codes, at least 1024 apart",
+                )?;
+                rule(
+                    [low, high].iter().all(|point| POT_CODES.contains(&point.code)),
+                    "the calibration points need codes from 256 to 65279, or a shorted wiper passes for an end",
+                )?;
+                rule(
+                    finite_range(Range::new(low.position_m, high.position_m)),
                     "the low calibration point must be below the high one",
+                )?;
+                rule(
+                    low.position_m <= min && max <= high.position_m,
+                    "position must lie between the calibration points, beyond which the sensor counts as broken",
                 )?;
                 rule(self.homing.is_none(), "a potentiometer needs no homing")?;
             }
         }
-        rule(finite_range(self.position), "position must have a finite min below a finite max")?;
         rule(positive(self.speed_max), "speed_max must be positive")?;
         rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;
-        rule(not_negative(self.speed_filter_s), "speed_filter_s must not be negative")?;
+        rule(
+            not_negative(self.speed_filter_s) && self.speed_filter_s <= 1.0,
+            "speed_filter_s must be 0 to 1, or the speed is known too late",
+        )?;
         rule(
             positive(self.profile.speed) && positive(self.profile.acceleration),
             "profile speed and acceleration must be positive",
         )?;
+        rule(self.profile.speed <= self.speed_max, "profile speed must be at most speed_max")?;
         rule(
             not_negative(self.feed_forward.static_duty)
                 && self.feed_forward.static_duty < motor.duty_max
@@ -309,9 +340,6 @@ impl ControlConfig {
         )?;
         rule(self.stall.duty < motor.duty_max, "stall duty must be below duty_max, or a stall is never seen")?;
         rule(positive(self.follow.error) && self.follow.time_ms > 0, "follow error and time must be positive")?;
-        rule(
-            self.homing.is_none_or(|homing| homing.is_valid() && self.position.contains(homing.position)),
-            "homing needs a switch from 0 to 3, a position in range and a positive speed",
-        )
+        rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)
     }
 }

@@ -3,7 +3,10 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, DAC_OUTPUTS, HomingConfig, MAX_EXACT, STEPPERS, check, finite_range, not_negative, positive};
+use super::{
+    ConfigError, DAC_OUTPUTS, HomingConfig, MAX_EXACT, PCA9685_RULE, STEPPERS, check, finite, finite_range,
+    motor::HOMING_RULE, not_negative, pca9685_address, positive,
+};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// The PCA9685 behind the servos.
@@ -183,7 +186,7 @@ pub const DAC_FULL_SCALE_V: f32 = 3.3;
 impl ServoChipConfig {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(None, holds, rule);
-        rule((0x40..0x78).contains(&self.address), "a PCA9685 has an address from 0x40 to 0x77")?;
+        rule(pca9685_address(self.address), PCA9685_RULE)?;
         rule(Range::new(40.0, 330.0).contains(self.frequency_hz), "servo pulses repeat at 40 to 330 Hz")?;
         rule(
             Range::new(20e6, 30e6).contains(self.oscillator_hz),
@@ -193,9 +196,10 @@ impl ServoChipConfig {
 }
 
 impl ServoConfig {
-    pub(super) fn validate(&self, frequency_hz: f32) -> Result<(), ConfigError> {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
         rule(self.id.kind == ChannelKind::Servo, "a servo needs a servo channel name")?;
+        // 2.5 ms at the highest frequency, 330 Hz, is 0.825 of the period: there is always a gap.
         let pulse = Range::new(500e-6, 2500e-6);
         rule(
             pulse.contains(self.low.pulse_s)
@@ -203,10 +207,9 @@ impl ServoConfig {
                 && self.low.pulse_s < self.high.pulse_s,
             "servo pulses are 0.5 to 2.5 ms, the low point's shorter than the high point's",
         )?;
-        rule(self.high.pulse_s * frequency_hz < 0.95, "a servo's longest pulse must leave a gap in its period")?;
         let angles = [self.low.angle_rad, self.high.angle_rad];
         rule(
-            angles.iter().all(|angle| angle.is_finite()) && angles[0] != angles[1],
+            angles.into_iter().all(finite) && positive((angles[0] - angles[1]).abs()),
             "a servo's two angles must differ",
         )?;
         rule(positive(self.speed_max), "speed_max must be positive")
@@ -269,7 +272,7 @@ impl StepperConfig {
         rule((1..=MAX_EXACT).contains(&self.steps_per_turn), "steps_per_turn must be 1 to 16777216")?;
         let steps_per_rad = self.steps_per_turn as f32 / core::f32::consts::TAU;
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
-        let counts = |position: f32| (position * steps_per_rad).abs() < 1e9;
+        let counts = |position: f32| (position * steps_per_rad).abs() <= 1e9;
         rule(counts(self.position.min) && counts(self.position.max), "position must be within 1e9 steps of 0")?;
         rule(
             positive(self.speed_max) && self.speed_max * steps_per_rad <= rate_max_hz,
@@ -279,12 +282,8 @@ impl StepperConfig {
             positive(self.acceleration) && not_negative(self.jerk) && not_negative(self.start_speed),
             "acceleration must be positive, jerk and start_speed not negative",
         )?;
-        rule(
-            self.homing.is_none_or(|homing| {
-                homing.is_valid() && self.position.contains(homing.position) && homing.speed_max <= self.speed_max
-            }),
-            "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max",
-        )
+        rule(self.start_speed <= self.speed_max, "start_speed must be at most speed_max")?;
+        rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)
     }
 }
 
