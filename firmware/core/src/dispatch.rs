@@ -13,29 +13,113 @@ use r4_protocol::{
     },
 };
 
-use crate::{FIRMWARE_VERSION, control::motor, safety::Event, shared::Shared, telemetry::Subscriptions};
+use crate::{
+    FIRMWARE_VERSION,
+    control::motor,
+    ranging,
+    safety::Event,
+    shared::Shared,
+    storage::{Done, Job, parameters::Changes},
+    telemetry::Subscriptions,
+};
 
-/// Answers `message`, which came over `link`; `None` for what wants no answer.
+/// What becomes of a message.
+#[expect(clippy::large_enum_variant, reason = "there is no heap, and it is taken apart at once")]
+pub(crate) enum Outcome {
+    /// It wants no answer.
+    Nothing,
+    /// It is answered now.
+    Answer(ToHost),
+    /// [`carry_out`] answers it; meanwhile the link goes on.
+    Later { seq: u16, request: Request },
+}
+
+/// Answers `message`, which came over `link`.
 pub(crate) fn dispatch<M: RawMutex>(
     shared: &Shared<M>,
     link: u8,
     subscriptions: &mut Subscriptions,
     message: ToDevice,
-) -> Option<ToHost> {
+) -> Outcome {
     let now = Instant::now();
     match message {
-        ToDevice::Heartbeat { session, host_us } => shared.heartbeat(link, session, now).then(|| {
+        ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
             let view = shared.safety();
-            ToHost::Heartbeat { host_us, device_us: now.as_micros(), state: view.state, causes: view.causes }
-        }),
+            let device_us = now.as_micros();
+            Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes })
+        }
+        ToDevice::Heartbeat { .. } => Outcome::Nothing,
+        ToDevice::Request { seq, request } if takes_time(&request) && shared.has_session(link) => {
+            Outcome::Later { seq, request }
+        }
         ToDevice::Request { seq, request } => {
-            let result = answer(shared, link, subscriptions, request, now);
-            if result.is_err() {
-                shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
-            }
-            Some(ToHost::Response { seq, result })
+            Outcome::Answer(response(shared, seq, answer(shared, link, subscriptions, request, now)))
         }
     }
+}
+
+/// Whether a request waits for flash or for an external device.
+fn takes_time(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::SaveParameters
+            | Request::Fault { .. }
+            | Request::FaultSnapshot { .. }
+            | Request::I2cTransfer { .. }
+            | Request::UartWrite { .. }
+            | Request::UartRead { .. }
+    )
+}
+
+/// Does what [`dispatch`] has put off, and answers.
+pub(crate) async fn carry_out<M: RawMutex>(shared: &Shared<M>, seq: u16, request: Request) -> ToHost {
+    let result = match request {
+        Request::SaveParameters => save(shared).await,
+        Request::Fault { index } => shared.storage.request(Job::Fault { index }).await.map(stored),
+        Request::FaultSnapshot { index, snapshot } => {
+            shared.storage.request(Job::Snapshot { index, snapshot }).await.map(stored)
+        }
+        raw => shared.passthrough.request(&raw).await,
+    };
+    response(shared, seq, result)
+}
+
+fn stored(done: Done) -> Reply {
+    match done {
+        Done::Saved => Reply::Done,
+        Done::Fault(fault) => Reply::Fault(fault),
+        Done::Snapshot(snapshot) => Reply::FaultSnapshot(snapshot),
+    }
+}
+
+/// Keeps what hosts have changed. A sector may have to be erased, so not while the board is armed.
+async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
+    refuse_while_armed(shared)?;
+    let changes = shared.pending(|config| Changes::between(shared.built_in(), config));
+    shared.storage.request(Job::Save(changes.map_err(|_| Refusal::StorageFailed)?)).await.map(stored)
+}
+
+fn refuse_while_armed<M: RawMutex>(shared: &Shared<M>) -> Result<(), Refusal> {
+    match shared.safety().state {
+        state @ SafetyState::Armed => Err(Refusal::NotWhile { state }),
+        SafetyState::Disarmed | SafetyState::Tripped => Ok(()),
+    }
+}
+
+fn response<M: RawMutex>(shared: &Shared<M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
+    if result.is_err() {
+        shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
+    }
+    ToHost::Response { seq, result }
+}
+
+fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ParameterInfo, Refusal> {
+    let end = Refusal::NoSuchIndex { index: u8::try_from(index).unwrap_or(u8::MAX) };
+    let key = shared.config().parameters().nth(index).ok_or(end)?;
+    let active = shared.config().parameter(key).ok_or(end)?;
+    let set = shared.pending(|config| config.parameter(key)).unwrap_or(active);
+    let built_in = shared.built_in().parameter(key).unwrap_or(active);
+    Ok(ParameterInfo { key, active, set, built_in })
 }
 
 fn answer<M: RawMutex>(
@@ -106,8 +190,8 @@ fn answer<M: RawMutex>(
         }
         Request::SetParameter { key, value } => {
             shared.pending(|config| config.set_parameter(key, value)).map_err(|error| match error {
-                SetError::Unknown => Refusal::UnknownParameter { key },
-                _ => Refusal::BadParameter { key, value },
+                SetError::Unknown(key) => Refusal::UnknownParameter { key },
+                SetError::Invalid(_) => Refusal::BadParameter { key, value },
             })?;
         }
         Request::SetName { robot } => shared.pending(|config| config.robot = robot),
@@ -116,12 +200,8 @@ fn answer<M: RawMutex>(
             refuse_while_armed(shared)?;
             shared.restart();
         }
-        Request::SaveParameters
-        | Request::Fault { .. }
-        | Request::FaultSnapshot { .. }
-        | Request::I2cTransfer { .. }
-        | Request::UartWrite { .. }
-        | Request::UartRead { .. } => unreachable_deferred(),
+        // Not answered here: [`dispatch`] passes them on.
+        _ => return Err(Refusal::TransferFailed),
     }
     Ok(Reply::Done)
 }
@@ -193,7 +273,7 @@ fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Ra
 /// How often a channel is measured or driven, Hz.
 fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
     match place {
-        Place::Range(_) => 1.0 / (0.06 * config.ranges.len() as f32),
+        Place::Range(_) => 1e6 / ranging::cycle(config.ranges.len()).as_micros() as f32,
         Place::Servo(_) => config.servo_pwm.map_or(0.0, |chip| chip.frequency_hz),
         _ => 1e6 / config.control_period_us as f32,
     }

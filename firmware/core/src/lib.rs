@@ -25,8 +25,8 @@ pub mod ranging;
 pub mod safety;
 pub mod screen;
 pub mod sensing;
-pub mod storage;
 mod shared;
+pub mod storage;
 mod telemetry;
 
 pub use shared::{MotorStatus, ResetCause, Shared};

@@ -415,6 +415,11 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.session.is_some_and(|session| session.link == link))
     }
 
+    /// Whether a host is connected.
+    pub(crate) fn has_host(&self) -> bool {
+        self.with(|s| s.session.is_some())
+    }
+
     /// Takes a heartbeat; false when it belongs to no open session.
     pub(crate) fn heartbeat(&self, link: u8, id: u16, now: Instant) -> bool {
         self.with(|s| match &mut s.session {

@@ -27,6 +27,7 @@ pub mod chips;
 mod clock;
 pub mod devices;
 mod executor;
+pub mod flash;
 pub mod i2c;
 mod io;
 pub mod lines;
@@ -36,6 +37,6 @@ pub mod osmc;
 pub mod sensors;
 pub mod world;
 
-pub use board::{SimBoard, SimError};
+pub use board::{Lights, SimBoard, SimError};
 pub use clock::{Clock, Sleep};
-pub use executor::{Pace, Simulation};
+pub use executor::{Pace, Simulation, TaskId};

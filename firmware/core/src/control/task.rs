@@ -5,7 +5,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, Mode, SafetyState, Setpoint,
+    Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
     config::{
         ANALOG_INPUTS, BoardConfig, DAC_FULL_SCALE_V, ENCODERS, Feedback, MAX_MOTORS, MAX_SUPPLIES, Place, STEPPERS,
         SWITCHES,
@@ -27,6 +27,7 @@ use crate::{
         switch::Switch,
     },
     shared::{MotorStatus, SafetyView, Shared, Status},
+    storage::faults::{Recorder, SNAPSHOT_MS},
 };
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
@@ -120,6 +121,11 @@ struct Control<B, P> {
     safe: bool,
     bad_configuration: bool,
     sensors: Causes,
+    /// The last moments, and how many trips have been made of them.
+    recorder: Recorder,
+    trips: u32,
+    /// Periods between two moments.
+    moment_every: u32,
 }
 
 impl<B: Bus, P: Peripherals> Control<B, P> {
@@ -154,6 +160,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             fault: None,
             safe: false,
             sensors: Causes::NONE,
+            recorder: Recorder::default(),
+            trips: 0,
+            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us).max(1),
         }
     }
 
@@ -174,7 +183,25 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         self.step_steppers(shared);
         self.publish_outputs(shared);
+        self.record(shared);
         shared.set_control_causes(self.causes());
+    }
+
+    /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
+    fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let now_us = Instant::now().as_micros();
+        if self.tick.is_multiple_of(self.moment_every) {
+            let motors = self.motors.iter().map(|motor| {
+                let MotorStatus { position, speed, duty, .. } = motor.status();
+                MotorSnapshot { position, speed, duty }
+            });
+            self.recorder.note(now_us, motors, self.supplies.iter().map(Supply::volts));
+        }
+        let trips = shared.trips();
+        if trips != self.trips {
+            self.trips = trips;
+            shared.storage.record(self.recorder.freeze(now_us, shared.safety().causes));
+        }
     }
 
     fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {

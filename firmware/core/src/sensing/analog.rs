@@ -129,6 +129,12 @@ impl Supply {
         self.config.analog
     }
 
+    /// Volts, as of the last [`Supply::update`].
+    #[must_use]
+    pub fn volts(&self) -> f32 {
+        self.filter.value()
+    }
+
     /// Takes the code of this period and returns volts and whether they are in range.
     pub fn update(&mut self, code: u16) -> (f32, bool) {
         let measured_v = f32::from(code) * self.config.volts_per_code;

@@ -103,8 +103,7 @@ pub struct History {
 impl History {
     /// Looks what is in flash; whatever it is, trips can be recorded.
     pub async fn open<F: NorFlash>(flash: &mut F) -> Self {
-        let mut history =
-            Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
+        let mut history = Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
         history.survey(flash).await;
         // Starts without a trip leave no trace.
         history.start = history.newest.map_or(1, |newest| newest.start.saturating_add(1));

@@ -50,6 +50,21 @@ pub struct Changes {
 pub struct TooManyChanges;
 
 impl Changes {
+    /// What makes `changed` of `built_in`.
+    ///
+    /// # Errors
+    /// [`TooManyChanges`]
+    pub fn between(built_in: &BoardConfig, changed: &BoardConfig) -> Result<Self, TooManyChanges> {
+        let robot = (changed.robot != built_in.robot).then(|| changed.robot.clone());
+        let mut changes = Self { robot, ..Self::default() };
+        for key in changed.parameters() {
+            if let Some(value) = changed.parameter(key) {
+                changes.set(built_in, key, value)?;
+            }
+        }
+        Ok(changes)
+    }
+
     /// Notes that `key` is now `value`; what is as built in is no change.
     ///
     /// # Errors

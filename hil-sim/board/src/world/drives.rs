@@ -150,10 +150,7 @@ pub(super) fn steppers(robot: &Robot) -> Vec<Axis> {
             start_stop_hz: truth.start_rate_hz,
             acceleration_hz_s: STEPPER_ACCELERATION_PER_S * truth.start_rate_hz,
         };
-        let mut axis = Axis::new(config.id, spec, config.steps_per_turn);
-        // The board holds the enable line inactive from power-up on.
-        axis.driver.enable(0, !enabled_when_high);
-        axis
+        Axis::new(config.id, spec, config.steps_per_turn)
     };
     pairs.map(axis).collect()
 }

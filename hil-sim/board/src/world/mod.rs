@@ -23,6 +23,7 @@ use crate::{
     chips::{mcp4728::Mcp4728, mcp23017::PinState, pca9685::Pca9685},
     clock::Clock,
     i2c::I2cBus,
+    io::Controller,
     misuse::Misuse,
     sensors::hc_sr04::HcSr04,
 };
@@ -185,9 +186,36 @@ impl World {
         self.look_at_lines();
     }
 
-    pub(crate) fn set_steppers_enabled(&mut self, on: bool) {
+    /// The line to an external watchdog.
+    pub(crate) fn set_heartbeat(&mut self, high: bool) {
+        self.pins.kick(self.clock.now_ns(), high);
+    }
+
+    /// The bus behind one of the processor's controllers.
+    pub(crate) fn bus_of(&mut self, controller: Controller) -> &mut I2cBus {
+        match controller {
+            Controller::Board => &mut self.bus,
+            Controller::External(connector) => self.pins.external_bus(connector, self.clock.now_ns()),
+        }
+    }
+
+    pub(crate) fn uart_port(&mut self, connector: usize) -> &mut pins::UartPort {
+        &mut self.pins.uarts[connector]
+    }
+
+    /// The processor is reset: its lines float until it drives them again, and what it counted is lost.
+    pub(crate) fn reset_processor(&mut self) {
+        self.catch_up();
+        // Pulled to where nothing moves.
+        self.set_osmc_disabled(true);
+        self.set_pwm_outputs_disabled(true);
+        self.steppers.iter_mut().for_each(stepping::Axis::reset);
+        self.pins.reset_processor();
+    }
+
+    pub(crate) fn set_stepper_enable(&mut self, high: bool) {
         let now_ns = self.clock.now_ns();
-        self.steppers.iter_mut().for_each(|axis| axis.driver.enable(now_ns, on));
+        self.steppers.iter_mut().for_each(|axis| axis.driver.enable(now_ns, high));
     }
 
     fn axis(&mut self, connector: u8) -> Option<&mut stepping::Axis> {

@@ -1,10 +1,10 @@
 //! What hangs on the processor's own pins: range sensors, encoder tracks, switches, analog inputs and outputs, connectors.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{cell::RefCell, rc::Rc, task::Waker};
 
 use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, Encoders, SwitchInputs},
+    platform::{AnalogInputs, AnalogOutputs, EchoState, Encoders, Ranging, SwitchInputs},
     sensing::quadrature::Decoder,
 };
 use r4_protocol::ChannelId;
@@ -55,9 +55,12 @@ pub struct Pins {
     pub analogs: [Option<AnalogSource>; 6],
     dac: DacOutput,
     dac_codes: [u16; 2],
-    pub(crate) uarts: [UartLoopback; 2],
+    pub(crate) uarts: [UartPort; 2],
     pub(crate) external_buses: [I2cBus; 2],
     eeproms: [Rc<RefCell<Eeprom24c02>>; 2],
+    /// When the external watchdog was last kicked, and the longest it has waited.
+    kicked_ns: u64,
+    longest_kick_ns: u64,
 }
 
 /// A switch and what actuates it.
@@ -76,6 +79,12 @@ pub struct AnalogSource {
     pub volts: f64,
 }
 
+/// A UART connector with who waits for bytes from it.
+pub(crate) struct UartPort {
+    pub(crate) line: UartLoopback,
+    pub(crate) reader: Option<Waker>,
+}
+
 /// What the processor makes of an encoder's tracks.
 enum Counter {
     Timer(HardwareCounter),
@@ -85,8 +94,9 @@ enum Counter {
 /// What the processor's capture unit has of one echo line.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Echo {
-    pub(super) rise_ns: Option<u64>,
-    pub(super) fall_ns: Option<u64>,
+    cleared_ns: u64,
+    rise_ns: Option<u64>,
+    fall_ns: Option<u64>,
 }
 
 impl Pins {
@@ -116,16 +126,7 @@ impl Pins {
             }
         }
         let encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
-        let counters = std::array::from_fn(|index| {
-            if index < ENCODERS_ON_TIMERS {
-                Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, encoders[index].levels()))
-            } else {
-                let levels = encoders[index].levels();
-                let mut decoder = Decoder::new();
-                decoder.update(levels.a, levels.b);
-                Counter::Interrupts(decoder)
-            }
-        });
+        let counters = counters(&encoders);
         let switch = |spec: &SimulatedSwitch| {
             let seed = seed.wrapping_add(u64::from(spec.channel.index));
             SwitchInput { switch: Switch::new(Contact::NormallyOpen, Pull::Up, BOUNCE_NS, seed), spec: *spec }
@@ -145,9 +146,11 @@ impl Pins {
             analogs,
             dac: DacOutput::new(false),
             dac_codes: [0; 2],
-            uarts: [0, 1].map(|_| UartLoopback::new(UART_BAUD, UART_BUFFER)),
+            uarts: [0, 1].map(|_| UartPort { line: UartLoopback::new(UART_BAUD, UART_BUFFER), reader: None }),
             external_buses,
             eeproms,
+            kicked_ns: 0,
+            longest_kick_ns: 0,
         }
     }
 
@@ -163,9 +166,33 @@ impl Pins {
         self.dac_codes.get(output).map(|code| self.dac.volts(*code))
     }
 
+    /// The bus at one of the external I2C connectors, at `now_ns`.
+    pub(super) fn external_bus(&mut self, connector: usize, now_ns: u64) -> &mut I2cBus {
+        // The memory must know that its write is over before it is asked.
+        self.eeproms[connector].borrow_mut().advance(now_ns);
+        &mut self.external_buses[connector]
+    }
+
+    pub(super) fn reset_processor(&mut self) {
+        self.dac_codes = [0; 2];
+        self.counters = counters(&self.encoders);
+    }
+
+    /// An edge of the line to the external watchdog.
+    pub(super) fn kick(&mut self, now_ns: u64, _high: bool) {
+        self.longest_kick_ns = self.longest_kick_ns.max(now_ns - self.kicked_ns);
+        self.kicked_ns = now_ns;
+    }
+
+    /// The longest the external watchdog has waited for an edge up to now, ns.
+    #[must_use]
+    pub fn longest_kick_ns(&self, now_ns: u64) -> u64 {
+        self.longest_kick_ns.max(now_ns - self.kicked_ns)
+    }
+
     /// The UART connectors, whose output is wired to their input.
     pub fn uart(&mut self, connector: usize) -> Option<&mut UartLoopback> {
-        self.uarts.get_mut(connector)
+        self.uarts.get_mut(connector).map(|port| &mut port.line)
     }
 
     pub(super) fn misuse(&self) -> Vec<Misuse> {
@@ -174,6 +201,19 @@ impl Pins {
         self.eeproms.iter().for_each(|eeprom| all.extend(eeprom.borrow().misuse().first()));
         all
     }
+}
+
+/// The processor's counters after a reset.
+fn counters(encoders: &[QuadratureSignal; 4]) -> [Counter; 4] {
+    std::array::from_fn(|index| {
+        let levels = encoders[index].levels();
+        if index < ENCODERS_ON_TIMERS {
+            return Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, levels));
+        }
+        let mut decoder = Decoder::new();
+        decoder.update(levels.a, levels.b);
+        Counter::Interrupts(decoder)
+    })
 }
 
 impl SwitchInput {
@@ -280,6 +320,54 @@ impl AnalogOutputs for Processor {
         world.catch_up();
         if let Some(place) = world.pins.dac_codes.get_mut(usize::from(index)) {
             *place = code;
+        }
+    }
+}
+
+/// Timer 2 of the processor: it captures the edges of the echoes at 1 MHz.
+impl Ranging for Processor {
+    fn trigger(&mut self, index: u8, high: bool) {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.rangers.trigger(usize::from(index), now_ns, high);
+    }
+
+    fn clear(&mut self, index: u8) {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.capture(usize::from(index), now_ns);
+        if let Some(echo) = world.pins.echoes.get_mut(usize::from(index)) {
+            *echo = Echo { cleared_ns: now_ns, ..Echo::default() };
+        }
+    }
+
+    fn echo(&mut self, index: u8) -> EchoState {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.capture(usize::from(index), now_ns)
+    }
+}
+
+impl Pins {
+    /// Lets the capture unit take the edges of an echo up to now.
+    fn capture(&mut self, index: usize, now_ns: u64) -> EchoState {
+        let (Some(module), Some(echo)) = (self.rangers.modules.get_mut(index), self.echoes.get_mut(index)) else {
+            return EchoState::Idle;
+        };
+        for edge in module.take_edges(now_ns) {
+            match (edge.high, echo.rise_ns, echo.fall_ns) {
+                (true, None, _) => echo.rise_ns = Some(edge.at_ns),
+                (false, Some(_), None) => echo.fall_ns = Some(edge.at_ns),
+                _ => {}
+            }
+        }
+        let us = |ns: u64| u32::try_from(ns / 1000).unwrap_or(u32::MAX);
+        match (echo.rise_ns, echo.fall_ns) {
+            (Some(rise_ns), Some(fall_ns)) => EchoState::Done { width_us: us(fall_ns - rise_ns) },
+            (rise_ns, _) if module.echo_is_high(now_ns) => {
+                EchoState::High { since_us: us(now_ns - rise_ns.unwrap_or(echo.cleared_ns)) }
+            }
+            _ => EchoState::Idle,
         }
     }
 }

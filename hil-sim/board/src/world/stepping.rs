@@ -24,12 +24,18 @@ pub(super) struct Axis {
     queue: VecDeque<(u64, StepAction)>,
     positive: bool,
     position: i32,
+    enabled_when_high: bool,
+    now_ns: u64,
 }
 
 impl Axis {
     pub(super) fn new(channel: ChannelId, spec: StepperDriverSpec, steps_per_turn: u32) -> Self {
-        let driver = StepperDriver::new(channel.index, spec);
-        Self { channel, driver, steps_per_turn, queue: VecDeque::new(), positive: true, position: 0 }
+        let enabled_when_high = spec.enabled_when_high;
+        let mut driver = StepperDriver::new(channel.index, spec);
+        // The board holds the enable line inactive until the processor drives it.
+        driver.enable(0, !enabled_when_high);
+        let queue = VecDeque::new();
+        Self { channel, driver, steps_per_turn, queue, positive: true, position: 0, enabled_when_high, now_ns: 0 }
     }
 
     /// Carries out what is due by `now_ns`.
@@ -48,6 +54,14 @@ impl Axis {
             }
         }
         self.driver.advance(now_ns);
+        self.now_ns = now_ns;
+    }
+
+    /// The timer forgets what was queued and counted.
+    pub(super) fn reset(&mut self) {
+        self.queue.clear();
+        self.position = 0;
+        self.driver.enable(self.now_ns, !self.enabled_when_high);
     }
 
     /// Where the shaft really is, rad, from where it stood at time 0.
@@ -66,10 +80,10 @@ impl Steppers for super::Processor {
         (self.0.borrow().clock().now_ns() / NS_PER_TICK) as u32
     }
 
-    fn enable(&mut self, on: bool) {
+    fn enable(&mut self, high: bool) {
         let mut world = self.0.borrow_mut();
         world.catch_up();
-        world.set_steppers_enabled(on);
+        world.set_stepper_enable(high);
     }
 
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
