@@ -22,8 +22,8 @@ pub mod outputs;
 pub mod platform;
 pub mod safety;
 pub mod sensing;
-pub mod storage;
 mod shared;
+pub mod storage;
 mod telemetry;
 
 pub use shared::{MotorStatus, ResetCause, Shared};

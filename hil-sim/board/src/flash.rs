@@ -235,7 +235,11 @@ impl Tear {
                 let mut random = Pcg64::seed_from_u64(seed);
                 // How far it has come, in 256ths: the same for all cells, which differ a little.
                 let progress = random.next_u32() as u8;
-                before.iter().zip(after).map(|(before, after)| torn_bits(&mut random, progress, before, after)).collect()
+                before
+                    .iter()
+                    .zip(after)
+                    .map(|(before, after)| torn_bits(&mut random, progress, before, after))
+                    .collect()
             }
         }
     }

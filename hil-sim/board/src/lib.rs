@@ -27,6 +27,7 @@ pub mod chips;
 mod clock;
 pub mod devices;
 mod executor;
+pub mod flash;
 pub mod i2c;
 mod io;
 pub mod lines;

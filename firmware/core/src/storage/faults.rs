@@ -103,8 +103,7 @@ pub struct History {
 impl History {
     /// Looks what is in flash; whatever it is, trips can be recorded.
     pub async fn open<F: NorFlash>(flash: &mut F) -> Self {
-        let mut history =
-            Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
+        let mut history = Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
         history.survey(flash).await;
         // Starts without a trip leave no trace.
         history.start = history.newest.map_or(1, |newest| newest.start.saturating_add(1));
@@ -116,12 +115,13 @@ impl History {
         let see = |item: &[u8]| {
             if let Some((info, _)) = decode_info(item) {
                 self.count = self.count.saturating_add(1);
-                self.newest = Some(info);
+                // The last, unless marks in flash have gone bad: no number is given twice.
+                self.newest = self.newest.into_iter().chain([info]).max_by_key(|info| info.number);
             }
         };
         // What makes no sense is erased by the next trip.
         if fault_log(flash).visit(&mut self.buffer, see).await.is_err() {
-            (self.count, self.newest) = (0, None);
+            self.count = 0;
         }
     }
 

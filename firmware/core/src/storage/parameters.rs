@@ -81,7 +81,7 @@ impl Changes {
         for _ in 0..ROUNDS {
             refused.retain(|(key, value)| config.set_parameter(*key, *value).is_err());
         }
-        self.values.retain(|value| !refused.contains(value));
+        self.values.retain(|(key, _)| refused.iter().all(|(other, _)| other != key));
         for (key, value) in refused {
             skipped.add(Some((key, value)));
         }
