@@ -195,8 +195,8 @@ fn a_save_that_is_cut_leaves_the_old_or_the_new_also_when_the_recovery_is_cut() 
         keep(&mut flash, number + 1).unwrap();
         assert_eq!(start(&mut flash), number + 1);
     }
-    // `void`, the erase, two seals, two marks of `sequential-storage`, a header, and two words of item.
-    assert_eq!(longest, 9, "an erase was among them");
+    // `void`, the erase, the seal, two marks of `sequential-storage`, a header, and two words of item.
+    assert_eq!(longest, 8, "an erase was among them");
 }
 
 #[test]
@@ -528,8 +528,8 @@ fn the_task_does_what_it_is_asked() {
     with_task(async |storage, clock| {
         assert_eq!(storage.request(Job::Fault { index: 0 }).await, Err(Refusal::NoSuchFault));
         assert_eq!(storage.request(Job::Save(changes(1))).await, Ok(Done::Saved));
-        // A new flash is erased first: 1 s. Then two seals, a mark, a header and two words of item: 0.1 ms each.
-        assert_eq!(clock.now_ns(), 1_000_000_000 + 6 * 100_000);
+        // A new flash is erased first: 1 s. Then the seal, a mark, a header and two words of item: 0.1 ms each.
+        assert_eq!(clock.now_ns(), 1_000_000_000 + 5 * 100_000);
         storage.record(small(1));
         storage.record(small(2));
         let Ok(Done::Fault(info)) = storage.request(Job::Fault { index: 0 }).await else { panic!("no trip") };

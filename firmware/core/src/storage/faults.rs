@@ -45,7 +45,7 @@ pub struct Trip {
     pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
 }
 
-/// The last moments, in memory. Takes 2.6 KiB.
+/// The last moments, in memory. Takes 2.7 KiB.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     moments: Deque<Moment, SNAPSHOTS>,
