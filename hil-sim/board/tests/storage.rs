@@ -195,8 +195,8 @@ fn a_save_that_is_cut_leaves_the_old_or_the_new_also_when_the_recovery_is_cut() 
         keep(&mut flash, number + 1).unwrap();
         assert_eq!(start(&mut flash), number + 1);
     }
-    // `void`, the erase, two seals, two marks of `sequential-storage`, a header, and two words of item.
-    assert_eq!(longest, 9, "an erase was among them");
+    // `void`, the erase, the seal, two marks of `sequential-storage`, a header, and two words of item.
+    assert_eq!(longest, 8, "an erase was among them");
 }
 
 #[test]
@@ -276,7 +276,9 @@ fn trip(number: u32, motors: usize, snapshots: usize) -> Trip {
     let mut recorder = Recorder::default();
     let end_us = u64::from(number) * 1_000_000;
     for before in (1..=snapshots as u64).rev() {
-        let motor = MotorSnapshot { position: -(number as i32), speed: number as f32, duty: 1.0 / number as f32 };
+        // A position that takes as many bytes as any.
+        let motor =
+            MotorSnapshot { position: i32::MIN + number as i32, speed: number as f32, duty: 1.0 / number as f32 };
         let at_us = end_us - before * u64::from(SNAPSHOT_MS) * 1000;
         recorder.note(at_us, vec![motor; motors], vec![number as f32; motors.min(MAX_SUPPLIES)]);
     }
@@ -308,7 +310,7 @@ fn trips<const SECTOR: usize>(flash: &mut Flash<SECTOR>, trip: fn(u32) -> Trip) 
         numbers.push(info.number);
     }
     assert_eq!(now(history.fault(flash, history.len())), Ok(None));
-    assert!(numbers.is_sorted_by(|newer, older| *newer == older + 1), "{numbers:?}");
+    assert!(numbers.is_sorted_by(|newer, older| newer > older), "{numbers:?}");
     trips
 }
 
@@ -367,10 +369,10 @@ fn the_last_trips_are_kept_over_erases_and_power_cuts() {
     for number in 1..=100 {
         let before = flash.clone();
         record(&mut flash, &large(number)).unwrap();
-        // A header and 83 words of item; with an erase there are `void`, the erase, two seals and two marks more.
-        let erases = erased_at.is_none() && number > 48 && flash.steps() - before.steps() > 87;
+        // A header and 83 words of item; the first trip in the second sector, which is new, has an erase too.
+        let erases = number > 49 && flash.steps() - before.steps() > 84;
         if erases {
-            erased_at = Some(number);
+            erased_at.get_or_insert(number);
         }
         // Each with its 160 motors and 80 supplies: a look at all of them now and then.
         if erases || [1, 32, 33, 48, 100].contains(&number) {
@@ -427,8 +429,8 @@ fn survives<const SECTOR: usize>(mut flash: Flash<SECTOR>) -> Result<(), TestCas
     prop_assert_eq!(keep(&mut flash, 7), Ok(()));
     prop_assert_eq!(start(&mut flash), 7);
     prop_assert_eq!(record(&mut flash, &small(7)), Ok(()));
-    prop_assert_eq!(now(history.fault(&mut flash, 0)).is_ok(), true);
-    prop_assert_eq!(trips(&mut flash, small)[0], 7);
+    let newest = now(async { History::open(&mut flash).await.fault(&mut flash, 0).await });
+    prop_assert_eq!(newest.map(|fault| fault.map(|fault| fault.device_us)), Ok(Some(7_000_000)));
     prop_assert_eq!(flash.programmed_twice(), &[]);
     Ok(())
 }
@@ -526,8 +528,8 @@ fn the_task_does_what_it_is_asked() {
     with_task(async |storage, clock| {
         assert_eq!(storage.request(Job::Fault { index: 0 }).await, Err(Refusal::NoSuchFault));
         assert_eq!(storage.request(Job::Save(changes(1))).await, Ok(Done::Saved));
-        // A new flash is erased first: 1 s, then eight words of 0.1 ms.
-        assert_eq!(clock.now_ns(), 1_000_000_000 + 8 * 100_000);
+        // A new flash is erased first: 1 s. Then the seal, a mark, a header and two words of item: 0.1 ms each.
+        assert_eq!(clock.now_ns(), 1_000_000_000 + 5 * 100_000);
         storage.record(small(1));
         storage.record(small(2));
         let Ok(Done::Fault(info)) = storage.request(Job::Fault { index: 0 }).await else { panic!("no trip") };

@@ -45,7 +45,7 @@ pub struct Trip {
     pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
 }
 
-/// The last moments, in memory. Takes 2.6 KiB.
+/// The last moments, in memory. Takes 2.7 KiB.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     moments: Deque<Moment, SNAPSHOTS>,
@@ -115,12 +115,13 @@ impl History {
         let see = |item: &[u8]| {
             if let Some((info, _)) = decode_info(item) {
                 self.count = self.count.saturating_add(1);
-                self.newest = Some(info);
+                // The last, unless marks in flash have gone bad: no number is given twice.
+                self.newest = self.newest.into_iter().chain([info]).max_by_key(|info| info.number);
             }
         };
         // What makes no sense is erased by the next trip.
         if fault_log(flash).visit(&mut self.buffer, see).await.is_err() {
-            (self.count, self.newest) = (0, None);
+            self.count = 0;
         }
     }
 

@@ -6,14 +6,15 @@
 //! carries a checksum, and each sector says whether its erase came to an end:
 //!
 //! ```text
-//! word     0     1      2 ...          last
-//!        seal  void   what is stored   seal
+//! word     0     1      2 ...
+//!        seal  void   what is stored
 //! ```
 //!
-//! An erase first programs `void`, then erases, then programs both seals. A sector without both seals, or with anything
-//! in `void`, reads as blank, and is erased for good before the first word is written to it. An interrupted erase that
-//! leaves both seals and blanks the 256 zeros of `void` between them does not happen: the cells of a sector are erased
-//! together, and were it done from one end, a seal would go before `void` does.
+//! An erase first programs `void`, then erases, then programs the seal. A sector without a seal, or with anything in
+//! `void`, reads as blank, and is erased for good before the first word is written to it. An interrupted erase does not leave
+//! a seal and a blank `void` over half-erased content: the cells of a sector are erased together, and the 256 zeros of `void`
+//! are not all gone while those of the seal are all there; and were it done from one end, then either the seal would go
+//! first, or `void` after everything else.
 
 use crc::{CRC_16_IBM_3740, Crc};
 use embassy_futures::yield_now;
@@ -23,13 +24,11 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorF
 const RAW_BYTES: usize = 32;
 /// Bytes of it that are not the checksum.
 pub(super) const DATA_BYTES: usize = 30;
-/// Words of a sector that are not for storing: two seals and `void`.
-const CONTROL_WORDS: usize = 3;
-const FIRST_SEAL: usize = 0;
-const VOID: usize = 1;
+const SEAL_WORD: usize = 0;
+const VOID_WORD: usize = 1;
 const FIRST_DATA: usize = 2;
 
-/// In both seals; another arrangement of words or of what is in them gets another number, and then begins empty.
+/// What is in a seal; another arrangement of words or of what is in them gets another number, and then begins empty.
 const SEAL: [u8; DATA_BYTES] = *b"R4 storage, arrangement 1 \0\0\0\0";
 
 const CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
@@ -89,12 +88,11 @@ pub(super) struct Words<'f, F> {
 
 impl<'f, F: NorFlash> Words<'f, F> {
     pub(super) const SECTOR_WORDS: usize = F::ERASE_SIZE / RAW_BYTES;
-    const LAST_SEAL: usize = Self::SECTOR_WORDS - 1;
 
     pub(super) fn new(flash: &'f mut F, first_sector: usize, sectors: usize) -> Self {
         const {
             assert!(RAW_BYTES.is_multiple_of(F::WRITE_SIZE) && RAW_BYTES.is_multiple_of(F::READ_SIZE));
-            assert!(F::ERASE_SIZE.is_multiple_of(RAW_BYTES) && Self::SECTOR_WORDS > CONTROL_WORDS + 2);
+            assert!(F::ERASE_SIZE.is_multiple_of(RAW_BYTES) && Self::SECTOR_WORDS > FIRST_DATA + 2);
         }
         Self { flash, first_sector, sectors }
     }
@@ -137,19 +135,16 @@ impl<'f, F: NorFlash> Words<'f, F> {
     }
 
     async fn is_sealed(&mut self, sector: usize) -> bool {
-        self.get(sector, FIRST_SEAL).await == Word::Whole(SEAL)
-            && self.get(sector, VOID).await == Word::Blank
-            && self.get(sector, Self::LAST_SEAL).await == Word::Whole(SEAL)
+        self.get(sector, SEAL_WORD).await == Word::Whole(SEAL) && self.get(sector, VOID_WORD).await == Word::Blank
     }
 
     async fn erase_sector(&mut self, sector: usize) -> Result<(), WordError> {
         if self.is_sealed(sector).await {
-            self.put(sector, VOID, &[0; DATA_BYTES]).await?;
+            self.put(sector, VOID_WORD, &[0; DATA_BYTES]).await?;
         }
         let (from, to) = (self.address(sector, 0), self.address(sector + 1, 0));
         self.flash.erase(from, to).await.map_err(|_| WordError::Flash)?;
-        self.put(sector, FIRST_SEAL, &SEAL).await?;
-        self.put(sector, Self::LAST_SEAL, &SEAL).await
+        self.put(sector, SEAL_WORD, &SEAL).await
     }
 
     /// Sector and word at `offset`, as this type counts it.
@@ -189,7 +184,7 @@ impl<F: NorFlash> ReadNorFlash for Words<'_, F> {
 
 impl<F: NorFlash> NorFlash for Words<'_, F> {
     const WRITE_SIZE: usize = DATA_BYTES;
-    const ERASE_SIZE: usize = (F::ERASE_SIZE / RAW_BYTES - CONTROL_WORDS) * DATA_BYTES;
+    const ERASE_SIZE: usize = (F::ERASE_SIZE / RAW_BYTES - FIRST_DATA) * DATA_BYTES;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), WordError> {
         for sector in Self::place(from).0..Self::place(to).0 {
