@@ -103,7 +103,7 @@ fn changes(number: u16) -> Changes {
     let mut changes = Changes { robot: Some("Ada".try_into().unwrap()), ..Changes::default() };
     for (key, value) in [
         (LINK_TIMEOUT, f32::from(200 + number)),
-        (of_supply(0, Parameter::VoltsMax), f32::from(40 + number)),
+        (of_supply(0, Parameter::VoltsMax), 30.0 + f32::from(number) / 64.0),
         (of_supply(1, Parameter::VoltsMin), f32::from(number) / 64.0),
     ] {
         changes.set(&built_in, key, value).unwrap();
@@ -128,7 +128,7 @@ fn start<const SECTOR: usize>(flash: &mut Flash<SECTOR>) -> u16 {
     let number = loaded.config.link_timeout_ms - 200;
     assert_eq!((loaded.saved, loaded.changes), (Saved::Changes, changes(number)));
     assert_eq!(loaded.config.robot, "Ada");
-    assert_eq!(loaded.config.supplies[0].range_v.max, f32::from(40 + number));
+    assert_eq!(loaded.config.supplies[0].range_v.max, 30.0 + f32::from(number) / 64.0);
     number
 }
 

@@ -162,7 +162,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             sensors: Causes::NONE,
             recorder: Recorder::default(),
             trips: 0,
-            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us).max(1),
+            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
         }
     }
 
