@@ -6,7 +6,7 @@
 //!
 //! ```
 //! let robot = r4_boards::load("osmc-bench")?;
-//! assert_eq!(robot.config.motors[0].lines.all(), [0, 1, 2, 3]);
+//! assert_eq!(robot.config.motors[0].id.to_string(), "osmc0");
 //! assert_eq!(robot.carrier.pin("enc0_a").map(|pin| pin.stm32.to_string()), Some("PJ8".to_owned()));
 //! # Ok::<(), r4_boards::BoardError>(())
 //! ```

@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::{
     Spanned,
     de::{DeTable, DeValue},
@@ -79,13 +79,35 @@ impl Source {
 
     /// The file as a `T`. The error names the line and the field.
     pub(crate) fn parse<T: DeserializeOwned>(&self) -> Result<T, BoardError> {
-        toml::from_str(&self.text).map_err(|error| {
-            let at = match error.span() {
-                Some(span) => self.location(span.start),
-                None => Location { file: self.name.clone(), line: 1, field: String::new() },
-            };
-            BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
-        })
+        self.parse_without([]).map(|(parsed, [])| parsed)
+    }
+
+    /// The file as a `T` without some arrays of tables, and those.
+    pub(crate) fn parse_without<T: DeserializeOwned, const N: usize>(
+        &self,
+        arrays: [&'static str; N],
+    ) -> Result<(T, [Vec<Spanned<DeValue<'_>>>; N]), BoardError> {
+        let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
+        let taken = arrays.map(|array| root.get_mut().remove(array));
+        let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;
+        let mut tables = [const { Vec::new() }; N];
+        for ((tables, taken), name) in tables.iter_mut().zip(taken).zip(arrays) {
+            let Some(taken) = taken else { continue };
+            let array = taken.get_ref().as_array().ok_or_else(|| BoardError::Malformed {
+                at: self.location(taken.span().start),
+                problem: format!("must be an array of tables: write [[{name}]]"),
+            })?;
+            tables.extend_from_slice(array);
+        }
+        Ok((parsed, tables))
+    }
+
+    pub(crate) fn malformed(&self, error: &toml::de::Error) -> BoardError {
+        let at = match error.span() {
+            Some(span) => self.location(span.start),
+            None => Location { file: self.name.clone(), line: 1, field: String::new() },
+        };
+        BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
     }
 
     /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.

@@ -1,8 +1,9 @@
 //! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
 
-mod linear;
+mod input;
+mod motor;
+mod output;
 mod read;
-mod rotary;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
@@ -69,10 +70,8 @@ pub struct SimulatedServo {
 pub struct SimulatedBldc {
     /// Which.
     pub channel: ChannelId,
-    /// Where it stands still, V.
-    pub neutral_v: f64,
-    /// Half the width of the dead zone around that, V.
-    pub dead_zone_v: f64,
+    /// Where it stands still, V: both ends.
+    pub dead_zone_v: [f64; 2],
     /// Full speed forwards, V.
     pub forward_v: f64,
     /// Full speed backwards, V, where a voltage reverses it.
@@ -129,7 +128,7 @@ impl Simulation {
     /// Whether the robot's file says nothing about the true world, so that it can only be used as hardware.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.motors.is_empty() && self.rails.is_empty()
+        *self == Self::default()
     }
 }
 
