@@ -23,12 +23,12 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    PlantFile, Robot, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor,
-    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+    Ackermann, Drive, PlantFile, Robot, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
+    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint,
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 1] = ["osmc-bench"];
+const ROBOTS: [&str; 5] = ["osmc-bench", "openscout", "openpodcar", "openagribot", "every-interface"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
 /// The names of the robots that are part of the program.

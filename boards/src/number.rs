@@ -157,6 +157,12 @@ pub(crate) fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Chan
     ChannelId::from_str(&text).map_err(|why| D::Error::custom(format!("`{text}` is {why}")))
 }
 
+pub(crate) fn channels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<ChannelId>, D::Error> {
+    #[derive(Deserialize)]
+    struct Named(#[serde(deserialize_with = "channel")] ChannelId);
+    Ok(Vec::<Named>::deserialize(deserializer)?.into_iter().map(|Named(id)| id).collect())
+}
+
 pub(crate) fn optional_channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ChannelId>, D::Error> {
     channel(deserializer).map(Some)
 }

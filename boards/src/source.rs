@@ -18,11 +18,19 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 4] = [
+const BUILT_IN: [(&str, &str); 12] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
+    ("openscout.toml", include_str!("../openscout.toml")),
+    ("openpodcar.toml", include_str!("../openpodcar.toml")),
+    ("openagribot.toml", include_str!("../openagribot.toml")),
+    ("every-interface.toml", include_str!("../every-interface.toml")),
     ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
     ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
+    ("plants/openscout-wheel.toml", include_str!("../plants/openscout-wheel.toml")),
+    ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
+    ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
+    ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
 ];
 
 /// Where the files that a file names are looked up.

@@ -304,7 +304,9 @@ fn what_exists_is_simulated() {
 #[test]
 fn nothing_there() {
     let said = load("osmc_bench").unwrap_err().to_string();
-    assert_eq!(said, "there is no robot `osmc_bench`: write osmc-bench, or the path of a .toml file");
+    let names: Vec<_> = r4_boards::names().collect();
+    let known = names.join(", ");
+    assert_eq!(said, format!("there is no robot `osmc_bench`: write {known}, or the path of a .toml file"));
     let said = load("no/such.toml").unwrap_err().to_string();
     assert!(said.starts_with("no/such.toml: cannot be read"), "{said}");
     assert!(matches!(load("/tmp"), Err(BoardError::UnknownName { .. })));

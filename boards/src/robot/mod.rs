@@ -1,5 +1,6 @@
 //! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
 
+mod drive;
 mod input;
 mod motor;
 mod output;
@@ -8,6 +9,7 @@ mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 
+pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
 use crate::carrier::Carrier;
@@ -19,6 +21,8 @@ pub struct Robot {
     pub file: String,
     /// What the firmware is told.
     pub config: BoardConfig,
+    /// How it moves over the ground; `None` for one that does not.
+    pub drive: Option<Drive>,
     /// What the simulator takes for true; empty when the file has no `[simulation]`.
     pub simulation: Simulation,
     /// The carrier it is built on.
@@ -120,7 +124,7 @@ pub struct SimulatedSwitch {
     pub channel: ChannelId,
     /// The motor or stepper that closes it; `None` for one that nothing touches.
     pub axis: Option<ChannelId>,
-    /// Closed below this position of the axis, rad from where it stands at time 0.
+    /// Closed below this position of the axis, rad. A stepper's is counted from where it stands at time 0.
     pub closed_below: f64,
 }
 

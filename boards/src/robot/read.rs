@@ -11,7 +11,7 @@ use r4_protocol::{
 use serde::Deserialize;
 use toml::{Spanned, de::DeValue};
 
-use super::{Robot, Simulation, input, motor::Motor, output, simulation};
+use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
@@ -58,6 +58,7 @@ struct RobotFile {
     analog: Vec<input::Analog>,
     #[serde(default)]
     supply: Vec<input::Supply>,
+    drive: Option<Drive>,
     simulation: Option<simulation::Tables>,
 }
 
@@ -79,11 +80,14 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
     let carrier = carrier::read(&carrier_source)?;
     let reader = Reader { source, carrier: &carrier };
     let config = reader.config(&file, motors)?;
+    if let Some(drive) = &file.drive {
+        drive.check(&reader, &config)?;
+    }
     let simulation = match &file.simulation {
         Some(tables) => tables.check(&reader, folder, &config)?,
         None => Simulation::default(),
     };
-    Ok(Robot { file: source.name.clone(), config, simulation, carrier })
+    Ok(Robot { file: source.name.clone(), config, drive: file.drive, simulation, carrier })
 }
 
 /// A table of the file that becomes a channel of the firmware. Its array is named as the kind of channel.
