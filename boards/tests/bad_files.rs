@@ -101,7 +101,7 @@ const ROBOT_MISTAKES: &[Mistake] = &[
         "channel = \"osmc0\"\nplant",
         "channel = \"osmc1\"\nplant",
         "simulation.rotary[0].channel",
-        "no motor of that kind `osmc1`, write osmc0",
+        "no channel of that kind `osmc1`, write osmc0",
     ),
     // Used twice.
     mistake(
@@ -292,15 +292,21 @@ fn a_robot_may_have_less_than_its_carrier() {
 #[test]
 fn what_exists_is_simulated() {
     let folder = TempDir::new().unwrap();
+    let without_actuator = &ROBOT[..ROBOT.find("[[simulation.linear]]").unwrap()];
+    let said = load_text(folder.path(), without_actuator).unwrap_err().to_string();
+    assert!(said.contains("simulation: needs one rotary or linear table for each motor"), "{said}");
+    // rails have a default for everything
     let without_rails = &ROBOT[..ROBOT.find("[[simulation.rail]]").unwrap()];
-    let said = load_text(folder.path(), without_rails).unwrap_err().to_string();
-    assert!(said.contains("simulation: needs one rail table for each supply"), "{said}");
+    let rails = load_text(folder.path(), without_rails).unwrap().simulation.rails;
+    assert_eq!([rails[0].emf_v, rails[1].emf_v], [25.0, 12.5]);
 }
 
 #[test]
 fn nothing_there() {
     let said = load("osmc_bench").unwrap_err().to_string();
-    assert_eq!(said, "there is no robot `osmc_bench`: write osmc-bench, or the path of a .toml file");
+    let names: Vec<_> = r4_boards::names().collect();
+    let known = names.join(", ");
+    assert_eq!(said, format!("there is no robot `osmc_bench`: write {known}, or the path of a .toml file"));
     let said = load("no/such.toml").unwrap_err().to_string();
     assert!(said.starts_with("no/such.toml: cannot be read"), "{said}");
     assert!(matches!(load("/tmp"), Err(BoardError::UnknownName { .. })));

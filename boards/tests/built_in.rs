@@ -9,8 +9,13 @@ use r4_boards::{
 };
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{Feedback, PotPoint},
+    config::{BridgeConfig, Feedback, MotorConfig, PotPoint, PwmConfig},
 };
+
+fn osmc_lines(motor: &MotorConfig) -> [u8; 4] {
+    let BridgeConfig::Osmc(lines) = motor.bridge else { panic!("{motor:?}") };
+    lines.all()
+}
 
 const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 const ACTUATOR1: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
@@ -33,7 +38,7 @@ fn the_bench_has_the_published_numbers() {
     let robot = load("osmc-bench").unwrap();
     let [rotary, actuator] = robot.config.motors.as_slice() else { panic!("two motors") };
     assert_eq!([rotary.id, actuator.id], [OSMC0, ACTUATOR1]);
-    assert_eq!([rotary.lines.all(), actuator.lines.all()], [[0, 1, 2, 3], [4, 5, 6, 7]]);
+    assert_eq!([osmc_lines(rotary), osmc_lines(actuator)], [[0, 1, 2, 3], [4, 5, 6, 7]]);
     // 230 and 200 of 255, to the three digits of the file
     assert!((rotary.duty_max - 230.0 / 255.0).abs() < 5e-4 && (actuator.duty_max - 200.0 / 255.0).abs() < 5e-4);
     let code_16bit = |code_10bit: f64| (code_10bit / 1023.0 * 65535.0).round() as u16;
@@ -42,9 +47,10 @@ fn the_bench_has_the_published_numbers() {
         low: PotPoint { code: code_16bit(29.0), position_m: 0.0 },
         high: PotPoint { code: code_16bit(989.0), position_m: 0.1 },
     };
-    assert_eq!(actuator.feedback, expected);
-    assert_eq!(rotary.feedback, Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false });
-    assert_eq!((robot.config.osmc_pwm.address, robot.config.osmc_pwm.frequency_hz), (0x40, 1526.0));
+    assert_eq!(actuator.control.unwrap().feedback, expected);
+    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false };
+    assert_eq!(rotary.control.unwrap().feedback, encoder);
+    assert_eq!(robot.config.osmc_pwm, Some(PwmConfig { address: 0x40, frequency_hz: 1526.0 }));
     for supply in &robot.config.supplies {
         // 50 V at the highest of 65536 codes; f32 has 6e-8
         assert!((f64::from(supply.volts_per_code) * 65535.0 / 50.0 - 1.0).abs() < 1e-6);
@@ -56,8 +62,10 @@ fn the_simulated_bench_is_wired_as_the_controller_believes() {
     let robot = load("osmc-bench").unwrap();
     let [rotary, actuator] = robot.simulation.motors.as_slice() else { panic!("two motors") };
     assert_eq!([rotary.channel, actuator.channel], [OSMC0, ACTUATOR1]);
-    assert_eq!(rotary.sensor, SimulatedSensor::Encoder { input: 0, lines_per_turn: 600 });
-    let SimulatedSensor::Potentiometer { input: 0, low, high, .. } = actuator.sensor else { panic!("{actuator:?}") };
+    assert_eq!(rotary.sensor, Some(SimulatedSensor::Encoder { input: 0, lines_per_turn: 600 }));
+    let Some(SimulatedSensor::Potentiometer { input: 0, low, high, .. }) = actuator.sensor else {
+        panic!("{actuator:?}")
+    };
     assert_eq!([low.share(), high.share()], [29.0 / 1023.0, 989.0 / 1023.0]);
     for motor in &robot.simulation.motors {
         assert!(motor.plant.text.contains("[parameters]") && motor.plant.name.starts_with("boards/plants/"));
