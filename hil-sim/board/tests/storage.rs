@@ -223,7 +223,7 @@ fn a_firmware_update_keeps_what_it_knows_and_says_what_it_does_not() {
     assert_eq!((loaded.skipped.count, &loaded.skipped.first[..]), (1, &[lost][..]));
     assert_eq!(loaded.changes.values.len(), 2);
     let mut expected = BoardConfig { robot: "Ada".try_into().unwrap(), link_timeout_ms: 205, ..built_in };
-    expected.supplies[0].range_v.max = 45.0;
+    expected.supplies[0].range_v.max = 30.0 + 5.0 / 64.0;
     assert_eq!(loaded.config, expected);
 }
 

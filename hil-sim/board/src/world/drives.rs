@@ -67,11 +67,12 @@ impl Bldc {
 pub(super) fn bldcs(robot: &Robot) -> Vec<Bldc> {
     let pairs = robot.config.bldcs.iter().zip(&robot.simulation.bldcs);
     let drive = |(wiring, truth): (&BldcConfig, &r4_boards::SimulatedBldc)| {
-        let full = [truth.forward_v, truth.reverse_v.unwrap_or(truth.neutral_v), truth.neutral_v];
+        let [low_v, high_v] = truth.dead_zone_v;
+        let full = [truth.forward_v, truth.reverse_v.unwrap_or(low_v), low_v, high_v];
         let lowest = full.into_iter().fold(f64::INFINITY, f64::min);
         let highest = full.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let spec = BldcDriveSpec {
-            dead_zone_v: [truth.neutral_v - truth.dead_zone_v, truth.neutral_v + truth.dead_zone_v],
+            dead_zone_v: truth.dead_zone_v,
             forward_v: truth.forward_v,
             reverse: match (truth.reverse_v, wiring.reverse) {
                 (Some(full_v), _) => Reverse::ByVoltage { full_v },
