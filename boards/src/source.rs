@@ -64,6 +64,9 @@ impl Folder {
     }
 }
 
+/// The tables of an array, not looked into yet.
+pub(crate) type Tables<'s> = Vec<Spanned<DeValue<'s>>>;
+
 /// One file.
 pub(crate) struct Source {
     /// As it is shown to a person.
@@ -94,7 +97,7 @@ impl Source {
     pub(crate) fn parse_without<T: DeserializeOwned, const N: usize>(
         &self,
         arrays: [&'static str; N],
-    ) -> Result<(T, [Vec<Spanned<DeValue<'_>>>; N]), BoardError> {
+    ) -> Result<(T, [Tables<'_>; N]), BoardError> {
         let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
         let taken = arrays.map(|array| root.get_mut().remove(array));
         let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;

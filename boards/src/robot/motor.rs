@@ -301,12 +301,13 @@ impl Motor {
     pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, toml::de::Error> {
         let table = value.get_ref().as_table();
         let is_open = table.is_some_and(|table| !table.values().any(|value| value.get_ref().is_table()));
-        let has_potentiometer = table.is_some_and(|table| table.contains_key("potentiometer"));
+        let has = |field: &str| table.is_some_and(|table| table.contains_key(field));
+        let is_linear = has("potentiometer") || has("position_m");
         let deserializer = value.into_deserializer();
         match kind {
             ChannelKind::Actuator => Deserialize::deserialize(deserializer).map(Self::Linear),
             _ if is_open => Deserialize::deserialize(deserializer).map(Self::Open),
-            ChannelKind::Dhb if has_potentiometer => Deserialize::deserialize(deserializer).map(Self::Linear),
+            ChannelKind::Dhb if is_linear => Deserialize::deserialize(deserializer).map(Self::Linear),
             _ => Deserialize::deserialize(deserializer).map(Self::Rotary),
         }
     }

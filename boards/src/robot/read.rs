@@ -9,14 +9,13 @@ use r4_protocol::{
     },
 };
 use serde::Deserialize;
-use toml::{Spanned, de::DeValue};
 
 use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
     number::{air_temperature_c, control_period_us, link_timeout_ms},
-    source::{Claims, Folder, Source},
+    source::{Claims, Folder, Source, Tables},
 };
 
 /// The arrays of motors; how one is read depends on what it has.
@@ -164,7 +163,7 @@ pub(super) struct Reader<'r> {
 type Paths = Vec<(ChannelId, String)>;
 
 impl Reader<'_> {
-    fn config(&self, file: &RobotFile, motors: [Vec<Spanned<DeValue<'_>>>; 3]) -> Result<BoardConfig, BoardError> {
+    fn config(&self, file: &RobotFile, motors: [Tables<'_>; 3]) -> Result<BoardConfig, BoardError> {
         let mut claims = Claims::new(self.source);
         let mut paths = Paths::new();
         macro_rules! list {
@@ -230,7 +229,7 @@ impl Reader<'_> {
 
     fn motors<const N: usize>(
         &self,
-        tables: [Vec<Spanned<DeValue<'_>>>; 3],
+        tables: [Tables<'_>; 3],
         claims: &mut Claims<'_>,
         paths: &mut Paths,
     ) -> Result<heapless::Vec<MotorConfig, N>, BoardError> {

@@ -260,27 +260,26 @@ struct Check<'c> {
     claims: Claims<'c>,
 }
 
-/// A table and its path in the file.
-type Found<'t, T> = (&'t T, String);
-
 impl Check<'_> {
-    /// What is true of each of the robot's `configs`, from the table about it if there is one.
+    /// What is true of each of the robot's `configs`. `truth` is given the table about it, if there is one, and its path.
     fn each<T: About, C, S>(
         &mut self,
         tables: &[T],
         configs: &[C],
         id: fn(&C) -> ChannelId,
-        truth: fn(&mut Self, &C, Option<Found<'_, T>>) -> Result<S, BoardError>,
+        truth: impl Fn(&mut Self, &C, Option<&T>, &str) -> Result<S, BoardError>,
     ) -> Result<Vec<S>, BoardError> {
         let known: Vec<_> = configs.iter().map(id).collect();
         for (index, table) in tables.iter().enumerate() {
             self.channel(table.channel(), &known, format!("{}[{index}].channel", T::NAME))?;
         }
-        let table = |config: &C| {
-            let index = tables.iter().position(|table| table.channel() == id(config))?;
-            Some((&tables[index], format!("{}[{index}]", T::NAME)))
-        };
-        configs.iter().map(|config| truth(self, config, table(config))).collect()
+        let mut truths = Vec::new();
+        for config in configs {
+            let found = tables.iter().position(|table| table.channel() == id(config));
+            let path = found.map_or_else(|| "simulation".to_owned(), |index| format!("{}[{index}]", T::NAME));
+            truths.push(truth(self, config, found.map(|index| &tables[index]), &path)?);
+        }
+        Ok(truths)
     }
 
     /// What is simulated exists, and once.
@@ -408,9 +407,8 @@ impl Check<'_> {
         Ok(PlantFile { name: source.name, text: source.text.into_owned() })
     }
 
-    fn rail(&mut self, config: &SupplyConfig, found: Option<Found<'_, Rail>>) -> Result<SimulatedRail, BoardError> {
-        let (rail, path) = found.unzip();
-        let path = format!("{}.analog", path.unwrap_or_default());
+    fn rail(&mut self, config: &SupplyConfig, rail: Option<&Rail>, path: &str) -> Result<SimulatedRail, BoardError> {
+        let path = format!("{path}.analog");
         let analog = rail.and_then(|rail| rail.analog).unwrap_or(config.analog);
         self.reader.analog(analog, &path)?;
         self.claims.take("analog input", analog, path)?;
@@ -425,8 +423,7 @@ impl Check<'_> {
         })
     }
 
-    fn servo(&mut self, config: &ServoConfig, found: Option<Found<'_, Servo>>) -> Result<SimulatedServo, BoardError> {
-        let (servo, path) = found.unzip();
+    fn servo(&mut self, config: &ServoConfig, servo: Option<&Servo>, path: &str) -> Result<SimulatedServo, BoardError> {
         let end = |point: r4_protocol::config::ServoPoint| ServoEnd {
             pulse_s: point.pulse_s.into(),
             angle_rad: point.angle_rad.into(),
@@ -435,7 +432,7 @@ impl Check<'_> {
         let high = servo.and_then(|servo| servo.high).unwrap_or(end(config.high));
         if low.pulse_s >= high.pulse_s || low.angle_rad == high.angle_rad {
             let rule = "the low end's pulse must be shorter than the high end's, and their angles differ";
-            return Err(self.reader.rule(path.unwrap_or_default(), rule));
+            return Err(self.reader.rule(path, rule));
         }
         Ok(SimulatedServo {
             channel: config.id,
@@ -447,8 +444,7 @@ impl Check<'_> {
         })
     }
 
-    fn bldc(&mut self, config: &BldcConfig, found: Option<Found<'_, Bldc>>) -> Result<SimulatedBldc, BoardError> {
-        let (bldc, path) = found.unzip();
+    fn bldc(&mut self, config: &BldcConfig, bldc: Option<&Bldc>, path: &str) -> Result<SimulatedBldc, BoardError> {
         let neutral_v = f64::from(config.neutral_v);
         let dead_zone_v = Interval { min: neutral_v - DEAD_ZONE_V, max: neutral_v + DEAD_ZONE_V };
         let dead_zone_v = bldc.and_then(|bldc| bldc.dead_zone_v).unwrap_or(dead_zone_v);
@@ -460,7 +456,7 @@ impl Check<'_> {
         let reverse_v = bldc.and_then(|bldc| bldc.reverse_v).or(reverse_v);
         if forward_v <= dead_zone_v.max || reverse_v.is_some_and(|volts| volts >= dead_zone_v.min) {
             let rule = "a simulated drive goes forwards above its dead_zone_v, and backwards, if by voltage, below it";
-            return Err(self.reader.rule(path.unwrap_or_else(|| "simulation".to_owned()), rule));
+            return Err(self.reader.rule(path, rule));
         }
         Ok(SimulatedBldc {
             channel: config.id,
@@ -475,29 +471,29 @@ impl Check<'_> {
     fn stepper(
         &mut self,
         config: &StepperConfig,
-        found: Option<Found<'_, Stepper>>,
+        stepper: Option<&Stepper>,
+        _: &str,
     ) -> Result<SimulatedStepper, BoardError> {
         let steps_per_rad = f64::from(config.steps_per_turn) / std::f64::consts::TAU;
         let configured_hz = START_MARGIN * f64::from(config.start_speed) * steps_per_rad;
-        let start_rate_hz = found
-            .map_or(configured_hz.max(START_RATE_MIN_HZ), |(stepper, _): Found<'_, Stepper>| stepper.start_rate_hz);
+        let start_rate_hz = stepper.map_or(configured_hz.max(START_RATE_MIN_HZ), |stepper| stepper.start_rate_hz);
         Ok(SimulatedStepper { channel: config.id, start_rate_hz })
     }
 
-    fn range(&mut self, config: &RangeConfig, found: Option<Found<'_, Range>>) -> Result<SimulatedRange, BoardError> {
+    fn range(&mut self, config: &RangeConfig, range: Option<&Range>, _: &str) -> Result<SimulatedRange, BoardError> {
         let nearest_m = config.stop_below_m.unwrap_or(config.range_m.min);
         let half_way_m = f64::midpoint(nearest_m.into(), config.range_m.max.into());
-        let distance_m = found.map_or(half_way_m, |(range, _)| range.distance_m);
+        let distance_m = range.map_or(half_way_m, |range| range.distance_m);
         Ok(SimulatedRange { channel: config.id, distance_m })
     }
 
     fn analog(
         &mut self,
         config: &AnalogConfig,
-        found: Option<Found<'_, Analog>>,
+        analog: Option<&Analog>,
+        path: &str,
     ) -> Result<SimulatedAnalog, BoardError> {
-        let (analog, path) = found.unzip();
-        self.claims.take("analog input", config.id.index, path.unwrap_or_default())?;
+        self.claims.take("analog input", config.id.index, path)?;
         let half_way_v = f64::midpoint(config.plausible_v.min.into(), config.plausible_v.max.into());
         Ok(SimulatedAnalog {
             channel: config.id,
@@ -511,12 +507,13 @@ impl Check<'_> {
     fn switch(
         &mut self,
         config: &SwitchConfig,
-        found: Option<Found<'_, Switch>>,
+        switch: Option<&Switch>,
+        path: &str,
     ) -> Result<SimulatedSwitch, BoardError> {
         let motors = self.config.motors.iter().map(|motor| (motor.id, motor.control.and_then(|c| c.homing)));
         let steppers = self.config.steppers.iter().map(|stepper| (stepper.id, stepper.homing));
         let mut axes = motors.chain(steppers);
-        if let Some((switch, path)) = found {
+        if let Some(switch) = switch {
             let known: Vec<_> = axes.map(|(id, _)| id).collect();
             self.reader.one_of("motor or stepper", switch.axis, known.iter(), format!("{path}.axis"))?;
             let (axis, closed_below) = (Some(switch.axis), switch.closed_below_rad);
