@@ -173,7 +173,8 @@ fn brushless_drives_run_reverse_and_brake() {
         assert!(speed(0) > 1.0 && speed(3) > 1.0, "{} {}", speed(0), speed(3));
         assert_eq!(scalar(bench, bldc(3)).await, 0.5);
         bench.set(bldc(3), Mode::Duty, -0.5).await.unwrap();
-        bench.sleep_ms(4000).await;
+        // Down, at rest for as long as the robot's file says, and up again.
+        bench.sleep_ms(7000).await;
         assert!(speed(3) < -1.0, "{}", speed(3));
         // A brake in the same period as a speed is taken.
         bench.set(bldc(3), Mode::Brake, 1.0).await.unwrap();

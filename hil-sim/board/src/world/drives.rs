@@ -17,8 +17,8 @@ use crate::{
     misuse::MisuseLog,
 };
 
-/// A drive that coasts takes so many times longer than one that follows its throttle: synthetic.
-const COAST_SLOWER: f64 = 4.0;
+/// A drive that coasts takes so many times longer to stop than one that follows its throttle: synthetic.
+const COAST_SLOWER: f64 = 2.0;
 /// Time in which a brake stops the motor from full speed, s: synthetic.
 const BRAKE_S: f64 = 0.3;
 /// A drive tolerates this much beyond full speed, V: synthetic.
