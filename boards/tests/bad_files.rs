@@ -266,6 +266,14 @@ const ALL_MISTAKES: &[Mistake] = &[
 ];
 
 const CAR_MISTAKES: &[Mistake] = &[
+    mistake(
+        "track_m = 0.70",
+        "tracks_m = 0.70",
+        "tracks_m",
+        "drive.ackermann.tracks_m",
+        "expected one of `wheelbase_m`",
+    ),
+    mistake("\ncontrol_period", "\nactuator = 3\ncontrol_period", "actuator = 3", "actuator", "write [[actuator]]"),
     there("steering = \"dhb0\"", "steering = \"osmc0\"", "drive.ackermann.steering", "write dhb0"),
     there("drive = \"osmc0\"", "drive = \"dhb0\"", "drive.ackermann.drive", "no motor that turns `dhb0`, write osmc0"),
     mistake(
