@@ -364,6 +364,7 @@ fn info_describes_every_channel() {
         ("relay1", "relay", "bool"),
         ("supply0", "supply", "V"),
         ("supply1", "supply", "V"),
+        ("dead-man0", "dead-man", "bool"),
     ];
     assert_eq!(channels, expected);
 
@@ -527,7 +528,7 @@ fn watch_prints_channels_as_they_change() {
     for line in &lines {
         assert_eq!(text(line, "state"), "disarmed");
         let channels: Vec<_> = array(line, "channels").iter().map(|value| text(value, "channel")).collect();
-        assert_eq!(channels, ["osmc0", "actuator1", "relay0", "relay1", "supply0", "supply1"]);
+        assert_eq!(channels, ["osmc0", "actuator1", "relay0", "relay1", "supply0", "supply1", "dead-man0"]);
     }
     let volts = number(&array(&lines[0], "channels")[4], "value");
     assert!((volts - 24.0).abs() < 0.5, "{volts}");

@@ -25,7 +25,8 @@ fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Qua
             Unit::M => "a length, as in 25mm or 0.025m",
             Unit::MPerS => "a speed, as in 5mm/s",
             Unit::Duty => "a share of the supply without a unit, as in 0.3 or 30%",
-            Unit::V | Unit::Bool => "nothing that can be typed",
+            Unit::V => "a voltage, as in 1.2V or 1200mV",
+            Unit::Bool => "nothing that can be typed",
         };
         bail!("{channel} takes as {mode} {example}");
     }

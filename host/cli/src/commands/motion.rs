@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
     let (channel, set) = (motion.channel, motion.value);
     let until = match mode {
         Mode::Position => Until::Settled { timeout_s: motion.seconds.unwrap_or(TIMEOUT_S) },
-        Mode::Speed | Mode::Duty | Mode::Switch => Until::Elapsed { seconds: motion.seconds.unwrap_or(HOLD_S) },
+        _ => Until::Elapsed { seconds: motion.seconds.unwrap_or(HOLD_S) },
     };
     let ((end, position_unit), _) = session::run(args, Pace::Free, async |session| {
         let setpoint = setpoint(session, channel, mode, set)?;
@@ -64,8 +64,8 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
     };
     let held = match mode {
         Mode::Position => end.settled,
-        Mode::Duty | Mode::Switch => (end.duty - set.value).abs() <= DUTY_WITHIN,
-        Mode::Speed => {
+        Mode::Duty => (end.duty - set.value).abs() <= DUTY_WITHIN,
+        _ => {
             let resolved = if position_unit == Unit::M { M_S_RESOLVED } else { RAD_S_RESOLVED };
             (end.speed - set.value).abs() <= SPEED_WITHIN * set.value.abs() + resolved
         }
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
         Mode::Position => {
             output::line(format_args!("{channel} rests at {position}, asked for {set}, after {:.2} s", end.after_s))?;
         }
-        Mode::Speed | Mode::Duty | Mode::Switch => output::line(format_args!(
+        _ => output::line(format_args!(
             "{channel} at {position}, moving at {speed}, duty {:.3}, after {:.2} s of {mode} {set}; now stopped",
             end.duty, end.after_s
         ))?,

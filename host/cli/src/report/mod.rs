@@ -295,6 +295,7 @@ mod tests {
                 speed: 1.0,
                 duty: 0.5,
                 settled: tick > 1_580,
+                homed: true,
             };
             let samples = [sample].into_iter().collect();
             let frame = Telemetry { device_us: 5_000_000 + u64::from(tick) * 1_000, state, causes, samples };
