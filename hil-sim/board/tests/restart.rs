@@ -241,17 +241,17 @@ fn a_screen_shows_the_state_and_disturbs_nothing() {
     let robot = r4_boards::load("every-interface").expect("built in");
     let mut board = Restarts::new(&robot);
     let screen = board.board.plug_screen(&mut board.simulation);
-    let colour = |x, y| screen.screen(|screen| screen.picture().pixel(x, y));
+    let colour = |x, y| screen.screen(|screen| screen.picture().turned().pixel(x, y));
     board.session(async |host, _, clock| {
         clock.sleep(2000 * MS).await;
         assert!(screen.is_lit());
-        let disarmed = colour(2, 2);
+        let disarmed = colour(20, 60);
         host.arm().await.unwrap();
         clock.sleep(500 * MS).await;
-        let armed = colour(2, 2);
+        let armed = colour(20, 60);
         host.stop().await.unwrap();
         clock.sleep(500 * MS).await;
-        let tripped = colour(2, 2);
+        let tripped = colour(20, 60);
         // Grey, green, red.
         assert!(armed[1] > armed[0] && tripped[0] > tripped[1], "{disarmed:?} {armed:?} {tripped:?}");
         assert_eq!(host.stats().await.unwrap().late_ticks, 0);
@@ -286,7 +286,11 @@ fn every_robot_comes_up_arms_and_is_driven() {
                     Mode::Position => {
                         let wanted = f64::from(setpoint.value) - from;
                         // Within a twentieth of the way: gains are a starting point, but they must arrive.
-                        assert!((moved - wanted).abs() < 0.05 * wanted.abs(), "{name} {}: {moved} of {wanted}", motor.id);
+                        assert!(
+                            (moved - wanted).abs() < 0.05 * wanted.abs(),
+                            "{name} {}: {moved} of {wanted}",
+                            motor.id
+                        );
                     }
                     _ => assert!(moved > 0.0, "{name} {}: {moved}", motor.id),
                 }

@@ -12,7 +12,8 @@ impl<M: RawMutex> Source for Shared<M> {
         let config = self.config();
         let safety = self.safety();
         let stats = self.stats();
-        let volts = |index| if let Status::Scalar(volts) = self.status(Place::Supply(index)) { volts } else { f32::NAN };
+        let volts =
+            |index| if let Status::Scalar(volts) = self.status(Place::Supply(index)) { volts } else { f32::NAN };
         let supplies = config.supplies.iter().enumerate();
         let bars = config.channels().filter_map(|(id, place)| {
             let (value, moving) = bar(config, place, self.status(place))?;
