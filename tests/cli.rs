@@ -44,7 +44,12 @@ struct Seen {
 /// `r4` with these arguments, away from the sources and from the user's settings.
 fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
-    command.args(args).current_dir(env!("CARGO_TARGET_TMPDIR")).env_remove("R4_BOARD").stdin(Stdio::null());
+    command
+        .args(args)
+        .current_dir(env!("CARGO_TARGET_TMPDIR"))
+        .env_remove("R4_BOARD")
+        .env_remove("R4_FLASH")
+        .stdin(Stdio::null());
     command
 }
 
@@ -555,6 +560,270 @@ fn ctrl_c_and_a_polite_kill_disarm() {
     }
 }
 
+// r4 config
+
+/// A file for the flash of a simulated board, and `r4` with it.
+struct Kept {
+    folder: TempDir,
+    robot: String,
+}
+
+impl Kept {
+    fn new(robot: &str) -> Self {
+        Self { folder: TempDir::new().expect("a temporary folder"), robot: robot.to_owned() }
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn r4(&self, args: &[&str]) -> Seen {
+        let flash = self.file("flash");
+        r4(&[&["--board", &self.robot, "--flash", path(&flash)], args].concat())
+    }
+
+    /// The one JSON object of a run that must succeed and say nothing on stderr.
+    fn json(&self, args: &[&str]) -> Value {
+        let seen = self.r4(&[args, &["--json"]].concat());
+        assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
+        object(&seen.out)
+    }
+
+    /// A parameter as `r4 config show` has it.
+    fn parameter(&self, key: &str) -> Value {
+        let shown = self.json(&["config", "show"]);
+        array(&shown, "parameters").iter().find(|info| text(info, "key") == key).expect("it is listed").clone()
+    }
+
+    /// A run that must fail with these words.
+    fn refused(&self, args: &[&str], says: &[&str]) {
+        let seen = self.r4(args);
+        let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
+        assert!(told && seen.code == Some(1) && seen.out.is_empty(), "{args:?} should say {says:?}: {seen:?}");
+    }
+}
+
+const KP: &str = "osmc0.position_kp";
+
+#[test]
+fn config_shows_every_parameter_or_those_of_a_channel() {
+    let shown = good_json(&["config", "show", "--json"]);
+    assert_eq!(text(&shown, "board"), "sim:osmc-bench");
+    let keys: Vec<&str> = array(&shown, "parameters").iter().map(|info| text(info, "key")).collect();
+    for key in ["board.link_timeout_ms", KP, "actuator1.pot_low_code", "supply0.volts_min"] {
+        assert_eq!(keys.iter().filter(|known| **known == key).count(), 1, "{key}");
+    }
+    for info in array(&shown, "parameters") {
+        assert_eq!((&info["active"], &info["set"]), (&info["built_in"], &info["built_in"]), "{info}");
+    }
+    let printed = good(&["config", "show", "osmc0"]);
+    assert!(printed.contains(KP) && printed.contains("after restart"), "{printed}");
+    assert!(!printed.contains("actuator1") && !printed.contains("board."), "{printed}");
+    assert!(good(&["config", "show", "board"]).contains("board.link_timeout_ms"));
+    assert_eq!(good(&["config", "show", "dead-man0"]), "no parameters\n");
+    all_refused([
+        (&["config", "show", "osmc3"][..], &["osmc3", "`r4 info`"][..]),
+        (&["config", "show", "motor"], &["motor", "board"]),
+    ]);
+}
+
+#[test]
+fn config_keeps_what_is_saved_and_nothing_else() {
+    let kept = Kept::new("sim:osmc-bench");
+    let built_in = number(&kept.parameter(KP), "active");
+    let set = kept.json(&["config", "set", KP, "5.5", "--save"]);
+    assert_eq!((text(&set, "key"), number(&set, "set"), &set["saved"]), (KP, 5.5, &true.into()));
+    assert_eq!(number(&set, "active"), built_in, "until the restart");
+    let shown = kept.parameter(KP);
+    assert_eq!((number(&shown, "active"), number(&shown, "built_in")), (5.5, built_in));
+
+    let seen = kept.r4(&["config", "set", KP, "7"]);
+    assert!(seen.code == Some(0) && seen.err.contains("forgets") && seen.out.contains("5.5 -> 7"), "{seen:?}");
+    assert_eq!(number(&kept.parameter(KP), "active"), 5.5);
+
+    kept.json(&["config", "name", "rover 2", "--save"]);
+    assert_eq!(text(&kept.json(&["info"]), "robot"), "rover 2");
+    kept.json(&["config", "save"]);
+    kept.json(&["config", "reset", "--save"]);
+    assert_eq!(number(&kept.parameter(KP), "active"), built_in);
+    assert_eq!(text(&kept.json(&["info"]), "robot"), "osmc-bench");
+}
+
+#[test]
+fn what_is_saved_is_what_the_board_works_with() {
+    let kept = Kept::new("sim:osmc-bench");
+    let seen = kept.r4(&["config", "set", "osmc0.position_max", "1.0", "--save"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+    kept.refused(&["move", "osmc0", "90deg"], &["osmc0", "to 57.30 deg"]);
+    assert_eq!(good_json(&["move", "osmc0", "90deg", "--json"])["settled"], true, "another board has another flash");
+}
+
+#[test]
+fn saving_without_a_flash_is_refused() {
+    let says = &["sim:osmc-bench", "keeps nothing", "--flash"][..];
+    all_refused([
+        (&["config", "save"][..], says),
+        (&["config", "set", KP, "5", "--save"], says),
+        (&["config", "name", "rover", "--save"], says),
+        (&["config", "reset", "--save"], says),
+        (&["config", "import", "any.toml"], says),
+    ]);
+    let seen = r4(&["config", "set", KP, "5"]);
+    assert!(seen.code == Some(0) && seen.err.contains("--flash") && seen.out.contains("not saved"), "{seen:?}");
+    let folder = TempDir::new().unwrap();
+    let mut with = command(&["config", "set", KP, "5", "--save"]);
+    with.env("R4_FLASH", folder.path().join("flash"));
+    let seen = start(with).finish();
+    assert!(seen.code == Some(0) && folder.path().join("flash").is_file(), "{seen:?}");
+}
+
+#[test]
+fn config_refuses_what_the_board_does_not_take() {
+    all_refused([
+        (
+            &["config", "set", "osmc0.position_kpp", "5"][..],
+            &["osmc0.position_kpp", "nearest is osmc0.position_kp:"][..],
+        ),
+        (&["config", "set", "relay0.speed_max", "5"], &["relay0.speed_max", "`r4 config show`"]),
+        (&["config", "set", "osmc0.duty_max", "1.5"], &["osmc0.duty_max", "1.5", "not be valid"]),
+        (&["config", "set", KP, "nan"], &[KP, "NaN"]),
+        (&["config", "set", KP, "fast"], &["fast"]),
+        (&["config", "name", "a robot with a name that is longer than any board keeps"], &["bytes"]),
+    ]);
+}
+
+#[test]
+fn a_file_of_parameters_comes_back() {
+    let kept = Kept::new("sim:osmc-bench");
+    let (all, some) = (kept.file("all.toml"), kept.file("some.toml"));
+    let seen = kept.r4(&["config", "export", path(&all)]);
+    assert!(seen.code == Some(0) && seen.out.contains("all.toml"), "{seen:?}");
+    let before = fs::read_to_string(&all).unwrap();
+    assert!(before.contains("\n[board]\n") && before.contains("\n[osmc0]\n"), "{before}");
+    assert_eq!(kept.json(&["config", "import", path(&all)])["changed"], Value::Array(vec![]), "nothing differs");
+
+    // Beyond where the range is now: its upper end has to be moved first.
+    fs::write(&some, "[osmc0]\nposition_min = 70\nposition_max = 80.5\nposition_kp = 3.25\n").unwrap();
+    let imported = kept.json(&["config", "import", path(&some)]);
+    assert_eq!((array(&imported, "changed").len(), &imported["saved"]), (3, &true.into()), "{imported}");
+    for (key, value) in [("osmc0.position_min", 70.0), ("osmc0.position_max", 80.5), (KP, 3.25)] {
+        assert_eq!(number(&kept.parameter(key), "active"), value, "{key}");
+    }
+    let printed = kept.r4(&["config", "export", "-"]).out;
+    assert!(printed.contains("position_kp = 3.25 # built in: 4.0\n"), "{printed}");
+    let printed = kept.r4(&["config", "import", path(&all)]).out;
+    assert!(printed.contains("osmc0.position_kp 3.25 -> 4\n") && printed.contains("3 of "), "{printed}");
+    assert_eq!(kept.r4(&["config", "export", "-"]).out, before);
+}
+
+#[test]
+fn a_file_of_parameters_is_taken_as_a_whole_or_not() {
+    let kept = Kept::new("sim:osmc-bench");
+    let file = kept.file("new.toml");
+    let import = ["config", "import", path(&file)];
+    for (toml, line, says) in [
+        ("[osmc0]\nposition_kp = 9.0\nduty_max = 1.5\n", 3, "osmc0.duty_max cannot be 1.5"),
+        ("[osmc0]\nposition_kp = 9.0\n[actuator1]\nposition_kq = 9.0\n", 4, "nearest is actuator1.position_kp"),
+        ("[osmc0]\nposition_kp = 9.0\n[osmc2]\nposition_kp = 9.0\n", 4, "nearest is osmc0.position_kp"),
+        ("[osmc0]\nposition_kp = 9.0\nspeed_max = \"fast\"\n", 3, "osmc0.speed_max must be a number"),
+        ("[osmc0]\nposition_kp = 9.0\nspeed_max =\n", 3, "numbers like"),
+    ] {
+        fs::write(&file, toml).unwrap();
+        kept.refused(&import, &[&format!("new.toml:{line}: "), says]);
+        assert_eq!(number(&kept.parameter(KP), "active"), 4.0, "{toml}");
+    }
+    kept.refused(&["config", "import", path(&kept.file("none.toml"))], &["none.toml", "cannot read"]);
+    kept.refused(&["config", "export", path(&kept.file("no/folder.toml"))], &["folder.toml", "cannot write"]);
+}
+
+#[test]
+fn a_file_that_is_no_flash_is_left_alone() {
+    let kept = Kept::new("sim:osmc-bench");
+    fs::write(kept.file("flash"), "my thesis").unwrap();
+    kept.refused(&["info"], &["flash", "not the flash of a simulated board"]);
+    assert_eq!(fs::read_to_string(kept.file("flash")).unwrap(), "my thesis");
+    all_refused([
+        (&["--flash", path(&kept.file("no/flash")), "info"][..], &["no/flash", "cannot write"][..]),
+        (&["--flash", path(kept.folder.path()), "info"], &["cannot read"]),
+    ]);
+}
+
+// r4 faults
+
+#[test]
+fn trips_are_remembered_with_what_came_before() {
+    let own = Own::new(ROBOT, &stuck());
+    let kept = Kept::new(&own.robot);
+    assert!(array(&kept.json(&["faults"]), "faults").is_empty());
+    kept.refused(&["faults", "0"], &["no trip 0", "`r4 faults`"]);
+    for _ in 0..2 {
+        kept.refused(&["move", "actuator1", "25mm"], &["stalled"]);
+    }
+    let faults = kept.json(&["faults"]);
+    let faults = array(&faults, "faults");
+    assert_eq!(faults.len(), 2);
+    let (newest, oldest) = (&faults[0], &faults[1]);
+    assert_eq!((number(newest, "index"), number(newest, "number")), (0.0, number(oldest, "number") + 1.0));
+    assert!(number(newest, "start") > number(oldest, "start"), "{newest} {oldest}");
+    assert!(array(newest, "causes").contains(&"stalled".into()) && number(newest, "time_s") > 0.3, "{newest}");
+
+    let before = kept.json(&["faults", "0"]);
+    assert_eq!(number(&before, "number"), number(newest, "number"));
+    let moments = array(&before, "before");
+    let times: Vec<f64> = moments.iter().map(|moment| number(moment, "before_ms")).collect();
+    // Every 10 ms for 200 ms.
+    assert!(times.len() == 20 && times.is_sorted_by(|a, b| a > b) && times[0] <= 200.0, "{times:?}");
+    let last = moments.last().unwrap();
+    let [osmc, actuator] = array(last, "motors") else { panic!("{last}") };
+    assert_eq!((text(osmc, "channel"), text(actuator, "channel")), ("osmc0", "actuator1"));
+    // A stall is hard drive without motion.
+    assert!(number(actuator, "duty") > 0.3 && number(actuator, "position").abs() < 1e-3, "{actuator}");
+    assert_eq!(number(osmc, "duty"), 0.0);
+    let volts = number(&array(last, "supplies")[0], "voltage_v");
+    assert!((volts - 24.0).abs() < 1.0, "{volts}");
+
+    let printed = kept.r4(&["faults"]).out;
+    assert_eq!(printed.matches("stalled").count(), 2, "{printed}");
+    let printed = kept.r4(&["faults", "1"]).out;
+    for says in ["trip 1", "stalled", "free the mechanism", "ms before", "actuator1", "mm/s", "duty", "supply1"] {
+        assert!(printed.contains(says), "{says} in\n{printed}");
+    }
+    kept.refused(&["faults", "2"], &["no trip 2", "remembers 2"]);
+    let seen = r4(&["faults"]);
+    assert!(seen.code == Some(0) && seen.out.contains("no trip") && seen.err.contains("--flash"), "{seen:?}");
+}
+
+// r4 i2c, uart
+
+#[test]
+fn external_connectors_are_reached() {
+    // On each I2C connector of a simulated board is a memory of 256 bytes, erased; each UART hears itself.
+    for bus in ["0", "1"] {
+        let read = good_json(&["i2c", bus, "0x50", "--write", "10", "--read", "3", "--json"]);
+        assert_eq!((text(&read, "written"), text(&read, "read")), ("10", "ffffff"));
+        assert_eq!((number(&read, "bus").to_string(), number(&read, "address")), (bus.to_owned(), 80.0));
+    }
+    assert_eq!(good(&["i2c", "0", "80", "--write", "00", "--read", "2"]), "ff ff\n");
+    assert_eq!(good(&["i2c", "0", "0x50", "--write", "00 12 34"]), "wrote 3 bytes to 0x50 on I2C connector 0\n");
+    assert_eq!(good(&["uart", "1", "--write", r"R4 \\\r\n\x00", "--read"]), "R4 \\\\\\r\\n\\x00\n");
+    let long = "0123456789".repeat(20);
+    let echo = good_json(&["uart", "0", "--write", &long, "--read", "--json"]);
+    assert_eq!((text(&echo, "read"), text(&echo, "read").len()), (text(&echo, "written"), 400));
+    assert_eq!(good(&["uart", "0", "--write", "x"]), "sent 1 byte out of UART connector 0\n");
+    assert_eq!(good(&["uart", "0", "--read", "--for", "0.1"]), "\n");
+    all_refused([
+        (&["i2c", "0", "0x51", "--read", "1"][..], &["0x51", "pull-ups"][..]),
+        (&["i2c", "2", "0x50", "--read", "1"], &["connector 2"]),
+        (&["i2c", "0", "0x03", "--read", "1"], &["0x08 to 0x77"]),
+        (&["i2c", "0", "0x50"], &["--write", "--read"]),
+        (&["i2c", "0", "0x50", "--read", "65"], &["65", "64"]),
+        (&["i2c", "0", "0x50", "--write", "0"], &["hex", "00ff"]),
+        (&["uart", "2", "--read"], &["connector 2"]),
+        (&["uart", "0"], &["--write", "--read"]),
+        (&["uart", "0", "--write", r"\q"], &["two hex digits"]),
+    ]);
+}
+
 // Bad input
 
 #[test]
@@ -596,6 +865,17 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["move", "actuator1", "150mm"], &["actuator1", " to "]),
         (&["speed", "osmc0", "100rad/s"], &["osmc0", " to "]),
         (&["duty", "osmc0", "1.5"], &["osmc0", "-0.902 to 0.902"]),
+        // What it is not.
+        (&["home", "osmc0", "--speed", "-1rad/s"], &["osmc0", "home", "`r4 info`"]),
+        (&["home", "osmc0", "--speed", "0rad/s"], &["other than 0"]),
+        (&["home", "osmc0"], &["--speed"]),
+        (&["step", "osmc0", "200"], &["osmc0", "no stepper", "`r4 move`"]),
+        (&["step", "stepper0", "1.5"], &["1.5"]),
+        (&["servo", "osmc0", "30deg"], &["osmc0", "no servo"]),
+        (&["bldc", "osmc0", "40%"], &["osmc0", "no bldc"]),
+        (&["bldc", "bldc0"], &["<VALUE>"]),
+        (&["bldc", "bldc0", "40%", "--brake"], &["--brake"]),
+        (&["dac", "dac0", "1.2V"], &["dac0", "`r4 info`"]),
         // Options.
         (&["arm", "--for=-1", "--pace", "max"], &["--for", "above 0"]),
         (&["arm", "--for", "nan", "--pace", "max"], &["--for", "above 0"]),
