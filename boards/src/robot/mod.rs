@@ -1,12 +1,15 @@
 //! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
 
-mod linear;
+mod drive;
+mod input;
+mod motor;
+mod output;
 mod read;
-mod rotary;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 
+pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
 use crate::carrier::Carrier;
@@ -18,6 +21,8 @@ pub struct Robot {
     pub file: String,
     /// What the firmware is told.
     pub config: BoardConfig,
+    /// How it moves over the ground; `None` for one that does not.
+    pub drive: Option<Drive>,
     /// What the simulator takes for true; empty when the file has no `[simulation]`.
     pub simulation: Simulation,
     /// The carrier it is built on.
@@ -69,10 +74,8 @@ pub struct SimulatedServo {
 pub struct SimulatedBldc {
     /// Which.
     pub channel: ChannelId,
-    /// Where it stands still, V.
-    pub neutral_v: f64,
-    /// Half the width of the dead zone around that, V.
-    pub dead_zone_v: f64,
+    /// Where it stands still, V: both ends.
+    pub dead_zone_v: [f64; 2],
     /// Full speed forwards, V.
     pub forward_v: f64,
     /// Full speed backwards, V, where a voltage reverses it.
@@ -121,7 +124,7 @@ pub struct SimulatedSwitch {
     pub channel: ChannelId,
     /// The motor or stepper that closes it; `None` for one that nothing touches.
     pub axis: Option<ChannelId>,
-    /// Closed below this position of the axis, rad from where it stands at time 0.
+    /// Closed below this position of the axis, rad. A stepper's is counted from where it stands at time 0.
     pub closed_below: f64,
 }
 
@@ -129,7 +132,7 @@ impl Simulation {
     /// Whether the robot's file says nothing about the true world, so that it can only be used as hardware.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.motors.is_empty() && self.rails.is_empty()
+        *self == Self::default()
     }
 }
 

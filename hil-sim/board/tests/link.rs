@@ -163,7 +163,7 @@ fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
             (set(device, NO_MOTOR, Mode::Duty, 0.8), Refusal::UnknownChannel { channel: NO_MOTOR }),
             (set(device, SUPPLY_24, Mode::Duty, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Duty }),
             (set(device, SUPPLY_24, Mode::Speed, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Speed }),
-            (Request::Describe { index: 6 }, Refusal::NoSuchIndex { index: 6 }),
+            (Request::Describe { index: 7 }, Refusal::NoSuchIndex { index: 7 }),
             (Request::Describe { index: 255 }, Refusal::NoSuchIndex { index: 255 }),
             (Request::Subscribe { channel: NO_MOTOR, period_ms: 1 }, Refusal::UnknownChannel { channel: NO_MOTOR }),
             (

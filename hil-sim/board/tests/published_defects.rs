@@ -105,6 +105,7 @@ fn waiting_before_a_command_changes_nothing() {
 fn a_saturated_move_does_not_overshoot() {
     let mut robot = osmc_bench();
     // A path no motor can follow: a step, in effect.
+    control_of(&mut robot.config, 0).speed_max = 50.0;
     control_of(&mut robot.config, 0).profile.speed = 50.0;
     control_of(&mut robot.config, 0).profile.acceleration = 500.0;
     control_of(&mut robot.config, 0).follow.error = 100.0;

@@ -211,8 +211,9 @@ fn bus_too_slow_for_the_control_loop() {
         remedy: |device, _| device.board.world().bus.set_rate_hz(400_000),
         // The slow transfer begins within `CHECK_EVERY` periods; five periods and one look of the supervisor later.
         off_ns: CHECK_EVERY * PERIOD_NS + 5 * PERIOD_NS + 2 * SUPERVISOR_NS,
-        // ... and then the transfer under way, the relays' three bytes of 0.9 ms and the PWM chip's two, with their addresses.
-        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 4 * MS + 4 * MS),
+        // ... and then, at 0.9 ms a byte, two bridges' four bytes each and a read-back of ten under way, the expander's four and
+        // the PWM chip's three.
+        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 10 * MS + 4 * MS + 3 * MS),
         moments: 72,
     }
     .check("slow bus");

@@ -162,7 +162,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             sensors: Causes::NONE,
             recorder: Recorder::default(),
             trips: 0,
-            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us).max(1),
+            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
         }
     }
 
@@ -219,12 +219,15 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             shared.publish(Place::Relay(index), Status::Scalar(self.outputs.is_closed(index).into()));
         }
         for (index, status) in self.steppers.iter().flat_map(Bank::status).enumerate() {
+            let setpoint = self.stepper_setpoints[index];
+            // A search ends at rest where it found its place.
+            let found = setpoint.mode == Mode::Home && status.homed && !status.moving;
             let status = MotorStatus {
-                setpoint: self.stepper_setpoints[index],
+                setpoint,
                 position: status.position_steps,
                 speed: status.speed,
                 duty: 0.0,
-                settled: status.settled,
+                settled: status.settled || found,
                 homed: status.homed,
             };
             shared.publish(Place::Stepper(index), Status::Motor(status));

@@ -37,6 +37,8 @@ const TURN_ROUND_S: f32 = 0.15;
 /// A sensor that shows more than this many times the highest speed within a period, and a few counts, has jumped.
 const JUMP_SPEEDS: f32 = 4.0;
 const JUMP_COUNTS: f32 = 8.0;
+/// A motor that does not move costs at most so many stalls' worth of duty: friction may be higher than configured.
+const EFFORT_STALLS: f32 = 4.0;
 /// A stall's duty counts as at least so much above friction, also where the configuration has it lower.
 const LEAST_BEYOND_FRICTION: f32 = 0.1;
 
@@ -59,8 +61,8 @@ impl Watch {
         causes
     }
 
-    /// A loop whose sensor is dead drives ever harder, and the motor runs long before that is as hard as a stall. So what
-    /// a stall may cost beyond friction, it may cost in all before the sensor shows motion.
+    /// A loop whose sensor is dead drives ever harder, and the motor runs long before that is as hard as a stall. So the
+    /// duty beyond friction may last the shorter the higher it is: a few times what a stall is given.
     fn effort(&mut self, seen: Seen, resolution: f32, period_s: f32, config: &ControlConfig) -> bool {
         let shown = config.settle.error.max(2.0 * resolution);
         if !seen.wants_motion || ((seen.position - self.rest) as f32).abs() >= shown {
@@ -70,7 +72,7 @@ impl Watch {
         let friction = config.feed_forward.static_duty;
         self.effort += (seen.duty.abs() - friction).max(0.0) * period_s;
         let beyond = (config.stall.duty - friction).max(LEAST_BEYOND_FRICTION);
-        self.effort > beyond * f32::from(config.stall.time_ms) * 1e-3
+        self.effort > EFFORT_STALLS * beyond * f32::from(config.stall.time_ms) * 1e-3
     }
 
     /// Driven hard, a motor moves, and in the direction of the drive.

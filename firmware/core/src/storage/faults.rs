@@ -6,7 +6,7 @@
 //! layout: u8 | FaultInfo | FaultSnapshot, oldest first | FaultSnapshot ...
 //! ```
 //!
-//! With eight motors and four supplies that is at most 2545 bytes, so that a sector of 128 KiB takes 47 trips: more than
+//! With eight motors and four supplies that is at most 2525 bytes, so that a sector of 128 KiB takes 47 trips: more than
 //! [`HISTORY`], so they outlive the erase of the other sector. Two sectors of 10 000 erases then last for 900 000 trips.
 
 use embedded_storage_async::nor_flash::NorFlash;
@@ -140,7 +140,7 @@ impl History {
     /// Writes a trip; the oldest go when there is no more room.
     ///
     /// # Errors
-    /// [`StorageError`]; the trips before it are still there.
+    /// [`StorageError`]; the trips before it are still there, unless they were damaged.
     pub async fn record<F: NorFlash>(&mut self, flash: &mut F, trip: &Trip) -> Result<FaultInfo, StorageError> {
         let info = FaultInfo {
             number: self.newest.map_or(1, |newest| newest.number.saturating_add(1)),

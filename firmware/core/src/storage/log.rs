@@ -61,17 +61,18 @@ impl<'f, F: NorFlash> Log<'f, F> {
         Ok(())
     }
 
-    /// Appends `item` and looks whether it is there. Content that makes no sense is erased, so that there is room.
+    /// Appends `item` and looks whether it is there. Where the content makes no sense, or hides what is appended, all of it
+    /// is erased first.
     ///
     /// # Errors
-    /// [`StorageError::Flash`]; what was there before is still there.
+    /// [`StorageError::Flash`]
     pub(super) async fn push(&mut self, item: &[u8], buffer: &mut [u8]) -> Result<(), StorageError> {
-        // A cell that does not take what it is given spoils one place; the second try is at the next.
-        for _ in 0..2 {
+        for first in [true, false, false] {
             match self.push_once(item, buffer).await {
                 Ok(true) => return Ok(()),
-                Ok(false) => {}
-                Err(StorageError::Damaged) => self.queue()?.erase_all().await?,
+                // A cell that does not take what it is given spoils one place; the next try is behind it.
+                Ok(false) if first => {}
+                Ok(false) | Err(StorageError::Damaged) => self.queue()?.erase_all().await?,
                 Err(StorageError::Flash) => return Err(StorageError::Flash),
             }
         }

@@ -6,7 +6,7 @@
 //! layout: u8 | robot it was made for | new name, if any | length: u8, key and value | length: u8, key and value ...
 //! ```
 //!
-//! A value takes 9 bytes, so that a sector of 128 KiB takes 450 saves of 20 changes and 64 of the most there can be. Two
+//! A value takes 9 bytes, so that a sector of 128 KiB takes 400 saves of 20 changes and 60 of the most there can be. Two
 //! sectors of 10 000 erases then last for more than a million saves.
 
 use embedded_storage_async::nor_flash::NorFlash;
@@ -194,7 +194,7 @@ pub async fn load<F: NorFlash>(flash: &mut F, built_in: &BoardConfig) -> Loaded 
 /// Saves `changes` for the robot whose built-in name is `made_for`. No changes go back to what is built in.
 ///
 /// # Errors
-/// [`StorageError::Flash`]; what was saved before is then still there.
+/// [`StorageError`]; what was saved before is then still there, unless it was damaged.
 pub async fn save<F: NorFlash>(flash: &mut F, made_for: &str, changes: &Changes) -> Result<(), StorageError> {
     let mut buffer = [0; BUFFER];
     let item = encode(made_for, changes).ok_or(StorageError::Damaged)?;

@@ -6,7 +6,7 @@ use r4_boards::Robot;
 
 use crate::{
     chips::{
-        mcp4728::{Mcp4728, Setting},
+        mcp4728::{CHANNELS, Mcp4728, Setting},
         mcp23017::{Mcp23017, PinState, Port},
         pca9685::Pca9685,
     },
@@ -35,8 +35,14 @@ impl Chips {
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
             bldc_dac: config.bldc_dac.map(|chip| {
-                let delivered = [Setting::FACTORY; crate::chips::mcp4728::CHANNELS];
-                Rc::new(RefCell::new(Mcp4728::new(chip.address, chip.full_scale_v.into(), delivered)))
+                // As the firmware leaves it after its first start: a chip as delivered would give every drive 0 V until then,
+                // which is why drives are connected only after that.
+                let mut kept = [Setting(0); CHANNELS];
+                for bldc in &config.bldcs {
+                    let share = f64::from(bldc.neutral_v) / f64::from(chip.full_scale_v);
+                    kept[usize::from(bldc.output)] = Setting((share * 4096.0).round().min(4095.0) as u16);
+                }
+                Rc::new(RefCell::new(Mcp4728::new(chip.address, chip.full_scale_v.into(), kept)))
             }),
             expander: config.expander.map(|chip| Rc::new(RefCell::new(Mcp23017::new(chip.address)))),
         };

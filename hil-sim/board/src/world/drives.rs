@@ -17,8 +17,8 @@ use crate::{
     misuse::MisuseLog,
 };
 
-/// A drive that coasts takes so many times longer than one that follows its throttle: synthetic.
-const COAST_SLOWER: f64 = 4.0;
+/// A drive that coasts takes so many times longer to stop than one that follows its throttle: synthetic.
+const COAST_SLOWER: f64 = 2.0;
 /// Time in which a brake stops the motor from full speed, s: synthetic.
 const BRAKE_S: f64 = 0.3;
 /// A drive tolerates this much beyond full speed, V: synthetic.
@@ -67,11 +67,12 @@ impl Bldc {
 pub(super) fn bldcs(robot: &Robot) -> Vec<Bldc> {
     let pairs = robot.config.bldcs.iter().zip(&robot.simulation.bldcs);
     let drive = |(wiring, truth): (&BldcConfig, &r4_boards::SimulatedBldc)| {
-        let full = [truth.forward_v, truth.reverse_v.unwrap_or(truth.neutral_v), truth.neutral_v];
+        let [low_v, high_v] = truth.dead_zone_v;
+        let full = [truth.forward_v, truth.reverse_v.unwrap_or(low_v), low_v, high_v];
         let lowest = full.into_iter().fold(f64::INFINITY, f64::min);
         let highest = full.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let spec = BldcDriveSpec {
-            dead_zone_v: [truth.neutral_v - truth.dead_zone_v, truth.neutral_v + truth.dead_zone_v],
+            dead_zone_v: truth.dead_zone_v,
             forward_v: truth.forward_v,
             reverse: match (truth.reverse_v, wiring.reverse) {
                 (Some(full_v), _) => Reverse::ByVoltage { full_v },

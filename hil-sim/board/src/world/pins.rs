@@ -28,8 +28,8 @@ use crate::{
 const CODE_MAX: f64 = 65_535.0;
 /// The converter's reference, V.
 const REFERENCE_V: f64 = 3.3;
-/// Input filter of the encoder timers: 8 samples at 1/32 of 120 MHz.
-const ENCODER_FILTER_NS: u64 = 2_133;
+/// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
+const ENCODER_FILTER_NS: u64 = 267;
 /// The first inputs are counted by timers, the others by interrupts.
 const ENCODERS_ON_TIMERS: usize = 3;
 /// Speed of the UART connectors.
