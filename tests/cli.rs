@@ -560,6 +560,167 @@ fn ctrl_c_and_a_polite_kill_disarm() {
     }
 }
 
+// Every kind of channel
+
+const EVERY: [&str; 2] = ["--board", "sim:every-interface"];
+
+fn every(args: &[&str]) -> Seen {
+    r4(&[&EVERY, args].concat())
+}
+
+fn every_json(args: &[&str]) -> Value {
+    good_json(&[&EVERY, args, &["--json"]].concat())
+}
+
+/// As [`all_refused`], on the board with every channel.
+fn every_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
+    let complaints = cases.into_iter().filter_map(|(args, says)| complaint(&[&EVERY, args].concat(), says));
+    let complaints: String = complaints.collect();
+    assert!(complaints.is_empty(), "{complaints}");
+}
+
+#[test]
+fn info_and_watch_know_every_kind_of_channel() {
+    let info = every_json(&["info"]);
+    let channels = array(&info, "channels");
+    let of_kind = |kind: &str| channels.iter().filter(|channel| text(channel, "kind") == kind).collect::<Vec<_>>();
+    for (kind, unit) in [
+        ("osmc", "rad"),
+        ("dhb", "duty"),
+        ("bldc", "duty"),
+        ("servo", "rad"),
+        ("stepper", "rad"),
+        ("relay", "bool"),
+        ("encoder", "rad"),
+        ("switch", "bool"),
+        ("range", "m"),
+        ("analog", "V"),
+        ("supply", "V"),
+        ("dac", "V"),
+        ("dead-man", "bool"),
+    ] {
+        let channels = of_kind(kind);
+        assert!(!channels.is_empty() && channels.iter().all(|channel| text(channel, "unit") == unit), "{kind}");
+    }
+    for channel in channels {
+        let (min, max) = (number(channel, "min"), number(channel, "max"));
+        assert!(min < max && min.is_finite() && max.is_finite() && number(channel, "rate_hz") > 0.0, "{channel}");
+    }
+    let printed = every(&["info"]).out;
+    let unlimited: Vec<_> = printed.lines().filter(|line| line.contains("unlimited")).collect();
+    assert!(unlimited.len() == of_kind("encoder").len() && unlimited[0].contains("encoder0"), "{printed}");
+
+    // More channels than a telemetry frame holds come as one line.
+    let printed = every(&["watch", "--for", "1", "--pace", "max", "--json"]).out;
+    let lines: Vec<Value> = printed.lines().map(object).collect();
+    assert!((4..=6).contains(&lines.len()), "{}", lines.len());
+    for line in &lines {
+        let ids = array(line, "channels").iter().map(|value| text(value, "channel"));
+        assert!(ids.eq(channels.iter().map(|channel| text(channel, "id"))), "{line}");
+    }
+    let last = lines.last().unwrap();
+    let value = |id: &str| {
+        let mut values = array(last, "channels").iter();
+        values.find(|value| text(value, "channel") == id).unwrap_or_else(|| panic!("{id}")).clone()
+    };
+    assert!(value("servo0")["value"].is_null(), "nothing was asked of it yet");
+    let range = value("range0");
+    assert!((0.02..=4.0).contains(&number(&range, "value")) && text(&range, "quality") == "good", "{range}");
+    // Four sensors in turn, each 60 ms.
+    assert!(number(&range, "age_ms") <= 250.0, "{range}");
+    assert_eq!((number(&value("encoder0"), "value"), number(&value("encoder0"), "illegal")), (0.0, 0.0));
+    assert_eq!(number(&value("dead-man0"), "value"), 1.0);
+    assert!(value("stepper0")["duty"].is_null() && value("stepper0")["homed"] == false);
+    let printed = every(&["watch", "--for", "0.3", "--pace", "max"]).out;
+    assert!(printed.lines().any(|line| line.contains("range0") && line.ends_with(" mm")), "{printed}");
+}
+
+#[test]
+fn a_servo_is_held_at_an_angle() {
+    let end = every_json(&["servo", "servo3", "-30deg", "--for", "1"]);
+    assert_eq!((text(&end, "channel"), text(&end, "mode"), &end["held"]), ("servo3", "position", &true.into()));
+    // Angles travel as 32-bit floats.
+    assert!((number(&end, "value") + 30f64.to_radians()).abs() < 1e-6 && number(&end, "seconds") == 1.0, "{end}");
+    let seen = every(&["servo", "servo3", "30deg"]);
+    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "servo3 was told 30.00 deg for 2 s; now disarmed\n"));
+    every_refused([
+        (&["servo", "servo3", "60deg"][..], &["servo3", "position from -44.98 deg to 44.98 deg"][..]),
+        (&["servo", "servo3", "10mm"], &["servo3", "angle"]),
+        (&["servo", "servo16", "10deg"], &["servo16", "`r4 info`"]),
+        (&["servo", "stepper0", "10deg"], &["stepper0", "no servo"]),
+        (&["move", "servo3", "30deg"], &["servo3", "`r4 servo`"]),
+    ]);
+}
+
+#[test]
+fn a_brushless_drive_runs_and_brakes() {
+    let end = every_json(&["bldc", "bldc0", "40%"]);
+    assert_eq!((text(&end, "mode"), &end["held"]), ("duty", &true.into()));
+    assert!((number(&end, "value") - 0.4).abs() < 1e-6, "{end}");
+    let end = every_json(&["bldc", "bldc0", "--brake", "--for", "0.5"]);
+    assert_eq!((text(&end, "mode"), number(&end, "set"), number(&end, "value")), ("brake", 1.0, 0.0));
+    // Full speed takes a second at least.
+    let seen = every(&["bldc", "bldc0", "-0.9", "--for", "0.5", "--json"]);
+    assert!(seen.code == Some(1) && seen.err.contains("--for"), "{seen:?}");
+    assert_eq!(object(&seen.out)["held"], false);
+    every_refused([
+        (&["bldc", "bldc0", "1.5"][..], &["bldc0", "-1.000 to 1.000"][..]),
+        (&["bldc", "bldc0", "2rad/s"], &["bldc0", "share"]),
+        (&["duty", "bldc0", "0.4"], &["bldc0", "`r4 bldc`"]),
+    ]);
+}
+
+#[test]
+fn a_voltage_is_given() {
+    for typed in ["1.2V", "1200mV"] {
+        let end = every_json(&["dac", "dac0", typed]);
+        assert!((number(&end, "value") - 1.2).abs() < 1e-6 && end["held"] == true, "{end}");
+    }
+    let seen = every(&["dac", "dac1", "0.5V", "--for", "1"]);
+    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "dac1 was told 0.50 V for 1 s; now at its safe voltage\n"));
+    every_refused([
+        (&["dac", "dac1", "0.1V"][..], &["dac1", "0.50 V to 2.80 V"][..]),
+        (&["dac", "dac0", "1.2"], &["dac0", "1.2V"]),
+    ]);
+}
+
+#[test]
+fn a_stepper_moves_steps_turns_and_finds_its_home() {
+    let end = every_json(&["move", "stepper1", "90deg"]);
+    // 1600 steps a turn: a quarter of one.
+    assert!((number(&end, "position") - 90f64.to_radians()).abs() < 1e-6 && end["settled"] == true, "{end}");
+    for (steps, position_deg) in [("200", 45.0), ("-1", -0.225)] {
+        let end = every_json(&["step", "stepper0", steps]);
+        assert!((number(&end, "position").to_degrees() - position_deg).abs() < 1e-4, "{end}");
+    }
+    let end = every_json(&["speed", "stepper2", "-2rad/s"]);
+    assert!((number(&end, "speed") + 2.0).abs() < 1e-3 && end["held"] == true, "{end}");
+    assert!(every(&["speed", "stepper2", "2rad/s"]).out.contains("moving at 114.6 deg/s, after 2.0"));
+
+    // The configured place of each switch; the osmc comes to rest within what counts as settled there.
+    for (channel, home_rad, within) in [("stepper0", -0.5, 0.01), ("stepper1", -0.5, 0.01), ("osmc0", -1.0, 0.02)] {
+        let end = every_json(&["home", channel, "--speed", "-1rad/s"]);
+        assert_eq!((text(&end, "mode"), &end["homed"]), ("home", &true.into()), "{end}");
+        assert!((number(&end, "position") - home_rad).abs() < within, "{end}");
+    }
+    let seen = every(&["home", "stepper0", "--speed", "-60deg/s"]);
+    assert!(seen.code == Some(0) && seen.out.starts_with("stepper0 has found its home and rests at -28"), "{seen:?}");
+    every_refused([
+        (&["home", "stepper2", "--speed", "-1rad/s"][..], &["stepper2", "home", "`r4 info`"][..]),
+        (&["home", "stepper0", "--speed", "5rad/s"], &["stepper0", "114.6 deg/s"]),
+        (&["home", "osmc0", "--speed", "-1rad/s", "--for", "0.2"], &["osmc0", "home switch after 0.2 s", "direction"]),
+        (&["step", "stepper0", "1000000"], &["stepper0", " to "]),
+    ]);
+}
+
+#[test]
+fn a_motor_without_a_sensor_tells_only_its_duty() {
+    let end = every_json(&["duty", "dhb1", "50%"]);
+    assert!(end["position"].is_null() && (number(&end, "duty") - 0.5).abs() < 1e-6, "{end}");
+    let printed = every(&["duty", "dhb1", "-0.5"]).out;
+    assert!(printed.starts_with("dhb1 duty -0.500, after 2.0") && !printed.contains("NaN"), "{printed}");
+}
+
 // r4 config
 
 /// A file for the flash of a simulated board, and `r4` with it.

@@ -65,7 +65,7 @@ pub(crate) enum Command {
     Duty(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
-    /// Arm, hold a servo at an angle for a time, disarm (which ends its pulses)
+    /// Arm, hold a servo at an angle for a time, disarm
     Servo(Held),
     /// Arm, drive or brake a brushless drive for a time, disarm (which stops it)
     Bldc(Bldc),
