@@ -774,6 +774,8 @@ fn config_shows_every_parameter_or_those_of_a_channel() {
     for key in ["board.link_timeout_ms", KP, "actuator1.pot_low_code", "supply0.volts_min"] {
         assert_eq!(keys.iter().filter(|known| **known == key).count(), 1, "{key}");
     }
+    let unit = |key| text(&array(&shown, "parameters")[keys.iter().position(|known| *known == key).unwrap()], "unit");
+    assert_eq!((unit(KP), unit("actuator1.speed_max")), ("duty/rad", "m/s"));
     for info in array(&shown, "parameters") {
         assert_eq!((&info["active"], &info["set"]), (&info["built_in"], &info["built_in"]), "{info}");
     }
@@ -871,7 +873,7 @@ fn a_file_of_parameters_comes_back() {
         assert_eq!(number(&kept.parameter(key), "active"), value, "{key}");
     }
     let printed = kept.r4(&["config", "export", "-"]).out;
-    assert!(printed.contains("position_kp = 3.25 # built in: 4.0\n"), "{printed}");
+    assert!(printed.contains("position_kp = 3.25 # duty/rad; built in: 4.0\n"), "{printed}");
     let printed = kept.r4(&["config", "import", path(&all)]).out;
     assert!(printed.contains("osmc0.position_kp 3.25 -> 4\n") && printed.contains("3 of "), "{printed}");
     assert_eq!(kept.r4(&["config", "export", "-"]).out, before);

@@ -362,7 +362,7 @@ mod tests {
             "100 of 200 not good, last: sensor does not answer",
             "encoder0 (°)",
             "encoder0 speed (°/s)",
-            "1 illegal transitions",
+            "illegal transitions: 1,",
         ] {
             assert!(page.contains(expected), "{expected}");
         }
