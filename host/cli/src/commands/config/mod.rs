@@ -304,27 +304,20 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
             }
         }
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
-        let refused = set_all(session.board, &wanted).await;
-        let refused = match refused {
-            Ok(None) => session.board.save_parameters().await.err().map(|error| (0, error)),
-            Ok(refused) => refused,
-            Err(error) => Some((0, error)),
+        let (place, error) = match set_all(session.board, &wanted).await {
+            Ok(None) => {
+                let unsure = "cannot save; after a restart `r4 config show` tells what holds";
+                session.board.save_parameters().await.context(unsure)?;
+                return Ok(changes);
+            }
+            Ok(Some((index, error))) => (changes[index].0.clone(), error),
+            Err(error) => (path.display().to_string(), error),
         };
-        if let Some((index, error)) = refused {
-            let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
-            let undone = set_all(session.board, &before).await;
-            let place = if matches!(error, Error::Refused(Refusal::BadParameter { .. })) {
-                &changes[index].0
-            } else {
-                &path.display().to_string()
-            };
-            ensure!(
-                matches!(undone, Ok(None)),
-                "{place}: {error}; what was set before it could not be taken back: nothing is saved, restart the board"
-            );
-            bail!("{place}: {error}; nothing was changed");
+        let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
+        match set_all(session.board, &before).await {
+            Ok(None) => bail!("{place}: {error}; nothing was changed"),
+            _ => bail!("{place}: {error}; what was set before it is not saved: restart the board to be rid of it"),
         }
-        Ok(changes)
     })?;
     let changed = changed.into_iter().map(|(_, info, from)| Change { key: info.key.to_string(), from, to: info.set });
     let changed: Vec<Change> = changed.collect();
