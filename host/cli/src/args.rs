@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
@@ -65,7 +65,7 @@ pub(crate) enum Command {
     Duty(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
-    /// Arm, hold a servo at an angle for a time, disarm (which ends its pulses)
+    /// Arm, hold a servo at an angle for a time, disarm
     Servo(Held),
     /// Arm, drive or brake a brushless drive for a time, disarm (which stops it)
     Bldc(Bldc),
@@ -205,6 +205,7 @@ pub(crate) enum Config {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct I2c {
     /// The connector, 0 or 1
     pub(crate) bus: u8,
@@ -212,7 +213,7 @@ pub(crate) struct I2c {
     #[arg(value_parser = i2c_address)]
     pub(crate) address: u8,
     /// Bytes to write, in hex, as in 00ff or "00 ff"
-    #[arg(long, value_name = "HEX", value_parser = hex, required_unless_present = "read")]
+    #[arg(long, value_name = "HEX", value_parser = hex)]
     pub(crate) write: Option<Bytes>,
     /// How many bytes to read then
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=MAX_RAW as i64))]
@@ -220,11 +221,12 @@ pub(crate) struct I2c {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct Uart {
     /// The connector, 0 or 1
     pub(crate) port: u8,
     /// What to send; \r \n \t \\ and \xHH stand for bytes
-    #[arg(long, value_name = "TEXT", value_parser = escaped, required_unless_present = "read")]
+    #[arg(long, value_name = "TEXT", value_parser = escaped)]
     pub(crate) write: Option<Bytes>,
     /// Print what is received
     #[arg(long)]

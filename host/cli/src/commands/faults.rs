@@ -178,9 +178,11 @@ impl Watched {
         let mut header = vec!["ms before".to_owned()];
         for info in &self.motors {
             let measured = info.resolution > 0.0;
+            // Named above its first column.
+            let mut name = info.id.to_string();
             let units = [(human(info.unit).1, measured), (human(speed_unit(info.unit)).1, measured), ("duty", true)];
             let shown = units.iter().filter(|(_, shown)| *shown);
-            header.extend(shown.map(|(unit, _)| format!("{}\n{unit}", info.id)));
+            header.extend(shown.map(|(unit, _)| format!("{}\n{unit}", std::mem::take(&mut name))));
         }
         header.extend(self.supplies.iter().map(|info| format!("{}\nV", info.id)));
         let header: Vec<&str> = header.iter().map(String::as_str).collect();

@@ -46,7 +46,7 @@ struct Order {
 }
 
 pub(crate) fn servo(args: &Args, servo: &Held) -> anyhow::Result<bool> {
-    of_held(args, servo, ChannelKind::Servo, Mode::Position, "now without pulses")
+    of_held(args, servo, ChannelKind::Servo, Mode::Position, "now disarmed")
 }
 
 pub(crate) fn dac(args: &Args, dac: &Held) -> anyhow::Result<bool> {

@@ -5,6 +5,8 @@ use std::{collections::BTreeMap, fmt, fmt::Write as _};
 use r4_protocol::ParameterInfo;
 use toml::{Spanned, Value};
 
+use super::unit::unit;
+
 /// A value in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Entry {
@@ -33,8 +35,9 @@ impl fmt::Display for Mistake {
 pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
     let mut text = format!("# {title}\n");
     let mut table = String::new();
-    for ParameterInfo { key, set, built_in, .. } in parameters {
-        let key = key.to_string();
+    for info in parameters {
+        let ParameterInfo { set, built_in, .. } = info;
+        let key = info.key.to_string();
         let Some((scope, name)) = key.split_once('.') else { continue };
         if scope != table {
             // Writing to a string does not fail.
@@ -43,8 +46,11 @@ pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
         }
         // `{:?}` writes what TOML reads as a float, in the fewest digits that mean this number.
         let _ = write!(text, "{name} = {set:?}");
-        if set != built_in {
-            let _ = write!(text, " # built in: {built_in:?}");
+        let unit = unit(info.key);
+        let built_in = if set == built_in { String::new() } else { format!("built in: {built_in:?}") };
+        let notes: Vec<String> = [unit, built_in].into_iter().filter(|note| !note.is_empty()).collect();
+        if !notes.is_empty() {
+            let _ = write!(text, " # {}", notes.join("; "));
         }
         text.push('\n');
     }
@@ -101,13 +107,14 @@ mod tests {
             info("board.link_timeout_ms", 200.0, 200.0),
             info("osmc0.position_kp", 0.1, 4.0),
             info("osmc0.position_max", f32::MAX, f32::MAX),
+            info("osmc0.counts_per_turn", 2400.0, 2400.0),
             info("actuator1.position_kp", -1e-9, 0.0),
         ];
         let text = write("Bench.", &parameters);
         assert_eq!(
             text,
-            "# Bench.\n\n[board]\nlink_timeout_ms = 200.0\n\n[osmc0]\nposition_kp = 0.1 # built in: 4.0\n\
-             position_max = 3.4028235e38\n\n[actuator1]\nposition_kp = -1e-9 # built in: 0.0\n"
+            "# Bench.\n\n[board]\nlink_timeout_ms = 200.0 # ms\n\n[osmc0]\nposition_kp = 0.1 # duty/rad; built in: 4.0\n\
+             position_max = 3.4028235e38 # rad\ncounts_per_turn = 2400.0\n\n[actuator1]\nposition_kp = -1e-9 # duty/m; built in: 0.0\n"
         );
         let read: Vec<_> = read(&text).expect("it is TOML").into_iter().map(|entry| (entry.key, entry.value)).collect();
         let written: Vec<_> = parameters.iter().map(|info| (info.key.to_string(), info.set)).collect();

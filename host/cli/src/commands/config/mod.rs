@@ -1,6 +1,7 @@
 //! `r4 config`: the parameters that a board keeps.
 
 mod file;
+mod unit;
 
 use std::{fs, str::FromStr};
 
@@ -9,6 +10,8 @@ use r4_driver::{Board, Clock, Error};
 use r4_protocol::{ChannelId, ParameterInfo, ParameterKey, Refusal, config::MAX_NAME};
 use r4_sim::Pace;
 use serde::Serialize;
+
+use unit::unit;
 
 use crate::{
     args::{Args, Config},
@@ -60,6 +63,7 @@ struct Shown {
 #[derive(Serialize)]
 struct Parameter {
     key: String,
+    unit: String,
     active: f32,
     set: f32,
     built_in: f32,
@@ -68,7 +72,7 @@ struct Parameter {
 impl From<&ParameterInfo> for Parameter {
     fn from(info: &ParameterInfo) -> Self {
         let ParameterInfo { key, active, set, built_in } = *info;
-        Self { key: key.to_string(), active, set, built_in }
+        Self { key: key.to_string(), unit: unit(key), active, set, built_in }
     }
 }
 
@@ -202,10 +206,10 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
         output::line("no parameters")?;
         return Ok(true);
     }
-    let mut table = table::new(&["parameter", "value", "after restart", "built in"], 1..4);
+    let mut table = table::new(&["parameter", "value", "after restart", "built in", "unit"], 1..4);
     for ParameterInfo { key, active, set, built_in } in &parameters {
         let unless = |value: &f32, same: &f32| if value == same { String::new() } else { shown(*value) };
-        table.add_row([key.to_string(), shown(*active), unless(set, active), unless(built_in, active)]);
+        table.add_row([key.to_string(), shown(*active), unless(set, active), unless(built_in, active), unit(*key)]);
     }
     output::line(table)?;
     let changed = parameters.iter().filter(|info| info.active != info.built_in).count();
@@ -300,27 +304,20 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
             }
         }
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
-        let refused = set_all(session.board, &wanted).await;
-        let refused = match refused {
-            Ok(None) => session.board.save_parameters().await.err().map(|error| (0, error)),
-            Ok(refused) => refused,
-            Err(error) => Some((0, error)),
+        let (place, error) = match set_all(session.board, &wanted).await {
+            Ok(None) => {
+                let unsure = "cannot save; after a restart `r4 config show` tells what holds";
+                session.board.save_parameters().await.context(unsure)?;
+                return Ok(changes);
+            }
+            Ok(Some((index, error))) => (changes[index].0.clone(), error),
+            Err(error) => (path.display().to_string(), error),
         };
-        if let Some((index, error)) = refused {
-            let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
-            let undone = set_all(session.board, &before).await;
-            let place = if matches!(error, Error::Refused(Refusal::BadParameter { .. })) {
-                &changes[index].0
-            } else {
-                &path.display().to_string()
-            };
-            ensure!(
-                matches!(undone, Ok(None)),
-                "{place}: {error}; what was set before it could not be taken back: nothing is saved, restart the board"
-            );
-            bail!("{place}: {error}; nothing was changed");
+        let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
+        match set_all(session.board, &before).await {
+            Ok(None) => bail!("{place}: {error}; nothing was changed"),
+            _ => bail!("{place}: {error}; what was set before it is not saved: restart the board to be rid of it"),
         }
-        Ok(changes)
     })?;
     let changed = changed.into_iter().map(|(_, info, from)| Change { key: info.key.to_string(), from, to: info.set });
     let changed: Vec<Change> = changed.collect();
