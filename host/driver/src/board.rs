@@ -13,9 +13,8 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode,
-    ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, VERSION,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ParameterInfo,
+    ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, VERSION,
     config::{MAX_NAME, PidGains},
     message::MAX_RAW,
 };
@@ -279,7 +278,7 @@ impl<C: Clock> Board<C> {
     /// time-out, besides what befalls any request.
     pub async fn drive(&self, channel: ChannelId, setpoint: Setpoint, until: Until) -> Result<Motion, Error> {
         let info = self.channel(channel)?;
-        let (kind, unit, resolution) = (info.id.kind, info.unit, f64::from(info.resolution));
+        let (unit, resolution) = (info.unit, f64::from(info.resolution));
         let (Until::Settled { timeout_s: limit_s }
         | Until::Elapsed { seconds: limit_s }
         | Until::Homed { timeout_s: limit_s }) = until;
@@ -297,15 +296,13 @@ impl<C: Clock> Board<C> {
             searched |= !homed;
             let position = if resolution > 0.0 { f64::from(position) * resolution } else { f64::NAN };
             let motion = Motion { position, speed: speed.into(), duty: duty.into(), settled, homed, after_s };
-            // A stepper stops where it found its home, on no order to be at a position.
-            let rests = settled || (kind == ChannelKind::Stepper && speed == 0.0);
             match until {
                 Until::Settled { .. } if settled => Ok(Some(motion)),
                 Until::Settled { timeout_s } if after_s > timeout_s => {
                     Err(Error::NotSettled { channel, target: setpoint.value.into(), position, unit, after_s })
                 }
                 Until::Elapsed { seconds } if after_s >= seconds => Ok(Some(motion)),
-                Until::Homed { .. } if searched && homed && rests => Ok(Some(motion)),
+                Until::Homed { .. } if searched && homed && settled => Ok(Some(motion)),
                 Until::Homed { timeout_s } if after_s > timeout_s => Err(Error::NotHomed { channel, after_s }),
                 Until::Settled { .. } | Until::Elapsed { .. } | Until::Homed { .. } => Ok(None),
             }
