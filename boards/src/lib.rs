@@ -6,7 +6,7 @@
 //!
 //! ```
 //! let robot = r4_boards::load("osmc-bench")?;
-//! assert_eq!(robot.config.motors[0].lines.all(), [0, 1, 2, 3]);
+//! assert_eq!(robot.config.motors[0].id.to_string(), "osmc0");
 //! assert_eq!(robot.carrier.pin("enc0_a").map(|pin| pin.stm32.to_string()), Some("PJ8".to_owned()));
 //! # Ok::<(), r4_boards::BoardError>(())
 //! ```
@@ -22,10 +22,13 @@ use std::path::Path;
 pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
-pub use robot::{PlantFile, Robot, SimulatedMotor, SimulatedRail, SimulatedSensor, Simulation, TruePoint};
+pub use robot::{
+    Ackermann, Drive, PlantFile, Robot, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
+    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint,
+};
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 1] = ["osmc-bench"];
+const ROBOTS: [&str; 5] = ["osmc-bench", "openscout", "openpodcar", "openagribot", "every-interface"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
 /// The names of the robots that are part of the program.

@@ -4,7 +4,7 @@ use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
     channel::{ChannelId, Range},
-    config::OSMC_DUTY_HARD_MAX,
+    config::DUTY_HARD_MAX,
 };
 use serde::{Deserialize, Deserializer, de::Error};
 
@@ -34,19 +34,27 @@ where
 
 /// A duty above 0, at most what no configuration may exceed.
 pub(crate) fn duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
-    checked(deserializer, |value| value > 0.0 && value <= f64::from(OSMC_DUTY_HARD_MAX), "above 0 and at most 0.98")
+    checked(deserializer, |value| value > 0.0 && value <= f64::from(DUTY_HARD_MAX), "above 0 and at most 0.98")
 }
+
+/// For each check, the same of a field that may be left out.
+macro_rules! optional {
+    ($($name:ident = $check:ident),*) => {
+        $(pub(crate) fn $name<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
+        where
+            D: Deserializer<'de>,
+            T: Number<'de>,
+        {
+            $check(deserializer).map(Some)
+        })*
+    };
+}
+
+optional!(optional_finite = finite, optional_positive = positive, optional_not_negative = not_negative);
+optional!(optional_oscillator_hz = oscillator_hz);
 
 pub(crate) fn optional_duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f32>, D::Error> {
     duty(deserializer).map(Some)
-}
-
-pub(crate) fn optional_positive<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
-where
-    D: Deserializer<'de>,
-    T: Number<'de>,
-{
-    positive(deserializer).map(Some)
 }
 
 /// The firmware's limits ([`r4_protocol::config::BoardConfig::validate`]), checked here to have the line.
@@ -62,6 +70,20 @@ pub(crate) fn link_timeout_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Res
 /// PCA9685 datasheet 7.3.5: prescaler 255 to 3.
 pub(crate) fn pwm_frequency_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     checked(deserializer, |value| (24.0..=1526.0).contains(&value), "24 to 1526, which is what the PCA9685 has")
+}
+
+/// What the firmware takes; the part's spread is some percent.
+pub(crate) fn oscillator_hz<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Number<'de>,
+{
+    checked(deserializer, |value| (20e6..=30e6).contains(&value), "20e6 to 30e6: the PCA9685 has 25 MHz")
+}
+
+/// The firmware's limits.
+pub(crate) fn air_temperature_c<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    checked(deserializer, |value| (-40.0..=60.0).contains(&value), "-40 to 60")
 }
 
 /// A reading of an ideal 10-bit converter.
@@ -133,4 +155,14 @@ impl TryFrom<RawInterval> for Interval {
 pub(crate) fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::Error> {
     let text = String::deserialize(deserializer)?;
     ChannelId::from_str(&text).map_err(|why| D::Error::custom(format!("`{text}` is {why}")))
+}
+
+pub(crate) fn channels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<ChannelId>, D::Error> {
+    #[derive(Deserialize)]
+    struct Named(#[serde(deserialize_with = "channel")] ChannelId);
+    Ok(Vec::<Named>::deserialize(deserializer)?.into_iter().map(|Named(id)| id).collect())
+}
+
+pub(crate) fn optional_channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ChannelId>, D::Error> {
+    channel(deserializer).map(Some)
 }

@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::{
     Spanned,
     de::{DeTable, DeValue},
@@ -18,11 +18,19 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 4] = [
+const BUILT_IN: [(&str, &str); 12] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
+    ("openscout.toml", include_str!("../openscout.toml")),
+    ("openpodcar.toml", include_str!("../openpodcar.toml")),
+    ("openagribot.toml", include_str!("../openagribot.toml")),
+    ("every-interface.toml", include_str!("../every-interface.toml")),
     ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
     ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
+    ("plants/openscout-wheel.toml", include_str!("../plants/openscout-wheel.toml")),
+    ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
+    ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
+    ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
 ];
 
 /// Where the files that a file names are looked up.
@@ -56,6 +64,9 @@ impl Folder {
     }
 }
 
+/// The tables of an array, not looked into yet.
+pub(crate) type Tables<'s> = Vec<Spanned<DeValue<'s>>>;
+
 /// One file.
 pub(crate) struct Source {
     /// As it is shown to a person.
@@ -79,13 +90,35 @@ impl Source {
 
     /// The file as a `T`. The error names the line and the field.
     pub(crate) fn parse<T: DeserializeOwned>(&self) -> Result<T, BoardError> {
-        toml::from_str(&self.text).map_err(|error| {
-            let at = match error.span() {
-                Some(span) => self.location(span.start),
-                None => Location { file: self.name.clone(), line: 1, field: String::new() },
-            };
-            BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
-        })
+        self.parse_without([]).map(|(parsed, [])| parsed)
+    }
+
+    /// The file as a `T` without some arrays of tables, and those.
+    pub(crate) fn parse_without<T: DeserializeOwned, const N: usize>(
+        &self,
+        arrays: [&'static str; N],
+    ) -> Result<(T, [Tables<'_>; N]), BoardError> {
+        let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
+        let taken = arrays.map(|array| root.get_mut().remove(array));
+        let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;
+        let mut tables = [const { Vec::new() }; N];
+        for ((tables, taken), name) in tables.iter_mut().zip(taken).zip(arrays) {
+            let Some(taken) = taken else { continue };
+            let array = taken.get_ref().as_array().ok_or_else(|| BoardError::Malformed {
+                at: self.location(taken.span().start),
+                problem: format!("must be an array of tables: write [[{name}]]"),
+            })?;
+            tables.extend_from_slice(array);
+        }
+        Ok((parsed, tables))
+    }
+
+    pub(crate) fn malformed(&self, error: &toml::de::Error) -> BoardError {
+        let at = match error.span() {
+            Some(span) => self.location(span.start),
+            None => Location { file: self.name.clone(), line: 1, field: String::new() },
+        };
+        BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
     }
 
     /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.

@@ -7,6 +7,9 @@ use r4_boards::{BoardError, Robot, load, load_carrier};
 use tempfile::TempDir;
 
 const ROBOT: &str = include_str!("../osmc-bench.toml");
+const ALL: &str = include_str!("../every-interface.toml");
+const CAR: &str = include_str!("../openpodcar.toml");
+const SKID_STEERED: &str = include_str!("../openscout.toml");
 const CARRIER: &str = include_str!("../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -15,6 +18,7 @@ struct Mistake {
     from: &'static str,
     to: &'static str,
     line: Option<&'static str>,
+    lines_below: usize,
     field: &'static str,
     says: &'static str,
 }
@@ -26,12 +30,20 @@ const fn mistake(
     field: &'static str,
     says: &'static str,
 ) -> Mistake {
-    Mistake { from, to, line: Some(line), field, says }
+    Mistake { from, to, line: Some(line), lines_below: 0, field, says }
 }
 
 /// The mistake made in the line where it is reported.
 const fn there(from: &'static str, to: &'static str, field: &'static str, says: &'static str) -> Mistake {
-    Mistake { from, to, line: None, field, says }
+    Mistake { from, to, line: None, lines_below: 0, field, says }
+}
+
+impl Mistake {
+    /// Reported one line after `line`, or after the first of `to`.
+    const fn on_the_next_line(mut self) -> Self {
+        self.lines_below = 1;
+        self
+    }
 }
 
 const ROBOT_MISTAKES: &[Mistake] = &[
@@ -101,7 +113,7 @@ const ROBOT_MISTAKES: &[Mistake] = &[
         "channel = \"osmc0\"\nplant",
         "channel = \"osmc1\"\nplant",
         "simulation.rotary[0].channel",
-        "no motor of that kind `osmc1`, write osmc0",
+        "no channel of that kind `osmc1`, write osmc0",
     ),
     // Used twice.
     mistake(
@@ -148,6 +160,158 @@ const ROBOT_MISTAKES: &[Mistake] = &[
         "simulation.linear[0].potentiometer.high.position_m",
         "above the low point",
     ),
+];
+
+const ALL_MISTAKES: &[Mistake] = &[
+    // Motors without feedback.
+    there("channel = \"dhb1\"", "channel = \"dhb0\"", "dhb[1].channel", "DHB connector `0` is already used in line"),
+    there("channel = \"dhb3\"", "channel = \"dhb4\"", "dhb[3].channel", "no DHB connector `4`, write 0 to 3"),
+    there("channel = \"dhb3\"", "channel = \"osmc3\"", "dhb[3].channel", "named dhb and a number, as in dhb0"),
+    there(
+        "channel = \"dhb3\"",
+        "channel = \"dhb3\"\nduty = 0.5",
+        "dhb[3].duty",
+        "unknown field `duty`, expected one of `channel`, `inverted`, `duty_max`, `duty_slew_per_s`",
+    )
+    .on_the_next_line(),
+    mistake(
+        "channel = \"dhb3\"",
+        "channel = \"dhb3\"\nposition_rad = { min = 0, max = 1 }\nspeed_max_rad_s = 1.0\nspeed_filter_s = 0.0",
+        "[[dhb]]\nchannel = \"dhb3\"",
+        "dhb[3]",
+        "missing field `encoder`",
+    ),
+    // Brushless drives.
+    there("rest_ms = 4000 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),
+    mistake(
+        "brake = { active_low = true }",
+        "brake = { active_low = true }\nreverse_v = 1.0",
+        "reverse_v = 1.0",
+        "bldc[3].reverse_v",
+        "leave one out",
+    ),
+    mistake("forward_v = 3.07", "forward_v = 5.5", "[[bldc]]\nchannel = \"bldc3\"", "bldc[3]", "the DAC's full scale"),
+    mistake(
+        "forward_v = 3.07",
+        "forward_v = 2.08",
+        "[[simulation.rotary]]",
+        "simulation",
+        "forwards above its dead_zone_v",
+    ),
+    // Servos.
+    there("oscillator_hz = 25.6e6", "oscillator_hz = 25.6", "servo_chip.oscillator_hz", "20e6 to 30e6"),
+    mistake(
+        "[servo_chip]\nhold_when_safe = true\noscillator_hz = 25.6e6",
+        "",
+        "[[servo]]",
+        "servo[0]",
+        "need a [servo_chip]",
+    ),
+    there("pulse_s = 0.0024", "pulse_s = 0.0026", "servo[15].high.pulse_s", "inside servo.pulse_hard_s"),
+    mistake("pulse_s = 0.0024", "pulse_s = 0.0006", "[[servo]] # a wide one", "servo[15]", "the low point's shorter"),
+    there("channel = \"servo15\"", "channel = \"servo16\"", "servo[15].channel", "no servo output `16`, write 0 to 15"),
+    // Steppers.
+    mistake(
+        "[stepper_bank]\nenable_active_low = false",
+        "[stepper_bank]",
+        "[stepper_bank]",
+        "stepper_bank",
+        "missing field `enable_active_low`",
+    ),
+    mistake(
+        "steps_per_turn = 1600",
+        "steps_per_turn = 160000",
+        "[[stepper]]",
+        "stepper[0]",
+        "no more than rate_max_hz pulses per second",
+    ),
+    there(
+        "homing = { switch = 1",
+        "homing = { switch = 4",
+        "stepper[0].homing.switch",
+        "no switch table for `switch4`",
+    ),
+    mistake("position_rad = -0.5", "position_rad = -20.5", "[[stepper]]", "stepper[0]", "a position in range"),
+    // Relays and analog outputs.
+    there("channel = \"relay7\"", "channel = \"relay6\"", "relay[7].channel", "relay output `6` is already used"),
+    mistake(
+        "channel = \"relay7\"\nactive_low = true",
+        "channel = \"relay7\"\nactive_low = true\nrole = \"motor-power\"",
+        "channel = \"relay7\"",
+        "relay[7].channel",
+        "relay.motor_power",
+    ),
+    there("channel = \"dac1\"", "channel = \"dac2\"", "dac[1].channel", "no DAC output `2`, write 0 to 1"),
+    mistake("max = 2.8 }", "max = 5.0 }", "[[dac]] # a device", "dac[1]", "between 0 and 3.3 V"),
+    // Inputs.
+    there("channel = \"encoder3\"", "channel = \"encoder4\"", "encoder[3].channel", "no encoder `4`"),
+    there("channel = \"switch3\"", "channel = \"switch2\"", "switch[3].channel", "switch `2` is already used"),
+    there("stop_below_m = 0.3", "stop_below_m = -0.3", "range[0].stop_below_m", "above 0"),
+    mistake("stop_below_m = 0.3", "stop_below_m = 4.5", "[[range]]", "range[0]", "must lie within range_m"),
+    there("channel = \"analog3\"", "channel = \"analog6\"", "analog[3].channel", "no analog input `6`, write 0 to 5"),
+    mistake("analog = 4", "analog = 3", "analog = 3", "supply[0].analog", "analog input `3` is already used"),
+    there("air_temperature_c = 20.0", "air_temperature_c = 293.0", "air_temperature_c", "-40 to 60"),
+    there("auxiliary_stop = true", "auxiliary_stop = 1", "auxiliary_stop", "expected a boolean"),
+    // The truth.
+    there("volts = 5.0", "volts = inf", "simulation.analog[0].volts", "must be finite"),
+    mistake(
+        "[[simulation.analog]]\nchannel = \"analog3\"",
+        "[[simulation.analog]]\nchannel = \"analog2\"",
+        "[[simulation.analog]]\nchannel = \"analog2\"\nvolts = 20",
+        "simulation.analog[3].channel",
+        "already used",
+    )
+    .on_the_next_line(),
+    mistake("rail = \"supply0\"\n", "", "[[simulation.rotary]]", "simulation.rotary[0]", "needs a rail"),
+];
+
+const CAR_MISTAKES: &[Mistake] = &[
+    mistake(
+        "track_m = 0.70",
+        "tracks_m = 0.70",
+        "tracks_m",
+        "drive.ackermann.tracks_m",
+        "expected one of `wheelbase_m`",
+    ),
+    mistake("\ncontrol_period", "\nactuator = 3\ncontrol_period", "actuator = 3", "actuator", "write [[actuator]]"),
+    there("steering = \"dhb0\"", "steering = \"osmc0\"", "drive.ackermann.steering", "write dhb0"),
+    there("drive = \"osmc0\"", "drive = \"dhb0\"", "drive.ackermann.drive", "no motor that turns `dhb0`, write osmc0"),
+    mistake(
+        "full_speed_m_s = 2.04",
+        "",
+        "[drive.ackermann]",
+        "drive.ackermann.full_speed_m_s",
+        "for a drive without an encoder, which needs it",
+    ),
+    there("max = 0.436 }", "max = 0.5 }", "drive.ackermann.steering_rad", "outside the position_m"),
+    mistake("rad_per_m = 19.080", "rad_per_m = 0.0", "steering_rad", "drive.ackermann.steering_rad", "outside"),
+    mistake(
+        "[dhb.follow]\n",
+        "[dhb.homing]\nswitch = 0\n\n[dhb.follow]\n",
+        "[dhb.homing]",
+        "dhb[0].homing",
+        "needs no homing",
+    ),
+    mistake(
+        "[dhb.potentiometer]",
+        "[dhb.potentiometre]",
+        "[dhb.potentiometre]",
+        "dhb[0].potentiometre",
+        "unknown field",
+    ),
+];
+
+const SKID_MISTAKES: &[Mistake] = &[
+    there(
+        "right = [\"dhb1\", \"dhb3\"]",
+        "right = [\"dhb1\", \"dhb2\"]",
+        "drive.skid-steer.right[1]",
+        "wheel `dhb2` is already used",
+    ),
+    there("left = [\"dhb0\", \"dhb2\"]", "left = []", "drive.skid-steer.left", "a wheel on each side"),
+    there("left = [\"dhb0\",", "left = [\"osmc0\",", "drive.skid-steer.left[0]", "no motor with an encoder `osmc0`"),
+    there("left = [\"dhb0\",", "left = [\"wheel\",", "drive.skid-steer.left[0]", "not a channel name"),
+    there("input = 3", "input = 2", "dhb[3].encoder.input", "motor's encoder `2` is already used"),
 ];
 
 const CARRIER_MISTAKES: &[Mistake] = &[
@@ -240,11 +404,11 @@ fn check(
     file: &str,
     load: impl Fn(&str) -> Result<(), BoardError>,
 ) -> Option<String> {
-    let Mistake { from, to, line, field, says } = mistake;
+    let Mistake { from, to, line, lines_below, field, says } = mistake;
     let line = match line {
         Some(line) => line_of(&original.replacen(from, to, 1), line),
         None => line_of(original, from),
-    };
+    } + lines_below;
     let Err(error) = load(&original.replacen(from, to, 1)) else { return Some(format!("`{to}` was taken")) };
     let said = error.to_string();
     let colon = if field.is_empty() { "" } else { ": " };
@@ -257,7 +421,9 @@ fn check(
 fn mistakes_in_a_robot_file() {
     let folder = TempDir::new().unwrap();
     let load = |text: &str| load_text(folder.path(), text).map(drop);
-    let wrong: Vec<_> = ROBOT_MISTAKES.iter().filter_map(|m| check(m, ROBOT, "robot.toml", load)).collect();
+    let robots = [(ROBOT, ROBOT_MISTAKES), (ALL, ALL_MISTAKES), (CAR, CAR_MISTAKES), (SKID_STEERED, SKID_MISTAKES)];
+    let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
+    let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
@@ -292,15 +458,21 @@ fn a_robot_may_have_less_than_its_carrier() {
 #[test]
 fn what_exists_is_simulated() {
     let folder = TempDir::new().unwrap();
+    let without_actuator = &ROBOT[..ROBOT.find("[[simulation.linear]]").unwrap()];
+    let said = load_text(folder.path(), without_actuator).unwrap_err().to_string();
+    assert!(said.contains("simulation: needs one rotary or linear table for each motor"), "{said}");
+    // rails have a default for everything
     let without_rails = &ROBOT[..ROBOT.find("[[simulation.rail]]").unwrap()];
-    let said = load_text(folder.path(), without_rails).unwrap_err().to_string();
-    assert!(said.contains("simulation: needs one rail table for each supply"), "{said}");
+    let rails = load_text(folder.path(), without_rails).unwrap().simulation.rails;
+    assert_eq!([rails[0].emf_v, rails[1].emf_v], [25.0, 12.5]);
 }
 
 #[test]
 fn nothing_there() {
     let said = load("osmc_bench").unwrap_err().to_string();
-    assert_eq!(said, "there is no robot `osmc_bench`: write osmc-bench, or the path of a .toml file");
+    let names: Vec<_> = r4_boards::names().collect();
+    let known = names.join(", ");
+    assert_eq!(said, format!("there is no robot `osmc_bench`: write {known}, or the path of a .toml file"));
     let said = load("no/such.toml").unwrap_err().to_string();
     assert!(said.starts_with("no/such.toml: cannot be read"), "{said}");
     assert!(matches!(load("/tmp"), Err(BoardError::UnknownName { .. })));
@@ -325,13 +497,13 @@ proptest! {
 
     #[test]
     fn damaged_files_are_refused_with_a_place_or_taken(
-        start in 0..CARRIER.len(),
+        start in 0..CARRIER.len().max(ALL.len()),
         length in 0..60_usize,
         inserted in "[\\[\\]{}=\",.0-9a-z\n-]{0,4}",
-        line in 0..200_usize,
+        line in 0..600_usize,
     ) {
         let folder = TempDir::new().unwrap();
-        for (text, is_robot) in [(ROBOT, true), (CARRIER, false)] {
+        for (text, is_robot) in [(ROBOT, true), (ALL, true), (CARRIER, false)] {
             let load = |text: &str| {
                 if is_robot { load_text(folder.path(), text).map(drop) } else { load_carrier_text(folder.path(), text) }
             };

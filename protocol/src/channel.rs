@@ -156,6 +156,12 @@ pub enum Mode {
     Duty,
     /// On (1) or off (0).
     Switch,
+    /// A voltage.
+    Voltage,
+    /// Brake applied (1) or released (0).
+    Brake,
+    /// Seek the home switch at this speed; the sign is the direction.
+    Home,
 }
 
 impl fmt::Display for Mode {
@@ -165,6 +171,9 @@ impl fmt::Display for Mode {
             Self::Speed => "speed",
             Self::Duty => "duty",
             Self::Switch => "switch",
+            Self::Voltage => "voltage",
+            Self::Brake => "brake",
+            Self::Home => "home",
         })
     }
 }
@@ -223,8 +232,11 @@ pub struct ChannelInfo {
     /// One count of [`crate::Sample`]'s `position`, in `unit`; 0 where the channel has no position.
     pub resolution: f32,
     /// How it may be commanded; empty for an input.
-    pub modes: Vec<ModeInfo, 3>,
+    pub modes: Vec<ModeInfo, MAX_MODES>,
 }
+
+/// Most ways to command one channel.
+pub const MAX_MODES: usize = 4;
 
 impl ChannelInfo {
     /// The range of set points in `mode`, or `None` when the channel does not have that mode.

@@ -6,6 +6,7 @@
 //! | [`message`] | requests, replies, refusals, telemetry, heartbeats |
 //! | [`state`] | safety states and trip causes |
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
+//! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
 //!
 //! Every wire change bumps [`VERSION`], most change [`SCHEMA_HASH`] by themselves, and each gets a line in `CHANGELOG.md`.
@@ -17,26 +18,45 @@ pub mod channel;
 pub mod config;
 pub mod frame;
 pub mod message;
+pub mod parameter;
 pub mod state;
 
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
-pub use message::{DeviceInfo, DeviceStats, Refusal, Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost};
+pub use message::{
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
+    Sample, Setpoint, Telemetry, ToDevice, ToHost,
+};
+pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
-/// It sees names, types and variants, how many samples a telemetry frame holds and how many causes there are; not units
-/// and meanings, and not how long a name may be.
+/// It sees names, types and variants, how much each list and text holds, and how many causes there are; not units and
+/// meanings.
 pub const SCHEMA_HASH: u64 = {
     use postcard_schema::key::hash::fnv1a64::hash_ty_path;
     // `from_le_bytes` of two FNV-1a hashes; the paths keep the two directions apart.
-    let shapes = u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
+    let mut hash = u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
         ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1);
-    let capacities = (message::MAX_SAMPLES as u64) << 32 | Cause::ALL.len() as u64;
-    // An odd factor moves every bit of the capacities through the word (Knuth's multiplicative hash).
-    shapes ^ capacities.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+    // What a schema does not tell of a type, hashed on by FNV-1a's step.
+    let capacities = [
+        message::MAX_SAMPLES,
+        message::MAX_RAW,
+        message::MAX_FIRMWARE,
+        channel::MAX_MODES,
+        config::MAX_NAME,
+        config::MAX_MOTORS,
+        config::MAX_SUPPLIES,
+        Cause::ALL.len(),
+    ];
+    let mut place = 0;
+    while place < capacities.len() {
+        hash = (hash ^ capacities[place] as u64).wrapping_mul(0x0100_0000_01B3);
+        place += 1;
+    }
+    hash
 };

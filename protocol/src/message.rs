@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     channel::{ChannelId, ChannelInfo, Mode, Range},
-    config::PidGains,
+    config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
+    parameter::ParameterKey,
     state::{Causes, SafetyState},
 };
 
@@ -115,15 +116,83 @@ pub enum Request {
     },
     /// Counters since power-up.
     Stats,
+    /// Describes parameter number `index` of the board's configuration.
+    DescribeParameter {
+        /// From 0; [`Refusal::NoSuchIndex`] ends the list.
+        index: u16,
+    },
+    /// Changes a parameter; it holds from the next start on, if [`Request::SaveParameters`] follows.
+    SetParameter {
+        /// Which.
+        key: ParameterKey,
+        /// In the unit of its field.
+        value: f32,
+    },
+    /// Changes the robot's name, as [`Request::SetParameter`] does a number.
+    SetName {
+        /// The new name.
+        robot: String<MAX_NAME>,
+    },
+    /// Keeps all changes over a restart: all of them, or none if it fails.
+    SaveParameters,
+    /// Goes back to what the firmware was built with; saved by [`Request::SaveParameters`] too.
+    ResetParameters,
+    /// Restarts the board. Refused while it is armed.
+    Restart,
+    /// A trip out of the history.
+    Fault {
+        /// 0 is the newest.
+        index: u8,
+    },
+    /// What the board looked like before a trip.
+    FaultSnapshot {
+        /// Which trip; 0 is the newest.
+        index: u8,
+        /// Which of its snapshots; 0 is the oldest.
+        snapshot: u8,
+    },
+    /// A transfer on one of the external I2C connectors: a write, then a read, either of which may be empty.
+    I2cTransfer {
+        /// 0 or 1.
+        bus: u8,
+        /// 7-bit address.
+        address: u8,
+        /// Bytes to write.
+        write: Vec<u8, MAX_RAW>,
+        /// How many bytes to read, up to [`MAX_RAW`].
+        read: u8,
+    },
+    /// Sends bytes out of a UART connector.
+    UartWrite {
+        /// 0 or 1.
+        port: u8,
+        /// What to send.
+        bytes: Vec<u8, MAX_RAW>,
+    },
+    /// Takes bytes that a UART connector has received, as many as fit the answer.
+    UartRead {
+        /// 0 or 1.
+        port: u8,
+    },
 }
+
+/// Most bytes in one raw transfer.
+pub const MAX_RAW: usize = 64;
+/// Most bytes of the firmware's version.
+pub const MAX_FIRMWARE: usize = 16;
 
 /// A command to a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Setpoint {
     /// How the number is meant.
     pub mode: Mode,
-    /// rad or m; rad/s or m/s; share of the supply; 0 or 1.
+    /// rad or m; rad/s or m/s; share of the supply; V; 0 or 1.
     pub value: f32,
+}
+
+impl Setpoint {
+    /// What a channel follows that has not been told anything.
+    pub const NONE: Self = Self { mode: Mode::Duty, value: 0.0 };
 }
 
 /// What a board answers when it does as asked.
@@ -137,15 +206,73 @@ pub enum Reply {
     Stats(DeviceStats),
     /// To everything else: it was done.
     Done,
+    /// To [`Request::DescribeParameter`].
+    Parameter(ParameterInfo),
+    /// To [`Request::Fault`].
+    Fault(FaultInfo),
+    /// To [`Request::FaultSnapshot`].
+    FaultSnapshot(FaultSnapshot),
+    /// To [`Request::I2cTransfer`] and [`Request::UartRead`].
+    Bytes(Vec<u8, MAX_RAW>),
+}
+
+/// A parameter and its values.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct ParameterInfo {
+    /// Which.
+    pub key: ParameterKey,
+    /// What the board works with.
+    pub active: f32,
+    /// What it will work with after a restart, if that is saved.
+    pub set: f32,
+    /// What the firmware was built with.
+    pub built_in: f32,
+}
+
+/// A trip out of the history.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct FaultInfo {
+    /// Counts trips over the board's life; the newest has the highest.
+    pub number: u32,
+    /// Counts starts of the board, as the history knows them.
+    pub start: u32,
+    /// Since that start.
+    pub device_us: u64,
+    /// Every cause, up to when it was recorded.
+    pub causes: Causes,
+    /// How many [`Request::FaultSnapshot`]s there are.
+    pub snapshots: u8,
+}
+
+/// What the board looked like at one moment before a trip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct FaultSnapshot {
+    /// Before the trip.
+    pub before_ms: u16,
+    /// In the order of the board's motor channels.
+    pub motors: Vec<MotorSnapshot, MAX_MOTORS>,
+    /// In the order of the board's supply channels, V.
+    pub supplies_v: Vec<f32, MAX_SUPPLIES>,
+}
+
+/// What a motor did at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct MotorSnapshot {
+    /// In counts of [`ChannelInfo::resolution`].
+    pub position: i32,
+    /// rad/s or m/s.
+    pub speed: f32,
+    /// Share of the supply at the bridge.
+    pub duty: f32,
 }
 
 /// Who answers, and the session it opened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct DeviceInfo {
     /// The robot's name.
-    pub robot: String<32>,
+    pub robot: String<MAX_NAME>,
     /// Version of the firmware.
-    pub firmware: String<16>,
+    pub firmware: String<MAX_FIRMWARE>,
     /// For heartbeats.
     pub session: u16,
     /// How many channels [`Request::Describe`] knows.
@@ -200,9 +327,9 @@ pub enum Refusal {
         /// As asked.
         channel: ChannelId,
     },
-    /// The board's list of channels ends before this.
+    /// The board's list of channels or parameters ends before this.
     NoSuchIndex {
-        /// As asked.
+        /// As asked, or 255 when it was more.
         index: u8,
     },
     /// The channel cannot be commanded in this mode.
@@ -260,6 +387,36 @@ pub enum Refusal {
         /// How far.
         ahead_ms: u32,
     },
+    /// Not while the board is in this state: disarm it first.
+    NotWhile {
+        /// Where the supervisor stands.
+        state: SafetyState,
+    },
+    /// The board's configuration has no such number.
+    UnknownParameter {
+        /// As asked.
+        key: ParameterKey,
+    },
+    /// With this value the configuration would not be valid.
+    BadParameter {
+        /// As asked.
+        key: ParameterKey,
+        /// As asked.
+        value: f32,
+    },
+    /// The board's flash could not be written or read.
+    StorageFailed,
+    /// No trip of this number, or no snapshot of it.
+    NoSuchFault,
+    /// No connector of this number, or an address or length it cannot have.
+    BadTransfer,
+    /// Nothing on the external bus acknowledged.
+    NoAcknowledge {
+        /// 7-bit address.
+        address: u8,
+    },
+    /// The external bus or port did not come to an end in time.
+    TransferFailed,
 }
 
 impl fmt::Display for Refusal {
@@ -277,7 +434,7 @@ impl fmt::Display for Refusal {
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
             }
-            Self::NoSuchIndex { index } => write!(f, "the board has no channel number {index} in its list"),
+            Self::NoSuchIndex { index } => write!(f, "the board's list has no number {index}"),
             Self::WrongMode { channel, mode } => {
                 write!(f, "{channel} cannot be commanded by {mode}: `r4 info` lists what it can take")
             }
@@ -303,6 +460,26 @@ impl fmt::Display for Refusal {
             }
             Self::ClockAhead { ahead_ms } => {
                 write!(f, "the command is dated {ahead_ms} ms ahead of the board's clock: connect again")
+            }
+            Self::NotWhile { state } => write!(f, "not while the board is {state}: disarm it first"),
+            Self::UnknownParameter { key } => {
+                write!(f, "the board has no parameter {key}: `r4 config show` lists those it has")
+            }
+            Self::BadParameter { key, value } => {
+                write!(f, "{key} cannot be {value}: the configuration would not be valid")
+            }
+            Self::StorageFailed => f.write_str(
+                "the board's flash could not be written or read; what was saved before still holds: try again",
+            ),
+            Self::NoSuchFault => f.write_str("the history has no such trip: `r4 faults` lists those it has"),
+            Self::BadTransfer => f.write_str(
+                "the board has connectors 0 and 1, 7-bit addresses from 0x08 to 0x77, and up to 64 bytes in a transfer",
+            ),
+            Self::NoAcknowledge { address } => {
+                write!(f, "nothing acknowledged address {address:#04x}: check the wiring and the pull-ups")
+            }
+            Self::TransferFailed => {
+                f.write_str("the transfer did not end in time: check that nothing holds the line, and the baud rate")
             }
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }
@@ -341,14 +518,71 @@ pub enum Sample {
         duty: f32,
         /// In position mode: at the set point and at rest.
         settled: bool,
+        /// Whether the position is known, and not only counted from where power came on.
+        homed: bool,
     },
-    /// Of a pure input.
+    /// Of a channel that has one number and nothing more to tell.
     Scalar {
         /// Which.
         channel: ChannelId,
         /// In the channel's unit.
         value: f32,
     },
+    /// Of an input that can fail, or grow old.
+    Reading {
+        /// Which.
+        channel: ChannelId,
+        /// In the channel's unit; the last good one where `quality` is not [`Quality::Good`].
+        value: f32,
+        /// Since it was taken.
+        age_ms: u16,
+        /// Whether it can be relied on.
+        quality: Quality,
+    },
+    /// Of an encoder.
+    Encoder {
+        /// Which.
+        channel: ChannelId,
+        /// In counts of [`ChannelInfo::resolution`].
+        position: i32,
+        /// rad/s
+        speed: f32,
+        /// Transitions that no shaft makes, since power-up; only where edges are decoded by the processor.
+        illegal: u32,
+    },
+}
+
+/// Whether a reading can be relied on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Quality {
+    /// It can.
+    Good,
+    /// Nothing has been measured yet.
+    None,
+    /// Nothing in range reflects: as far as the sensor can tell, or farther.
+    OutOfRange,
+    /// The sensor does not answer: its echo never begins.
+    NoAnswer,
+    /// The echo does not end.
+    Stuck,
+    /// Below what a connected source gives.
+    Low,
+    /// Above what a connected source gives, or clamped.
+    High,
+}
+
+impl fmt::Display for Quality {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Good => "good",
+            Self::None => "not measured yet",
+            Self::OutOfRange => "nothing in range",
+            Self::NoAnswer => "sensor does not answer",
+            Self::Stuck => "echo does not end",
+            Self::Low => "implausibly low: shorted?",
+            Self::High => "implausibly high: open or clamped?",
+        })
+    }
 }
 
 impl Sample {
@@ -356,7 +590,10 @@ impl Sample {
     #[must_use]
     pub const fn channel(&self) -> ChannelId {
         match self {
-            Self::Motor { channel, .. } | Self::Scalar { channel, .. } => *channel,
+            Self::Motor { channel, .. }
+            | Self::Scalar { channel, .. }
+            | Self::Reading { channel, .. }
+            | Self::Encoder { channel, .. } => *channel,
         }
     }
 }

@@ -54,11 +54,13 @@ pub enum Cause {
     ControlOverrun = 10,
     /// The configuration is missing or contradicts itself.
     BadConfiguration = 11,
+    /// The button at the auxiliary stop input is pressed or its wire is cut.
+    AuxiliaryStop = 12,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -71,6 +73,7 @@ impl Cause {
         Self::Stalled,
         Self::ControlOverrun,
         Self::BadConfiguration,
+        Self::AuxiliaryStop,
     ];
 
     /// What a person does about it.
@@ -91,6 +94,7 @@ impl Cause {
             }
             Self::ControlOverrun => "report it: the control loop does not fit its period",
             Self::BadConfiguration => "correct the robot's configuration",
+            Self::AuxiliaryStop => "release the stop button, or check its wire",
         }
     }
 }
@@ -110,6 +114,7 @@ impl fmt::Display for Cause {
             Self::Stalled => "stalled",
             Self::ControlOverrun => "control overrun",
             Self::BadConfiguration => "bad configuration",
+            Self::AuxiliaryStop => "auxiliary stop",
         })
     }
 }

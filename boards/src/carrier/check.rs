@@ -108,6 +108,7 @@ impl Check<'_> {
         self.device(&bldc.dac, "bldc.dac", Chip::Mcp4728)?;
         self.device(&bldc.expander, "bldc.expander", Chip::Mcp23017)?;
         self.device(&relay.expander, "relay.expander", Chip::Mcp23017)?;
+        self.rule(relay.expander == bldc.expander, "relay.expander", "must be bldc.expander: the firmware has one")?;
         for (index, lines) in bldc.connectors.iter().enumerate() {
             let path = format!("bldc.connectors[{index}]");
             self.outputs("DAC output", &bldc.dac, 4, &path, &[("speed", lines.speed)])?;
@@ -157,9 +158,11 @@ impl Check<'_> {
     }
 
     fn limits(&self) -> Result<(), BoardError> {
-        let Carrier { osmc, servo, analog, .. } = self.carrier;
+        let Carrier { osmc, dhb, servo, analog, .. } = self.carrier;
         let holds = osmc.duty_max_default <= osmc.duty_max_hard;
         self.rule(holds, "osmc.duty_max_default", "must be at most osmc.duty_max_hard")?;
+        let holds = dhb.duty_max_default <= dhb.duty_max_hard;
+        self.rule(holds, "dhb.duty_max_default", "must be at most dhb.duty_max_hard")?;
         let (pulse, hard) = (servo.pulse_default_s, servo.pulse_hard_s);
         let holds = hard.min <= pulse.min && pulse.max <= hard.max && hard.min > 0.0;
         self.rule(holds, "servo.pulse_default_s", "must lie inside servo.pulse_hard_s, above 0")?;

@@ -3,7 +3,7 @@
 mod check;
 mod pin;
 
-use r4_protocol::config::BridgeLines;
+use r4_protocol::config::{BridgeLines, DhbLines};
 use serde::Deserialize;
 
 pub(crate) use check::read;
@@ -62,6 +62,11 @@ impl Carrier {
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.i2c.devices.iter().find(|device| device.id == id)
+    }
+
+    /// The address of a chip that other fields name, so that it is there.
+    pub(crate) fn address(&self, id: &str) -> u8 {
+        self.device(id).map_or(0, |device| device.address)
     }
 }
 
@@ -172,23 +177,28 @@ pub struct Dhb {
     /// PWM frequency.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
+    /// Highest duty of a robot whose file names none.
+    #[serde(deserialize_with = "duty")]
+    pub duty_max_default: f32,
     /// Highest duty that a robot's file may name.
     #[serde(deserialize_with = "duty")]
     pub duty_max_hard: f32,
     /// PWM outputs of each motor.
+    #[serde(deserialize_with = "dual_bridges")]
     pub connectors: Vec<DhbLines>,
 }
 
-/// PWM outputs of one motor on a dual H-bridge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DhbLines {
-    /// PWM forwards.
-    pub in1: u8,
-    /// PWM backwards.
-    pub in2: u8,
-    /// Enable.
-    pub en: u8,
+/// As [`bridges`].
+fn dual_bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<DhbLines>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Lines {
+        in1: u8,
+        in2: u8,
+        en: u8,
+    }
+    let lines = Vec::<Lines>::deserialize(deserializer)?;
+    Ok(lines.into_iter().map(|Lines { in1, in2, en }| DhbLines { in1, in2, en }).collect())
 }
 
 /// RC servos behind a PWM chip.

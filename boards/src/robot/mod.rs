@@ -1,12 +1,15 @@
 //! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
 
-mod linear;
+mod drive;
+mod input;
+mod motor;
+mod output;
 mod read;
-mod rotary;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 
+pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
 use crate::carrier::Carrier;
@@ -18,6 +21,8 @@ pub struct Robot {
     pub file: String,
     /// What the firmware is told.
     pub config: BoardConfig,
+    /// How it moves over the ground; `None` for one that does not.
+    pub drive: Option<Drive>,
     /// What the simulator takes for true; empty when the file has no `[simulation]`.
     pub simulation: Simulation,
     /// The carrier it is built on.
@@ -31,13 +36,103 @@ pub struct Simulation {
     pub motors: Vec<SimulatedMotor>,
     /// One for each supply of the robot, in the order of [`BoardConfig::supplies`].
     pub rails: Vec<SimulatedRail>,
+    /// True frequency of the servo chip's oscillator, Hz.
+    pub servo_oscillator_hz: f64,
+    /// One for each servo, in the order of [`BoardConfig::servos`].
+    pub servos: Vec<SimulatedServo>,
+    /// One for each brushless drive, in the order of [`BoardConfig::bldcs`].
+    pub bldcs: Vec<SimulatedBldc>,
+    /// One for each stepper, in the order of [`BoardConfig::steppers`].
+    pub steppers: Vec<SimulatedStepper>,
+    /// One for each range sensor, in the order of [`BoardConfig::ranges`].
+    pub ranges: Vec<SimulatedRange>,
+    /// One for each analog input, in the order of [`BoardConfig::analogs`].
+    pub analogs: Vec<SimulatedAnalog>,
+    /// One for each switch, in the order of [`BoardConfig::switches`].
+    pub switches: Vec<SimulatedSwitch>,
+}
+
+/// An RC servo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedServo {
+    /// Which.
+    pub channel: ChannelId,
+    /// Pulse at one end of its travel, s.
+    pub pulse_min_s: f64,
+    /// Pulse at the other end, s.
+    pub pulse_max_s: f64,
+    /// Angle at the shorter pulse, rad.
+    pub angle_min_rad: f64,
+    /// Angle at the longer pulse, rad.
+    pub angle_max_rad: f64,
+    /// How fast it turns, rad/s.
+    pub rate_rad_s: f64,
+}
+
+/// A brushless drive with its motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedBldc {
+    /// Which.
+    pub channel: ChannelId,
+    /// Where it stands still, V: both ends.
+    pub dead_zone_v: [f64; 2],
+    /// Full speed forwards, V.
+    pub forward_v: f64,
+    /// Full speed backwards, V, where a voltage reverses it.
+    pub reverse_v: Option<f64>,
+    /// rad/s
+    pub top_speed_rad_s: f64,
+    /// s
+    pub time_constant_s: f64,
+}
+
+/// A stepper motor with its driver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedStepper {
+    /// Which.
+    pub channel: ChannelId,
+    /// Highest rate at which it starts and stops without losing steps, Hz.
+    pub start_rate_hz: f64,
+}
+
+/// What is in front of a range sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedRange {
+    /// Which.
+    pub channel: ChannelId,
+    /// m
+    pub distance_m: f64,
+}
+
+/// What is at an analog input.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedAnalog {
+    /// Which.
+    pub channel: ChannelId,
+    /// V
+    pub volts: f64,
+    /// True volts for one code of the 16-bit converter.
+    pub volts_per_code: f64,
+    /// Noise, standard deviation in codes of the 16-bit converter.
+    pub noise_rms_codes: f64,
+}
+
+/// What closes a switch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedSwitch {
+    /// Which.
+    pub channel: ChannelId,
+    /// The motor or stepper that closes it; `None` for one that nothing touches.
+    pub axis: Option<ChannelId>,
+    /// Closed below this position of the axis, rad. A stepper's is counted from where it stands at time 0.
+    pub closed_below: f64,
 }
 
 impl Simulation {
     /// Whether the robot's file says nothing about the true world, so that it can only be used as hardware.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.motors.is_empty() && self.rails.is_empty()
+        *self == Self::default()
     }
 }
 
@@ -52,8 +147,8 @@ pub struct SimulatedMotor {
     pub rail: ChannelId,
     /// Where it stands at time 0, rad or m.
     pub start: f64,
-    /// What measures it.
-    pub sensor: SimulatedSensor,
+    /// What measures it, if anything does.
+    pub sensor: Option<SimulatedSensor>,
 }
 
 /// A plant file, not looked into here.

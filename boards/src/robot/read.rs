@@ -5,20 +5,23 @@ use std::{fmt::Display, io::ErrorKind};
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BoardConfig, BridgeLines, ConfigError, ExpanderConfig, MotorConfig, PwmConfig, RelayConfig, RelayRole,
-        SupplyConfig,
+        BoardConfig, BridgeConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MotorConfig, PwmConfig,
     },
 };
 use serde::Deserialize;
 
-use super::{Robot, Simulation, linear::LinearMotor, rotary::RotaryMotor, simulation};
+use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
-    number::{Interval, channel, control_period_us, link_timeout_ms, optional_positive},
-    source::{Claims, Folder, Source},
+    number::{air_temperature_c, control_period_us, link_timeout_ms},
+    source::{Claims, Folder, Source, Tables},
 };
 
+/// The arrays of motors; how one is read depends on what it has.
+const MOTORS: [ChannelKind; 3] = [ChannelKind::Osmc, ChannelKind::Actuator, ChannelKind::Dhb];
+
+/// All of the file but its motors.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
@@ -29,48 +32,42 @@ struct RobotFile {
     #[serde(deserialize_with = "link_timeout_ms")]
     link_timeout_ms: u16,
     #[serde(default)]
-    osmc: Vec<RotaryMotor>,
+    auxiliary_stop: bool,
+    #[serde(default = "room_temperature_c", deserialize_with = "air_temperature_c")]
+    air_temperature_c: f32,
+    servo_chip: Option<output::ServoChip>,
+    stepper_bank: Option<output::StepperBank>,
     #[serde(default)]
-    actuator: Vec<LinearMotor>,
+    bldc: Vec<output::Bldc>,
     #[serde(default)]
-    relay: Vec<Relay>,
+    servo: Vec<output::Servo>,
     #[serde(default)]
-    supply: Vec<Supply>,
+    stepper: Vec<output::Stepper>,
+    #[serde(default)]
+    relay: Vec<output::Relay>,
+    #[serde(default)]
+    dac: Vec<output::Dac>,
+    #[serde(default)]
+    encoder: Vec<input::Encoder>,
+    #[serde(default)]
+    switch: Vec<input::Switch>,
+    #[serde(default)]
+    range: Vec<input::RangeSensor>,
+    #[serde(default)]
+    analog: Vec<input::Analog>,
+    #[serde(default)]
+    supply: Vec<input::Supply>,
+    drive: Option<Drive>,
     simulation: Option<simulation::Tables>,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Relay {
-    #[serde(deserialize_with = "channel")]
-    channel: ChannelId,
-    active_low: bool,
-    #[serde(default)]
-    role: Role,
-}
-
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Role {
-    #[default]
-    General,
-    MotorPower,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Supply {
-    #[serde(deserialize_with = "channel")]
-    channel: ChannelId,
-    analog: u8,
-    #[serde(default, deserialize_with = "optional_positive")]
-    volts_per_code: Option<f32>,
-    range_v: Interval,
+fn room_temperature_c() -> f32 {
+    20.0
 }
 
 /// Reads and checks a robot file, and the files it names.
 pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError> {
-    let file: RobotFile = source.parse()?;
+    let (file, motors): (RobotFile, _) = source.parse_without(MOTORS.map(ChannelKind::name))?;
     let carrier_source = folder.read(&format!("{}.toml", file.carrier)).map_err(|(path, why)| {
         let at = source.at("carrier");
         if why.kind() != ErrorKind::NotFound {
@@ -81,16 +78,79 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
     })?;
     let carrier = carrier::read(&carrier_source)?;
     let reader = Reader { source, carrier: &carrier };
-    let config = reader.config(&file)?;
+    let config = reader.config(&file, motors)?;
+    if let Some(drive) = &file.drive {
+        drive.check(&reader, &config)?;
+    }
     let simulation = match &file.simulation {
-        Some(tables) => {
-            let motors: Vec<_> = config.motors.iter().map(|motor| motor.id).collect();
-            let supplies: Vec<_> = config.supplies.iter().map(|supply| supply.id).collect();
-            tables.check(&reader, folder, &motors, &supplies)?
-        }
+        Some(tables) => tables.check(&reader, folder, &config)?,
         None => Simulation::default(),
     };
-    Ok(Robot { file: source.name.clone(), config, simulation, carrier })
+    Ok(Robot { file: source.name.clone(), config, drive: file.drive, simulation, carrier })
+}
+
+/// A table of the file that becomes a channel of the firmware. Its array is named as the kind of channel.
+pub(super) trait Table {
+    /// What the firmware is told.
+    type Config;
+    /// What the channel is.
+    const KIND: ChannelKind;
+
+    fn channel(&self) -> ChannelId;
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<Self::Config, BoardError>;
+}
+
+/// A table's place in the file, with what the tables before it have taken.
+pub(super) struct Place<'p, 's> {
+    reader: &'p Reader<'p>,
+    pub(super) carrier: &'p Carrier,
+    claims: &'p mut Claims<'s>,
+    path: String,
+}
+
+impl<'p> Place<'p, '_> {
+    /// What the carrier has for a channel; it has been checked that it is there.
+    pub(super) fn connector<T>(&self, connectors: &'p [T], id: ChannelId) -> Result<&'p T, BoardError> {
+        connectors.get(usize::from(id.index)).ok_or_else(|| self.rule("channel", "the carrier has no such connector"))
+    }
+
+    pub(super) fn rule(&self, field: &str, rule: &'static str) -> BoardError {
+        self.reader.rule(format!("{}.{field}", self.path), rule)
+    }
+
+    pub(super) fn take_analog(&mut self, input: u8, field: &str) -> Result<(), BoardError> {
+        let path = format!("{}.{field}", self.path);
+        self.reader.analog(input, &path)?;
+        self.claims.take("analog input", input, path)
+    }
+
+    fn take_encoder(&mut self, input: u8, field: &str) -> Result<(), BoardError> {
+        let path = format!("{}.{field}", self.path);
+        self.reader.encoder(input, &path)?;
+        self.claims.take("motor's encoder", input, path)
+    }
+
+    fn motor(&mut self, motor: Motor, kind: ChannelKind) -> Result<MotorConfig, BoardError> {
+        let Carrier { osmc, dhb, .. } = self.carrier;
+        let (bridge, default, hard) = if kind == ChannelKind::Dhb {
+            let lines = *self.connector(&dhb.connectors, motor.channel())?;
+            (BridgeConfig::Dhb(lines), dhb.duty_max_default, dhb.duty_max_hard)
+        } else {
+            let lines = *self.connector(&osmc.connectors, motor.channel())?;
+            (BridgeConfig::Osmc(lines), osmc.duty_max_default, osmc.duty_max_hard)
+        };
+        let duty_max = motor.duty_max().unwrap_or(default);
+        if duty_max > hard {
+            return Err(self.rule("duty_max", "must be at most duty_max_hard of the bridge in the carrier"));
+        }
+        match &motor {
+            Motor::Open(_) => {}
+            Motor::Rotary(motor) => self.take_encoder(motor.encoder.input, "encoder.input")?,
+            Motor::Linear(motor) => self.take_analog(motor.potentiometer.input, "potentiometer.input")?,
+        }
+        Ok(motor.config(bridge, duty_max))
+    }
 }
 
 /// A robot file and the carrier it is checked against.
@@ -99,138 +159,166 @@ pub(super) struct Reader<'r> {
     pub(super) carrier: &'r Carrier,
 }
 
+/// Where in the file each channel is, to find its line when a rule of the firmware does not hold.
+type Paths = Vec<(ChannelId, String)>;
+
 impl Reader<'_> {
-    fn config(&self, file: &RobotFile) -> Result<BoardConfig, BoardError> {
+    fn config(&self, file: &RobotFile, motors: [Tables<'_>; 3]) -> Result<BoardConfig, BoardError> {
         let mut claims = Claims::new(self.source);
-        // With the path of the table, to find its line when a rule of the firmware does not hold.
-        let mut motors: Vec<(MotorConfig, String)> = Vec::new();
-        for (index, motor) in file.osmc.iter().enumerate() {
-            let path = format!("osmc[{index}]");
-            let lines = self.bridge(&mut claims, motor.channel, ChannelKind::Osmc, &path)?;
-            let input = format!("{path}.encoder.input");
-            self.encoder(motor.encoder.input, &input)?;
-            claims.take("encoder", motor.encoder.input, &input)?;
-            motors.push((motor.config(lines, self.duty_max(motor.duty_max, &path)?), path));
+        let mut paths = Paths::new();
+        macro_rules! list {
+            ($field:ident) => {
+                self.list(&file.$field, &mut claims, &mut paths)?
+            };
         }
-        for (index, motor) in file.actuator.iter().enumerate() {
-            let path = format!("actuator[{index}]");
-            let lines = self.bridge(&mut claims, motor.channel, ChannelKind::Actuator, &path)?;
-            let input = format!("{path}.potentiometer.input");
-            self.analog(motor.potentiometer.input, &input)?;
-            claims.take("analog input", motor.potentiometer.input, &input)?;
-            motors.push((motor.config(lines, self.duty_max(motor.duty_max, &path)?), path));
-        }
-        motors.sort_by_key(|(motor, _)| motor.id.index);
-        let mut relays = Vec::new();
-        for (index, relay) in file.relay.iter().enumerate() {
-            let path = format!("relay[{index}]");
-            relays.push((self.relay(&mut claims, relay, &path)?, path));
-        }
-        let mut supplies = Vec::new();
-        for (index, supply) in file.supply.iter().enumerate() {
-            let path = format!("supply[{index}]");
-            supplies.push((self.supply(&mut claims, supply, &path)?, path));
-        }
+        let motors = self.motors(motors, &mut claims, &mut paths)?;
+        let (bldcs, servos, steppers) = (list!(bldc), list!(servo), list!(stepper));
+        let (relays, dacs) = (list!(relay), list!(dac));
+        let (encoders, switches, ranges) = (list!(encoder), list!(switch), list!(range));
+        let (analogs, supplies) = (list!(analog), list!(supply));
 
         let carrier = self.carrier;
-        let pwm = carrier.device(&carrier.osmc.pwm).map_or(0, |device| device.address);
-        let too_many = |field, rule| self.rule(field, rule);
+        let on_bridge = |dhb| motors.iter().any(|motor| matches!(motor.bridge, BridgeConfig::Dhb(_)) == dhb);
+        let pwm = |used: bool, chip: &str, frequency_hz| {
+            used.then(|| PwmConfig { address: carrier.address(chip), frequency_hz })
+        };
+        let has_expander = !relays.is_empty() || bldcs.iter().any(|bldc| bldc.lines().next().is_some());
+        if !servos.is_empty() && file.servo_chip.is_none() {
+            return Err(self.rule("servo[0]", "servos need a [servo_chip] table with hold_when_safe"));
+        }
+        if !steppers.is_empty() && file.stepper_bank.is_none() {
+            let rule = "steppers need a [stepper_bank] table with enable_active_low and hold_when_safe";
+            return Err(self.rule("stepper[0]", rule));
+        }
         let config = BoardConfig {
             robot: file.name.clone(),
             control_period_us: file.control_period_us,
             link_timeout_ms: file.link_timeout_ms,
-            osmc_pwm: PwmConfig { address: pwm, frequency_hz: carrier.osmc.frequency_hz },
-            motors: fit(motors.iter().map(|(motor, _)| *motor))
-                .ok_or_else(|| too_many("osmc", "the firmware has at most 4 motors"))?,
-            supplies: fit(supplies.iter().map(|(supply, _)| *supply))
-                .ok_or_else(|| too_many("supply", "the firmware has at most 4 supplies"))?,
-            // A robot without relays may have a board without the expander.
-            expander: carrier
-                .device(&carrier.relay.expander)
-                .filter(|_| !relays.is_empty())
-                .map(|device| ExpanderConfig { address: device.address }),
-            relays: fit(relays.iter().map(|(relay, _)| *relay))
-                .ok_or_else(|| too_many("relay", "the firmware has at most 8 relays"))?,
+            i2c_hz: carrier.i2c.rate_hz,
+            auxiliary_stop: file.auxiliary_stop,
+            air_temperature_c: file.air_temperature_c,
+            // A board may lack the chips that its robot does not use.
+            osmc_pwm: pwm(on_bridge(false), &carrier.osmc.pwm, carrier.osmc.frequency_hz),
+            dhb_pwm: pwm(on_bridge(true), &carrier.dhb.pwm, carrier.dhb.frequency_hz),
+            servo_pwm: file.servo_chip.as_ref().filter(|_| !servos.is_empty()).map(|chip| chip.config(carrier)),
+            bldc_dac: (!bldcs.is_empty()).then(|| DacChipConfig {
+                address: carrier.address(&carrier.bldc.dac),
+                full_scale_v: carrier.bldc.dac_full_scale_v,
+            }),
+            expander: has_expander.then(|| ExpanderConfig { address: carrier.address(&carrier.relay.expander) }),
+            stepper_bank: file.stepper_bank.as_ref().filter(|_| !steppers.is_empty()).map(|bank| bank.config(carrier)),
+            motors,
+            bldcs,
+            servos,
+            steppers,
+            relays,
+            dacs,
+            encoders,
+            switches,
+            ranges,
+            analogs,
+            supplies,
         };
+        self.home_switches(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {
-            let motors = motors.iter().map(|(motor, path)| (motor.id, path));
-            let supplies = supplies.iter().map(|(supply, path)| (supply.id, path));
-            let relays = relays.iter().map(|(relay, path)| (relay.id, path));
-            let table = motors
-                .chain(supplies)
-                .chain(relays)
-                .find(|(id, _)| Some(*id) == channel)
-                .map(|(_, path)| path.as_str());
-            BoardError::Rule { at: self.source.at(table.unwrap_or_default()), channel, rule }
+            let path = channel.and_then(|id| path_of(&paths, id)).unwrap_or_default();
+            BoardError::Rule { at: self.source.at(path), channel, rule }
         })?;
         Ok(config)
     }
 
-    /// The lines of the bridge connector that a channel is named after.
-    fn bridge(
+    fn motors<const N: usize>(
         &self,
+        tables: [Tables<'_>; 3],
         claims: &mut Claims<'_>,
-        id: ChannelId,
-        kind: ChannelKind,
-        path: &str,
-    ) -> Result<BridgeLines, BoardError> {
-        let path = format!("{path}.channel");
-        if id.kind != kind {
-            let rule = match kind {
-                ChannelKind::Osmc => "a channel of an osmc table is named osmc and the connector's number",
-                _ => "a channel of an actuator table is named actuator and the connector's number",
-            };
-            return Err(self.rule(path, rule));
-        }
-        let connectors = &self.carrier.osmc.connectors;
-        let lines = connectors.get(usize::from(id.index));
-        let lines = lines.ok_or_else(|| self.no_such("OSMC connector", id.index, connectors.len(), &path))?;
-        claims.take("OSMC connector", id.index, path)?;
-        Ok(*lines)
-    }
-
-    fn duty_max(&self, asked: Option<f32>, path: &str) -> Result<f32, BoardError> {
-        let osmc = &self.carrier.osmc;
-        match asked {
-            Some(duty) if duty > osmc.duty_max_hard => {
-                Err(self.rule(format!("{path}.duty_max"), "must be at most osmc.duty_max_hard of the carrier"))
+        paths: &mut Paths,
+    ) -> Result<heapless::Vec<MotorConfig, N>, BoardError> {
+        let mut motors = Vec::new();
+        for (kind, tables) in MOTORS.into_iter().zip(tables) {
+            for (index, table) in tables.into_iter().enumerate() {
+                let motor = Motor::parse(kind, table).map_err(|error| self.source.malformed(&error))?;
+                let id = motor.channel();
+                let mut place = self.place(claims, kind, index, id)?;
+                motors.push(place.motor(motor, kind)?);
+                paths.push((id, place.path));
             }
-            Some(duty) => Ok(duty),
-            None => Ok(osmc.duty_max_default),
         }
+        motors.sort_by_key(|motor| (matches!(motor.bridge, BridgeConfig::Dhb(_)), motor.id.index));
+        heapless::Vec::from_slice(&motors).map_err(|_| self.rule("osmc", "the firmware has at most 8 motors"))
     }
 
-    fn relay(&self, claims: &mut Claims<'_>, relay: &Relay, path: &str) -> Result<RelayConfig, BoardError> {
-        let path = format!("{path}.channel");
-        if relay.channel.kind != ChannelKind::Relay {
-            return Err(self.rule(path, "a channel of a relay table is named relay and the output's number"));
+    fn list<T: Table, const N: usize>(
+        &self,
+        tables: &[T],
+        claims: &mut Claims<'_>,
+        paths: &mut Paths,
+    ) -> Result<heapless::Vec<T::Config, N>, BoardError> {
+        let mut configs = heapless::Vec::new();
+        for (index, table) in tables.iter().enumerate() {
+            let id = table.channel();
+            let mut place = self.place(claims, T::KIND, index, id)?;
+            let config = table.config(&mut place)?;
+            configs.push(config).map_err(|_| place.rule("channel", "the firmware has no room for so many of them"))?;
+            paths.push((id, place.path));
         }
-        let (index, known) = (relay.channel.index, &self.carrier.relay);
-        let bit = known.outputs.get(usize::from(index));
-        let bit = bit.ok_or_else(|| self.no_such("relay output", index, known.outputs.len(), &path))?;
-        let role = match relay.role {
-            Role::General => RelayRole::General,
-            Role::MotorPower if index == known.motor_power => RelayRole::MotorPower,
-            Role::MotorPower => return Err(self.rule(path, "the motors' supply is on the carrier's relay.motor_power")),
-        };
-        claims.take("relay output", index, path)?;
-        Ok(RelayConfig { id: relay.channel, bit: *bit, active_low: relay.active_low, role })
+        Ok(configs)
     }
 
-    fn supply(&self, claims: &mut Claims<'_>, supply: &Supply, path: &str) -> Result<SupplyConfig, BoardError> {
-        if supply.channel.kind != ChannelKind::Supply {
-            let rule = "a channel of a supply table is named supply and a number";
-            return Err(self.rule(format!("{path}.channel"), rule));
+    /// Checks the channel's name against the table it is in and the carrier, and takes its connector.
+    fn place<'p, 's>(
+        &'p self,
+        claims: &'p mut Claims<'s>,
+        kind: ChannelKind,
+        index: usize,
+        id: ChannelId,
+    ) -> Result<Place<'p, 's>, BoardError> {
+        let path = format!("{}[{index}]", kind.name());
+        let field = format!("{path}.channel");
+        if id.kind != kind {
+            let name = kind.name();
+            let problem = format!("a channel of a {name} table is named {name} and a number, as in {name}0");
+            return Err(BoardError::Malformed { at: self.source.at(field), problem });
         }
-        claims.take("channel", supply.channel, format!("{path}.channel"))?;
-        self.analog(supply.analog, format!("{path}.analog"))?;
-        claims.take("analog input", supply.analog, format!("{path}.analog"))?;
-        Ok(SupplyConfig {
-            id: supply.channel,
-            analog: supply.analog,
-            volts_per_code: supply.volts_per_code.unwrap_or(self.carrier.analog.volts_per_code() as f32),
-            range_v: supply.range_v.into(),
+        match self.connectors(kind) {
+            Some((what, count)) => {
+                self.exists(what, id.index, count, &field)?;
+                claims.take(what, id.index, field)?;
+            }
+            None => claims.take("channel", id, field)?,
+        }
+        Ok(Place { reader: self, carrier: self.carrier, claims, path })
+    }
+
+    /// What the number in a channel's name is on the carrier, and how many there are; `None` for any number.
+    fn connectors(&self, kind: ChannelKind) -> Option<(&'static str, usize)> {
+        let Carrier { osmc, dhb, servo, bldc, relay, stepper, encoder, range, analog, dac, .. } = self.carrier;
+        Some(match kind {
+            ChannelKind::Osmc | ChannelKind::Actuator => ("OSMC connector", osmc.connectors.len()),
+            ChannelKind::Dhb => ("DHB connector", dhb.connectors.len()),
+            ChannelKind::Bldc => ("BLDC connector", bldc.connectors.len()),
+            ChannelKind::Servo => ("servo output", servo.outputs.len()),
+            ChannelKind::Stepper => ("stepper connector", stepper.connectors.len()),
+            ChannelKind::Relay => ("relay output", relay.outputs.len()),
+            ChannelKind::Dac => ("DAC output", dac.outputs.len()),
+            ChannelKind::Encoder => ("encoder", encoder.connectors.len()),
+            ChannelKind::Switch => ("switch", encoder.connectors.len()),
+            ChannelKind::Range => ("range sensor connector", range.connectors.len()),
+            ChannelKind::Analog => ("analog input", analog.inputs.len()),
+            ChannelKind::Supply | ChannelKind::DeadMan => return None,
         })
+    }
+
+    /// A switch that an axis is homed by needs a table that says which level is closed.
+    fn home_switches(&self, config: &BoardConfig, paths: &Paths) -> Result<(), BoardError> {
+        let motors = config.motors.iter().map(|motor| (motor.id, motor.control.and_then(|control| control.homing)));
+        let steppers = config.steppers.iter().map(|stepper| (stepper.id, stepper.homing));
+        for (id, homing) in motors.chain(steppers) {
+            let Some(HomingConfig { switch, .. }) = homing else { continue };
+            let asked = ChannelId::new(ChannelKind::Switch, switch);
+            let field = format!("{}.homing.switch", path_of(paths, id).unwrap_or_default());
+            self.one_of("switch table for", asked, config.switches.iter().map(|switch| &switch.id), field)?;
+        }
+        Ok(())
     }
 
     pub(super) fn encoder(&self, input: u8, path: impl Display) -> Result<(), BoardError> {
@@ -261,23 +349,17 @@ impl Reader<'_> {
     }
 
     fn exists(&self, what: &'static str, asked: u8, count: usize, path: impl Display) -> Result<(), BoardError> {
-        if usize::from(asked) < count { Ok(()) } else { Err(self.no_such(what, asked, count, path)) }
-    }
-
-    fn no_such(&self, what: &'static str, asked: u8, count: usize, path: impl Display) -> BoardError {
+        if usize::from(asked) < count {
+            return Ok(());
+        }
         let known = match count.checked_sub(1) {
             Some(last) => format!("0 to {last}"),
             None => "nothing: the carrier has none".to_owned(),
         };
-        BoardError::NoSuch { at: self.source.at(path), what, asked: asked.to_string(), known }
+        Err(BoardError::NoSuch { at: self.source.at(path), what, asked: asked.to_string(), known })
     }
 }
 
-/// All of `things`, or `None` if there are more than `N`.
-fn fit<T, const N: usize>(things: impl Iterator<Item = T>) -> Option<heapless::Vec<T, N>> {
-    let mut fitted = heapless::Vec::new();
-    for thing in things {
-        fitted.push(thing).ok()?;
-    }
-    Some(fitted)
+fn path_of(paths: &Paths, id: ChannelId) -> Option<&str> {
+    paths.iter().find(|(known, _)| *known == id).map(|(_, path)| path.as_str())
 }

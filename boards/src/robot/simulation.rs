@@ -1,26 +1,68 @@
-//! `[simulation]`: what the simulator takes for true.
+//! `[simulation]`: what the simulator takes for true. What a table does not say is as the robot is configured.
 
 use std::fmt::Display;
 
-use r4_protocol::channel::{ChannelId, ChannelKind};
+use r4_protocol::{
+    channel::ChannelId,
+    config::{
+        AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, ServoConfig, StepperConfig,
+        SupplyConfig, SwitchConfig,
+    },
+};
 use serde::Deserialize;
 
-use super::{PlantFile, SimulatedMotor, SimulatedRail, SimulatedSensor, Simulation, TruePoint, read::Reader};
+use super::{
+    PlantFile, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint, output::NOMINAL_OSCILLATOR_HZ,
+    read::Reader,
+};
 use crate::{
     error::BoardError,
-    number::{channel, finite, not_negative, optional_positive, positive},
+    number::{
+        Interval, channel, finite, not_negative, optional_channel, optional_finite, optional_not_negative,
+        optional_oscillator_hz, optional_positive,
+    },
     source::{Claims, Folder},
 };
+
+/// 13 effective bits of the 16-bit converter: 2^3 / sqrt(12). Our choice.
+const NOISE_RMS_CODES: f64 = 2.3;
+/// Of a supply: our choice.
+const RAIL_OHM: f64 = 0.1;
+/// Half the width of a brushless drive's dead zone, V: our choice.
+const DEAD_ZONE_V: f64 = 0.05;
+/// Of a brushless drive, rad/s: our choice.
+const BLDC_TOP_SPEED_RAD_S: f64 = 100.0;
+/// Of a brushless drive, s: our choice.
+const BLDC_TIME_CONSTANT_S: f64 = 0.2;
+/// A stepper starts at this many times the speed it is configured to start at: our choice.
+const START_MARGIN: f64 = 2.0;
+/// Every stepper starts at this rate, Hz: our choice.
+const START_RATE_MIN_HZ: f64 = 100.0;
 
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Tables {
+    #[serde(default, deserialize_with = "optional_oscillator_hz")]
+    servo_oscillator_hz: Option<f64>,
     #[serde(default)]
     rotary: Vec<Rotary>,
     #[serde(default)]
     linear: Vec<Linear>,
     #[serde(default)]
     rail: Vec<Rail>,
+    #[serde(default)]
+    servo: Vec<Servo>,
+    #[serde(default)]
+    bldc: Vec<Bldc>,
+    #[serde(default)]
+    stepper: Vec<Stepper>,
+    #[serde(default)]
+    range: Vec<Range>,
+    #[serde(default)]
+    analog: Vec<Analog>,
+    #[serde(default)]
+    switch: Vec<Switch>,
 }
 
 #[derive(Deserialize)]
@@ -29,18 +71,18 @@ struct Rotary {
     #[serde(deserialize_with = "channel")]
     channel: ChannelId,
     plant: String,
-    #[serde(deserialize_with = "channel")]
-    rail: ChannelId,
-    encoder: Encoder,
-    #[serde(deserialize_with = "finite")]
+    #[serde(default, deserialize_with = "optional_channel")]
+    rail: Option<ChannelId>,
+    encoder: Option<Encoder>,
+    #[serde(default, deserialize_with = "finite")]
     start_rad: f64,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Encoder {
     input: u8,
-    #[serde(deserialize_with = "positive")]
+    #[serde(deserialize_with = "crate::number::positive")]
     lines_per_turn: u32,
 }
 
@@ -50,21 +92,25 @@ struct Linear {
     #[serde(deserialize_with = "channel")]
     channel: ChannelId,
     plant: String,
-    #[serde(deserialize_with = "channel")]
-    rail: ChannelId,
-    potentiometer: Potentiometer,
-    #[serde(deserialize_with = "finite")]
+    #[serde(default, deserialize_with = "optional_channel")]
+    rail: Option<ChannelId>,
+    potentiometer: Option<Potentiometer>,
+    #[serde(default, deserialize_with = "finite")]
     start_m: f64,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Potentiometer {
     input: u8,
     low: TruePoint,
     high: TruePoint,
-    #[serde(deserialize_with = "not_negative")]
+    #[serde(default = "noise_rms_codes", deserialize_with = "not_negative")]
     noise_rms_codes: f64,
+}
+
+fn noise_rms_codes() -> f64 {
+    NOISE_RMS_CODES
 }
 
 #[derive(Deserialize)]
@@ -72,126 +118,283 @@ struct Potentiometer {
 struct Rail {
     #[serde(deserialize_with = "channel")]
     channel: ChannelId,
-    analog: u8,
+    analog: Option<u8>,
     #[serde(default, deserialize_with = "optional_positive")]
     volts_per_code: Option<f64>,
-    #[serde(deserialize_with = "positive")]
-    emf_v: f64,
-    #[serde(deserialize_with = "not_negative")]
-    resistance_ohm: f64,
-    #[serde(deserialize_with = "not_negative")]
-    noise_rms_codes: f64,
+    #[serde(default, deserialize_with = "optional_positive")]
+    emf_v: Option<f64>,
+    #[serde(default, deserialize_with = "optional_not_negative")]
+    resistance_ohm: Option<f64>,
+    #[serde(default, deserialize_with = "optional_not_negative")]
+    noise_rms_codes: Option<f64>,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Servo {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    low: Option<ServoEnd>,
+    high: Option<ServoEnd>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    speed_rad_s: Option<f64>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ServoEnd {
+    #[serde(deserialize_with = "crate::number::positive")]
+    pulse_s: f64,
+    #[serde(deserialize_with = "finite")]
+    angle_rad: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Bldc {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    dead_zone_v: Option<Interval>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    forward_v: Option<f64>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    reverse_v: Option<f64>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    top_speed_rad_s: Option<f64>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    time_constant_s: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stepper {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(deserialize_with = "crate::number::positive")]
+    start_rate_hz: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Range {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(deserialize_with = "crate::number::positive")]
+    distance_m: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Analog {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default, deserialize_with = "optional_finite")]
+    volts: Option<f64>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    volts_per_code: Option<f64>,
+    #[serde(default, deserialize_with = "optional_not_negative")]
+    noise_rms_codes: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Switch {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(deserialize_with = "channel")]
+    axis: ChannelId,
+    #[serde(deserialize_with = "finite")]
+    closed_below_rad: f64,
+}
+
+/// A table about one channel.
+trait About {
+    /// The array it is in.
+    const NAME: &str;
+    fn channel(&self) -> ChannelId;
+}
+
+macro_rules! about {
+    ($($Table:ident $name:literal),*) => {
+        $(impl About for $Table {
+            const NAME: &str = concat!("simulation.", $name);
+
+            fn channel(&self) -> ChannelId {
+                self.channel
+            }
+        })*
+    };
+}
+
+about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
+about!(Range "range", Analog "analog", Switch "switch");
+
 impl Tables {
-    /// Checks the tables against the robot whose motors and supplies are named, and reads the plant files.
+    /// Checks the tables against the robot's configuration, and reads the plant files.
     pub(super) fn check(
         &self,
         reader: &Reader<'_>,
         folder: &Folder,
-        motors: &[ChannelId],
-        supplies: &[ChannelId],
+        config: &BoardConfig,
     ) -> Result<Simulation, BoardError> {
-        let check = Check { reader, folder, motors, supplies };
-        let mut claims = Claims::new(reader.source);
-        let mut simulation = Simulation { motors: self.motors(&check, &mut claims)?, rails: Vec::new() };
-        for (index, rail) in self.rail.iter().enumerate() {
-            simulation.rails.push(rail.check(&check, &mut claims, index)?);
-        }
-        // Both ways round: what is simulated exists (checked above), and what exists is simulated.
-        simulation.motors = in_order(motors, simulation.motors, |motor| motor.channel)
-            .ok_or_else(|| reader.rule("simulation", "needs one rotary or linear table for each motor of the robot"))?;
-        simulation.rails = in_order(supplies, simulation.rails, |rail| rail.channel)
-            .ok_or_else(|| reader.rule("simulation", "needs one rail table for each supply of the robot"))?;
-        Ok(simulation)
-    }
-
-    fn motors(&self, check: &Check<'_>, claims: &mut Claims<'_>) -> Result<Vec<SimulatedMotor>, BoardError> {
-        let mut motors = Vec::new();
-        for (index, rotary) in self.rotary.iter().enumerate() {
-            motors.push(rotary.check(check, claims, &format!("simulation.rotary[{index}]"))?);
-        }
-        for (index, linear) in self.linear.iter().enumerate() {
-            motors.push(linear.check(check, claims, &format!("simulation.linear[{index}]"))?);
-        }
-        Ok(motors)
-    }
-}
-
-fn in_order<T>(order: &[ChannelId], mut things: Vec<T>, id: fn(&T) -> ChannelId) -> Option<Vec<T>> {
-    let place = |thing: &T| order.iter().position(|known| *known == id(thing));
-    things.sort_by_key(place);
-    (things.len() == order.len()).then_some(things)
-}
-
-impl Rotary {
-    fn check(&self, check: &Check<'_>, claims: &mut Claims<'_>, path: &str) -> Result<SimulatedMotor, BoardError> {
-        check.motor(self.channel, ChannelKind::Osmc, format!("{path}.channel"))?;
-        check.rail(self.rail, format!("{path}.rail"))?;
-        claims.take("channel", self.channel, format!("{path}.channel"))?;
-        check.reader.encoder(self.encoder.input, format!("{path}.encoder.input"))?;
-        claims.take("encoder", self.encoder.input, format!("{path}.encoder.input"))?;
-        let Encoder { input, lines_per_turn } = self.encoder;
-        Ok(SimulatedMotor {
-            channel: self.channel,
-            plant: check.plant(&self.plant, format!("{path}.plant"))?,
-            rail: self.rail,
-            start: self.start_rad,
-            sensor: SimulatedSensor::Encoder { input, lines_per_turn },
+        let mut check = Check { reader, folder, config, claims: Claims::new(reader.source) };
+        let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
+        Ok(Simulation {
+            motors: check.motors(self)?,
+            rails: check.each(&self.rail, &config.supplies, |supply| supply.id, Check::rail)?,
+            servo_oscillator_hz: self.servo_oscillator_hz.unwrap_or(calibrated_hz.into()),
+            servos: check.each(&self.servo, &config.servos, |servo| servo.id, Check::servo)?,
+            bldcs: check.each(&self.bldc, &config.bldcs, |bldc| bldc.id, Check::bldc)?,
+            steppers: check.each(&self.stepper, &config.steppers, |stepper| stepper.id, Check::stepper)?,
+            ranges: check.each(&self.range, &config.ranges, |range| range.id, Check::range)?,
+            analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
+            switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
         })
-    }
-}
-
-impl Linear {
-    fn check(&self, check: &Check<'_>, claims: &mut Claims<'_>, path: &str) -> Result<SimulatedMotor, BoardError> {
-        check.motor(self.channel, ChannelKind::Actuator, format!("{path}.channel"))?;
-        check.rail(self.rail, format!("{path}.rail"))?;
-        claims.take("channel", self.channel, format!("{path}.channel"))?;
-        let Potentiometer { input, low, high, noise_rms_codes } = self.potentiometer;
-        check.reader.analog(input, format!("{path}.potentiometer.input"))?;
-        claims.take("analog input", input, format!("{path}.potentiometer.input"))?;
-        if low.position_m >= high.position_m {
-            let field = format!("{path}.potentiometer.high.position_m");
-            return Err(check.reader.rule(field, "must be above the low point's position_m"));
-        }
-        Ok(SimulatedMotor {
-            channel: self.channel,
-            plant: check.plant(&self.plant, format!("{path}.plant"))?,
-            rail: self.rail,
-            start: self.start_m,
-            sensor: SimulatedSensor::Potentiometer { input, low, high, noise_rms_codes },
-        })
-    }
-}
-
-impl Rail {
-    fn check(&self, check: &Check<'_>, claims: &mut Claims<'_>, index: usize) -> Result<SimulatedRail, BoardError> {
-        let path = |field: &str| format!("simulation.rail[{index}].{field}");
-        check.rail(self.channel, path("channel"))?;
-        claims.take("channel", self.channel, path("channel"))?;
-        check.reader.analog(self.analog, path("analog"))?;
-        claims.take("analog input", self.analog, path("analog"))?;
-        let &Self { channel, analog, volts_per_code, emf_v, resistance_ohm, noise_rms_codes } = self;
-        let volts_per_code = volts_per_code.unwrap_or_else(|| check.reader.carrier.analog.volts_per_code());
-        Ok(SimulatedRail { channel, analog, volts_per_code, emf_v, resistance_ohm, noise_rms_codes })
     }
 }
 
 struct Check<'c> {
     reader: &'c Reader<'c>,
     folder: &'c Folder,
-    motors: &'c [ChannelId],
-    supplies: &'c [ChannelId],
+    config: &'c BoardConfig,
+    claims: Claims<'c>,
 }
 
 impl Check<'_> {
-    fn motor(&self, id: ChannelId, kind: ChannelKind, path: String) -> Result<(), BoardError> {
-        let known = self.motors.iter().filter(|motor| motor.kind == kind);
-        self.reader.one_of("motor of that kind", id, known, path)
+    /// What is true of each of the robot's `configs`. `truth` is given the table about it, if there is one, and its path.
+    fn each<T: About, C, S>(
+        &mut self,
+        tables: &[T],
+        configs: &[C],
+        id: fn(&C) -> ChannelId,
+        truth: impl Fn(&mut Self, &C, Option<&T>, &str) -> Result<S, BoardError>,
+    ) -> Result<Vec<S>, BoardError> {
+        let known: Vec<_> = configs.iter().map(id).collect();
+        for (index, table) in tables.iter().enumerate() {
+            self.channel(table.channel(), &known, format!("{}[{index}].channel", T::NAME))?;
+        }
+        let mut truths = Vec::new();
+        for config in configs {
+            let found = tables.iter().position(|table| table.channel() == id(config));
+            let path = found.map_or_else(|| "simulation".to_owned(), |index| format!("{}[{index}]", T::NAME));
+            truths.push(truth(self, config, found.map(|index| &tables[index]), &path)?);
+        }
+        Ok(truths)
     }
 
-    fn rail(&self, id: ChannelId, path: String) -> Result<(), BoardError> {
-        self.reader.one_of("supply", id, self.supplies.iter(), path)
+    /// What is simulated exists, and once.
+    fn channel(&mut self, id: ChannelId, known: &[ChannelId], path: String) -> Result<(), BoardError> {
+        self.reader.one_of("channel of that kind", id, known.iter(), path.clone())?;
+        self.claims.take("channel", id, path)
+    }
+
+    fn motors(&mut self, tables: &Tables) -> Result<Vec<SimulatedMotor>, BoardError> {
+        let kind_of = |motor: &MotorConfig| motor.control.map(|control| control.feedback);
+        let is_linear = |motor: &&MotorConfig| matches!(kind_of(motor), Some(Feedback::Potentiometer { .. }));
+        let is_rotary = |motor: &&MotorConfig| matches!(kind_of(motor), Some(Feedback::Encoder { .. }));
+        let motors = &self.config.motors;
+        let may_turn: Vec<_> = motors.iter().filter(|motor| !is_linear(motor)).map(|motor| motor.id).collect();
+        let may_slide: Vec<_> = motors.iter().filter(|motor| !is_rotary(motor)).map(|motor| motor.id).collect();
+        let mut simulated = Vec::new();
+        for (index, rotary) in tables.rotary.iter().enumerate() {
+            let path = format!("simulation.rotary[{index}]");
+            self.channel(rotary.channel, &may_turn, format!("{path}.channel"))?;
+            simulated.push(self.rotary(rotary, &path)?);
+        }
+        for (index, linear) in tables.linear.iter().enumerate() {
+            let path = format!("simulation.linear[{index}]");
+            self.channel(linear.channel, &may_slide, format!("{path}.channel"))?;
+            simulated.push(self.linear(linear, &path)?);
+        }
+        // What exists is simulated.
+        simulated.sort_by_key(|found| motors.iter().position(|motor| motor.id == found.channel));
+        if simulated.len() < motors.len() {
+            let rule = "needs one rotary or linear table for each motor of the robot";
+            return Err(self.reader.rule("simulation", rule));
+        }
+        Ok(simulated)
+    }
+
+    fn feedback(&self, id: ChannelId) -> Option<Feedback> {
+        let motor = self.config.motors.iter().find(|motor| motor.id == id)?;
+        motor.control.map(|control| control.feedback)
+    }
+
+    fn rotary(&mut self, rotary: &Rotary, path: &str) -> Result<SimulatedMotor, BoardError> {
+        let input_path = format!("{path}.encoder.input");
+        let sensor = match (rotary.encoder, self.feedback(rotary.channel)) {
+            (Some(Encoder { input, lines_per_turn }), _) => Some((input, lines_per_turn)),
+            (None, Some(Feedback::Encoder { index, counts_per_turn, .. })) if counts_per_turn % 4 == 0 => {
+                Some((index, counts_per_turn / 4))
+            }
+            (None, Some(_)) => {
+                let rule = "counts_per_turn of the robot is no multiple of 4: say the encoder's lines_per_turn";
+                return Err(self.reader.rule(path, rule));
+            }
+            (None, None) => None,
+        };
+        if let Some((input, _)) = sensor {
+            self.reader.encoder(input, &input_path)?;
+            self.claims.take("encoder", input, input_path)?;
+        }
+        Ok(SimulatedMotor {
+            channel: rotary.channel,
+            plant: self.plant(&rotary.plant, format!("{path}.plant"))?,
+            rail: self.rail_of(rotary.rail, path)?,
+            start: rotary.start_rad,
+            sensor: sensor.map(|(input, lines_per_turn)| SimulatedSensor::Encoder { input, lines_per_turn }),
+        })
+    }
+
+    fn linear(&mut self, linear: &Linear, path: &str) -> Result<SimulatedMotor, BoardError> {
+        let input_path = format!("{path}.potentiometer.input");
+        let sensor = match (linear.potentiometer, self.feedback(linear.channel)) {
+            (Some(Potentiometer { input, low, high, noise_rms_codes }), _) => {
+                if low.position_m >= high.position_m {
+                    let field = format!("{path}.potentiometer.high.position_m");
+                    return Err(self.reader.rule(field, "must be above the low point's position_m"));
+                }
+                Some((input, [low, high], noise_rms_codes))
+            }
+            (None, Some(Feedback::Potentiometer { analog, low, high })) => {
+                let points = [low, high].map(|point| TruePoint {
+                    code_10bit: f64::from(point.code) / 65_535.0 * 1023.0,
+                    position_m: point.position_m.into(),
+                });
+                Some((analog, points, NOISE_RMS_CODES))
+            }
+            (None, _) => None,
+        };
+        if let Some((input, ..)) = sensor {
+            self.reader.analog(input, &input_path)?;
+            self.claims.take("analog input", input, input_path)?;
+        }
+        Ok(SimulatedMotor {
+            channel: linear.channel,
+            plant: self.plant(&linear.plant, format!("{path}.plant"))?,
+            rail: self.rail_of(linear.rail, path)?,
+            start: linear.start_m,
+            sensor: sensor.map(|(input, [low, high], noise_rms_codes)| SimulatedSensor::Potentiometer {
+                input,
+                low,
+                high,
+                noise_rms_codes,
+            }),
+        })
+    }
+
+    /// The rail that a motor's table names, or the robot's only one.
+    fn rail_of(&self, asked: Option<ChannelId>, path: &str) -> Result<ChannelId, BoardError> {
+        let supplies = &self.config.supplies;
+        match (asked, supplies.as_slice()) {
+            (None, [only]) => Ok(only.id),
+            (None, _) => Err(self.reader.rule(path, "needs a rail: the supply that feeds the motor's bridge")),
+            (Some(rail), _) => {
+                let known = supplies.iter().map(|supply| &supply.id);
+                self.reader.one_of("supply", rail, known, format!("{path}.rail"))?;
+                Ok(rail)
+            }
+        }
     }
 
     fn plant(&self, plant: &str, path: impl Display) -> Result<PlantFile, BoardError> {
@@ -202,5 +405,125 @@ impl Check<'_> {
             source,
         })?;
         Ok(PlantFile { name: source.name, text: source.text.into_owned() })
+    }
+
+    fn rail(&mut self, config: &SupplyConfig, rail: Option<&Rail>, path: &str) -> Result<SimulatedRail, BoardError> {
+        let path = format!("{path}.analog");
+        let analog = rail.and_then(|rail| rail.analog).unwrap_or(config.analog);
+        self.reader.analog(analog, &path)?;
+        self.claims.take("analog input", analog, path)?;
+        let half_way_v = f64::midpoint(config.range_v.min.into(), config.range_v.max.into());
+        Ok(SimulatedRail {
+            channel: config.id,
+            analog,
+            volts_per_code: rail.and_then(|rail| rail.volts_per_code).unwrap_or(config.volts_per_code.into()),
+            emf_v: rail.and_then(|rail| rail.emf_v).unwrap_or(half_way_v),
+            resistance_ohm: rail.and_then(|rail| rail.resistance_ohm).unwrap_or(RAIL_OHM),
+            noise_rms_codes: rail.and_then(|rail| rail.noise_rms_codes).unwrap_or(NOISE_RMS_CODES),
+        })
+    }
+
+    fn servo(&mut self, config: &ServoConfig, servo: Option<&Servo>, path: &str) -> Result<SimulatedServo, BoardError> {
+        let end = |point: r4_protocol::config::ServoPoint| ServoEnd {
+            pulse_s: point.pulse_s.into(),
+            angle_rad: point.angle_rad.into(),
+        };
+        let low = servo.and_then(|servo| servo.low).unwrap_or(end(config.low));
+        let high = servo.and_then(|servo| servo.high).unwrap_or(end(config.high));
+        if low.pulse_s >= high.pulse_s || low.angle_rad == high.angle_rad {
+            let rule = "the low end's pulse must be shorter than the high end's, and their angles differ";
+            return Err(self.reader.rule(path, rule));
+        }
+        Ok(SimulatedServo {
+            channel: config.id,
+            pulse_min_s: low.pulse_s,
+            pulse_max_s: high.pulse_s,
+            angle_min_rad: low.angle_rad,
+            angle_max_rad: high.angle_rad,
+            rate_rad_s: servo.and_then(|servo| servo.speed_rad_s).unwrap_or(config.speed_max.into()),
+        })
+    }
+
+    fn bldc(&mut self, config: &BldcConfig, bldc: Option<&Bldc>, path: &str) -> Result<SimulatedBldc, BoardError> {
+        let neutral_v = f64::from(config.neutral_v);
+        let dead_zone_v = Interval { min: neutral_v - DEAD_ZONE_V, max: neutral_v + DEAD_ZONE_V };
+        let dead_zone_v = bldc.and_then(|bldc| bldc.dead_zone_v).unwrap_or(dead_zone_v);
+        let forward_v = bldc.and_then(|bldc| bldc.forward_v).unwrap_or(config.forward_v.into());
+        let reverse_v = match config.reverse {
+            Reverse::Voltage { full_v } => Some(f64::from(full_v)),
+            Reverse::None | Reverse::Line { .. } => None,
+        };
+        let reverse_v = bldc.and_then(|bldc| bldc.reverse_v).or(reverse_v);
+        if forward_v <= dead_zone_v.max || reverse_v.is_some_and(|volts| volts >= dead_zone_v.min) {
+            let rule = "a simulated drive goes forwards above its dead_zone_v, and backwards, if by voltage, below it";
+            return Err(self.reader.rule(path, rule));
+        }
+        Ok(SimulatedBldc {
+            channel: config.id,
+            dead_zone_v: [dead_zone_v.min, dead_zone_v.max],
+            forward_v,
+            reverse_v,
+            top_speed_rad_s: bldc.and_then(|bldc| bldc.top_speed_rad_s).unwrap_or(BLDC_TOP_SPEED_RAD_S),
+            time_constant_s: bldc.and_then(|bldc| bldc.time_constant_s).unwrap_or(BLDC_TIME_CONSTANT_S),
+        })
+    }
+
+    fn stepper(
+        &mut self,
+        config: &StepperConfig,
+        stepper: Option<&Stepper>,
+        _: &str,
+    ) -> Result<SimulatedStepper, BoardError> {
+        let steps_per_rad = f64::from(config.steps_per_turn) / std::f64::consts::TAU;
+        let configured_hz = START_MARGIN * f64::from(config.start_speed) * steps_per_rad;
+        let start_rate_hz = stepper.map_or(configured_hz.max(START_RATE_MIN_HZ), |stepper| stepper.start_rate_hz);
+        Ok(SimulatedStepper { channel: config.id, start_rate_hz })
+    }
+
+    fn range(&mut self, config: &RangeConfig, range: Option<&Range>, _: &str) -> Result<SimulatedRange, BoardError> {
+        let nearest_m = config.stop_below_m.unwrap_or(config.range_m.min);
+        let half_way_m = f64::midpoint(nearest_m.into(), config.range_m.max.into());
+        let distance_m = range.map_or(half_way_m, |range| range.distance_m);
+        Ok(SimulatedRange { channel: config.id, distance_m })
+    }
+
+    fn analog(
+        &mut self,
+        config: &AnalogConfig,
+        analog: Option<&Analog>,
+        path: &str,
+    ) -> Result<SimulatedAnalog, BoardError> {
+        self.claims.take("analog input", config.id.index, path)?;
+        let half_way_v = f64::midpoint(config.plausible_v.min.into(), config.plausible_v.max.into());
+        Ok(SimulatedAnalog {
+            channel: config.id,
+            volts: analog.and_then(|analog| analog.volts).unwrap_or(half_way_v),
+            volts_per_code: analog.and_then(|analog| analog.volts_per_code).unwrap_or(config.volts_per_code.into()),
+            noise_rms_codes: analog.and_then(|analog| analog.noise_rms_codes).unwrap_or(NOISE_RMS_CODES),
+        })
+    }
+
+    /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.
+    fn switch(
+        &mut self,
+        config: &SwitchConfig,
+        switch: Option<&Switch>,
+        path: &str,
+    ) -> Result<SimulatedSwitch, BoardError> {
+        let motors = self.config.motors.iter().map(|motor| (motor.id, motor.control.and_then(|c| c.homing)));
+        let steppers = self.config.steppers.iter().map(|stepper| (stepper.id, stepper.homing));
+        let mut axes = motors.chain(steppers);
+        if let Some(switch) = switch {
+            let known: Vec<_> = axes.map(|(id, _)| id).collect();
+            self.reader.one_of("motor or stepper", switch.axis, known.iter(), format!("{path}.axis"))?;
+            let (axis, closed_below) = (Some(switch.axis), switch.closed_below_rad);
+            return Ok(SimulatedSwitch { channel: config.id, axis, closed_below });
+        }
+        let homed = axes.find_map(|(id, homing)| {
+            let homing = homing.filter(|homing| homing.switch == config.id.index)?;
+            Some((id, f64::from(homing.position)))
+        });
+        let (axis, closed_below) = homed.unzip();
+        Ok(SimulatedSwitch { channel: config.id, axis, closed_below: closed_below.unwrap_or_default() })
     }
 }

@@ -4,40 +4,121 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
-    ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, Range, Refusal, Reply, Request, SCHEMA_HASH, Setpoint,
-    ToDevice, ToHost, Unit, VERSION,
-    config::{Feedback, MotorConfig, RelayRole},
+    ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request, SCHEMA_HASH,
+    SafetyState, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
+    channel::MAX_MODES,
+    config::{
+        BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
+        StepperConfig,
+    },
 };
 
 use crate::{
     FIRMWARE_VERSION,
     control::motor,
+    ranging,
     safety::Event,
-    shared::{Output, Shared},
+    shared::Shared,
+    storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
 
-/// Answers `message`, which came over `link`; `None` for what wants no answer.
+/// What becomes of a message.
+pub(crate) enum Outcome {
+    /// It wants no answer.
+    Nothing,
+    /// It is answered now.
+    Answer(ToHost),
+    /// [`carry_out`] answers it; meanwhile the link goes on.
+    Later { seq: u16, request: Request },
+}
+
+/// Answers `message`, which came over `link`.
 pub(crate) fn dispatch<M: RawMutex>(
     shared: &Shared<M>,
     link: u8,
     subscriptions: &mut Subscriptions,
     message: ToDevice,
-) -> Option<ToHost> {
+) -> Outcome {
     let now = Instant::now();
     match message {
-        ToDevice::Heartbeat { session, host_us } => shared.heartbeat(link, session, now).then(|| {
+        ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
             let view = shared.safety();
-            ToHost::Heartbeat { host_us, device_us: now.as_micros(), state: view.state, causes: view.causes }
-        }),
+            let device_us = now.as_micros();
+            Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes })
+        }
+        ToDevice::Heartbeat { .. } => Outcome::Nothing,
+        ToDevice::Request { seq, request } if takes_time(&request) && shared.has_session(link) => {
+            Outcome::Later { seq, request }
+        }
         ToDevice::Request { seq, request } => {
-            let result = answer(shared, link, subscriptions, request, now);
-            if result.is_err() {
-                shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
-            }
-            Some(ToHost::Response { seq, result })
+            Outcome::Answer(response(shared, seq, answer(shared, link, subscriptions, request, now)))
         }
     }
+}
+
+/// Whether a request waits for flash or for an external device.
+fn takes_time(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::SaveParameters
+            | Request::Fault { .. }
+            | Request::FaultSnapshot { .. }
+            | Request::I2cTransfer { .. }
+            | Request::UartWrite { .. }
+            | Request::UartRead { .. }
+    )
+}
+
+/// Does what [`dispatch`] has put off, and answers.
+pub(crate) async fn carry_out<M: RawMutex>(shared: &Shared<M>, seq: u16, request: Request) -> ToHost {
+    let result = match request {
+        Request::SaveParameters => save(shared).await,
+        Request::Fault { index } => shared.storage.request(Job::Fault { index }).await.map(stored),
+        Request::FaultSnapshot { index, snapshot } => {
+            shared.storage.request(Job::Snapshot { index, snapshot }).await.map(stored)
+        }
+        raw => shared.passthrough.request(&raw).await,
+    };
+    response(shared, seq, result)
+}
+
+fn stored(done: Done) -> Reply {
+    match done {
+        Done::Saved => Reply::Done,
+        Done::Fault(fault) => Reply::Fault(fault),
+        Done::Snapshot(snapshot) => Reply::FaultSnapshot(snapshot),
+    }
+}
+
+/// Keeps what hosts have changed. A sector may have to be erased, so not while the board is armed.
+async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
+    refuse_while_armed(shared)?;
+    let changes = shared.pending(|config| Changes::between(shared.built_in(), config));
+    shared.storage.request(Job::Save(changes.map_err(|_| Refusal::StorageFailed)?)).await.map(stored)
+}
+
+fn refuse_while_armed<M: RawMutex>(shared: &Shared<M>) -> Result<(), Refusal> {
+    match shared.safety().state {
+        state @ SafetyState::Armed => Err(Refusal::NotWhile { state }),
+        SafetyState::Disarmed | SafetyState::Tripped => Ok(()),
+    }
+}
+
+fn response<M: RawMutex>(shared: &Shared<M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
+    if result.is_err() {
+        shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
+    }
+    ToHost::Response { seq, result }
+}
+
+fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ParameterInfo, Refusal> {
+    let end = Refusal::NoSuchIndex { index: u8::try_from(index).unwrap_or(u8::MAX) };
+    let key = shared.config().parameters().nth(index).ok_or(end)?;
+    let active = shared.config().parameter(key).ok_or(end)?;
+    let set = shared.pending(|config| config.parameter(key)).unwrap_or(active);
+    let built_in = shared.built_in().parameter(key).unwrap_or(active);
+    Ok(ParameterInfo { key, active, set, built_in })
 }
 
 fn answer<M: RawMutex>(
@@ -84,12 +165,14 @@ fn answer<M: RawMutex>(
                 let age_ms = u32::try_from(age_ms).unwrap_or(u32::MAX);
                 return Err(Refusal::Expired { age_ms, ttl_ms });
             }
-            let output = output(shared, channel, setpoint.mode)?;
-            check_setpoint(channel, &modes_of(shared, output), setpoint)?;
-            shared.command(output, setpoint)?;
+            let place = place(shared, channel)?;
+            check_setpoint(channel, &modes_of(shared.config(), place), setpoint)?;
+            shared.command(place, setpoint)?;
         }
         Request::SetGains { channel, mode, gains } => {
-            let (Output::Motor(index), Mode::Position | Mode::Speed) = (output(shared, channel, mode)?, mode) else {
+            let place = place(shared, channel)?;
+            let known = modes_of(shared.config(), place).iter().any(|info| info.mode == mode);
+            let (Place::Motor(index), Mode::Position | Mode::Speed, true) = (place, mode, known) else {
                 return Err(Refusal::WrongMode { channel, mode });
             };
             if !gains.is_valid() {
@@ -98,24 +181,32 @@ fn answer<M: RawMutex>(
             shared.change_gains(index, mode, gains);
         }
         Request::Subscribe { channel, period_ms } => {
-            if !shared.has_channel(channel) {
-                return Err(Refusal::UnknownChannel { channel });
-            }
+            place(shared, channel)?;
             subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
         }
+        Request::DescribeParameter { index } => {
+            return describe_parameter(shared, usize::from(index)).map(Reply::Parameter);
+        }
+        Request::SetParameter { key, value } => {
+            shared.pending(|config| config.set_parameter(key, value)).map_err(|error| match error {
+                SetError::Unknown(key) => Refusal::UnknownParameter { key },
+                SetError::Invalid(_) => Refusal::BadParameter { key, value },
+            })?;
+        }
+        Request::SetName { robot } => shared.pending(|config| config.robot = robot),
+        Request::ResetParameters => shared.pending(|config| config.clone_from(shared.built_in())),
+        Request::Restart => {
+            refuse_while_armed(shared)?;
+            shared.restart();
+        }
+        // Not answered here: [`dispatch`] passes them on.
+        _ => return Err(Refusal::TransferFailed),
     }
     Ok(Reply::Done)
 }
 
-/// The output that `channel` is, for a command in `mode`.
-fn output<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, mode: Mode) -> Result<Output, Refusal> {
-    let motor = shared.motor_index(channel).map(Output::Motor);
-    let found = motor.or_else(|| shared.relay_index(channel).map(Output::Relay));
-    found.ok_or(if shared.has_channel(channel) {
-        Refusal::WrongMode { channel, mode }
-    } else {
-        Refusal::UnknownChannel { channel }
-    })
+fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<Place, Refusal> {
+    shared.config().place(channel).ok_or(Refusal::UnknownChannel { channel })
 }
 
 fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
@@ -124,8 +215,9 @@ fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) ->
         return Err(Refusal::NotFinite { channel });
     }
     let info = modes.iter().find(|info| info.mode == mode).ok_or(Refusal::WrongMode { channel, mode })?;
-    let half_switched = mode == Mode::Switch && asked != 0.0 && asked != 1.0;
-    if info.range.contains(asked) && !half_switched {
+    let nowhere = mode == Mode::Home && asked == 0.0;
+    let half_switched = info.unit == Unit::Bool && asked != 0.0 && asked != 1.0;
+    if info.range.contains(asked) && !half_switched && !nowhere {
         Ok(())
     } else {
         Err(Refusal::OutOfRange { channel, asked, range: info.range })
@@ -140,7 +232,7 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
         // A crate version is far shorter than the field.
         firmware: String::try_from(FIRMWARE_VERSION).unwrap_or_default(),
         session,
-        channels: (config.motors.len() + config.relays.len() + config.supplies.len()) as u8,
+        channels: config.channels().count() as u8,
         link_timeout_ms: config.link_timeout_ms,
         device_us: now.as_micros(),
         state: view.state,
@@ -148,56 +240,103 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
     }
 }
 
-/// Channel `index` of the list: motors, relays, supplies.
+/// Channel `index` of the board's list.
 fn channel_info<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ChannelInfo, Refusal> {
     let config = shared.config();
-    let rate_hz = 1e6 / config.control_period_us as f32;
-    let motors = config.motors.iter().enumerate().map(|(index, motor)| {
-        let modes = modes_of(shared, Output::Motor(index));
-        let resolution = motor::resolution(motor.feedback);
-        ChannelInfo { id: motor.id, unit: modes[0].unit, range: modes[0].range, rate_hz, resolution, modes }
-    });
-    let relays = config.relays.iter().enumerate().map(|(index, relay)| ChannelInfo {
-        id: relay.id,
-        unit: Unit::Bool,
-        range: SWITCH,
-        rate_hz,
-        resolution: 0.0,
-        modes: modes_of(shared, Output::Relay(index)),
-    });
-    let supplies = config.supplies.iter().map(|supply| ChannelInfo {
-        id: supply.id,
-        unit: Unit::V,
-        range: supply.range_v,
-        rate_hz,
-        resolution: 0.0,
-        modes: Vec::new(),
-    });
-    motors.chain(relays).chain(supplies).nth(index).ok_or(Refusal::NoSuchIndex { index: index as u8 })
+    let (id, place) = config.channels().nth(index).ok_or(Refusal::NoSuchIndex { index: index as u8 })?;
+    let modes = modes_of(config, place);
+    let (unit, range) = quantity(config, place, &modes);
+    Ok(ChannelInfo { id, unit, range, rate_hz: rate_hz(config, place), resolution: resolution(config, place), modes })
 }
 
 /// Off and on.
 const SWITCH: Range = Range::new(0.0, 1.0);
 
-/// What an output can be commanded to do: a motor's own quantity first; nothing for the relay in the motors' supply.
-fn modes_of<M: RawMutex>(shared: &Shared<M>, output: Output) -> Vec<ModeInfo, 3> {
-    match output {
-        Output::Motor(index) => motor_modes(&shared.config().motors[index]),
-        Output::Relay(index) if shared.config().relays[index].role == RelayRole::MotorPower => Vec::new(),
-        Output::Relay(_) => [ModeInfo { mode: Mode::Switch, unit: Unit::Bool, range: SWITCH }].into_iter().collect(),
+/// Unit and range of what a channel measures or, for a pure output, of what it takes.
+fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Range) {
+    const FULL_CODE: f32 = 65_535.0;
+    match (place, modes.first()) {
+        (Place::Encoder(_), _) => (Unit::Rad, Range::symmetric(f32::MAX)),
+        (Place::Range(index), _) => (Unit::M, config.ranges[index].range_m),
+        (Place::Analog(index), _) => {
+            let analog = &config.analogs[index];
+            (Unit::V, Range::new(analog.offset_v, analog.offset_v + FULL_CODE * analog.volts_per_code))
+        }
+        (Place::Supply(index), _) => (Unit::V, config.supplies[index].range_v),
+        // A motor's own quantity is its first mode.
+        (_, Some(first)) => (first.unit, first.range),
+        (_, None) => (Unit::Bool, SWITCH),
     }
 }
 
-fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, 3> {
-    let (position, speed) = match motor.feedback {
+/// How often a channel is measured or driven, Hz.
+fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
+    match place {
+        Place::Range(_) => 1e6 / ranging::cycle(config.ranges.len()).as_micros() as f32,
+        Place::Servo(_) => config.servo_pwm.map_or(0.0, |chip| chip.frequency_hz),
+        _ => 1e6 / config.control_period_us as f32,
+    }
+}
+
+/// One count of a channel's position, or 0.
+fn resolution(config: &BoardConfig, place: Place) -> f32 {
+    const TURN: f32 = core::f32::consts::TAU;
+    match place {
+        Place::Motor(index) => config.motors[index].control.map_or(0.0, |control| motor::resolution(control.feedback)),
+        Place::Stepper(index) => TURN / config.steppers[index].steps_per_turn as f32,
+        Place::Encoder(index) => TURN / config.encoders[index].counts_per_turn as f32,
+        _ => 0.0,
+    }
+}
+
+/// What an output can be commanded to do: a motor's own quantity first; nothing for the relay in the motors' supply.
+fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_MODES> {
+    let mode = |mode, unit, range| ModeInfo { mode, unit, range };
+    match place {
+        Place::Motor(index) => motor_modes(&config.motors[index]),
+        Place::Stepper(index) => {
+            let StepperConfig { position, speed_max, homing, .. } = config.steppers[index];
+            let moves = [
+                mode(Mode::Position, Unit::Rad, position),
+                mode(Mode::Speed, Unit::RadPerS, Range::symmetric(speed_max)),
+            ];
+            moves.into_iter().chain(home_mode(homing)).collect()
+        }
+        Place::Servo(index) => [mode(Mode::Position, Unit::Rad, config.servos[index].position())].into_iter().collect(),
+        Place::Bldc(index) => {
+            let bldc = &config.bldcs[index];
+            let backwards = if bldc.reverse == Reverse::None { 0.0 } else { -1.0 };
+            let speed = mode(Mode::Duty, Unit::Duty, Range::new(backwards, 1.0));
+            let brake = bldc.brake.map(|_| mode(Mode::Brake, Unit::Bool, SWITCH));
+            [speed].into_iter().chain(brake).collect()
+        }
+        Place::Relay(index) if config.relays[index].role == RelayRole::General => {
+            [mode(Mode::Switch, Unit::Bool, SWITCH)].into_iter().collect()
+        }
+        Place::Dac(index) => {
+            let Range { min, max } = config.dacs[index].range_v;
+            let range = Range::new(min.max(0.0), max.min(DAC_FULL_SCALE_V));
+            [mode(Mode::Voltage, Unit::V, range)].into_iter().collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
+    let duty = ModeInfo { mode: Mode::Duty, unit: Unit::Duty, range: Range::symmetric(motor.duty_max) };
+    let Some(ControlConfig { feedback, position, speed_max, homing, .. }) = motor.control else {
+        return [duty].into_iter().collect();
+    };
+    let (position_unit, speed_unit) = match feedback {
         Feedback::Encoder { .. } => (Unit::Rad, Unit::RadPerS),
         Feedback::Potentiometer { .. } => (Unit::M, Unit::MPerS),
     };
-    [
-        ModeInfo { mode: Mode::Position, unit: position, range: motor.position },
-        ModeInfo { mode: Mode::Speed, unit: speed, range: Range::symmetric(motor.speed_max) },
-        ModeInfo { mode: Mode::Duty, unit: Unit::Duty, range: Range::symmetric(motor.duty_max) },
-    ]
-    .into_iter()
-    .collect()
+    let position = ModeInfo { mode: Mode::Position, unit: position_unit, range: position };
+    let speed = ModeInfo { mode: Mode::Speed, unit: speed_unit, range: Range::symmetric(speed_max) };
+    [position, speed, duty].into_iter().chain(home_mode(homing)).collect()
+}
+
+fn home_mode(homing: Option<HomingConfig>) -> Option<ModeInfo> {
+    let range = Range::symmetric(homing?.speed_max);
+    Some(ModeInfo { mode: Mode::Home, unit: Unit::RadPerS, range })
 }

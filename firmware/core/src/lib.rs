@@ -17,11 +17,16 @@ pub mod chips;
 pub mod control;
 mod dispatch;
 pub mod link;
+pub mod motion;
 pub mod outputs;
+pub mod passthrough;
 pub mod platform;
+pub mod ranging;
 pub mod safety;
+pub mod screen;
 pub mod sensing;
 mod shared;
+pub mod storage;
 mod telemetry;
 
 pub use shared::{MotorStatus, ResetCause, Shared};

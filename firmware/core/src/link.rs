@@ -1,18 +1,25 @@
 //! One link to a host: frames in, answers and telemetry out.
 
-use embassy_futures::select::{Either, select};
+use embassy_futures::select::{Either, select, select3};
 use embassy_sync::{
     blocking_mutex::{Mutex, raw::NoopRawMutex, raw::RawMutex},
     channel::Channel,
 };
 use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
-use r4_protocol::{FrameDecoder, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
+use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
-use crate::{dispatch::dispatch, shared::Shared, telemetry::Subscriptions};
+use crate::{
+    dispatch::{Outcome, carry_out, dispatch},
+    shared::Shared,
+    telemetry::Subscriptions,
+};
 
 /// Answers waiting for the transmitter; a host that asks faster than its link carries is held back by the link itself.
 const ANSWERS: usize = 4;
+
+/// Requests that take time and wait for the one before.
+const WAITING: usize = 2;
 
 /// How often a link looks whether the board has started.
 const START_POLL: Duration = Duration::from_millis(1);
@@ -25,12 +32,21 @@ pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u
         Timer::after(START_POLL).await;
     }
     let answers: Channel<NoopRawMutex, ToHost, ANSWERS> = Channel::new();
+    let waiting: Waiting = Channel::new();
     let subscriptions: Mutex<NoopRawMutex, _> = Mutex::new(core::cell::RefCell::new(Subscriptions::default()));
-    let receive = receive(shared, number, rx, &answers, &subscriptions);
+    let receive = receive(shared, number, rx, &answers, &waiting, &subscriptions);
     let transmit = transmit(shared, tx, &answers, &subscriptions);
+    let work = async {
+        loop {
+            let (seq, request) = waiting.receive().await;
+            answers.send(carry_out(shared, seq, request).await).await;
+        }
+    };
     // Either end failing ends the link; the supervisor then misses its heartbeat.
-    select(receive, transmit).await;
+    select3(receive, transmit, work).await;
 }
+
+type Waiting = Channel<NoopRawMutex, (u16, Request), WAITING>;
 
 type SharedSubscriptions = Mutex<NoopRawMutex, core::cell::RefCell<Subscriptions>>;
 
@@ -39,6 +55,7 @@ async fn receive<M: RawMutex, R: Read>(
     number: u8,
     mut rx: R,
     answers: &Channel<NoopRawMutex, ToHost, ANSWERS>,
+    waiting: &Waiting,
     subscriptions: &SharedSubscriptions,
 ) {
     let mut decoder = FrameDecoder::new();
@@ -51,9 +68,15 @@ async fn receive<M: RawMutex, R: Read>(
                 Err(_) => stats.bad_frames = stats.bad_frames.wrapping_add(1),
             });
             let Ok(message) = frame else { continue };
-            let answer = subscriptions.lock(|s| dispatch(shared, number, &mut s.borrow_mut(), message));
-            if let Some(answer) = answer {
-                answers.send(answer).await;
+            match subscriptions.lock(|s| dispatch(shared, number, &mut s.borrow_mut(), message)) {
+                Outcome::Nothing => {}
+                Outcome::Answer(answer) => answers.send(answer).await,
+                // Heartbeats must not wait for flash or for a bus.
+                Outcome::Later { seq, request } => {
+                    if waiting.try_send((seq, request)).is_err() {
+                        answers.send(ToHost::Response { seq, result: Err(Refusal::TransferFailed) }).await;
+                    }
+                }
             }
         }
     }

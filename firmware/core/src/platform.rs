@@ -13,10 +13,110 @@ pub trait Bus: I2c {
 pub trait Encoders {
     /// The present count of encoder `index`. Numbers the board does not have read 0.
     fn count(&mut self, index: u8) -> u16;
+
+    /// Transitions of encoder `index` since power-up in which both tracks changed, which no shaft does; 0 where a timer
+    /// counts, for it cannot tell.
+    fn illegal(&mut self, index: u8) -> u32;
+}
+
+/// The switches beside the encoders.
+pub trait SwitchInputs {
+    /// The level of switch input `index`. Inputs are pulled up; numbers the board does not have read high.
+    fn is_high(&mut self, index: u8) -> bool;
+}
+
+/// The processor's own analog outputs.
+pub trait AnalogOutputs {
+    /// Sets output `index` to a share of the reference, 0..=4095 of 4096. Numbers the board does not have do nothing.
+    fn set(&mut self, index: u8, code: u16);
 }
 
 /// The divided analog inputs, sampled by hardware at least once per control period.
 pub trait AnalogInputs {
     /// The latest code of input `index`, 0..=65535 for 0 V to the reference. Numbers the board does not have read 0.
     fn code(&mut self, index: u8) -> u16;
+}
+
+/// What one stepper driver's lines do, and when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepEvent {
+    /// Tick of the steppers' clock, wrapping.
+    pub at: u32,
+    /// What happens then.
+    pub action: StepAction,
+}
+
+/// What one stepper driver's lines do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepAction {
+    /// One pulse: active from the event's tick for [`Steppers::PULSE_TICKS`].
+    Pulse,
+    /// The direction line turns: `true` for positive.
+    Direction(bool),
+}
+
+/// The step/direction drivers: a clock, a queue of events for each axis, one enable for all.
+///
+/// Events carry the tick at which they happen, so that how late the control loop runs moves no edge. A queue holds the
+/// events of 2.5 control periods at the highest rate. Numbers of axes the board does not have do nothing and read 0.
+///
+/// With a timer for each axis that runs through in PWM mode, its compare output is the pulse and its update interrupt, one
+/// for each event, loads the ticks to the next as the reload value, both preloaded. Gaps beyond the reload register are
+/// cut into stretches without a pulse, an idle axis too: the sum of all stretches is the clock. The timers start together
+/// and run from one source, so that the sum is the same for all.
+pub trait Steppers {
+    /// Ticks in a second of the clock that all axes share.
+    const TICK_HZ: u32;
+    /// How long a pulse is active.
+    const PULSE_TICKS: u32;
+    /// A direction line turns at its tick or at most this much later: an interrupt writes it. Pulses are exact.
+    const DIRECTION_LATENCY_TICKS: u32;
+
+    /// The present tick, wrapping.
+    fn now(&mut self) -> u32;
+    /// Sets the level of the enable line that all share.
+    fn enable(&mut self, high: bool);
+    /// Appends events, which are in order of time and in the future; returns how many found room, counted from the first.
+    fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize;
+    /// Events not yet carried out.
+    fn pending(&mut self, axis: u8) -> u32;
+    /// Pulses made with the direction line positive less those with it negative, since power-up, wrapping.
+    fn position(&mut self, axis: u8) -> i32;
+    /// Drops what is queued, at once and for good: when this returns, [`Steppers::position`] is final. A pulse that has
+    /// begun is completed and counted. The direction line stays as it is.
+    fn stop(&mut self, axis: u8);
+}
+
+/// Everything of the processor that the control loop uses, in one.
+pub trait Peripherals: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
+
+impl<P: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}
+
+/// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
+pub trait Ranging {
+    /// Drives the trigger of sensor `index`. Numbers the board does not have do nothing.
+    fn trigger(&mut self, index: u8, high: bool);
+
+    /// Forgets the edges captured at the echo of sensor `index`.
+    fn clear(&mut self, index: u8);
+
+    /// The echo of sensor `index` since the last [`Ranging::clear`]. Numbers the board does not have are idle.
+    fn echo(&mut self, index: u8) -> EchoState;
+}
+
+/// An echo input since its capture was cleared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EchoState {
+    /// Low, and no whole pulse was captured: one whose beginning was cleared does not count.
+    Idle,
+    /// High, also when it has been since before the capture was cleared.
+    High {
+        /// For how long, as far as that was captured.
+        since_us: u32,
+    },
+    /// A whole pulse was captured: the first.
+    Done {
+        /// Its length.
+        width_us: u32,
+    },
 }

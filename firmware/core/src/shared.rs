@@ -8,11 +8,20 @@ use embassy_sync::{
 };
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
-    Cause, Causes, ChannelId, DeviceStats, Mode, Refusal, SafetyState, Setpoint,
-    config::{BoardConfig, MAX_MOTORS, MAX_RELAYS, MAX_SUPPLIES, PidGains},
+    Cause, Causes, DeviceStats, Mode, Quality, Refusal, SafetyState, Setpoint,
+    config::{
+        ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SERVOS, MAX_SUPPLIES,
+        PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
+    },
 };
 
-use crate::safety::{Event, Safety};
+use crate::{
+    passthrough::Passthrough,
+    ranging,
+    safety::{Event, Safety},
+    sensing::range::RangeReading,
+    storage::Storage,
+};
 
 /// Why the processor started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +32,7 @@ pub enum ResetCause {
     Watchdog,
 }
 
-/// What a motor does, as published by the control loop each period.
+/// What a motor or stepper does, as published by the control loop each period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorStatus {
     /// What it follows.
@@ -36,16 +45,22 @@ pub struct MotorStatus {
     pub duty: f32,
     /// In position mode: at the set point and at rest.
     pub settled: bool,
+    /// Whether the position is known, and not only counted from where power came on.
+    pub homed: bool,
 }
 
 impl MotorStatus {
-    const IDLE: Self = Self {
-        setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
-        position: 0,
-        speed: 0.0,
-        duty: 0.0,
-        settled: false,
-    };
+    pub(crate) const IDLE: Self =
+        Self { setpoint: Setpoint::NONE, position: 0, speed: 0.0, duty: 0.0, settled: false, homed: false };
+}
+
+/// What a channel does or shows now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Status {
+    Motor(MotorStatus),
+    Scalar(f32),
+    Encoder { position: i32, speed: f32, illegal: u32 },
+    Reading { value: f32, quality: Quality, taken: Instant },
 }
 
 /// Where the supervisor stands, for the other tasks.
@@ -57,22 +72,45 @@ pub(crate) struct SafetyView {
     pub(crate) epoch: u16,
 }
 
-/// Most channels that take commands.
-const MAX_OUTPUTS: usize = MAX_MOTORS + MAX_RELAYS;
+/// Channels that take commands; a brake is commanded beside its drive.
+const OUTPUTS: usize = MAX_MOTORS + 2 * MAX_BLDCS + MAX_SERVOS + STEPPERS + MAX_RELAYS + DAC_OUTPUTS;
+/// Most channels of a board, the dead-man's handle and the auxiliary stop with them.
+const CHANNELS: usize = OUTPUTS - MAX_BLDCS + ENCODERS + SWITCHES + RANGE_SENSORS + ANALOG_INPUTS + MAX_SUPPLIES + 2;
 
-/// A channel that takes commands, by its place in the configuration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Output {
-    Motor(usize),
-    Relay(usize),
+/// Where a channel's status is kept. Outputs come first, and their commands are kept in the same place.
+fn slot(place: Place) -> usize {
+    const BLDC: usize = MAX_MOTORS;
+    const SERVO: usize = BLDC + MAX_BLDCS;
+    const STEPPER: usize = SERVO + MAX_SERVOS;
+    const RELAY: usize = STEPPER + STEPPERS;
+    const DAC: usize = RELAY + MAX_RELAYS;
+    const ENCODER: usize = DAC + DAC_OUTPUTS;
+    const SWITCH: usize = ENCODER + ENCODERS;
+    const RANGE: usize = SWITCH + SWITCHES;
+    const ANALOG: usize = RANGE + RANGE_SENSORS;
+    const SUPPLY: usize = ANALOG + ANALOG_INPUTS;
+    const DEAD_MAN: usize = SUPPLY + MAX_SUPPLIES;
+    match place {
+        Place::Motor(index) => index,
+        Place::Bldc(index) => BLDC + index,
+        Place::Servo(index) => SERVO + index,
+        Place::Stepper(index) => STEPPER + index,
+        Place::Relay(index) => RELAY + index,
+        Place::Dac(index) => DAC + index,
+        Place::Encoder(index) => ENCODER + index,
+        Place::Switch(index) => SWITCH + index,
+        Place::Range(index) => RANGE + index,
+        Place::Analog(index) => ANALOG + index,
+        Place::Supply(index) => SUPPLY + index,
+        Place::DeadMan(index) => DEAD_MAN + index,
+    }
 }
 
-impl Output {
-    const fn slot(self) -> usize {
-        match self {
-            Self::Motor(index) => index,
-            Self::Relay(index) => MAX_MOTORS + index,
-        }
+/// Where the newest command of an output is kept; a brake's after all others, so that the next speed does not replace it.
+fn command_slot(place: Place, mode: Mode) -> usize {
+    match (place, mode) {
+        (Place::Bldc(index), Mode::Brake) => OUTPUTS - MAX_BLDCS + index,
+        _ => slot(place),
     }
 }
 
@@ -96,38 +134,59 @@ struct State {
     session: Option<Session>,
     next_session: u16,
     /// With the arming they were given in.
-    commands: [Option<(u16, Setpoint)>; MAX_OUTPUTS],
+    commands: [Option<(u16, Setpoint)>; OUTPUTS],
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
-    motors: [MotorStatus; MAX_MOTORS],
-    relays_closed: [bool; MAX_RELAYS],
-    supplies_v: [f32; MAX_SUPPLIES],
+    ranges: [RangeReading; RANGE_SENSORS],
+    /// Trips since the start.
+    trips: u32,
+    /// The configuration as hosts have changed it; it holds from the next start on, if it is saved.
+    pending: BoardConfig,
+    statuses: [Status; CHANNELS],
     stats: DeviceStats,
 }
 
 /// What the tasks of one board share.
 pub struct Shared<M: RawMutex> {
     config: BoardConfig,
+    built_in: BoardConfig,
     state: Mutex<M, RefCell<State>>,
     /// Wakes the supervisor: the state changed or must be looked at.
     pub(crate) supervisor: Signal<M, ()>,
     /// Wakes the control loop out of turn: outputs must be made safe.
     pub(crate) make_safe: Signal<M, ()>,
+    restart: Signal<M, ()>,
+    /// What is kept over a restart; [`crate::storage::run`] serves it.
+    pub storage: Storage<M>,
+    /// Raw access to connectors; its own task serves it.
+    pub passthrough: Passthrough<M>,
 }
 
 impl<M: RawMutex> Shared<M> {
-    /// The state of a board that has just started.
+    /// The state of a board that has just started with `config`: the configuration it was `built_in` with, and what was
+    /// saved of it since (see [`crate::storage::load`]).
     #[must_use]
-    pub fn new(config: BoardConfig, reset: ResetCause) -> Self {
+    pub fn new(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> Self {
         let safety = match reset {
             ResetCause::Normal => Safety::Disarmed,
             ResetCause::Watchdog => Safety::Tripped { causes: Causes::only(Cause::WatchdogReset) },
         };
+        let mut statuses = [Status::Scalar(0.0); CHANNELS];
+        for (_, place) in config.channels() {
+            statuses[slot(place)] = match place {
+                Place::Motor(_) | Place::Stepper(_) => Status::Motor(MotorStatus::IDLE),
+                Place::Encoder(_) => Status::Encoder { position: 0, speed: 0.0, illegal: 0 },
+                Place::Range(_) | Place::Analog(_) => {
+                    Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
+                }
+                _ => Status::Scalar(0.0),
+            };
+        }
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, config.validate().is_err());
         Self {
-            config,
+            built_in,
             state: Mutex::new(RefCell::new(State {
                 safety,
                 epoch: 0,
@@ -136,16 +195,21 @@ impl<M: RawMutex> Shared<M> {
                 last_tick: None,
                 session: None,
                 next_session: 1,
-                commands: [None; MAX_OUTPUTS],
+                commands: [None; OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
-                motors: [MotorStatus::IDLE; MAX_MOTORS],
-                relays_closed: [false; MAX_RELAYS],
-                supplies_v: [0.0; MAX_SUPPLIES],
+                ranges: [RangeReading::NONE; RANGE_SENSORS],
+                trips: u32::from(reset == ResetCause::Watchdog),
+                pending: config.clone(),
+                statuses,
                 stats: DeviceStats::default(),
             })),
+            config,
             supervisor: Signal::new(),
             make_safe: Signal::new(),
+            restart: Signal::new(),
+            storage: Storage::new(),
+            passthrough: Passthrough::new(),
         }
     }
 
@@ -189,6 +253,7 @@ impl<M: RawMutex> Shared<M> {
             let link_lost = s.session.is_some_and(|session| since(session.last_heartbeat, now) > link_timeout);
             watched.set(Cause::LinkLost, link_lost);
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
+            watched.set(Cause::Proximity, ranging::must_stop(&self.config.ranges, &s.ranges, now));
             s.present = watched.union(s.control_causes);
             s.apply(Event::Tick).0
         });
@@ -215,9 +280,29 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
+    /// What a range sensor shows; wakes the supervisor when that is a reason to stop.
+    pub fn publish_range(&self, index: usize, reading: RangeReading) {
+        let taken = reading.measured.unwrap_or(Instant::MIN);
+        self.with(|s| s.ranges[index] = reading);
+        let status = Status::Reading { value: reading.distance_m, quality: reading.quality, taken };
+        self.publish(Place::Range(index), status);
+        if reading.stop {
+            self.supervisor.signal(());
+        }
+    }
+
     /// The newest command of this arming; one of a later arming is left for the next period.
-    pub(crate) fn take_command(&self, output: Output, epoch: u16) -> Option<Setpoint> {
-        self.with(|s| s.commands[output.slot()].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
+    pub(crate) fn take_command(&self, output: Place, epoch: u16) -> Option<Setpoint> {
+        self.take_from(slot(output), epoch)
+    }
+
+    /// The newest command to the brake of a brushless drive, as [`Shared::take_command`].
+    pub(crate) fn take_brake(&self, bldc: usize, epoch: u16) -> Option<bool> {
+        self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
+    }
+
+    fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
+        self.with(|s| s.commands[slot].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
 
     /// New gains of the position and of the speed loop.
@@ -230,67 +315,64 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.started = true);
     }
 
+    /// Whether outputs are in a known state and every range sensor that can stop the board has been heard.
     pub(crate) fn has_started(&self) -> bool {
-        self.with(|s| s.started)
+        self.with(|s| {
+            let guards = self.config.ranges.iter().zip(&s.ranges).filter(|(range, _)| range.stop_below_m.is_some());
+            s.started && guards.into_iter().all(|(_, reading)| reading.quality != Quality::None)
+        })
     }
 
-    pub(crate) fn publish(&self, motor: usize, status: MotorStatus) {
-        self.with(|s| s.motors[motor] = status);
+    /// Trips since the start of the board.
+    pub(crate) fn trips(&self) -> u32 {
+        self.with(|s| s.trips)
     }
 
-    pub(crate) fn publish_relay(&self, relay: usize, closed: bool) {
-        self.with(|s| s.relays_closed[relay] = closed);
+    pub(crate) fn publish(&self, place: Place, status: Status) {
+        self.with(|s| s.statuses[slot(place)] = status);
     }
 
-    pub(crate) fn publish_supply(&self, supply: usize, volts: f32) {
-        self.with(|s| s.supplies_v[supply] = volts);
+    pub(crate) fn status(&self, place: Place) -> Status {
+        self.with(|s| s.statuses[slot(place)])
     }
 
     pub(crate) fn count(&self, f: impl FnOnce(&mut DeviceStats)) {
         self.with(|s| f(&mut s.stats));
     }
 
+    // Configuration.
+
+    /// What the firmware was built with.
+    pub(crate) fn built_in(&self) -> &BoardConfig {
+        &self.built_in
+    }
+
+    /// The configuration as hosts have changed it.
+    pub(crate) fn pending<T>(&self, f: impl FnOnce(&mut BoardConfig) -> T) -> T {
+        self.with(|s| f(&mut s.pending))
+    }
+
+    /// Asks whoever runs the board to restart it.
+    pub(crate) fn restart(&self) {
+        self.restart.signal(());
+    }
+
+    /// Ready when a host has asked for a restart, which is only taken while the board is not armed.
+    pub async fn restart_requested(&self) {
+        self.restart.wait().await;
+    }
+
     // Links.
-
-    pub(crate) fn motor_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.motors.iter().position(|motor| motor.id == channel)
-    }
-
-    pub(crate) fn relay_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.relays.iter().position(|relay| relay.id == channel)
-    }
-
-    pub(crate) fn supply_index(&self, channel: ChannelId) -> Option<usize> {
-        self.config.supplies.iter().position(|supply| supply.id == channel)
-    }
-
-    pub(crate) fn has_channel(&self, channel: ChannelId) -> bool {
-        self.motor_index(channel).is_some()
-            || self.relay_index(channel).is_some()
-            || self.supply_index(channel).is_some()
-    }
-
-    pub(crate) fn motor(&self, index: usize) -> MotorStatus {
-        self.with(|s| s.motors[index])
-    }
-
-    pub(crate) fn relay_closed(&self, index: usize) -> bool {
-        self.with(|s| s.relays_closed[index])
-    }
-
-    pub(crate) fn supply_v(&self, index: usize) -> f32 {
-        self.with(|s| s.supplies_v[index])
-    }
 
     pub(crate) fn stats(&self) -> DeviceStats {
         self.with(|s| s.stats)
     }
 
     /// Stores a command for the control loop's next period; a later one replaces it.
-    pub(crate) fn command(&self, output: Output, setpoint: Setpoint) -> Result<(), Refusal> {
+    pub(crate) fn command(&self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
         self.with(|s| match s.safety {
             Safety::Armed => {
-                s.commands[output.slot()] = Some((s.epoch, setpoint));
+                s.commands[command_slot(output, setpoint.mode)] = Some((s.epoch, setpoint));
                 Ok(())
             }
             _ => Err(Refusal::NotArmed { state: s.safety.state() }),
@@ -302,7 +384,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| match mode {
             Mode::Position => s.gains[motor][0] = Some(gains),
             Mode::Speed => s.gains[motor][1] = Some(gains),
-            Mode::Duty | Mode::Switch => {}
+            _ => {}
         });
     }
 
@@ -331,6 +413,17 @@ impl<M: RawMutex> Shared<M> {
     /// Whether `link` holds the session.
     pub(crate) fn has_session(&self, link: u8) -> bool {
         self.with(|s| s.session.is_some_and(|session| session.link == link))
+    }
+
+    /// Whether a host is connected.
+    pub(crate) fn has_host(&self) -> bool {
+        self.with(|s| s.session.is_some())
+    }
+
+    /// Since the host was last heard; `None` without one.
+    pub(crate) fn heartbeat_age(&self) -> Option<Duration> {
+        let now = Instant::now();
+        self.with(|s| s.session.map(|session| since(session.last_heartbeat, now)))
     }
 
     /// Takes a heartbeat; false when it belongs to no open session.
@@ -367,9 +460,10 @@ impl State {
     fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
+        self.trips = self.trips.wrapping_add(u32::from(changed && next.state() == SafetyState::Tripped));
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
-            self.commands = [None; MAX_OUTPUTS];
+            self.commands = [None; OUTPUTS];
         }
         self.safety = next;
         (changed, result)

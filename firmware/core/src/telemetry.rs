@@ -3,9 +3,9 @@
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
-use r4_protocol::{ChannelId, Sample, Telemetry, message::MAX_SAMPLES};
+use r4_protocol::{ChannelId, Sample, Telemetry};
 
-use crate::shared::Shared;
+use crate::shared::{MotorStatus, Shared, Status};
 
 #[derive(Clone, Copy)]
 struct Subscription {
@@ -16,7 +16,10 @@ struct Subscription {
 
 /// What the host of one link wants to be told, and when.
 #[derive(Default)]
-pub(crate) struct Subscriptions(Vec<Subscription, MAX_SAMPLES>);
+pub(crate) struct Subscriptions(Vec<Subscription, MAX_SUBSCRIPTIONS>);
+
+/// Every channel of a full board can be subscribed to.
+const MAX_SUBSCRIPTIONS: usize = 80;
 
 impl Subscriptions {
     pub(crate) fn clear(&mut self) {
@@ -43,14 +46,15 @@ impl Subscriptions {
         self.0.iter().map(|subscription| subscription.due).min().unwrap_or(Instant::MAX)
     }
 
-    /// The samples that are due now, if any.
+    /// The samples that are due now, if any; as many as a frame holds, and the rest with the next call.
     pub(crate) fn telemetry<M: RawMutex>(&mut self, shared: &Shared<M>) -> Option<Telemetry> {
         let now = Instant::now();
         let mut samples = Vec::new();
         let mut skipped = 0;
         for subscription in self.0.iter_mut().filter(|subscription| subscription.due <= now) {
-            // As many samples as subscriptions: there is room.
-            let _ = samples.push(sample(shared, subscription.channel)?);
+            if samples.push(sample(shared, subscription.channel, now)?).is_err() {
+                break;
+            }
             let behind = (now - subscription.due).as_ticks() / subscription.period.as_ticks();
             skipped += behind as u32;
             subscription.due += subscription.period * (behind as u32 + 1);
@@ -68,20 +72,17 @@ impl Subscriptions {
     }
 }
 
-fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Option<Sample> {
-    if let Some(index) = shared.motor_index(channel) {
-        let status = shared.motor(index);
-        return Some(Sample::Motor {
-            channel,
-            setpoint: status.setpoint,
-            position: status.position,
-            speed: status.speed,
-            duty: status.duty,
-            settled: status.settled,
-        });
-    }
-    if let Some(index) = shared.relay_index(channel) {
-        return Some(Sample::Scalar { channel, value: shared.relay_closed(index).into() });
-    }
-    shared.supply_index(channel).map(|index| Sample::Scalar { channel, value: shared.supply_v(index) })
+fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, now: Instant) -> Option<Sample> {
+    let place = shared.config().place(channel)?;
+    Some(match shared.status(place) {
+        Status::Motor(MotorStatus { setpoint, position, speed, duty, settled, homed }) => {
+            Sample::Motor { channel, setpoint, position, speed, duty, settled, homed }
+        }
+        Status::Scalar(value) => Sample::Scalar { channel, value },
+        Status::Encoder { position, speed, illegal } => Sample::Encoder { channel, position, speed, illegal },
+        Status::Reading { value, quality, taken } => {
+            let age_ms = now.saturating_duration_since(taken).as_millis().min(u16::MAX.into()) as u16;
+            Sample::Reading { channel, value, age_ms, quality }
+        }
+    })
 }

@@ -28,10 +28,16 @@ pub enum Pace {
 pub struct Simulation {
     clock: Clock,
     tasks: Vec<Task>,
+    next_id: u64,
     pace: Pace,
 }
 
+/// A task of a [`Simulation`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TaskId(u64);
+
 struct Task {
+    id: TaskId,
     future: Pin<Box<dyn Future<Output = ()>>>,
     ready: Arc<Ready>,
     waker: Waker,
@@ -59,7 +65,7 @@ impl Simulation {
     /// A simulation at time 0 without tasks.
     #[must_use]
     pub fn new(pace: Pace) -> Self {
-        Self { clock: Clock::default(), tasks: Vec::new(), pace }
+        Self { clock: Clock::default(), tasks: Vec::new(), next_id: 0, pace }
     }
 
     /// The clock, for tasks that wait.
@@ -69,9 +75,20 @@ impl Simulation {
     }
 
     /// Adds a task below all that are there.
-    pub fn spawn(&mut self, future: impl Future<Output = ()> + 'static) {
+    pub fn spawn(&mut self, future: impl Future<Output = ()> + 'static) -> TaskId {
         let ready = Arc::new(Ready(AtomicBool::new(true)));
-        self.tasks.push(Task { future: Box::pin(future), waker: Waker::from(ready.clone()), ready });
+        let id = TaskId(self.next_id);
+        self.next_id += 1;
+        self.tasks.push(Task { id, future: Box::pin(future), waker: Waker::from(ready.clone()), ready });
+        id
+    }
+
+    /// Drops a task where it stands, as a reset does; one that has ended already is no error.
+    pub fn end(&mut self, id: TaskId) {
+        if let Some(index) = self.tasks.iter().position(|task| task.id == id) {
+            let task = self.tasks.remove(index);
+            self.clock.forget(&task.waker);
+        }
     }
 
     /// Runs until `main` is done, as the task of the lowest priority.

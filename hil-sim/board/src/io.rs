@@ -1,21 +1,39 @@
 //! The processor's peripherals, as the firmware reaches them through its traits.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{cell::RefCell, convert::Infallible, future::poll_fn, rc::Rc, task::Poll};
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, NoAcknowledgeSource, Operation};
 use embedded_hal_async::i2c::I2c;
-use r4_firmware::platform::{AnalogInputs, Bus, Encoders};
+use embedded_io_async::{Read, Write};
+use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
+use r4_firmware::platform::Bus;
 
-use crate::{i2c::Fault, world::World};
+use crate::{
+    flash::{Flash, FlashError, SECTOR_BYTES},
+    i2c::Fault,
+    world::World,
+};
 
 /// The controller gives a transfer up after this long without progress: twice the longest transfer on this bus.
 const BUS_TIMEOUT_NS: u64 = 1_000_000;
 
-/// The I2C controller.
+/// Which of the processor's I2C controllers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Controller {
+    /// That of the board's own chips.
+    Board,
+    /// That of an external connector.
+    External(usize),
+}
+
+/// An I2C controller.
 ///
 /// A transfer acts on the chips at the moment of its STOP, with the exact time of each byte. One that is not
 /// acknowledged is reported when it would have ended: late by what was left of it, at most 0.45 ms on this board.
-pub(crate) struct BoardBus(pub(crate) Rc<RefCell<World>>);
+pub(crate) struct BoardBus {
+    pub(crate) world: Rc<RefCell<World>>,
+    pub(crate) controller: Controller,
+}
 
 /// A transfer that failed, to the firmware.
 #[derive(Clone, Copy, Debug)]
@@ -38,17 +56,20 @@ impl ErrorType for BoardBus {
 impl I2c for BoardBus {
     async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         let (clock, start_ns, end_ns) = {
-            let world = self.0.borrow();
-            let start_ns = world.bus.earliest_start_ns(world.clock().now_ns());
-            (world.clock().clone(), start_ns, start_ns + world.bus.planned_duration_ns(operations))
+            let mut world = self.world.borrow_mut();
+            let clock = world.clock().clone();
+            let bus = world.bus_of(self.controller);
+            let start_ns = bus.earliest_start_ns(clock.now_ns());
+            let end_ns = start_ns + bus.planned_duration_ns(operations);
+            (clock, start_ns, end_ns)
         };
         clock.sleep_until(end_ns).await;
         let result = {
-            let mut world = self.0.borrow_mut();
+            let mut world = self.world.borrow_mut();
             world.catch_up();
-            let result = world.bus.execute(start_ns, address, operations);
-            // The expander's pins change with the transfer; the PWM chip's at the end of its cycle.
-            world.look_at_bridges();
+            let result = world.bus_of(self.controller).execute(start_ns, address, operations);
+            // The expander's pins and the DAC's outputs change with the transfer; the PWM chips' at the end of their cycle.
+            world.look_at_lines();
             result
         };
         match result {
@@ -66,28 +87,103 @@ impl I2c for BoardBus {
 impl Bus for BoardBus {
     async fn recover(&mut self) {
         let (clock, recovery) = {
-            let mut world = self.0.borrow_mut();
-            let now_ns = world.clock().now_ns();
-            (world.clock().clone(), world.bus.recover(now_ns))
+            let mut world = self.world.borrow_mut();
+            let clock = world.clock().clone();
+            let recovery = world.bus_of(self.controller).recover(clock.now_ns());
+            (clock, recovery)
         };
         clock.sleep_until(recovery.end_ns).await;
     }
 }
 
-/// The quadrature counters.
-pub(crate) struct BoardEncoders(pub(crate) Rc<RefCell<World>>);
+/// The receiver of a UART connector.
+pub(crate) struct UartReceiver {
+    pub(crate) world: Rc<RefCell<World>>,
+    pub(crate) connector: usize,
+}
 
-impl Encoders for BoardEncoders {
-    fn count(&mut self, index: u8) -> u16 {
-        self.0.borrow_mut().encoder_count(index)
+/// The transmitter of a UART connector.
+pub(crate) struct UartTransmitter {
+    pub(crate) world: Rc<RefCell<World>>,
+    pub(crate) connector: usize,
+}
+
+impl embedded_io_async::ErrorType for UartReceiver {
+    type Error = Infallible;
+}
+
+impl embedded_io_async::ErrorType for UartTransmitter {
+    type Error = Infallible;
+}
+
+impl Read for UartReceiver {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        poll_fn(|context| {
+            let mut world = self.world.borrow_mut();
+            let clock = world.clock().clone();
+            let port = world.uart_port(self.connector);
+            let received = port.line.read(clock.now_ns(), buffer);
+            if received.len > 0 || buffer.is_empty() {
+                return Poll::Ready(Ok(received.len));
+            }
+            match port.line.next_arrival_ns() {
+                Some(at_ns) => clock.wake_at(at_ns, context.waker()),
+                None => port.reader = Some(context.waker().clone()),
+            }
+            Poll::Pending
+        })
+        .await
     }
 }
 
-/// The analog-to-digital converter.
-pub(crate) struct BoardAnalog(pub(crate) Rc<RefCell<World>>);
+impl Write for UartTransmitter {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        let mut world = self.world.borrow_mut();
+        let now_ns = world.clock().now_ns();
+        let port = world.uart_port(self.connector);
+        port.line.write(now_ns, bytes);
+        if let Some(reader) = port.reader.take() {
+            reader.wake();
+        }
+        Ok(bytes.len())
+    }
 
-impl AnalogInputs for BoardAnalog {
-    fn code(&mut self, index: u8) -> u16 {
-        self.0.borrow_mut().analog_code(index)
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+/// The processor's flash.
+pub(crate) struct FlashPort(pub(crate) Rc<RefCell<Flash>>);
+
+impl embedded_storage_async::nor_flash::ErrorType for FlashPort {
+    type Error = FlashError;
+}
+
+// Nobody else borrows it while a step takes its time, but a test that looks at a board at work.
+#[allow(clippy::await_holding_refcell_ref, reason = "one owner; see above")]
+impl ReadNorFlash for FlashPort {
+    const READ_SIZE: usize = Flash::<SECTOR_BYTES>::READ_SIZE;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        self.0.borrow_mut().read(offset, bytes).await
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.borrow().capacity()
+    }
+}
+
+#[allow(clippy::await_holding_refcell_ref, reason = "one owner; see above")]
+impl NorFlash for FlashPort {
+    const WRITE_SIZE: usize = Flash::<SECTOR_BYTES>::WRITE_SIZE;
+    const ERASE_SIZE: usize = Flash::<SECTOR_BYTES>::ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        self.0.borrow_mut().erase(from, to).await
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        self.0.borrow_mut().write(offset, bytes).await
     }
 }

@@ -4,6 +4,7 @@
 //!  Simulation (clock.rs, executor.rs): virtual nanoseconds, tasks by priority
 //!    firmware tasks ── traits ──> lines.rs, io.rs: GPIO, I2C controller, counters, converter
 //!                                   └─> world.rs: i2c.rs ─ chips/ ─ osmc.rs ─ plants ─ rails ─ sensors
+//!                                       devices/: further actuators by line, not on the world yet
 //!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
 //! ```
 //!
@@ -24,15 +25,18 @@
 mod board;
 pub mod chips;
 mod clock;
+pub mod devices;
 mod executor;
+pub mod flash;
 pub mod i2c;
 mod io;
 pub mod lines;
 pub mod link;
 pub mod misuse;
 pub mod osmc;
+pub mod sensors;
 pub mod world;
 
-pub use board::{SimBoard, SimError};
+pub use board::{Lights, SimBoard, SimError};
 pub use clock::{Clock, Sleep};
-pub use executor::{Pace, Simulation};
+pub use executor::{Pace, Simulation, TaskId};

@@ -5,6 +5,8 @@
 
 use core::fmt;
 
+use crate::chips::ili9488::ScreenMisuse;
+
 /// One leg of a full bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Leg {
@@ -161,11 +163,155 @@ pub enum MisuseKind {
         /// Time the datasheet asks for.
         needed_ns: u64,
     },
+
+    // ---- actuators ----
+    /// A motor was driven for more of the PWM cycle than its bridge allows.
+    DutyAboveLimit {
+        /// For how many of the 4096 counts of a cycle.
+        counts: u16,
+        /// As many are allowed.
+        limit_counts: u16,
+    },
+    /// A supply above the rating of the part.
+    SupplyAboveLimit {
+        /// The supply.
+        supply_mv: u64,
+        /// The rating.
+        limit_mv: u64,
+    },
+    /// Both direction inputs of a bridge were high at the same time.
+    InputsOverlap {
+        /// For how many of the 4096 counts of a cycle.
+        counts: u16,
+    },
+    /// The direction was reversed without both inputs having been low for a whole PWM period.
+    ReversalWithoutPause {
+        /// For how long both had been low, or the bridge off.
+        idle_ns: u64,
+        /// One PWM period.
+        needed_ns: u64,
+    },
+    /// A servo pulse shorter or longer than the servo takes for one.
+    ServoPulseOutsideWindow {
+        /// Its width; the whole frame for a line that is always high.
+        pulse_ns: u64,
+        /// The shortest it takes.
+        low_ns: u64,
+        /// The longest it takes.
+        high_ns: u64,
+    },
+    /// Servo pulses that come too often or too seldom.
+    ServoFrameOutsideWindow {
+        /// From pulse to pulse.
+        frame_ns: u64,
+        /// The shortest it takes.
+        low_ns: u64,
+        /// The longest it takes.
+        high_ns: u64,
+    },
+    /// A servo was driven against its mechanical end stop for long.
+    ServoHeldAgainstStop {
+        /// For how long when this was noted.
+        held_ns: u64,
+    },
+    /// The throttle input of a drive is at a voltage the drive does not tolerate.
+    ThrottleOutsideWindow {
+        /// The voltage; `None` if it is not a number.
+        throttle_mv: Option<i64>,
+        /// The lowest it tolerates.
+        low_mv: i64,
+        /// The highest it tolerates.
+        high_mv: i64,
+    },
+    /// A drive was given its supply with the throttle outside the dead zone.
+    ThrottleBeforeNeutral {
+        /// The voltage.
+        throttle_mv: i64,
+    },
+    /// A drive was told to turn the other way while turning.
+    DirectionChangedWhileTurning {
+        /// How fast it turned.
+        speed_mrad_s: i64,
+    },
+    /// The step input of a stepper driver was high or low for too short a time.
+    StepPulseTooShort {
+        /// Which of the two.
+        high: bool,
+        /// For how long.
+        lasted_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// A step came too soon after a change of direction.
+    DirectionSetupTooShort {
+        /// Time between the two.
+        setup_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// The direction changed too soon after the edge of a step.
+    DirectionHoldTooShort {
+        /// Time between the two.
+        held_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// A step came too soon after a stepper driver was enabled.
+    StepBeforeEnabled {
+        /// Time since it was enabled.
+        enabled_ns: u64,
+        /// Time the datasheet asks for.
+        needed_ns: u64,
+    },
+    /// A step came while a stepper driver was disabled or had no supply.
+    StepWhileDisabled,
+    /// The rotor of a stepper motor could not follow the steps.
+    StepperStalled {
+        /// Rate of the steps; 0 when they ended too suddenly.
+        step_hz: u64,
+        /// Speed of the rotor, in steps.
+        rotor_hz: u64,
+    },
+    // Sensors.
+    /// An ultrasonic module's trigger was too short.
+    TriggerTooShort {
+        /// For how long it was high.
+        high_ns: u64,
+        /// Time the data sheet asks for.
+        needed_ns: u64,
+    },
+    /// An ultrasonic module was triggered before its last echo had ended.
+    TriggerWhileBusy {
+        /// How long it still takes.
+        free_in_ns: u64,
+    },
+    /// An ultrasonic module was triggered soon after its last ping.
+    PingTooSoon {
+        /// Time since then.
+        since_ns: u64,
+        /// Time the data sheet asks for.
+        needed_ns: u64,
+    },
+    /// More bytes than a page holds were sent to an EEPROM in one write.
+    PageOverrun {
+        /// Where the write started.
+        word: u8,
+        /// What a page holds.
+        page_bytes: usize,
+    },
+    /// A write to an EEPROM was ended by something else than STOP.
+    WriteWithoutStop {
+        /// The bytes that were sent.
+        bytes: usize,
+    },
+    /// Something with the screen's controller.
+    Screen(ScreenMisuse),
 }
 
 impl fmt::Display for MisuseKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            Self::Screen(misuse) => misuse.fmt(f),
             Self::UnmappedRegister { register } => write!(
                 f,
                 "register 0x{register:02X} does not exist: the chip does not acknowledge it and ignores the rest of the \
@@ -277,6 +423,116 @@ impl fmt::Display for MisuseKind {
             Self::LdacPulseTooShort { low_ns, needed_ns } => write!(
                 f,
                 "LDAC low for {low_ns} ns: the outputs may not change; hold it low for {needed_ns} ns or more"
+            ),
+
+            // ---- actuators ----
+            Self::DutyAboveLimit { counts, limit_counts } => write!(
+                f,
+                "motor driven for {counts} of 4096 counts: the bridge's vendor forbids it and does not say what happens; \
+                 drive for {limit_counts} counts or fewer"
+            ),
+            Self::SupplyAboveLimit { supply_mv, limit_mv } => write!(
+                f,
+                "supply of {supply_mv} mV: the part is rated for {limit_mv} mV and may be destroyed; here it turns off; \
+                 lower the supply or use another part"
+            ),
+            Self::InputsOverlap { counts } => write!(
+                f,
+                "IN1 and IN2 both high for {counts} of 4096 counts: taken for a brake, which the vendor has not tested; \
+                 hold one of them low"
+            ),
+            Self::ReversalWithoutPause { idle_ns, needed_ns } => write!(
+                f,
+                "direction reversed after both inputs were low for {idle_ns} ns: inputs change at period ends only, so \
+                 both directions may overlap in one period; hold both low for {needed_ns} ns or more"
+            ),
+            Self::ServoPulseOutsideWindow { pulse_ns, low_ns, high_ns } => write!(
+                f,
+                "pulse of {pulse_ns} ns: the servo takes it for noise and goes limp; send pulses of {low_ns} to {high_ns} \
+                 ns, or none"
+            ),
+            Self::ServoFrameOutsideWindow { frame_ns, low_ns, high_ns } => write!(
+                f,
+                "pulses every {frame_ns} ns: the servo does not follow them and goes limp; send one every {low_ns} to \
+                 {high_ns} ns"
+            ),
+            Self::ServoHeldAgainstStop { held_ns } => write!(
+                f,
+                "driven against its end stop for {held_ns} ns: the motor is stalled and heats up, gears may strip; keep \
+                 the pulse between those of the two stops"
+            ),
+            Self::ThrottleOutsideWindow { throttle_mv, low_mv, high_mv } => {
+                f.write_str("throttle at ")?;
+                match throttle_mv {
+                    Some(throttle_mv) => write!(f, "{throttle_mv} mV")?,
+                    None => f.write_str("no voltage at all")?,
+                }
+                write!(
+                    f,
+                    ": the drive stops and may be damaged; keep it between {low_mv} and {high_mv} mV, and return to the \
+                     dead zone to run again"
+                )
+            }
+            Self::ThrottleBeforeNeutral { throttle_mv } => write!(
+                f,
+                "supply came with the throttle at {throttle_mv} mV: the drive refuses to run; go to the dead zone first"
+            ),
+            Self::DirectionChangedWhileTurning { speed_mrad_s } => write!(
+                f,
+                "direction changed while turning at {speed_mrad_s} mrad/s: the drive coasts to a standstill before it \
+                 obeys; stop, then change direction"
+            ),
+            Self::StepPulseTooShort { high, lasted_ns, needed_ns } => write!(
+                f,
+                "step input {} for {lasted_ns} ns: the driver may miss the step, here it does; hold it for {needed_ns} ns \
+                 or more",
+                if high { "high" } else { "low" }
+            ),
+            Self::DirectionSetupTooShort { setup_ns, needed_ns } => write!(
+                f,
+                "step {setup_ns} ns after the direction changed: it may go either way or be missed, here it is missed; \
+                 wait {needed_ns} ns or more"
+            ),
+            Self::DirectionHoldTooShort { held_ns, needed_ns } => write!(
+                f,
+                "direction changed {held_ns} ns after a step: the step may go either way or be missed, here it is \
+                 missed; wait {needed_ns} ns or more"
+            ),
+            Self::StepBeforeEnabled { enabled_ns, needed_ns } => write!(
+                f,
+                "step {enabled_ns} ns after the driver was enabled: it is missed; wait {needed_ns} ns or more"
+            ),
+            Self::StepWhileDisabled => {
+                f.write_str("step while the driver is disabled or without supply: it is missed; enable the driver first")
+            }
+            Self::StepperStalled { step_hz, rotor_hz } => write!(
+                f,
+                "steps at {step_hz} Hz while the rotor turns at {rotor_hz} Hz: it falls out of step and stands until the \
+                 steps pause; start and stop slower, or accelerate less"
+            ),
+            // Sensors.
+            Self::TriggerTooShort { high_ns, needed_ns } => write!(
+                f,
+                "trigger high for {high_ns} ns: the module ignores it; hold it high for {needed_ns} ns or more"
+            ),
+            Self::TriggerWhileBusy { free_in_ns } => write!(
+                f,
+                "triggered before the last echo had ended: the module ignores it; wait for the echo to fall, here for \
+                 another {free_in_ns} ns"
+            ),
+            Self::PingTooSoon { since_ns, needed_ns } => write!(
+                f,
+                "triggered {since_ns} ns after the last ping: late echoes of that one may be taken for near targets; \
+                 leave {needed_ns} ns between pings"
+            ),
+            Self::PageOverrun { word, page_bytes } => write!(
+                f,
+                "write from 0x{word:02X} with more than {page_bytes} bytes: the chip goes on at the start of the page \
+                 and overwrites what was sent first; start a new write for every page"
+            ),
+            Self::WriteWithoutStop { bytes } => write!(
+                f,
+                "{bytes} bytes sent without STOP after them: the chip drops them; end every write with STOP"
             ),
         }
     }

@@ -9,7 +9,7 @@ mod harness;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use harness::{Bench, LINEAR, MS, ROTARY, SUPPLY_24, bench, both, osmc_bench, plant};
+use harness::{Bench, LINEAR, MS, ROTARY, SUPPLY_24, bench, both, control_of, osmc_bench, plant};
 use r4_boards::{Robot, SimulatedSensor};
 use r4_driver::TelemetryStream;
 use r4_firmware::control::profile::Profile;
@@ -190,7 +190,7 @@ fn a_settled_motor_holds_a_load_and_lets_go_where_friction_holds_it() {
 /// The bench with a range of one radian to each side.
 fn narrow_bench() -> Robot {
     let mut robot = osmc_bench();
-    robot.config.motors[0].position = Range::new(-1.0, 1.0);
+    control_of(&mut robot.config, 0).position = Range::new(-1.0, 1.0);
     robot
 }
 
@@ -259,8 +259,8 @@ fn gains_change_without_a_bump_while_moving() {
     const FIRST_MS: u64 = 300;
     let mut robot = osmc_bench();
     // The duty cap gives 2.8 rad/s: at 2 there is room for the loop to work.
-    robot.config.motors[0].profile.speed = 2.0;
-    let config = robot.config.motors[0];
+    control_of(&mut robot.config, 0).profile.speed = 2.0;
+    let config = *control_of(&mut robot.config, 0);
     // Each millisecond of the motion: duty, and distance from the path.
     let run = |changes: &[PidGains]| {
         bench(&robot, async |bench| {
@@ -395,10 +395,10 @@ fn travel_until_trip(robot: &Robot, cause: Cause) -> [f64; 2] {
 fn a_move_without_feedback_is_short() {
     let mut dead = osmc_bench();
     // Plugged into a connector that nobody reads: the counter stands still.
-    let SimulatedSensor::Encoder { input, .. } = &mut dead.simulation.motors[0].sensor else { unreachable!() };
+    let Some(SimulatedSensor::Encoder { input, .. }) = &mut dead.simulation.motors[0].sensor else { unreachable!() };
     *input = 3;
     let mut reversed = osmc_bench();
-    let Feedback::Encoder { inverted, .. } = &mut reversed.config.motors[0].feedback else { unreachable!() };
+    let Feedback::Encoder { inverted, .. } = &mut control_of(&mut reversed.config, 0).feedback else { unreachable!() };
     *inverted = true;
     let report = [travel_until_trip(&dead, Cause::Stalled), travel_until_trip(&reversed, Cause::EncoderImplausible)];
     // From duty 0.8 on a dead sensor is seen after 300 ms, a reversed one after 150 ms and the 0.02 rad of a stall. The

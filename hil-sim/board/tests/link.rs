@@ -129,12 +129,13 @@ fn a_lost_delimiter_costs_one_more_frame() {
 #[test]
 fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
     let range = |channel: usize, mode| {
-        let motor = &osmc_bench().config.motors[channel];
+        let motor = osmc_bench().config.motors[channel];
+        let control = motor.control.expect("a measured motor");
         match mode {
-            Mode::Position => motor.position,
-            Mode::Speed => Range::symmetric(motor.speed_max),
+            Mode::Position => control.position,
+            Mode::Speed => Range::symmetric(control.speed_max),
             Mode::Duty => Range::symmetric(motor.duty_max),
-            Mode::Switch => unreachable!("a motor is not switched"),
+            other => unreachable!("no motor has the mode {other}"),
         }
     };
     raw_bench(&osmc_bench(), async |host, device| {
@@ -162,7 +163,7 @@ fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
             (set(device, NO_MOTOR, Mode::Duty, 0.8), Refusal::UnknownChannel { channel: NO_MOTOR }),
             (set(device, SUPPLY_24, Mode::Duty, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Duty }),
             (set(device, SUPPLY_24, Mode::Speed, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Speed }),
-            (Request::Describe { index: 6 }, Refusal::NoSuchIndex { index: 6 }),
+            (Request::Describe { index: 7 }, Refusal::NoSuchIndex { index: 7 }),
             (Request::Describe { index: 255 }, Refusal::NoSuchIndex { index: 255 }),
             (Request::Subscribe { channel: NO_MOTOR, period_ms: 1 }, Refusal::UnknownChannel { channel: NO_MOTOR }),
             (

@@ -8,7 +8,7 @@ use std::{cell::RefCell, rc::Rc};
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, Operation};
 use embedded_hal_async::i2c::I2c;
-use harness::{ALL_OFF, LINEAR, MS, ROTARY, US, bench, bench_with_misuse, osmc_bench};
+use harness::{ALL_OFF, LINEAR, MS, ROTARY, US, bench, bench_with_misuse, lines_of, osmc_bench, pwm_of};
 use proptest::prelude::*;
 use r4_firmware::{
     chips::{ChipError, pca9685::Pca9685},
@@ -17,7 +17,7 @@ use r4_firmware::{
 };
 use r4_protocol::{
     Cause, Causes, Mode, SafetyState,
-    config::{BoardConfig, BridgeLines},
+    config::{BoardConfig, BridgeConfig, BridgeLines, MotorConfig},
 };
 use r4_sim::{
     Clock, Simulation,
@@ -41,6 +41,11 @@ const PWM_PERIOD_NS: u64 = 655_360;
 /// Everything is read back once in so many calls: the mode, the relays, and four lines of each of two bridges.
 const CHECKS: u64 = 10;
 
+fn osmc_lines(motor: &MotorConfig) -> BridgeLines {
+    let BridgeConfig::Osmc(lines) = motor.bridge else { panic!("{} is on no OSMC", motor.id) };
+    lines
+}
+
 /// A bus with one PWM chip and the bridges of the bench behind it, which are never disabled.
 struct Rig {
     clock: Clock,
@@ -55,9 +60,9 @@ impl Rig {
     fn new(clock: Clock, config: &BoardConfig) -> Self {
         let mut bus = I2cBus::new(400_000);
         bus.set_trace(10_000);
-        let chip = Rc::new(RefCell::new(chip::Pca9685::new(config.osmc_pwm.address, 25_000_000)));
+        let chip = Rc::new(RefCell::new(chip::Pca9685::new(pwm_of(&mut config.clone()).address, 25_000_000)));
         bus.attach(chip.clone());
-        let bridges = config.motors.iter().zip(0..).map(|(motor, number)| (motor.lines, OsmcBridge::new(number)));
+        let bridges = config.motors.iter().zip(0..).map(|(motor, number)| (osmc_lines(motor), OsmcBridge::new(number)));
         Self { clock, bus, chip, bridges: bridges.collect(), history: vec![(0, [Line::Low; 16])] }
     }
 
@@ -177,7 +182,7 @@ fn with_outputs<T>(work: impl AsyncFnOnce(&mut Outputs<RigBus>, &RigBus, &Clock)
 }
 
 fn driver() -> Pca9685 {
-    let config = osmc_bench().config.osmc_pwm;
+    let config = *pwm_of(&mut osmc_bench().config);
     Pca9685::new(config.address, config.frequency_hz)
 }
 
@@ -249,14 +254,16 @@ fn an_unchanged_direction_writes_two_registers_of_one_line() {
     with_outputs(async |outputs, bus, clock| {
         clock.sleep(5 * MS).await;
         // Forwards the PWM is on BLI, backwards on ALI.
-        let lines = osmc_bench().config.motors[0].lines;
+        let lines = *lines_of(&mut osmc_bench().config);
         for (sign, low_line) in [(1.0, lines.bli), (-1.0, lines.ali)] {
             // Through the direction change, if there is one.
             while outputs.drive(0, 0.25 * sign).await.unwrap() == 0.0 {
+                outputs.begin_tick();
                 clock.sleep(MS).await;
             }
             for (duty, off_count) in [(0.5, Some([0x00, 0x08])), (0.5, None), (0.75, Some([0x00, 0x0C]))] {
                 bus.0.borrow_mut().bus.set_trace(100);
+                outputs.begin_tick();
                 assert_eq!(outputs.drive(0, duty * sign).await, Ok(duty * sign));
                 let written: Vec<_> = bus.0.borrow().bus.trace().map(|record| record.written.clone()).collect();
                 // LEDn_OFF_L is the third of a line's four registers.
@@ -332,6 +339,7 @@ proptest! {
             for step in &steps {
                 match *step {
                     Step::Drive { index, duty } => {
+                        outputs.begin_tick();
                         let now = outputs.drive(index, duty).await.expect("faults pass");
                         assert!(now == duty || now == 0.0, "{now} on the way to {duty}");
                     }
@@ -352,7 +360,7 @@ proptest! {
         });
         prop_assert_eq!(misuse, Vec::<String>::new());
         for motor in osmc_bench().config.motors {
-            let rests = rests_before_direction_changes(motor.lines, &trace);
+            let rests = rests_before_direction_changes(osmc_lines(&motor), &trace);
             prop_assert!(rests.iter().all(|ns| *ns >= 2 * PWM_PERIOD_NS), "{:?} ns of rest", rests);
         }
     }
@@ -365,6 +373,7 @@ proptest! {
             with_outputs(async |outputs, bus, clock| {
                 let drive = async |outputs: &mut Outputs<RigBus>, duty| {
                     for _ in 0..5 {
+                        outputs.begin_tick();
                         outputs.drive(0, duty).await.unwrap();
                         clock.sleep(2 * MS).await;
                     }
@@ -378,6 +387,7 @@ proptest! {
                 bus.0.borrow_mut().bus.clear_injections();
                 let mut found = false;
                 for _ in 0..CHECKS {
+                    outputs.begin_tick();
                     found |= outputs.check_next().await == Err(OutputFault::Mismatch);
                 }
                 clock.sleep(2 * MS).await;
@@ -432,8 +442,9 @@ fn no_loop_drives_beyond_the_duty_cap() {
     let mut robot = osmc_bench();
     robot.simulation.motors[1].start = 0.02;
     for motor in &mut robot.config.motors {
-        motor.position_pid.kp *= 100.0;
-        motor.speed_pid.ki *= 100.0;
+        let control = motor.control.as_mut().expect("a measured motor");
+        control.position_pid.kp *= 100.0;
+        control.speed_pid.ki *= 100.0;
     }
     for (mode, rotary, linear) in [(Mode::Position, 20.0, 0.09), (Mode::Speed, -5.0, 0.010)] {
         bench(&robot, async |bench| {

@@ -7,7 +7,7 @@ mod harness;
 
 use std::f64::consts::TAU;
 
-use harness::{Bench, LINEAR, ROTARY, SUPPLY_12, SUPPLY_24, bench, osmc_bench};
+use harness::{Bench, LINEAR, ROTARY, SUPPLY_12, SUPPLY_24, bench, control_of, osmc_bench};
 use r4_boards::{Robot, SimulatedSensor};
 use r4_protocol::{
     Mode, SafetyState, Sample,
@@ -105,9 +105,10 @@ fn waiting_before_a_command_changes_nothing() {
 fn a_saturated_move_does_not_overshoot() {
     let mut robot = osmc_bench();
     // A path no motor can follow: a step, in effect.
-    robot.config.motors[0].profile.speed = 50.0;
-    robot.config.motors[0].profile.acceleration = 500.0;
-    robot.config.motors[0].follow.error = 100.0;
+    control_of(&mut robot.config, 0).speed_max = 50.0;
+    control_of(&mut robot.config, 0).profile.speed = 50.0;
+    control_of(&mut robot.config, 0).profile.acceleration = 500.0;
+    control_of(&mut robot.config, 0).follow.error = 100.0;
     bench(&robot, async |bench| {
         bench.host.arm().await.unwrap();
         bench.set(ROTARY, Mode::Position, TAU as f32).await.unwrap();
@@ -141,9 +142,11 @@ fn a_motor_at_its_target_is_off_and_still_logged() {
 fn counts_of_many_turns_are_exact_both_ways() {
     let mut robot: Robot = osmc_bench();
     // Ten times the lines: 24 000 counts a turn, so that nine turns wrap a 16-bit counter more than three times.
-    let Feedback::Encoder { counts_per_turn, .. } = &mut robot.config.motors[0].feedback else { unreachable!() };
+    let Feedback::Encoder { counts_per_turn, .. } = &mut control_of(&mut robot.config, 0).feedback else {
+        unreachable!()
+    };
     *counts_per_turn = 24_000;
-    let SimulatedSensor::Encoder { lines_per_turn, .. } = &mut robot.simulation.motors[0].sensor else {
+    let Some(SimulatedSensor::Encoder { lines_per_turn, .. }) = &mut robot.simulation.motors[0].sensor else {
         unreachable!()
     };
     *lines_per_turn = 6000;

@@ -11,7 +11,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use harness::{
     Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, bench_with_misuse,
-    osmc_bench, raw_bench,
+    control_of, lines_of, osmc_bench, pwm_of, raw_bench,
 };
 use r4_boards::Robot;
 use r4_driver::Error;
@@ -211,8 +211,9 @@ fn bus_too_slow_for_the_control_loop() {
         remedy: |device, _| device.board.world().bus.set_rate_hz(400_000),
         // The slow transfer begins within `CHECK_EVERY` periods; five periods and one look of the supervisor later.
         off_ns: CHECK_EVERY * PERIOD_NS + 5 * PERIOD_NS + 2 * SUPERVISOR_NS,
-        // ... and then the transfer under way, the relays' three bytes of 0.9 ms and the PWM chip's two, with their addresses.
-        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 4 * MS + 4 * MS),
+        // ... and then, at 0.9 ms a byte, two bridges' four bytes each and a read-back of ten under way, the expander's four and
+        // the PWM chip's three.
+        written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 10 * MS + 4 * MS + 3 * MS),
         moments: 72,
     }
     .check("slow bus");
@@ -224,7 +225,7 @@ fn chip_lost_its_supply_for_a_moment() {
         cause: Cause::ReadBackMismatch,
         inject: async |bench, _| {
             let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().borrow_mut().power_cycle(at_ns);
+            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
             // Seen by the bridge when the world next moves on.
             bench.clock.sleep(1).await;
         },
@@ -315,7 +316,7 @@ fn feedback_that_jumps() {
 fn longest_stall_ns(channel: ChannelId) -> u64 {
     let config = osmc_bench().config;
     let motor = config.motors.iter().find(|motor| motor.id == channel).expect("the bench has the channel");
-    2 * u64::from(motor.stall.time_ms) * MS + 2 * PERIOD_NS + SUPERVISOR_NS
+    2 * u64::from(motor.control.expect("a measured motor").stall.time_ms) * MS + 2 * PERIOD_NS + SUPERVISOR_NS
 }
 
 #[test]
@@ -365,14 +366,14 @@ type Spoil = fn(&mut BoardConfig);
 #[test]
 fn feedback_that_counts_the_wrong_way() {
     fn encoder(config: &mut BoardConfig) {
-        let Feedback::Encoder { inverted, .. } = &mut config.motors[0].feedback else { panic!("no encoder") };
+        let Feedback::Encoder { inverted, .. } = &mut control_of(config, 0).feedback else { panic!("no encoder") };
         *inverted = true;
     }
     fn bridge(config: &mut BoardConfig) {
         config.motors[0].inverted = true;
     }
     fn potentiometer(config: &mut BoardConfig) {
-        let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else {
+        let Feedback::Potentiometer { low, high, .. } = &mut control_of(config, 1).feedback else {
             panic!("no potentiometer")
         };
         std::mem::swap(&mut low.code, &mut high.code);
@@ -387,7 +388,7 @@ fn feedback_that_counts_the_wrong_way() {
     for (what, invert, channel, mode, value) in cases {
         let mut robot = bench_with_rod_at(0.05);
         invert(&mut robot.config);
-        let stall = robot.config.motors[if channel == ROTARY { 0 } else { 1 }].stall;
+        let stall = control_of(&mut robot.config.clone(), usize::from(channel == LINEAR)).stall;
         bench(&robot, async |bench| {
             let device = bench.device();
             bench.host.arm().await.unwrap();
@@ -449,17 +450,17 @@ fn a_configuration_that_contradicts_itself_never_arms() {
         ("no control period", |config| config.control_period_us = 0),
         ("an endless control period", |config| config.control_period_us = u32::MAX),
         ("no link timeout", |config| config.link_timeout_ms = 0),
-        ("a PWM frequency that is no number", |config| config.osmc_pwm.frequency_hz = f32::NAN),
-        ("no PWM frequency", |config| config.osmc_pwm.frequency_hz = 0.0),
-        ("an address beyond 7 bits", |config| config.osmc_pwm.address = 0xFF),
-        ("a bridge line beyond the chip", |config| config.motors[0].lines.bli = 16),
-        ("bridge lines far beyond the chip", |config| config.motors[0].lines = lines(255)),
-        ("a bridge line used twice", |config| config.motors[0].lines.bli = config.motors[0].lines.ali),
-        ("a bridge used twice", |config| config.motors[0].lines = config.motors[1].lines),
+        ("a PWM frequency that is no number", |config| pwm_of(config).frequency_hz = f32::NAN),
+        ("no PWM frequency", |config| pwm_of(config).frequency_hz = 0.0),
+        ("an address beyond 7 bits", |config| pwm_of(config).address = 0xFF),
+        ("a bridge line beyond the chip", |config| lines_of(config).bli = 16),
+        ("bridge lines far beyond the chip", |config| *lines_of(config) = lines(255)),
+        ("a bridge line used twice", |config| lines_of(config).bli = lines_of(config).ali),
+        ("a bridge used twice", |config| config.motors[0].bridge = config.motors[1].bridge),
         ("a duty beyond the hard limit", |config| config.motors[0].duty_max = 1.0),
-        ("a gain that is no number", |config| config.motors[0].position_pid.kp = f32::NAN),
+        ("a gain that is no number", |config| control_of(config, 0).position_pid.kp = f32::NAN),
         ("a potentiometer with equal ends", |config| {
-            let Feedback::Potentiometer { low, high, .. } = &mut config.motors[1].feedback else {
+            let Feedback::Potentiometer { low, high, .. } = &mut control_of(config, 1).feedback else {
                 panic!("no potentiometer")
             };
             high.code = low.code;
@@ -622,14 +623,14 @@ fn clearing_waits_until_the_chip_is_set_up_again() {
             bench.run_rotary(moment * 1_137 * US).await;
             let device = bench.device();
             let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().borrow_mut().power_cycle(at_ns);
+            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
             device.record_wire();
             // The trip is known by the first write of the safe state; clearing is tried from then on without a pause.
             let limit_ns = (CHECKS + 1) * CHECK_EVERY * PERIOD_NS;
             assert!(device.wait_all_off_written(at_ns, limit_ns).await.is_some(), "moment {moment}: not tripped");
             while bench.host.clear().await.is_err() {}
             // 7.3.1, 7.3.2 and 7.3.5 of the datasheet: awake with auto-increment, totem pole, 1526 Hz.
-            let chip = bench.board.world().osmc_pwm().clone();
+            let chip = bench.board.world().osmc_pwm().expect("the bench has it").clone();
             let registers = [0x00, 0x01, 0xFE].map(|register| chip.borrow().register(register));
             assert_eq!(registers, [Some(0x21), Some(0x04), Some(3)], "moment {moment}: cleared before it was set up");
             bench.sleep_ms(SETTLED_MS).await;

@@ -12,7 +12,7 @@ pub(crate) struct Quantity {
 }
 
 /// How a unit is written, what it measures, and how many of the SI unit it is.
-const UNITS: [(&str, Unit, f64); 15] = [
+const UNITS: [(&str, Unit, f64); 17] = [
     ("deg/s", Unit::RadPerS, TAU / 360.0),
     ("rad/s", Unit::RadPerS, 1.0),
     ("rpm", Unit::RadPerS, TAU / 60.0),
@@ -26,6 +26,8 @@ const UNITS: [(&str, Unit, f64); 15] = [
     ("mm", Unit::M, 1e-3),
     ("cm", Unit::M, 1e-2),
     ("m", Unit::M, 1.0),
+    ("mV", Unit::V, 1e-3),
+    ("V", Unit::V, 1.0),
     ("%", Unit::Duty, 1e-2),
     ("", Unit::Duty, 1.0),
 ];
@@ -97,6 +99,7 @@ mod tests {
             ("-30%", -0.3, Unit::Duty),
             (".5", 0.5, Unit::Duty),
             ("1e-2m", 0.01, Unit::M),
+            ("1200mV", 1.2, Unit::V),
         ] {
             let read: Quantity = text.parse().unwrap();
             // One rounding of the product.

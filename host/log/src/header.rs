@@ -12,7 +12,8 @@ pub(crate) const RECORD_NAME: &str = "r4.run";
 pub(crate) const FORMAT: &str = "1";
 
 const UNITS: [Unit; 7] = [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool];
-const MODES: [Mode; 4] = [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch];
+const MODES: [Mode; 7] =
+    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
 
 /// Which board was recorded, and what its channels are.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,6 +78,9 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
         Mode::Speed => "speed",
         Mode::Duty => "duty",
         Mode::Switch => "switch",
+        Mode::Voltage => "voltage",
+        Mode::Brake => "brake",
+        Mode::Home => "home",
     }
 }
 

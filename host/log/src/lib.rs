@@ -4,13 +4,15 @@
 //!
 //! | topic | fields |
 //! | --- | --- |
-//! | `/osmc0` … (rotary) | `setpoint_mode`, `setpoint`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled` |
+//! | `/osmc0` … (rotary) | `setpoint_mode`, `setpoint`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled`, `homed` |
 //! | `/actuator1` … (linear) | the same with `position_m`, `speed_m_s` |
+//! | `/encoder0` … | `position_counts`, `position_rad`, `speed_rad_s`, `illegal` |
 //! | `/supply0` … | one of `voltage_v`, `angle_rad`, `speed_rad_s`, `distance_m`, `speed_m_s`, `duty`, `on` |
+//! | `/range0` … (can fail) | the same with `age_ms`, and `quality`: `good`, `none`, `out-of-range`, `no-answer`, `stuck`, `low`, `high` |
 //! | `/state` | `state`, `causes`, `causes_bits`; a message when it changes |
 //! | `/command` | `channel`, `setpoint_mode`, `setpoint`; a message per command sent |
 //!
-//! `setpoint` is in rad or m, rad/s or m/s, or a share of the supply, by `setpoint_mode`. A number that is not finite is
+//! `setpoint` is in rad or m, rad/s or m/s, V, a share of the supply, or 0 or 1, by `setpoint_mode`. A number that is not finite is
 //! left out of its message. Who was recorded is in the metadata record `r4.run`.
 //!
 //! Every time is the board's. No file holds a wall clock, a host name or anything drawn at random: two identical runs
@@ -39,5 +41,8 @@ mod read;
 mod record;
 
 pub use header::Header;
-pub use read::{Log, LogError, Logged, LoggedCommand, MotorSample, MotorSeries, ScalarSeries, StateChange, Warning};
+pub use read::{
+    EncoderSample, EncoderSeries, Log, LogError, Logged, LoggedCommand, MotorSample, MotorSeries, ReadingSample,
+    ReadingSeries, ScalarSeries, StateChange, Warning,
+};
 pub use record::{RecordError, Recorder};

@@ -1,6 +1,6 @@
 //! The JSON messages and their schemas.
 
-use r4_protocol::{ChannelInfo, SafetyState, Unit};
+use r4_protocol::{ChannelInfo, Quality, SafetyState, Unit};
 use serde::{Deserialize, Serialize};
 
 /// Topic of [`StateMessage`].
@@ -33,11 +33,26 @@ pub(crate) struct MotorMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) duty: Option<f32>,
     pub(crate) settled: bool,
+    /// Not in the first logs of this format.
+    #[serde(default)]
+    pub(crate) homed: bool,
 }
 
-/// A sample of an input: the field named after the channel's unit is present.
+/// A sample of an encoder.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct EncoderMessage {
+    pub(crate) position_counts: i32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) position_rad: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) speed_rad_s: Option<f32>,
+    pub(crate) illegal: u32,
+}
+
+/// A sample with one number: the field named after the channel's unit is present, and the last two of an input that can
+/// fail.
 #[derive(Default, Serialize, Deserialize)]
-pub(crate) struct ScalarMessage {
+pub(crate) struct ScalarMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     angle_rad: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -52,9 +67,13 @@ pub(crate) struct ScalarMessage {
     voltage_v: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     on: Option<bool>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) age_ms: Option<u16>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) quality: Option<&'a str>,
 }
 
-impl ScalarMessage {
+impl ScalarMessage<'_> {
     pub(crate) fn new(unit: Unit, value: f32) -> Self {
         let value = finite(value);
         let mut message = Self::default();
@@ -117,6 +136,26 @@ pub(crate) fn state_from(name: &str) -> Option<SafetyState> {
         .find(|state| state_name(*state) == name)
 }
 
+const QUALITIES: [(Quality, &str); 7] = [
+    (Quality::Good, "good"),
+    (Quality::None, "none"),
+    (Quality::OutOfRange, "out-of-range"),
+    (Quality::NoAnswer, "no-answer"),
+    (Quality::Stuck, "stuck"),
+    (Quality::Low, "low"),
+    (Quality::High, "high"),
+];
+
+/// The name of `quality` in a file.
+pub(crate) fn quality_name(quality: Quality) -> &'static str {
+    QUALITIES[quality as usize].1
+}
+
+/// The quality of that name.
+pub(crate) fn quality_from(name: &str) -> Option<Quality> {
+    QUALITIES.into_iter().find(|(_, known)| *known == name).map(|(quality, _)| quality)
+}
+
 /// Whether the channel moves in a line; otherwise its fields are rotary.
 pub(crate) fn is_linear(info: &ChannelInfo) -> bool {
     let linear = |unit| matches!(unit, Unit::M | Unit::MPerS);
@@ -125,12 +164,12 @@ pub(crate) fn is_linear(info: &ChannelInfo) -> bool {
 
 /// A JSON Schema with the name under which a viewer lists it.
 pub(crate) struct Schema {
-    pub(crate) name: &'static str,
+    pub(crate) name: String,
     pub(crate) json: String,
 }
 
 /// `fields`: name, JSON type, meaning.
-fn schema(name: &'static str, fields: &[(&str, &str, &str)]) -> Schema {
+fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
     let properties: Vec<String> = fields
         .iter()
         .map(|(field, kind, meaning)| {
@@ -139,11 +178,17 @@ fn schema(name: &'static str, fields: &[(&str, &str, &str)]) -> Schema {
             format!(r#""{field}":{{"type":"{kind}"{items},"description":"{meaning}"}}"#)
         })
         .collect();
-    Schema { name, json: format!(r#"{{"title":"{name}","type":"object","properties":{{{}}}}}"#, properties.join(",")) }
+    let json = format!(r#"{{"title":"{name}","type":"object","properties":{{{}}}}}"#, properties.join(","));
+    Schema { name: name.to_owned(), json }
 }
 
 pub(crate) const ROTARY_MOTOR: &str = "r4.RotaryMotor";
 pub(crate) const LINEAR_MOTOR: &str = "r4.LinearMotor";
+pub(crate) const ENCODER: &str = "r4.Encoder";
+/// Ends the names of the schemas of inputs that can fail.
+pub(crate) const READING: &str = "Reading";
+
+const SETPOINT_MODE: &str = "What the set point is: position, speed, duty, switch, voltage, brake or home";
 
 pub(crate) fn motor_schema(linear: bool) -> Schema {
     let (name, position, speed, unit) = if linear {
@@ -159,27 +204,54 @@ pub(crate) fn motor_schema(linear: bool) -> Schema {
     schema(
         name,
         &[
-            ("setpoint_mode", "string", "What the set point is: position, speed or duty"),
+            ("setpoint_mode", "string", SETPOINT_MODE),
             ("setpoint", "number", &format!("Set point, {unit} or share of the supply, by setpoint_mode")),
             ("position_counts", "integer", "Position as measured, counts"),
             (position.0, "number", position.1),
             (speed.0, "number", speed.1),
             ("duty", "number", "Share of the supply at the bridge, -1 to 1"),
             ("settled", "boolean", "At the set point and at rest"),
+            ("homed", "boolean", "Whether the position is known, and not only counted from where power came on"),
         ],
     )
 }
 
-pub(crate) fn scalar_schema(unit: Unit) -> Schema {
+/// Name of the schema, and the field.
+fn scalar(unit: Unit) -> (&'static str, (&'static str, &'static str, &'static str)) {
     match unit {
-        Unit::Rad => schema("r4.Angle", &[("angle_rad", "number", "Angle, rad")]),
-        Unit::RadPerS => schema("r4.RotarySpeed", &[("speed_rad_s", "number", "Speed, rad/s")]),
-        Unit::M => schema("r4.Distance", &[("distance_m", "number", "Distance, m")]),
-        Unit::MPerS => schema("r4.LinearSpeed", &[("speed_m_s", "number", "Speed, m/s")]),
-        Unit::Duty => schema("r4.Duty", &[("duty", "number", "Share of the supply, -1 to 1")]),
-        Unit::V => schema("r4.Voltage", &[("voltage_v", "number", "Voltage, V")]),
-        Unit::Bool => schema("r4.Switch", &[("on", "boolean", "On or off")]),
+        Unit::Rad => ("r4.Angle", ("angle_rad", "number", "Angle, rad")),
+        Unit::RadPerS => ("r4.RotarySpeed", ("speed_rad_s", "number", "Speed, rad/s")),
+        Unit::M => ("r4.Distance", ("distance_m", "number", "Distance, m")),
+        Unit::MPerS => ("r4.LinearSpeed", ("speed_m_s", "number", "Speed, m/s")),
+        Unit::Duty => ("r4.Duty", ("duty", "number", "Share of the supply, -1 to 1")),
+        Unit::V => ("r4.Voltage", ("voltage_v", "number", "Voltage, V")),
+        Unit::Bool => ("r4.Switch", ("on", "boolean", "On or off")),
     }
+}
+
+pub(crate) fn scalar_schema(unit: Unit) -> Schema {
+    let (name, field) = scalar(unit);
+    schema(name, &[field])
+}
+
+pub(crate) fn reading_schema(unit: Unit) -> Schema {
+    let (name, field) = scalar(unit);
+    let names: Vec<&str> = QUALITIES.iter().map(|(_, name)| *name).collect();
+    let quality = format!("Whether it can be relied on: {}", names.join(", "));
+    let age = ("age_ms", "integer", "Since it was measured, ms");
+    schema(&format!("{name}{READING}"), &[field, age, ("quality", "string", &quality)])
+}
+
+pub(crate) fn encoder_schema() -> Schema {
+    schema(
+        ENCODER,
+        &[
+            ("position_counts", "integer", "Position, counts"),
+            ("position_rad", "number", "Angle of the shaft, rad"),
+            ("speed_rad_s", "number", "Speed of the shaft, rad/s"),
+            ("illegal", "integer", "Transitions that no shaft makes, since power-up"),
+        ],
+    )
 }
 
 pub(crate) fn state_schema() -> Schema {
@@ -198,8 +270,8 @@ pub(crate) fn command_schema() -> Schema {
         "r4.Command",
         &[
             ("channel", "string", "Channel commanded"),
-            ("setpoint_mode", "string", "What the set point is: position, speed or duty"),
-            ("setpoint", "number", "Set point, SI or share of the supply, by setpoint_mode"),
+            ("setpoint_mode", "string", SETPOINT_MODE),
+            ("setpoint", "number", "Set point, SI, share of the supply, or 0 or 1, by setpoint_mode"),
         ],
     )
 }

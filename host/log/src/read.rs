@@ -10,14 +10,14 @@ use mcap::{
     MAGIC,
     records::{Channel, MessageHeader, Metadata, Record, SchemaHeader, op},
 };
-use r4_protocol::{Causes, ChannelId, ChannelInfo, Mode, SafetyState};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, Mode, Quality, SafetyState};
 
 use crate::{
     container::{self, Chunk, RawRecord, Records},
     header::{self, BadHeader, Header, mode_from},
     message::{
-        COMMAND_TOPIC, CommandMessage, LINEAR_MOTOR, MotorMessage, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage,
-        StateMessage, is_linear, state_from,
+        COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, LINEAR_MOTOR, MotorMessage, READING, ROTARY_MOTOR,
+        STATE_TOPIC, ScalarMessage, StateMessage, is_linear, quality_from, state_from,
     },
 };
 
@@ -96,7 +96,7 @@ pub enum Warning {
 pub struct Logged {
     /// How the number is meant.
     pub mode: Mode,
-    /// rad or m; rad/s or m/s; share of the supply. NaN where none was recorded.
+    /// rad or m; rad/s or m/s; share of the supply; V; 0 or 1. NaN where none was recorded.
     pub value: f64,
 }
 
@@ -117,6 +117,8 @@ pub struct MotorSample {
     pub duty: f64,
     /// In position mode: at the set point and at rest.
     pub settled: bool,
+    /// Whether the position is known, and not only counted from where power came on.
+    pub homed: bool,
 }
 
 /// A motor channel over a run.
@@ -136,13 +138,59 @@ impl MotorSeries {
     }
 }
 
-/// An input over a run.
+/// A channel that has one number, over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScalarSeries {
     /// What the channel is.
     pub info: ChannelInfo,
     /// Time (s) and value (the channel's unit; NaN where it was not finite), in order of time; at least one.
     pub samples: Vec<(f64, f64)>,
+}
+
+/// An input that can fail, at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadingSample {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// The channel's unit; the last good one where `quality` is not [`Quality::Good`]. NaN where it was not finite.
+    pub value: f64,
+    /// Since it was measured.
+    pub age_ms: u16,
+    /// Whether it can be relied on.
+    pub quality: Quality,
+}
+
+/// An input that can fail, over a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReadingSeries {
+    /// What the channel is.
+    pub info: ChannelInfo,
+    /// In order of time; at least one.
+    pub samples: Vec<ReadingSample>,
+}
+
+/// An encoder at one moment. NaN stands for a number that was not finite, or that the channel does not have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderSample {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// In counts of [`ChannelInfo::resolution`].
+    pub position_counts: i32,
+    /// rad
+    pub position: f64,
+    /// rad/s
+    pub speed: f64,
+    /// Transitions that no shaft makes, since power-up.
+    pub illegal: u32,
+}
+
+/// An encoder over a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncoderSeries {
+    /// What the channel is.
+    pub info: ChannelInfo,
+    /// In order of time; at least one.
+    pub samples: Vec<EncoderSample>,
 }
 
 /// The safety supervisor from one moment on.
@@ -174,6 +222,10 @@ pub struct Log {
     pub header: Header,
     /// Motor channels with samples, in the header's order.
     pub motors: Vec<MotorSeries>,
+    /// Encoders with samples, in the header's order.
+    pub encoders: Vec<EncoderSeries>,
+    /// Inputs that can fail, with samples, in the header's order.
+    pub readings: Vec<ReadingSeries>,
     /// Other channels with samples, in the header's order.
     pub scalars: Vec<ScalarSeries>,
     /// Changes of the safety state, in order of time.
@@ -227,7 +279,19 @@ impl Log {
         self.motors.iter().find(|series| series.info.id == id)
     }
 
-    /// The samples of input `id`.
+    /// The samples of encoder `id`.
+    #[must_use]
+    pub fn encoder(&self, id: ChannelId) -> Option<&EncoderSeries> {
+        self.encoders.iter().find(|series| series.info.id == id)
+    }
+
+    /// The samples of `id`, an input that can fail.
+    #[must_use]
+    pub fn reading(&self, id: ChannelId) -> Option<&ReadingSeries> {
+        self.readings.iter().find(|series| series.info.id == id)
+    }
+
+    /// The samples of `id`, a channel that has one number.
     #[must_use]
     pub fn scalar(&self, id: ChannelId) -> Option<&ScalarSeries> {
         self.scalars.iter().find(|series| series.info.id == id)
@@ -237,10 +301,13 @@ impl Log {
     #[must_use]
     pub fn time_span_s(&self) -> Option<(f64, f64)> {
         let motors = self.motors.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
+        let encoders = self.encoders.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
+        let readings = self.readings.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
         let scalars = self.scalars.iter().flat_map(|series| series.samples.iter().map(|(time_s, _)| *time_s));
         let states = self.states.iter().map(|change| change.time_s);
         let commands = self.commands.iter().map(|command| command.time_s);
-        motors.chain(scalars).chain(states).chain(commands).fold(None, |span, time_s| match span {
+        let times = motors.chain(encoders).chain(readings).chain(scalars).chain(states).chain(commands);
+        times.fold(None, |span, time_s| match span {
             None => Some((time_s, time_s)),
             Some((first, last)) => Some((time_s.min(first), time_s.max(last))),
         })
@@ -257,6 +324,8 @@ impl Log {
 #[derive(Clone, PartialEq)]
 enum Content {
     Motor(ChannelId),
+    Encoder(ChannelId),
+    Reading(ChannelId),
     Scalar(ChannelId),
     State,
     Command,
@@ -276,6 +345,8 @@ struct Reader {
     schemas: BTreeMap<u16, String>,
     topics: BTreeMap<u16, Topic>,
     motors: BTreeMap<ChannelId, Vec<MotorSample>>,
+    encoders: BTreeMap<ChannelId, Vec<EncoderSample>>,
+    readings: BTreeMap<ChannelId, Vec<ReadingSample>>,
     scalars: BTreeMap<ChannelId, Vec<(f64, f64)>>,
     states: Vec<StateChange>,
     commands: Vec<LoggedCommand>,
@@ -332,14 +403,16 @@ impl Reader {
 
     fn topic(&mut self, channel: Channel) {
         let Channel { id, schema_id, topic: name, .. } = channel;
-        let motor = self.schemas.get(&schema_id).is_some_and(|name| name == ROTARY_MOTOR || name == LINEAR_MOTOR);
+        let of_channel = match self.schemas.get(&schema_id).map_or("", String::as_str) {
+            ROTARY_MOTOR | LINEAR_MOTOR => Content::Motor,
+            ENCODER => Content::Encoder,
+            reading if reading.ends_with(READING) => Content::Reading,
+            _ => Content::Scalar,
+        };
         let content = match name.as_str() {
             STATE_TOPIC => Some(Content::State),
             COMMAND_TOPIC => Some(Content::Command),
-            _ => {
-                let channel = name.strip_prefix('/').and_then(|name| name.parse().ok());
-                channel.map(|id| if motor { Content::Motor(id) } else { Content::Scalar(id) })
-            }
+            _ => name.strip_prefix('/').and_then(|name| name.parse().ok()).map(of_channel),
         };
         // the same channel is repeated in the summary, and may be in every chunk
         self.topics.entry(id).or_insert(Topic { name, content, unreadable: 0 });
@@ -353,6 +426,8 @@ impl Reader {
         let time_s = header.log_time as f64 / 1e9;
         let taken = match content {
             Content::Motor(id) => self.motor(id, time_s, data),
+            Content::Encoder(id) => self.encoder(id, time_s, data),
+            Content::Reading(id) => self.reading(id, time_s, data),
             Content::Scalar(id) => self.scalar(id, time_s, data),
             Content::State => self.state(time_s, data),
             Content::Command => self.command(time_s, data),
@@ -383,8 +458,30 @@ impl Reader {
             speed: number(speed),
             duty: number(message.duty),
             settled: message.settled,
+            homed: message.homed,
         };
         self.motors.entry(id).or_default().push(sample);
+        Some(())
+    }
+
+    fn encoder(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: EncoderMessage = serde_json::from_slice(data).ok()?;
+        let sample = EncoderSample {
+            time_s,
+            position_counts: message.position_counts,
+            position: message.position_rad.unwrap_or(f64::NAN),
+            speed: number(message.speed_rad_s),
+            illegal: message.illegal,
+        };
+        self.encoders.entry(id).or_default().push(sample);
+        Some(())
+    }
+
+    fn reading(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: ScalarMessage = serde_json::from_slice(data).ok()?;
+        let value = number(message.value(self.info(id)?.unit));
+        let (age_ms, quality) = (message.age_ms?, quality_from(message.quality?)?);
+        self.readings.entry(id).or_default().push(ReadingSample { time_s, value, age_ms, quality });
         Some(())
     }
 
@@ -420,11 +517,19 @@ impl Reader {
         if self.cut_short {
             self.warnings.push(Warning::CutShort);
         }
-        let (mut motors, mut scalars) = (Vec::new(), Vec::new());
+        let (mut motors, mut encoders, mut readings, mut scalars) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for info in &header.channels {
             if let Some(mut samples) = self.motors.remove(&info.id) {
                 samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
                 motors.push(MotorSeries { info: info.clone(), samples });
+            }
+            if let Some(mut samples) = self.encoders.remove(&info.id) {
+                samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+                encoders.push(EncoderSeries { info: info.clone(), samples });
+            }
+            if let Some(mut samples) = self.readings.remove(&info.id) {
+                samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+                readings.push(ReadingSeries { info: info.clone(), samples });
             }
             if let Some(mut samples) = self.scalars.remove(&info.id) {
                 samples.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -434,7 +539,7 @@ impl Reader {
         self.states.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         self.commands.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         let (states, commands, warnings) = (self.states, self.commands, self.warnings);
-        Ok(Log { header, motors, scalars, states, commands, warnings })
+        Ok(Log { header, motors, encoders, readings, scalars, states, commands, warnings })
     }
 }
 

@@ -15,8 +15,8 @@ use serde::Serialize;
 use crate::{
     header::{self, Header, mode_name},
     message::{
-        self, COMMAND_TOPIC, CommandMessage, MotorMessage, STATE_TOPIC, ScalarMessage, Schema, StateMessage, finite,
-        is_linear, state_name,
+        self, COMMAND_TOPIC, CommandMessage, EncoderMessage, MotorMessage, STATE_TOPIC, ScalarMessage, Schema,
+        StateMessage, finite, is_linear, quality_name, state_name,
     },
 };
 
@@ -93,10 +93,14 @@ impl<W: Write + Seek> Recorder<W> {
             let info = info.ok_or(RecordError::UnknownChannel { channel })?;
             let (unit, resolution, linear) = (info.unit, info.resolution, is_linear(info));
             let topic = format!("/{channel}");
+            // In rad or m.
+            let measured = |counts: i32| {
+                let position = f64::from(counts) * f64::from(resolution);
+                (resolution.is_finite() && resolution != 0.0).then_some(position)
+            };
             match *sample {
-                Sample::Motor { setpoint, position, speed, duty, settled, .. } => {
-                    let meters_or_rad = f64::from(position) * f64::from(resolution);
-                    let measured = (resolution.is_finite() && resolution != 0.0).then_some(meters_or_rad);
+                Sample::Motor { setpoint, position, speed, duty, settled, homed, .. } => {
+                    let measured = measured(position);
                     let message = MotorMessage {
                         setpoint_mode: mode_name(setpoint.mode),
                         setpoint: finite(setpoint.value),
@@ -107,12 +111,23 @@ impl<W: Write + Seek> Recorder<W> {
                         speed_m_s: finite(speed).filter(|_| linear),
                         duty: finite(duty),
                         settled,
+                        homed,
                     };
                     self.write(device_us, &topic, || message::motor_schema(linear), &message)?;
                 }
                 Sample::Scalar { value, .. } => {
                     let message = ScalarMessage::new(unit, value);
                     self.write(device_us, &topic, || message::scalar_schema(unit), &message)?;
+                }
+                Sample::Reading { value, age_ms, quality, .. } => {
+                    let mut message = ScalarMessage::new(unit, value);
+                    (message.age_ms, message.quality) = (Some(age_ms), Some(quality_name(quality)));
+                    self.write(device_us, &topic, || message::reading_schema(unit), &message)?;
+                }
+                Sample::Encoder { position, speed, illegal, .. } => {
+                    let (position_rad, speed_rad_s) = (measured(position), finite(speed));
+                    let message = EncoderMessage { position_counts: position, position_rad, speed_rad_s, illegal };
+                    self.write(device_us, &topic, message::encoder_schema, &message)?;
                 }
             }
         }
@@ -174,7 +189,7 @@ impl<W: Write + Seek> Recorder<W> {
             Some(topic) => topic,
             None => {
                 let Schema { name: schema, json } = schema();
-                let schema = self.mcap.add_schema(schema, "jsonschema", json.as_bytes())?;
+                let schema = self.mcap.add_schema(&schema, "jsonschema", json.as_bytes())?;
                 let id = self.mcap.add_channel(schema, name, "json", &BTreeMap::new())?;
                 self.topics.entry(name.to_owned()).or_insert(Topic { id, messages: 0 })
             }

@@ -5,11 +5,11 @@ mod common;
 
 use std::{fs, io::Cursor};
 
-use common::{ACTUATOR, DHB, OSMC, SUPPLY, SWITCH, header, run};
+use common::{ACTUATOR, DHB, ENCODER, OSMC, RANGE, SUPPLY, SWITCH, header, run};
 use mcap::records::{Record, op};
 use proptest::{collection::vec, prelude::*};
 use r4_log::{Log, RecordError, Recorder};
-use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, SafetyState, Sample, Setpoint, Telemetry};
+use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample, Setpoint, Telemetry};
 
 #[test]
 fn every_kind_of_message_comes_back() {
@@ -20,7 +20,8 @@ fn every_kind_of_message_comes_back() {
     let motors: Vec<_> = log.motors.iter().map(|series| series.info.id).collect();
     assert_eq!(motors, [OSMC, ACTUATOR, DHB]);
     let last = log.motor(OSMC).unwrap().samples[19];
-    assert_eq!((last.position_counts, last.settled, last.setpoint.mode), (140, true, Mode::Position));
+    assert_eq!((last.position_counts, last.setpoint.mode), (140, Mode::Position));
+    assert!(last.settled && last.homed && !log.motor(OSMC).unwrap().samples[0].homed);
     assert_eq!((last.time_s, last.setpoint.value, last.speed), (20e-6, 1.5, 0.25));
     // a count is an `f32` on the wire, hence not exactly 0.001
     assert_eq!(last.position, 140.0 * f64::from(0.001_f32));
@@ -30,6 +31,13 @@ fn every_kind_of_message_comes_back() {
 
     assert_eq!(log.scalar(SUPPLY).unwrap().samples[0], (1e-6, 24.5));
     assert_eq!(log.scalar(SWITCH).unwrap().samples[..2], [(1e-6, 1.0), (2e-6, 0.0)]);
+
+    let encoder = log.encoder(ENCODER).unwrap().samples[19];
+    assert_eq!((encoder.position_counts, encoder.speed, encoder.illegal), (-20, -1.5, 3));
+    assert_eq!((encoder.time_s, encoder.position), (20e-6, -20.0 * f64::from(0.01_f32)));
+    let range = &log.reading(RANGE).unwrap().samples;
+    assert_eq!((range[9].time_s, range[9].value, range[9].age_ms, range[9].quality), (10e-6, 0.75, 10, Quality::Good));
+    assert_eq!((range[10].value, range[10].quality), (0.75, Quality::NoAnswer));
 
     let states: Vec<_> = log.states.iter().map(|change| change.state).collect();
     assert_eq!(states, [SafetyState::Armed, SafetyState::Tripped, SafetyState::Disarmed], "in order of time");
@@ -67,21 +75,23 @@ fn messages_have_units_in_their_names_and_follow_their_schema() {
         }
         first.entry(message.channel.topic.clone()).or_insert_with(|| String::from_utf8(message.data.to_vec()).unwrap());
     }
-    assert_eq!(summary.stats.unwrap().message_count, 3 + 2 + 20 * 5);
+    assert_eq!(summary.stats.unwrap().message_count, 3 + 2 + 20 * 7);
     let expected = [
         (
             "/actuator1",
-            r#"{"setpoint_mode":"speed","setpoint":-0.01,"position_counts":7,"position_m":0.0006999999823165126,"speed_m_s":0.25,"duty":0.033333335,"settled":false}"#,
+            r#"{"setpoint_mode":"speed","setpoint":-0.01,"position_counts":7,"position_m":0.0006999999823165126,"speed_m_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
         ("/command", r#"{"channel":"osmc0","setpoint_mode":"position","setpoint":1.5}"#),
         (
             "/dhb2",
-            r#"{"setpoint_mode":"duty","setpoint":0.5,"position_counts":7,"speed_rad_s":0.25,"duty":0.033333335,"settled":false}"#,
+            r#"{"setpoint_mode":"duty","setpoint":0.5,"position_counts":7,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
+        ("/encoder4", r#"{"position_counts":-1,"position_rad":-0.009999999776482582,"speed_rad_s":-1.5,"illegal":3}"#),
         (
             "/osmc0",
-            r#"{"setpoint_mode":"position","setpoint":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false}"#,
+            r#"{"setpoint_mode":"position","setpoint":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
+        ("/range5", r#"{"distance_m":0.75,"age_ms":1,"quality":"good"}"#),
         ("/state", r#"{"state":"disarmed","causes":[],"causes_bits":0}"#),
         ("/supply0", r#"{"voltage_v":24.5}"#),
         ("/switch3", r#"{"on":true}"#),
@@ -135,7 +145,27 @@ fn a_long_run_has_several_chunks() {
 }
 
 fn modes() -> impl Strategy<Value = Mode> {
-    prop_oneof![Just(Mode::Position), Just(Mode::Speed), Just(Mode::Duty)]
+    prop_oneof![
+        Just(Mode::Position),
+        Just(Mode::Speed),
+        Just(Mode::Duty),
+        Just(Mode::Switch),
+        Just(Mode::Voltage),
+        Just(Mode::Brake),
+        Just(Mode::Home),
+    ]
+}
+
+fn qualities() -> impl Strategy<Value = Quality> {
+    prop_oneof![
+        Just(Quality::Good),
+        Just(Quality::None),
+        Just(Quality::OutOfRange),
+        Just(Quality::NoAnswer),
+        Just(Quality::Stuck),
+        Just(Quality::Low),
+        Just(Quality::High),
+    ]
 }
 
 /// Any bits, so also NaN and the infinities.
@@ -143,18 +173,32 @@ fn floats() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits)
 }
 
-prop_compose! {
-    fn samples()(
-        motor in any::<bool>(), mode in modes(), value in floats(), position in any::<i32>(), speed in floats(),
-        duty in floats(), settled in any::<bool>(), linear in any::<bool>(),
-    ) -> Sample {
-        if motor {
+fn motors() -> impl Strategy<Value = Sample> {
+    (any::<bool>(), modes(), floats(), any::<i32>(), floats(), floats(), any::<bool>(), any::<bool>()).prop_map(
+        |(linear, mode, value, position, speed, duty, settled, homed)| {
             let channel = if linear { ACTUATOR } else { OSMC };
-            Sample::Motor { channel, setpoint: Setpoint { mode, value }, position, speed, duty, settled }
-        } else {
-            Sample::Scalar { channel: SUPPLY, value }
-        }
-    }
+            Sample::Motor { channel, setpoint: Setpoint { mode, value }, position, speed, duty, settled, homed }
+        },
+    )
+}
+
+fn samples() -> impl Strategy<Value = Sample> {
+    prop_oneof![
+        motors(),
+        floats().prop_map(|value| Sample::Scalar { channel: SUPPLY, value }),
+        (floats(), any::<u16>(), qualities()).prop_map(|(value, age_ms, quality)| Sample::Reading {
+            channel: RANGE,
+            value,
+            age_ms,
+            quality
+        }),
+        (any::<i32>(), floats(), any::<u32>()).prop_map(|(position, speed, illegal)| Sample::Encoder {
+            channel: ENCODER,
+            position,
+            speed,
+            illegal
+        }),
+    ]
 }
 
 /// The number as it is in a log: what JSON cannot hold is NaN.
@@ -173,15 +217,14 @@ proptest! {
     ) {
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
         let mut device_us = 0;
-        let (mut motors, mut scalars, mut states) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut written, mut states) = (Vec::new(), Vec::new());
         for (pause_us, samples, bits) in &frames {
             device_us += pause_us;
             let time_s = (device_us * 1_000) as f64 / 1e9;
             let (state, causes) = (SafetyState::Armed, Causes::from_bits(*bits));
             recorder.telemetry(&Telemetry { device_us, state, causes, samples: samples.iter().copied().collect() })
                 .unwrap();
-            motors.extend(samples.iter().filter(|s| matches!(s, Sample::Motor { .. })).map(|s| (time_s, *s)));
-            scalars.extend(samples.iter().filter(|s| matches!(s, Sample::Scalar { .. })).map(|s| (time_s, *s)));
+            written.extend(samples.iter().map(|sample| (time_s, *sample)));
             if states.last().is_none_or(|(_, last)| *last != causes) {
                 states.push((time_s, causes));
             }
@@ -189,13 +232,16 @@ proptest! {
         let log = Log::from_bytes(&recorder.finish().unwrap().into_inner()).unwrap();
         prop_assert!(log.warnings.is_empty());
         prop_assert!(log.states.iter().map(|change| (change.time_s, change.causes)).eq(states));
+        let of = |id| written.iter().filter(move |(_, sample)| sample.channel() == id);
         for (id, resolution) in [(OSMC, 0.001_f32), (ACTUATOR, 0.000_1)] {
             let read = log.motor(id).map_or(&[][..], |series| &series.samples);
-            let written: Vec<_> = motors.iter().filter(|(_, sample)| sample.channel() == id).collect();
-            prop_assert_eq!(read.len(), written.len());
-            for (read, (time_s, written)) in read.iter().zip(written) {
-                let Sample::Motor { setpoint, position, speed, duty, settled, .. } = *written else { unreachable!() };
-                prop_assert_eq!((read.time_s, read.position_counts, read.settled), (*time_s, position, settled));
+            prop_assert_eq!(read.len(), of(id).count());
+            for (read, (time_s, written)) in read.iter().zip(of(id)) {
+                let Sample::Motor { setpoint, position, speed, duty, settled, homed, .. } = *written else {
+                    unreachable!()
+                };
+                prop_assert_eq!((read.time_s, read.position_counts), (*time_s, position));
+                prop_assert_eq!((read.settled, read.homed), (settled, homed));
                 prop_assert_eq!(read.position, f64::from(position) * f64::from(resolution));
                 prop_assert_eq!(read.setpoint.mode, setpoint.mode);
                 prop_assert!(same(read.setpoint.value, logged(setpoint.value)));
@@ -203,10 +249,25 @@ proptest! {
             }
         }
         let read = log.scalar(SUPPLY).map_or(&[][..], |series| &series.samples);
-        prop_assert_eq!(read.len(), scalars.len());
-        for (read, (time_s, written)) in read.iter().zip(&scalars) {
+        prop_assert_eq!(read.len(), of(SUPPLY).count());
+        for (read, (time_s, written)) in read.iter().zip(of(SUPPLY)) {
             let Sample::Scalar { value, .. } = *written else { unreachable!() };
             prop_assert!(read.0 == *time_s && same(read.1, logged(value)));
+        }
+        let read = log.reading(RANGE).map_or(&[][..], |series| &series.samples);
+        prop_assert_eq!(read.len(), of(RANGE).count());
+        for (read, (time_s, written)) in read.iter().zip(of(RANGE)) {
+            let Sample::Reading { value, age_ms, quality, .. } = *written else { unreachable!() };
+            prop_assert_eq!((read.time_s, read.age_ms, read.quality), (*time_s, age_ms, quality));
+            prop_assert!(same(read.value, logged(value)));
+        }
+        let read = log.encoder(ENCODER).map_or(&[][..], |series| &series.samples);
+        prop_assert_eq!(read.len(), of(ENCODER).count());
+        for (read, (time_s, written)) in read.iter().zip(of(ENCODER)) {
+            let Sample::Encoder { position, speed, illegal, .. } = *written else { unreachable!() };
+            prop_assert_eq!((read.time_s, read.position_counts, read.illegal), (*time_s, position, illegal));
+            prop_assert_eq!(read.position, f64::from(position) * f64::from(0.01_f32));
+            prop_assert!(same(read.speed, logged(speed)));
         }
     }
 }

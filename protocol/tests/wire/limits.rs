@@ -2,7 +2,8 @@
 
 use proptest::{prop_assert, proptest};
 use r4_protocol::{
-    ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, ToDevice, ToHost, Unit,
+    ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, Request, ToDevice, ToHost, Unit,
+    channel::MAX_MODES,
     encode_frame,
     frame::{MAX_FRAME, MAX_MESSAGE, MessageTooLong},
     message::MAX_SAMPLES,
@@ -10,23 +11,28 @@ use r4_protocol::{
 
 use crate::{frame, payload, receive, samples, strategies};
 
-/// Bytes of the longest message to a board: a `Set`.
-const LONGEST_TO_DEVICE: usize = 25;
+/// Bytes of the longest message to a board: an `I2cTransfer`.
+const LONGEST_TO_DEVICE: usize = 73;
 /// Bytes of the longest message to a host: a full `Telemetry`.
-const LONGEST_TO_HOST: usize = 192;
+const LONGEST_TO_HOST: usize = 200;
 
-/// The lengths are pinned because the schema hash does not see how much a `Vec` or a `String` holds.
+/// The lengths are pinned because the schema does not tell how much a `Vec` or a `String` holds.
 #[test]
 fn the_longest_message_of_each_kind_fits_a_frame() {
-    let request = ToDevice::Request { seq: u16::MAX, request: samples::largest_request() };
+    let request = |request| ToDevice::Request { seq: u16::MAX, request };
+    let uart = Request::UartWrite { port: u8::MAX, bytes: samples::largest_raw() };
     let heartbeat = ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX };
     let reply = |reply| ToHost::Response { seq: u16::MAX, result: Ok(reply) };
     let telemetry = ToHost::Telemetry(samples::largest_telemetry());
     for (what, len, expected) in [
-        ("request", payload(&request).len(), LONGEST_TO_DEVICE),
+        ("i2c", payload(&request(samples::largest_request())).len(), LONGEST_TO_DEVICE),
+        ("uart", payload(&request(uart)).len(), 71),
+        ("set", payload(&request(samples::largest_set())).len(), 25),
         ("heartbeat", payload(&heartbeat).len(), 14),
-        ("hello", payload(&reply(samples::largest_reply())).len(), 77),
-        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 56),
+        ("hello", payload(&reply(samples::largest_welcome())).len(), 77),
+        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 66),
+        ("fault snapshot", payload(&reply(samples::largest_reply())).len(), 131),
+        ("bytes", payload(&reply(Reply::Bytes(samples::largest_raw()))).len(), 71),
         ("telemetry", payload(&telemetry).len(), LONGEST_TO_HOST),
     ] {
         assert_eq!(len, expected, "{what}");
@@ -124,13 +130,13 @@ fn lists_longer_than_this_versions_are_not_a_message() {
 }
 
 fn largest_channel() -> ChannelInfo {
-    let mode = ModeInfo { mode: Mode::Duty, unit: Unit::Bool, range: Range::symmetric(f32::MAX) };
+    let mode = ModeInfo { mode: Mode::Home, unit: Unit::Bool, range: Range::symmetric(f32::MAX) };
     ChannelInfo {
         id: ChannelId::new(ChannelKind::DeadMan, u8::MAX),
         unit: Unit::Bool,
         range: Range::symmetric(f32::MAX),
         rate_hz: f32::MAX,
         resolution: f32::MAX,
-        modes: [mode; 3].into_iter().collect(),
+        modes: [mode; MAX_MODES].into_iter().collect(),
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! | module | subject |
 //! | --- | --- |
-//! | `samples` | hand-written messages, the source of `tests/golden/v1.txt` |
+//! | `samples` | hand-written messages, the source of the golden tables |
 //! | `golden` | those bytes, the schema hash, and the encodings that are frozen for ever |
 //! | `coverage` | which enum variants a message holds, read off its bytes and the schema |
 //! | `strategies` | any message, for property tests |

@@ -1,8 +1,11 @@
 //! Hand-written messages: at least one for every enum variant that can travel, and those with extreme values.
 
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, Mode, ModeInfo, Range, Refusal, Reply,
-    Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, config::PidGains, message::MAX_SAMPLES,
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode,
+    ModeInfo, MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request,
+    SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit,
+    config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
+    message::{MAX_RAW, MAX_SAMPLES},
 };
 
 const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
@@ -41,6 +44,8 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
         .into_iter()
         .map(|(name, reply)| (name, Ok(reply)))
         .chain(refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
+        .chain(later_replies().into_iter().map(|(name, reply)| (name, Ok(reply))))
+        .chain(later_refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
         .zip(1..)
         .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
         .collect();
@@ -52,16 +57,36 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
 
 /// The request with the most bytes.
 pub(crate) fn largest_request() -> Request {
+    Request::I2cTransfer { bus: u8::MAX, address: u8::MAX, write: largest_raw(), read: u8::MAX }
+}
+
+/// The reply with the most bytes.
+pub(crate) fn largest_reply() -> Reply {
+    let motor = MotorSnapshot { position: i32::MIN, speed: f32::MIN, duty: f32::MIN_POSITIVE };
+    Reply::FaultSnapshot(FaultSnapshot {
+        before_ms: u16::MAX,
+        motors: [motor; MAX_MOTORS].into_iter().collect(),
+        supplies_v: [f32::MAX; MAX_SUPPLIES].into_iter().collect(),
+    })
+}
+
+/// As many bytes as a raw transfer takes.
+pub(crate) fn largest_raw() -> heapless::Vec<u8, MAX_RAW> {
+    [u8::MAX; MAX_RAW].into_iter().collect()
+}
+
+/// The command with the most bytes.
+pub(crate) fn largest_set() -> Request {
     Request::Set {
         channel: LAST,
-        setpoint: Setpoint { mode: Mode::Duty, value: f32::MAX },
+        setpoint: Setpoint { mode: Mode::Home, value: f32::MAX },
         sent_us: u64::MAX,
         ttl_ms: u16::MAX,
     }
 }
 
-/// The reply with the most bytes.
-pub(crate) fn largest_reply() -> Reply {
+/// The longest answer to a `Hello`.
+pub(crate) fn largest_welcome() -> Reply {
     Reply::Hello(DeviceInfo {
         robot: "thirty-two bytes of a robot name".try_into().expect("32 bytes"),
         firmware: "255.255.65535-rc".try_into().expect("16 bytes"),
@@ -86,12 +111,19 @@ pub(crate) fn largest_telemetry() -> Telemetry {
 
 const LARGEST_SAMPLE: Sample = Sample::Motor {
     channel: LAST,
-    setpoint: Setpoint { mode: Mode::Duty, value: f32::MAX },
+    setpoint: Setpoint { mode: Mode::Home, value: f32::MAX },
     position: i32::MIN,
     speed: f32::MIN,
     duty: f32::MIN_POSITIVE,
     settled: true,
+    homed: true,
 };
+
+/// Of the board, and of the channel and parameter with the largest bytes.
+const KEYS: [(&str, ParameterKey); 2] = [
+    ("set-parameter-board", ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs }),
+    ("set-parameter-largest", ParameterKey { channel: Some(LAST), parameter: Parameter::VoltsMax }),
+];
 
 fn requests() -> Vec<(&'static str, Request)> {
     let set = |channel, mode, value| Request::Set {
@@ -102,7 +134,8 @@ fn requests() -> Vec<(&'static str, Request)> {
     };
     let gains = PidGains { kp: 0.5, ki: 2.0, kd: 0.0625 };
     let subscribe = |kind, index| Request::Subscribe { channel: ChannelId::new(kind, index), period_ms: 20 };
-    vec![
+    let i2c = |bytes: &[u8], read| Request::I2cTransfer { bus: 1, address: 0x48, write: raw(bytes), read };
+    let mut requests = vec![
         ("hello", Request::Hello { version: 1, schema: SCHEMA }),
         ("hello-largest", Request::Hello { version: u16::MAX, schema: u64::MAX }),
         ("bye", Request::Bye),
@@ -139,7 +172,38 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("set-gains-position", Request::SetGains { channel: ACTUATOR1, mode: Mode::Position, gains }),
         ("set-gains-speed", Request::SetGains { channel: OSMC0, mode: Mode::Speed, gains }),
         ("stats", Request::Stats),
-    ]
+        // Since version 3; at the end, so that the sequence numbers above stay.
+        ("set-voltage", set(ChannelId::new(ChannelKind::Dac, 1), Mode::Voltage, 1.25)),
+        ("set-brake", set(ChannelId::new(ChannelKind::Bldc, 2), Mode::Brake, 1.0)),
+        ("set-home", set(ChannelId::new(ChannelKind::Stepper, 0), Mode::Home, -0.5)),
+        ("set-largest", largest_set()),
+        ("describe-parameter", Request::DescribeParameter { index: 127 }),
+        ("describe-parameter-largest", Request::DescribeParameter { index: u16::MAX }),
+        ("set-name", Request::SetName { robot: "left arm".try_into().expect("short") }),
+        ("set-name-empty", Request::SetName { robot: heapless::String::new() }),
+        ("save-parameters", Request::SaveParameters),
+        ("reset-parameters", Request::ResetParameters),
+        ("restart", Request::Restart),
+        ("fault", Request::Fault { index: 2 }),
+        ("fault-snapshot", Request::FaultSnapshot { index: 2, snapshot: 7 }),
+        ("i2c-write", i2c(&[0x01, 0x00, 0xFF], 0)),
+        ("i2c-write-read", i2c(&[0x00], 2)),
+        ("i2c-read-largest", i2c(&[], MAX_RAW as u8)),
+        ("uart-write", Request::UartWrite { port: 0, bytes: raw(b"G0 X1\n") }),
+        ("uart-write-largest", Request::UartWrite { port: u8::MAX, bytes: largest_raw() }),
+        ("uart-read", Request::UartRead { port: 1 }),
+    ];
+    requests.extend(KEYS.map(|(name, key)| (name, Request::SetParameter { key, value: 250.0 })));
+    // Every parameter, in the row of its name.
+    requests.extend(Parameter::all().map(|parameter| {
+        let key = ParameterKey { channel: Some(OSMC0), parameter };
+        (parameter.name(), Request::SetParameter { key, value: 0.5 })
+    }));
+    requests
+}
+
+fn raw(bytes: &[u8]) -> heapless::Vec<u8, MAX_RAW> {
+    bytes.iter().copied().collect()
 }
 
 fn replies() -> Vec<(&'static str, Reply)> {
@@ -221,6 +285,55 @@ fn replies() -> Vec<(&'static str, Reply)> {
     ]
 }
 
+/// Since version 3; after the refusals, so that the sequence numbers of both stay.
+fn later_replies() -> Vec<(&'static str, Reply)> {
+    let parameter = |key, set| Reply::Parameter(ParameterInfo { key, active: 200.0, set, built_in: 200.0 });
+    let [(_, of_board), (_, of_last)] = KEYS;
+    let motor = |position, duty| MotorSnapshot { position, speed: -0.5, duty };
+    let fault = FaultInfo {
+        number: 12,
+        start: 5,
+        device_us: 2_000_000,
+        causes: Causes::only(Cause::AuxiliaryStop),
+        snapshots: 8,
+    };
+    vec![
+        ("parameter", parameter(of_board, 250.0)),
+        ("parameter-largest", parameter(of_last, f32::MAX)),
+        ("fault", Reply::Fault(fault)),
+        (
+            "fault-largest",
+            Reply::Fault(FaultInfo {
+                number: u32::MAX,
+                start: u32::MAX,
+                device_us: u64::MAX,
+                causes: Causes::from_bits(u16::MAX),
+                snapshots: u8::MAX,
+            }),
+        ),
+        (
+            "fault-snapshot",
+            Reply::FaultSnapshot(FaultSnapshot {
+                before_ms: 150,
+                motors: [motor(-63, 0.25), motor(1000, 0.0)].into_iter().collect(),
+                supplies_v: [24.5].into_iter().collect(),
+            }),
+        ),
+        (
+            "fault-snapshot-empty",
+            Reply::FaultSnapshot(FaultSnapshot {
+                before_ms: 0,
+                motors: heapless::Vec::new(),
+                supplies_v: heapless::Vec::new(),
+            }),
+        ),
+        ("bytes", Reply::Bytes(raw(&[0x00, 0x80, 0xFF]))),
+        ("bytes-none", Reply::Bytes(raw(&[]))),
+        ("bytes-largest", Reply::Bytes(largest_raw())),
+        ("welcome-largest", largest_welcome()),
+    ]
+}
+
 fn refusals() -> Vec<(&'static str, Refusal)> {
     let range = Range::new(-1.5, 2.5);
     let causes = Causes::only(Cause::DeadMan).union(Causes::only(Cause::SupplyOutOfRange));
@@ -244,6 +357,22 @@ fn refusals() -> Vec<(&'static str, Refusal)> {
         ("refused-bad-gains", Refusal::BadGains { channel: ACTUATOR1 }),
         ("refused-too-many-subscriptions", Refusal::TooManySubscriptions),
         ("refused-clock-ahead", Refusal::ClockAhead { ahead_ms: u32::MAX }),
+    ]
+}
+
+/// Since version 3.
+fn later_refusals() -> Vec<(&'static str, Refusal)> {
+    let [(_, of_board), (_, of_last)] = KEYS;
+    vec![
+        ("refused-not-while-armed", Refusal::NotWhile { state: SafetyState::Armed }),
+        ("refused-unknown-parameter", Refusal::UnknownParameter { key: of_last }),
+        ("refused-bad-parameter", Refusal::BadParameter { key: of_board, value: -1.0 }),
+        ("refused-bad-parameter-largest", Refusal::BadParameter { key: of_last, value: NAN }),
+        ("refused-storage-failed", Refusal::StorageFailed),
+        ("refused-no-such-fault", Refusal::NoSuchFault),
+        ("refused-bad-transfer", Refusal::BadTransfer),
+        ("refused-no-acknowledge", Refusal::NoAcknowledge { address: 0x48 }),
+        ("refused-transfer-failed", Refusal::TransferFailed),
     ]
 }
 
@@ -273,6 +402,19 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
         speed,
         duty: -0.25,
         settled,
+        homed: settled,
+    };
+    let reading = |value, age_ms, quality| Sample::Reading {
+        channel: ChannelId::new(ChannelKind::Range, 3),
+        value,
+        age_ms,
+        quality,
+    };
+    let encoder = |position, speed, illegal| Sample::Encoder {
+        channel: ChannelId::new(ChannelKind::Encoder, 2),
+        position,
+        speed,
+        illegal,
     };
     let volts = Sample::Scalar { channel: SUPPLY0, value: 24.5 };
     let armed = |samples: &[Sample]| Telemetry {
@@ -288,6 +430,19 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
         ("telemetry-both", armed(&[motor(1000, 3.5, false), volts])),
         ("telemetry-position-largest", armed(&[motor(i32::MAX, f32::MAX, false)])),
         ("telemetry-nan", armed(&[Sample::Scalar { channel: SUPPLY0, value: NAN }])),
+        (
+            "telemetry-reading",
+            armed(&[
+                reading(0.75, 12, Quality::Good),
+                reading(0.0, 0, Quality::None),
+                reading(4.0, 60, Quality::OutOfRange),
+                reading(0.75, 500, Quality::NoAnswer),
+                reading(0.75, u16::MAX, Quality::Stuck),
+                reading(0.125, 1, Quality::Low),
+                reading(5.0, 1, Quality::High),
+            ]),
+        ),
+        ("telemetry-encoder", armed(&[encoder(-1200, 2.5, 0), encoder(i32::MIN, f32::MIN, u32::MAX)])),
         ("telemetry-largest", largest_telemetry()),
     ]
     .into_iter()

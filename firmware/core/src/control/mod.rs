@@ -1,5 +1,6 @@
 //! The control loop: each period sense, close the loops, write the outputs.
 
+mod axis;
 pub mod motor;
 pub mod pid;
 pub mod profile;

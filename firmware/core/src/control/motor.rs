@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{Feedback, MotorConfig, PidGains, ProfileLimits},
+    config::{ControlConfig, Feedback, PidGains, ProfileLimits},
 };
 
 use super::{
@@ -33,17 +33,25 @@ enum Sensor {
 
 /// A motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
 pub struct Motor {
-    config: MotorConfig,
+    control: ControlConfig,
+    limits: OutputLimits,
     period_s: f32,
     sensor: Sensor,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
     setpoint: Setpoint,
+    /// The position that is followed, rad or m.
+    target: f32,
     following: Following,
     /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
     position: f64,
     position_counts: i32,
+    /// Added to an encoder's counts since its zero was found.
+    zero_counts: i32,
+    homed: bool,
+    /// The home switch, where there is one.
+    switch_closed: Option<bool>,
     speed: f32,
     /// Filtered rate of the speed, for the derivative of the speed loop.
     acceleration: LowPass,
@@ -65,6 +73,21 @@ enum Following {
     Speed { reference: f32, hold: Option<Hold> },
     /// A position.
     Position(Approach),
+    /// The search for the zero.
+    Home(Homing),
+}
+
+/// How far the search for the zero has come.
+#[derive(Clone, Copy)]
+struct Homing {
+    /// At which the switch is sought, rad/s.
+    speed: f32,
+    /// How far the ramp has come.
+    reference: f32,
+    /// Whether the switch has been found and is being left again.
+    backing_off: bool,
+    /// Where the search began.
+    start: f64,
 }
 
 /// How far a motor has come to its position.
@@ -97,6 +120,10 @@ const LET_GO_S: f32 = 1.0;
 const UNLOAD_S: f32 = 1.0;
 /// A motor that stands short of its target is driven harder at this rate until it moves, 1/s.
 const BREAK_AWAY_PER_S: f32 = 0.1;
+/// A switch that has been found is left at this share of the speed at which it was sought: where it opens is the zero.
+const BACK_OFF: f32 = 0.2;
+/// A search that has gone this many times the whole range has missed the switch.
+const SEARCH_RANGES: f32 = 1.2;
 /// Less than this does nothing to a motor on a bridge.
 const NO_DUTY: f32 = 0.01;
 
@@ -105,22 +132,27 @@ impl Motor {
     ///
     /// # Errors
     /// [`BadPeriod`] unless `period_s` is finite and positive.
-    pub fn new(config: MotorConfig, period_s: f32) -> Result<Self, BadPeriod> {
-        let filter_s = config.speed_filter_s;
+    pub fn new(control: ControlConfig, limits: OutputLimits, period_s: f32) -> Result<Self, BadPeriod> {
+        let filter_s = control.speed_filter_s;
         Ok(Self {
-            sensor: match config.feedback {
+            sensor: match control.feedback {
                 Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
                 Feedback::Potentiometer { low, high, .. } => {
                     Sensor::Potentiometer(Potentiometer::new(low, high, period_s, filter_s))
                 }
             },
-            position_loop: Pid::new(config.position_pid, period_s)?,
-            speed_loop: Pid::new(config.speed_pid, period_s)?,
-            profile: Profile::new(config.profile, period_s),
+            position_loop: Pid::new(control.position_pid, period_s)?,
+            speed_loop: Pid::new(control.speed_pid, period_s)?,
+            profile: Profile::new(control.profile, period_s),
             setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
+            target: 0.0,
             following: Following::Duty,
             position: 0.0,
             position_counts: 0,
+            zero_counts: 0,
+            // A potentiometer always knows.
+            homed: matches!(control.feedback, Feedback::Potentiometer { .. }),
+            switch_closed: None,
             speed: 0.0,
             acceleration: LowPass::new(filter_s, period_s),
             acceleration_now: 0.0,
@@ -129,21 +161,23 @@ impl Motor {
             applied: 0.0,
             watch: Watch::default(),
             period_s,
-            config,
+            limits,
+            control,
         })
     }
 
-    /// Takes the counter or converter code of this period.
+    /// Takes the counter or converter code of this period, and whether the home switch is closed, where there is one.
     ///
     /// Returns [`Cause::EncoderImplausible`] when the sensor cannot be where it says.
-    pub fn sense(&mut self, raw: u16) -> Causes {
-        let resolution = resolution(self.config.feedback);
+    pub fn sense(&mut self, raw: u16, switch_closed: Option<bool>) -> Causes {
+        self.switch_closed = switch_closed;
+        let resolution = resolution(self.control.feedback);
         let last_speed = self.speed;
         let causes = match &mut self.sensor {
             Sensor::Encoder(encoder) => {
                 let (counts, counts_per_s) = encoder.update(raw);
-                self.position_counts = counts;
-                self.position = f64::from(counts) * f64::from(resolution);
+                self.position_counts = counts.wrapping_add(self.zero_counts);
+                self.position = f64::from(self.position_counts) * f64::from(resolution);
                 self.speed = counts_per_s * resolution;
                 Causes::NONE
             }
@@ -164,13 +198,17 @@ impl Motor {
     /// Takes a command, which dispatch has checked.
     pub fn command(&mut self, setpoint: Setpoint) {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
+        let repeated = setpoint == last;
+        let shift = setpoint.value - self.target;
+        if setpoint.mode == Mode::Position {
+            self.target = setpoint.value;
+        }
         self.following = match (self.following, setpoint.mode) {
-            // A host that repeats its set point must not disturb a motor that rests there.
-            (Following::Position(approach), Mode::Position) if setpoint.value == last.value => {
-                Following::Position(approach)
-            }
+            // A host that repeats its set point must not disturb a motor that rests there, or a search under way.
+            (Following::Position(approach), Mode::Position) if repeated => Following::Position(approach),
+            (Following::Home(homing), Mode::Home) if repeated => Following::Home(homing),
             (Following::Position(Approach { towards, .. }), Mode::Position) => {
-                self.profile.shift_target(setpoint.value - last.value);
+                self.profile.shift_target(shift);
                 Following::Position(Approach { towards, ..Approach::default() })
             }
             (_, Mode::Position) => {
@@ -183,8 +221,14 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 Following::Speed { reference: self.speed, hold: None }
             }
+            (_, Mode::Home) => {
+                self.speed_loop.reset(self.duty);
+                self.homed = false;
+                let start = self.position;
+                Following::Home(Homing { speed: setpoint.value, reference: self.speed, backing_off: false, start })
+            }
             // Dispatch lets no motor be switched.
-            (_, Mode::Duty | Mode::Switch) => Following::Duty,
+            (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake) => Following::Duty,
         };
     }
 
@@ -202,16 +246,22 @@ impl Motor {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
-            Mode::Duty | Mode::Switch => {}
+            Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => {}
         }
     }
 
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
-        let limits = OutputLimits { magnitude: self.config.duty_max, slew_per_s: self.config.duty_slew_per_s };
+        let limits = self.limits;
+        let mut causes = Causes::NONE;
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
             Following::Speed { reference, hold } => self.step_speed(reference, hold, limits),
+            Following::Home(homing) => {
+                let (duty, following, missed) = self.step_home(homing, limits);
+                causes.set(Cause::EncoderImplausible, missed);
+                (duty, following)
+            }
             Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
                 let duty = self.setpoint.value.clamp(self.duty - step, self.duty + step);
@@ -228,15 +278,19 @@ impl Motor {
             match &mut self.following {
                 Following::Speed { reference, hold } => (*reference, *hold) = (0.0, None),
                 Following::Position(approach) => approach.hold = None,
-                Following::Duty => {}
+                Following::Duty | Following::Home(_) => {}
             }
         }
-        let path_error = if let Following::Position(approach) = self.following { approach.path_error } else { 0.0 };
-        let seen = Seen { duty: self.duty, position: self.position, path_error };
-        let causes = self.watch.step(seen, resolution(self.config.feedback), self.period_s, &self.config);
-        (self.duty, causes)
+        let (path_error, wants_motion) = match self.following {
+            Following::Position(approach) => (approach.path_error, !approach.near),
+            Following::Speed { reference, hold } => (0.0, reference != 0.0 && hold.is_none()),
+            Following::Home(_) => (0.0, true),
+            Following::Duty => (0.0, false),
+        };
+        let seen = Seen { duty: self.duty, position: self.position, path_error, wants_motion };
+        let watched = self.watch.step(seen, resolution(self.control.feedback), self.period_s, &self.control);
+        (self.duty, causes.union(watched))
     }
-
     /// Takes what the bridge made of the last duty: nothing, while it rests between directions.
     pub fn set_applied(&mut self, duty: f32) {
         self.applied = duty;
@@ -246,13 +300,13 @@ impl Motor {
         let distance = self.distance();
         let (to_go, path_speed) = self.profile.step();
         // Left only at twice the error that enters it: noise at the edge must not start the motor again.
-        let band = self.config.settle.error * if last.near { 2.0 } else { 1.0 };
+        let band = self.control.settle.error * if last.near { 2.0 } else { 1.0 };
         let near = to_go == 0.0 && distance.abs() <= band;
         if self.is_settled() && !near {
             // Pushed away: the way back is a path like any other.
             self.profile.start(distance, self.speed);
         }
-        let at_rest = near && self.speed.abs() <= self.config.settle.speed;
+        let at_rest = near && self.speed.abs() <= self.control.settle.speed;
         let at_rest_s = if at_rest { last.at_rest_s + self.period_s } else { 0.0 };
         let path_error = distance - to_go;
         // While the path moves, friction is overcome in its direction; afterwards towards the target. Within the band that
@@ -276,7 +330,7 @@ impl Motor {
         if path_speed == 0.0 {
             // What moved the motor along its path does not serve the way back from beyond the target.
             self.position_loop.unload_against(distance, self.period_s / UNLOAD_S);
-            if !near && self.speed.abs() <= self.config.settle.speed {
+            if !near && self.speed.abs() <= self.control.settle.speed {
                 // Short of its target and standing: an integral of a small error would take long to overcome friction.
                 self.position_loop.push((BREAK_AWAY_PER_S * self.period_s).copysign(distance), limits);
             }
@@ -299,10 +353,10 @@ impl Motor {
         // Against its duty, that is: one that still creeps along with it is let go all the more.
         let slip = (position_at_rest - self.position) as f32 * duty_at_rest.signum();
         // A duty that friction alone would take holds no load.
-        let holds = duty_at_rest.abs() > self.config.feed_forward.static_duty;
-        hold.slipped |= holds && slip > self.config.settle.error / 2.0;
+        let holds = duty_at_rest.abs() > self.control.feed_forward.static_duty;
+        hold.slipped |= holds && slip > self.control.settle.error / 2.0;
         if hold.slipped {
-            let step = self.config.duty_slew_per_s * self.period_s;
+            let step = self.limits.slew_per_s * self.period_s;
             hold.duty = duty_at_rest.clamp(hold.duty - step, hold.duty + step);
         } else {
             hold.duty -= hold.duty * self.period_s / LET_GO_S;
@@ -314,9 +368,9 @@ impl Motor {
     }
 
     fn step_speed(&mut self, last: f32, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
-        let ProfileLimits { acceleration, .. } = self.config.profile;
+        let ProfileLimits { acceleration, .. } = self.control.profile;
         // Slow enough to stop before the end of the range.
-        let range = self.config.position;
+        let range = self.control.position;
         let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
         let down = stoppable(self.position - f64::from(range.min));
         let up = stoppable(f64::from(range.max) - self.position);
@@ -324,7 +378,7 @@ impl Motor {
         let change = acceleration * self.period_s;
         let reference = wanted.clamp(last - change, last + change);
         // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
-        let stands = self.speed.abs() <= self.config.settle.speed;
+        let stands = self.speed.abs() <= self.control.settle.speed;
         // A load that slips once is left to the loop, which starts from what held it.
         let slipped = hold.filter(|hold| hold.slipped && wanted == 0.0);
         if wanted == 0.0 && reference == 0.0 && stands && slipped.is_none() {
@@ -339,25 +393,66 @@ impl Motor {
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
     }
 
-    fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
-        self.config.feed_forward.static_duty * towards + self.config.feed_forward.duty_per_speed * speed
+    /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
+    /// gone too far.
+    fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
+        match (homing.backing_off, self.switch_closed) {
+            (false, Some(true)) => homing.backing_off = true,
+            (true, Some(false)) => {
+                self.set_zero();
+                self.position_loop.reset(self.duty);
+                self.profile.start(self.distance(), self.speed);
+                return (self.duty, Following::Position(Approach::default()), false);
+            }
+            _ => {}
+        }
+        let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
+        let change = self.control.profile.acceleration * self.period_s;
+        homing.reference = wanted.clamp(homing.reference - change, homing.reference + change);
+        let path_duty = self.feed_forward(homing.reference.signum(), homing.reference);
+        let error = homing.reference - self.speed;
+        let duty = self.speed_loop.step(error, self.acceleration_now, path_duty, limits);
+        let range = self.control.position.max - self.control.position.min;
+        let missed = (self.position - homing.start).abs() as f32 > SEARCH_RANGES * range;
+        (duty, Following::Home(homing), missed)
     }
 
-    /// From the measured position to the set point, rad or m.
+    /// The switch has just opened: this is its place, and the position to rest at.
+    fn set_zero(&mut self) {
+        let Some(homing) = self.control.homing else { return };
+        let resolution = resolution(self.control.feedback);
+        let counts = libm::roundf(homing.position / resolution) as i32;
+        self.zero_counts = self.zero_counts.wrapping_add(counts.wrapping_sub(self.position_counts));
+        self.position_counts = counts;
+        self.position = f64::from(counts) * f64::from(resolution);
+        self.target = homing.position;
+        self.homed = true;
+        self.watch = Watch::default();
+    }
+
+    fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
+        self.control.feed_forward.static_duty * towards + self.control.feed_forward.duty_per_speed * speed
+    }
+
+    /// From the measured position to the target, rad or m.
     fn distance(&self) -> f32 {
-        (f64::from(self.setpoint.value) - self.position) as f32
+        (f64::from(self.target) - self.position) as f32
     }
 
     /// The end of its range the motor stands at. A position at the very end may be held from both sides; without one, the
     /// motor has left an end only by more than its sensor's noise, or that would drive it there again and again.
     fn end_of_range(&self) -> f32 {
-        let range = self.config.position;
-        let error = self.config.settle.error;
+        let range = self.control.position;
+        let error = self.control.settle.error;
         let room = |end: f32| match self.following {
             Following::Position(_) => -error,
             Following::Speed { .. } | Following::Duty if self.at_end == end => error,
-            Following::Speed { .. } | Following::Duty => 0.0,
+            Following::Speed { .. } | Following::Duty | Following::Home(_) => 0.0,
         };
+        if let Following::Home(_) = self.following {
+            // Where the ends are is what is being looked for.
+            return 0.0;
+        }
         if self.position >= f64::from(range.max - room(1.0)) {
             1.0
         } else if self.position <= f64::from(range.min + room(-1.0)) {
@@ -372,7 +467,7 @@ impl Motor {
     }
 
     fn rests_long_enough(&self, at_rest_s: f32) -> bool {
-        at_rest_s * 1e3 >= f32::from(self.config.settle.time_ms)
+        at_rest_s * 1e3 >= f32::from(self.control.settle.time_ms)
     }
 
     /// For telemetry.
@@ -384,6 +479,7 @@ impl Motor {
             speed: self.speed,
             duty: self.applied,
             settled: self.is_settled(),
+            homed: self.homed,
         }
     }
 }

@@ -5,16 +5,29 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, Mode, SafetyState,
-    config::{BoardConfig, Feedback, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
+    Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
+    config::{
+        ANALOG_INPUTS, BoardConfig, DAC_FULL_SCALE_V, ENCODERS, Feedback, MAX_MOTORS, MAX_SUPPLIES, Place, STEPPERS,
+        SWITCHES,
+    },
 };
 
-use super::motor::Motor;
+use super::axis::Axis;
 use crate::{
-    outputs::{OutputFault, Outputs},
-    platform::{AnalogInputs, Bus, Encoders},
-    sensing::filter::LowPass,
-    shared::{Output, SafetyView, Shared},
+    motion::{
+        Bank,
+        axis::{Command as StepperCommand, Fault as StepperFault},
+        steps::DriverTiming,
+    },
+    outputs::{OutputFault, Outputs, bldc::Command as DriveCommand},
+    platform::{Bus, Peripherals},
+    sensing::{
+        analog::{Analog, Supply},
+        encoder::Encoder,
+        switch::Switch,
+    },
+    shared::{MotorStatus, SafetyView, Shared, Status},
+    storage::faults::{Recorder, SNAPSHOT_MS},
 };
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
@@ -25,32 +38,21 @@ const CHECK_EVERY: u32 = 4;
 const REASSERT_EVERY: u32 = 16;
 /// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
 const LATE_IN_A_ROW: u32 = 10;
-/// Smooths a rail against the dips of single PWM periods, s.
-const SUPPLY_FILTER_S: f32 = 0.01;
-/// A rail is back in range only this share of the range inside it.
-const SUPPLY_HYSTERESIS: f32 = 0.02;
+/// Smooths the speed of an encoder that is read by itself, s.
+const ENCODER_FILTER_S: f32 = 0.02;
 
 /// What the control task works with.
-pub struct BoardIo<B, E, A> {
+pub struct BoardIo<B, P> {
     /// The I2C bus with the board's chips.
     pub bus: B,
-    /// Quadrature counters.
-    pub encoders: E,
-    /// Analog inputs.
-    pub analog: A,
+    /// Counters, converters, switches, step generators.
+    pub peripherals: P,
 }
 
 /// Runs the control loop for ever, with the second highest priority.
-pub async fn run<M, B, E, A>(shared: &Shared<M>, io: BoardIo<B, E, A>) -> !
-where
-    M: RawMutex,
-    B: Bus,
-    E: Encoders,
-    A: AnalogInputs,
-{
-    let BoardIo { bus, encoders, analog } = io;
+pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: BoardIo<B, P>) -> ! {
     let config = shared.config();
-    let mut control = Control::new(config, bus, encoders, analog);
+    let mut control = Control::new(config, io);
     control.initialise().await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
@@ -87,18 +89,26 @@ where
             // Stopped, also when it has been cleared and armed again before we could look.
             let view = shared.safety();
             if view.state != SafetyState::Armed || view.epoch != control.epoch {
-                control.make_safe().await;
+                control.make_safe(shared).await;
                 shared.set_control_causes(control.causes());
             }
         }
     }
 }
 
-struct Control<B, E, A> {
+struct Control<B, P> {
     outputs: Outputs<B>,
-    encoders: E,
-    analog: A,
-    motors: Vec<Motor, MAX_MOTORS>,
+    peripherals: P,
+    motors: Vec<Axis, MAX_MOTORS>,
+    /// `None` without steppers.
+    steppers: Option<Bank>,
+    stepper_setpoints: [Setpoint; STEPPERS],
+    /// Each with its number and the radians of a count.
+    encoders: Vec<(u8, f32, Encoder), ENCODERS>,
+    /// Each with its number.
+    switches: Vec<(u8, Switch), SWITCHES>,
+    /// Each with its input.
+    analogs: Vec<(u8, Analog), ANALOG_INPUTS>,
     supplies: Vec<Supply, MAX_SUPPLIES>,
     /// When the motors' supply may be relied on.
     powered_at: Instant,
@@ -111,32 +121,54 @@ struct Control<B, E, A> {
     safe: bool,
     bad_configuration: bool,
     sensors: Causes,
+    /// The last moments, and how many trips have been made of them.
+    recorder: Recorder,
+    trips: u32,
+    /// Periods between two moments.
+    moment_every: u32,
 }
 
-impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
-    /// With a configuration that is not valid there are no motors to drive, only outputs to hold safe.
-    fn new(config: &BoardConfig, bus: B, encoders: E, analog: A) -> Self {
+impl<B: Bus, P: Peripherals> Control<B, P> {
+    /// With a configuration that is not valid there is nothing to drive, only outputs to hold safe.
+    fn new(config: &BoardConfig, io: BoardIo<B, P>) -> Self {
         let period_s = config.control_period_us as f32 * 1e-6;
-        let motors = config.motors.iter().map_while(|motor| Motor::new(*motor, period_s).ok()).collect();
-        let bad_configuration = config.validate().is_err();
+        let mut peripherals = io.peripherals;
+        let valid = config.validate().is_ok();
+        let motors = config.motors.iter().filter(|_| valid);
+        let steppers = steppers(config, &mut peripherals);
+        let radians = |counts_per_turn: u32| core::f32::consts::TAU / counts_per_turn as f32;
+        let encoders = config.encoders.iter().map(|encoder| {
+            let state = Encoder::new(encoder.inverted, period_s, ENCODER_FILTER_S);
+            (encoder.id.index, radians(encoder.counts_per_turn), state)
+        });
+        let switches = config.switches.iter().map(|switch| (switch.id.index, Switch::new(switch, period_s)));
+        let analogs = config.analogs.iter().map(|analog| (analog.id.index, Analog::new(analog, period_s)));
         Self {
-            outputs: Outputs::new(bus, config),
-            encoders,
-            analog,
-            motors: if bad_configuration { Vec::new() } else { motors },
-            supplies: config.supplies.iter().map(|supply| Supply::new(*supply, period_s)).collect(),
+            outputs: Outputs::new(io.bus, config),
+            motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
+            bad_configuration: !valid || steppers.is_err(),
+            steppers: steppers.unwrap_or_default(),
+            stepper_setpoints: [Setpoint::NONE; STEPPERS],
+            encoders: encoders.collect(),
+            switches: switches.collect(),
+            analogs: analogs.collect(),
+            supplies: config.supplies.iter().map(|supply| Supply::new(supply, period_s)).collect(),
+            peripherals,
             powered_at: Instant::MIN,
             epoch: 0,
             tick: 0,
             fault: None,
             safe: false,
-            bad_configuration,
             sensors: Causes::NONE,
+            recorder: Recorder::default(),
+            trips: 0,
+            moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
         }
     }
 
     async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
         self.tick = self.tick.wrapping_add(1);
+        self.outputs.begin_tick();
         self.sense(shared);
         for (index, motor) in self.motors.iter_mut().enumerate() {
             for (mode, gains) in [Mode::Position, Mode::Speed].into_iter().zip(shared.take_gains(index)) {
@@ -147,29 +179,91 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         if view.state == SafetyState::Armed {
             self.drive(shared, view).await;
         } else {
-            self.hold_safe().await;
+            self.hold_safe(shared).await;
         }
-        for (index, motor) in self.motors.iter().enumerate() {
-            shared.publish(index, motor.status());
-        }
-        for index in 0..shared.config().relays.len() {
-            shared.publish_relay(index, self.outputs.is_closed(index));
-        }
+        self.step_steppers(shared);
+        self.publish_outputs(shared);
+        self.record(shared);
         shared.set_control_causes(self.causes());
+    }
+
+    /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
+    fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let now_us = Instant::now().as_micros();
+        if self.tick.is_multiple_of(self.moment_every) {
+            let motors = self.motors.iter().map(|motor| {
+                let MotorStatus { position, speed, duty, .. } = motor.status();
+                MotorSnapshot { position, speed, duty }
+            });
+            self.recorder.note(now_us, motors, self.supplies.iter().map(Supply::volts));
+        }
+        let trips = shared.trips();
+        if trips != self.trips {
+            self.trips = trips;
+            shared.storage.record(self.recorder.freeze(now_us, shared.safety().causes));
+        }
+    }
+
+    fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {
+        let config = shared.config();
+        for (index, motor) in self.motors.iter().enumerate() {
+            shared.publish(Place::Motor(index), Status::Motor(motor.status()));
+        }
+        for index in 0..config.bldcs.len() {
+            shared.publish(Place::Bldc(index), Status::Scalar(self.outputs.drive_share(index)));
+        }
+        for index in 0..config.servos.len() {
+            shared.publish(Place::Servo(index), Status::Scalar(self.outputs.servo_angle(index)));
+        }
+        for index in 0..config.relays.len() {
+            shared.publish(Place::Relay(index), Status::Scalar(self.outputs.is_closed(index).into()));
+        }
+        for (index, status) in self.steppers.iter().flat_map(Bank::status).enumerate() {
+            let setpoint = self.stepper_setpoints[index];
+            // A search ends at rest where it found its place.
+            let found = setpoint.mode == Mode::Home && status.homed && !status.moving;
+            let status = MotorStatus {
+                setpoint,
+                position: status.position_steps,
+                speed: status.speed,
+                duty: 0.0,
+                settled: status.settled || found,
+                homed: status.homed,
+            };
+            shared.publish(Place::Stepper(index), Status::Motor(status));
+        }
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let mut causes = Causes::NONE;
+        for (index, (number, switch)) in self.switches.iter_mut().enumerate() {
+            let closed = switch.update(self.peripherals.is_high(*number));
+            shared.publish(Place::Switch(index), Status::Scalar(closed.into()));
+        }
         for (motor, config) in self.motors.iter_mut().zip(&shared.config().motors) {
-            let raw = match config.feedback {
-                Feedback::Encoder { index, .. } => self.encoders.count(index),
-                Feedback::Potentiometer { analog, .. } => self.analog.code(analog),
+            let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
+            let raw = match control.feedback {
+                Feedback::Encoder { index, .. } => self.peripherals.count(index),
+                Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
             };
-            causes = causes.union(motor.sense(raw));
+            let home = control.homing.and_then(|homing| closed(&self.switches, homing.switch));
+            causes = causes.union(motor.sense(raw, home));
+        }
+        for (index, (number, radians, encoder)) in self.encoders.iter_mut().enumerate() {
+            let (position, counts_per_s) = encoder.update(self.peripherals.count(*number));
+            let illegal = self.peripherals.illegal(*number);
+            let status = Status::Encoder { position, speed: counts_per_s * *radians, illegal };
+            shared.publish(Place::Encoder(index), status);
+        }
+        for (index, (input, analog)) in self.analogs.iter_mut().enumerate() {
+            let reading = analog.update(self.peripherals.code(*input));
+            let taken = Instant::now() - Duration::from_millis(reading.age_ms.into());
+            let status = Status::Reading { value: reading.volts, quality: reading.quality, taken };
+            shared.publish(Place::Analog(index), status);
         }
         for (index, supply) in self.supplies.iter_mut().enumerate() {
-            let (volts, in_range) = supply.update(self.analog.code(supply.config.analog));
-            shared.publish_supply(index, volts);
+            let (volts, in_range) = supply.update(self.peripherals.code(supply.analog()));
+            shared.publish(Place::Supply(index), Status::Scalar(volts));
             if !in_range {
                 causes.set(Cause::SupplyOutOfRange, true);
             }
@@ -177,23 +271,60 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         self.sensors = causes;
     }
 
-    /// One period of every loop, for the arming in `view`. Outputs are written in the order of the channels.
+    /// One period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one matters.
     async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
         if view.epoch != self.epoch {
             self.epoch = view.epoch;
-            self.motors.iter_mut().for_each(Motor::stop);
+            self.motors.iter_mut().for_each(Axis::stop);
             if self.outputs.has_motor_power_relay() {
                 self.outputs.close_motor_power();
                 self.powered_at = Instant::now() + POWER_UP;
             }
         }
         self.safe = false;
-        if let Err(fault) = self.switch_relays(shared, view).await {
-            return self.fail(shared, fault);
+        if let Err(fault) = self.write_outputs(shared, view).await {
+            self.fault = Some(fault);
+            // The supervisor hears of it now, and not after the time-outs of the other outputs.
+            shared.set_control_causes(self.causes());
         }
-        for index in 0..self.motors.len() {
+    }
+
+    async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
+        self.take_commands(shared, view);
+        self.outputs.write_expander().await?;
+        let [osmc, dhb] = self.outputs.order(self.tick);
+        if !self.drive_motors(shared, view, &osmc).await? {
+            return Ok(());
+        }
+        if self.tick.is_multiple_of(CHECK_EVERY) {
+            self.outputs.check_next().await?;
+        }
+        // What does not fit this period goes first in the next.
+        let drives_first = !self.tick.is_multiple_of(2);
+        if drives_first {
+            self.outputs.write_drives().await?;
+            self.outputs.write_servos().await?;
+        }
+        if !self.drive_motors(shared, view, &dhb).await? {
+            return Ok(());
+        }
+        if !drives_first {
+            self.outputs.write_drives().await?;
+            self.outputs.write_servos().await?;
+        }
+        Ok(())
+    }
+
+    /// Steps and writes some motors; false when a stop came meanwhile, which has then been carried out.
+    async fn drive_motors<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        view: SafetyView,
+        motors: &[usize],
+    ) -> Result<bool, OutputFault> {
+        for index in motors.iter().copied() {
             let motor = &mut self.motors[index];
-            if let Some(setpoint) = shared.take_command(Output::Motor(index), view.epoch) {
+            if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
                 motor.command(setpoint);
             }
             if Instant::now() < self.powered_at {
@@ -204,31 +335,87 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
             causes.iter().for_each(|cause| shared.trip(cause));
             // A stop that came while another bridge was written must not wait for this one.
             if shared.safety() != view {
-                return self.make_safe().await;
+                self.make_safe(shared).await;
+                return Ok(false);
             }
-            match self.outputs.drive(index, duty).await {
-                Ok(applied) => motor.set_applied(applied),
-                Err(fault) => return self.fail(shared, fault),
-            }
+            let applied = self.outputs.drive(index, duty).await?;
+            self.motors[index].set_applied(applied);
         }
-        if self.tick.is_multiple_of(CHECK_EVERY) {
-            self.check().await;
-        }
+        Ok(true)
     }
 
-    /// Tells the supervisor now, and not after the time-outs of the other outputs.
-    fn fail<M: RawMutex>(&mut self, shared: &Shared<M>, fault: OutputFault) {
-        self.fault = Some(fault);
-        shared.set_control_causes(self.causes());
-    }
-
-    async fn switch_relays<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
-        for index in 0..shared.config().relays.len() {
-            if let Some(setpoint) = shared.take_command(Output::Relay(index), view.epoch) {
+    /// Takes the commands of all outputs but motors, and lets their rules make a step.
+    fn take_commands<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+        let config = shared.config();
+        for index in 0..config.relays.len() {
+            if let Some(setpoint) = shared.take_command(Place::Relay(index), view.epoch) {
                 self.outputs.switch(index, setpoint.value != 0.0);
             }
         }
-        self.outputs.write_relays().await
+        for (index, dac) in config.dacs.iter().enumerate() {
+            if let Some(setpoint) = shared.take_command(Place::Dac(index), view.epoch) {
+                self.peripherals.set(dac.id.index, dac_code(setpoint.value));
+                shared.publish(Place::Dac(index), Status::Scalar(setpoint.value));
+            }
+        }
+        if Instant::now() < self.powered_at {
+            return;
+        }
+        for index in 0..config.bldcs.len() {
+            if let Some(setpoint) = shared.take_command(Place::Bldc(index), view.epoch) {
+                self.outputs.command_drive(index, DriveCommand::Run(setpoint.value));
+            }
+            // Of a speed and a brake in the same period, the brake is taken.
+            if let Some(brake) = shared.take_brake(index, view.epoch) {
+                self.outputs.command_drive(index, if brake { DriveCommand::Brake } else { DriveCommand::Run(0.0) });
+            }
+        }
+        self.outputs.step_drives();
+        for index in 0..config.servos.len() {
+            if let Some(setpoint) = shared.take_command(Place::Servo(index), view.epoch) {
+                self.outputs.command_servo(index, setpoint.value);
+            }
+        }
+        self.outputs.step_servos();
+        let Some(bank) = &mut self.steppers else { return };
+        if !bank.is_armed() {
+            bank.arm(&mut self.peripherals);
+        }
+        for index in 0..config.steppers.len() {
+            let Some(setpoint) = shared.take_command(Place::Stepper(index), view.epoch) else { continue };
+            let command = match setpoint.mode {
+                Mode::Position => StepperCommand::Position(setpoint.value),
+                Mode::Speed => StepperCommand::Speed(setpoint.value),
+                Mode::Home => StepperCommand::Home(setpoint.value),
+                // Dispatch lets nothing else through.
+                _ => continue,
+            };
+            // Dispatch has checked the same limits; what the axis does not take changes nothing, and telemetry shows that.
+            if bank.command(index, command).is_ok() {
+                self.stepper_setpoints[index] = setpoint;
+            }
+        }
+    }
+
+    /// Tells the step generators the pulses of the periods to come, or only counts what they made.
+    fn step_steppers<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let Some(bank) = &mut self.steppers else { return };
+        let switches = &self.switches;
+        let mut causes = Causes::NONE;
+        bank.step(
+            |number| closed(switches, number),
+            &mut self.peripherals,
+            |_, fault| {
+                let cause = match fault {
+                    StepperFault::Late | StepperFault::QueueFull => Cause::ControlOverrun,
+                    StepperFault::Miscounted | StepperFault::SwitchUnknown | StepperFault::SwitchNotFound => {
+                        Cause::EncoderImplausible
+                    }
+                };
+                causes.set(cause, true);
+            },
+        );
+        causes.iter().for_each(|cause| shared.trip(cause));
     }
 
     async fn initialise(&mut self) {
@@ -237,21 +424,32 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
         self.safe = self.fault.is_none();
     }
 
-    async fn make_safe(&mut self) {
-        self.motors.iter_mut().for_each(Motor::stop);
+    async fn make_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        // Without the bus first: pulses and voltages of the processor itself end at once.
+        if let Some(bank) = &mut self.steppers {
+            bank.make_safe(&mut self.peripherals);
+            self.stepper_setpoints = [Setpoint::NONE; STEPPERS];
+        }
+        for (index, dac) in shared.config().dacs.iter().enumerate() {
+            self.peripherals.set(dac.id.index, dac_code(dac.safe_v));
+            shared.publish(Place::Dac(index), Status::Scalar(dac.safe_v));
+        }
+        self.motors.iter_mut().for_each(Axis::stop);
         match self.outputs.make_safe().await {
             Ok(()) => self.safe = true,
             Err(fault) => self.fault = Some(fault),
         }
     }
 
-    async fn hold_safe(&mut self) {
-        self.motors.iter_mut().for_each(Motor::stop);
+    async fn hold_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        self.motors.iter_mut().for_each(Axis::stop);
         if !self.safe || self.tick.is_multiple_of(REASSERT_EVERY) {
-            self.make_safe().await;
+            self.make_safe(shared).await;
         }
         if self.fault.is_some() {
             self.initialise().await;
+        } else if self.tick % REASSERT_EVERY == REASSERT_EVERY / 2 {
+            self.fault = self.outputs.check_drives().await.err();
         } else {
             self.check().await;
         }
@@ -272,32 +470,31 @@ impl<B: Bus, E: Encoders, A: AnalogInputs> Control<B, E, A> {
     }
 }
 
-/// One measured rail.
-struct Supply {
-    config: SupplyConfig,
-    filter: Option<LowPass>,
-    period_s: f32,
-    in_range: bool,
+/// Whether switch number `number` is closed, once that is known.
+fn closed(switches: &[(u8, Switch)], number: u8) -> Option<bool> {
+    switches.iter().find(|(of, _)| *of == number).and_then(|(_, switch)| switch.closed())
 }
 
-impl Supply {
-    fn new(config: SupplyConfig, period_s: f32) -> Self {
-        Self { config, filter: None, period_s, in_range: true }
-    }
-
-    /// Volts, and whether they are in range.
-    fn update(&mut self, code: u16) -> (f32, bool) {
-        let measured_v = f32::from(code) * self.config.volts_per_code;
-        let period_s = self.period_s;
-        let filter = self.filter.get_or_insert_with(|| {
-            let mut filter = LowPass::new(SUPPLY_FILTER_S, period_s);
-            filter.reset(measured_v);
-            filter
-        });
-        let volts = filter.step(measured_v);
-        let range = self.config.range_v;
-        let margin = if self.in_range { 0.0 } else { (range.max - range.min) * SUPPLY_HYSTERESIS };
-        self.in_range = volts >= range.min + margin && volts <= range.max - margin;
-        (volts, self.in_range)
-    }
+/// The nearest code of the processor's own DAC.
+fn dac_code(volts: f32) -> u16 {
+    (libm::roundf(volts / DAC_FULL_SCALE_V * 4096.0) as u16).min(4095)
 }
+
+/// The steppers of a board, if it has any and they can work.
+fn steppers(config: &BoardConfig, peripherals: &mut impl Peripherals) -> Result<Option<Bank>, BadSteppers> {
+    let Some(bank) = config.stepper_bank.filter(|_| !config.steppers.is_empty()) else { return Ok(None) };
+    let setup_s = bank.direction_setup_us as f32 * 1e-6;
+    let timing = DriverTiming {
+        direction_setup_s: setup_s,
+        direction_hold_s: setup_s,
+        enable_setup_s: bank.enable_setup_us as f32 * 1e-6,
+        rate_max_hz: bank.rate_max_hz,
+    };
+    let (low, hold) = (bank.enable_active_low, bank.hold_when_safe);
+    Bank::new(&config.steppers, &timing, low, hold, config.control_period_us, peripherals)
+        .map(Some)
+        .map_err(|_| BadSteppers)
+}
+
+/// A stepper that cannot work as it is configured.
+struct BadSteppers;

@@ -1,17 +1,26 @@
-//! The board's outputs: the one owner of the I2C bus, of the order of writes and of the safe state.
+//! The board's outputs on I2C: the one owner of the bus, of the order of writes and of the safe state.
 
-pub mod osmc;
-mod relays;
+pub mod bldc;
+pub mod bridge;
+mod expander;
+pub mod servo;
+mod slew;
 
 use heapless::Vec;
-use r4_protocol::config::{BoardConfig, MAX_MOTORS};
+use r4_protocol::config::{BoardConfig, BridgeConfig, MAX_MOTORS, PwmConfig};
 
 use crate::{
-    chips::{ChipError, pca9685::Pca9685},
+    chips::{
+        ChipError,
+        mcp4728::{Mcp4728, OUTPUTS as DAC_OUTPUTS},
+        pca9685::Pca9685,
+    },
     platform::Bus,
 };
-use osmc::Bridge;
-use relays::Relays;
+use bldc::{Bldcs, Command};
+use bridge::Bridge;
+use expander::Expander;
+use servo::Servos;
 
 /// Why outputs are not what they should be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,13 +33,39 @@ pub enum OutputFault {
 
 /// A transfer that fails so often has failed.
 const TRIES: u32 = 3;
+/// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
+const BUS_SHARE: f32 = 0.95;
+/// Bits on the bus to set the expander.
+const EXPANDER_BITS: u32 = bits(4);
+/// Most bits on the bus to read one thing back: mode and prescaler of a PWM chip, each with two addresses and a register.
+const CHECK_BITS: u32 = bits(5) + bits(4);
+
+/// Bits on the bus for a transfer of so many bytes, addresses included: nine each, START, STOP and the time between.
+const fn bits(bytes: u32) -> u32 {
+    9 * bytes + 3
+}
+
+/// The brushless drives and their DAC.
+struct Drives {
+    chip: Mcp4728,
+    rules: Bldcs,
+    /// What the outputs were last told; `None` when that is not known.
+    written: Option<[u16; DAC_OUTPUTS]>,
+}
 
 /// The outputs of one board.
 pub struct Outputs<B> {
     bus: B,
-    osmc: Pca9685,
+    osmc: Option<Pca9685>,
+    dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
-    relays: Option<Relays>,
+    expander: Option<Expander>,
+    drives: Option<Drives>,
+    servos: Option<Servos>,
+    period_s: f32,
+    /// Bits that fit a control period, and those left of this one.
+    bits_per_tick: u32,
+    bits_left: u32,
     next_check: usize,
     retries: u32,
 }
@@ -39,120 +74,317 @@ impl<B: Bus> Outputs<B> {
     /// The outputs as `config` wires them, or none to drive when it is not valid. Call [`Outputs::init`] before anything else.
     #[must_use]
     pub fn new(bus: B, config: &BoardConfig) -> Self {
-        let osmc = Pca9685::new(config.osmc_pwm.address, config.osmc_pwm.frequency_hz);
-        // A change takes effect at the end of the running PWM period; a whole one must then pass with both low sides off.
-        let reversal = 2 * osmc.period();
+        let chip = |pwm: PwmConfig| Pca9685::new(pwm.address, pwm.frequency_hz);
+        let (osmc, dhb) = (config.osmc_pwm.map(chip), config.dhb_pwm.map(chip));
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
+        let bridges = motors.map(|motor| {
+            let chip = if let BridgeConfig::Osmc(_) = motor.bridge { osmc } else { dhb };
+            // A change takes effect at the end of the running PWM period; a whole one must then pass with the bridge at rest.
+            let reversal = chip.map_or(embassy_time::Duration::MIN, |chip| 2 * chip.period());
+            Bridge::new(motor.bridge, motor.inverted, reversal)
+        });
         let expander = config.expander.filter(|_| valid);
+        let period_s = config.control_period_us as f32 * 1e-6;
+        let bits_per_tick = (period_s * BUS_SHARE * config.i2c_hz as f32) as u32;
+        let drives = config.bldc_dac.filter(|_| valid).map(|dac| Drives {
+            chip: Mcp4728::new(dac.address),
+            rules: Bldcs::new(&config.bldcs, dac),
+            written: None,
+        });
+        let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         Self {
             bus,
-            bridges: motors.map(|motor| Bridge::new(motor.lines, motor.inverted, reversal)).collect(),
+            bridges: bridges.collect(),
             osmc,
-            relays: expander.map(|expander| Relays::new(expander, config.relays.clone())),
+            dhb,
+            expander: expander.map(|expander| Expander::new(expander, config.relays.clone())),
+            drives,
+            servos,
+            period_s,
+            bits_per_tick,
+            bits_left: bits_per_tick,
             next_check: 0,
             retries: 0,
         }
     }
 
-    /// Brings every output chip from any state into a known one with all outputs off.
+    /// Brings every output chip from any state into a known one with all outputs off. Never while armed: a DAC that was
+    /// delivered with another start-up voltage gets its own written, and hears nothing meanwhile, up to 50 ms.
     ///
     /// # Errors
     /// See [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
-        self.relays_open(async |relays: &mut Relays, bus: &mut B| relays.init(bus).await).await?;
-        let osmc = self.osmc;
-        self.checked(async |bus: &mut B| osmc.init(bus).await).await?;
+        // The relay in the motors' supply comes first, and brakes with it.
+        self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
+        for chip in self.bridge_chips() {
+            self.checked(async |bus: &mut B| chip.init(bus).await).await?;
+        }
         self.bridges.iter_mut().for_each(Bridge::now_off);
-        Ok(())
+        if let Some(mut drives) = self.drives.take() {
+            let codes = drives.rules.make_safe().codes;
+            let result = self.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await;
+            drives.written = result.is_ok().then_some(codes);
+            self.drives = Some(drives);
+            result?;
+        }
+        let Some(mut servos) = self.servos.take() else { return Ok(()) };
+        let result = self.checked(async |bus: &mut B| servos.init(bus).await).await;
+        self.servos = Some(servos);
+        result
     }
 
-    /// Opens every relay, the motors' supply with them, then turns every motor output off, whatever they did.
+    /// Opens every relay, the motors' supply with them, brakes, then turns every motor output off, whatever they did.
     ///
     /// # Errors
-    /// [`OutputFault::Bus`], after both were tried; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
+    /// [`OutputFault::Bus`], after all were tried; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
     pub async fn make_safe(&mut self) -> Result<(), OutputFault> {
-        let opened = self.relays_open(async |relays: &mut Relays, bus: &mut B| Ok(relays.rewrite(bus).await?)).await;
-        let osmc = self.osmc;
-        self.checked(async |bus: &mut B| Ok(osmc.all_off(bus).await?)).await?;
-        self.bridges.iter_mut().for_each(Bridge::now_off);
-        opened
+        let mut result =
+            self.expander_safe(async |expander: &mut Expander, bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
+        for chip in self.bridge_chips() {
+            let off = self.checked(async |bus: &mut B| Ok(chip.all_off(bus).await?)).await;
+            result = result.and(off);
+        }
+        if result.is_ok() {
+            self.bridges.iter_mut().for_each(Bridge::now_off);
+        }
+        if let Some(mut drives) = self.drives.take() {
+            let codes = drives.rules.make_safe().codes;
+            // All of them, whatever they were told.
+            let neutral = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
+            drives.written = neutral.is_ok().then_some(codes);
+            self.drives = Some(drives);
+            result = result.and(neutral);
+        }
+        if let Some(mut servos) = self.servos.take() {
+            let limp = self.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;
+            self.servos = Some(servos);
+            result = result.and(limp);
+        }
+        result
     }
 
-    /// Opens all relays and lets `write` tell the chip.
-    async fn relays_open(
+    /// The PWM chips behind bridges.
+    fn bridge_chips(&self) -> impl Iterator<Item = Pca9685> + use<B> {
+        self.osmc.into_iter().chain(self.dhb)
+    }
+
+    /// Opens all relays, applies all brakes and lets `write` tell the chip.
+    async fn expander_safe(
         &mut self,
-        mut write: impl AsyncFnMut(&mut Relays, &mut B) -> Result<(), ChipError<B::Error>>,
+        mut write: impl AsyncFnMut(&mut Expander, &mut B) -> Result<(), ChipError<B::Error>>,
     ) -> Result<(), OutputFault> {
-        let Some(mut relays) = self.relays.take() else { return Ok(()) };
-        relays.open_all();
-        let result = self.checked(async |bus: &mut B| write(&mut relays, bus).await).await;
-        self.relays = Some(relays);
+        let Some(mut expander) = self.expander.take() else { return Ok(()) };
+        expander.open_all();
+        if let Some(drives) = &mut self.drives {
+            expander.set_lines(drives.rules.make_safe().levels);
+        }
+        let result = self.checked(async |bus: &mut B| write(&mut expander, bus).await).await;
+        self.expander = Some(expander);
         result
+    }
+
+    /// A control period begins: the bus is free again.
+    pub fn begin_tick(&mut self) {
+        self.bits_left = self.bits_per_tick;
+    }
+
+    /// Takes `bits` out of what is left of this period; false when they do not fit, and must wait.
+    fn fits(&mut self, bits: u32) -> bool {
+        let left = self.bits_left.checked_sub(bits);
+        self.bits_left = left.unwrap_or(self.bits_left);
+        left.is_some()
     }
 
     /// Whether the motors' supply goes over a relay.
     #[must_use]
     pub fn has_motor_power_relay(&self) -> bool {
-        self.relays.as_ref().is_some_and(Relays::has_motor_power)
+        self.expander.as_ref().is_some_and(Expander::has_motor_power)
     }
 
-    /// Closes the motors' supply, with the next [`Outputs::write_relays`].
+    /// Closes the motors' supply, with the next [`Outputs::write_expander`].
     pub fn close_motor_power(&mut self) {
-        self.relays.iter_mut().for_each(Relays::close_motor_power);
+        self.expander.iter_mut().for_each(Expander::close_motor_power);
     }
 
-    /// Closes or opens relay number `index` of the configuration, with the next [`Outputs::write_relays`].
+    /// Closes or opens relay number `index` of the configuration, with the next [`Outputs::write_expander`].
     pub fn switch(&mut self, index: usize, closed: bool) {
-        self.relays.iter_mut().for_each(|relays| relays.switch(index, closed));
+        self.expander.iter_mut().for_each(|expander| expander.switch(index, closed));
     }
 
     /// Whether relay number `index` of the configuration is told to be closed.
     #[must_use]
     pub fn is_closed(&self, index: usize) -> bool {
-        self.relays.as_ref().is_some_and(|relays| relays.is_closed(index))
+        self.expander.as_ref().is_some_and(|expander| expander.is_closed(index))
     }
 
-    /// Tells the relays what has changed, if anything has: one transfer of 3 bytes.
+    /// Tells the expander what has changed, if anything has.
     ///
     /// # Errors
-    /// [`OutputFault::Bus`]; the relays may then be in either state.
-    pub async fn write_relays(&mut self) -> Result<(), OutputFault> {
-        let Some(mut relays) = self.relays.take() else { return Ok(()) };
-        let result = self.checked(async |bus: &mut B| Ok(relays.write(bus).await?)).await;
-        self.relays = Some(relays);
+    /// [`OutputFault::Bus`]; its pins may then be in either state.
+    pub async fn write_expander(&mut self) -> Result<(), OutputFault> {
+        let Some(mut expander) = self.expander.take_if(|expander| expander.has_changed()) else { return Ok(()) };
+        // Never waits: it comes first in every period.
+        self.fits(EXPANDER_BITS);
+        let result = self.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
+        self.expander = Some(expander);
         result
     }
 
-    /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has.
+    /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has. What does not fit this period
+    /// on the bus is left to the next.
     ///
     /// # Errors
     /// [`OutputFault::Bus`]; the bridge then still does what it did before.
     pub async fn drive(&mut self, index: usize, duty: f32) -> Result<f32, OutputFault> {
-        let osmc = self.osmc;
         let mut bridge = self.bridges[index];
-        let applied = self.checked(async |bus: &mut B| Ok(bridge.drive(&osmc, bus, duty).await?)).await?;
+        let Some(chip) = self.chip_of(bridge) else { return Ok(0.0) };
+        if let bytes @ 1.. = bridge.bytes(duty)
+            && !self.fits(bits(bytes))
+        {
+            return Ok(bridge.applied());
+        }
+        let applied = self.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await?;
         self.bridges[index] = bridge;
         Ok(applied)
     }
 
-    /// Reads one thing back and compares; each call takes the next one in turn.
+    /// The bridges in the order in which they are written in period number `tick`: OSMC first, then DHB, each group
+    /// beginning with another one each time, so that those which have to wait take turns.
+    pub fn order(&self, tick: u32) -> [Vec<usize, MAX_MOTORS>; 2] {
+        let count = self.bridges.len();
+        let turned = (0..count).map(|place| (place + tick as usize) % count);
+        let (osmc, dhb) = turned.partition(|index| self.bridges[*index].is_osmc());
+        [osmc, dhb]
+    }
+
+    /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
+    pub fn command_drive(&mut self, index: usize, command: Command) {
+        self.drives.iter_mut().for_each(|drives| drives.rules.command(index, command));
+    }
+
+    /// One period of the brushless drives' rules. Their lines are written by [`Outputs::write_expander`], their voltages by
+    /// [`Outputs::write_drives`].
+    pub fn step_drives(&mut self) {
+        let Some(drives) = &mut self.drives else { return };
+        let levels = drives.rules.step(self.period_s).levels;
+        self.expander.iter_mut().for_each(|expander| expander.set_lines(levels));
+    }
+
+    /// Tells the DAC the voltages that have changed, if that fits this period.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`]; the voltages may then be either.
+    pub async fn write_drives(&mut self) -> Result<(), OutputFault> {
+        let Some(mut drives) = self.drives.take() else { return Ok(()) };
+        let codes = drives.rules.wanted().codes;
+        let result = if drives.written == Some(codes) || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
+            Ok(())
+        } else {
+            let before = drives.written.take();
+            let result = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await;
+            drives.written = result.is_ok().then_some(codes);
+            result
+        };
+        self.drives = Some(drives);
+        result
+    }
+
+    /// Share of full speed that brushless drive number `index` is told.
+    #[must_use]
+    pub fn drive_share(&self, index: usize) -> f32 {
+        self.drives.as_ref().map_or(0.0, |drives| drives.rules.share(index))
+    }
+
+    /// Sends servo number `index` of the configuration to `angle`, rad.
+    pub fn command_servo(&mut self, index: usize, angle: f32) {
+        self.servos.iter_mut().for_each(|servos| servos.command(index, angle));
+    }
+
+    /// One period of the servos' rules; [`Outputs::write_servos`] writes them.
+    pub fn step_servos(&mut self) {
+        self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
+    }
+
+    /// Writes the servos whose turn it is and that fit this period.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`]; a servo may then have either pulse.
+    pub async fn write_servos(&mut self) -> Result<(), OutputFault> {
+        let Some(mut servos) = self.servos.take() else { return Ok(()) };
+        let mut result = Ok(());
+        for _ in 0..servos.writes_per_period(self.period_s) {
+            if result.is_ok() && servos.has_changed() && self.fits(bits(Servos::WRITE_BYTES)) {
+                result = self.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await;
+            }
+        }
+        self.servos = Some(servos);
+        result
+    }
+
+    /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
+    #[must_use]
+    pub fn servo_angle(&self, index: usize) -> f32 {
+        self.servos.as_ref().and_then(|servos| servos.angle(index)).unwrap_or(f32::NAN)
+    }
+
+    fn chip_of(&self, bridge: Bridge) -> Option<Pca9685> {
+        if bridge.is_osmc() { self.osmc } else { self.dhb }
+    }
+
+    /// Reads one thing of expander and PWM chips back and compares; each call takes the next one in turn. Waits when it
+    /// does not fit this period.
     ///
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_next(&mut self) -> Result<(), OutputFault> {
-        let step = self.next_check;
-        self.next_check = (step + 1) % (2 + 4 * self.bridges.len());
-        let osmc = self.osmc;
-        if step == 0 {
-            return self.checked(async |bus: &mut B| osmc.verify_mode(bus).await).await;
+        if !self.fits(CHECK_BITS) {
+            return Ok(());
         }
-        let Some(line) = step.checked_sub(2) else {
-            let Some(relays) = self.relays.clone() else { return Ok(()) };
-            return self.checked(async |bus: &mut B| relays.verify(bus).await).await;
+        let lines = self.bridges.iter().map(Bridge::line_count).sum::<usize>();
+        let servos = self.servos.as_ref().map_or(0, |servos| 1 + servos.count());
+        let checks = 1 + self.bridge_chips().count() + lines + servos;
+        let mut step = self.next_check;
+        self.next_check = (step + 1) % checks;
+        if step == 0 {
+            let Some(expander) = self.expander.clone() else { return Ok(()) };
+            return self.checked(async |bus: &mut B| expander.verify(bus).await).await;
+        }
+        step -= 1;
+        for chip in self.bridge_chips() {
+            if step == 0 {
+                return self.checked(async |bus: &mut B| chip.verify_mode(bus).await).await;
+            }
+            step -= 1;
+        }
+        for bridge in self.bridges.clone() {
+            if let (Some(chip), true) = (self.chip_of(bridge), step < bridge.line_count()) {
+                return self.checked(async |bus: &mut B| bridge.verify(&chip, bus, step).await).await;
+            }
+            step -= bridge.line_count().min(step);
+        }
+        let Some(servos) = self.servos.take() else { return Ok(()) };
+        let result = match step.checked_sub(1) {
+            None => self.checked(async |bus: &mut B| servos.verify_mode(bus).await).await,
+            Some(index) => self.checked(async |bus: &mut B| servos.verify(bus, index).await).await,
         };
-        let bridge = self.bridges[line / 4];
-        self.checked(async |bus: &mut B| bridge.verify(&osmc, bus, line % 4).await).await
+        self.servos = Some(servos);
+        result
+    }
+
+    /// Reads the DAC back and compares. Too long for a stop to wait behind, so only while the board is safe; while it is
+    /// armed each changed voltage is acknowledged.
+    ///
+    /// # Errors
+    /// See [`OutputFault`].
+    pub async fn check_drives(&mut self) -> Result<(), OutputFault> {
+        let Some(drives) = self.drives.take() else { return Ok(()) };
+        let result = match drives.written {
+            Some(codes) => self.checked(async |bus: &mut B| drives.chip.verify(bus, &codes).await).await,
+            None => Ok(()),
+        };
+        self.drives = Some(drives);
+        result
     }
 
     /// Transfers that had to be repeated since the last call.

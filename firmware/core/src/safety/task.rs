@@ -5,25 +5,50 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Ticker};
 use embedded_hal::digital::{InputPin, OutputPin};
 use embedded_hal_async::digital::Wait;
-use r4_protocol::{Cause, Causes, SafetyState};
+use r4_protocol::{Cause, Causes, SafetyState, config::Place};
 
-use crate::shared::Shared;
+use crate::shared::{Shared, Status};
 
 /// How often causes without a line of their own are looked at.
 const PERIOD: Duration = Duration::from_millis(1);
-/// A released handle counts at once; a held one only after it has stayed so for this long, so that bounce cannot clear.
-const DEAD_MAN_HELD_FOR: Duration = Duration::from_millis(20);
+/// A released handle or pressed button counts at once; the contrary only after it has stayed so for this long, so that
+/// bounce cannot clear.
+const HELD_FOR: Duration = Duration::from_millis(20);
 
 /// The lines that stop the board without the I2C bus.
 pub struct SafetyPins<I, O> {
     /// High while the dead-man's handle is held. Pulled low, so that a cut wire reads as released.
     pub dead_man: I,
+    /// High while the auxiliary stop is not pressed. Pulled low, so that a cut wire reads as pressed.
+    pub auxiliary_stop: I,
     /// High turns every OSMC bridge off.
     pub osmc_disable: O,
     /// High turns the outputs of the motor PWM chips off.
     pub pwm_output_disable: O,
     /// Toggled while the supervisor runs, for an external watchdog.
     pub heartbeat: O,
+    /// Lights, on while low: tripped.
+    pub red: O,
+    /// Armed.
+    pub green: O,
+    /// A host is connected.
+    pub blue: O,
+}
+
+/// A line that must stay high for the board to be armed.
+#[derive(Default)]
+struct StopInput {
+    low_at: Option<Instant>,
+}
+
+impl StopInput {
+    /// Whether it stops the board now; a line that cannot be read does.
+    fn stops(&mut self, high: bool, now: Instant) -> bool {
+        if !high {
+            self.low_at = Some(now);
+        }
+        self.low_at.is_some_and(|at| now.saturating_duration_since(at) < HELD_FOR)
+    }
 }
 
 /// Runs the supervisor for ever. Must have the highest priority of the three tasks.
@@ -37,7 +62,8 @@ where
     O: OutputPin,
 {
     let mut ticker = Ticker::every(PERIOD);
-    let mut released_at: Option<Instant> = None;
+    let (mut dead_man, mut auxiliary) = (StopInput::default(), StopInput::default());
+    let has_auxiliary = shared.config().auxiliary_stop;
     let mut kick = false;
     // Outputs of a GPIO cannot fail on any supported board; a pin that reports an error is treated as released.
     let _ = pins.osmc_disable.set_high();
@@ -46,12 +72,10 @@ where
         let now = Instant::now();
         // A pin that cannot be read is not held.
         let held = pins.dead_man.is_high().unwrap_or(false);
-        if !held {
-            released_at = Some(now);
-        }
-        let released = released_at.is_some_and(|at| now.saturating_duration_since(at) < DEAD_MAN_HELD_FOR);
         let mut watched = Causes::NONE;
-        watched.set(Cause::DeadMan, released);
+        watched.set(Cause::DeadMan, dead_man.stops(held, now));
+        let pressed = has_auxiliary && auxiliary.stops(pins.auxiliary_stop.is_high().unwrap_or(false), now);
+        watched.set(Cause::AuxiliaryStop, pressed);
         let view = shared.supervise(watched, now);
         let _ = match view.state {
             SafetyState::Armed => pins.osmc_disable.set_low().and(pins.pwm_output_disable.set_low()),
@@ -59,6 +83,13 @@ where
                 pins.osmc_disable.set_high().and(pins.pwm_output_disable.set_high())
             }
         };
+        let _ = light(&mut pins.red, view.state == SafetyState::Tripped);
+        let _ = light(&mut pins.green, view.state == SafetyState::Armed);
+        let _ = light(&mut pins.blue, shared.has_host());
+        shared.publish(Place::DeadMan(0), Status::Scalar(held.into()));
+        if has_auxiliary {
+            shared.publish(Place::DeadMan(1), Status::Scalar((!pressed).into()));
+        }
         // Waiting for a level and not for an edge: one that came while we worked is not missed.
         let other_level =
             async { if held { pins.dead_man.wait_for_low().await } else { pins.dead_man.wait_for_high().await } };
@@ -69,7 +100,12 @@ where
             }
             Either3::Second(()) => {}
             // Released, or released and held again before we could look: both are a release.
-            Either3::Third(_) => released_at = Some(Instant::now()),
+            Either3::Third(_) => dead_man.low_at = Some(Instant::now()),
         }
     }
+}
+
+/// The lights are on while their lines are low.
+fn light<O: OutputPin>(line: &mut O, on: bool) -> Result<(), O::Error> {
+    if on { line.set_low() } else { line.set_high() }
 }

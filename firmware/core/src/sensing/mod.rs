@@ -1,5 +1,14 @@
-//! From counts and codes to position and speed.
+//! From levels, counts, codes and echoes to positions, speeds, volts and distances.
 
+pub mod analog;
 pub mod encoder;
 pub mod filter;
 pub mod potentiometer;
+pub mod quadrature;
+pub mod range;
+pub mod switch;
+
+/// The fewest samples `period_s` apart that span `time_s`, rounding of the two aside.
+fn periods(time_s: f32, period_s: f32) -> u32 {
+    (libm::ceilf(time_s / period_s - 1e-3) as u32).max(1)
+}

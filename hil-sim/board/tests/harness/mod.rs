@@ -15,7 +15,10 @@ use r4_driver::{Board, Clock, with_board};
 use r4_plants::{Effect, Plant, PlantSpec};
 use r4_protocol::{
     Causes, ChannelId, ChannelKind, DeviceInfo, FrameDecoder, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState,
-    Setpoint, ToDevice, ToHost, VERSION, encode_frame, frame::MAX_FRAME,
+    Setpoint, ToDevice, ToHost, VERSION,
+    config::{BoardConfig, BridgeConfig, BridgeLines, ControlConfig, PwmConfig},
+    encode_frame,
+    frame::MAX_FRAME,
 };
 use r4_sim::{
     Pace, SimBoard, Simulation,
@@ -33,6 +36,22 @@ pub(crate) const MS: u64 = 1_000_000;
 
 /// What turns all outputs of a PCA9685 off, in one write: ALL_LED_OFF_H, full OFF (datasheet 7.3.4).
 pub(crate) const ALL_OFF: [u8; 2] = [0xFD, 0x10];
+
+/// What a measured motor's loops are told.
+pub(crate) fn control_of(config: &mut BoardConfig, motor: usize) -> &mut ControlConfig {
+    config.motors[motor].control.as_mut().expect("a measured motor")
+}
+
+/// The lines of the first motor's bridge.
+pub(crate) fn lines_of(config: &mut BoardConfig) -> &mut BridgeLines {
+    let BridgeConfig::Osmc(lines) = &mut config.motors[0].bridge else { panic!("an OSMC") };
+    lines
+}
+
+/// The chip behind the OSMC bridges.
+pub(crate) fn pwm_of(config: &mut BoardConfig) -> &mut PwmConfig {
+    config.osmc_pwm.as_mut().expect("the bench has it")
+}
 
 /// The simulation's clock, as the driver wants it.
 #[derive(Clone)]

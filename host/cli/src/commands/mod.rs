@@ -1,8 +1,12 @@
 //! One module per verb, or per few verbs that are one thing.
 
+pub(crate) mod config;
 pub(crate) mod demo;
+pub(crate) mod faults;
+pub(crate) mod hold;
 pub(crate) mod info;
 pub(crate) mod motion;
+pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod state;
 pub(crate) mod watch;
@@ -25,7 +29,8 @@ fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Qua
             Unit::M => "a length, as in 25mm or 0.025m",
             Unit::MPerS => "a speed, as in 5mm/s",
             Unit::Duty => "a share of the supply without a unit, as in 0.3 or 30%",
-            Unit::V | Unit::Bool => "nothing that can be typed",
+            Unit::V => "a voltage, as in 1.2V or 1200mV",
+            Unit::Bool => "nothing that can be typed",
         };
         bail!("{channel} takes as {mode} {example}");
     }

@@ -1,6 +1,6 @@
 //! `r4 watch`
 
-use r4_protocol::{ChannelId, Sample, Telemetry};
+use r4_protocol::{ChannelId, ChannelInfo, Mode, Quality, Sample, Telemetry, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -9,7 +9,7 @@ use crate::{
     args::{Args, Watch},
     output,
     quantity::{Quantity, human},
-    session::{self, Session},
+    session,
 };
 
 /// One line of `--json`: an object per sample time.
@@ -21,46 +21,131 @@ struct Line {
     channels: Vec<Value>,
 }
 
-/// A channel's value in SI.
+/// A channel's value in SI; null before there is one.
 #[derive(Serialize)]
 struct Value {
     channel: String,
     unit: String,
-    value: f64,
+    value: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     speed: Option<f32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     duty: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    homed: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    illegal: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    age_ms: Option<u16>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quality: Option<String>,
+}
+
+impl Value {
+    fn new(info: &ChannelInfo, sample: &Sample) -> Self {
+        let position = |counts: i32| f64::from(counts) * f64::from(info.resolution);
+        let mut value = Self {
+            channel: info.id.to_string(),
+            unit: info.unit.to_string(),
+            value: None,
+            speed: None,
+            duty: None,
+            homed: None,
+            illegal: None,
+            age_ms: None,
+            quality: None,
+        };
+        let number = match *sample {
+            // A motor that nothing measures has only its duty to tell.
+            Sample::Motor { duty, .. } if info.unit == Unit::Duty => duty.into(),
+            Sample::Motor { position: counts, speed, duty, homed, .. } => {
+                (value.speed, value.homed) = (Some(speed), Some(homed));
+                value.duty = info.mode(Mode::Duty).map(|_| duty);
+                position(counts)
+            }
+            Sample::Scalar { value, .. } => value.into(),
+            Sample::Reading { value: last, age_ms, quality, .. } => {
+                (value.age_ms, value.quality) = (Some(age_ms), Some(quality.to_string()));
+                if quality == Quality::None { f64::NAN } else { last.into() }
+            }
+            Sample::Encoder { position: counts, speed, illegal, .. } => {
+                (value.speed, value.illegal) = (Some(speed), Some(illegal));
+                position(counts)
+            }
+        };
+        value.value = Some(number).filter(|number| number.is_finite());
+        value
+    }
+}
+
+/// The channels watched, and the newest sample of each.
+struct Watched {
+    infos: Vec<ChannelInfo>,
+    newest: Vec<Option<Sample>>,
+    /// Not shown yet.
+    fresh: Vec<bool>,
+}
+
+impl Watched {
+    fn new(infos: Vec<ChannelInfo>) -> Self {
+        Self { newest: vec![None; infos.len()], fresh: vec![false; infos.len()], infos }
+    }
+
+    /// The samples of one moment, once all are there: a board sends them in as many frames as they need.
+    ///
+    /// A channel that has a newer one before the others have theirs ends the moment too.
+    fn take(&mut self, frame: &Telemetry) -> Option<Vec<Sample>> {
+        let mut moment = None;
+        for sample in &frame.samples {
+            let Some(index) = self.infos.iter().position(|info| info.id == sample.channel()) else { continue };
+            if self.fresh[index] {
+                moment = self.moment().or(moment);
+            }
+            (self.newest[index], self.fresh[index]) = (Some(*sample), true);
+        }
+        if self.fresh.iter().all(|fresh| *fresh) { self.moment() } else { moment }
+    }
+
+    fn moment(&mut self) -> Option<Vec<Sample>> {
+        self.fresh.fill(false);
+        self.newest.iter().copied().collect()
+    }
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
     session::run(args, Pace::RealTime(1.0), async |session| {
-        let channels: Vec<ChannelId> = match watch.channels.as_slice() {
-            [] => session.board.channels().iter().map(|info| info.id).collect(),
-            some => some.to_vec(),
+        let board = session.board;
+        let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
+            [] => board.channels().to_vec(),
+            some => some.iter().map(|id| board.channel(*id).cloned()).collect::<Result<_, _>>()?,
         };
-        let mut telemetry = session.board.telemetry();
+        let channels: Vec<ChannelId> = infos.iter().map(|info| info.id).collect();
+        let mut watched = Watched::new(infos);
+        let mut telemetry = board.telemetry();
         let period_ms = (1000.0 / watch.rate).round() as u16;
         for channel in channels {
-            session.board.channel(channel)?;
-            session.board.subscribe(channel, period_ms).await?;
+            board.subscribe(channel, period_ms).await?;
         }
-        let end_us = watch.seconds.map(|seconds| session.board.device_us() + (seconds * 1e6) as u64);
-        let (mut since_header, mut last_shape) = (0, Vec::new());
+        let end_us = watch.seconds.map(|seconds| board.device_us() + (seconds * 1e6) as u64);
+        let mut since_header = HEADER_EVERY;
         loop {
             let frame = telemetry.next().await?;
             if end_us.is_some_and(|end_us| frame.device_us > end_us) {
                 return Ok(());
             }
-            // Channels join one after another at the start.
-            let shape: Vec<_> = frame.samples.iter().map(Sample::channel).collect();
-            if !args.json && (since_header == HEADER_EVERY || shape != last_shape) {
-                output::line(header(session, &frame)?)?;
-                since_header = 0;
+            let Some(samples) = watched.take(&frame) else { continue };
+            if args.json {
+                print_json(&watched.infos, &frame, &samples)?;
+            } else if watched.infos.len() > MOST_COLUMNS {
+                print_list(&watched.infos, &frame, &samples)?;
+            } else {
+                if since_header == HEADER_EVERY {
+                    output::line(header(&watched.infos, &samples))?;
+                    since_header = 0;
+                }
+                since_header += 1;
+                print_line(&watched.infos, &frame, &samples)?;
             }
-            since_header += 1;
-            last_shape = shape;
-            print(args, session, &frame)?;
         }
     })?;
     Ok(true)
@@ -68,52 +153,93 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
 
 /// The header is printed again after so many lines, about a screen.
 const HEADER_EVERY: usize = 20;
+/// More channels than this are printed below each other.
+const MOST_COLUMNS: usize = 8;
 
-/// Names and units above the columns of [`print()`].
-fn header(session: &Session<'_>, frame: &Telemetry) -> anyhow::Result<String> {
-    let mut line = format!("{:>9}  {:<8}", "s", "state");
-    for sample in &frame.samples {
-        let info = session.board.channel(sample.channel())?;
-        line += &format!("{:>13}", format!("{} {}", info.id, human(info.unit).1));
-        if let Sample::Motor { .. } = sample {
-            line += &format!("{:>9}{:>8}", human(speed_unit(info.unit)).1, "duty");
-        }
-    }
-    Ok(line)
+fn print_json(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> anyhow::Result<()> {
+    output::json(&Line {
+        time_s: time_s(frame),
+        state: frame.state.to_string(),
+        causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
+        channels: infos.iter().zip(samples).map(|(info, sample)| Value::new(info, sample)).collect(),
+    })
 }
 
-fn print(args: &Args, session: &Session<'_>, frame: &Telemetry) -> anyhow::Result<()> {
-    let mut values = Vec::new();
-    for sample in &frame.samples {
-        let info = session.board.channel(sample.channel())?;
-        let (value, speed, duty) = match *sample {
-            Sample::Motor { position, speed, duty, .. } => {
-                (f64::from(position) * f64::from(info.resolution), Some(speed), Some(duty))
-            }
-            Sample::Scalar { value, .. } => (value.into(), None, None),
-        };
-        values
-            .push((info.unit, Value { channel: info.id.to_string(), unit: info.unit.to_string(), value, speed, duty }));
+fn time_s(frame: &Telemetry) -> f64 {
+    frame.device_us as f64 / 1e6
+}
+
+/// Names and units above the columns of [`print_line()`].
+fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
+    let mut line = format!("{:>9}  {:<8}", "s", "state");
+    for (info, sample) in infos.iter().zip(samples) {
+        line += &format!("{:>13}", format!("{} {}", info.id, human(info.unit).1).trim_end());
+        let value = Value::new(info, sample);
+        if value.speed.is_some() {
+            line += &format!("{:>9}", human(speed_unit(info.unit)).1);
+        }
+        if value.duty.is_some() {
+            line += &format!("{:>8}", "duty");
+        }
     }
-    let time_s = frame.device_us as f64 / 1e6;
-    if args.json {
-        return output::json(&Line {
-            time_s,
-            state: frame.state.to_string(),
-            causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
-            channels: values.into_iter().map(|(_, value)| value).collect(),
-        });
+    line
+}
+
+/// A sample as columns of text: value or what is wrong with it, speed, duty.
+fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
+    let value = Value::new(info, sample);
+    let number = match *sample {
+        Sample::Reading { quality, .. } if quality != Quality::Good => fault(quality).to_owned(),
+        _ => value.value.map_or("-".to_owned(), |value| Quantity { value, unit: info.unit }.number()),
+    };
+    let speed = value.speed.map(|speed| Quantity { value: speed.into(), unit: speed_unit(info.unit) }.number());
+    let duty = value.duty.map(|duty| Quantity { value: duty.into(), unit: Unit::Duty }.number());
+    [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
+}
+
+/// Short enough for a column.
+fn fault(quality: Quality) -> &'static str {
+    match quality {
+        Quality::Good => "good",
+        Quality::None => "-",
+        Quality::OutOfRange => "out of range",
+        Quality::NoAnswer => "no answer",
+        Quality::Stuck => "stuck",
+        Quality::Low => "too low",
+        Quality::High => "too high",
     }
-    let mut line = format!("{time_s:9.3}  {:<8}", frame.state.to_string());
-    for (unit, value) in values {
-        line += &format!("{:>13}", Quantity { value: value.value, unit }.number());
-        if let (Some(speed), Some(duty)) = (value.speed, value.duty) {
-            let speed = Quantity { value: speed.into(), unit: speed_unit(unit) };
-            line += &format!("{:>9}{duty:>8.3}", speed.number());
+}
+
+fn print_line(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> anyhow::Result<()> {
+    let mut line = format!("{:9.3}  {:<8}", time_s(frame), frame.state.to_string());
+    for (info, sample) in infos.iter().zip(samples) {
+        let [number, speed, duty] = columns(info, sample);
+        line += &format!("{number:>13}");
+        if !speed.is_empty() {
+            line += &format!("{speed:>9}");
+        }
+        if !duty.is_empty() {
+            line += &format!("{duty:>8}");
         }
     }
     if !frame.causes.is_empty() {
         line += &format!("  {}", frame.causes);
     }
     Ok(output::line(line)?)
+}
+
+fn print_list(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> anyhow::Result<()> {
+    output::line(format_args!("{:.3} s  {}  {}", time_s(frame), frame.state, frame.causes))?;
+    for (info, sample) in infos.iter().zip(samples) {
+        let [number, speed, duty] = columns(info, sample);
+        let mut line = format!("  {:<12}{number:>13} {:<4}", info.id.to_string(), human(info.unit).1);
+        if !speed.is_empty() {
+            line += &format!("{speed:>10} {:<6}", human(speed_unit(info.unit)).1);
+        }
+        if !duty.is_empty() {
+            line += &format!("{duty:>8} duty");
+        }
+        output::line(line.trim_end())?;
+    }
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! What is plotted of a run.
 
-use r4_log::{Log, MotorSample, MotorSeries, ScalarSeries};
-use r4_protocol::{ChannelKind, Mode, SafetyState, Unit};
+use r4_log::{EncoderSample, EncoderSeries, Log, MotorSample, MotorSeries, ReadingSeries, ScalarSeries};
+use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Unit};
 
 use super::{
     plot::{Band, Figure, Line, Panel, color, number},
@@ -20,12 +20,11 @@ struct Human {
 }
 
 impl Human {
+    const LINEAR: Self = Self { per_si: 1e3, unit: "mm", speed: "mm/s" };
+    const ROTARY: Self = Self { per_si: 180.0 / std::f64::consts::PI, unit: "°", speed: "°/s" };
+
     fn of(series: &MotorSeries) -> Self {
-        if series.is_linear() {
-            Self { per_si: 1e3, unit: "mm", speed: "mm/s" }
-        } else {
-            Self { per_si: 180.0 / std::f64::consts::PI, unit: "°", speed: "°/s" }
-        }
+        if series.is_linear() { Self::LINEAR } else { Self::ROTARY }
     }
 
     /// A value in this unit: 1.5 mm, but 1.5°.
@@ -62,7 +61,13 @@ pub(super) fn input_figure(log: &Log) -> Option<Figure> {
         panels.extend(supply_panels(log, &clock));
     }
     for series in log.scalars.iter().filter(|series| series.info.id.kind != ChannelKind::Supply) {
-        panels.extend(scalar_panel(series, &clock));
+        panels.extend(input_panel(&series.info, scalar_line(series, &clock, color::BLUE), String::new()));
+    }
+    for series in &log.readings {
+        panels.extend(reading_panel(series, &clock));
+    }
+    for series in &log.encoders {
+        panels.extend(encoder_panels(series, &clock));
     }
     (!panels.is_empty()).then(|| clock.figure(log, "Inputs against time".to_owned(), panels))
 }
@@ -266,6 +271,44 @@ fn scalar_line(series: &ScalarSeries, clock: &Clock, color: plotters::style::RGB
     Line { label: series.info.id.to_string(), color, width: MEASURED, points }
 }
 
+/// Only what can be relied on is drawn; the note says how much that is.
+fn reading_panel(series: &ReadingSeries, clock: &Clock) -> Option<Panel> {
+    let good = |quality| quality == Quality::Good;
+    let points = series
+        .samples
+        .iter()
+        .map(|sample| (sample.time_s - clock.start_s, if good(sample.quality) { sample.value } else { f64::NAN }));
+    let points = with_gaps(&points.collect::<Vec<Point>>());
+    let line = Line { label: series.info.id.to_string(), color: color::BLUE, width: MEASURED, points };
+    let bad = series.samples.iter().filter(|sample| !good(sample.quality));
+    let note = match bad.clone().next_back() {
+        Some(last) => format!("{} of {} not good, last: {}", bad.count(), series.samples.len(), last.quality),
+        None => String::new(),
+    };
+    input_panel(&series.info, line, note)
+}
+
+/// Angle and speed.
+fn encoder_panels(series: &EncoderSeries, clock: &Clock) -> Vec<Panel> {
+    let human = Human::ROTARY;
+    let panel = |title: String, note: String, span: f64, value: fn(&EncoderSample) -> f64| {
+        let points = series.samples.iter().map(|sample| (sample.time_s - clock.start_s, value(sample) * human.per_si));
+        let points = with_gaps(&points.collect::<Vec<Point>>());
+        let line = Line { label: title.clone(), color: color::BLUE, width: MEASURED, points };
+        let range = framed(values([&line])?, span);
+        Some(Panel { title, note, height: 110, range, lines: vec![line], guides: None })
+    };
+    let illegal = match series.samples.last() {
+        Some(last) if last.illegal > 0 => format!("illegal transitions: {}, check its wiring", last.illegal),
+        _ => String::new(),
+    };
+    let id = series.info.id;
+    let counts = 10.0 * f64::from(series.info.resolution) * human.per_si;
+    let position = panel(format!("{id} ({})", human.unit), illegal, counts.max(1e-6), |sample| sample.position);
+    let speed = panel(format!("{id} speed ({})", human.speed), String::new(), 1e-3, |sample| sample.speed);
+    position.into_iter().chain(speed).collect()
+}
+
 /// A plot per rail: what they sag by is small beside what they differ by.
 fn supply_panels(log: &Log, clock: &Clock) -> Vec<Panel> {
     let supplies = log.scalars.iter().filter(|series| series.info.id.kind == ChannelKind::Supply);
@@ -279,13 +322,12 @@ fn supply_panels(log: &Log, clock: &Clock) -> Vec<Panel> {
     supplies.filter_map(panel).collect()
 }
 
-fn scalar_panel(series: &ScalarSeries, clock: &Clock) -> Option<Panel> {
-    let line = scalar_line(series, clock, color::BLUE);
+fn input_panel(info: &ChannelInfo, line: Line, note: String) -> Option<Panel> {
     let extent = values([&line])?;
-    let (range, unit) = match series.info.unit {
+    let (range, unit) = match info.unit {
         Unit::Bool => (framed((0.0, 1.0), 1.0), "on = 1".to_owned()),
         unit => (framed(extent, 1e-3), unit.to_string()),
     };
-    let title = format!("{} ({unit})", series.info.id);
-    Some(Panel { title, note: String::new(), height: 110, range, lines: vec![line], guides: None })
+    let title = format!("{} ({unit})", info.id);
+    Some(Panel { title, note, height: 110, range, lines: vec![line], guides: None })
 }

@@ -5,7 +5,7 @@ use std::io::Cursor;
 
 use r4_log::{Header, Recorder};
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, SafetyState, Sample, Setpoint,
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Quality, Range, SafetyState, Sample, Setpoint,
     Telemetry, Unit,
 };
 
@@ -14,6 +14,8 @@ pub(crate) const ACTUATOR: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
 pub(crate) const DHB: ChannelId = ChannelId::new(ChannelKind::Dhb, 2);
 pub(crate) const SUPPLY: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
 pub(crate) const SWITCH: ChannelId = ChannelId::new(ChannelKind::Switch, 3);
+pub(crate) const ENCODER: ChannelId = ChannelId::new(ChannelKind::Encoder, 4);
+pub(crate) const RANGE: ChannelId = ChannelId::new(ChannelKind::Range, 5);
 
 pub(crate) fn header() -> Header {
     let channel = |id, unit, range, resolution, modes: &[(Mode, Unit, Range)]| ChannelInfo {
@@ -52,6 +54,8 @@ pub(crate) fn header() -> Header {
             channel(DHB, Unit::Duty, Range::symmetric(0.9), 0.0, &[duty]),
             channel(SUPPLY, Unit::V, Range::new(0.0, 30.0), 0.0, &[]),
             channel(SWITCH, Unit::Bool, Range::new(0.0, 1.0), 0.0, &[]),
+            channel(ENCODER, Unit::Rad, Range::symmetric(f32::MAX), 0.01, &[]),
+            channel(RANGE, Unit::M, Range::new(0.02, 4.0), 0.0, &[]),
         ],
     }
 }
@@ -70,6 +74,7 @@ pub(crate) fn run() -> Vec<u8> {
             speed: 0.25,
             duty: f32::from(tick) / 30.0,
             settled: tick > 15,
+            homed: tick > 10,
         };
         let (state, causes) = match tick {
             ..18 => (SafetyState::Armed, Causes::NONE),
@@ -81,6 +86,13 @@ pub(crate) fn run() -> Vec<u8> {
             motor(DHB, Mode::Duty, 0.5),
             Sample::Scalar { channel: SUPPLY, value: 24.5 },
             Sample::Scalar { channel: SWITCH, value: f32::from(tick % 2) },
+            Sample::Encoder { channel: ENCODER, position: -i32::from(tick), speed: -1.5, illegal: 3 },
+            Sample::Reading {
+                channel: RANGE,
+                value: 0.75,
+                age_ms: tick.unsigned_abs(),
+                quality: if tick > 10 { Quality::NoAnswer } else { Quality::Good },
+            },
         ];
         let device_us = tick.unsigned_abs().into();
         recorder.telemetry(&Telemetry { device_us, state, causes, samples: samples.into_iter().collect() }).unwrap();

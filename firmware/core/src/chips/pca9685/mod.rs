@@ -50,30 +50,48 @@ impl Output {
 #[derive(Clone, Copy, Debug)]
 pub struct Pca9685 {
     address: u8,
+    oscillator_hz: f32,
     prescale: u8,
 }
 
 impl Pca9685 {
     const MODE1_RUNNING: u8 = reg::MODE1_AI | reg::MODE1_ALLCALL;
 
-    /// The chip at `address`, to run at the frequency nearest to `frequency_hz` it has.
+    /// The chip at `address` with the nominal oscillator, to run at the frequency nearest to `frequency_hz` it has.
     #[must_use]
     pub fn new(address: u8, frequency_hz: f32) -> Self {
-        // 3 is the hardware's minimum, 1526 Hz (datasheet 7.3.5).
-        let prescale = libm::roundf(OSCILLATOR_HZ / (STEPS * frequency_hz)) - 1.0;
-        Self { address, prescale: prescale.clamp(3.0, 255.0) as u8 }
+        Self::with_oscillator(address, frequency_hz, OSCILLATOR_HZ)
     }
 
-    /// Length of one PWM period at the nominal oscillator.
+    /// The same with an oscillator whose frequency was measured, Hz: for pulses that must be right.
+    #[must_use]
+    pub fn with_oscillator(address: u8, frequency_hz: f32, oscillator_hz: f32) -> Self {
+        // 3 is the hardware's minimum, 1526 Hz (datasheet 7.3.5).
+        let prescale = libm::roundf(oscillator_hz / (STEPS * frequency_hz)) - 1.0;
+        Self { address, oscillator_hz, prescale: prescale.clamp(3.0, 255.0) as u8 }
+    }
+
+    /// Length of one PWM period.
     #[must_use]
     pub fn period(&self) -> Duration {
-        let ns = 4096 * (u64::from(self.prescale) + 1) * 40;
-        Duration::from_micros(ns.div_ceil(1000))
+        let us = STEPS * self.divider() / (self.oscillator_hz / 1e6);
+        Duration::from_micros(libm::ceilf(us) as u64)
+    }
+
+    /// High from the start of each period for `width_s`, to the nearest count: 1/4096 of a period, 4.9 µs at 50 Hz.
+    #[must_use]
+    pub fn pulse(&self, width_s: f32) -> Output {
+        Output::high_for(width_s * self.oscillator_hz / (STEPS * self.divider()))
+    }
+
+    /// Oscillator clocks to a count.
+    fn divider(&self) -> f32 {
+        f32::from(self.prescale) + 1.0
     }
 
     /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads all of it back.
     ///
-    /// Takes about 2.6 ms at 400 kHz. Outputs go off at the end of the PWM cycle that is running, and stay off, whatever
+    /// Takes about 2.7 ms at 400 kHz. Outputs go off at the end of the PWM cycle that is running, and stay off, whatever
     /// state the chip was in.
     ///
     /// # Errors
@@ -84,6 +102,8 @@ impl Pca9685 {
         bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
         self.all_off(bus).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING | reg::MODE1_SLEEP]).await?;
+        // Off again, now with the "on" counts that `set_off_count` relies on.
+        bus.write(self.address, &[reg::ALL_LED_ON_L, 0, 0, 0, reg::FULL]).await?;
         bus.write(self.address, &[reg::PRE_SCALE, self.prescale]).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING]).await?;
         Timer::after(OSCILLATOR_START).await;
@@ -102,20 +122,22 @@ impl Pca9685 {
         bus.write(self.address, &[reg::ALL_LED_OFF_H, reg::FULL]).await
     }
 
-    /// Sets four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
+    /// Sets up to four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
     ///
     /// # Errors
     /// A failed transfer.
-    pub async fn set_four<B: I2c>(&self, bus: &mut B, first: u8, outputs: [Output; 4]) -> Result<(), B::Error> {
+    pub async fn set<B: I2c>(&self, bus: &mut B, first: u8, outputs: &[Output]) -> Result<(), B::Error> {
         let mut bytes = [0; 17];
         bytes[0] = on_register(first);
+        let mut end = 1;
         for (bytes, output) in bytes[1..].chunks_exact_mut(4).zip(outputs) {
             bytes.copy_from_slice(&output.registers());
+            end += 4;
         }
-        bus.write(self.address, &bytes).await
+        bus.write(self.address, &bytes[..end]).await
     }
 
-    /// Changes only the "off" count of `output`, whose "on" count is 0: 3 bytes after the address.
+    /// Changes only the "off" count of `output`, whose "on" count is 0 as after [`Pca9685::init`]: 3 bytes after the address.
     ///
     /// # Errors
     /// A failed transfer.
@@ -182,5 +204,17 @@ mod tests {
         assert_eq!(Pca9685::new(0x40, 200.0).prescale, 30);
         assert_eq!(Pca9685::new(0x40, 1526.0).prescale, 3);
         assert_eq!(Pca9685::new(0x40, 1526.0).period().as_micros(), 656);
+    }
+
+    #[test]
+    fn frequency_and_pulses_follow_the_measured_oscillator() {
+        // 1.5 ms are 37500 clocks of 25 MHz; at 50 Hz a count is 122 of them. At 26.2 MHz 39300, and 128.
+        let [nominal, fast] = [25e6, 26.2e6].map(|hz| Pca9685::with_oscillator(0x42, 50.0, hz));
+        assert_eq!([nominal.prescale, fast.prescale], [121, 127]);
+        assert_eq!(nominal.pulse(1.5e-3).registers(), [0, 0, 0x33, 0x01]); // 307.4
+        assert_eq!(fast.pulse(1.5e-3).registers(), [0, 0, 0x33, 0x01]); // 307.0
+        assert_eq!(nominal.period().as_micros(), 19_989);
+        assert_eq!(fast.period().as_micros(), 20_011);
+        assert_eq!(nominal.pulse(f32::NAN), Output::LOW);
     }
 }

@@ -6,7 +6,9 @@ pub(super) const MODE1: u8 = 0x00;
 pub(super) const MODE2: u8 = 0x01;
 /// `LED0_ON_L`, the first of four registers of output 0; output n follows at `4 n` (7.3.3).
 pub(super) const LED0_ON_L: u8 = 0x06;
-/// `ALL_LED_OFF_H`: written to all 16 outputs at once (7.3.4).
+/// `ALL_LED_ON_L`, the first of four registers that are written to all 16 outputs at once (7.3.4).
+pub(super) const ALL_LED_ON_L: u8 = 0xFA;
+/// `ALL_LED_OFF_H`, the last of them.
 pub(super) const ALL_LED_OFF_H: u8 = 0xFD;
 /// PWM prescaler (7.3.5); taken only while `MODE1_SLEEP` is set.
 pub(super) const PRE_SCALE: u8 = 0xFE;

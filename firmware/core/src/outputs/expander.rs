@@ -1,4 +1,4 @@
-//! Relays on the port expander.
+//! The port expander: relays, and the lines of brushless drives.
 
 use embedded_hal_async::i2c::I2c;
 use heapless::Vec;
@@ -6,21 +6,23 @@ use r4_protocol::config::{ExpanderConfig, MAX_RELAYS, RelayConfig, RelayRole};
 
 use crate::chips::{ChipError, mcp23017::Mcp23017};
 
-/// The relays of one expander, and what they were last told.
+/// What is on one expander, and what its pins were last told.
 #[derive(Clone, Debug)]
-pub(super) struct Relays {
+pub(super) struct Expander {
     chip: Mcp23017,
     relays: Vec<RelayConfig, MAX_RELAYS>,
     /// Which should be closed, by position in `relays`.
     closed: [bool; MAX_RELAYS],
+    /// Levels of the drives' lines.
+    lines: u16,
     /// What the pins were last told; `None` when that is not known.
     written: Option<u16>,
 }
 
-impl Relays {
-    /// Open relays.
+impl Expander {
+    /// With open relays.
     pub(super) fn new(expander: ExpanderConfig, relays: Vec<RelayConfig, MAX_RELAYS>) -> Self {
-        Self { chip: Mcp23017::new(expander.address), relays, closed: [false; MAX_RELAYS], written: None }
+        Self { chip: Mcp23017::new(expander.address), relays, closed: [false; MAX_RELAYS], lines: 0, written: None }
     }
 
     /// Whether a relay switches the motors' supply.
@@ -33,7 +35,7 @@ impl Relays {
         self.closed = [false; MAX_RELAYS];
     }
 
-    /// Closes or opens one, from the next [`Relays::write`] on.
+    /// Closes or opens one, from the next [`Expander::write`] on.
     pub(super) fn switch(&mut self, index: usize, closed: bool) {
         self.closed[index] = closed;
     }
@@ -43,7 +45,12 @@ impl Relays {
         self.closed[index]
     }
 
-    /// Closes the motors' supply, from the next [`Relays::write`] on.
+    /// Sets the lines of the drives, from the next [`Expander::write`] on. Bits with a relay must be 0.
+    pub(super) fn set_lines(&mut self, levels: u16) {
+        self.lines = levels;
+    }
+
+    /// Closes the motors' supply, from the next [`Expander::write`] on.
     pub(super) fn close_motor_power(&mut self) {
         for (closed, relay) in self.closed.iter_mut().zip(&self.relays) {
             *closed |= relay.role == RelayRole::MotorPower;
@@ -58,12 +65,9 @@ impl Relays {
         Ok(())
     }
 
-    /// Writes what has changed, if anything has.
-    pub(super) async fn write<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
-        if self.written == Some(self.levels()) {
-            return Ok(());
-        }
-        self.rewrite(bus).await
+    /// Whether the pins are to change.
+    pub(super) fn has_changed(&self) -> bool {
+        self.written != Some(self.levels())
     }
 
     /// Writes all of it.
@@ -79,10 +83,10 @@ impl Relays {
         self.chip.verify(bus, self.levels()).await
     }
 
-    /// The pins' levels. Pins without a relay are low.
+    /// The pins' levels. Pins that nothing is on are low.
     fn levels(&self) -> u16 {
         let high = self.relays.iter().zip(self.closed).filter(|(relay, closed)| relay.active_low != *closed);
-        high.fold(0, |levels, (relay, _)| levels | 1 << relay.bit)
+        high.fold(self.lines, |levels, (relay, _)| levels | 1 << relay.bit)
     }
 }
 
@@ -101,7 +105,7 @@ mod tests {
             role,
         };
         let relays = [relay(0, 8, true, RelayRole::MotorPower), relay(3, 11, false, RelayRole::General)];
-        let mut relays = Relays::new(ExpanderConfig { address: 0x20 }, relays.into_iter().collect());
+        let mut relays = Expander::new(ExpanderConfig { address: 0x20 }, relays.into_iter().collect());
         assert_eq!(relays.levels(), 0x0100, "all open");
         relays.close_motor_power();
         assert_eq!(relays.levels(), 0x0000);

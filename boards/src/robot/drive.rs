@@ -1,0 +1,173 @@
+//! `[drive]`: how a robot moves over the ground.
+
+use std::fmt::Display;
+
+use r4_protocol::{
+    channel::ChannelId,
+    config::{BoardConfig, Feedback},
+};
+use serde::Deserialize;
+
+use super::read::Reader;
+use crate::{
+    error::BoardError,
+    number::{Interval, channel, channels, finite, optional_positive, positive},
+    source::Claims,
+};
+
+/// How a robot moves over the ground. Forwards, left and counter-clockwise are positive.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Drive {
+    /// Wheels that do not steer.
+    SkidSteer(SkidSteer),
+    /// Steered front wheels.
+    Ackermann(Ackermann),
+}
+
+/// Wheels on two sides, steered by their difference in speed.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkidSteer {
+    /// Of every wheel.
+    #[serde(deserialize_with = "positive")]
+    pub wheel_radius_m: f64,
+    /// Between the middles of left and right wheels.
+    #[serde(deserialize_with = "positive")]
+    pub track_m: f64,
+    /// Motors of the left wheels; a positive position is forwards.
+    #[serde(deserialize_with = "channels")]
+    pub left: Vec<ChannelId>,
+    /// Motors of the right wheels; a positive position is forwards.
+    #[serde(deserialize_with = "channels")]
+    pub right: Vec<ChannelId>,
+    /// Highest speed it should be asked for, m/s.
+    #[serde(deserialize_with = "positive")]
+    pub speed_max_m_s: f64,
+    /// Highest turn rate it should be asked for, rad/s.
+    #[serde(deserialize_with = "positive")]
+    pub turn_rate_max_rad_s: f64,
+}
+
+/// A car.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ackermann {
+    /// Between the axles.
+    #[serde(deserialize_with = "positive")]
+    pub wheelbase_m: f64,
+    /// Between the middles of left and right wheels.
+    #[serde(deserialize_with = "positive")]
+    pub track_m: f64,
+    /// Of the driven wheels.
+    #[serde(deserialize_with = "positive")]
+    pub wheel_radius_m: f64,
+    /// The linear motor that steers.
+    #[serde(deserialize_with = "channel")]
+    pub steering: ChannelId,
+    /// What its position means.
+    pub steering_law: SteeringLaw,
+    /// Steering angles it should be asked for, at a single wheel in the middle (bicycle model), rad.
+    pub steering_rad: Interval,
+    /// The motor or brushless drive that drives.
+    #[serde(deserialize_with = "channel")]
+    pub drive: ChannelId,
+    /// Ground speed at full duty or full throttle, for a drive without an encoder.
+    #[serde(default, deserialize_with = "optional_positive")]
+    pub full_speed_m_s: Option<f64>,
+    /// Highest speed it should be asked for, m/s.
+    #[serde(deserialize_with = "positive")]
+    pub speed_max_m_s: f64,
+}
+
+/// Steering angle by the position of the linear motor, a straight line.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SteeringLaw {
+    /// rad at 0 m
+    #[serde(deserialize_with = "finite")]
+    pub rad_at_zero: f64,
+    /// rad/m; negative where a longer rod steers to the right.
+    #[serde(deserialize_with = "finite")]
+    pub rad_per_m: f64,
+}
+
+impl SteeringLaw {
+    /// Steering angle with the rod at `position_m`, rad.
+    #[must_use]
+    pub fn angle_rad(self, position_m: f64) -> f64 {
+        self.rad_at_zero + self.rad_per_m * position_m
+    }
+
+    /// Where the rod is at a steering angle, m.
+    #[must_use]
+    pub fn position_m(self, angle_rad: f64) -> f64 {
+        (angle_rad - self.rad_at_zero) / self.rad_per_m
+    }
+}
+
+impl Drive {
+    /// Checks the drive against the motors that the robot has.
+    pub(super) fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<(), BoardError> {
+        match self {
+            Self::SkidSteer(drive) => drive.check(reader, config),
+            Self::Ackermann(drive) => drive.check(reader, config),
+        }
+    }
+}
+
+fn motors(config: &BoardConfig, wanted: fn(Option<Feedback>) -> bool) -> impl Iterator<Item = &ChannelId> + Clone {
+    let is_wanted = move |motor: &&r4_protocol::config::MotorConfig| wanted(motor.control.map(|c| c.feedback));
+    config.motors.iter().filter(is_wanted).map(|motor| &motor.id)
+}
+
+fn turns(feedback: Option<Feedback>) -> bool {
+    matches!(feedback, Some(Feedback::Encoder { .. }))
+}
+
+fn slides(feedback: Option<Feedback>) -> bool {
+    matches!(feedback, Some(Feedback::Potentiometer { .. }))
+}
+
+impl SkidSteer {
+    fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<(), BoardError> {
+        let mut claims = Claims::new(reader.source);
+        for (side, wheels) in [("left", &self.left), ("right", &self.right)] {
+            let path = format!("drive.skid-steer.{side}");
+            if wheels.is_empty() {
+                return Err(reader.rule(path, "needs a wheel on each side"));
+            }
+            for (index, wheel) in wheels.iter().enumerate() {
+                let path = format!("{path}[{index}]");
+                reader.one_of("motor with an encoder", *wheel, motors(config, turns), path.clone())?;
+                claims.take("wheel", wheel, path)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Ackermann {
+    fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<(), BoardError> {
+        let path = |field: &dyn Display| format!("drive.ackermann.{field}");
+        let with_potentiometer = motors(config, slides);
+        reader.one_of("motor with a potentiometer", self.steering, with_potentiometer, path(&"steering"))?;
+        let may_drive = motors(config, |feedback| !slides(feedback)).chain(config.bldcs.iter().map(|bldc| &bldc.id));
+        reader.one_of("motor that turns", self.drive, may_drive, path(&"drive"))?;
+        let is_measured = motors(config, turns).any(|id| *id == self.drive);
+        if is_measured == self.full_speed_m_s.is_some() {
+            let rule = "full_speed_m_s is for a drive without an encoder, which needs it";
+            return Err(reader.rule(path(&"full_speed_m_s"), rule));
+        }
+        let steering = config.motors.iter().find(|motor| motor.id == self.steering);
+        let travel = steering.and_then(|motor| motor.control).map(|control| control.position);
+        let Interval { min, max } = self.steering_rad;
+        // Not with a slope of 0 either: then one is infinite.
+        let reached = [min, max].map(|angle_rad| self.steering_law.position_m(angle_rad) as f32);
+        if !reached.iter().all(|position| travel.is_some_and(|travel| travel.contains(*position))) {
+            let rule = "by the steering_law these angles are outside the position_m of the steering motor";
+            return Err(reader.rule(path(&"steering_rad"), rule));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,340 @@
+//! `[[osmc]]`, `[[actuator]]`, `[[dhb]]`: motors on bridges.
+//!
+//! A motor whose table has tables inside is under control: with an encoder it is written in radians ([`rotary`]), with a
+//! potentiometer in metres ([`linear`]). One without is [`Open`].
+
+use r4_protocol::{
+    channel::{ChannelId, ChannelKind},
+    config::{
+        BridgeConfig, ControlConfig, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, PidGains,
+        PotPoint, ProfileLimits, SettleConfig, StallConfig,
+    },
+};
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error, IntoDeserializer},
+};
+use toml::{Spanned, de::DeValue};
+
+use crate::number::{Interval, channel, finite, not_negative, optional_duty, positive};
+
+/// A motor as it is in the file.
+pub(super) enum Motor {
+    Open(Open),
+    Rotary(Box<rotary::Motor>),
+    Linear(Box<linear::Motor>),
+}
+
+/// A motor that takes an open duty only.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Open {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default)]
+    inverted: bool,
+    #[serde(default, deserialize_with = "optional_duty")]
+    duty_max: Option<f32>,
+    #[serde(deserialize_with = "positive")]
+    duty_slew_per_s: f32,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Encoder {
+    pub(super) input: u8,
+    #[serde(deserialize_with = "positive")]
+    counts_per_turn: u32,
+    #[serde(default)]
+    inverted: bool,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Potentiometer {
+    pub(super) input: u8,
+    low: Point,
+    high: Point,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Point {
+    code_16bit: u16,
+    #[serde(deserialize_with = "finite")]
+    position_m: f32,
+}
+
+/// How an axis with a switch finds its zero.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Homing {
+    pub(super) switch: u8,
+    #[serde(deserialize_with = "finite")]
+    position_rad: f32,
+    #[serde(deserialize_with = "positive")]
+    speed_max_rad_s: f32,
+}
+
+impl From<Encoder> for Feedback {
+    fn from(Encoder { input, counts_per_turn, inverted }: Encoder) -> Self {
+        Self::Encoder { index: input, counts_per_turn, inverted }
+    }
+}
+
+impl From<Potentiometer> for Feedback {
+    fn from(Potentiometer { input, low, high }: Potentiometer) -> Self {
+        Self::Potentiometer { analog: input, low: low.into(), high: high.into() }
+    }
+}
+
+impl From<Point> for PotPoint {
+    fn from(Point { code_16bit, position_m }: Point) -> Self {
+        Self { code: code_16bit, position_m }
+    }
+}
+
+impl From<Homing> for HomingConfig {
+    fn from(Homing { switch, position_rad, speed_max_rad_s }: Homing) -> Self {
+        Self { switch, position: position_rad, speed_max: speed_max_rad_s }
+    }
+}
+
+/// A linear motor knows its position without.
+pub(super) enum NoHoming {}
+
+impl<'de> Deserialize<'de> for NoHoming {
+    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
+        Err(D::Error::custom("a potentiometer needs no homing: leave it out"))
+    }
+}
+
+impl From<NoHoming> for HomingConfig {
+    fn from(none: NoHoming) -> Self {
+        match none {}
+    }
+}
+
+/// The table of a motor under control. The fields are named after the unit of its position.
+macro_rules! controlled {
+    (
+        $unit:ident, $feedback:ident: $Feedback:ident, homing: $Homing:ident,
+        position: $position:ident,
+        speed_max: $speed_max:ident,
+        position_pid: [$kp:ident, $ki:ident, $kd:ident],
+        speed_pid: [$speed_kp:ident, $speed_ki:ident, $speed_kd:ident],
+        profile: [$profile_speed:ident, $acceleration:ident],
+        feed_forward: $duty_per_speed:ident,
+        settle: [$settle_error:ident, $settle_speed:ident],
+        stall: $travel:ident,
+        follow: $follow_error:ident,
+    ) => {
+        pub(super) mod $unit {
+            use super::*;
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            pub(in super::super) struct Motor {
+                #[serde(deserialize_with = "channel")]
+                pub(super) channel: ChannelId,
+                #[serde(default)]
+                inverted: bool,
+                $position: Interval,
+                #[serde(deserialize_with = "positive")]
+                $speed_max: f32,
+                #[serde(deserialize_with = "not_negative")]
+                speed_filter_s: f32,
+                #[serde(default, deserialize_with = "optional_duty")]
+                pub(super) duty_max: Option<f32>,
+                #[serde(deserialize_with = "positive")]
+                duty_slew_per_s: f32,
+                pub(in super::super) $feedback: $Feedback,
+                position_pid: PositionGains,
+                speed_pid: SpeedGains,
+                profile: Profile,
+                feed_forward: StaticAndSpeed,
+                settle: Settle,
+                stall: Stall,
+                follow: Follow,
+                pub(in super::super) homing: Option<$Homing>,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct PositionGains {
+                #[serde(deserialize_with = "not_negative")]
+                $kp: f32,
+                #[serde(deserialize_with = "not_negative")]
+                $ki: f32,
+                #[serde(deserialize_with = "not_negative")]
+                $kd: f32,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct SpeedGains {
+                #[serde(deserialize_with = "not_negative")]
+                $speed_kp: f32,
+                #[serde(deserialize_with = "not_negative")]
+                $speed_ki: f32,
+                #[serde(deserialize_with = "not_negative")]
+                $speed_kd: f32,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct Profile {
+                #[serde(deserialize_with = "positive")]
+                $profile_speed: f32,
+                #[serde(deserialize_with = "positive")]
+                $acceleration: f32,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct StaticAndSpeed {
+                #[serde(deserialize_with = "not_negative")]
+                static_duty: f32,
+                #[serde(deserialize_with = "not_negative")]
+                $duty_per_speed: f32,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct Settle {
+                #[serde(deserialize_with = "positive")]
+                $settle_error: f32,
+                #[serde(deserialize_with = "positive")]
+                $settle_speed: f32,
+                time_ms: u16,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct Stall {
+                #[serde(deserialize_with = "positive")]
+                duty: f32,
+                #[serde(deserialize_with = "positive")]
+                $travel: f32,
+                #[serde(deserialize_with = "positive")]
+                time_ms: u16,
+            }
+
+            #[derive(Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct Follow {
+                #[serde(deserialize_with = "positive")]
+                $follow_error: f32,
+                #[serde(deserialize_with = "positive")]
+                time_ms: u16,
+            }
+
+            impl Motor {
+                pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
+                    let (position, speed) = (self.position_pid, self.speed_pid);
+                    let Self { profile, feed_forward, settle, stall, follow, .. } = self;
+                    MotorConfig {
+                        id: self.channel,
+                        bridge,
+                        inverted: self.inverted,
+                        duty_max,
+                        duty_slew_per_s: self.duty_slew_per_s,
+                        control: Some(ControlConfig {
+                            feedback: self.$feedback.into(),
+                            position: self.$position.into(),
+                            speed_max: self.$speed_max,
+                            position_pid: PidGains { kp: position.$kp, ki: position.$ki, kd: position.$kd },
+                            speed_pid: PidGains { kp: speed.$speed_kp, ki: speed.$speed_ki, kd: speed.$speed_kd },
+                            speed_filter_s: self.speed_filter_s,
+                            profile: ProfileLimits {
+                                speed: profile.$profile_speed,
+                                acceleration: profile.$acceleration,
+                            },
+                            feed_forward: FeedForward {
+                                static_duty: feed_forward.static_duty,
+                                duty_per_speed: feed_forward.$duty_per_speed,
+                            },
+                            settle: SettleConfig {
+                                error: settle.$settle_error,
+                                speed: settle.$settle_speed,
+                                time_ms: settle.time_ms,
+                            },
+                            stall: StallConfig { duty: stall.duty, travel: stall.$travel, time_ms: stall.time_ms },
+                            follow: FollowConfig { error: follow.$follow_error, time_ms: follow.time_ms },
+                            homing: self.homing.map(Into::into),
+                        }),
+                    }
+                }
+            }
+        }
+    };
+}
+
+controlled! {
+    rotary, encoder: Encoder, homing: Homing,
+    position: position_rad,
+    speed_max: speed_max_rad_s,
+    position_pid: [kp_duty_per_rad, ki_duty_per_rad_s, kd_duty_s_per_rad],
+    speed_pid: [kp_duty_s_per_rad, ki_duty_per_rad, kd_duty_s2_per_rad],
+    profile: [speed_rad_s, acceleration_rad_s2],
+    feed_forward: duty_s_per_rad,
+    settle: [error_rad, speed_rad_s],
+    stall: travel_rad,
+    follow: error_rad,
+}
+
+controlled! {
+    linear, potentiometer: Potentiometer, homing: NoHoming,
+    position: position_m,
+    speed_max: speed_max_m_s,
+    position_pid: [kp_duty_per_m, ki_duty_per_m_s, kd_duty_s_per_m],
+    speed_pid: [kp_duty_s_per_m, ki_duty_per_m, kd_duty_s2_per_m],
+    profile: [speed_m_s, acceleration_m_s2],
+    feed_forward: duty_s_per_m,
+    settle: [error_m, speed_m_s],
+    stall: travel_m,
+    follow: error_m,
+}
+
+impl Motor {
+    /// The motor of one table in the array named after `kind`.
+    pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, toml::de::Error> {
+        let table = value.get_ref().as_table();
+        let is_open = table.is_some_and(|table| !table.values().any(|value| value.get_ref().is_table()));
+        let has = |field: &str| table.is_some_and(|table| table.contains_key(field));
+        let is_linear = has("potentiometer") || has("position_m");
+        let deserializer = value.into_deserializer();
+        match kind {
+            ChannelKind::Actuator => Deserialize::deserialize(deserializer).map(Self::Linear),
+            _ if is_open => Deserialize::deserialize(deserializer).map(Self::Open),
+            ChannelKind::Dhb if is_linear => Deserialize::deserialize(deserializer).map(Self::Linear),
+            _ => Deserialize::deserialize(deserializer).map(Self::Rotary),
+        }
+    }
+
+    pub(super) fn channel(&self) -> ChannelId {
+        match self {
+            Self::Open(motor) => motor.channel,
+            Self::Rotary(motor) => motor.channel,
+            Self::Linear(motor) => motor.channel,
+        }
+    }
+
+    pub(super) fn duty_max(&self) -> Option<f32> {
+        match self {
+            Self::Open(motor) => motor.duty_max,
+            Self::Rotary(motor) => motor.duty_max,
+            Self::Linear(motor) => motor.duty_max,
+        }
+    }
+
+    pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
+        match self {
+            Self::Open(Open { channel, inverted, duty_slew_per_s, .. }) => {
+                MotorConfig { id: channel, bridge, inverted, duty_max, duty_slew_per_s, control: None }
+            }
+            Self::Rotary(motor) => motor.config(bridge, duty_max),
+            Self::Linear(motor) => motor.config(bridge, duty_max),
+        }
+    }
+}

@@ -1,0 +1,491 @@
+//! One stepper channel: commands, homing, books of the position.
+//!
+//! Each control period the pulses until [`LEAD_PERIODS`] from now are told to the hardware, with the tick of each. A command
+//! acts where what has been told ends. Time is the steppers' clock alone, so that a late control loop moves no pulse;
+//! one that is late by more than what has been told stops the motor, and that is a [`Fault`].
+
+use core::f64::consts::TAU;
+
+use heapless::Vec;
+use r4_protocol::Range;
+
+use super::{
+    StepperConfig,
+    scurve::{Limits, Motion, Path},
+    steps::{DriverTiming, Pulses, TickTiming},
+};
+use crate::platform::{StepAction, StepEvent, Steppers};
+
+/// How far pulses are told ahead, control periods: one may be missed.
+pub const LEAD_PERIODS: u64 = 2;
+
+/// The switch is backed off from at this share of the speed it was sought with. The position found is off by what the
+/// motor moves at this speed while the switch is debounced, and in up to one period.
+pub const BACK_OFF: f64 = 0.1;
+
+/// A switch that is not found within this share of the position range, or of a turn if that has no end, is given up.
+pub const SEEK_SHARE: f64 = 1.25;
+
+/// Why a configuration cannot work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BadStepper {
+    /// `steps_per_turn` must not be 0.
+    StepsPerTurn,
+    /// `speed_max` must be positive and, in steps, at most the driver's highest rate.
+    Speed,
+    /// `acceleration` must be positive and finite.
+    Acceleration,
+    /// `jerk` must be 0 or positive, and finite.
+    Jerk,
+    /// `start_speed` must be 0 or positive.
+    StartStopSpeed,
+    /// `position` must be an interval within ±2³¹ steps, but for infinite ends.
+    Position,
+    /// The switch's position must be finite and within ±2³¹ steps, its speed positive and at most `speed_max`.
+    Homing,
+    /// The driver's times must be positive, the highest rate leave room for a pulse and its pause, and direction set-up
+    /// take less than an eighth of a period.
+    Timing,
+}
+
+/// What an axis is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// To a position, rad.
+    Position(f32),
+    /// At a speed, rad/s; stops before the ends of the position range.
+    Speed(f32),
+    /// Find the position: towards the switch at this signed speed, rad/s, and slowly off it again. The position range does
+    /// not hold meanwhile.
+    Home(f32),
+    /// To rest, by a ramp.
+    Stop,
+}
+
+/// Why a command was not taken; nothing changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CommandError {
+    /// NaN or infinite.
+    NotFinite,
+    /// Outside what the axis takes.
+    OutOfRange {
+        /// What it takes.
+        allowed: Range,
+    },
+    /// The axis has no switch to find its position by.
+    NoSwitch,
+    /// A speed of 0 finds no switch.
+    NoSpeed,
+}
+
+/// What went wrong in a period. The axis stops: at once, and then it no longer counts as homed, or by a ramp where it says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// The control loop was late by more than the pulses told ahead.
+    Late,
+    /// The hardware did not take all pulses.
+    QueueFull,
+    /// The hardware made other pulses than it was told.
+    Miscounted,
+    /// The switch could not be read while it was needed. By a ramp.
+    SwitchUnknown,
+    /// The switch did not close, or not open again, within [`SEEK_SHARE`]. By a ramp.
+    SwitchNotFound,
+}
+
+/// What a path is made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Order {
+    /// steps
+    Position(i64),
+    /// steps/s, within the range.
+    Speed(f64),
+    /// steps/s, whatever the position.
+    Seek(f64),
+    Stop,
+}
+
+/// Homing under way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Search {
+    /// Towards the switch, steps/s.
+    speed: f64,
+    /// Where this phase began, steps.
+    began: i64,
+    phase: Phase,
+}
+
+/// How far homing has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    /// Until the switch closes.
+    Seek,
+    /// Until the motor rests.
+    Brake,
+    /// Until the switch opens, having been closed: the motor may have passed it.
+    BackOff { was_closed: bool },
+}
+
+/// For telemetry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisStatus {
+    /// Pulses made, as a position; wraps at 32 bits, which commands do not.
+    pub position_steps: i32,
+    /// Speed of the path where what has been told ends, rad/s.
+    pub speed: f32,
+    /// All pulses to the commanded position have been made.
+    pub settled: bool,
+    /// The position is that of the switch, and nothing since put it in doubt.
+    pub homed: bool,
+    /// Pulses are being made, or will be.
+    pub moving: bool,
+}
+
+/// A stepper channel, stepped once each control period.
+#[derive(Debug)]
+pub struct Axis {
+    index: u8,
+    config: StepperConfig,
+    limits: Limits,
+    steps_per_rad: f64,
+    tick_hz: f64,
+    period: u64,
+    /// The hardware's clock and count, and what they are without wrapping.
+    now: u64,
+    raw: i32,
+    position: i64,
+    pending: bool,
+    path: Path,
+    path_start: u64,
+    pulses: Pulses,
+    /// Until when pulses have been told.
+    told_to: u64,
+    /// What the path is for, and what is to replace that.
+    order: Order,
+    next: Option<Order>,
+    search: Option<Search>,
+    homed: bool,
+    /// Highest speeds in the stretches of pulses told last, steps/s: the motor is in one of them.
+    fastest: [f64; LEAD_PERIODS as usize + 2],
+}
+
+impl Axis {
+    /// An axis at rest at position 0, not homed.
+    ///
+    /// # Errors
+    /// [`BadStepper`] names the first field that cannot work.
+    pub fn new<H: Steppers>(
+        index: u8,
+        config: StepperConfig,
+        driver: &DriverTiming,
+        period_us: u32,
+        hw: &mut H,
+    ) -> Result<Self, BadStepper> {
+        let timing = TickTiming::new::<H>(driver).ok_or(BadStepper::Timing)?;
+        let period = u64::from(period_us) * u64::from(H::TICK_HZ) / 1_000_000;
+        if u64::from(timing.turn_to_pulse) > period / MARGIN_SHARE {
+            return Err(BadStepper::Timing);
+        }
+        let steps_per_rad = f64::from(config.steps_per_turn) / TAU;
+        let limits = check(&config, steps_per_rad, timing.rate_max_hz())?;
+        Ok(Self {
+            index,
+            config,
+            limits,
+            steps_per_rad,
+            tick_hz: f64::from(H::TICK_HZ),
+            period,
+            now: hw.now().into(),
+            raw: hw.position(index),
+            position: 0,
+            pending: false,
+            path: Path::rest(Motion::rest(0)),
+            path_start: 0,
+            pulses: Pulses::new(timing),
+            told_to: 0,
+            order: Order::Stop,
+            next: None,
+            search: None,
+            homed: false,
+            fastest: [0.0; _],
+        })
+    }
+
+    /// Takes a command; it acts from the next period on. One that is repeated changes nothing.
+    ///
+    /// # Errors
+    /// [`CommandError`]: a command is refused, never clipped.
+    pub fn command(&mut self, command: Command) -> Result<(), CommandError> {
+        let within = |value: f32, allowed: Range| match value {
+            value if !value.is_finite() => Err(CommandError::NotFinite),
+            value if !(allowed.min..=allowed.max).contains(&value) => Err(CommandError::OutOfRange { allowed }),
+            value => Ok(f64::from(value) * self.steps_per_rad),
+        };
+        let either_way = |speed: f32| Range::new(-speed, speed);
+        let (order, search) = match command {
+            Command::Position(position) => {
+                let last = (f64::from(i32::MAX) / self.steps_per_rad) as f32;
+                let Range { min, max } = self.config.position;
+                let target = within(position, Range::new(min.max(-last), max.min(last)))?;
+                (Order::Position(libm::round(target) as i64), None)
+            }
+            Command::Speed(speed) => (Order::Speed(within(speed, either_way(self.config.speed_max))?), None),
+            Command::Home(speed) => {
+                let homing = self.config.homing.ok_or(CommandError::NoSwitch)?;
+                let speed = within(speed, either_way(homing.speed_max))?;
+                if speed == 0.0 {
+                    return Err(CommandError::NoSpeed);
+                }
+                if self.search.is_some_and(|search| search.speed == speed) {
+                    return Ok(());
+                }
+                self.homed = false;
+                (Order::Seek(speed), Some(Search { speed, began: self.position, phase: Phase::Seek }))
+            }
+            Command::Stop => (Order::Stop, None),
+        };
+        self.search = search;
+        self.next = Some(order).filter(|order| *order != self.order);
+        Ok(())
+    }
+
+    /// One period: takes account of the pulses made, and tells the hardware the next ones. `switch_closed` is the switch
+    /// for homing; `None` if it cannot be read.
+    ///
+    /// # Errors
+    /// [`Fault`]; the axis is already stopping.
+    pub fn step(&mut self, switch_closed: Option<bool>, hw: &mut impl Steppers) -> Result<(), Fault> {
+        self.observe(hw);
+        let searched = self.search_on(switch_closed);
+        if let Err(fault) = self.tell(hw) {
+            self.stop_now(hw);
+            self.homed = false;
+            return Err(fault);
+        }
+        searched
+    }
+
+    /// Takes account of the clock and the pulses made. Done at least every 2³¹ ticks, also while nothing is commanded.
+    pub fn observe(&mut self, hw: &mut impl Steppers) {
+        self.now += u64::from(hw.now().wrapping_sub(self.now as u32));
+        // Asked first: if nothing was left to do, the position is final.
+        self.pending = hw.pending(self.index) > 0;
+        let raw = hw.position(self.index);
+        let moved = i64::from(raw.wrapping_sub(self.raw));
+        self.position = self.position.wrapping_add(if self.config.inverted { -moved } else { moved });
+        self.raw = raw;
+    }
+
+    /// Stops at once and forgets the command. Steps may be lost if that was faster than the motor can stop, and then the axis
+    /// no longer counts as homed; the books keep every pulse made.
+    pub fn stop_now(&mut self, hw: &mut impl Steppers) {
+        hw.stop(self.index);
+        self.observe(hw);
+        let start_stop = f64::from(self.config.start_speed) * self.steps_per_rad;
+        if self.fastest.iter().any(|speed| *speed > start_stop) {
+            self.homed = false;
+        }
+        self.path = Path::rest(Motion::rest(self.position));
+        self.path_start = self.now;
+        self.told_to = self.now;
+        self.pulses.reset(self.position, self.now);
+        self.order = Order::Stop;
+        self.next = None;
+        self.search = None;
+        self.fastest = [0.0; _];
+    }
+
+    /// The shaft may have been turned by something else.
+    pub fn lose_home(&mut self) {
+        self.homed = false;
+    }
+
+    /// For telemetry.
+    #[must_use]
+    pub fn status(&self) -> AxisStatus {
+        let moving = !self.rests();
+        AxisStatus {
+            position_steps: self.position as i32,
+            speed: (self.path.at(self.path_time_s(self.told_to)).speed / self.steps_per_rad) as f32,
+            settled: !moving && matches!(self.order, Order::Position(target) if target == self.position),
+            homed: self.homed,
+            moving,
+        }
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub fn config(&self) -> &StepperConfig {
+        &self.config
+    }
+
+    /// Nothing moves, and nothing will.
+    fn rests(&self) -> bool {
+        !self.pending && self.next.is_none() && self.path.rests_at(self.path_time_s(self.told_to))
+    }
+
+    fn path_time_s(&self, tick: u64) -> f64 {
+        tick.saturating_sub(self.path_start) as f64 / self.tick_hz
+    }
+
+    fn search_on(&mut self, switch_closed: Option<bool>) -> Result<(), Fault> {
+        let (Some(search), Some(homing)) = (self.search, self.config.homing) else { return Ok(()) };
+        let Some(closed) = switch_closed else { return self.give_up(Fault::SwitchUnknown) };
+        let Range { min, max } = self.config.position;
+        let way = f64::from(max - min) * self.steps_per_rad;
+        let most = SEEK_SHARE * if way.is_finite() { way } else { self.config.steps_per_turn.into() };
+        let gone = self.position.wrapping_sub(search.began).unsigned_abs() as f64;
+        let phase = match search.phase {
+            Phase::Seek if closed => {
+                self.next = Some(Order::Stop);
+                Phase::Brake
+            }
+            Phase::Brake if self.rests() => {
+                self.next = Some(Order::Seek(-BACK_OFF * search.speed));
+                Phase::BackOff { was_closed: closed }
+            }
+            Phase::BackOff { was_closed: true } if !closed => {
+                self.found(libm::round(f64::from(homing.position) * self.steps_per_rad) as i64);
+                return Ok(());
+            }
+            Phase::Seek | Phase::BackOff { .. } if gone > most => return self.give_up(Fault::SwitchNotFound),
+            Phase::BackOff { was_closed: false } if closed => Phase::BackOff { was_closed: true },
+            Phase::Seek | Phase::Brake | Phase::BackOff { .. } => return Ok(()),
+        };
+        self.search = Some(Search { phase, began: self.position, ..search });
+        Ok(())
+    }
+
+    /// The switch opens here.
+    fn found(&mut self, position: i64) {
+        let shift = position.wrapping_sub(self.position);
+        self.position = position;
+        self.pulses.shift(shift);
+        self.path.shift(shift);
+        self.homed = true;
+        self.search = None;
+        self.next = Some(Order::Stop);
+    }
+
+    fn give_up(&mut self, fault: Fault) -> Result<(), Fault> {
+        self.search = None;
+        self.next = Some(Order::Stop);
+        Err(fault)
+    }
+
+    fn tell(&mut self, hw: &mut impl Steppers) -> Result<(), Fault> {
+        self.fastest.rotate_left(1);
+        self.fastest[self.fastest.len() - 1] = 0.0;
+        let rests = self.path.rests_at(self.path_time_s(self.told_to));
+        let in_time = self.told_to >= self.now + self.period / MARGIN_SHARE;
+        match (rests, in_time) {
+            (false, false) => return Err(Fault::Late),
+            (true, _) if self.next.is_none() => {
+                let done = !self.pending && self.now > self.told_to;
+                return if done && self.position != self.pulses.made() { Err(Fault::Miscounted) } else { Ok(()) };
+            }
+            (true, false) => self.told_to = self.now + self.period / 2,
+            (_, true) => {}
+        }
+        if let Some(order) = self.next.take() {
+            let motion = self.path.at(self.path_time_s(self.told_to));
+            self.path = self.path_for(order, motion);
+            self.path_start = self.told_to;
+            self.order = order;
+        }
+        let from = self.told_to;
+        self.told_to = from.max(self.now + LEAD_PERIODS * self.period);
+        self.fastest[self.fastest.len() - 1] = self.fastest_between(from, self.told_to);
+        self.queue(from, hw)
+    }
+
+    fn path_for(&self, order: Order, motion: Motion) -> Path {
+        match order {
+            Order::Position(target) => Path::to_position(motion, target, &self.limits),
+            Order::Stop => Path::to_speed(motion, 0.0, &self.limits),
+            Order::Seek(speed) => Path::to_speed(motion, speed, &self.limits),
+            Order::Speed(speed) => {
+                let end = if speed > 0.0 { self.config.position.max } else { self.config.position.min };
+                if speed == 0.0 || end.is_infinite() {
+                    return Path::to_speed(motion, speed, &self.limits);
+                }
+                let end = f64::from(end) * self.steps_per_rad;
+                let end = if speed > 0.0 { libm::floor(end) } else { libm::ceil(end) } as i64;
+                if motion.position.distance_to(end) * speed <= 0.0 {
+                    return Path::to_speed(motion, 0.0, &self.limits);
+                }
+                Path::to_position(motion, end, &Limits { speed: speed.abs(), ..self.limits })
+            }
+        }
+    }
+
+    /// Highest speed of the path between two ticks. Its extremes are at the ends of pieces, but for one that begins with
+    /// acceleration of the other sign: there it lies between speeds that come before.
+    fn fastest_between(&self, from: u64, to: u64) -> f64 {
+        let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(to));
+        let within = self.path.pieces().iter().filter(|piece| (from_s..to_s).contains(&piece.start_s));
+        let ends = [self.path.at(from_s).speed, self.path.at(to_s).speed];
+        within.map(|piece| piece.start.speed).chain(ends).fold(0.0, |fastest, speed| speed.abs().max(fastest))
+    }
+
+    /// Tells the hardware the pulses of `from..told_to`.
+    fn queue(&mut self, from: u64, hw: &mut impl Steppers) -> Result<(), Fault> {
+        let (index, inverted, path_start) = (self.index, self.config.inverted, self.path_start);
+        let mut events: Vec<StepEvent, 32> = Vec::new();
+        let mut taken = Ok(());
+        let mut flush = |events: &mut Vec<StepEvent, 32>| {
+            if taken.is_ok() && hw.queue(index, events) < events.len() {
+                taken = Err(Fault::QueueFull);
+            }
+            events.clear();
+        };
+        self.pulses.along(&self.path, path_start, from - path_start, self.told_to - path_start, |mut event| {
+            if let StepAction::Direction(positive) = &mut event.action {
+                *positive ^= inverted;
+            }
+            if events.is_full() {
+                flush(&mut events);
+            }
+            let _ = events.push(event);
+        });
+        flush(&mut events);
+        taken
+    }
+}
+
+/// Pulses are told at least this part of a period before they are due.
+const MARGIN_SHARE: u64 = 8;
+
+fn check(config: &StepperConfig, steps_per_rad: f64, rate_max_hz: f64) -> Result<Limits, BadStepper> {
+    let positive = |value: f32| value > 0.0 && value.is_finite();
+    let countable = |position: f32| (f64::from(position) * steps_per_rad).abs() < f64::from(i32::MAX);
+    let speed = f64::from(config.speed_max) * steps_per_rad;
+    if config.steps_per_turn == 0 {
+        return Err(BadStepper::StepsPerTurn);
+    }
+    // f32 has 7 digits: a speed that is the highest rate in decimals may be above it by one rounding.
+    if !positive(config.speed_max) || speed > rate_max_hz * (1.0 + f64::from(f32::EPSILON)) {
+        return Err(BadStepper::Speed);
+    }
+    if !positive(config.acceleration) {
+        return Err(BadStepper::Acceleration);
+    }
+    if config.jerk != 0.0 && !positive(config.jerk) {
+        return Err(BadStepper::Jerk);
+    }
+    if config.start_speed.is_nan() || config.start_speed < 0.0 {
+        return Err(BadStepper::StartStopSpeed);
+    }
+    let Range { min, max } = config.position;
+    if [min, max].into_iter().any(|end| end.is_nan() || (end.is_finite() && !countable(end))) || min > max {
+        return Err(BadStepper::Position);
+    }
+    let bad_homing = |homing: super::Homing| {
+        !countable(homing.position) || !positive(homing.speed_max) || homing.speed_max > config.speed_max
+    };
+    if config.homing.is_some_and(bad_homing) {
+        return Err(BadStepper::Homing);
+    }
+    let jerk = if config.jerk == 0.0 { f64::INFINITY } else { f64::from(config.jerk) * steps_per_rad };
+    Ok(Limits { speed: speed.min(rate_max_hz), acceleration: f64::from(config.acceleration) * steps_per_rad, jerk })
+}

@@ -1,0 +1,12 @@
+//! Steppers: paths, pulse times, axes, and the enable they share.
+
+pub mod axis;
+mod bank;
+pub mod scurve;
+pub mod steps;
+
+#[cfg(test)]
+mod tests;
+
+pub use bank::{Bank, MAX_STEPPERS, NotTaken};
+pub use r4_protocol::config::{HomingConfig as Homing, StepperConfig};

@@ -1,0 +1,550 @@
+//! Time-optimal path with limited speed, acceleration and jerk, from any state of motion to rest at a position or to a speed.
+//!
+//! Going towards a target means: head for full speed as fast as the limits allow, cruise, and brake as hard as they allow.
+//! Where a path that brakes later ends grows with the moment at which it brakes, so that moment is the only unknown,
+//! whatever the state at the start. If even braking at once ends beyond the target, the same is done towards the other
+//! side. This gives the seven segments from rest, and the right ones from any other state.
+//!
+//! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
+
+use heapless::Vec;
+
+/// Limits of a path. All positive; speed and acceleration finite.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// steps/s
+    pub speed: f64,
+    /// steps/s²
+    pub acceleration: f64,
+    /// steps/s³; infinite for trapezoids, whose acceleration jumps.
+    pub jerk: f64,
+}
+
+/// A position as whole steps and the rest, in -0.5..=0.5, so that far from zero it is as fine as near it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Position {
+    /// Nearest step.
+    pub steps: i64,
+    /// From there, steps.
+    pub fraction: f64,
+}
+
+impl Position {
+    /// Exactly at a step.
+    #[must_use]
+    pub const fn at_step(steps: i64) -> Self {
+        Self { steps, fraction: 0.0 }
+    }
+
+    /// From here to a step.
+    #[must_use]
+    pub fn distance_to(self, steps: i64) -> f64 {
+        steps.wrapping_sub(self.steps) as f64 - self.fraction
+    }
+
+    fn moved(self, distance: f64) -> Self {
+        let place = self.fraction + distance;
+        let whole = libm::round(place);
+        Self { steps: self.steps.wrapping_add(whole as i64), fraction: place - whole }
+    }
+}
+
+/// A state of motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Where.
+    pub position: Position,
+    /// steps/s
+    pub speed: f64,
+    /// steps/s²
+    pub acceleration: f64,
+}
+
+impl Motion {
+    /// At rest at a step.
+    #[must_use]
+    pub const fn rest(steps: i64) -> Self {
+        Self { position: Position::at_step(steps), speed: 0.0, acceleration: 0.0 }
+    }
+}
+
+/// A stretch of time with constant jerk. The acceleration belongs to it, because in a trapezoid it jumps between them.
+#[derive(Clone, Copy, Debug)]
+struct Arc {
+    duration_s: f64,
+    acceleration: f64,
+    jerk: f64,
+}
+
+impl Arc {
+    const NONE: Self = Self { duration_s: 0.0, acceleration: 0.0, jerk: 0.0 };
+
+    /// No more of it than this long.
+    fn cut(self, duration_s: f64) -> Self {
+        Self { duration_s: self.duration_s.min(duration_s), ..self }
+    }
+}
+
+/// Distance, speed and acceleration while an arc is followed.
+#[derive(Clone, Copy)]
+struct Relative {
+    distance: f64,
+    speed: f64,
+    acceleration: f64,
+}
+
+impl Relative {
+    fn after(self, arc: Arc) -> Self {
+        let (t, a, j) = (arc.duration_s, arc.acceleration, arc.jerk);
+        Self {
+            distance: self.distance + t * (self.speed + t * (a / 2.0 + t * j / 6.0)),
+            speed: self.speed + t * (a + t * j / 2.0),
+            acceleration: a + t * j,
+        }
+    }
+}
+
+/// The fastest way to the speed `to`, ending without acceleration. Speed leaves the interval between start and end only
+/// by what taking back the acceleration costs; acceleration beyond the limit is first brought back to it.
+fn ramp(speed: f64, acceleration: f64, to: f64, limits: &Limits) -> [Arc; 3] {
+    let Limits { acceleration: most, jerk, .. } = *limits;
+    if jerk.is_infinite() {
+        let change = to - speed;
+        let arc = Arc { duration_s: change.abs() / most, acceleration: most.copysign(change), jerk: 0.0 };
+        return [arc, Arc::NONE, Arc::NONE];
+    }
+    let if_taken_back = speed + acceleration * acceleration.abs() / (2.0 * jerk);
+    let side = if to >= if_taken_back { 1.0 } else { -1.0 };
+    let (start, change) = (side * acceleration, side * (to - speed));
+    // From `start` up to the peak and from there to 0 must make up the change: (2 peak² - start²) / 2 jerk = change.
+    let free_peak = libm::sqrt((jerk * change + start * start / 2.0).max(0.0));
+    let peak = free_peak.min(most);
+    let first_s = (peak - start).abs() / jerk;
+    let last_s = peak / jerk;
+    let hold_s = if free_peak > most {
+        ((change - first_s * (start + peak) / 2.0 - last_s * peak / 2.0) / most).max(0.0)
+    } else {
+        0.0
+    };
+    let first_jerk = side * jerk.copysign(peak - start);
+    [
+        Arc { duration_s: first_s, acceleration, jerk: first_jerk },
+        Arc { duration_s: hold_s, acceleration: side * peak, jerk: 0.0 },
+        Arc { duration_s: last_s, acceleration: side * peak, jerk: -side * jerk },
+    ]
+}
+
+/// State after `time_s` of a ramp that starts with `speed`.
+fn along(ramp: &[Arc; 3], speed: f64, mut time_s: f64) -> Relative {
+    let mut state = Relative { distance: 0.0, speed, acceleration: ramp[0].acceleration };
+    for arc in ramp {
+        if time_s <= 0.0 {
+            break;
+        }
+        state = state.after(arc.cut(time_s));
+        time_s -= arc.duration_s;
+    }
+    state
+}
+
+fn duration_s(ramp: &[Arc; 3]) -> f64 {
+    ramp.iter().map(|arc| arc.duration_s).sum()
+}
+
+/// A part of a path: constant jerk from `start_s` after the path's start until the next part.
+#[derive(Clone, Copy, Debug)]
+pub struct Piece {
+    /// s after the path's start.
+    pub start_s: f64,
+    /// State then.
+    pub start: Motion,
+    /// steps/s³
+    pub jerk: f64,
+}
+
+impl Piece {
+    /// Distance from the piece's start and speed, `time_s` after it.
+    #[must_use]
+    pub fn distance_and_speed(&self, time_s: f64) -> (f64, f64) {
+        let (t, Motion { speed, acceleration, .. }) = (time_s, self.start);
+        (t * (speed + t * (acceleration / 2.0 + t * self.jerk / 6.0)), speed + t * (acceleration + t * self.jerk / 2.0))
+    }
+
+    fn at(&self, time_s: f64) -> Motion {
+        let (distance, speed) = self.distance_and_speed(time_s);
+        Motion {
+            position: self.start.position.moved(distance),
+            speed,
+            acceleration: self.start.acceleration + self.jerk * time_s,
+        }
+    }
+}
+
+/// Heading for full speed, cruise, braking, and what stays for good.
+const MAX_PIECES: usize = 8;
+
+/// A path from some state of motion on: what it leads to is kept for good.
+#[derive(Clone, Debug)]
+pub struct Path {
+    pieces: Vec<Piece, MAX_PIECES>,
+}
+
+/// Paths that would miss by less than this need no correction but the shift that takes them exactly to the target, steps.
+const NEGLIGIBLE: f64 = 1e-6;
+
+impl Path {
+    /// Stays at a state's position.
+    #[must_use]
+    pub fn rest(at: Motion) -> Self {
+        Builder::new(at).finish(0.0)
+    }
+
+    /// The fastest way to rest at a step.
+    ///
+    /// Keeps to the limits, except from a state outside them: it is first brought inside, and a state too fast to stop
+    /// before the target passes it and returns.
+    #[must_use]
+    pub fn to_position(from: Motion, target: i64, limits: &Limits) -> Self {
+        let distance = from.position.distance_to(target);
+        let stop = ramp(from.speed, from.acceleration, 0.0, limits);
+        let excess = distance - along(&stop, from.speed, f64::INFINITY).distance;
+        let mut path = Builder::new(from);
+        if excess.abs() <= NEGLIGIBLE {
+            path.ramp(&stop, f64::INFINITY);
+        } else {
+            let side = 1f64.copysign(excess);
+            let out = ramp(from.speed, from.acceleration, side * limits.speed, limits);
+            // How far beyond the target the path ends that brakes at this time of `out`; grows with it.
+            let beyond = |time_s: f64| {
+                let Relative { distance: covered, speed, acceleration } = along(&out, from.speed, time_s);
+                let stop = ramp(speed, acceleration, 0.0, limits);
+                side * (covered + along(&stop, speed, f64::INFINITY).distance - distance)
+            };
+            let out_s = duration_s(&out);
+            let short = -beyond(out_s);
+            if short >= 0.0 {
+                path.ramp(&out, f64::INFINITY);
+                path.settle(side * limits.speed);
+                path.arc(Arc { duration_s: short / limits.speed, ..Arc::NONE });
+            } else {
+                path.ramp(&out, root((0.0, -excess.abs()), (out_s, -short), beyond));
+            }
+            let braking = path.pieces.len();
+            let stop = ramp(path.now.speed, path.now.acceleration, 0.0, limits);
+            path.ramp(&stop, f64::INFINITY);
+            // What rounding leaves of a long way goes where the path is fast.
+            let missed = path.now.position.distance_to(target);
+            for piece in path.pieces.iter_mut().skip(braking) {
+                piece.start.position = piece.start.position.moved(missed);
+            }
+        }
+        path.now.position = Position::at_step(target);
+        path.finish(0.0)
+    }
+
+    /// The fastest way to a speed, which is then held; 0 stops.
+    #[must_use]
+    pub fn to_speed(from: Motion, speed: f64, limits: &Limits) -> Self {
+        let mut path = Builder::new(from);
+        path.ramp(&ramp(from.speed, from.acceleration, speed, limits), f64::INFINITY);
+        path.finish(speed)
+    }
+
+    /// Calls all positions of it differently.
+    pub fn shift(&mut self, by: i64) {
+        for piece in &mut self.pieces {
+            piece.start.position.steps = piece.start.position.steps.wrapping_add(by);
+        }
+    }
+
+    /// The parts, in order of time; never none. The last has no end, and constant speed.
+    #[must_use]
+    pub fn pieces(&self) -> &[Piece] {
+        &self.pieces
+    }
+
+    /// State at a time after the start.
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> Motion {
+        let mut piece = &self.pieces[0];
+        for next in &self.pieces {
+            if next.start_s <= time_s {
+                piece = next;
+            }
+        }
+        piece.at(time_s - piece.start_s)
+    }
+
+    /// When what the path leads to is reached, s after its start.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.pieces.last().map_or(0.0, |last| last.start_s)
+    }
+
+    /// Whether the path is over and nothing moves from `time_s` on.
+    #[must_use]
+    pub fn rests_at(&self, time_s: f64) -> bool {
+        self.pieces.last().is_some_and(|last| last.start_s <= time_s && last.start.speed == 0.0)
+    }
+}
+
+/// A path being put together.
+struct Builder {
+    pieces: Vec<Piece, MAX_PIECES>,
+    now: Motion,
+    time_s: f64,
+}
+
+impl Builder {
+    fn new(from: Motion) -> Self {
+        Self { pieces: Vec::new(), now: from, time_s: 0.0 }
+    }
+
+    fn arc(&mut self, arc: Arc) {
+        if arc.duration_s <= 0.0 {
+            return;
+        }
+        let piece = Piece {
+            start_s: self.time_s,
+            start: Motion { acceleration: arc.acceleration, ..self.now },
+            jerk: arc.jerk,
+        };
+        // Three arcs, cruise, three arcs, the end: there is room.
+        let _ = self.pieces.push(piece);
+        self.now = piece.at(arc.duration_s);
+        self.time_s += arc.duration_s;
+    }
+
+    /// The first `time_s` of a ramp.
+    fn ramp(&mut self, ramp: &[Arc; 3], mut time_s: f64) {
+        for arc in ramp {
+            self.arc(arc.cut(time_s));
+            time_s -= arc.duration_s;
+        }
+    }
+
+    /// A ramp has ended at this speed, but for rounding.
+    fn settle(&mut self, speed: f64) {
+        self.now = Motion { speed, acceleration: 0.0, ..self.now };
+    }
+
+    fn finish(mut self, speed: f64) -> Path {
+        self.settle(speed);
+        let _ = self.pieces.push(Piece { start_s: self.time_s, start: self.now, jerk: 0.0 });
+        Path { pieces: self.pieces }
+    }
+}
+
+/// Where a growing function with these two points, below and above 0, passes 0.
+///
+/// Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Advances in Engineering Software 28,
+/// 1997, 145-149). Ends at 1e-9 of the function or when the interval is down to rounding.
+fn root(low: (f64, f64), high: (f64, f64), function: impl Fn(f64) -> f64) -> f64 {
+    let (mut a, mut b) = (high, low);
+    let mut share = 0.5;
+    for _ in 0..100 {
+        let x = a.0 + share * (b.0 - a.0);
+        let y = function(x);
+        let last = if (y > 0.0) == (a.1 > 0.0) { a } else { core::mem::replace(&mut b, a) };
+        a = (x, y);
+        let best = if a.1.abs() < b.1.abs() { a } else { b };
+        let least = f64::EPSILON * (best.0.abs() + high.0 * 1e-3) / (b.0 - a.0).abs();
+        if best.1.abs() <= 1e-9 || least >= 0.5 {
+            return best.0;
+        }
+        let place = (a.0 - b.0) / (last.0 - b.0);
+        let height = (a.1 - b.1) / (last.1 - b.1);
+        share = if height * height < place && (1.0 - height) * (1.0 - height) < 1.0 - place {
+            a.1 / (b.1 - a.1) * last.1 / (b.1 - last.1)
+                + (last.0 - a.0) / (b.0 - a.0) * a.1 / (last.1 - a.1) * b.1 / (last.1 - b.1)
+        } else {
+            0.5
+        };
+        share = share.clamp(least, 1.0 - least);
+    }
+    a.0
+}
+
+#[cfg(test)]
+mod tests {
+    use core::cell::Cell;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Limits of a micro-stepped motor, from slow to 100 kHz, with times to full acceleration of 1 ms to 1 s or none.
+    fn limits() -> impl Strategy<Value = Limits> {
+        let jerk_time_s = prop_oneof![Just(0.0), (-3.0..0.0f64).prop_map(|exponent| 10f64.powf(exponent))];
+        (1.0..5.0f64, 1.0..7.0f64, jerk_time_s).prop_map(|(speed, acceleration, jerk_time_s)| {
+            let acceleration = 10f64.powf(acceleration);
+            Limits { speed: 10f64.powf(speed), acceleration, jerk: acceleration / jerk_time_s }
+        })
+    }
+
+    /// Shortest time from rest to rest, by cases: full speed reached, full acceleration reached, neither.
+    fn ideal_s(distance: f64, limits: &Limits) -> f64 {
+        let Limits { speed: v, acceleration: a, jerk: j } = *limits;
+        let to_speed_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
+        let peak = a * ((a * a / j / j + 4.0 * distance / a).sqrt() - a / j) / 2.0;
+        if distance >= v * to_speed_s {
+            distance / v + to_speed_s
+        } else if peak * j >= a * a {
+            2.0 * (a / j + peak / a)
+        } else {
+            4.0 * (distance / 2.0 / j).cbrt()
+        }
+    }
+
+    /// From here to `to`, steps.
+    fn between(from: Position, to: Position) -> f64 {
+        from.distance_to(to.steps) + to.fraction
+    }
+
+    /// Every limit at the ends of every piece and, for speed, at its extremes within; no jump between pieces.
+    fn check(path: &Path, limits: &Limits) -> Result<(), TestCaseError> {
+        // Rounding of f64 in sums of some ten terms.
+        let above = 1.0 + 1e-9;
+        for (piece, next) in path.pieces().iter().zip(&path.pieces()[1..]) {
+            let time_s = next.start_s - piece.start_s;
+            let end = piece.at(time_s);
+            // Starts are told in f64 from the path's start.
+            let rounded_s = 4.0 * f64::EPSILON * next.start_s;
+            let jerk_s = if piece.jerk == 0.0 { 0.0 } else { limits.jerk * rounded_s };
+            prop_assert!(piece.jerk == 0.0 || (piece.jerk.abs() <= limits.jerk && limits.jerk.is_finite()));
+            for acceleration in [piece.start.acceleration, end.acceleration] {
+                prop_assert!(acceleration.abs() <= limits.acceleration * above + jerk_s, "{piece:?}, {limits:?}");
+            }
+            // Speed is a parabola with its extreme where acceleration is 0.
+            let extreme_s = (-piece.start.acceleration / piece.jerk).clamp(0.0, time_s);
+            for time_s in [0.0, if extreme_s.is_finite() { extreme_s } else { 0.0 }, time_s] {
+                let (_, speed) = piece.distance_and_speed(time_s);
+                prop_assert!(
+                    speed.abs() <= limits.speed * above + limits.acceleration * rounded_s,
+                    "{speed} in {piece:?}, {limits:?}"
+                );
+            }
+            // The shift before braking: 1e-6 steps, or the rounding of the way; elsewhere rounding.
+            let way = end.speed.abs() * next.start_s;
+            prop_assert!(between(end.position, next.start.position).abs() <= 2e-6 + way * 1e-14, "{end:?} {next:?}");
+            prop_assert!(
+                (end.speed - next.start.speed).abs() <= limits.speed * 1e-9 + limits.acceleration * rounded_s,
+                "{end:?} {next:?}"
+            );
+            if limits.jerk.is_finite() {
+                let jump = (end.acceleration - next.start.acceleration).abs();
+                // At the end of a path what its roots are exact to: sqrt of rounding of the speed.
+                prop_assert!(
+                    jump <= limits.acceleration * 1e-6 + (limits.jerk * limits.speed).sqrt() * 1e-6 + jerk_s,
+                    "{end:?} {next:?}"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    #[derive(Clone, Debug)]
+    enum Order {
+        Position(i64),
+        Speed(f64),
+    }
+
+    fn order() -> impl Strategy<Value = Order> {
+        let far = (-9.3f64..9.3).prop_map(|e| Order::Position((10f64.powf(e.abs()).copysign(e)) as i64));
+        prop_oneof![far, (-1.0..1.0f64).prop_map(Order::Speed), Just(Order::Speed(0.0))]
+    }
+
+    fn follow(from: Motion, order: &Order, limits: &Limits) -> Path {
+        match order {
+            Order::Position(target) => Path::to_position(from, *target, limits),
+            Order::Speed(share) => Path::to_speed(from, share * limits.speed, limits),
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn rest_to_rest_takes_the_shortest_time(limits in limits(), exponent in 0.0..9.3f64, up: bool, start in -1_000_000i64..1_000_000) {
+            // Up to a million seconds.
+            let distance = 10f64.powf(exponent).min(limits.speed * 1e6) as i64;
+            let target = if up { start + distance } else { start - distance };
+            let path = Path::to_position(Motion::rest(start), target, &limits);
+            check(&path, &limits)?;
+            let ideal_s = ideal_s(distance as f64, &limits);
+            // The root is found to 1e-9 steps, of one at least; time grows at most with the distance.
+            prop_assert!((path.duration_s() / ideal_s - 1.0).abs() < 1e-8, "{} s, ideal {ideal_s} s", path.duration_s());
+            prop_assert_eq!(path.at(path.duration_s()), Motion::rest(target));
+        }
+
+        #[test]
+        fn new_orders_at_any_moment_keep_all_limits(
+            limits in limits(), orders in prop::collection::vec((order(), 0.0..1.2f64), 1..12),
+        ) {
+            let mut now = Motion::rest(0);
+            for (order, share) in &orders {
+                let path = follow(now, order, &limits);
+                check(&path, &limits)?;
+                let start = path.at(0.0);
+                prop_assert!(between(now.position, start.position).abs() < 2e-6 && (now.speed - start.speed).abs() <= 1e-9 * limits.speed);
+                let rest_s = path.duration_s();
+                match order {
+                    Order::Position(target) => {
+                        prop_assert_eq!(path.at(rest_s), Motion::rest(*target));
+                        // Never longer than to stop first and go then.
+                        let stop = Path::to_speed(now, 0.0, &limits);
+                        let stopped = stop.at(stop.duration_s());
+                        let way = stopped.position.distance_to(*target).abs();
+                        let at_most_s = stop.duration_s() + ideal_s(way, &limits);
+                        prop_assert!(rest_s <= at_most_s * (1.0 + 1e-6) + 1e-9, "{rest_s} s, stop and go {at_most_s} s");
+                    }
+                    Order::Speed(share) => prop_assert_eq!(path.at(rest_s).speed, share * limits.speed),
+                }
+                now = path.at(share * rest_s);
+            }
+        }
+
+        #[test]
+        fn the_same_order_again_changes_nothing(limits in limits(), exponent in 0.0..9.0f64, share in 0.0..1.0f64) {
+            let target = 10f64.powf(exponent) as i64;
+            let path = Path::to_position(Motion::rest(0), target, &limits);
+            let time_s = share * path.duration_s();
+            let again = Path::to_position(path.at(time_s), target, &limits);
+            let left_s = path.duration_s() - time_s;
+            // Time to correct an error of 1e-6 steps with the jerk or the acceleration there is.
+            let correction_s = 4.0 * (1e-6 / limits.jerk).cbrt() + 2.0 * (1e-6 / limits.acceleration).sqrt();
+            prop_assert!((again.duration_s() - left_s).abs() < 1e-7 * path.duration_s() + 4.0 * correction_s, "{} s, {left_s} s left", again.duration_s());
+        }
+
+        #[test]
+        fn a_state_outside_the_limits_is_brought_inside(
+            limits in limits(), speed in -3.0..3.0f64, acceleration in -3.0..3.0f64, order in order(),
+        ) {
+            let speed = speed * limits.speed;
+            let acceleration = acceleration * limits.acceleration;
+            let from = Motion { position: Position { steps: -7, fraction: 0.25 }, speed, acceleration };
+            let path = follow(from, &order, &limits);
+            let end = path.at(path.duration_s());
+            match order {
+                Order::Position(target) => prop_assert_eq!(end, Motion::rest(target)),
+                Order::Speed(share) => prop_assert_eq!(end.speed, share * limits.speed),
+            }
+            let stray = if limits.jerk.is_finite() { acceleration * acceleration / limits.jerk } else { 0.0 };
+            for piece in path.pieces() {
+                prop_assert!(piece.start.speed.abs() <= (speed.abs() + stray).max(limits.speed) * (1.0 + 1e-9));
+                prop_assert!(piece.start.acceleration.abs() <= acceleration.abs().max(limits.acceleration) * (1.0 + 1e-9));
+            }
+        }
+
+        #[test]
+        fn a_root_takes_few_steps(exponent in 1.0..4.0f64, share in -9.0..-1e-3f64) {
+            let height = 10f64.powf(share);
+            let calls = Cell::new(0);
+            let function = |x: f64| { calls.set(calls.get() + 1); x.powf(exponent) - height };
+            let x = root((0.0, -height), (1.0, 1.0 - height), function);
+            prop_assert!((x.powf(exponent) - height).abs() <= 1e-9);
+            // Bisection to 1e-9 and 2e-16: from 30 to 52.
+            prop_assert!(calls.get() <= 40, "{} calls", calls.get());
+        }
+    }
+}

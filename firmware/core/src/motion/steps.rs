@@ -1,0 +1,368 @@
+//! From a path to the moments of its pulses.
+//!
+//! A pulse is due when the path passes the middle between two steps, so that what has been made is always the step nearest
+//! to the path. Each moment is solved from the path's own polynomials and rounded to a tick: no error adds up.
+
+use super::scurve::{Path, Piece};
+use crate::platform::{StepAction, StepEvent, Steppers};
+
+/// What a driver needs from its lines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriverTiming {
+    /// Direction before the active edge of a pulse, s.
+    pub direction_setup_s: f32,
+    /// Direction after the end of a pulse, s.
+    pub direction_hold_s: f32,
+    /// Enable before the first pulse, s.
+    pub enable_setup_s: f32,
+    /// Most pulses per second.
+    pub rate_max_hz: f32,
+}
+
+/// [`DriverTiming`] in ticks, each rounded to the safe side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TickTiming {
+    pub(super) tick_hz: u32,
+    /// From pulse to pulse.
+    pub(super) spacing: u32,
+    /// From turning the direction line to the pulse.
+    pub(super) turn_to_pulse: u32,
+    /// From a pulse to turning the direction line.
+    pub(super) pulse_to_turn: u32,
+    /// From enable to the first pulse.
+    pub(super) enable: u32,
+}
+
+impl TickTiming {
+    /// For a board's clock. `None` if a time is negative, longer than the clock counts, or not a number, or if pulses at
+    /// the highest rate would run into each other.
+    #[must_use]
+    pub fn new<H: Steppers>(driver: &DriverTiming) -> Option<Self> {
+        let ticks = |time_s: f64| {
+            let ticks = libm::ceil(time_s * f64::from(H::TICK_HZ) - 1e-3);
+            // Half the counter's range tells before from after.
+            (0.0..f64::from(i32::MAX)).contains(&ticks).then_some(ticks as u32)
+        };
+        let turn = ticks(driver.direction_setup_s.into())?;
+        let hold = ticks(driver.direction_hold_s.into())?;
+        let spacing = ticks(1.0 / f64::from(driver.rate_max_hz))?;
+        (spacing > H::PULSE_TICKS).then_some(())?;
+        Some(Self {
+            tick_hz: H::TICK_HZ,
+            spacing,
+            turn_to_pulse: turn.checked_add(H::DIRECTION_LATENCY_TICKS)?,
+            pulse_to_turn: hold.checked_add(H::PULSE_TICKS)?,
+            enable: ticks(driver.enable_setup_s.into())?,
+        })
+    }
+
+    /// The highest rate, steps/s: a whole number of ticks from pulse to pulse.
+    #[must_use]
+    pub fn rate_max_hz(&self) -> f64 {
+        f64::from(self.tick_hz) / f64::from(self.spacing)
+    }
+}
+
+/// The pulses of one axis along its paths.
+///
+/// Within half a tick of the path, and later only where two pulses of opposite direction are closer than the direction
+/// line allows: a path that turns just beyond the middle between two steps.
+#[derive(Clone, Debug)]
+pub struct Pulses {
+    timing: TickTiming,
+    /// Position after all pulses told so far, steps.
+    made: i64,
+    /// What the direction line will be; `None` when that is not known.
+    direction: Option<bool>,
+    last_tick: Option<u64>,
+}
+
+impl Pulses {
+    /// No pulse made, at position 0.
+    #[must_use]
+    pub fn new(timing: TickTiming) -> Self {
+        Self { timing, made: 0, direction: None, last_tick: None }
+    }
+
+    /// Position after all pulses told so far, steps.
+    #[must_use]
+    pub fn made(&self) -> i64 {
+        self.made
+    }
+
+    /// Calls the present position differently.
+    pub fn shift(&mut self, by: i64) {
+        self.made = self.made.wrapping_add(by);
+    }
+
+    /// Starts anew where the motor stands: pulses told may not have been made, the last of them not after `tick`.
+    pub fn reset(&mut self, position: i64, tick: u64) {
+        *self = Self { timing: self.timing, made: position, direction: None, last_tick: Some(tick) };
+    }
+
+    /// Tells `emit` the events of a path's time `from..to`, ticks after the path's start at tick `start`, in order. Called
+    /// with intervals that follow each other.
+    ///
+    /// The direction line is turned as late as it may be, [`TickTiming`]'s time before the pulse, which can be before `from`.
+    pub fn along(&mut self, path: &Path, start: u64, from: u64, to: u64, mut emit: impl FnMut(StepEvent)) {
+        let tick_hz = f64::from(self.timing.tick_hz);
+        let (from_s, to_s) = (from as f64 / tick_hz, to as f64 / tick_hz);
+        let pieces = path.pieces();
+        let ends = pieces.iter().skip(1).map(|next| next.start_s).chain([f64::INFINITY]);
+        for (piece, end_s) in pieces.iter().zip(ends) {
+            let (low, high) = (from_s.max(piece.start_s) - piece.start_s, to_s.min(end_s) - piece.start_s);
+            if high <= low {
+                continue;
+            }
+            let to_tick = |time_s: f64| start + libm::round((piece.start_s + time_s) * tick_hz) as u64;
+            let mut part = low;
+            for part_end in turns(piece).into_iter().filter(|turn| (low..high).contains(turn)).chain([high]) {
+                self.along_one_way(piece, part, part_end, to_tick, &mut emit);
+                part = part_end;
+            }
+        }
+    }
+
+    /// A part of a piece in which the speed keeps its sign.
+    fn along_one_way(
+        &mut self,
+        piece: &Piece,
+        mut low: f64,
+        high: f64,
+        to_tick: impl Fn(f64) -> u64,
+        emit: &mut impl FnMut(StepEvent),
+    ) {
+        let ((first, speed), (last, _)) = (piece.distance_and_speed(low), piece.distance_and_speed(high));
+        let side = if last > first { 1.0 } else { -1.0 };
+        let mut line = piece.start.position.distance_to(self.made) + side / 2.0;
+        // As if it went on as fast as it begins; after that, as long as the last step took.
+        let mut guess = low + (line - first) / speed;
+        while side * (last - line) > 0.0 {
+            let time_s = passing(piece, line, side, (low, high), guess, SOLVED_TICKS / f64::from(self.timing.tick_hz));
+            self.pulse(side > 0.0, to_tick(time_s), emit);
+            guess = time_s + (time_s - low);
+            low = time_s;
+            line += side;
+        }
+    }
+
+    fn pulse(&mut self, positive: bool, due: u64, emit: &mut impl FnMut(StepEvent)) {
+        let TickTiming { spacing, turn_to_pulse, pulse_to_turn, .. } = self.timing;
+        let turns = self.direction != Some(positive);
+        let apart = if turns { spacing.max(pulse_to_turn + turn_to_pulse) } else { spacing };
+        let tick = self.last_tick.map_or(due, |last| due.max(last + u64::from(apart)));
+        if turns {
+            let turn = tick.saturating_sub(turn_to_pulse.into());
+            emit(StepEvent { at: turn as u32, action: StepAction::Direction(positive) });
+        }
+        emit(StepEvent { at: tick as u32, action: StepAction::Pulse });
+        self.direction = Some(positive);
+        self.last_tick = Some(tick);
+        self.made = self.made.wrapping_add(if positive { 1 } else { -1 });
+    }
+}
+
+/// How exactly the moment of a step is solved, before it is rounded to a tick.
+const SOLVED_TICKS: f64 = 0.05;
+
+/// When a piece's speed changes its sign, in order; NaN or infinite where it does not.
+fn turns(piece: &Piece) -> [f64; 2] {
+    let (speed, acceleration, jerk) = (piece.start.speed, piece.start.acceleration, piece.jerk);
+    if jerk == 0.0 {
+        return [-speed / acceleration, f64::NAN];
+    }
+    let root = libm::sqrt(acceleration * acceleration - 2.0 * jerk * speed);
+    let sum = -(acceleration + root.copysign(acceleration));
+    let (one, other) = (sum / jerk, 2.0 * speed / sum);
+    if one < other { [one, other] } else { [other, one] }
+}
+
+/// When a piece passes a line between `low` and `high`, where it goes one way, to `side`: Newton's method, kept inside.
+fn passing(piece: &Piece, line: f64, side: f64, (mut low, mut high): (f64, f64), guess: f64, within_s: f64) -> f64 {
+    // `max` first: it lets no NaN through.
+    let mut time_s = guess.max(low).min(high);
+    // Bisection alone gets from a second to 1e-12 s in 40.
+    for _ in 0..60 {
+        let (distance, speed) = piece.distance_and_speed(time_s);
+        if side * (distance - line) > 0.0 {
+            high = time_s;
+        } else {
+            low = time_s;
+        }
+        let newton = time_s - (distance - line) / speed;
+        let next = if (low..=high).contains(&newton) { newton } else { (low + high) / 2.0 };
+        let change = (next - time_s).abs();
+        time_s = next;
+        if change <= within_s {
+            break;
+        }
+    }
+    time_s
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use proptest::prelude::*;
+
+    use super::{
+        super::scurve::{Limits, Motion, Position},
+        *,
+    };
+
+    const TICK_HZ: f64 = 10e6;
+    /// 100 kHz, 5 us of set-up and 5 us of hold after a pulse of 5 us, as M542 drivers want them; 1 ms periods.
+    const TIMING: TickTiming =
+        TickTiming { tick_hz: 10_000_000, spacing: 100, turn_to_pulse: 50, pulse_to_turn: 100, enable: 50_000 };
+    const PERIOD: u64 = 10_000;
+
+    /// The pulses of a path as (tick, positive), each with what the path says of its moment, in ticks. Checks what holds
+    /// for every event.
+    fn pulses_of(path: &Path, made: i64, ticks: u64, period: u64) -> Result<(Vec<(u64, bool)>, i64), TestCaseError> {
+        let mut pulses = Pulses::new(TIMING);
+        pulses.shift(made);
+        let (mut told, mut line, mut last_event) = (Vec::new(), None, 0u32);
+        for from in (0..ticks).step_by(period as usize) {
+            let mut events = Vec::new();
+            // From a tick of 1 s on, so that nothing is before 0.
+            pulses.along(path, 10_000_000, from, from + period, |event| events.push(event));
+            for event in events {
+                prop_assert!(event.at >= last_event, "out of order");
+                match event.action {
+                    StepAction::Direction(positive) => {
+                        prop_assert!(last_event == 0 || event.at - last_event >= TIMING.pulse_to_turn);
+                        line = Some((positive, event.at));
+                    }
+                    StepAction::Pulse => {
+                        let Some((positive, turned)) = line else { panic!("a pulse before any direction") };
+                        prop_assert!(event.at - turned >= TIMING.turn_to_pulse);
+                        prop_assert!(
+                            told.last().is_none_or(|&(last, _)| u64::from(event.at) - last >= TIMING.spacing.into())
+                        );
+                        told.push((event.at.into(), positive));
+                    }
+                }
+                last_event = event.at;
+            }
+            // Half a step, or on the line but for rounding.
+            let distance = path.at((from + period) as f64 / TICK_HZ).position.distance_to(pulses.made());
+            prop_assert!(distance.abs() <= 0.5 + 1e-6, "{distance} steps behind");
+        }
+        Ok((told, pulses.made()))
+    }
+
+    /// The moment at which a path passes the middle between two steps next to a pulse, ticks after its start: bisected
+    /// from the path's states alone, between the neighbouring pulses.
+    fn ideal_tick(path: &Path, from_step: i64, positive: bool, after: f64, before: f64) -> f64 {
+        let beyond = |tick: f64| {
+            let ahead = -path.at(tick / TICK_HZ).position.distance_to(from_step);
+            if positive { ahead > 0.5 } else { ahead < -0.5 }
+        };
+        let (mut low, mut high) = (after, before);
+        while high - low > 1e-4 {
+            let middle = (low + high) / 2.0;
+            if beyond(middle) { high = middle } else { low = middle }
+        }
+        high
+    }
+
+    /// The worst distance of a pulse from its ideal moment, ticks. Leaves out those pushed away by a turn.
+    fn worst_error(path: &Path, made: i64, ticks: u64, period: u64) -> Result<f64, TestCaseError> {
+        let (told, end) = pulses_of(path, made, ticks, period)?;
+        let (mut step, mut worst) = (made, 0f64);
+        let place = |index: usize| (told[index].0 - 10_000_000) as f64;
+        for (index, &(_, positive)) in told.iter().enumerate() {
+            let alone = index == 0 || told[index - 1].1 == positive;
+            let after = if index == 0 { 0.0 } else { place(index - 1) };
+            let before = if index + 1 == told.len() { (ticks + period) as f64 } else { place(index + 1) };
+            let ideal = ideal_tick(path, step, positive, after, before);
+            let error = (place(index) - ideal).abs();
+            if alone || place(index) - after > f64::from(TIMING.pulse_to_turn + TIMING.turn_to_pulse) {
+                worst = worst.max(error);
+            }
+            step += if positive { 1 } else { -1 };
+        }
+        prop_assert_eq!(step, end);
+        Ok(worst)
+    }
+
+    fn limits() -> impl Strategy<Value = Limits> {
+        (2.0..5.0f64, 3.0..7.0f64, prop_oneof![Just(0.0), 1e-3..0.5f64]).prop_map(
+            |(speed, acceleration, jerk_time_s)| {
+                let acceleration = 10f64.powf(acceleration);
+                Limits { speed: 10f64.powf(speed), acceleration, jerk: acceleration / jerk_time_s }
+            },
+        )
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+
+        #[test]
+        fn pulses_come_within_a_tick_of_the_path(
+            limits in limits(), start in -2_147_000_000i64..2_147_000_000, fraction in -0.49..0.49f64, speed in -1.0..1.0f64,
+            distance in -2000i64..2000, period in 3_000u64..30_000,
+        ) {
+            // From any speed, so that many of these turn.
+            let speed = speed * limits.speed;
+            let from = Motion { position: Position { steps: start, fraction }, speed, acceleration: 0.0 };
+            let path = Path::to_position(from, start + distance, &limits);
+            let ticks = ((path.duration_s() * TICK_HZ) as u64).min(50_000_000);
+            let worst = worst_error(&path, start, ticks, period)?;
+            // Half a tick of rounding, and how exactly both sides are solved.
+            prop_assert!(worst <= 0.5 + SOLVED_TICKS + 1e-3, "{worst} ticks");
+        }
+
+        #[test]
+        fn a_turn_anywhere_loses_no_pulse(
+            fraction in -0.49..0.49f64, acceleration in 1e6..1e8f64, jerk_time_s in prop_oneof![Just(0.0), 1e-4..1e-2f64], period in 1_000u64..400_000,
+        ) {
+            // Up, and down by as much again; all of it may be in one period.
+            let limits = Limits { speed: 1e5, acceleration, jerk: acceleration / jerk_time_s };
+            let from = Motion { position: Position { steps: 0, fraction }, speed: 1e5, acceleration: 0.0 };
+            let path = Path::to_speed(from, -1e5, &limits);
+            let top = path.at(path.duration_s() / 2.0).position;
+            let ticks = (path.duration_s() * TICK_HZ) as u64;
+            let (told, _) = pulses_of(&path, 0, ticks, period)?;
+            let ups = told.iter().take_while(|(_, positive)| *positive).count() as i64;
+            prop_assert_eq!(ups, top.steps);
+            prop_assert!(told[ups as usize..].iter().all(|(_, positive)| !positive));
+            prop_assert!(worst_error(&path, 0, ticks, period)? <= 0.5 + SOLVED_TICKS + 1e-3);
+        }
+
+        /// The pulse back has to wait for the direction line.
+        #[test]
+        fn a_turn_just_beyond_a_line_is_given_its_time(excess in 1e-9..1e-6f64, acceleration in 1e5..1e7f64) {
+            let limits = Limits { speed: 1e5, acceleration, jerk: f64::INFINITY };
+            let turning_at = |fraction| {
+                let from = Motion { position: Position { steps: 0, fraction }, speed: 1e4, acceleration: 0.0 };
+                let path = Path::to_speed(from, -1e4, &limits);
+                let top = path.at(1e4 / acceleration).position;
+                (path, top)
+            };
+            // Moved so that the top is beyond the middle between two steps by the excess.
+            let (_, top) = turning_at(0.0);
+            let (path, top) = turning_at(0.5 + excess - top.fraction);
+            let ticks = (path.duration_s() * TICK_HZ) as u64;
+            let (told, _) = pulses_of(&path, 0, ticks, PERIOD)?;
+            let back = told.iter().position(|(_, positive)| !positive).expect("it turns");
+            prop_assert_eq!(back as i64, top.steps);
+            // 2 sqrt(2 excess / a) are 9 us at most, and the line takes 15 us.
+            prop_assert_eq!(told[back].0 - told[back - 1].0, 150);
+        }
+
+        #[test]
+        fn the_highest_rate_is_kept_to_the_tick(start in -1000i64..1000, fraction in -0.49..0.49f64) {
+            let limits = Limits { speed: TIMING.rate_max_hz(), acceleration: 1e6, jerk: 1e8 };
+            let from = Motion { position: Position { steps: start, fraction }, speed: 1e5, acceleration: 0.0 };
+            let path = Path::to_speed(from, 1e5, &limits);
+            let (told, _) = pulses_of(&path, start, 10 * PERIOD, PERIOD)?;
+            prop_assert!(told.len().abs_diff(1000) <= 1);
+            prop_assert!(told.windows(2).all(|pair| pair[1].0 - pair[0].0 == 100));
+            prop_assert!(worst_error(&path, start, 10 * PERIOD, PERIOD)? <= 0.5 + SOLVED_TICKS + 1e-3);
+        }
+    }
+}

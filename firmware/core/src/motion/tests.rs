@@ -1,0 +1,523 @@
+//! Axes and their bank on drivers that carry events out to the tick and check what a driver's sheet asks.
+
+extern crate std;
+
+use core::f64::consts::TAU;
+use std::{collections::VecDeque, vec, vec::Vec};
+
+use proptest::prelude::*;
+use r4_protocol::Range;
+
+use super::{
+    Bank, Homing, NotTaken, StepperConfig,
+    axis::{Axis, AxisStatus, BACK_OFF, BadStepper, Command, CommandError, Fault},
+    steps::DriverTiming,
+};
+use crate::platform::{StepAction, StepEvent, Steppers};
+
+/// The slower of DM542T and M542: 5 us about a turn of the direction, 5 ms after enable; 100 kHz.
+const DRIVER: DriverTiming =
+    DriverTiming { direction_setup_s: 5e-6, direction_hold_s: 5e-6, enable_setup_s: 5e-3, rate_max_hz: 100e3 };
+const PERIOD_US: u32 = 1000;
+const PERIOD: u64 = 10_000;
+
+/// One driver, and what it has done.
+#[derive(Default)]
+struct Driver {
+    queue: VecDeque<(u64, StepAction)>,
+    direction: bool,
+    turned: Option<u64>,
+    position: i32,
+    /// Tick, and whether the direction line was positive.
+    pulses: Vec<(u64, bool)>,
+    /// Pulses up less pulses down, none lost.
+    sum: i64,
+}
+
+/// Four drivers. Panics where a driver's sheet or [`Steppers`] is not kept to.
+struct Board {
+    now: u64,
+    enabled: Option<u64>,
+    drivers: [Driver; 4],
+    /// Events a queue takes: those of 2.5 periods at 100 kHz.
+    room: usize,
+    /// Loses the pulse with this number.
+    loses: Option<usize>,
+}
+
+impl Default for Board {
+    fn default() -> Self {
+        // Soon before the counter wraps, and positions near their wrap too.
+        let driver = || Driver { position: i32::MAX - 3, ..Driver::default() };
+        Self {
+            now: u64::from(u32::MAX) - 1_234_567,
+            enabled: None,
+            drivers: [driver(), driver(), driver(), driver()],
+            room: 250,
+            loses: None,
+        }
+    }
+}
+
+impl Board {
+    fn run_to(&mut self, tick: u64) {
+        for driver in &mut self.drivers {
+            while let Some(&(at, action)) = driver.queue.front().filter(|(at, _)| *at <= tick) {
+                driver.queue.pop_front();
+                let last = driver.pulses.last().map(|pulse| pulse.0);
+                match action {
+                    StepAction::Direction(positive) => {
+                        // Hold counts from the end of the pulse; turned as late as the interrupt may be.
+                        assert!(last.is_none_or(|last| at >= last + 50 + 50), "hold: {last:?}, turned at {at}");
+                        driver.direction = positive;
+                        driver.turned = Some(at + u64::from(Self::DIRECTION_LATENCY_TICKS));
+                    }
+                    StepAction::Pulse => {
+                        let enabled = self.enabled.expect("a pulse without enable");
+                        assert!(at >= enabled + 50_000, "{} ticks after enable", at - enabled);
+                        assert!(driver.turned.is_none_or(|turned| at >= turned + 50), "set-up: pulse at {at}");
+                        assert!(last.is_none_or(|last| at >= last + 100), "spacing: {last:?}, {at}");
+                        driver.pulses.push((at, driver.direction));
+                        driver.sum += if driver.direction { 1 } else { -1 };
+                        if self.loses != Some(driver.pulses.len()) {
+                            driver.position = driver.position.wrapping_add(if driver.direction { 1 } else { -1 });
+                        }
+                    }
+                }
+            }
+        }
+        self.now = tick;
+    }
+
+    /// Pulses up less pulses down.
+    fn sum(&self, axis: usize) -> i64 {
+        self.drivers[axis].sum
+    }
+}
+
+impl Steppers for Board {
+    const TICK_HZ: u32 = 10_000_000;
+    const PULSE_TICKS: u32 = 50;
+    const DIRECTION_LATENCY_TICKS: u32 = 20;
+
+    fn now(&mut self) -> u32 {
+        self.now as u32
+    }
+    fn enable(&mut self, on: bool) {
+        self.enabled = on.then_some(self.enabled.unwrap_or(self.now));
+        if !on {
+            assert!(self.drivers.iter().all(|driver| driver.queue.is_empty()), "pulses would go on without enable");
+        }
+    }
+    fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
+        let driver = &mut self.drivers[usize::from(axis)];
+        let taken = events.len().min(self.room - driver.queue.len());
+        for event in &events[..taken] {
+            let ahead = event.at.wrapping_sub(self.now as u32) as i32;
+            assert!(ahead > 0, "an event in the past: {ahead}");
+            let at = self.now + ahead as u64;
+            assert!(driver.queue.back().is_none_or(|last| last.0 <= at), "out of order");
+            driver.queue.push_back((at, event.action));
+        }
+        taken
+    }
+    fn pending(&mut self, axis: u8) -> u32 {
+        self.drivers[usize::from(axis)].queue.len() as u32
+    }
+    fn position(&mut self, axis: u8) -> i32 {
+        self.drivers[usize::from(axis)].position
+    }
+    fn stop(&mut self, axis: u8) {
+        self.drivers[usize::from(axis)].queue.clear();
+    }
+}
+
+/// 16 micro-steps of 1.8 degrees: 509 steps to a radian, 51 kHz at full speed.
+fn config() -> StepperConfig {
+    StepperConfig {
+        id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, 0),
+        steps_per_turn: 3200,
+        inverted: false,
+        speed_max: 100.0,
+        acceleration: 1000.0,
+        jerk: 50_000.0,
+        start_speed: 2.0,
+        position: Range::new(-300.0, 300.0),
+        homing: None,
+    }
+}
+
+fn steps(rad: f32) -> i64 {
+    (f64::from(rad) * 3200.0 / TAU).round() as i64
+}
+
+struct Rig {
+    board: Board,
+    axis: Axis,
+}
+
+impl Rig {
+    fn new(config: StepperConfig) -> Self {
+        let mut board = Board::default();
+        // Long ago.
+        board.enabled = Some(board.now - 1_000_000);
+        let axis = Axis::new(0, config, &DRIVER, PERIOD_US, &mut board).expect("a good configuration");
+        Self { board, axis }
+    }
+
+    /// One period, called `late` ticks after its time.
+    fn period(&mut self, late: u64, closed: Option<bool>) -> Result<AxisStatus, Fault> {
+        let due = self.board.now + PERIOD;
+        self.board.run_to(due + late);
+        let result = self.axis.step(closed, &mut self.board);
+        self.board.now = due;
+        result.map(|()| self.axis.status())
+    }
+
+    /// Until nothing moves; the periods it took.
+    fn rest(&mut self) -> u64 {
+        for period in 0..20_000 {
+            if !self.period(0, None).expect("no fault").moving {
+                return period;
+            }
+        }
+        panic!("never at rest: {:?}", self.axis.status());
+    }
+
+    fn command(&mut self, command: Command) {
+        self.axis.command(command).expect("a good command");
+    }
+
+    fn check_books(&self) {
+        assert_eq!(i64::from(self.axis.status().position_steps), self.board.sum(0));
+    }
+}
+
+#[test]
+fn a_position_is_reached_in_the_time_of_its_path_and_kept() {
+    for jerk in [0.0, 50_000.0] {
+        let mut rig = Rig::new(StepperConfig { jerk, ..config() });
+        for target in [1.0f32, -20.0, 250.0, 250.002, 0.0] {
+            let before = f64::from(rig.axis.status().position_steps);
+            rig.command(Command::Position(target));
+            let took_s = rig.rest() as f64 * 1e-3;
+            assert_eq!(rig.board.sum(0), steps(target));
+            assert!(rig.axis.status().settled);
+            rig.check_books();
+            let way = (steps(target) as f64 - before).abs() * TAU / 3200.0;
+            let (v, a) = (100.0, 1000.0);
+            let trapezoid_s = if way > v * v / a { way / v + v / a } else { 2.0 * (way / a).sqrt() };
+            // The jerk adds a / j = 20 ms once there is a cruise and less than 4 (d / 2j)^(1/3) before; told ahead are 2
+            // periods, a move begins with half of one, and rest is seen in the next.
+            let most_s = if jerk == 0.0 { trapezoid_s } else { trapezoid_s + (4.0 * (way / 1e5).cbrt()).min(0.041) };
+            assert!((trapezoid_s - 0.002..most_s + 0.004).contains(&took_s), "{took_s} s, {trapezoid_s} s");
+        }
+    }
+}
+
+#[test]
+fn an_inverted_axis_turns_the_other_way_and_counts_the_same() {
+    let mut rig = Rig::new(StepperConfig { inverted: true, ..config() });
+    rig.command(Command::Position(3.0));
+    rig.rest();
+    assert_eq!(i64::from(rig.axis.status().position_steps), steps(3.0));
+    assert_eq!(rig.board.sum(0), -steps(3.0));
+}
+
+#[test]
+fn a_speed_is_held_and_ends_before_the_end_of_the_range() {
+    let mut rig = Rig::new(config());
+    rig.command(Command::Speed(20.0));
+    for _ in 0..200 {
+        rig.period(0, None).expect("no fault");
+    }
+    assert!((rig.axis.status().speed - 20.0).abs() < 1e-4);
+    let pulses = &rig.board.drivers[0].pulses;
+    let last = pulses.len() - 1;
+    let interval = (pulses[last].0 - pulses[last - 100].0) as f64 / 100.0;
+    // A tick in a hundred intervals.
+    assert!((interval - 10e6 / (20.0 * 3200.0 / TAU)).abs() < 0.01);
+    rig.rest();
+    let end = i64::from(rig.axis.status().position_steps);
+    assert!(end == steps(300.0) || end + 1 == steps(300.0), "floor of the end: {end}");
+    rig.check_books();
+    rig.command(Command::Speed(5.0));
+    assert_eq!(rig.rest(), 0, "beyond the end there is no way");
+    rig.command(Command::Speed(-5.0));
+    rig.period(0, None).expect("no fault");
+    assert!(rig.period(0, None).expect("no fault").speed < 0.0);
+}
+
+#[test]
+fn a_late_loop_moves_no_pulse_and_one_too_late_is_a_fault() {
+    let run = |late: &dyn Fn(u64) -> u64| {
+        let mut rig = Rig::new(config());
+        rig.command(Command::Position(40.0));
+        rig.period(0, None).expect("no fault");
+        for period in 1..700 {
+            rig.period(late(period), None).expect("not too late");
+        }
+        assert_eq!(rig.board.sum(0), steps(40.0));
+        core::mem::take(&mut rig.board.drivers[0].pulses)
+    };
+    let on_time = run(&|_| 0);
+    // By up to 0.85 of a period, so that the next call comes as much too soon.
+    assert_eq!(on_time, run(&|period| period * 7919 % 8500));
+
+    let mut rig = Rig::new(config());
+    rig.command(Command::Position(40.0));
+    for _ in 0..200 {
+        rig.period(0, None).expect("no fault");
+    }
+    rig.axis.observe(&mut rig.board);
+    let late = rig.board.now + 3 * PERIOD;
+    rig.board.run_to(late);
+    assert_eq!(rig.axis.step(None, &mut rig.board), Err(Fault::Late));
+    rig.check_books();
+    let status = rig.axis.status();
+    assert!(!status.moving && !status.settled);
+}
+
+#[test]
+fn stopping_at_once_loses_no_step_in_the_books() {
+    let mut rig = Rig::new(StepperConfig { homing: Some(HOMING), ..config() });
+    home(&mut rig, 20.0, -500..=0).expect("homes");
+    rig.command(Command::Position(100.0));
+    for _ in 0..150 {
+        rig.period(0, None).expect("no fault");
+    }
+    rig.board.run_to(rig.board.now + 3_333);
+    let offset = i64::from(rig.axis.status().position_steps);
+    rig.axis.stop_now(&mut rig.board);
+    assert!(i64::from(rig.axis.status().position_steps) > offset, "pulses of the last third of a period");
+    assert!(!rig.axis.status().homed, "at {} rad/s", 90);
+    let before = rig.board.drivers[0].pulses.len();
+    for _ in 0..20 {
+        assert!(!rig.period(0, None).expect("no fault").moving);
+    }
+    assert_eq!(rig.board.drivers[0].pulses.len(), before);
+    rig.command(Command::Position(-1.0));
+    rig.rest();
+    assert_eq!(i64::from(rig.axis.status().position_steps), steps(-1.0));
+}
+
+#[test]
+fn a_slow_stop_at_once_keeps_home() {
+    let mut rig = Rig::new(StepperConfig { homing: Some(HOMING), ..config() });
+    home(&mut rig, 20.0, -500..=0).expect("homes");
+    for (speed, homed) in [(1.9, true), (2.1, false)] {
+        rig.command(Command::Speed(speed));
+        for _ in 0..100 {
+            rig.period(0, None).expect("no fault");
+        }
+        rig.axis.stop_now(&mut rig.board);
+        assert_eq!(rig.axis.status().homed, homed, "{speed}");
+    }
+    // A move so short that it is over between two calls, but fast.
+    let fast = StepperConfig { acceleration: 1e6, jerk: 0.0, homing: Some(HOMING), ..config() };
+    let mut rig = Rig::new(fast);
+    home(&mut rig, 15.0, -500..=0).expect("homes");
+    for _ in 0..5 {
+        rig.period(0, None).expect("no fault");
+    }
+    let here = f32::from(rig.axis.status().position_steps as i16) * TAU as f32 / 3200.0;
+    rig.command(Command::Position(here + 0.1));
+    rig.period(0, None).expect("no fault");
+    rig.board.run_to(rig.board.now + 6_000);
+    rig.axis.stop_now(&mut rig.board);
+    assert!(!rig.axis.status().homed);
+}
+
+#[test]
+fn hardware_that_loses_a_pulse_or_has_no_room_is_noticed() {
+    let mut rig = Rig::new(config());
+    rig.board.loses = Some(77);
+    rig.command(Command::Position(1.0));
+    let fault = (0..1000).find_map(|_| rig.period(0, None).err());
+    assert_eq!(fault, Some(Fault::Miscounted));
+    assert_eq!(i64::from(rig.axis.status().position_steps), steps(1.0) - 1);
+
+    let mut rig = Rig::new(config());
+    rig.board.room = 20;
+    rig.command(Command::Position(100.0));
+    let fault = (0..1000).find_map(|_| rig.period(0, None).err());
+    assert_eq!(fault, Some(Fault::QueueFull));
+    rig.check_books();
+}
+
+const HOMING: Homing = Homing { switch: 0, position: -2.0, speed_max: 30.0 };
+
+/// Homes at a switch that is closed within `zone`, steps from where the board's motor began.
+fn home(rig: &mut Rig, speed: f32, zone: core::ops::RangeInclusive<i64>) -> Result<(), Fault> {
+    rig.command(Command::Home(speed));
+    for period in 0..20_000 {
+        let closed = zone.contains(&rig.board.sum(0));
+        let status = rig.period(0, Some(closed))?;
+        if period % 7 == 0 && !status.homed && status.moving {
+            rig.command(Command::Home(speed));
+        }
+        if status.homed && !status.moving {
+            return Ok(());
+        }
+    }
+    panic!("never homed: {:?}", rig.axis.status());
+}
+
+#[test]
+fn homing_finds_the_edge_of_the_switch_from_anywhere() {
+    let config = StepperConfig { homing: Some(HOMING), ..config() };
+    // From before the switch, from on it, and through a short one that the motor runs past.
+    for (speed, zone) in [(20.0, 3000..=9000), (-20.0, -9000..=-3000), (20.0, -100..=2000), (30.0, 3000..=3010)] {
+        let mut rig = Rig::new(config);
+        home(&mut rig, speed, zone.clone()).expect("homes");
+        let edge = if speed > 0.0 { *zone.start() } else { *zone.end() };
+        let found = rig.board.sum(0) - i64::from(rig.axis.status().position_steps) + steps(HOMING.position);
+        // Behind the edge by what backing off moves in a period, and the step that opens the switch.
+        let most = (f64::from(speed.abs()) * BACK_OFF * 3200.0 / TAU * 1e-3).ceil() as i64 + 1;
+        assert!((found - edge).abs() <= most, "{found} for {edge}");
+    }
+}
+
+#[test]
+fn homing_without_a_switch_ends_in_rest() {
+    let config = StepperConfig { homing: Some(HOMING), position: Range::new(-1.0, 9.0), ..config() };
+    let mut rig = Rig::new(config);
+    assert_eq!(home(&mut rig, 20.0, 1_000_000..=2_000_000), Err(Fault::SwitchNotFound));
+    rig.rest();
+    // 1.25 x 10 rad, two periods of 20 rad/s, and braking: v²/2a + v a/2j = 0.4 rad.
+    assert!((steps(12.5)..steps(12.97)).contains(&rig.board.sum(0)), "{}", rig.board.sum(0));
+    let mut rig = Rig::new(config);
+    assert_eq!(home(&mut rig, 20.0, -1_000_000..=2_000_000), Err(Fault::SwitchNotFound), "stuck");
+    rig.rest();
+    let mut rig = Rig::new(config);
+    rig.command(Command::Home(20.0));
+    assert_eq!(rig.period(0, None), Err(Fault::SwitchUnknown));
+    assert!(!rig.axis.status().homed);
+}
+
+#[test]
+fn bad_commands_are_refused_and_bad_configurations_named() {
+    let mut rig = Rig::new(config());
+    let range = |range: Range| Err(CommandError::OutOfRange { allowed: range });
+    assert_eq!(rig.axis.command(Command::Position(f32::NAN)), Err(CommandError::NotFinite));
+    assert_eq!(rig.axis.command(Command::Position(300.1)), range(Range::new(-300.0, 300.0)));
+    assert_eq!(rig.axis.command(Command::Speed(-100.1)), range(Range::new(-100.0, 100.0)));
+    assert_eq!(rig.axis.command(Command::Home(1.0)), Err(CommandError::NoSwitch));
+    assert_eq!(rig.rest(), 0);
+
+    let mut board = Board::default();
+    let mut why = |config| Axis::new(0, config, &DRIVER, PERIOD_US, &mut board).err();
+    assert_eq!(why(config()), None);
+    assert_eq!(why(StepperConfig { steps_per_turn: 0, ..config() }), Some(BadStepper::StepsPerTurn));
+    // 100 kHz are 196.35 rad/s.
+    assert_eq!(why(StepperConfig { speed_max: 196.34, ..config() }), None);
+    assert_eq!(why(StepperConfig { speed_max: 196.36, ..config() }), Some(BadStepper::Speed));
+    assert_eq!(why(StepperConfig { acceleration: 0.0, ..config() }), Some(BadStepper::Acceleration));
+    assert_eq!(why(StepperConfig { jerk: -1.0, ..config() }), Some(BadStepper::Jerk));
+    assert_eq!(why(StepperConfig { start_speed: f32::NAN, ..config() }), Some(BadStepper::StartStopSpeed));
+    assert_eq!(why(StepperConfig { position: Range::new(1.0, 0.0), ..config() }), Some(BadStepper::Position));
+    let homing = Some(Homing { speed_max: 101.0, ..HOMING });
+    assert_eq!(why(StepperConfig { homing, ..config() }), Some(BadStepper::Homing));
+    let slow = DriverTiming { direction_setup_s: 1e-3, ..DRIVER };
+    assert_eq!(Axis::new(0, config(), &slow, PERIOD_US, &mut Board::default()).err(), Some(BadStepper::Timing));
+}
+
+#[test]
+fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
+    for hold in [false, true] {
+        let mut board = Board::default();
+        // So fast that the first pulse comes 0.14 ms after the path begins.
+        let configs = [0, 1, 2, 3].map(|index| StepperConfig {
+            id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, index),
+            acceleration: 1e5,
+            jerk: 0.0,
+            ..config()
+        });
+        let mut bank = Bank::new(&configs, &DRIVER, false, hold, PERIOD_US, &mut board).expect("good");
+        let no_switch = |_| None;
+        let no_fault = |index, fault| panic!("stepper {index}: {fault:?}");
+        assert_eq!(bank.command(0, Command::Position(1.0)), Err(NotTaken::NotArmed));
+        assert_eq!(bank.command(4, Command::Stop), Err(NotTaken::NoStepper));
+        for round in 0..3 {
+            let armed_at = board.now;
+            bank.arm(&mut board);
+            for index in 0..4 {
+                bank.command(index, Command::Speed(30.0 + index as f32)).expect("taken");
+            }
+            for _ in 0..100 {
+                board.run_to(board.now + PERIOD);
+                bank.step(no_switch, &mut board, no_fault);
+            }
+            let first = board.drivers[0].pulses.iter().find(|pulse| pulse.0 > armed_at).expect("moves").0 - armed_at;
+            // Awake, the period in which that is seen, half a period ahead, and the first step.
+            let wake = if hold && round > 0 { 0 } else { 50_000 };
+            assert!((wake..wake + 2 * PERIOD).contains(&first), "{first}");
+            board.run_to(board.now + 5_000);
+            bank.make_safe(&mut board);
+            assert_eq!(board.enabled.is_some(), hold);
+            let made: Vec<usize> = board.drivers.iter().map(|driver| driver.pulses.len()).collect();
+            for _ in 0..20 {
+                board.run_to(board.now + PERIOD);
+                bank.step(no_switch, &mut board, no_fault);
+            }
+            assert_eq!(made, board.drivers.iter().map(|driver| driver.pulses.len()).collect::<Vec<_>>());
+            let books: Vec<i64> = bank.status().map(|status| status.position_steps.into()).collect();
+            assert_eq!(books, (0..4).map(|axis| board.sum(axis)).collect::<Vec<_>>());
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Act {
+    Command(Command),
+    StopNow,
+    Nothing,
+}
+
+fn act() -> impl Strategy<Value = Act> {
+    prop_oneof![
+        (-300.0..300.0f32).prop_map(|position| Act::Command(Command::Position(position))),
+        (-1.0..1.0f32).prop_map(|position| Act::Command(Command::Position(position))),
+        (-100.0..100.0f32).prop_map(|speed| Act::Command(Command::Speed(speed))),
+        Just(Act::Command(Command::Stop)),
+        Just(Act::StopNow),
+        Just(Act::Nothing),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// The board's own checks are the test: spacing, set-up, hold, order, never in the past.
+    #[test]
+    fn whatever_is_asked_the_drivers_are_treated_well_and_the_books_are_right(
+        acts in prop::collection::vec((act(), 1..60usize), 1..30),
+        // From 2 to 100 kHz at full speed, and up to 50 million steps/s².
+        steps_per_turn in prop::sample::select(vec![200u32, 3200, 6280]),
+        acceleration in 1.0..5.0f32,
+        jerk in prop_oneof![Just(0.0), 3.0..7.0f32],
+        inverted: bool,
+        lateness in prop::collection::vec(0u64..8_000, 16),
+    ) {
+        let jerk = if jerk == 0.0 { 0.0 } else { 10f32.powf(jerk) };
+        let acceleration = 10f32.powf(acceleration);
+        let mut rig = Rig::new(StepperConfig { steps_per_turn, inverted, acceleration, jerk, ..config() });
+        let side = if inverted { -1 } else { 1 };
+        let mut late = lateness.into_iter().cycle();
+        for (act, periods) in acts {
+            match act {
+                Act::Command(command) => rig.command(command),
+                Act::StopNow => rig.axis.stop_now(&mut rig.board),
+                Act::Nothing => {}
+            }
+            for _ in 0..periods {
+                let status = rig.period(late.next().unwrap_or(0), None).expect("no fault");
+                prop_assert_eq!(i64::from(status.position_steps), side * rig.board.sum(0));
+                prop_assert!(status.speed.abs() <= 100.001);
+            }
+        }
+        rig.command(Command::Position(0.0));
+        rig.rest();
+        prop_assert_eq!(rig.board.sum(0), 0);
+    }
+}

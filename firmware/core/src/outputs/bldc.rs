@@ -1,0 +1,413 @@
+//! Rules of brushless drives: speed by a voltage of the DAC, direction and brake by lines of the port expander.
+//!
+//! - The voltage is `neutral + share · (full - neutral)`, and no faster there than `slew_per_s`. Its code never leaves the
+//!   window from the lowest to the highest of the configured voltages: a code outside can damage a drive.
+//! - The direction line changes only after `rest_ms` at neutral. The drive's speed is not known: `rest_ms` must be long
+//!   enough for the motor to have come to rest.
+//! - The brake is never applied against a voltage. Braking, also as the safe state, is the one thing that does not wait for
+//!   the slew limit.
+//! - A step that releases the brake or changes the direction leaves the voltage at neutral, so it does not matter whether
+//!   DAC or expander is written first.
+//!
+//! After power-up the expander's pins are inputs until it is set up: pull-ups or pull-downs at the drive must then give
+//! "brake applied", as the EEPROM of the DAC gives neutral. A reset of the processor alone leaves voltages and lines as
+//! they were: set up the DAC first, which takes the drives to neutral, then wait for [`Bldcs::rest_ms`].
+
+use heapless::Vec;
+use r4_protocol::config::{BldcConfig, DacChipConfig, MAX_BLDCS, Reverse};
+
+use super::slew::towards;
+use crate::chips::mcp4728::{CODE_MAX, OUTPUTS};
+
+/// What a drive is to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// Turn at this share of full speed, -1..=1, negative backwards, with the brake released. A drive that cannot go
+    /// backwards stays at neutral instead.
+    Run(f32),
+    /// Neutral at once, with the brake applied if there is one.
+    Brake,
+}
+
+/// What the chips are to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// Of the DAC's outputs; 0 where there is no drive.
+    pub codes: [u16; OUTPUTS],
+    /// Bits of the expander that have a line of a drive.
+    pub mask: u16,
+    /// Levels of those bits; the others are 0.
+    pub levels: u16,
+}
+
+/// The brushless drives of a board.
+#[derive(Clone, Debug)]
+pub struct Bldcs {
+    drives: Vec<Drive, MAX_BLDCS>,
+}
+
+impl Bldcs {
+    /// Drives in their safe state. The configuration must be valid.
+    #[must_use]
+    pub fn new(configs: &[BldcConfig], chip: DacChipConfig) -> Self {
+        Self { drives: configs.iter().take(MAX_BLDCS).map(|config| Drive::new(*config, chip.full_scale_v)).collect() }
+    }
+
+    /// Tells drive number `index` of the configuration what to do, from the next [`Bldcs::step`] on.
+    pub fn command(&mut self, index: usize, command: Command) {
+        self.drives[index].command = command;
+    }
+
+    /// All drives at neutral and braked, until commanded again.
+    pub fn make_safe(&mut self) -> Wanted {
+        for drive in &mut self.drives {
+            drive.command = Command::Brake;
+            drive.brake();
+        }
+        self.wanted()
+    }
+
+    /// One step of `period_s`, s, towards the commands.
+    pub fn step(&mut self, period_s: f32) -> Wanted {
+        self.drives.iter_mut().for_each(|drive| drive.step(period_s));
+        self.wanted()
+    }
+
+    /// What the last step or safe state asked for.
+    #[must_use]
+    pub fn wanted(&self) -> Wanted {
+        let mut wanted = Wanted { codes: [0; OUTPUTS], mask: 0, levels: 0 };
+        for drive in &self.drives {
+            wanted.codes[usize::from(drive.config.output)] = drive.code();
+            for (bit, high) in drive.lines() {
+                wanted.mask |= 1 << bit;
+                wanted.levels |= u16::from(high) << bit;
+            }
+        }
+        wanted
+    }
+
+    /// For how long the drives must have been at neutral before the expander is set up, ms: it tells them to go forwards,
+    /// and before a reset of the processor they may have gone backwards.
+    #[must_use]
+    pub fn rest_ms(&self) -> u16 {
+        let rests = self.drives.iter().map(|drive| match drive.config.reverse {
+            Reverse::Line { rest_ms, .. } => rest_ms,
+            Reverse::None | Reverse::Voltage { .. } => 0,
+        });
+        rests.max().unwrap_or(0)
+    }
+
+    /// Share of full speed that drive number `index` is now told, -1..=1.
+    #[must_use]
+    pub fn share(&self, index: usize) -> f32 {
+        self.drives[index].share
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Drive {
+    config: BldcConfig,
+    full_scale_v: f32,
+    /// Lowest and highest code it may get.
+    window: [u16; 2],
+    command: Command,
+    /// Share of full speed it is told; negative only while the direction line, if there is one, is active.
+    share: f32,
+    /// For how long that has been 0, µs.
+    at_neutral_us: u32,
+    braked: bool,
+    /// Whether the direction line, if there is one, is active.
+    backwards: bool,
+}
+
+impl Drive {
+    fn new(config: BldcConfig, full_scale_v: f32) -> Self {
+        let backwards_v = if let Reverse::Voltage { full_v } = config.reverse { full_v } else { config.neutral_v };
+        let ends = [config.neutral_v, config.forward_v, backwards_v].map(|volts| code_for(volts, full_scale_v));
+        Self {
+            config,
+            full_scale_v,
+            window: ends.iter().fold([CODE_MAX, 0], |[low, high], code| [low.min(*code), high.max(*code)]),
+            command: Command::Brake,
+            share: 0.0,
+            at_neutral_us: 0,
+            braked: true,
+            backwards: false,
+        }
+    }
+
+    fn brake(&mut self) {
+        self.share = 0.0;
+        self.braked = true;
+    }
+
+    fn step(&mut self, period_s: f32) {
+        if self.share == 0.0 {
+            self.at_neutral_us = self.at_neutral_us.saturating_add(libm::roundf(period_s * 1e6) as u32);
+        }
+        let Command::Run(share) = self.command else { return self.brake() };
+        if self.braked {
+            self.braked = false;
+            return;
+        }
+        let mut target = if share.is_nan() { 0.0 } else { share.clamp(-1.0, 1.0) };
+        match self.config.reverse {
+            Reverse::Line { rest_ms, .. } if target != 0.0 && (target < 0.0) != self.backwards => {
+                if self.share == 0.0 && self.at_neutral_us >= 1000 * u32::from(rest_ms) {
+                    self.backwards = !self.backwards;
+                }
+                target = 0.0;
+            }
+            Reverse::None => target = target.max(0.0),
+            Reverse::Line { .. } | Reverse::Voltage { .. } => {}
+        }
+        self.share = towards(self.share, target, self.config.slew_per_s * period_s);
+        if self.share != 0.0 {
+            self.at_neutral_us = 0;
+        }
+    }
+
+    fn code(&self) -> u16 {
+        let BldcConfig { neutral_v, forward_v, reverse, .. } = self.config;
+        let full_v = match reverse {
+            Reverse::Voltage { full_v } if self.share < 0.0 => full_v,
+            _ => forward_v,
+        };
+        let [low, high] = self.window;
+        code_for(neutral_v + self.share.abs() * (full_v - neutral_v), self.full_scale_v).clamp(low, high)
+    }
+
+    /// Bits of the expander, each with whether it is high.
+    fn lines(&self) -> impl Iterator<Item = (u8, bool)> {
+        let direction = if let Reverse::Line { line, .. } = self.config.reverse { Some(line) } else { None };
+        let lines = [direction.map(|line| (line, self.backwards)), self.config.brake.map(|line| (line, self.braked))];
+        lines.into_iter().flatten().map(|(line, active)| (line.bit, active != line.active_low))
+    }
+}
+
+/// The nearest code. Half a code is 0.6 mV of 5 V, a fraction of the chip's own error.
+fn code_for(volts: f32, full_scale_v: f32) -> u16 {
+    let codes = f32::from(CODE_MAX) + 1.0;
+    (libm::roundf(volts / full_scale_v * codes) as u16).min(CODE_MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use r4_protocol::{ChannelId, ChannelKind, config::DriveLine};
+
+    use super::*;
+
+    const PERIOD_S: f32 = 0.001;
+    const PERIOD_US: u32 = 1000;
+    const CHIP: DacChipConfig = DacChipConfig { address: 0x60, full_scale_v: 5.0 };
+    const DIRECTION: DriveLine = DriveLine { bit: 2, active_low: false };
+    const BRAKE: DriveLine = DriveLine { bit: 11, active_low: true };
+    const NEUTRAL: u16 = 1638; // 2.0 V: 1638.4
+
+    /// Full speed in 100 ms.
+    fn config(reverse: Reverse) -> BldcConfig {
+        BldcConfig {
+            id: ChannelId::new(ChannelKind::Bldc, 0),
+            output: 1,
+            neutral_v: 2.0,
+            forward_v: 3.0,
+            reverse,
+            brake: Some(BRAKE),
+            slew_per_s: 10.0,
+        }
+    }
+
+    const fn by_line(rest_ms: u16) -> Reverse {
+        Reverse::Line { line: DIRECTION, rest_ms }
+    }
+
+    fn after(drives: &mut Bldcs, steps: usize) -> Wanted {
+        (0..steps).for_each(|_| _ = drives.step(PERIOD_S));
+        drives.wanted()
+    }
+
+    #[test]
+    fn runs_forwards_with_the_brake_released_first() {
+        let mut drives = Bldcs::new(&[config(by_line(50))], CHIP);
+        let mask = 1 << 2 | 1 << 11;
+        assert_eq!(drives.wanted(), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 0 }, "braked, at neutral");
+        drives.command(0, Command::Run(1.0));
+        assert_eq!(drives.step(PERIOD_S), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 1 << 11 });
+        assert_eq!(drives.step(PERIOD_S).codes[1], 1647); // 2.01 V: 1646.6
+        assert_eq!(after(&mut drives, 99).codes[1], 2458); // 3.0 V: 2457.6
+        assert_eq!(drives.make_safe(), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 0 });
+        assert_eq!(after(&mut drives, 10).levels, 0, "and stays so");
+    }
+
+    #[test]
+    fn the_direction_line_waits_for_the_ramp_and_the_rest() {
+        let mut drives = Bldcs::new(&[config(by_line(50))], CHIP);
+        drives.command(0, Command::Run(0.5));
+        assert_eq!(after(&mut drives, 100).codes[1], 2048);
+        drives.command(0, Command::Run(-0.5));
+        let ramp = (1..).find(|_| drives.step(PERIOD_S).codes[1] == NEUTRAL && drives.share(0) == 0.0);
+        assert!(matches!(ramp, Some(50 | 51)), "{ramp:?} steps, the last for what rounding left");
+        // 50 of rest; the line changes in the last of them.
+        let before = after(&mut drives, 49);
+        assert_eq!((before.codes[1], before.levels & 1 << 2), (NEUTRAL, 0));
+        let changed = drives.step(PERIOD_S);
+        assert_eq!((changed.codes[1], changed.levels & 1 << 2), (NEUTRAL, 1 << 2));
+        assert_eq!(after(&mut drives, 51).codes[1], 2048, "the same voltages backwards");
+        assert_eq!(drives.share(0), -0.5);
+    }
+
+    #[test]
+    fn a_stop_right_after_the_start_does_not_count_the_rest_before_it() {
+        let mut drives = Bldcs::new(&[config(by_line(50))], CHIP);
+        drives.command(0, Command::Run(0.0));
+        after(&mut drives, 100);
+        drives.command(0, Command::Run(1.0));
+        drives.step(PERIOD_S);
+        drives.make_safe();
+        drives.command(0, Command::Run(-1.0));
+        assert_eq!(after(&mut drives, 49).levels & 1 << 2, 0);
+        assert_eq!(drives.step(PERIOD_S).levels & 1 << 2, 1 << 2);
+    }
+
+    #[test]
+    fn backwards_by_voltage_or_not_at_all() {
+        let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
+        drives.command(0, Command::Run(-1.0));
+        assert_eq!(after(&mut drives, 101).codes[1], 999); // 1.22 V: 999.4
+        let mut drives = Bldcs::new(&[config(Reverse::None)], CHIP);
+        drives.command(0, Command::Run(-1.0));
+        assert_eq!(after(&mut drives, 101).codes[1], NEUTRAL);
+        drives.command(0, Command::Run(f32::NAN));
+        assert_eq!(after(&mut drives, 101).codes[1], NEUTRAL);
+    }
+
+    #[test]
+    fn not_even_a_share_beyond_full_leaves_the_window() {
+        let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
+        let codes = [2.0, f32::INFINITY, -2.0, f32::NEG_INFINITY].map(|share| {
+            drives.drives[0].share = share;
+            drives.wanted().codes[1]
+        });
+        assert_eq!(codes, [2458, 2458, 999, 999]);
+    }
+
+    fn any_config(output: u8) -> impl Strategy<Value = BldcConfig> {
+        let line = move |bit| any::<bool>().prop_map(move |active_low| DriveLine { bit, active_low });
+        let reverse = prop_oneof![
+            Just(None),
+            (line(2 * output), 0..30u16).prop_map(|(line, rest_ms)| Some(Reverse::Line { line, rest_ms })),
+        ];
+        (
+            0.5f32..4.5,
+            0.01f32..0.5,
+            0.01f32..0.5,
+            any::<bool>(),
+            reverse,
+            prop::option::of(line(2 * output + 1)),
+            0.1f32..500.0,
+        )
+            .prop_map(move |(neutral_v, up_v, down_v, forward_is_up, reverse, brake, slew_per_s)| {
+                let (forward_v, full_v) = if forward_is_up {
+                    (neutral_v + up_v, neutral_v - down_v)
+                } else {
+                    (neutral_v - down_v, neutral_v + up_v)
+                };
+                let reverse = reverse.unwrap_or(Reverse::Voltage { full_v });
+                let id = ChannelId::new(ChannelKind::Bldc, output);
+                BldcConfig { id, output, neutral_v, forward_v, reverse, brake, slew_per_s }
+            })
+    }
+
+    #[derive(Clone, Copy, Debug)]
+    enum Event {
+        Command(usize, Command),
+        MakeSafe,
+        Steps(usize),
+    }
+
+    fn any_event() -> impl Strategy<Value = Event> {
+        let share = prop_oneof![-1.5f32..1.5, Just(0.0), Just(1.0), Just(-1.0), any::<f32>()];
+        let command = prop_oneof![4 => share.prop_map(Command::Run), 1 => Just(Command::Brake)];
+        prop_oneof![
+            4 => (0..4usize, command).prop_map(|(index, command)| Event::Command(index, command)),
+            1 => Just(Event::MakeSafe),
+            4 => (1..60usize).prop_map(Event::Steps),
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn any_commands_keep_the_rules(
+            configs in (any_config(0), any_config(1), any_config(2), any_config(3)),
+            events in prop::collection::vec(any_event(), 1..60),
+        ) {
+            let configs = <[BldcConfig; 4]>::from(configs);
+            let mut drives = Bldcs::new(&configs, CHIP);
+            let exact = |volts: f32| f64::from(volts) / 5.0 * 4096.0;
+            // f32 leaves 1e-3 codes of 4096, then half a code of rounding.
+            let half = 0.501;
+            let mut last = drives.wanted();
+            let mut last_share = [0.0; 4];
+            let mut at_neutral_us = [0u32; 4];
+            for event in events {
+                let steps = match event {
+                    Event::Command(index, command) => {
+                        drives.command(index, command);
+                        0
+                    }
+                    Event::MakeSafe => {
+                        drives.make_safe();
+                        last_share = [0.0; 4];
+                        // Chips are told in between two steps.
+                        last = drives.wanted();
+                        for (us, config) in at_neutral_us.iter_mut().zip(&configs) {
+                            if (f64::from(last.codes[usize::from(config.output)]) - exact(config.neutral_v)).abs() > half {
+                                *us = 0;
+                            }
+                        }
+                        0
+                    }
+                    Event::Steps(steps) => steps,
+                };
+                for _ in 0..steps {
+                    let now = drives.step(PERIOD_S);
+                    for (index, config) in configs.iter().enumerate() {
+                        let output = usize::from(config.output);
+                        let code = f64::from(now.codes[output]);
+                        let neutral = exact(config.neutral_v);
+                        let full = if let Reverse::Voltage { full_v } = config.reverse { full_v } else { config.neutral_v };
+                        let ends = [config.neutral_v, config.forward_v, full].map(exact);
+                        prop_assert!(code >= ends.iter().copied().fold(f64::MAX, f64::min) - half, "below the window");
+                        prop_assert!(code <= ends.iter().copied().fold(0.0, f64::max) + half, "above the window");
+
+                        let active = |wanted: &Wanted, line: DriveLine| (wanted.levels >> line.bit & 1 != 0) != line.active_low;
+                        let is_neutral = |code: u16| (f64::from(code) - neutral).abs() <= half;
+                        let braked = config.brake.is_some_and(|line| active(&now, line));
+                        let was_braked = config.brake.is_some_and(|line| active(&last, line));
+                        prop_assert!(!(braked || was_braked) || is_neutral(now.codes[output]), "braked, or just released");
+                        if let Reverse::Line { line, rest_ms } = config.reverse {
+                            // Neutral in the step before counts for the period up to this one.
+                            at_neutral_us[index] =
+                                if is_neutral(last.codes[output]) { at_neutral_us[index] + PERIOD_US } else { 0 };
+                            if active(&last, line) != active(&now, line) {
+                                prop_assert!(is_neutral(last.codes[output]) && is_neutral(now.codes[output]));
+                                prop_assert!(at_neutral_us[index] >= 1000 * u32::from(rest_ms), "{} us", at_neutral_us[index]);
+                            }
+                        }
+                        let share = drives.share(index);
+                        let change = (share - last_share[index]).abs();
+                        // One rounding of the sum, whose size is at most 1.
+                        let most = config.slew_per_s * PERIOD_S + f32::EPSILON;
+                        prop_assert!(change <= most || drives.drives[index].braked, "{change}, {most}");
+                        last_share[index] = share;
+                    }
+                    last = now;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Rules of motor bridges: one line with PWM for each direction, the others steady.
+//!
+//! OSMC (HIP4081A): both high sides on, PWM on one low side. Forwards, current flows from leg A's high side through the
+//! motor into leg B's low side, so PWM is on `BLI` and `ALI` stays low; backwards the other way round. While the PWM is low
+//! both ends of the motor are at the supply: it brakes.
+//!
+//! DHB-12: enable high, PWM on `IN1` forwards, on `IN2` backwards.
+//!
+//! - A change of direction first takes the PWM line low for two PWM periods, then sets all lines in one transfer.
+//! - An unchanged direction writes only the "off" count of the one line that moves.
+
+use embassy_time::{Duration, Instant};
+use embedded_hal_async::i2c::I2c;
+use r4_protocol::config::BridgeConfig;
+
+use crate::chips::{
+    ChipError,
+    pca9685::{Output, Pca9685},
+};
+
+/// Most lines of a bridge.
+pub const MAX_LINES: usize = 4;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Direction {
+    Forwards,
+    Backwards,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum State {
+    /// All lines low since then: the motor coasts.
+    Off { since: Instant },
+    /// One direction's PWM line at `pwm`, the steady lines on.
+    On { direction: Direction, pwm: Output, pwm_since: Instant },
+}
+
+/// What the next call of [`Bridge::drive`] does.
+enum Step {
+    /// Nothing has to be written.
+    Keep { applied: f32 },
+    /// The one line that moves.
+    Change { direction: Direction, pwm: Output, applied: f32 },
+    /// All lines.
+    SetAll { direction: Direction, pwm: Output },
+}
+
+/// One bridge and what its lines were last told.
+#[derive(Clone, Copy, Debug)]
+pub struct Bridge {
+    wiring: BridgeConfig,
+    inverted: bool,
+    reversal: Duration,
+    state: State,
+    /// What the motor gets.
+    applied: f32,
+}
+
+impl Bridge {
+    /// A bridge that is off and rests for `reversal` between directions.
+    #[must_use]
+    pub fn new(wiring: BridgeConfig, inverted: bool, reversal: Duration) -> Self {
+        Self { wiring, inverted, reversal, state: State::Off { since: Instant::now() }, applied: 0.0 }
+    }
+
+    /// All lines of the chip have just been turned off.
+    pub fn now_off(&mut self) {
+        if let State::On { .. } = self.state {
+            self.state = State::Off { since: Instant::now() };
+        }
+        self.applied = 0.0;
+    }
+
+    /// Share of the supply the motor gets.
+    #[must_use]
+    pub fn applied(&self) -> f32 {
+        self.applied
+    }
+
+    /// Bytes on the bus, address included, that [`Bridge::drive`] at `duty` takes now.
+    #[must_use]
+    pub fn bytes(&self, duty: f32) -> u32 {
+        match self.next(duty) {
+            Step::Keep { .. } => 0,
+            Step::Change { .. } => 4,
+            Step::SetAll { .. } => 2 + 4 * self.line_count() as u32,
+        }
+    }
+
+    /// Sets the lines for `duty`, or for the next step towards it, and returns the duty they now give.
+    ///
+    /// # Errors
+    /// A failed transfer; the state is then as before, and the call can be repeated.
+    pub async fn drive<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B, duty: f32) -> Result<f32, B::Error> {
+        self.applied = match self.next(duty) {
+            Step::Keep { applied } => applied,
+            Step::Change { direction, pwm, applied } => {
+                chip.set_off_count(bus, self.pwm_line(direction), pwm).await?;
+                self.state = State::On { direction, pwm, pwm_since: Instant::now() };
+                applied
+            }
+            Step::SetAll { direction, pwm } => {
+                let outputs = self.outputs(direction, pwm);
+                chip.set(bus, self.first(), &outputs[..self.line_count()]).await?;
+                self.state = State::On { direction, pwm, pwm_since: Instant::now() };
+                duty
+            }
+        };
+        Ok(self.applied)
+    }
+
+    fn next(&self, duty: f32) -> Step {
+        let wanted = if (duty < 0.0) != self.inverted { Direction::Backwards } else { Direction::Forwards };
+        let pwm = Output::high_for(duty.abs());
+        match self.state {
+            State::On { direction, pwm: last, .. } if direction == wanted || pwm == Output::LOW => {
+                if last == pwm {
+                    Step::Keep { applied: duty }
+                } else {
+                    Step::Change { direction, pwm, applied: duty }
+                }
+            }
+            State::On { direction, pwm: last, .. } if last != Output::LOW => {
+                Step::Change { direction, pwm: Output::LOW, applied: 0.0 }
+            }
+            State::On { pwm_since: since, .. } | State::Off { since } if Instant::now() - since < self.reversal => {
+                Step::Keep { applied: 0.0 }
+            }
+            State::On { .. } | State::Off { .. } => Step::SetAll { direction: wanted, pwm },
+        }
+    }
+
+    /// Reads line number `line`, below [`Bridge::line_count`], back and compares.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn verify<B: I2c>(&self, chip: &Pca9685, bus: &mut B, line: usize) -> Result<(), ChipError<B::Error>> {
+        let output = self.first() + line as u8;
+        match self.state {
+            State::Off { .. } => chip.verify_off(bus, output).await,
+            State::On { direction, pwm, .. } => chip.verify(bus, output, self.outputs(direction, pwm)[line]).await,
+        }
+    }
+
+    /// How many lines the bridge has.
+    #[must_use]
+    pub const fn line_count(&self) -> usize {
+        match self.wiring {
+            BridgeConfig::Osmc(_) => 4,
+            BridgeConfig::Dhb(_) => 3,
+        }
+    }
+
+    /// Whether it is an OSMC, which has a chip of its own.
+    #[must_use]
+    pub const fn is_osmc(&self) -> bool {
+        matches!(self.wiring, BridgeConfig::Osmc(_))
+    }
+
+    fn first(&self) -> u8 {
+        match self.wiring {
+            BridgeConfig::Osmc(lines) => lines.first(),
+            BridgeConfig::Dhb(lines) => lines.first(),
+        }
+    }
+
+    const fn pwm_line(&self, direction: Direction) -> u8 {
+        match (self.wiring, direction) {
+            (BridgeConfig::Osmc(lines), Direction::Forwards) => lines.bli,
+            (BridgeConfig::Osmc(lines), Direction::Backwards) => lines.ali,
+            (BridgeConfig::Dhb(lines), Direction::Forwards) => lines.in1,
+            (BridgeConfig::Dhb(lines), Direction::Backwards) => lines.in2,
+        }
+    }
+
+    /// All lines of a bridge that is on, in the order of the chip.
+    fn outputs(&self, direction: Direction, pwm: Output) -> [Output; MAX_LINES] {
+        let mut outputs = [Output::LOW; MAX_LINES];
+        let first = self.first();
+        let mut set = |line: u8, output| outputs[usize::from(line - first)] = output;
+        match self.wiring {
+            BridgeConfig::Osmc(lines) => {
+                set(lines.ahi, Output::HIGH);
+                set(lines.bhi, Output::HIGH);
+            }
+            BridgeConfig::Dhb(lines) => set(lines.en, Output::HIGH),
+        }
+        set(self.pwm_line(direction), pwm);
+        outputs
+    }
+}

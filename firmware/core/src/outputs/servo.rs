@@ -1,0 +1,262 @@
+//! Rules of RC servos on a PCA9685.
+//!
+//! - A servo says nothing about where it is. Without pulses it is limp; at the first it goes to the angle they stand for,
+//!   as fast as it can. So it gets none before its first command, and that first command is not slowed down.
+//!   From there on the angle asked of it changes by at most `speed_max`.
+//! - One transfer sets one servo: a stop never waits for more than that. Servos whose pulse changes take turns.
+//! - In the safe state pulses end, and with them what is known of the angles; with `hold_when_safe` they go on and each
+//!   servo is held where it was last sent.
+
+use embedded_hal_async::i2c::I2c;
+use heapless::Vec;
+use r4_protocol::config::{MAX_SERVOS, ServoChipConfig, ServoConfig};
+
+use super::slew::towards;
+use crate::chips::{
+    ChipError,
+    pca9685::{Output, Pca9685},
+};
+
+/// A servo that moves gets a new pulse at least so often, s: about one period of the pulses.
+const UPDATE_S: f32 = 0.02;
+
+/// The servos of one chip.
+#[derive(Clone, Debug)]
+pub struct Servos {
+    chip: Pca9685,
+    hold_when_safe: bool,
+    servos: Vec<Servo, MAX_SERVOS>,
+    /// Whose turn it is to be written.
+    next: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Servo {
+    config: ServoConfig,
+    /// Angle asked of it and where that goes, rad; `None` before the first command.
+    motion: Option<Motion>,
+    /// What its output was last told; `None` when that is not known.
+    written: Option<Output>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    angle: f32,
+    target: f32,
+}
+
+impl Servos {
+    /// Bytes on the bus of the transfer of [`Servos::write_next`]: 93 µs at 400 kHz.
+    pub const WRITE_BYTES: u32 = 4;
+
+    /// Servos without pulses. The configuration must be valid.
+    #[must_use]
+    pub fn new(chip: ServoChipConfig, servos: &[ServoConfig]) -> Self {
+        let new = |config: &ServoConfig| Servo { config: *config, motion: None, written: None };
+        Self {
+            chip: Pca9685::with_oscillator(chip.address, chip.frequency_hz, chip.oscillator_hz),
+            hold_when_safe: chip.hold_when_safe,
+            servos: servos.iter().take(MAX_SERVOS).map(new).collect(),
+            next: 0,
+        }
+    }
+
+    /// Sends servo number `index` of the configuration to `angle`, rad, or as near as its travel allows.
+    pub fn command(&mut self, index: usize, angle: f32) {
+        let servo = &mut self.servos[index];
+        let travel = servo.config.position();
+        if !angle.is_nan() {
+            let target = angle.max(travel.min).min(travel.max);
+            servo.motion = Some(Motion { angle: servo.motion.map_or(target, |motion| motion.angle), target });
+        }
+    }
+
+    /// One step of `period_s`, s, towards the commanded angles.
+    pub fn step(&mut self, period_s: f32) {
+        for servo in &mut self.servos {
+            if let Some(motion) = &mut servo.motion {
+                motion.angle = towards(motion.angle, motion.target, servo.config.speed_max * period_s);
+            }
+        }
+    }
+
+    /// The angle now asked of servo number `index`, rad; `None` when it gets no pulses.
+    #[must_use]
+    pub fn angle(&self, index: usize) -> Option<f32> {
+        self.servos[index].motion.map(|motion| motion.angle)
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.servos.len()
+    }
+
+    /// How often [`Servos::write_next`] must be called in a control period of `period_s`, s, so that each servo of those
+    /// that move is written every 20 ms: once, for up to 16 servos and 1.25 ms.
+    #[must_use]
+    pub fn writes_per_period(&self, period_s: f32) -> usize {
+        libm::ceilf(self.servos.len() as f32 * period_s / UPDATE_S) as usize
+    }
+
+    /// Whether [`Servos::write_next`] has something to write.
+    #[must_use]
+    pub fn has_changed(&self) -> bool {
+        self.next_changed().is_some()
+    }
+
+    /// Tells the chip the pulse of the next servo in turn that has a new one: one transfer of [`Servos::WRITE_BYTES`], or
+    /// none.
+    ///
+    /// # Errors
+    /// A failed transfer. The servo may then have either pulse; it is first in turn.
+    pub async fn write_next<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        let Some(index) = self.next_changed() else { return Ok(()) };
+        self.next = index;
+        let servo = &mut self.servos[index];
+        let output = servo.wanted(&self.chip);
+        servo.written = None;
+        self.chip.set_off_count(bus, servo.config.output, output).await?;
+        servo.written = Some(output);
+        self.next = (index + 1) % self.servos.len();
+        Ok(())
+    }
+
+    /// Brings the chip from any state to where no servo gets pulses, and reads that back; see [`Pca9685::init`].
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn init<B: I2c>(&mut self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
+        self.forget();
+        self.chip.init(bus).await?;
+        self.now_off();
+        Ok(())
+    }
+
+    /// Ends all pulses in one transfer of 3 bytes, or, with `hold_when_safe`, all motion without one.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn make_safe<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        if self.hold_when_safe {
+            for motion in self.servos.iter_mut().filter_map(|servo| servo.motion.as_mut()) {
+                motion.target = motion.angle;
+            }
+            return Ok(());
+        }
+        self.forget();
+        self.chip.all_off(bus).await?;
+        self.now_off();
+        Ok(())
+    }
+
+    /// Reads mode and prescaler of the chip back and compares.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
+        self.chip.verify_mode(bus).await
+    }
+
+    /// Reads the pulse of servo number `index` back and compares it with the last one written.
+    ///
+    /// # Errors
+    /// A failed transfer, or a register that does not hold what was written.
+    pub async fn verify<B: I2c>(&self, bus: &mut B, index: usize) -> Result<(), ChipError<B::Error>> {
+        let servo = &self.servos[index];
+        match servo.written {
+            Some(Output::LOW) => self.chip.verify_off(bus, servo.config.output).await,
+            Some(output) => self.chip.verify(bus, servo.config.output, output).await,
+            None => Ok(()),
+        }
+    }
+
+    fn next_changed(&self) -> Option<usize> {
+        let count = self.servos.len();
+        let mut turns = (0..count).map(|turn| (self.next + turn) % count);
+        turns.find(|index| {
+            let servo = &self.servos[*index];
+            servo.written != Some(servo.wanted(&self.chip))
+        })
+    }
+
+    fn forget(&mut self) {
+        for servo in &mut self.servos {
+            (servo.motion, servo.written) = (None, None);
+        }
+    }
+
+    /// All outputs of the chip have just been turned off.
+    fn now_off(&mut self) {
+        for servo in &mut self.servos {
+            servo.written = Some(Output::LOW);
+        }
+    }
+}
+
+impl Servo {
+    fn wanted(&self, chip: &Pca9685) -> Output {
+        self.motion.map_or(Output::LOW, |motion| chip.pulse(self.pulse_s(motion.angle)))
+    }
+
+    /// Linear between the two points, and never beyond.
+    fn pulse_s(&self, angle: f32) -> f32 {
+        let (low, high) = (self.config.low, self.config.high);
+        let share = (angle - low.angle_rad) / (high.angle_rad - low.angle_rad);
+        (low.pulse_s + share * (high.pulse_s - low.pulse_s)).max(low.pulse_s).min(high.pulse_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::{ChannelId, ChannelKind, config::ServoPoint};
+
+    use super::*;
+
+    const CHIP: ServoChipConfig =
+        ServoChipConfig { address: 0x42, frequency_hz: 50.0, oscillator_hz: 25e6, hold_when_safe: false };
+
+    /// From 1 ms at -1 rad to 2 ms at 1 rad, or the other way round; 2 rad/s.
+    fn config(output: u8, sign: f32) -> ServoConfig {
+        ServoConfig {
+            id: ChannelId::new(ChannelKind::Servo, output),
+            output,
+            low: ServoPoint { pulse_s: 1e-3, angle_rad: -sign },
+            high: ServoPoint { pulse_s: 2e-3, angle_rad: sign },
+            speed_max: 2.0,
+        }
+    }
+
+    fn pulses(servos: &Servos) -> [Output; 2] {
+        [0, 1].map(|index| servos.servos[index].wanted(&servos.chip))
+    }
+
+    #[test]
+    fn the_first_command_jumps_and_later_ones_are_limited() {
+        let mut servos = Servos::new(CHIP, &[config(0, 1.0), config(5, -1.0)]);
+        servos.step(1.0);
+        assert_eq!((servos.angle(0), pulses(&servos)), (None, [Output::LOW; 2]));
+        servos.command(0, 0.5);
+        servos.command(1, 0.5);
+        // 1.75 ms and 1.25 ms at 4.88 us: 358.6 and 256.1
+        assert_eq!(pulses(&servos).map(Output::registers), [[0, 0, 0x67, 0x01], [0, 0, 0x00, 0x01]]);
+        servos.command(0, -5.0);
+        servos.step(0.25);
+        assert_eq!(servos.angle(0), Some(0.0));
+        servos.step(10.0);
+        assert_eq!(servos.angle(0), Some(-1.0), "the end of its travel");
+        assert_eq!(pulses(&servos)[0].registers(), [0, 0, 0xCD, 0x00]); // 1 ms: 204.9
+        servos.command(0, f32::NAN);
+        servos.command(1, f32::INFINITY);
+        servos.step(10.0);
+        assert_eq!([0, 1].map(|index| servos.angle(index)), [Some(-1.0), Some(1.0)]);
+    }
+
+    #[test]
+    fn calls_for_a_write_of_each_in_20_ms() {
+        let all: Vec<_, MAX_SERVOS> = (0..16).map(|output| config(output, 1.0)).collect();
+        for (count, period_s, calls) in [(0, 0.001, 0), (1, 0.001, 1), (16, 0.001, 1), (16, 0.002, 2), (16, 0.02, 16)] {
+            assert_eq!(Servos::new(CHIP, &all[..count]).writes_per_period(period_s), calls, "{count} at {period_s} s");
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! A mechanical switch, debounced.
+
+use r4_protocol::config::SwitchConfig;
+
+use super::periods;
+
+/// A level counts once it has been steady for this long, s: snap-action switches bounce for 1 to 3 ms.
+pub const DEBOUNCE_S: f32 = 0.005;
+
+/// A switch, sampled every period.
+///
+/// Both edges are told [`DEBOUNCE_S`] late, by the same time on the way in and on the way out: a home switch that is
+/// passed in both directions has its mean position where it is. A disturbance shorter than that is not told at all.
+#[derive(Clone, Debug)]
+pub struct Switch {
+    active_low: bool,
+    debounce_periods: u32,
+    /// The level of the last samples, as closed or not, and how many there have been, up to `debounce_periods`.
+    steady: (bool, u32),
+    closed: Option<bool>,
+    /// Whether `closed` changed in the last period, and not from unknown.
+    changed: bool,
+}
+
+impl Switch {
+    /// A switch sampled every `period_s`.
+    #[must_use]
+    pub fn new(config: &SwitchConfig, period_s: f32) -> Self {
+        Self {
+            active_low: config.active_low,
+            debounce_periods: periods(DEBOUNCE_S, period_s),
+            steady: (false, 0),
+            closed: None,
+            changed: false,
+        }
+    }
+
+    /// Takes the level of this period and returns whether the switch is closed; open until a first level was steady.
+    pub fn update(&mut self, high: bool) -> bool {
+        let closed = high != self.active_low;
+        let samples = if closed == self.steady.0 { self.steady.1 + 1 } else { 1 };
+        self.steady = (closed, samples.min(self.debounce_periods));
+        self.changed = false;
+        if self.steady.1 == self.debounce_periods {
+            let before = self.closed.replace(closed);
+            self.changed = before == Some(!closed);
+        }
+        self.closed == Some(true)
+    }
+
+    /// Whether it is closed; `None` until a first level was steady.
+    #[must_use]
+    pub fn closed(&self) -> Option<bool> {
+        self.closed
+    }
+
+    /// Whether it closed in the last period. A switch that is closed from the start has not just closed.
+    #[must_use]
+    pub fn just_closed(&self) -> bool {
+        self.changed && self.closed == Some(true)
+    }
+
+    /// Whether it opened in the last period.
+    #[must_use]
+    pub fn just_opened(&self) -> bool {
+        self.changed && self.closed == Some(false)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use r4_protocol::{ChannelId, ChannelKind};
+
+    use super::*;
+
+    /// Periods of 1 ms in [`DEBOUNCE_S`].
+    const PERIODS: usize = 5;
+
+    fn switch(active_low: bool) -> Switch {
+        Switch::new(&SwitchConfig { id: ChannelId::new(ChannelKind::Switch, 0), active_low }, 1e-3)
+    }
+
+    fn hold(switch: &mut Switch, high: bool, periods: usize) -> bool {
+        (0..periods).map(|_| switch.update(high)).last().expect("at least one period")
+    }
+
+    #[test]
+    fn the_first_steady_level_is_where_it_starts_and_no_edge() {
+        for (active_low, high) in [(false, false), (false, true), (true, false), (true, true)] {
+            let mut switch = switch(active_low);
+            assert!(!hold(&mut switch, high, PERIODS - 1));
+            assert_eq!(switch.closed(), None);
+            let closed = switch.update(high);
+            assert_eq!((closed, switch.closed()), (high != active_low, Some(high != active_low)));
+            assert!(!switch.just_closed() && !switch.just_opened());
+        }
+    }
+
+    #[test]
+    fn an_edge_is_told_once_after_the_bounce() {
+        let mut switch = switch(true);
+        hold(&mut switch, true, PERIODS);
+        for high in [false, true, false, true, true, false, true] {
+            assert!(!switch.update(high) && !switch.just_closed() && !switch.just_opened());
+        }
+        assert!(!hold(&mut switch, false, PERIODS - 1) && !switch.just_closed());
+        assert!(switch.update(false) && switch.just_closed() && !switch.just_opened());
+        assert!(switch.update(false) && !switch.just_closed());
+        assert!(hold(&mut switch, true, PERIODS - 1) && !switch.just_opened());
+        assert!(!switch.update(true) && switch.just_opened() && !switch.just_closed());
+        assert!(!switch.update(true) && !switch.just_opened());
+    }
+
+    #[test]
+    fn the_time_is_the_same_at_every_control_period() {
+        // From the shortest to the longest period a board can have; one longer than the time takes every sample.
+        for (period_s, periods) in [(500e-6, 10), (1e-3, 5), (2e-3, 3), (20e-3, 1)] {
+            let config = SwitchConfig { id: ChannelId::new(ChannelKind::Switch, 0), active_low: false };
+            let mut switch = Switch::new(&config, period_s);
+            let known_after = (1..=100).find(|_| switch.update(true));
+            assert_eq!(known_after, Some(periods), "{period_s} s");
+        }
+    }
+
+    proptest! {
+        /// It is closed or open as the last run of equal samples that was long enough said.
+        #[test]
+        fn it_follows_the_last_steady_level(runs in prop::collection::vec((any::<bool>(), 1usize..12), 1..60)) {
+            let mut switch = switch(false);
+            let (mut level, mut length, mut expected) = (None, 0, None);
+            for (high, periods) in runs {
+                for _ in 0..periods {
+                    length = if level == Some(high) { length + 1 } else { 1 };
+                    level = Some(high);
+                    let before = expected;
+                    if length >= PERIODS {
+                        expected = Some(high);
+                    }
+                    prop_assert_eq!(switch.update(high), expected == Some(true));
+                    prop_assert_eq!(switch.closed(), expected);
+                    prop_assert_eq!(switch.just_closed(), before == Some(false) && expected == Some(true));
+                    prop_assert_eq!(switch.just_opened(), before == Some(true) && expected == Some(false));
+                }
+            }
+        }
+    }
+}

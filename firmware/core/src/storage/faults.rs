@@ -1,0 +1,297 @@
+//! The history of trips, each with what the board looked like before it.
+//!
+//! [`Recorder`] is a ring in memory that the control loop feeds; a trip freezes it. In flash a trip is one item:
+//!
+//! ```text
+//! layout: u8 | FaultInfo | FaultSnapshot, oldest first | FaultSnapshot ...
+//! ```
+//!
+//! With eight motors and four supplies that is at most 2525 bytes, so that a sector of 128 KiB takes 47 trips: more than
+//! [`HISTORY`], so they outlive the erase of the other sector. Two sectors of 10 000 erases then last for 900 000 trips.
+
+use embedded_storage_async::nor_flash::NorFlash;
+use heapless::{Deque, Vec};
+use r4_protocol::{
+    Causes, FaultInfo, FaultSnapshot, MotorSnapshot,
+    config::{MAX_MOTORS, MAX_SUPPLIES},
+};
+
+use super::{StorageError, fault_log, words::DATA_BYTES};
+
+/// Most trips a host can ask for.
+pub const HISTORY: u16 = 32;
+/// Most snapshots of one trip.
+pub const SNAPSHOTS: usize = 20;
+/// Between two snapshots, ms: together 200 ms before the trip.
+pub const SNAPSHOT_MS: u16 = 10;
+
+/// What this firmware writes. Trips in another layout are left out of the history.
+const LAYOUT: u8 = 1;
+/// Most bytes of a [`FaultInfo`]: two `u32`, a `u64`, a `u16` and a `u8`, each seven bits to a byte.
+const MAX_INFO: usize = 5 + 5 + 10 + 3 + 1;
+/// Most bytes of a [`FaultSnapshot`]: when; the motors, each an `i32` in seven bits to a byte and two `f32`; the supplies.
+const MAX_SNAPSHOT: usize = 3 + 1 + MAX_MOTORS * (5 + 4 + 4) + 1 + MAX_SUPPLIES * 4;
+const MAX_ITEM: usize = 1 + MAX_INFO + SNAPSHOTS * MAX_SNAPSHOT;
+const BUFFER: usize = MAX_ITEM.next_multiple_of(DATA_BYTES);
+
+/// A trip that has not been written yet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trip {
+    /// Since the board started.
+    pub device_us: u64,
+    /// Every cause seen until now.
+    pub causes: Causes,
+    /// From the oldest to the newest.
+    pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
+}
+
+/// The last moments, in memory. Takes 2.7 KiB.
+#[derive(Clone, Debug, Default)]
+pub struct Recorder {
+    moments: Deque<Moment, SNAPSHOTS>,
+}
+
+#[derive(Clone, Debug)]
+struct Moment {
+    device_us: u64,
+    motors: Vec<MotorSnapshot, MAX_MOTORS>,
+    supplies_v: Vec<f32, MAX_SUPPLIES>,
+}
+
+impl Recorder {
+    /// Notes what the board looks like now; to be called every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] goes.
+    pub fn note(
+        &mut self,
+        device_us: u64,
+        motors: impl IntoIterator<Item = MotorSnapshot>,
+        supplies_v: impl IntoIterator<Item = f32>,
+    ) {
+        if self.moments.is_full() {
+            self.moments.pop_front();
+        }
+        let motors = motors.into_iter().take(MAX_MOTORS).collect();
+        let supplies_v = supplies_v.into_iter().take(MAX_SUPPLIES).collect();
+        // There is room: one went, or there has always been some.
+        let _ = self.moments.push_back(Moment { device_us, motors, supplies_v });
+    }
+
+    /// What was noted, as seen from a trip at `device_us`.
+    #[must_use]
+    pub fn freeze(&self, device_us: u64, causes: Causes) -> Trip {
+        let snapshot = |moment: &Moment| FaultSnapshot {
+            before_ms: u16::try_from(device_us.saturating_sub(moment.device_us) / 1000).unwrap_or(u16::MAX),
+            motors: moment.motors.clone(),
+            supplies_v: moment.supplies_v.clone(),
+        };
+        Trip { device_us, causes, snapshots: self.moments.iter().map(snapshot).collect() }
+    }
+}
+
+/// The trips in flash. Takes 5 KiB for what it reads and writes.
+pub struct History {
+    /// How many there are, those beyond [`HISTORY`] too.
+    count: u16,
+    newest: Option<FaultInfo>,
+    /// Of this start of the board.
+    start: u32,
+    /// The trip that was read last, and which it is.
+    item: [u8; BUFFER],
+    read: Option<(u8, usize)>,
+    buffer: [u8; BUFFER],
+}
+
+impl History {
+    /// Looks what is in flash; whatever it is, trips can be recorded.
+    pub async fn open<F: NorFlash>(flash: &mut F) -> Self {
+        let mut history = Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
+        history.survey(flash).await;
+        // Starts without a trip leave no trace.
+        history.start = history.newest.map_or(1, |newest| newest.start.saturating_add(1));
+        history
+    }
+
+    async fn survey<F: NorFlash>(&mut self, flash: &mut F) {
+        (self.count, self.newest, self.read) = (0, None, None);
+        let see = |item: &[u8]| {
+            if let Some((info, _)) = decode_info(item) {
+                self.count = self.count.saturating_add(1);
+                // The last, unless marks in flash have gone bad: no number is given twice.
+                self.newest = self.newest.into_iter().chain([info]).max_by_key(|info| info.number);
+            }
+        };
+        // What makes no sense is erased by the next trip.
+        if fault_log(flash).visit(&mut self.buffer, see).await.is_err() {
+            self.count = 0;
+        }
+    }
+
+    /// How many trips there are to read.
+    #[must_use]
+    pub fn len(&self) -> u8 {
+        self.count.min(HISTORY) as u8
+    }
+
+    /// Whether there has been no trip.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Writes a trip; the oldest go when there is no more room.
+    ///
+    /// # Errors
+    /// [`StorageError`]; the trips before it are still there, unless they were damaged.
+    pub async fn record<F: NorFlash>(&mut self, flash: &mut F, trip: &Trip) -> Result<FaultInfo, StorageError> {
+        let info = FaultInfo {
+            number: self.newest.map_or(1, |newest| newest.number.saturating_add(1)),
+            start: self.start,
+            device_us: trip.device_us,
+            causes: trip.causes,
+            snapshots: trip.snapshots.len() as u8,
+        };
+        self.read = None;
+        let length = encode(&info, trip, &mut self.item).ok_or(StorageError::Damaged)?;
+        let pushed = fault_log(flash).push(&self.item[..length], &mut self.buffer).await;
+        self.survey(flash).await;
+        pushed.map(|()| info)
+    }
+
+    /// Trip number `index`, 0 being the newest.
+    ///
+    /// # Errors
+    /// [`StorageError`]
+    pub async fn fault<F: NorFlash>(&mut self, flash: &mut F, index: u8) -> Result<Option<FaultInfo>, StorageError> {
+        let item = self.item(flash, index).await?;
+        Ok(item.and_then(decode_info).map(|(info, _)| info))
+    }
+
+    /// Snapshot number `snapshot` of trip number `index`; 0 is the newest trip and its oldest snapshot.
+    ///
+    /// # Errors
+    /// [`StorageError`]
+    pub async fn snapshot<F: NorFlash>(
+        &mut self,
+        flash: &mut F,
+        index: u8,
+        snapshot: u8,
+    ) -> Result<Option<FaultSnapshot>, StorageError> {
+        let Some((_, mut rest)) = self.item(flash, index).await?.and_then(decode_info) else { return Ok(None) };
+        for _ in 0..snapshot {
+            let Ok((_, after)) = postcard::take_from_bytes::<FaultSnapshot>(rest) else { return Ok(None) };
+            rest = after;
+        }
+        Ok(postcard::from_bytes(rest).ok())
+    }
+
+    /// Reads through the log, unless this trip was the last one asked for: a host asks for its snapshots one by one.
+    async fn item<F: NorFlash>(&mut self, flash: &mut F, index: u8) -> Result<Option<&[u8]>, StorageError> {
+        if index >= self.len() {
+            return Ok(None);
+        }
+        let length = match self.read {
+            Some((read, length)) if read == index => length,
+            _ => {
+                self.read = None;
+                let mut before = self.count - 1 - u16::from(index);
+                let mut length = 0;
+                let see = |item: &[u8]| {
+                    if decode_info(item).is_none() {
+                        return;
+                    }
+                    if before == 0 && length == 0 {
+                        length = item.len();
+                        self.item[..length].copy_from_slice(item);
+                    }
+                    before = before.saturating_sub(1);
+                };
+                fault_log(flash).visit(&mut self.buffer, see).await?;
+                self.read = Some((index, length));
+                length
+            }
+        };
+        Ok(Some(&self.item[..length]))
+    }
+}
+
+/// How many bytes it took.
+fn encode(info: &FaultInfo, trip: &Trip, item: &mut [u8]) -> Option<usize> {
+    let (layout, rest) = item.split_first_mut()?;
+    *layout = LAYOUT;
+    let mut used = 1 + postcard::to_slice(info, rest).ok()?.len();
+    for snapshot in &trip.snapshots {
+        used += postcard::to_slice(snapshot, item.get_mut(used..)?).ok()?.len();
+    }
+    Some(used)
+}
+
+/// The trip, and what follows it.
+fn decode_info(item: &[u8]) -> Option<(FaultInfo, &[u8])> {
+    let (layout, rest) = item.split_first()?;
+    if *layout == LAYOUT { postcard::take_from_bytes(rest).ok() } else { None }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::Cause;
+
+    use super::*;
+
+    #[test]
+    fn the_recorder_keeps_the_last_moments_and_counts_back_from_the_trip() {
+        let mut recorder = Recorder::default();
+        let step_us = u64::from(SNAPSHOT_MS) * 1000;
+        for step in 0..25 {
+            let motor = MotorSnapshot { position: step, speed: 0.5, duty: -0.25 };
+            recorder.note(step as u64 * step_us, [motor], [24.0, 5.0]);
+        }
+        let trip = recorder.freeze(24 * step_us + 3_000, Causes::only(Cause::Stalled));
+        assert_eq!(trip.snapshots.len(), SNAPSHOTS);
+        for (snapshot, step) in trip.snapshots.iter().zip(5..) {
+            assert_eq!(snapshot.motors[0].position, step);
+            assert_eq!(i32::from(snapshot.before_ms), (24 - step) * i32::from(SNAPSHOT_MS) + 3);
+            assert_eq!(snapshot.supplies_v, [24.0, 5.0]);
+        }
+    }
+
+    #[test]
+    fn more_motors_than_there_can_be_are_left_out() {
+        let mut recorder = Recorder::default();
+        recorder.note(0, [MotorSnapshot::default(); MAX_MOTORS + 1], [0.0; MAX_SUPPLIES + 1]);
+        let trip = recorder.freeze(u64::MAX, Causes::NONE);
+        assert_eq!((trip.snapshots[0].motors.len(), trip.snapshots[0].supplies_v.len()), (MAX_MOTORS, MAX_SUPPLIES));
+        assert_eq!(trip.snapshots[0].before_ms, u16::MAX);
+    }
+
+    #[test]
+    fn the_largest_trip_fits() {
+        let motor = MotorSnapshot { position: i32::MIN, speed: f32::MAX, duty: -1.0 };
+        let motors = Vec::from_slice(&[motor; MAX_MOTORS]).expect("fits");
+        let supplies_v = Vec::from_slice(&[f32::MAX; MAX_SUPPLIES]).expect("fits");
+        let snapshot = FaultSnapshot { before_ms: u16::MAX, motors, supplies_v };
+        let snapshots = core::iter::repeat_n(snapshot, SNAPSHOTS).collect();
+        let trip = Trip { device_us: u64::MAX, causes: Causes::from_bits(u16::MAX), snapshots };
+        let info = FaultInfo {
+            number: u32::MAX,
+            start: u32::MAX,
+            device_us: u64::MAX,
+            causes: trip.causes,
+            snapshots: SNAPSHOTS as u8,
+        };
+        assert_eq!(encode(&info, &trip, &mut [0; BUFFER]), Some(MAX_ITEM));
+    }
+
+    /// Layout 1 as it is in flash. It must never change: a new layout gets a new number.
+    #[test]
+    fn layout_1_stays_what_it_is() {
+        let motors = Vec::from_slice(&[MotorSnapshot { position: -2, speed: 1.0, duty: 0.5 }]).expect("fits");
+        let snapshot = FaultSnapshot { before_ms: 10, motors, supplies_v: Vec::from_slice(&[24.0]).expect("fits") };
+        let snapshots = Vec::from_slice(&[snapshot]).expect("fits");
+        let trip = Trip { device_us: 300, causes: Causes::only(Cause::Stalled), snapshots };
+        let info = FaultInfo { number: 7, start: 3, device_us: 300, causes: trip.causes, snapshots: 1 };
+        let mut item = [0; BUFFER];
+        let length = encode(&info, &trip, &mut item).expect("fits");
+        let expected = b"\x01\x07\x03\xAC\x02\x80\x04\x01\x0A\x01\x03\0\0\x80\x3F\0\0\0\x3F\x01\0\0\xC0\x41";
+        assert_eq!(&item[..length], expected);
+        assert_eq!(decode_info(expected).map(|(info, _)| info), Some(info));
+    }
+}

@@ -1,0 +1,89 @@
+//! Items in the order in which they were written; the oldest sector is erased when there is no room for a new one.
+
+use embedded_storage_async::nor_flash::NorFlash;
+use sequential_storage::{
+    Error,
+    cache::{Cache, Uncached},
+    queue::{QueueConfig, QueueStorage},
+};
+
+use super::words::{WordError, Words};
+
+/// Why something was not read or not kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StorageError {
+    /// The flash refused, or does not hold what was written to it.
+    Flash,
+    /// The content makes no sense.
+    Damaged,
+}
+
+impl From<Error<WordError>> for StorageError {
+    fn from(error: Error<WordError>) -> Self {
+        match error {
+            Error::Storage { value: WordError::Flash, .. } => Self::Flash,
+            _ => Self::Damaged,
+        }
+    }
+}
+
+/// Some sectors of a flash with items in them.
+pub(super) struct Log<'f, F>(Words<'f, F>);
+
+type Queue<'w, 'f, F> = QueueStorage<&'w mut Words<'f, F>, Cache<Uncached, Uncached, Uncached>>;
+
+impl<'f, F: NorFlash> Log<'f, F> {
+    /// The log in `sectors` sectors from `first_sector` on.
+    pub(super) fn new(flash: &'f mut F, first_sector: usize, sectors: usize) -> Self {
+        Self(Words::new(flash, first_sector, sectors))
+    }
+
+    fn queue(&mut self) -> Result<Queue<'_, 'f, F>, StorageError> {
+        let config = QueueConfig::try_new(self.0.range()).map_err(|_| StorageError::Damaged)?;
+        Ok(QueueStorage::new(&mut self.0, config, Cache::new_uncached()))
+    }
+
+    /// Whether nothing has ever been written here.
+    pub(super) async fn is_blank(&mut self) -> bool {
+        self.0.is_blank().await
+    }
+
+    /// Shows every item from the oldest to the newest. `buffer` takes the largest, rounded up to a whole word.
+    ///
+    /// # Errors
+    /// [`StorageError::Damaged`]; items that are merely spoilt are left out.
+    pub(super) async fn visit(&mut self, buffer: &mut [u8], mut see: impl FnMut(&[u8])) -> Result<(), StorageError> {
+        let mut queue = self.queue()?;
+        let mut items = queue.iter().await?;
+        while let Some(item) = items.next(buffer).await? {
+            see(&item);
+        }
+        Ok(())
+    }
+
+    /// Appends `item` and looks whether it is there. Where the content makes no sense, or hides what is appended, all of it
+    /// is erased first.
+    ///
+    /// # Errors
+    /// [`StorageError::Flash`]
+    pub(super) async fn push(&mut self, item: &[u8], buffer: &mut [u8]) -> Result<(), StorageError> {
+        for first in [true, false, false] {
+            match self.push_once(item, buffer).await {
+                Ok(true) => return Ok(()),
+                // A cell that does not take what it is given spoils one place; the next try is behind it.
+                Ok(false) if first => {}
+                Ok(false) | Err(StorageError::Damaged) => self.queue()?.erase_all().await?,
+                Err(StorageError::Flash) => return Err(StorageError::Flash),
+            }
+        }
+        Err(StorageError::Flash)
+    }
+
+    /// Whether the newest item is now `item`.
+    async fn push_once(&mut self, item: &[u8], buffer: &mut [u8]) -> Result<bool, StorageError> {
+        self.queue()?.push(item, true).await?;
+        let mut newest = false;
+        self.visit(buffer, |seen| newest = seen == item).await?;
+        Ok(newest)
+    }
+}

@@ -1,0 +1,156 @@
+//! The task that owns the flash, and how other tasks ask it.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_futures::select::{Either, select};
+use embassy_sync::{blocking_mutex::raw::RawMutex, channel::Channel, mutex::Mutex, signal::Signal};
+use embassy_time::{Duration, with_timeout};
+use embedded_storage_async::nor_flash::NorFlash;
+use r4_protocol::{FaultInfo, FaultSnapshot, Refusal};
+
+use super::{
+    faults::{History, Trip},
+    parameters::{self, Changes},
+};
+
+/// Trips that can wait to be written.
+const WAITING: usize = 2;
+
+/// Longest wait for an answer: a damaged log is erased and begun anew, which takes the STM32H747 up to 2 s a sector, and
+/// a trip may have to be written first, at the same cost.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What a link asks for.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is no heap, and one job at a time")]
+pub enum Job {
+    /// To keep these changes, all or none. No changes go back to what is built in.
+    ///
+    /// May erase a sector. Whoever asks must see that the board is disarmed.
+    Save(Changes),
+    /// A trip, 0 being the newest.
+    Fault {
+        /// Which.
+        index: u8,
+    },
+    /// What the board looked like before a trip.
+    Snapshot {
+        /// Which trip, 0 being the newest.
+        index: u8,
+        /// Which of its snapshots, 0 being the oldest.
+        snapshot: u8,
+    },
+}
+
+/// What came of a [`Job`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum Done {
+    /// Of [`Job::Save`].
+    Saved,
+    /// Of [`Job::Fault`].
+    Fault(FaultInfo),
+    /// Of [`Job::Snapshot`].
+    Snapshot(FaultSnapshot),
+}
+
+/// What the task that owns the flash shares with the others. Takes 7.2 KiB.
+pub struct Storage<M: RawMutex> {
+    /// Whose job is under way, and what number the next one has: answers that nobody waits for any more have an older one.
+    turn: Mutex<M, u32>,
+    job: Signal<M, (u32, Job)>,
+    done: Signal<M, (u32, Result<Done, Refusal>)>,
+    trips: Channel<M, Trip, WAITING>,
+    lost: AtomicU32,
+}
+
+impl<M: RawMutex> Storage<M> {
+    /// Nothing asked yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            turn: Mutex::new(0),
+            job: Signal::new(),
+            done: Signal::new(),
+            trips: Channel::new(),
+            lost: AtomicU32::new(0),
+        }
+    }
+
+    /// Has `job` done, after those that others asked for before.
+    ///
+    /// # Errors
+    /// [`Refusal::NoSuchFault`], or [`Refusal::StorageFailed`], also when [`run`] does not answer in time: a save may then
+    /// still come to its end.
+    pub async fn request(&self, job: Job) -> Result<Done, Refusal> {
+        let work = async {
+            let mut turn = self.turn.lock().await;
+            *turn = turn.wrapping_add(1);
+            self.job.signal((*turn, job));
+            loop {
+                let (number, result) = self.done.wait().await;
+                if number == *turn {
+                    return result;
+                }
+            }
+        };
+        with_timeout(PATIENCE, work).await.unwrap_or(Err(Refusal::StorageFailed))
+    }
+
+    /// Hands over a trip to be written; never waits. One that finds no room is counted and lost.
+    pub fn record(&self, trip: Trip) {
+        if self.trips.try_send(trip).is_err() {
+            self.count_lost();
+        }
+    }
+
+    /// Trips since the start of the board that could not be written.
+    #[must_use]
+    pub fn lost(&self) -> u32 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    fn count_lost(&self) {
+        self.lost.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+impl<M: RawMutex> Default for Storage<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Owns `flash`: writes trips, and does what is asked through `storage`. `built_in_robot` is the name of the robot the firmware
+/// was built for. Belongs below every other task. Its state takes 18 KiB.
+pub async fn run<M: RawMutex, F: NorFlash>(storage: &Storage<M>, mut flash: F, built_in_robot: &str) -> ! {
+    let mut history = History::open(&mut flash).await;
+    loop {
+        match select(storage.trips.receive(), storage.job.wait()).await {
+            Either::First(trip) => {
+                if history.record(&mut flash, &trip).await.is_err() {
+                    storage.count_lost();
+                }
+            }
+            Either::Second((number, job)) => {
+                let result = serve(&mut history, &mut flash, built_in_robot, job).await;
+                storage.done.signal((number, result));
+            }
+        }
+    }
+}
+
+async fn serve<F: NorFlash>(
+    history: &mut History,
+    flash: &mut F,
+    built_in_robot: &str,
+    job: Job,
+) -> Result<Done, Refusal> {
+    let found = match job {
+        Job::Save(changes) => parameters::save(flash, built_in_robot, &changes).await.map(|()| Some(Done::Saved)),
+        Job::Fault { index } => history.fault(flash, index).await.map(|fault| fault.map(Done::Fault)),
+        Job::Snapshot { index, snapshot } => {
+            history.snapshot(flash, index, snapshot).await.map(|snapshot| snapshot.map(Done::Snapshot))
+        }
+    };
+    found.map_err(|_| Refusal::StorageFailed)?.ok_or(Refusal::NoSuchFault)
+}

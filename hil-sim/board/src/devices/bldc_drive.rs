@@ -1,0 +1,688 @@
+//! Drive of a brushless motor with an analog throttle, a direction line and a brake line.
+//!
+//! # Throttle
+//! In the dead zone the motor coasts. Above it speed rises in a straight line to full speed at `forward_v`. Below it a
+//! drive that reverses by voltage does the same the other way; one that reverses by its line coasts.
+//!
+//! # What the drive does, first row that holds
+//! | when | motor |
+//! | --- | --- |
+//! | no supply | coasts; the drive is locked when supply returns |
+//! | brake line | slows down evenly, then stands |
+//! | locked: no dead zone seen since supply came, or since the throttle left what it tolerates | coasts |
+//! | throttle in the dead zone | coasts |
+//! | turning against the wanted direction | coasts to a standstill first |
+//! | otherwise | speed approaches the commanded one with the drive's time constant |
+//!
+//! # Modelling choices
+//! - The lock: drives of vehicles refuse to start off with the throttle open. Not stated for any one in particular.
+//! - A brake works without a dead zone seen, and not without supply.
+//! - A motor that coasts loses speed with a time constant of its own, and stands below 1 % of top speed.
+//!
+//! # Time
+//! Between changes speed and position have closed forms, so how often they are looked at changes no bit of them.
+//!
+//! Not modelled: load, current, commutation, braking resistors and heat.
+
+use crate::chips::mcp23017::PinState;
+use crate::misuse::{Misuse, MisuseKind, MisuseLog};
+
+/// Share of top speed below which a coasting motor stands.
+const STANDSTILL: f64 = 0.01;
+
+/// How a drive is told to turn backwards.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reverse {
+    /// By its direction line at this level.
+    ByLine {
+        /// The level for backwards.
+        when_high: bool,
+    },
+    /// By a throttle below the dead zone; the direction line has no effect.
+    ByVoltage {
+        /// Throttle for full speed backwards.
+        full_v: f64,
+    },
+}
+
+/// What a drive is like. All numbers finite, times and speeds above 0, pairs in rising order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BldcDriveSpec {
+    /// Throttle at which the motor rests, ends included.
+    pub dead_zone_v: [f64; 2],
+    /// Throttle for full speed forwards, above the dead zone.
+    pub forward_v: f64,
+    /// How it turns backwards.
+    pub reverse: Reverse,
+    /// Throttle it tolerates, ends included.
+    pub tolerated_v: [f64; 2],
+    /// Level of a direction line that nothing drives.
+    pub direction_pull: bool,
+    /// Level of a brake line that nothing drives.
+    pub brake_pull: bool,
+    /// Level of the brake line that brakes.
+    pub brake_when_high: bool,
+    /// Full speed.
+    pub top_speed_rad_s: f64,
+    /// Of the approach to a commanded speed.
+    pub time_constant_s: f64,
+    /// Of a motor that coasts.
+    pub coast_time_constant_s: f64,
+    /// While braking.
+    pub brake_rad_s2: f64,
+}
+
+impl BldcDriveSpec {
+    /// Commanded speed as a share of the top speed, -1 to 1; 0 in the dead zone.
+    fn command(&self, throttle_v: f64) -> f64 {
+        let [low_v, high_v] = self.dead_zone_v;
+        if throttle_v > high_v {
+            ((throttle_v - high_v) / (self.forward_v - high_v)).min(1.0)
+        } else if throttle_v < low_v {
+            match self.reverse {
+                Reverse::ByLine { .. } => 0.0,
+                Reverse::ByVoltage { full_v } => -((low_v - throttle_v) / (low_v - full_v)).min(1.0),
+            }
+        } else {
+            0.0
+        }
+    }
+}
+
+/// What is connected to a drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BldcInputs {
+    /// Speed input.
+    pub throttle_v: f64,
+    /// Direction input. A weak pull-up of the driving chip counts as high.
+    pub direction: PinState,
+    /// Brake input.
+    pub brake: PinState,
+    /// Whether the drive has its supply.
+    pub supplied: bool,
+}
+
+const fn level(pin: PinState, pull: bool) -> bool {
+    match pin {
+        PinState::Driven(high) => high,
+        PinState::PulledUp => true,
+        PinState::Floating => pull,
+    }
+}
+
+/// What the motor does since the last change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Mode {
+    Coast,
+    Brake,
+    Drive { target_rad_s: f64 },
+}
+
+/// A point of the motion, from which the rest follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Anchor {
+    at_ns: u64,
+    position_rad: f64,
+    speed_rad_s: f64,
+}
+
+/// One drive with its motor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BldcDrive {
+    number: u8,
+    spec: BldcDriveSpec,
+    inputs: BldcInputs,
+    now_ns: u64,
+    anchor: Anchor,
+    mode: Mode,
+    /// Whether the dead zone was seen since the drive was locked.
+    ready: bool,
+    /// Whether the throttle was outside what the drive tolerates.
+    out_of_window: bool,
+    /// Wanted direction: -1 or 1.
+    direction: f64,
+    misuse: MisuseLog,
+}
+
+impl BldcDrive {
+    /// What it is called in reports.
+    pub const NAME: &str = "BLDC drive";
+
+    /// A drive without supply at rest at position 0, its throttle in the dead zone and its lines not driven; `number`
+    /// tells it from others in reports.
+    #[must_use]
+    pub fn new(number: u8, spec: BldcDriveSpec) -> Self {
+        let inputs = BldcInputs {
+            throttle_v: spec.dead_zone_v[0],
+            direction: PinState::Floating,
+            brake: PinState::Floating,
+            supplied: false,
+        };
+        let mut drive = Self {
+            number,
+            spec,
+            inputs,
+            now_ns: 0,
+            anchor: Anchor { at_ns: 0, position_rad: 0.0, speed_rad_s: 0.0 },
+            mode: Mode::Coast,
+            ready: false,
+            out_of_window: false,
+            direction: 1.0,
+            misuse: MisuseLog::new(),
+        };
+        drive.direction = drive.wanted_direction();
+        drive
+    }
+
+    /// Inputs from `at_ns` on. Costs next to nothing while nothing changes.
+    pub fn update(&mut self, at_ns: u64, inputs: &BldcInputs) {
+        self.advance(at_ns);
+        if *inputs == self.inputs {
+            return;
+        }
+        let supply_came = inputs.supplied && !self.inputs.supplied;
+        self.inputs = *inputs;
+        self.re_anchor();
+        self.look_at_throttle(supply_came);
+        self.look_at_direction();
+        self.mode = self.wanted_mode();
+    }
+
+    /// Brings the motor to `to_ns`; a time before one already seen counts as that one.
+    pub fn advance(&mut self, to_ns: u64) {
+        let to_ns = to_ns.max(self.now_ns);
+        if let Some(standstill_ns) = self.standstill_ns().filter(|&at_ns| at_ns <= to_ns) {
+            self.now_ns = standstill_ns;
+            self.re_anchor();
+            self.anchor.speed_rad_s = 0.0;
+            self.mode = self.wanted_mode();
+        }
+        self.now_ns = to_ns;
+    }
+
+    /// Speed of the motor, as of the last call with a time; positive is forwards.
+    #[must_use]
+    pub fn speed_rad_s(&self) -> f64 {
+        self.motion().1
+    }
+
+    /// Angle turned, as of the last call with a time.
+    #[must_use]
+    pub fn position_rad(&self) -> f64 {
+        self.motion().0
+    }
+
+    /// Whether the drive takes its throttle: the supply is on, and the dead zone has been seen since.
+    #[must_use]
+    pub const fn is_ready(&self) -> bool {
+        self.ready
+    }
+
+    /// Whether the drive brakes.
+    #[must_use]
+    pub const fn is_braking(&self) -> bool {
+        matches!(self.mode, Mode::Brake)
+    }
+
+    /// What was done that the drive ignores or suffers from.
+    #[must_use]
+    pub const fn misuse(&self) -> &MisuseLog {
+        &self.misuse
+    }
+
+    /// The same, to be cleared.
+    pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
+        &mut self.misuse
+    }
+
+    /// Locks and unlocks the drive.
+    fn look_at_throttle(&mut self, supply_came: bool) {
+        let throttle_v = self.inputs.throttle_v;
+        let [low_v, high_v] = self.spec.tolerated_v;
+        // written so that NaN is outside
+        let out_of_window = !(low_v <= throttle_v && throttle_v <= high_v);
+        if out_of_window && !self.out_of_window {
+            let throttle_mv = (!throttle_v.is_nan()).then(|| milli(throttle_v));
+            let (low_mv, high_mv) = (milli(low_v), milli(high_v));
+            self.report(MisuseKind::ThrottleOutsideWindow { throttle_mv, low_mv, high_mv });
+        }
+        self.out_of_window = out_of_window;
+        if !self.inputs.supplied || out_of_window {
+            self.ready = false;
+        } else if self.spec.command(throttle_v) == 0.0 {
+            self.ready = true;
+        } else if supply_came {
+            self.report(MisuseKind::ThrottleBeforeNeutral { throttle_mv: milli(throttle_v) });
+        }
+    }
+
+    /// Without supply nobody looks; a change made then counts when supply returns.
+    fn look_at_direction(&mut self) {
+        if !self.inputs.supplied {
+            return;
+        }
+        let wanted = self.wanted_direction();
+        if wanted != self.direction && self.turns_against(wanted) {
+            let speed_mrad_s = milli(self.anchor.speed_rad_s);
+            self.report(MisuseKind::DirectionChangedWhileTurning { speed_mrad_s });
+        }
+        self.direction = wanted;
+    }
+
+    /// By voltage, the last one asked for outside the dead zone.
+    fn wanted_direction(&self) -> f64 {
+        let backwards = match self.spec.reverse {
+            Reverse::ByLine { when_high } => level(self.inputs.direction, self.spec.direction_pull) == when_high,
+            Reverse::ByVoltage { .. } => {
+                let command = self.spec.command(self.inputs.throttle_v);
+                command < 0.0 || (command == 0.0 && self.direction < 0.0)
+            }
+        };
+        if backwards { -1.0 } else { 1.0 }
+    }
+
+    /// The table of the module, for the speed at the anchor.
+    fn wanted_mode(&self) -> Mode {
+        let share = self.spec.command(self.inputs.throttle_v).abs();
+        if !self.inputs.supplied {
+            Mode::Coast
+        } else if level(self.inputs.brake, self.spec.brake_pull) == self.spec.brake_when_high {
+            Mode::Brake
+        } else if !self.ready || share == 0.0 || self.turns_against(self.direction) {
+            Mode::Coast
+        } else {
+            Mode::Drive { target_rad_s: share * self.direction * self.spec.top_speed_rad_s }
+        }
+    }
+
+    fn turns_against(&self, direction: f64) -> bool {
+        self.anchor.speed_rad_s * direction < -self.standstill_rad_s()
+    }
+
+    fn standstill_rad_s(&self) -> f64 {
+        STANDSTILL * self.spec.top_speed_rad_s
+    }
+
+    /// When a coasting motor will stand; `None` if it does already, or does not coast.
+    fn standstill_ns(&self) -> Option<u64> {
+        let speed_rad_s = self.anchor.speed_rad_s.abs();
+        if self.mode != Mode::Coast || speed_rad_s == 0.0 {
+            return None;
+        }
+        let ratio = speed_rad_s / self.standstill_rad_s();
+        let after_ns = (self.spec.coast_time_constant_s * ratio.ln() * 1e9).ceil() as u64;
+        Some(self.anchor.at_ns.saturating_add(after_ns))
+    }
+
+    /// Position and speed now.
+    fn motion(&self) -> (f64, f64) {
+        let Anchor { at_ns, position_rad, speed_rad_s } = self.anchor;
+        let elapsed_s = (self.now_ns - at_ns) as f64 * 1e-9;
+        let towards = |target_rad_s: f64, time_constant_s: f64| {
+            let gone = -(-elapsed_s / time_constant_s).exp_m1();
+            let missing_rad_s = target_rad_s - speed_rad_s;
+            let way_rad = target_rad_s * elapsed_s - missing_rad_s * time_constant_s * gone;
+            (position_rad + way_rad, speed_rad_s + missing_rad_s * gone)
+        };
+        match self.mode {
+            Mode::Coast => towards(0.0, self.spec.coast_time_constant_s),
+            Mode::Drive { target_rad_s } => towards(target_rad_s, self.spec.time_constant_s),
+            Mode::Brake => {
+                let brake_rad_s2 = self.spec.brake_rad_s2.copysign(speed_rad_s);
+                let braked_s = elapsed_s.min(speed_rad_s / brake_rad_s2);
+                let way_rad = (speed_rad_s - 0.5 * brake_rad_s2 * braked_s) * braked_s;
+                let left_rad_s = if braked_s < elapsed_s { 0.0 } else { speed_rad_s - brake_rad_s2 * braked_s };
+                (position_rad + way_rad, left_rad_s)
+            }
+        }
+    }
+
+    fn re_anchor(&mut self) {
+        let (position_rad, speed_rad_s) = self.motion();
+        self.anchor = Anchor { at_ns: self.now_ns, position_rad, speed_rad_s };
+    }
+
+    #[cold]
+    fn report(&mut self, kind: MisuseKind) {
+        self.misuse.report(Misuse { time_ns: self.now_ns, chip: Self::NAME, address: self.number, kind });
+    }
+}
+
+fn milli(value: f64) -> i64 {
+    (value * 1e3).round() as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use PinState::{Driven, Floating, PulledUp};
+    use proptest::prelude::*;
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    /// The donor controller of OpenPodCar: 0 V fast reverse, 5 V fast forward, dead zone 1.92 V to 2.71 V. It tolerates
+    /// codes 1000 to 2519 of 4095 at 5 V. Motion is made up.
+    const BY_VOLTAGE: BldcDriveSpec = BldcDriveSpec {
+        dead_zone_v: [1.92, 2.71],
+        forward_v: 5.0,
+        reverse: Reverse::ByVoltage { full_v: 0.0 },
+        tolerated_v: [1.22, 3.08],
+        direction_pull: false,
+        brake_pull: false,
+        brake_when_high: true,
+        top_speed_rad_s: 20.0,
+        time_constant_s: 0.5,
+        coast_time_constant_s: 2.0,
+        brake_rad_s2: 10.0,
+    };
+
+    const BY_LINE: BldcDriveSpec = BldcDriveSpec {
+        dead_zone_v: [0.0, 1.0],
+        forward_v: 5.0,
+        reverse: Reverse::ByLine { when_high: true },
+        tolerated_v: [0.0, 5.0],
+        ..BY_VOLTAGE
+    };
+
+    const REST: BldcInputs =
+        BldcInputs { throttle_v: 1.0, direction: Driven(false), brake: Driven(false), supplied: true };
+    const FULL: BldcInputs = BldcInputs { throttle_v: 5.0, ..REST };
+    const BACKWARDS: BldcInputs = BldcInputs { direction: Driven(true), ..FULL };
+    const BRAKED: BldcInputs = BldcInputs { brake: Driven(true), ..FULL };
+
+    /// A drive by line that takes its throttle, with `inputs` from time 0 on.
+    fn ready(inputs: BldcInputs) -> BldcDrive {
+        let mut drive = BldcDrive::new(3, BY_LINE);
+        drive.update(0, &REST);
+        drive.update(0, &inputs);
+        drive
+    }
+
+    fn kinds(drive: &BldcDrive) -> Vec<MisuseKind> {
+        drive.misuse().first().iter().map(|misuse| misuse.kind).collect()
+    }
+
+    #[test]
+    fn command_is_straight_outside_the_dead_zone() {
+        for (throttle_v, by_voltage, by_line) in [
+            (-1.0, -1.0, 0.0),
+            (0.0, -1.0, 0.0),
+            (0.96, -0.5, 0.0),
+            (1.92, 0.0, 0.23),
+            (2.05, 0.0, 0.2625),
+            (2.71, 0.0, 0.4275),
+            (3.855, 0.5, 0.71375),
+            (5.0, 1.0, 1.0),
+            (6.0, 1.0, 1.0),
+        ] {
+            // 1e-12 is rounding
+            assert!((BY_VOLTAGE.command(throttle_v) - by_voltage).abs() < 1e-12, "{throttle_v}");
+            assert!((BY_LINE.command(throttle_v) - by_line).abs() < 1e-12, "{throttle_v}");
+        }
+        assert_eq!((BY_LINE.command(1.0), BY_LINE.command(1.0 + 1e-9) > 0.0), (0.0, true));
+        assert_eq!((BY_VOLTAGE.command(1.92), BY_VOLTAGE.command(1.92 - 1e-9) < 0.0), (0.0, true));
+    }
+
+    #[test]
+    fn speed_and_position_follow_the_closed_form() {
+        let mut drive = ready(FULL);
+        drive.advance(SECOND_NS);
+        // w = W (1 - e^(-t/T)), x = W (t - T (1 - e^(-t/T))) with W = 20, T = 0.5, t = 1; 1e-12 is rounding
+        let gone = 1.0 - (-2.0f64).exp();
+        assert!((drive.speed_rad_s() - 20.0 * gone).abs() < 1e-12);
+        assert!((drive.position_rad() - 20.0 * (1.0 - 0.5 * gone)).abs() < 1e-12);
+        assert!(drive.misuse().is_empty());
+    }
+
+    #[test]
+    fn table_of_what_the_drive_does() {
+        let turning = |inputs: BldcInputs| {
+            let mut drive = ready(FULL);
+            drive.update(10 * SECOND_NS, &inputs);
+            drive.advance(11 * SECOND_NS);
+            drive.speed_rad_s()
+        };
+        let coasted = 20.0 * (-0.5f64).exp();
+        for (inputs, expected_rad_s) in [
+            (FULL, 20.0),
+            (BldcInputs { throttle_v: 1.0, ..FULL }, coasted),
+            (BRAKED, 10.0),
+            // brake wins
+            (BldcInputs { throttle_v: 1.0, ..BRAKED }, 10.0),
+            (BldcInputs { direction: Driven(true), ..BRAKED }, 10.0),
+            (BldcInputs { throttle_v: 9.0, ..BRAKED }, 10.0),
+            (BACKWARDS, coasted),
+            // no supply: neither brake nor drive
+            (BldcInputs { supplied: false, ..FULL }, coasted),
+            (BldcInputs { supplied: false, ..BRAKED }, coasted),
+            (BldcInputs { throttle_v: 5.1, ..FULL }, coasted),
+            (BldcInputs { throttle_v: f64::NAN, ..FULL }, coasted),
+        ] {
+            // 10 s are 20 time constants: 20 e^-20 = 4e-8
+            assert!((turning(inputs) - expected_rad_s).abs() < 1e-7, "{inputs:?}");
+        }
+    }
+
+    #[test]
+    fn levels_of_lines() {
+        for (direction, pull, high) in [
+            (Driven(true), false, true),
+            (Driven(false), true, false),
+            (PulledUp, false, true),
+            (Floating, false, false),
+            (Floating, true, true),
+        ] {
+            assert_eq!(level(direction, pull), high);
+            let spec = BldcDriveSpec { direction_pull: pull, brake_pull: pull, ..BY_LINE };
+            for (backwards_when, brake_when) in [(true, true), (false, false)] {
+                let reverse = Reverse::ByLine { when_high: backwards_when };
+                let mut drive = BldcDrive::new(0, BldcDriveSpec { reverse, brake_when_high: brake_when, ..spec });
+                drive.update(0, &BldcInputs { direction, brake: Driven(!brake_when), ..REST });
+                drive.update(0, &BldcInputs { direction, brake: Driven(!brake_when), ..FULL });
+                drive.advance(SECOND_NS);
+                assert_eq!(drive.speed_rad_s() < 0.0, high == backwards_when);
+                drive.update(SECOND_NS, &BldcInputs { brake: direction, ..FULL });
+                assert_eq!(drive.is_braking(), high == brake_when);
+            }
+        }
+    }
+
+    #[test]
+    fn brakes_evenly_to_a_stand() {
+        let mut drive = ready(BACKWARDS);
+        drive.advance(20 * SECOND_NS);
+        let (from_rad, from_rad_s) = (drive.position_rad(), drive.speed_rad_s());
+        drive.update(20 * SECOND_NS, &BldcInputs { direction: Driven(true), ..BRAKED });
+        drive.advance(21 * SECOND_NS);
+        assert!((drive.speed_rad_s() - (from_rad_s + 10.0)).abs() < 1e-12);
+        drive.advance(23 * SECOND_NS);
+        assert_eq!(drive.speed_rad_s(), 0.0);
+        // v^2 / 2a; 1e-9 is rounding at 380 rad
+        assert!((drive.position_rad() - (from_rad - from_rad_s * from_rad_s / 20.0)).abs() < 1e-9);
+        assert!(drive.misuse().is_empty());
+    }
+
+    #[test]
+    fn coasts_to_a_stand_at_one_per_cent() {
+        let mut drive = ready(FULL);
+        drive.update(20 * SECOND_NS, &REST);
+        // 2 s * ln 100 = 9.21034 s
+        drive.advance(29_210_340_000);
+        assert!((drive.speed_rad_s() - 0.2).abs() < 1e-6);
+        drive.advance(29_210_341_000);
+        assert_eq!(drive.speed_rad_s(), 0.0);
+    }
+
+    #[test]
+    fn refuses_to_run_before_the_dead_zone_was_seen() {
+        let mut drive = BldcDrive::new(3, BY_LINE);
+        drive.update(7, &FULL);
+        drive.advance(SECOND_NS);
+        assert_eq!((drive.is_ready(), drive.speed_rad_s()), (false, 0.0));
+        assert_eq!(kinds(&drive), [MisuseKind::ThrottleBeforeNeutral { throttle_mv: 5000 }]);
+        assert_eq!((drive.misuse().first()[0].address, drive.misuse().first()[0].time_ns), (3, 7));
+        drive.update(SECOND_NS, &BldcInputs { throttle_v: 1.001, ..REST });
+        assert!(!drive.is_ready());
+        drive.update(2 * SECOND_NS, &REST);
+        assert!(drive.is_ready());
+        drive.update(2 * SECOND_NS, &FULL);
+        drive.advance(3 * SECOND_NS);
+        assert!(drive.speed_rad_s() > 10.0);
+        // and again after a loss of supply
+        drive.update(3 * SECOND_NS, &BldcInputs { supplied: false, ..FULL });
+        drive.update(4 * SECOND_NS, &FULL);
+        assert!(!drive.is_ready());
+        assert_eq!(drive.misuse().total(), 2);
+    }
+
+    #[test]
+    fn a_throttle_outside_the_window_locks_the_drive() {
+        let outside = |throttle_mv| MisuseKind::ThrottleOutsideWindow { throttle_mv, low_mv: 1220, high_mv: 3080 };
+        for (throttle_v, throttle_mv) in [
+            (1.22, None),
+            (3.08, None),
+            (1.219, Some(outside(Some(1219)))),
+            (3.081, Some(outside(Some(3081)))),
+            (f64::NAN, Some(outside(None))),
+        ] {
+            let mut drive = BldcDrive::new(0, BY_VOLTAGE);
+            drive.update(0, &BldcInputs { throttle_v: 2.05, ..REST });
+            for at_ns in 1..4 {
+                drive.update(at_ns, &BldcInputs { throttle_v, ..REST });
+            }
+            assert_eq!(kinds(&drive), Vec::from_iter(throttle_mv), "{throttle_v}");
+            assert_eq!(drive.is_ready(), throttle_mv.is_none());
+            drive.update(4, &BldcInputs { throttle_v: 3.0, ..REST });
+            assert_eq!(drive.is_ready(), throttle_mv.is_none());
+            drive.update(5, &BldcInputs { throttle_v: 2.05, ..REST });
+            assert!(drive.is_ready());
+        }
+    }
+
+    #[test]
+    fn direction_changed_while_turning_coasts_first() {
+        let mut drive = ready(FULL);
+        drive.update(20 * SECOND_NS, &BACKWARDS);
+        assert_eq!(kinds(&drive), [MisuseKind::DirectionChangedWhileTurning { speed_mrad_s: 20_000 }]);
+        drive.advance(29 * SECOND_NS);
+        assert!(drive.speed_rad_s() > 0.0);
+        // stands at 29.21 s, then 20 rad/s backwards with 0.5 s: 1e-4 is the microsecond of the stand
+        drive.advance(30 * SECOND_NS);
+        let after_s = 30.0 - 20.0 - 2.0 * 100.0f64.ln();
+        assert!((drive.speed_rad_s() + 20.0 * (1.0 - (-after_s / 0.5).exp())).abs() < 1e-4);
+        assert_eq!(drive.misuse().total(), 1);
+    }
+
+    #[test]
+    fn a_direction_changed_without_supply_counts_when_supply_returns() {
+        let mut drive = ready(FULL);
+        drive.update(20 * SECOND_NS, &BldcInputs { supplied: false, throttle_v: 1.0, ..BACKWARDS });
+        assert!(drive.misuse().is_empty());
+        drive.update(20 * SECOND_NS, &BldcInputs { throttle_v: 1.0, ..BACKWARDS });
+        assert_eq!(kinds(&drive), [MisuseKind::DirectionChangedWhileTurning { speed_mrad_s: 20_000 }]);
+    }
+
+    #[test]
+    fn direction_may_change_at_a_standstill() {
+        let speed_at = |share: f64| {
+            let mut drive = ready(FULL);
+            drive.anchor.speed_rad_s = share * 20.0;
+            drive.update(0, &BACKWARDS);
+            drive.misuse().total()
+        };
+        assert_eq!([speed_at(0.0), speed_at(0.01), speed_at(0.0101), speed_at(-0.5)], [0, 0, 1, 0]);
+    }
+
+    #[test]
+    fn by_voltage_the_other_side_of_the_dead_zone_is_the_other_direction() {
+        let at = |throttle_v| BldcInputs { throttle_v, ..REST };
+        let mut drive = BldcDrive::new(0, BldcDriveSpec { tolerated_v: [0.0, 5.0], ..BY_VOLTAGE });
+        drive.update(0, &at(2.05));
+        drive.update(0, &at(0.0));
+        drive.advance(SECOND_NS);
+        let backwards_rad_s = drive.speed_rad_s();
+        assert!((backwards_rad_s + 20.0 * (1.0 - (-2.0f64).exp())).abs() < 1e-12);
+        // through the dead zone and out of it again: still turning
+        drive.update(SECOND_NS, &at(2.3));
+        drive.update(SECOND_NS, &at(5.0));
+        let speed_mrad_s = (backwards_rad_s * 1e3).round() as i64;
+        assert_eq!(kinds(&drive), [MisuseKind::DirectionChangedWhileTurning { speed_mrad_s }]);
+        drive.advance(30 * SECOND_NS);
+        assert!(drive.speed_rad_s() > 19.9);
+        // its direction line does nothing
+        drive.update(30 * SECOND_NS, &BldcInputs { direction: Driven(true), ..at(5.0) });
+        drive.advance(31 * SECOND_NS);
+        assert!(drive.speed_rad_s() > 19.9);
+    }
+
+    fn any_pin() -> impl Strategy<Value = PinState> {
+        prop_oneof![Just(Driven(false)), Just(Driven(true)), Just(Floating), Just(PulledUp)]
+    }
+
+    fn any_inputs() -> impl Strategy<Value = BldcInputs> {
+        let brake = prop_oneof![4 => Just(Driven(false)), 1 => any_pin()];
+        let throttle_v = prop_oneof![1 => Just(1.0), 1 => Just(2.05), 4 => -0.5..5.5f64];
+        (throttle_v, any_pin(), brake, prop::bool::weighted(0.9))
+            .prop_map(|(throttle_v, direction, brake, supplied)| BldcInputs { throttle_v, direction, brake, supplied })
+    }
+
+    proptest! {
+        #[test]
+        fn looking_often_changes_nothing(
+            by_line: bool,
+            changes in prop::collection::vec((1..5 * SECOND_NS, any_inputs()), 1..20),
+            looks in 1..20u64,
+        ) {
+            let spec = if by_line { BY_LINE } else { BldcDriveSpec { tolerated_v: [0.0, 5.0], ..BY_VOLTAGE } };
+            let [mut lazy, mut eager] = [BldcDrive::new(0, spec), BldcDrive::new(0, spec)];
+            let mut at_ns = 0;
+            for (wait_ns, inputs) in changes {
+                lazy.update(at_ns, &inputs);
+                for look in 0..looks {
+                    eager.update(at_ns + wait_ns * look / looks, &inputs);
+                }
+                at_ns += wait_ns;
+            }
+            lazy.advance(at_ns);
+            eager.advance(at_ns);
+            // to the bit
+            prop_assert_eq!(lazy, eager);
+        }
+
+        #[test]
+        fn speed_stays_in_bounds_and_is_the_slope_of_position(
+            changes in prop::collection::vec((1..2_000_000u64, any_inputs()), 1..100),
+        ) {
+            let mut drive = BldcDrive::new(0, BY_LINE);
+            let mut at_ns = 0;
+            for (wait_ns, inputs) in changes {
+                drive.update(at_ns, &inputs);
+                let before = (drive.position_rad(), drive.speed_rad_s());
+                at_ns += wait_ns;
+                drive.advance(at_ns);
+                let (speed_rad_s, dt_s) = (drive.speed_rad_s(), wait_ns as f64 * 1e-9);
+                prop_assert!(speed_rad_s.abs() <= 20.0);
+                // trapezium rule: the steepest change is 80 rad/s^2 over 2 ms, and the snap to a stand is 0.2 rad/s
+                let way_rad = 0.5 * (before.1 + speed_rad_s) * dt_s;
+                prop_assert!((drive.position_rad() - before.0 - way_rad).abs() <= 0.2 * dt_s + 1e-9);
+            }
+        }
+
+        #[test]
+        fn never_panics(
+            numbers: [f64; 10],
+            changes in prop::collection::vec((any::<u64>(), any::<f64>(), any_inputs()), 0..20),
+        ) {
+            let [a, b, forward_v, full_v, c, d, top_speed_rad_s, time_constant_s, coast_time_constant_s, brake_rad_s2] =
+                numbers;
+            let mut drive = BldcDrive::new(0, BldcDriveSpec {
+                dead_zone_v: [a, b], forward_v, reverse: Reverse::ByVoltage { full_v }, tolerated_v: [c, d],
+                top_speed_rad_s, time_constant_s, coast_time_constant_s, brake_rad_s2, ..BY_LINE
+            });
+            for (at_ns, throttle_v, inputs) in changes {
+                drive.update(at_ns, &BldcInputs { throttle_v, ..inputs });
+                let _ = (drive.position_rad(), drive.speed_rad_s());
+            }
+        }
+    }
+}

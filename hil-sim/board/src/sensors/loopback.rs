@@ -1,0 +1,482 @@
+//! Devices to talk to on the board's connectors: a UART whose output is wired to its input, and an I2C EEPROM.
+
+use std::collections::VecDeque;
+
+use crate::i2c::I2cChip;
+use crate::misuse::{Misuse, MisuseKind, MisuseLog};
+
+/// Bits on the wire for one byte: start, eight data, stop.
+const BITS_PER_BYTE: u64 = 10;
+
+/// A byte on the wire.
+#[derive(Clone, Copy, Debug)]
+struct OnWire {
+    start_ns: u64,
+    end_ns: u64,
+    byte: u8,
+}
+
+/// What a read brought.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Received {
+    /// Bytes put into the buffer.
+    pub len: usize,
+    /// Bytes lost since the last read, because the receiver was full when they came: the UART's overrun flag.
+    pub lost: u64,
+}
+
+/// A UART, 8N1, whose output is wired to its input. The sender never blocks: what is written is on the wire back to back.
+#[derive(Clone, Debug)]
+pub struct UartLoopback {
+    ns_per_byte: u64,
+    capacity: usize,
+    now_ns: u64,
+    under_way: VecDeque<OnWire>,
+    received: VecDeque<u8>,
+    lost: u64,
+    connected: bool,
+    connected_since_ns: u64,
+}
+
+impl UartLoopback {
+    /// A connected pair at `baud` bits per second (0 counts as 1), with a receiver that holds `capacity` bytes: 16 in the
+    /// processor's own FIFO, more with a buffer behind it.
+    #[must_use]
+    pub fn new(baud: u32, capacity: usize) -> Self {
+        Self {
+            ns_per_byte: BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1)),
+            capacity,
+            now_ns: 0,
+            under_way: VecDeque::new(),
+            received: VecDeque::new(),
+            lost: 0,
+            connected: true,
+            connected_since_ns: 0,
+        }
+    }
+
+    /// Sends bytes, after what is being sent already.
+    pub fn write(&mut self, at_ns: u64, bytes: &[u8]) {
+        self.advance(at_ns);
+        let mut start_ns = self.under_way.back().map_or(self.now_ns, |last| last.end_ns);
+        for &byte in bytes {
+            let end_ns = start_ns + self.ns_per_byte;
+            self.under_way.push_back(OnWire { start_ns, end_ns, byte });
+            start_ns = end_ns;
+        }
+    }
+
+    /// Takes what has arrived up to and at `at_ns`, oldest first, as much as `buffer` holds; the rest stays.
+    pub fn read(&mut self, at_ns: u64, buffer: &mut [u8]) -> Received {
+        self.advance(at_ns);
+        let len = buffer.len().min(self.received.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.received.drain(..len)) {
+            *slot = byte;
+        }
+        Received { len, lost: std::mem::take(&mut self.lost) }
+    }
+
+    /// When the next byte has arrived that is being sent, also if it will be lost.
+    #[must_use]
+    pub fn next_arrival_ns(&self) -> Option<u64> {
+        self.under_way.front().map(|next| next.end_ns)
+    }
+
+    /// Plugs or unplugs the wire: only bytes that were connected from start to stop bit arrive.
+    pub fn set_connected(&mut self, at_ns: u64, connected: bool) {
+        self.advance(at_ns);
+        if connected && !self.connected {
+            self.connected_since_ns = self.now_ns;
+        }
+        self.connected = connected;
+    }
+
+    fn advance(&mut self, to_ns: u64) {
+        self.now_ns = self.now_ns.max(to_ns);
+        while let Some(next) = self.under_way.pop_front_if(|next| next.end_ns <= self.now_ns) {
+            if !self.connected || next.start_ns < self.connected_since_ns {
+                continue;
+            }
+            if self.received.len() < self.capacity {
+                self.received.push_back(next.byte);
+            } else {
+                self.lost += 1;
+            }
+        }
+    }
+}
+
+/// Bytes of the EEPROM.
+const SIZE: usize = 256;
+/// Bytes of a page.
+const PAGE: usize = 8;
+/// Device addresses: 1010 A2 A1 A0.
+const ADDRESS: u8 = 0x50;
+/// How long a write takes at most.
+const WRITE_NS: u64 = 5_000_000;
+
+/// Where the EEPROM is in a transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Transfer {
+    /// Not addressed, or read.
+    None,
+    /// Addressed for writing; the next byte is a word address.
+    WordAddress,
+    /// The next bytes are data.
+    Data,
+}
+
+/// 24C02: 256 bytes on I2C, in pages of 8. Write-protect is tied low.
+///
+/// A write starts at STOP and takes 5 ms, during which the chip acknowledges nothing: polling its address shows the end.
+/// A write that passes the end of a page goes on at its start. A read goes on from the last word used, past the end of
+/// the memory at 0.
+///
+/// [`acknowledges`](I2cChip::acknowledges) knows no time: whoever runs a transfer calls [`advance`](Self::advance) with its
+/// start first, or the chip stays busy.
+///
+/// # Source
+/// Atmel AT24C02B data sheet (5126): device operation, write operations, read operations.
+#[derive(Clone, Debug)]
+pub struct Eeprom24c02 {
+    address: u8,
+    memory: [u8; SIZE],
+    /// The next word.
+    pointer: u8,
+    transfer: Transfer,
+    /// What a write has brought for each byte of the page; where it started, and how many bytes came.
+    page: [Option<u8>; PAGE],
+    first_word: u8,
+    taken: usize,
+    busy_until_ns: u64,
+    now_ns: u64,
+    misuse: MisuseLog,
+}
+
+impl Eeprom24c02 {
+    /// What it is called in reports.
+    pub const NAME: &str = "24C02";
+
+    /// A chip as delivered, all bytes 0xFF, at a 7-bit `address` from 0x50 to 0x57; only the three lower bits count.
+    #[must_use]
+    pub fn new(address: u8) -> Self {
+        Self {
+            address: ADDRESS | address & 0b111,
+            memory: [0xFF; SIZE],
+            pointer: 0,
+            transfer: Transfer::None,
+            page: [None; PAGE],
+            first_word: 0,
+            taken: 0,
+            busy_until_ns: 0,
+            now_ns: 0,
+            misuse: MisuseLog::new(),
+        }
+    }
+
+    /// Brings the chip to `to_ns`: a write that ends up to and at that time has ended.
+    pub fn advance(&mut self, to_ns: u64) {
+        self.now_ns = self.now_ns.max(to_ns);
+    }
+
+    /// Whether a write is under way, as of the last [`advance`](Self::advance).
+    #[must_use]
+    pub const fn is_busy(&self) -> bool {
+        self.now_ns < self.busy_until_ns
+    }
+
+    /// What it holds, with a write that is under way.
+    #[must_use]
+    pub const fn memory(&self) -> &[u8; SIZE] {
+        &self.memory
+    }
+
+    /// What was done to the chip against its data sheet.
+    #[must_use]
+    pub const fn misuse(&self) -> &MisuseLog {
+        &self.misuse
+    }
+
+    /// The same, to be cleared.
+    pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
+        &mut self.misuse
+    }
+
+    #[cold]
+    fn report(&mut self, kind: MisuseKind) {
+        self.misuse.report(Misuse { time_ns: self.now_ns, chip: Self::NAME, address: self.address, kind });
+    }
+}
+
+impl I2cChip for Eeprom24c02 {
+    fn acknowledges(&self, address: u8, _read: bool) -> bool {
+        address == self.address && !self.is_busy()
+    }
+
+    fn start(&mut self, at_ns: u64, _address: u8, read: bool) {
+        self.advance(at_ns);
+        let bytes = std::mem::take(&mut self.taken);
+        if bytes > 0 {
+            self.page = [None; PAGE];
+            self.report(MisuseKind::WriteWithoutStop { bytes });
+        }
+        self.transfer = if read { Transfer::None } else { Transfer::WordAddress };
+    }
+
+    fn write(&mut self, at_ns: u64, byte: u8) -> bool {
+        self.advance(at_ns);
+        match self.transfer {
+            Transfer::None => return false,
+            Transfer::WordAddress => {
+                (self.pointer, self.first_word) = (byte, byte);
+                self.transfer = Transfer::Data;
+            }
+            Transfer::Data => {
+                let in_page = usize::from(self.pointer) % PAGE;
+                self.page[in_page] = Some(byte);
+                self.pointer = if in_page == PAGE - 1 { self.pointer - in_page as u8 } else { self.pointer + 1 };
+                self.taken += 1;
+                if self.taken == PAGE + 1 {
+                    self.report(MisuseKind::PageOverrun { word: self.first_word, page_bytes: PAGE });
+                }
+            }
+        }
+        true
+    }
+
+    fn read(&mut self, at_ns: u64) -> u8 {
+        self.advance(at_ns);
+        let byte = self.memory[usize::from(self.pointer)];
+        self.pointer = self.pointer.wrapping_add(1);
+        byte
+    }
+
+    fn stop(&mut self, at_ns: u64) {
+        self.advance(at_ns);
+        self.transfer = Transfer::None;
+        if std::mem::take(&mut self.taken) > 0 {
+            self.busy_until_ns = self.now_ns + WRITE_NS;
+            let first = usize::from(self.first_word) / PAGE * PAGE;
+            for (byte, written) in self.memory[first..first + PAGE].iter_mut().zip(&mut self.page) {
+                *byte = written.take().unwrap_or(*byte);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::i2c::{Done, Fault, I2cBus};
+    use embedded_hal::i2c::Operation;
+    use proptest::prelude::*;
+    use std::{cell::RefCell, rc::Rc};
+
+    fn read(uart: &mut UartLoopback, at_ns: u64) -> (Vec<u8>, u64) {
+        let mut buffer = [0; 100];
+        let Received { len, lost } = uart.read(at_ns, &mut buffer);
+        (buffer[..len].to_vec(), lost)
+    }
+
+    #[test]
+    fn bytes_come_back_after_their_time() {
+        // 10 bits at 115200 bit/s: 86.805 us
+        let mut uart = UartLoopback::new(115_200, 16);
+        uart.write(1_000, b"ab");
+        assert_eq!(uart.next_arrival_ns(), Some(87_805));
+        assert_eq!(read(&mut uart, 87_804), (vec![], 0));
+        assert_eq!(read(&mut uart, 87_805), (b"a".to_vec(), 0));
+        // joins the one under way
+        uart.write(100_000, b"c");
+        assert_eq!(read(&mut uart, 1_000 + 3 * 86_805 - 1), (b"b".to_vec(), 0));
+        assert_eq!(read(&mut uart, 1_000 + 3 * 86_805), (b"c".to_vec(), 0));
+        // and starts at once on a line at rest
+        uart.write(1_000_000, b"d");
+        assert_eq!(uart.next_arrival_ns(), Some(1_086_805));
+    }
+
+    #[test]
+    fn a_small_buffer_leaves_the_rest() {
+        let mut uart = UartLoopback::new(1_000_000, 16);
+        uart.write(0, b"abc");
+        let mut two = [0; 2];
+        assert_eq!(uart.read(30_000, &mut two), Received { len: 2, lost: 0 });
+        assert_eq!(&two, b"ab");
+        assert_eq!(read(&mut uart, 30_000), (b"c".to_vec(), 0));
+    }
+
+    #[test]
+    fn a_full_receiver_loses_the_newest_and_says_so_once() {
+        let mut uart = UartLoopback::new(1_000_000, 16);
+        let bytes: Vec<u8> = (0..20).collect();
+        uart.write(0, &bytes);
+        assert_eq!(read(&mut uart, 180_000), (bytes[..16].to_vec(), 2));
+        assert_eq!(read(&mut uart, 200_000), (vec![18, 19], 0));
+        let mut none = UartLoopback::new(1_000_000, 0);
+        none.write(0, b"a");
+        assert_eq!(read(&mut none, 10_000), (vec![], 1));
+    }
+
+    #[test]
+    fn only_whole_bytes_pass_a_wire_that_is_plugged() {
+        let mut uart = UartLoopback::new(1_000_000, 16);
+        uart.write(0, b"abcdefg");
+        uart.set_connected(15_000, false);
+        uart.set_connected(40_000, true);
+        uart.set_connected(55_000, false);
+        uart.set_connected(55_001, true);
+        // plugged in already: no change
+        uart.set_connected(65_000, true);
+        assert_eq!(read(&mut uart, 100_000), (b"aeg".to_vec(), 0));
+    }
+
+    proptest! {
+        /// Looking often, without taking anything, changes nothing.
+        #[test]
+        fn uart_lazy_equals_eager(
+            actions in prop::collection::vec((0..300_000_u64, 0..8_u8, prop::collection::vec(any::<u8>(), 0..30)), 1..20),
+            baud in 9_600..2_000_000_u32,
+        ) {
+            let (mut lazy, mut eager) = (UartLoopback::new(baud, 16), UartLoopback::new(baud, 16));
+            let mut at_ns = 0;
+            for (after_ns, what, bytes) in actions {
+                let mut lost = 0;
+                for step in 0..5 {
+                    lost += eager.read(at_ns + after_ns * step / 5, &mut []).lost;
+                }
+                eager.lost += lost;
+                at_ns += after_ns;
+                match what {
+                    0..3 => [&mut lazy, &mut eager].into_iter().for_each(|uart| uart.set_connected(at_ns, what > 0)),
+                    3..6 => [&mut lazy, &mut eager].into_iter().for_each(|uart| uart.write(at_ns, &bytes)),
+                    _ => prop_assert_eq!(read(&mut lazy, at_ns), read(&mut eager, at_ns)),
+                }
+            }
+            prop_assert_eq!(read(&mut lazy, u64::MAX), read(&mut eager, u64::MAX));
+        }
+    }
+
+    /// An EEPROM at 0x50 on a bus of 400 kHz.
+    struct Bench {
+        bus: I2cBus,
+        chip: Rc<RefCell<Eeprom24c02>>,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let chip = Rc::new(RefCell::new(Eeprom24c02::new(0x50)));
+            let mut bus = I2cBus::new(400_000);
+            bus.attach(chip.clone());
+            Self { bus, chip }
+        }
+
+        fn run(&mut self, at_ns: u64, operations: &mut [Operation<'_>]) -> Result<Done, Fault> {
+            self.chip.borrow_mut().advance(at_ns);
+            self.bus.execute(at_ns, 0x50, operations)
+        }
+
+        fn write(&mut self, at_ns: u64, bytes: &[u8]) -> Result<Done, Fault> {
+            self.run(at_ns, &mut [Operation::Write(bytes)])
+        }
+
+        fn read<const N: usize>(&mut self, at_ns: u64, word: u8) -> [u8; N] {
+            let mut bytes = [0; N];
+            self.run(at_ns, &mut [Operation::Write(&[word]), Operation::Read(&mut bytes)]).expect("acknowledged");
+            bytes
+        }
+
+        fn kinds(&self) -> Vec<MisuseKind> {
+            self.chip.borrow().misuse().first().iter().map(|misuse| misuse.kind).collect()
+        }
+    }
+
+    const S: u64 = 1_000_000_000;
+
+    #[test]
+    fn a_page_is_written_and_read_back() {
+        let mut bench = Bench::new();
+        assert_eq!(bench.read(0, 0x10), [0xFF; 4]);
+        bench.write(S, &[0x10, 1, 2, 3, 4, 5, 6, 7, 8]).expect("acknowledged");
+        assert_eq!(bench.read(2 * S, 0x0F), [0xFF, 1, 2, 3, 4, 5, 6, 7, 8, 0xFF]);
+        // part of a page leaves the rest
+        bench.write(3 * S, &[0x12, 30, 31]).expect("acknowledged");
+        assert_eq!(bench.read(4 * S, 0x10), [1, 2, 30, 31, 5]);
+        assert_eq!(bench.kinds(), []);
+    }
+
+    #[test]
+    fn busy_for_5_ms_after_stop() {
+        let mut bench = Bench::new();
+        let end_ns = bench.write(0, &[0, 1]).expect("acknowledged").end_ns;
+        for (after_ns, read) in [(100_000, false), (4_999_999, true)] {
+            let mut byte = [0];
+            let operation = if read { Operation::Read(&mut byte) } else { Operation::Write(&[]) };
+            let fault = bench.run(end_ns + after_ns, &mut [operation]).expect_err("busy");
+            assert!(matches!(fault, Fault::AddressNack { address: 0x50, .. }), "{fault}");
+            assert!(bench.chip.borrow().is_busy());
+        }
+        bench.write(end_ns + 5_000_000, &[]).expect("acknowledged");
+        // polling is no misuse, and writes nothing
+        assert_eq!(bench.kinds(), []);
+        assert!(!bench.chip.borrow().is_busy());
+    }
+
+    #[test]
+    fn a_long_write_goes_round_in_its_page() {
+        let mut bench = Bench::new();
+        bench.write(0, &[0x26, 1, 2, 3]).expect("acknowledged");
+        assert_eq!(bench.read(S, 0x20), [3, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1, 2, 0xFF]);
+        assert_eq!(bench.kinds(), []);
+        bench.write(2 * S, &[0xF8, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]).expect("acknowledged");
+        assert_eq!(bench.read(3 * S, 0xF8), [9, 10, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(bench.kinds(), [MisuseKind::PageOverrun { word: 0xF8, page_bytes: 8 }]);
+    }
+
+    #[test]
+    fn a_read_goes_on_where_the_last_ended_and_past_the_end_at_0() {
+        let mut bench = Bench::new();
+        bench.write(0, &[0xFF, 9]).expect("acknowledged");
+        bench.write(S, &[0x00, 10, 11]).expect("acknowledged");
+        assert_eq!(bench.read(2 * S, 0xFF), [9, 10]);
+        let mut byte = [0];
+        bench.run(3 * S, &mut [Operation::Read(&mut byte)]).expect("acknowledged");
+        assert_eq!(byte, [11]);
+    }
+
+    #[test]
+    fn data_without_stop_is_dropped() {
+        let mut bench = Bench::new();
+        let mut byte = [0];
+        bench.run(0, &mut [Operation::Write(&[0x40, 1, 2]), Operation::Read(&mut byte)]).expect("acknowledged");
+        assert_eq!(bench.kinds(), [MisuseKind::WriteWithoutStop { bytes: 2 }]);
+        assert!(!bench.chip.borrow().is_busy());
+        assert_eq!(bench.chip.borrow().memory(), &[0xFF; 256]);
+        bench.write(S, &[0x42, 3]).expect("acknowledged");
+        assert_eq!(bench.read(2 * S, 0x40), [0xFF, 0xFF, 3, 0xFF]);
+    }
+
+    #[test]
+    fn answers_at_its_own_address_only() {
+        let chip = Eeprom24c02::new(0x2B);
+        assert!((0..0x80).all(|address| chip.acknowledges(address, false) == (address == 0x53)));
+    }
+
+    proptest! {
+        /// Page by page, as its data sheet asks for, anything can be kept.
+        #[test]
+        fn keeps_what_is_written_by_the_rules(writes in prop::collection::vec((any::<u8>(), any::<[u8; 8]>()), 1..30)) {
+            let mut bench = Bench::new();
+            let mut expected = [0xFF; 256];
+            let mut at_ns = 0;
+            for (word, bytes) in writes {
+                let room = 8 - usize::from(word) % 8;
+                let mut message = vec![word];
+                message.extend_from_slice(&bytes[..room]);
+                at_ns = bench.write(at_ns, &message).expect("acknowledged").end_ns + 5_000_000;
+                expected[usize::from(word)..][..room].copy_from_slice(&bytes[..room]);
+            }
+            prop_assert_eq!(bench.read::<256>(at_ns, 0), expected);
+            prop_assert!(bench.chip.borrow().misuse().is_empty());
+        }
+    }
+}

@@ -1,0 +1,29 @@
+//! Sensors, switches and loopback devices that are wired to the processor's own pins.
+//!
+//! All are lazy: nothing is scheduled, whoever looks says what time it is. A time before one already seen counts as that
+//! one. Randomness is seeded and drawn when something happens, not when someone looks, so that looking more often
+//! changes nothing.
+//!
+//! | module | modelled | not modelled |
+//! | --- | --- | --- |
+//! | [`hc_sr04`] | echo width from distance and air temperature, range, time-out, refused and too frequent triggers, dead, stuck-high, noise, sound of other modules | angle and size of the target, own late echoes of the ping before, supply, loudness |
+//! | [`quadrature`] | edges in order with their time, glitches, chatter, lost edges; timer in encoder mode 3 with input filter | phase error of the disc, limits of an interrupt-driven decoder (they are the firmware's) |
+//! | [`switch`] | contact bounce, normally open or closed, pull resistor, cut and shorted wire | wetting current, wear, RC filters |
+//! | [`analog_input`] | divider tolerance, bend below the clamp, reference error, offset, noise, oversampling, open and short | settling of the sampling capacitor, non-linearity of the converter, cross-talk of channels |
+//! | [`loopback`] | UART bytes at their time, bounded receive FIFO, unplugged cable; 24C02 EEPROM with page writes and write time | framing and parity errors, baud mismatch; write-protect pin, wear, loss of power during a write |
+//! | [`dac_output`] | code to volts with gain and offset error, swing of the output buffer | settling, load, non-linearity |
+
+pub mod analog_input;
+pub mod dac_output;
+pub mod hc_sr04;
+pub mod loopback;
+pub mod quadrature;
+pub mod switch;
+
+use rand_pcg::{Pcg64, rand_core::Rng};
+
+/// A number drawn evenly from 0 up to, not including, 1.
+fn uniform(generator: &mut Pcg64) -> f64 {
+    // the 53 bits that a double can hold
+    (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+}

@@ -1,0 +1,93 @@
+//! The output chips on the board's I2C bus.
+
+use std::{cell::RefCell, rc::Rc};
+
+use r4_boards::Robot;
+
+use crate::{
+    chips::{
+        mcp4728::{CHANNELS, Mcp4728, Setting},
+        mcp23017::{Mcp23017, PinState, Port},
+        pca9685::Pca9685,
+    },
+    i2c::I2cBus,
+    misuse::Misuse,
+};
+
+/// Nominal frequency of a PCA9685's oscillator (datasheet 7.3.5).
+const PWM_OSCILLATOR_HZ: u32 = 25_000_000;
+
+/// A robot's board has those chips that it uses.
+pub(super) struct Chips {
+    pub(super) osmc_pwm: Option<Rc<RefCell<Pca9685>>>,
+    pub(super) dhb_pwm: Option<Rc<RefCell<Pca9685>>>,
+    pub(super) servo_pwm: Option<Rc<RefCell<Pca9685>>>,
+    pub(super) bldc_dac: Option<Rc<RefCell<Mcp4728>>>,
+    pub(super) expander: Option<Rc<RefCell<Mcp23017>>>,
+}
+
+impl Chips {
+    pub(super) fn new(robot: &Robot, bus: &mut I2cBus) -> Self {
+        let config = &robot.config;
+        let pwm = |address, oscillator_hz| Rc::new(RefCell::new(Pca9685::new(address, oscillator_hz)));
+        let chips = Self {
+            osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
+            dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
+            servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
+            bldc_dac: config.bldc_dac.map(|chip| {
+                // As the firmware leaves it after its first start: a chip as delivered would give every drive 0 V until then,
+                // which is why drives are connected only after that.
+                let mut kept = [Setting(0); CHANNELS];
+                for bldc in &config.bldcs {
+                    let share = f64::from(bldc.neutral_v) / f64::from(chip.full_scale_v);
+                    kept[usize::from(bldc.output)] = Setting((share * 4096.0).round().min(4095.0) as u16);
+                }
+                Rc::new(RefCell::new(Mcp4728::new(chip.address, chip.full_scale_v.into(), kept)))
+            }),
+            expander: config.expander.map(|chip| Rc::new(RefCell::new(Mcp23017::new(chip.address)))),
+        };
+        chips.pwms().for_each(|chip| bus.attach(chip.clone()));
+        chips.bldc_dac.iter().for_each(|chip| bus.attach(chip.clone()));
+        chips.expander.iter().for_each(|chip| bus.attach(chip.clone()));
+        chips
+    }
+
+    fn pwms(&self) -> impl Iterator<Item = &Rc<RefCell<Pca9685>>> {
+        self.osmc_pwm.iter().chain(&self.dhb_pwm).chain(&self.servo_pwm)
+    }
+
+    /// When outputs change next by themselves.
+    pub(super) fn next_change_ns(&self) -> Option<u64> {
+        self.pwms().filter_map(|chip| chip.borrow().next_change_ns()).min()
+    }
+
+    pub(super) fn advance(&self, to_ns: u64) {
+        self.pwms().for_each(|chip| chip.borrow_mut().advance(to_ns));
+        self.bldc_dac.iter().for_each(|chip| chip.borrow_mut().advance(to_ns));
+    }
+
+    /// Changes whenever an output does.
+    pub(super) fn generation(&self) -> u64 {
+        let pwms: u64 = self.pwms().map(|chip| chip.borrow().generation()).sum();
+        let dac = self.bldc_dac.as_ref().map_or(0, |chip| chip.borrow().generation());
+        pwms + dac + self.expander.as_ref().map_or(0, |chip| chip.borrow().generation())
+    }
+
+    /// What the expander does with a pin, 0 to 7 on port A, 8 to 15 on port B.
+    pub(super) fn pin(&self, bit: u8) -> PinState {
+        let port = if bit < 8 { Port::A } else { Port::B };
+        self.expander.as_ref().map_or(PinState::Floating, |chip| chip.borrow().pin_level(port, bit % 8))
+    }
+
+    pub(super) fn set_bridge_outputs_enabled(&self, at_ns: u64, enabled: bool) {
+        self.osmc_pwm.iter().chain(&self.dhb_pwm).for_each(|chip| chip.borrow_mut().set_output_enable(at_ns, enabled));
+    }
+
+    pub(super) fn misuse(&self) -> Vec<Misuse> {
+        let mut all = Vec::new();
+        self.pwms().for_each(|chip| all.extend(chip.borrow().misuse().first()));
+        self.bldc_dac.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
+        self.expander.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
+        all
+    }
+}

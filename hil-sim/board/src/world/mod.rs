@@ -1,0 +1,368 @@
+//! What is outside the processor: the bus and its chips, bridges, motors, drives, servos, rails and sensors.
+//!
+//! Nothing here is scheduled. The world is brought up to date when someone looks at it or changes it: from the last
+//! moment to now, in stretches in which no line changes.
+
+mod chips;
+mod drives;
+mod motor;
+mod pins;
+mod stepping;
+
+use std::{cell::RefCell, rc::Rc};
+
+use r4_boards::{Robot, SimulatedRail};
+use r4_plants::{Drive, Plant, PlantError};
+use r4_protocol::{
+    ChannelId,
+    config::{RelayConfig, RelayRole},
+};
+use rand_pcg::{Pcg64, rand_core::SeedableRng};
+
+use crate::{
+    chips::{mcp4728::Mcp4728, mcp23017::PinState, pca9685::Pca9685},
+    clock::Clock,
+    i2c::I2cBus,
+    io::Controller,
+    misuse::Misuse,
+    sensors::hc_sr04::HcSr04,
+};
+use chips::Chips;
+use drives::{Bldc, Servo};
+use motor::Motor;
+use pins::Pins;
+
+/// The physical world around one board.
+pub struct World {
+    clock: Clock,
+    now_ns: u64,
+    /// The board's I2C bus.
+    pub bus: I2cBus,
+    chips: Chips,
+    relays: Vec<RelayConfig>,
+    osmc_disabled: bool,
+    /// Whether bridge inputs may have changed since they were last looked at.
+    stale: bool,
+    generation: u64,
+    motors: Vec<Motor>,
+    bldcs: Vec<Bldc>,
+    servos: Vec<Servo>,
+    steppers: Vec<stepping::Axis>,
+    rails: Vec<Rail>,
+    pins: Pins,
+    noise: Pcg64,
+}
+
+struct Rail {
+    spec: SimulatedRail,
+    volts: f64,
+}
+
+/// The processor, as the firmware reaches its peripherals.
+#[derive(Clone)]
+pub(crate) struct Processor(pub(crate) Rc<RefCell<World>>);
+
+impl World {
+    /// The world of `robot` at time 0, its noise drawn from `seed`.
+    ///
+    /// # Errors
+    /// When a plant's file is not right.
+    pub(crate) fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
+        let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
+        let chips = Chips::new(robot, &mut bus);
+        let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
+        let mut motors = Vec::new();
+        for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
+            // The file's reader has checked that rail and motor exist.
+            let rail = rails.iter().position(|rail| rail.spec.channel == simulated.rail).unwrap_or(0);
+            let motor = robot.config.motors.iter().find(|motor| motor.id == simulated.channel);
+            let Some(wiring) = motor.map(|motor| motor.bridge) else { continue };
+            motors.push(Motor::new(simulated, wiring, rail, seed.wrapping_add(index.into()))?);
+        }
+        Ok(Self {
+            clock,
+            now_ns: 0,
+            bus,
+            chips,
+            relays: robot.config.relays.to_vec(),
+            osmc_disabled: true,
+            stale: true,
+            generation: 0,
+            motors,
+            bldcs: drives::bldcs(robot),
+            servos: drives::servos(robot),
+            steppers: drives::steppers(robot),
+            rails,
+            pins: Pins::new(robot, seed),
+            noise: Pcg64::seed_from_u64(seed),
+        })
+    }
+
+    /// The clock this world follows.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Brings everything to the clock's time.
+    pub fn catch_up(&mut self) {
+        let target_ns = self.clock.now_ns();
+        while self.now_ns < target_ns {
+            let change_ns = self.chips.next_change_ns();
+            let until_ns = change_ns.map_or(target_ns, |at_ns| at_ns.clamp(self.now_ns, target_ns));
+            self.step((until_ns - self.now_ns) as f64 * 1e-9);
+            self.now_ns = until_ns;
+            self.chips.advance(until_ns);
+            self.look_at_lines();
+        }
+        for axis in &mut self.steppers {
+            axis.catch_up(target_ns);
+        }
+    }
+
+    /// Lets physics pass under constant lines.
+    fn step(&mut self, dt_s: f64) {
+        for motor in &mut self.motors {
+            motor.plant.advance(motor.drive, self.rails[motor.rail].volts, dt_s);
+        }
+        for (index, rail) in self.rails.iter_mut().enumerate() {
+            let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
+            let current_a: f64 = on_rail.map(|motor| motor.plant.supply_current_a()).sum();
+            rail.volts = rail.spec.emf_v - rail.spec.resistance_ohm * current_a;
+            // Near its lock-out the gate driver must be asked each time, not only when a line changes.
+            self.stale |= rail.volts < motor::GATE_SUPPLY_V;
+        }
+    }
+
+    /// Lets bridges, drives and servos see their lines and supply as they are now.
+    pub(crate) fn look_at_lines(&mut self) {
+        let generation = self.chips.generation();
+        if !self.stale && generation == self.generation {
+            return;
+        }
+        self.stale = false;
+        self.generation = generation;
+        let powered = self.is_powered();
+        for motor in &mut self.motors {
+            let chip = if motor.is_on_osmc() { &self.chips.osmc_pwm } else { &self.chips.dhb_pwm };
+            let Some(chip) = chip else { continue };
+            // Behind an open relay the bridge has no supply.
+            let supply_v = if powered { self.rails[motor.rail].volts } else { 0.0 };
+            motor.look(self.now_ns, &chip.borrow(), self.osmc_disabled, supply_v);
+        }
+        for bldc in &mut self.bldcs {
+            bldc.look(self.now_ns, &self.chips, powered);
+        }
+        for servo in &mut self.servos {
+            servo.look(self.now_ns, &self.chips);
+        }
+        for axis in &mut self.steppers {
+            axis.driver.supply(self.now_ns, powered);
+        }
+    }
+
+    /// Whether the motors' supply is closed, where it goes over a relay.
+    fn is_powered(&self) -> bool {
+        self.relays.iter().all(|relay| relay.role != RelayRole::MotorPower || self.is_closed(relay))
+    }
+
+    /// Whether a relay's contact is closed: its input is driven to the level that pulls it, not floating.
+    fn is_closed(&self, relay: &RelayConfig) -> bool {
+        self.chips.pin(relay.bit) == PinState::Driven(!relay.active_low)
+    }
+
+    /// The DISABLE line of the OSMC bridges.
+    pub(crate) fn set_osmc_disabled(&mut self, disabled: bool) {
+        self.catch_up();
+        self.osmc_disabled = disabled;
+        self.stale = true;
+        self.look_at_lines();
+    }
+
+    /// The output-enable line of the motor PWM chips, as the board wires it: high is off.
+    pub(crate) fn set_pwm_outputs_disabled(&mut self, disabled: bool) {
+        self.catch_up();
+        self.chips.set_bridge_outputs_enabled(self.clock.now_ns(), !disabled);
+        self.look_at_lines();
+    }
+
+    /// The line to an external watchdog.
+    pub(crate) fn set_heartbeat(&mut self, high: bool) {
+        self.pins.kick(self.clock.now_ns(), high);
+    }
+
+    /// The bus behind one of the processor's controllers.
+    pub(crate) fn bus_of(&mut self, controller: Controller) -> &mut I2cBus {
+        match controller {
+            Controller::Board => &mut self.bus,
+            Controller::External(connector) => self.pins.external_bus(connector, self.clock.now_ns()),
+        }
+    }
+
+    pub(crate) fn uart_port(&mut self, connector: usize) -> &mut pins::UartPort {
+        &mut self.pins.uarts[connector]
+    }
+
+    /// The processor is reset: its lines float until it drives them again, and what it counted is lost.
+    pub(crate) fn reset_processor(&mut self) {
+        self.catch_up();
+        // Pulled to where nothing moves.
+        self.set_osmc_disabled(true);
+        self.set_pwm_outputs_disabled(true);
+        self.steppers.iter_mut().for_each(stepping::Axis::reset);
+        self.pins.reset_processor();
+    }
+
+    pub(crate) fn set_stepper_enable(&mut self, high: bool) {
+        let now_ns = self.clock.now_ns();
+        self.steppers.iter_mut().for_each(|axis| axis.driver.enable(now_ns, high));
+    }
+
+    fn axis(&mut self, connector: u8) -> Option<&mut stepping::Axis> {
+        self.steppers.iter_mut().find(|axis| axis.channel.index == connector)
+    }
+
+    // For tests, and for programs that compare with the truth.
+
+    /// True position of a motor's, servo's, drive's or stepper's output, rad or m; `None` for other channels.
+    pub fn position(&mut self, channel: ChannelId) -> Option<f64> {
+        self.catch_up();
+        let now_ns = self.now_ns;
+        let motor = self.motor(channel).map(|motor| motor.plant.position());
+        let stepper = || self.steppers.iter().find(|axis| axis.channel == channel).map(stepping::Axis::angle_rad);
+        let position = motor.or_else(stepper);
+        let servo = self.servos.iter_mut().find(|servo| servo.channel == channel);
+        let position = position.or_else(|| servo.map(|servo| servo.angle_rad(now_ns)));
+        let bldc = self.bldcs.iter_mut().find(|bldc| bldc.channel == channel);
+        position.or_else(|| bldc.map(|bldc| bldc.at(now_ns).position_rad()))
+    }
+
+    /// True speed of a motor's or drive's output, rad/s or m/s.
+    pub fn speed(&mut self, channel: ChannelId) -> Option<f64> {
+        self.catch_up();
+        let now_ns = self.now_ns;
+        let motor = self.motor(channel).map(|motor| motor.plant.speed());
+        let bldc = self.bldcs.iter_mut().find(|bldc| bldc.channel == channel);
+        motor.or_else(|| bldc.map(|bldc| bldc.at(now_ns).speed_rad_s()))
+    }
+
+    /// Whether a relay's contact is closed; `None` for a channel without a relay.
+    #[must_use]
+    pub fn relay_closed(&self, channel: ChannelId) -> Option<bool> {
+        self.relays.iter().find(|relay| relay.id == channel).map(|relay| self.is_closed(relay))
+    }
+
+    /// What a motor's bridge does to it now.
+    pub fn drive(&mut self, channel: ChannelId) -> Option<Drive> {
+        self.catch_up();
+        self.motor(channel).map(|motor| motor.drive)
+    }
+
+    /// A brushless drive, to look at.
+    pub fn bldc(&mut self, channel: ChannelId) -> Option<&crate::devices::bldc_drive::BldcDrive> {
+        self.catch_up();
+        let now_ns = self.now_ns;
+        self.bldcs.iter_mut().find(|bldc| bldc.channel == channel).map(|bldc| bldc.at(now_ns))
+    }
+
+    /// Voltage at the speed input of a brushless drive.
+    pub fn throttle_v(&mut self, channel: ChannelId) -> Option<f64> {
+        self.catch_up();
+        let bldc = self.bldcs.iter().find(|bldc| bldc.channel == channel)?;
+        Some(bldc.throttle_v(&self.chips))
+    }
+
+    /// A servo, to look at.
+    pub fn servo(&mut self, channel: ChannelId) -> Option<&crate::devices::rc_servo::RcServo> {
+        self.catch_up();
+        let now_ns = self.now_ns;
+        self.servos.iter_mut().find(|servo| servo.channel == channel).map(|servo| servo.at(now_ns))
+    }
+
+    /// A stepper driver, to look at.
+    pub fn stepper(&mut self, channel: ChannelId) -> Option<&crate::devices::stepper_driver::StepperDriver> {
+        self.catch_up();
+        self.steppers.iter().find(|axis| axis.channel == channel).map(|axis| &axis.driver)
+    }
+
+    /// A range sensor, to look at and to break; `None` beyond the board's connectors.
+    pub fn range_sensor(&mut self, connector: u8) -> Option<&mut HcSr04> {
+        self.catch_up();
+        self.pins.rangers.modules.get_mut(usize::from(connector))
+    }
+
+    /// What else hangs on the processor's pins.
+    pub fn pins(&mut self) -> &mut Pins {
+        self.catch_up();
+        &mut self.pins
+    }
+
+    /// Puts a motor's output at a place, at rest.
+    pub fn set_position(&mut self, channel: ChannelId, position: f64) {
+        self.catch_up();
+        if let Some(motor) = self.motors.iter_mut().find(|motor| motor.channel == channel) {
+            motor.plant.set_position(position);
+        }
+    }
+
+    /// Replaces a motor's physics, at rest where it is.
+    pub fn set_plant(&mut self, channel: ChannelId, plant: Plant) {
+        self.catch_up();
+        if let Some(motor) = self.motors.iter_mut().find(|motor| motor.channel == channel) {
+            let position = motor.plant.position();
+            motor.plant = plant;
+            motor.plant.set_position(position);
+        }
+    }
+
+    /// Changes a rail's voltage without load.
+    pub fn set_emf(&mut self, rail: ChannelId, emf_v: f64) {
+        self.catch_up();
+        if let Some(rail) = self.rails.iter_mut().find(|known| known.spec.channel == rail) {
+            rail.spec.emf_v = emf_v;
+        }
+        self.stale = true;
+    }
+
+    /// The PWM chip behind the OSMC bridges, to look into and to break.
+    #[must_use]
+    pub fn osmc_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
+        self.chips.osmc_pwm.as_ref()
+    }
+
+    /// The PWM chip behind the DHB bridges.
+    #[must_use]
+    pub fn dhb_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
+        self.chips.dhb_pwm.as_ref()
+    }
+
+    /// The PWM chip behind the servos.
+    #[must_use]
+    pub fn servo_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
+        self.chips.servo_pwm.as_ref()
+    }
+
+    /// The DAC behind the brushless drives.
+    #[must_use]
+    pub fn bldc_dac(&self) -> Option<&Rc<RefCell<Mcp4728>>> {
+        self.chips.bldc_dac.as_ref()
+    }
+
+    /// Everything done against a datasheet so far, in order of time.
+    #[must_use]
+    pub fn misuse(&self) -> Vec<Misuse> {
+        let mut all: Vec<_> = self.bus.misuse().first().to_vec();
+        all.extend(self.chips.misuse());
+        all.extend(self.motors.iter().flat_map(|motor| motor.misuse().first()));
+        all.extend(self.bldcs.iter().flat_map(|bldc| bldc.misuse().first()));
+        all.extend(self.servos.iter().flat_map(|servo| servo.misuse().first()));
+        all.extend(self.steppers.iter().flat_map(|axis| axis.driver.misuse().first()));
+        all.extend(self.pins.misuse());
+        all.sort_by_key(|misuse| misuse.time_ns);
+        all
+    }
+
+    fn motor(&self, channel: ChannelId) -> Option<&Motor> {
+        self.motors.iter().find(|motor| motor.channel == channel)
+    }
+}

@@ -1,0 +1,87 @@
+//! Motors: a bridge, what turns behind it, and what measures that.
+
+use r4_boards::{SimulatedMotor, SimulatedSensor};
+use r4_plants::{Drive, Plant, PlantError, PlantSpec};
+use r4_protocol::{
+    ChannelId,
+    config::{BridgeConfig, BridgeLines, DhbLines},
+};
+
+use crate::{
+    chips::pca9685::Pca9685,
+    devices::dhb::{DhbInputs, DhbMotor},
+    misuse::MisuseLog,
+    osmc::{BridgeInputs, OsmcBridge},
+};
+
+/// The bridge's own regulator makes this for its gate driver, or less from a battery that has less.
+pub(super) const GATE_SUPPLY_V: f64 = 12.0;
+
+pub(super) struct Motor {
+    pub(super) channel: ChannelId,
+    bridge: Bridge,
+    /// Which of the world's rails feeds the bridge.
+    pub(super) rail: usize,
+    pub(super) plant: Plant,
+    pub(super) drive: Drive,
+    pub(super) sensor: Option<SimulatedSensor>,
+}
+
+enum Bridge {
+    Osmc { lines: BridgeLines, model: Box<OsmcBridge> },
+    Dhb { lines: DhbLines, model: Box<DhbMotor> },
+}
+
+impl Motor {
+    pub(super) fn new(
+        simulated: &SimulatedMotor,
+        wiring: BridgeConfig,
+        rail: usize,
+        seed: u64,
+    ) -> Result<Self, PlantError> {
+        let spec = PlantSpec::from_toml(&simulated.plant.name, &simulated.plant.text)?;
+        let mut plant = Plant::new(&spec, seed);
+        plant.set_position(simulated.start);
+        let number = simulated.channel.index;
+        Ok(Self {
+            channel: simulated.channel,
+            bridge: match wiring {
+                BridgeConfig::Osmc(lines) => Bridge::Osmc { lines, model: Box::new(OsmcBridge::new(number)) },
+                BridgeConfig::Dhb(lines) => Bridge::Dhb { lines, model: Box::new(DhbMotor::new(number)) },
+            },
+            rail,
+            plant,
+            drive: Drive::COAST,
+            sensor: simulated.sensor,
+        })
+    }
+
+    /// Whether its PWM comes from the OSMC's chip; from the DHB's otherwise.
+    pub(super) const fn is_on_osmc(&self) -> bool {
+        matches!(self.bridge, Bridge::Osmc { .. })
+    }
+
+    /// Lets the bridge see its lines and supply as they are from `at_ns` on.
+    pub(super) fn look(&mut self, at_ns: u64, pwm: &Pca9685, disabled: bool, supply_v: f64) {
+        let line = |output: u8| pwm.line(output.into());
+        let output = match &mut self.bridge {
+            Bridge::Osmc { lines: BridgeLines { ahi, ali, bhi, bli }, model } => {
+                let inputs =
+                    BridgeInputs { ahi: line(*ahi), ali: line(*ali), bhi: line(*bhi), bli: line(*bli), disabled };
+                model.update(at_ns, &inputs, pwm.pwm_period_ns(), supply_v.min(GATE_SUPPLY_V))
+            }
+            Bridge::Dhb { lines: DhbLines { in1, in2, en }, model } => {
+                let inputs = DhbInputs { in1: line(*in1), in2: line(*in2), en: line(*en) };
+                model.update(at_ns, &inputs, pwm.pwm_period_ns(), supply_v)
+            }
+        };
+        self.drive = Drive { duty: output.duty, coast: output.coast };
+    }
+
+    pub(super) fn misuse(&self) -> &MisuseLog {
+        match &self.bridge {
+            Bridge::Osmc { model, .. } => model.misuse(),
+            Bridge::Dhb { model, .. } => model.misuse(),
+        }
+    }
+}

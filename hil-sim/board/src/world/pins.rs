@@ -1,0 +1,373 @@
+//! What hangs on the processor's own pins: range sensors, encoder tracks, switches, analog inputs and outputs, connectors.
+
+use std::{cell::RefCell, rc::Rc, task::Waker};
+
+use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
+use r4_firmware::{
+    platform::{AnalogInputs, AnalogOutputs, EchoState, Encoders, Ranging, SwitchInputs},
+    sensing::quadrature::Decoder,
+};
+use r4_protocol::ChannelId;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::{Processor, World};
+use crate::{
+    i2c::I2cBus,
+    misuse::Misuse,
+    sensors::{
+        analog_input::AnalogInput,
+        dac_output::DacOutput,
+        hc_sr04::HcSr04Array,
+        loopback::{Eeprom24c02, UartLoopback},
+        quadrature::{HardwareCounter, QuadratureSignal, Transition},
+        switch::{BOUNCE_NS, Contact, Pull, Switch},
+    },
+};
+
+/// Full scale of the 16-bit converter.
+const CODE_MAX: f64 = 65_535.0;
+/// The converter's reference, V.
+const REFERENCE_V: f64 = 3.3;
+/// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
+const ENCODER_FILTER_NS: u64 = 267;
+/// The first inputs are counted by timers, the others by interrupts.
+const ENCODERS_ON_TIMERS: usize = 3;
+/// Speed of the UART connectors.
+const UART_BAUD: u32 = 115_200;
+/// What the processor's driver keeps of received bytes until they are read.
+const UART_BUFFER: usize = 64;
+/// Where the memory on each external I2C connector answers.
+const EEPROM_ADDRESS: u8 = 0x50;
+/// Clock of the external I2C connectors.
+const EXTERNAL_I2C_HZ: u32 = 100_000;
+
+/// The devices on the processor's pins, to look at and to break.
+pub struct Pins {
+    /// Range sensors, by connector.
+    pub rangers: HcSr04Array,
+    pub(super) echoes: [Echo; HcSr04Array::MODULES],
+    /// Encoder tracks, by connector.
+    pub encoders: [QuadratureSignal; 4],
+    counters: [Counter; 4],
+    /// Switches, by connector.
+    pub switches: Vec<SwitchInput>,
+    /// Divided inputs with what is at each, by input.
+    pub analogs: [Option<AnalogSource>; 6],
+    dac: DacOutput,
+    dac_codes: [u16; 2],
+    pub(crate) uarts: [UartPort; 2],
+    pub(crate) external_buses: [I2cBus; 2],
+    eeproms: [Rc<RefCell<Eeprom24c02>>; 2],
+    /// When the external watchdog was last kicked, and the longest it has waited.
+    kicked_ns: u64,
+    longest_kick_ns: u64,
+}
+
+/// A switch and what actuates it.
+pub struct SwitchInput {
+    /// The switch.
+    pub switch: Switch,
+    spec: SimulatedSwitch,
+}
+
+/// A divided analog input and the voltage at it.
+#[derive(Clone, Debug)]
+pub struct AnalogSource {
+    /// Divider, clamp and converter.
+    pub input: AnalogInput,
+    /// V
+    pub volts: f64,
+}
+
+/// A UART connector with who waits for bytes from it.
+pub(crate) struct UartPort {
+    pub(crate) line: UartLoopback,
+    pub(crate) reader: Option<Waker>,
+}
+
+/// What the processor makes of an encoder's tracks.
+enum Counter {
+    Timer(HardwareCounter),
+    Interrupts(Decoder),
+}
+
+/// What the processor's capture unit has of one echo line.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Echo {
+    cleared_ns: u64,
+    rise_ns: Option<u64>,
+    fall_ns: Option<u64>,
+}
+
+impl Pins {
+    pub(super) fn new(robot: &Robot, seed: u64) -> Self {
+        let truth = &robot.simulation;
+        let mut rangers = HcSr04Array::new(seed);
+        for range in &truth.ranges {
+            if let Some(module) = rangers.modules.get_mut(usize::from(range.channel.index)) {
+                module.set_distance_m(Some(range.distance_m));
+            }
+        }
+        let input = |volts_per_code: f64, noise_rms_codes| AnalogInput {
+            noise_rms_codes,
+            ..AnalogInput::new(volts_per_code * CODE_MAX / REFERENCE_V)
+        };
+        let mut analogs = [const { None }; 6];
+        for analog in &truth.analogs {
+            if let Some(place) = analogs.get_mut(usize::from(analog.channel.index)) {
+                let input = input(analog.volts_per_code, analog.noise_rms_codes);
+                *place = Some(AnalogSource { input, volts: analog.volts });
+            }
+        }
+        for rail in &truth.rails {
+            if let Some(place) = analogs.get_mut(usize::from(rail.analog)) {
+                *place =
+                    Some(AnalogSource { input: input(rail.volts_per_code, rail.noise_rms_codes), volts: rail.emf_v });
+            }
+        }
+        let encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
+        let counters = counters(&encoders);
+        let switch = |spec: &SimulatedSwitch| {
+            let seed = seed.wrapping_add(u64::from(spec.channel.index));
+            SwitchInput { switch: Switch::new(Contact::NormallyOpen, Pull::Up, BOUNCE_NS, seed), spec: *spec }
+        };
+        let eeproms = [0, 1].map(|_| Rc::new(RefCell::new(Eeprom24c02::new(EEPROM_ADDRESS))));
+        let external_buses = std::array::from_fn(|index: usize| {
+            let mut bus = I2cBus::new(EXTERNAL_I2C_HZ);
+            bus.attach(eeproms[index].clone());
+            bus
+        });
+        Self {
+            rangers,
+            echoes: [Echo::default(); HcSr04Array::MODULES],
+            encoders,
+            counters,
+            switches: truth.switches.iter().map(switch).collect(),
+            analogs,
+            dac: DacOutput::new(false),
+            dac_codes: [0; 2],
+            uarts: [0, 1].map(|_| UartPort { line: UartLoopback::new(UART_BAUD, UART_BUFFER), reader: None }),
+            external_buses,
+            eeproms,
+            kicked_ns: 0,
+            longest_kick_ns: 0,
+        }
+    }
+
+    /// The memory on one of the external I2C connectors.
+    #[must_use]
+    pub fn eeprom(&self, connector: usize) -> Option<&Rc<RefCell<Eeprom24c02>>> {
+        self.eeproms.get(connector)
+    }
+
+    /// Voltage at one of the processor's analog outputs.
+    #[must_use]
+    pub fn dac_v(&self, output: usize) -> Option<f64> {
+        self.dac_codes.get(output).map(|code| self.dac.volts(*code))
+    }
+
+    /// The bus at one of the external I2C connectors, at `now_ns`.
+    pub(super) fn external_bus(&mut self, connector: usize, now_ns: u64) -> &mut I2cBus {
+        // The memory must know that its write is over before it is asked.
+        self.eeproms[connector].borrow_mut().advance(now_ns);
+        &mut self.external_buses[connector]
+    }
+
+    pub(super) fn reset_processor(&mut self) {
+        self.dac_codes = [0; 2];
+        self.counters = counters(&self.encoders);
+    }
+
+    /// An edge of the line to the external watchdog.
+    pub(super) fn kick(&mut self, now_ns: u64, _high: bool) {
+        self.longest_kick_ns = self.longest_kick_ns.max(now_ns - self.kicked_ns);
+        self.kicked_ns = now_ns;
+    }
+
+    /// The longest the external watchdog has waited for an edge up to now, ns.
+    #[must_use]
+    pub fn longest_kick_ns(&self, now_ns: u64) -> u64 {
+        self.longest_kick_ns.max(now_ns - self.kicked_ns)
+    }
+
+    /// The UART connectors, whose output is wired to their input.
+    pub fn uart(&mut self, connector: usize) -> Option<&mut UartLoopback> {
+        self.uarts.get_mut(connector).map(|port| &mut port.line)
+    }
+
+    pub(super) fn misuse(&self) -> Vec<Misuse> {
+        let mut all: Vec<_> = self.rangers.modules.iter().flat_map(|module| module.misuse().first()).copied().collect();
+        self.external_buses.iter().for_each(|bus| all.extend(bus.misuse().first()));
+        self.eeproms.iter().for_each(|eeprom| all.extend(eeprom.borrow().misuse().first()));
+        all
+    }
+}
+
+/// The processor's counters after a reset.
+fn counters(encoders: &[QuadratureSignal; 4]) -> [Counter; 4] {
+    std::array::from_fn(|index| {
+        let levels = encoders[index].levels();
+        if index < ENCODERS_ON_TIMERS {
+            return Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, levels));
+        }
+        let mut decoder = Decoder::new();
+        decoder.update(levels.a, levels.b);
+        Counter::Interrupts(decoder)
+    })
+}
+
+impl SwitchInput {
+    /// The channel that reads it.
+    #[must_use]
+    pub fn channel(&self) -> ChannelId {
+        self.spec.channel
+    }
+}
+
+impl World {
+    /// Lets encoder `index` follow its shaft to now.
+    fn turn_encoder(&mut self, index: usize) {
+        self.catch_up();
+        let counts = self.motors.iter().find_map(|motor| match motor.sensor {
+            Some(SimulatedSensor::Encoder { input, lines_per_turn }) if usize::from(input) == index => {
+                let turns = motor.plant.sensed_position() / std::f64::consts::TAU;
+                Some(turns * f64::from(lines_per_turn) * 4.0)
+            }
+            _ => None,
+        });
+        let (now_ns, pins) = (self.clock.now_ns(), &mut self.pins);
+        let (Some(signal), Some(counter)) = (pins.encoders.get_mut(index), pins.counters.get_mut(index)) else {
+            return;
+        };
+        let left_out = signal.advance(now_ns, counts.unwrap_or(0.0), |transition: Transition| match counter {
+            Counter::Timer(timer) => timer.take(transition),
+            Counter::Interrupts(decoder) => decoder.update(transition.levels.a, transition.levels.b),
+        });
+        if let Counter::Timer(timer) = counter {
+            timer.add(left_out);
+        }
+    }
+
+    /// Lets switch inputs follow what actuates them, and reads one.
+    fn switch_is_high(&mut self, index: u8) -> bool {
+        let now_ns = self.clock.now_ns();
+        let place = self.pins.switches.iter().position(|input| input.spec.channel.index == index);
+        let Some(place) = place else { return true };
+        let SimulatedSwitch { axis, closed_below, .. } = self.pins.switches[place].spec;
+        if let Some(position) = axis.and_then(|axis| self.position(axis)) {
+            self.pins.switches[place].switch.set_actuated(now_ns, position < closed_below);
+        }
+        self.pins.switches[place].switch.is_high(now_ns)
+    }
+
+    /// What the converter reads at input `index`.
+    fn analog_code(&mut self, index: u8) -> u16 {
+        self.catch_up();
+        let potentiometer = self.motors.iter().find_map(|motor| match motor.sensor {
+            Some(SimulatedSensor::Potentiometer { input, low, high, noise_rms_codes }) if input == index => {
+                let along = (motor.plant.sensed_position() - low.position_m) / (high.position_m - low.position_m);
+                let share = low.share() + along * (high.share() - low.share());
+                Some((share * CODE_MAX, noise_rms_codes))
+            }
+            _ => None,
+        });
+        if let Some((code, noise_rms_codes)) = potentiometer {
+            let noise: f64 = StandardNormal.sample(&mut self.noise);
+            return (code + noise * noise_rms_codes).round().clamp(0.0, CODE_MAX) as u16;
+        }
+        let rail_v = self.rails.iter().find(|rail| rail.spec.analog == index).map(|rail| rail.volts);
+        let Some(Some(source)) = self.pins.analogs.get(usize::from(index)) else { return 0 };
+        source.input.code(rail_v.unwrap_or(source.volts), &mut self.noise)
+    }
+}
+
+impl Encoders for Processor {
+    fn count(&mut self, index: u8) -> u16 {
+        let mut world = self.0.borrow_mut();
+        let index = usize::from(index);
+        world.turn_encoder(index);
+        let now_ns = world.clock.now_ns();
+        match world.pins.counters.get_mut(index) {
+            Some(Counter::Timer(timer)) => timer.count(now_ns),
+            Some(Counter::Interrupts(decoder)) => decoder.count(),
+            None => 0,
+        }
+    }
+
+    fn illegal(&mut self, index: u8) -> u32 {
+        match self.0.borrow().pins.counters.get(usize::from(index)) {
+            Some(Counter::Interrupts(decoder)) => decoder.illegal(),
+            _ => 0,
+        }
+    }
+}
+
+impl AnalogInputs for Processor {
+    fn code(&mut self, index: u8) -> u16 {
+        self.0.borrow_mut().analog_code(index)
+    }
+}
+
+impl SwitchInputs for Processor {
+    fn is_high(&mut self, index: u8) -> bool {
+        self.0.borrow_mut().switch_is_high(index)
+    }
+}
+
+impl AnalogOutputs for Processor {
+    fn set(&mut self, index: u8, code: u16) {
+        let mut world = self.0.borrow_mut();
+        world.catch_up();
+        if let Some(place) = world.pins.dac_codes.get_mut(usize::from(index)) {
+            *place = code;
+        }
+    }
+}
+
+/// Timer 2 of the processor: it captures the edges of the echoes at 1 MHz.
+impl Ranging for Processor {
+    fn trigger(&mut self, index: u8, high: bool) {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.rangers.trigger(usize::from(index), now_ns, high);
+    }
+
+    fn clear(&mut self, index: u8) {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.capture(usize::from(index), now_ns);
+        if let Some(echo) = world.pins.echoes.get_mut(usize::from(index)) {
+            *echo = Echo { cleared_ns: now_ns, ..Echo::default() };
+        }
+    }
+
+    fn echo(&mut self, index: u8) -> EchoState {
+        let mut world = self.0.borrow_mut();
+        let now_ns = world.clock.now_ns();
+        world.pins.capture(usize::from(index), now_ns)
+    }
+}
+
+impl Pins {
+    /// Lets the capture unit take the edges of an echo up to now.
+    fn capture(&mut self, index: usize, now_ns: u64) -> EchoState {
+        let (Some(module), Some(echo)) = (self.rangers.modules.get_mut(index), self.echoes.get_mut(index)) else {
+            return EchoState::Idle;
+        };
+        for edge in module.take_edges(now_ns) {
+            match (edge.high, echo.rise_ns, echo.fall_ns) {
+                (true, None, _) => echo.rise_ns = Some(edge.at_ns),
+                (false, Some(_), None) => echo.fall_ns = Some(edge.at_ns),
+                _ => {}
+            }
+        }
+        let us = |ns: u64| u32::try_from(ns / 1000).unwrap_or(u32::MAX);
+        match (echo.rise_ns, echo.fall_ns) {
+            (Some(rise_ns), Some(fall_ns)) => EchoState::Done { width_us: us(fall_ns - rise_ns) },
+            (rise_ns, _) if module.echo_is_high(now_ns) => {
+                EchoState::High { since_us: us(now_ns - rise_ns.unwrap_or(echo.cleared_ns)) }
+            }
+            _ => EchoState::Idle,
+        }
+    }
+}

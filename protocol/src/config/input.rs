@@ -1,0 +1,123 @@
+//! Inputs: encoders, switches, range sensors, analog inputs, supply rails.
+
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, RANGE_SENSORS, SWITCHES, check, finite, finite_range, positive,
+};
+use crate::channel::{ChannelId, ChannelKind, Range};
+
+/// A quadrature encoder that is read by itself, whether or not a motor uses it too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct EncoderConfig {
+    /// [`ChannelKind::Encoder`] and its number, which is the counter's.
+    pub id: ChannelId,
+    /// Counts in one turn, four to a line.
+    pub counts_per_turn: u32,
+    /// Whether it counts down forwards.
+    pub inverted: bool,
+}
+
+/// A switch, as beside an encoder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct SwitchConfig {
+    /// [`ChannelKind::Switch`] and its number, which is the connector's.
+    pub id: ChannelId,
+    /// Whether a low level is closed.
+    pub active_low: bool,
+}
+
+/// An ultrasonic range sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct RangeConfig {
+    /// [`ChannelKind::Range`] and its number, which is the connector's.
+    pub id: ChannelId,
+    /// Distances it can tell, m.
+    pub range_m: Range,
+    /// The board trips when something is nearer, or when the sensor says nothing, m.
+    pub stop_below_m: Option<f32>,
+}
+
+/// A divided analog input.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct AnalogConfig {
+    /// [`ChannelKind::Analog`] and its number, which is the input's.
+    pub id: ChannelId,
+    /// Volts at the input for one count of the 16-bit converter.
+    pub volts_per_code: f32,
+    /// Volts at code 0.
+    pub offset_v: f32,
+    /// What a connected source can give, V: below is a short, above is open or clamped.
+    pub plausible_v: Range,
+}
+
+/// A supply rail on a divided analog input.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct SupplyConfig {
+    /// [`ChannelKind::Supply`] and its number.
+    pub id: ChannelId,
+    /// Which analog input.
+    pub analog: u8,
+    /// Volts at the rail for one count of the 16-bit converter.
+    pub volts_per_code: f32,
+    /// The board trips outside this, V.
+    pub range_v: Range,
+}
+
+impl EncoderConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.kind == ChannelKind::Encoder, "an encoder needs an encoder channel name")?;
+        rule(usize::from(self.id.index) < ENCODERS, "encoders are numbered 0 to 3")?;
+        rule((1..=MAX_EXACT).contains(&self.counts_per_turn), "counts_per_turn must be 1 to 16777216")
+    }
+}
+
+impl SwitchConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.kind == ChannelKind::Switch, "a switch needs a switch channel name")?;
+        rule(usize::from(self.id.index) < SWITCHES, "switches are numbered 0 to 3")
+    }
+}
+
+impl RangeConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.kind == ChannelKind::Range, "a range sensor needs a range channel name")?;
+        rule(usize::from(self.id.index) < RANGE_SENSORS, "range sensors are numbered 0 to 3")?;
+        let widest = Range::new(0.02, 4.0);
+        let Range { min, max } = self.range_m;
+        rule(widest.contains(min) && widest.contains(max) && min < max, "range_m must lie between 0.02 and 4 m")?;
+        rule(
+            self.stop_below_m.is_none_or(|stop| stop > min && stop <= max),
+            "stop_below_m must lie within range_m and above its min, or nothing is ever nearer",
+        )
+    }
+}
+
+impl AnalogConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.kind == ChannelKind::Analog, "an analog input needs an analog channel name")?;
+        rule(usize::from(self.id.index) < ANALOG_INPUTS, "analog inputs are numbered 0 to 5")?;
+        rule(positive(self.volts_per_code), "volts_per_code must be positive")?;
+        rule(finite(self.offset_v), "offset_v must be finite")?;
+        rule(finite_range(self.plausible_v), "plausible_v must have a finite min below a finite max")
+    }
+}
+
+impl SupplyConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.kind == ChannelKind::Supply, "a supply needs a supply channel name")?;
+        rule(usize::from(self.analog) < ANALOG_INPUTS, "the analog input must exist and be used once")?;
+        rule(positive(self.volts_per_code), "volts_per_code must be positive")?;
+        rule(finite_range(self.range_v), "range_v must have a finite min below a finite max")?;
+        rule(
+            self.range_v.max < f32::from(u16::MAX) * self.volts_per_code,
+            "range_v must end below the converter's highest voltage, or a higher one is never seen",
+        )
+    }
+}

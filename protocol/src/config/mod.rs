@@ -1,0 +1,389 @@
+//! What a board is told about itself: wiring, limits, gains and calibration.
+//!
+//! Made from `boards/*.toml`; the firmware takes it as it is and checks it with [`BoardConfig::validate`].
+
+mod input;
+mod motor;
+mod numbers;
+mod output;
+
+use core::fmt;
+
+use heapless::{String, Vec};
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
+pub use motor::{
+    BridgeConfig, BridgeLines, ControlConfig, DUTY_HARD_MAX, DhbLines, FeedForward, Feedback, FollowConfig,
+    HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
+};
+pub use output::{
+    BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
+    ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
+};
+
+use crate::channel::{ChannelId, ChannelKind, Range};
+
+/// Most bytes of a robot's name.
+pub const MAX_NAME: usize = 32;
+/// Most motors on bridges: four OSMC and four on DHB.
+pub const MAX_MOTORS: usize = 8;
+/// Most brushless drives.
+pub const MAX_BLDCS: usize = 4;
+/// Most servos.
+pub const MAX_SERVOS: usize = 16;
+/// Most step/direction drivers.
+pub const STEPPERS: usize = 4;
+/// Most relays.
+pub const MAX_RELAYS: usize = 8;
+/// Most outputs of the processor's own DAC.
+pub const DAC_OUTPUTS: usize = 2;
+/// Most quadrature counters.
+pub const ENCODERS: usize = 4;
+/// Most switches.
+pub const SWITCHES: usize = 4;
+/// Most range sensors.
+pub const RANGE_SENSORS: usize = 4;
+/// Most analog inputs.
+pub const ANALOG_INPUTS: usize = 6;
+/// Most supply rails measured.
+pub const MAX_SUPPLIES: usize = 4;
+/// Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`.
+pub const MAX_EXACT: u32 = 1 << 24;
+
+/// One R4 board in one robot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct BoardConfig {
+    /// The robot's name.
+    pub robot: String<MAX_NAME>,
+    /// Period of the control loop, µs.
+    pub control_period_us: u32,
+    /// The board trips after this long without a heartbeat, ms; 20 to 1000.
+    pub link_timeout_ms: u16,
+    /// Clock of the bus with the output chips, Hz.
+    pub i2c_hz: u32,
+    /// Whether a stop button is wired to the auxiliary stop input; it trips when the line is low.
+    pub auxiliary_stop: bool,
+    /// Air in front of the range sensors, °C: the speed of sound follows from it.
+    pub air_temperature_c: f32,
+    /// The PWM chip behind the OSMC bridges; needed when there are any.
+    pub osmc_pwm: Option<PwmConfig>,
+    /// The PWM chip behind the DHB bridges; needed when there are any.
+    pub dhb_pwm: Option<PwmConfig>,
+    /// The PWM chip behind the servos; needed when there are any.
+    pub servo_pwm: Option<ServoChipConfig>,
+    /// The DAC behind the brushless drives; needed when there are any.
+    pub bldc_dac: Option<DacChipConfig>,
+    /// Where relays and the lines of brushless drives are; needed when there are any.
+    pub expander: Option<ExpanderConfig>,
+    /// What the step/direction drivers have in common; needed when there are any.
+    pub stepper_bank: Option<StepperBankConfig>,
+    /// Motors on bridges.
+    pub motors: Vec<MotorConfig, MAX_MOTORS>,
+    /// Brushless drives.
+    pub bldcs: Vec<BldcConfig, MAX_BLDCS>,
+    /// Servos.
+    pub servos: Vec<ServoConfig, MAX_SERVOS>,
+    /// Step/direction drivers.
+    pub steppers: Vec<StepperConfig, STEPPERS>,
+    /// Relays.
+    pub relays: Vec<RelayConfig, MAX_RELAYS>,
+    /// Analog outputs.
+    pub dacs: Vec<DacConfig, DAC_OUTPUTS>,
+    /// Encoders.
+    pub encoders: Vec<EncoderConfig, ENCODERS>,
+    /// Switches.
+    pub switches: Vec<SwitchConfig, SWITCHES>,
+    /// Range sensors.
+    pub ranges: Vec<RangeConfig, RANGE_SENSORS>,
+    /// Analog inputs.
+    pub analogs: Vec<AnalogConfig, ANALOG_INPUTS>,
+    /// Supply rails.
+    pub supplies: Vec<SupplyConfig, MAX_SUPPLIES>,
+}
+
+/// A PCA9685.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct PwmConfig {
+    /// 7-bit I2C address.
+    pub address: u8,
+    /// PWM frequency asked for, Hz; the chip has 24 to 1526.
+    pub frequency_hz: f32,
+}
+
+/// Where a channel is in a [`BoardConfig`]: the list and the place in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Place {
+    /// In [`BoardConfig::motors`].
+    Motor(usize),
+    /// In [`BoardConfig::bldcs`].
+    Bldc(usize),
+    /// In [`BoardConfig::servos`].
+    Servo(usize),
+    /// In [`BoardConfig::steppers`].
+    Stepper(usize),
+    /// In [`BoardConfig::relays`].
+    Relay(usize),
+    /// In [`BoardConfig::dacs`].
+    Dac(usize),
+    /// In [`BoardConfig::encoders`].
+    Encoder(usize),
+    /// In [`BoardConfig::switches`].
+    Switch(usize),
+    /// In [`BoardConfig::ranges`].
+    Range(usize),
+    /// In [`BoardConfig::analogs`].
+    Analog(usize),
+    /// In [`BoardConfig::supplies`].
+    Supply(usize),
+    /// Every board has the dead-man's handle (0); the auxiliary stop is 1, if it is wired.
+    DeadMan(usize),
+}
+
+/// Why a configuration is not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConfigError {
+    /// The channel it is about, or `None` for the board.
+    pub channel: Option<ChannelId>,
+    /// What must hold.
+    pub rule: &'static str,
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(channel) = self.channel {
+            write!(f, "{channel}: ")?;
+        }
+        f.write_str(self.rule)
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+impl BoardConfig {
+    /// Every channel with its place, in the order in which a board describes them.
+    pub fn channels(&self) -> impl Iterator<Item = (ChannelId, Place)> {
+        macro_rules! list {
+            ($field:ident, $place:ident) => {
+                self.$field.iter().enumerate().map(|(index, config)| (config.id, Place::$place(index)))
+            };
+        }
+        let stops = (0..1 + usize::from(self.auxiliary_stop))
+            .map(|index| (ChannelId::new(ChannelKind::DeadMan, index as u8), Place::DeadMan(index)));
+        list!(motors, Motor)
+            .chain(list!(bldcs, Bldc))
+            .chain(list!(servos, Servo))
+            .chain(list!(steppers, Stepper))
+            .chain(list!(relays, Relay))
+            .chain(list!(dacs, Dac))
+            .chain(list!(encoders, Encoder))
+            .chain(list!(switches, Switch))
+            .chain(list!(ranges, Range))
+            .chain(list!(analogs, Analog))
+            .chain(list!(supplies, Supply))
+            .chain(stops)
+    }
+
+    /// The place of `channel`, or `None` when the board does not have it.
+    #[must_use]
+    pub fn place(&self, channel: ChannelId) -> Option<Place> {
+        self.channels().find(|(id, _)| *id == channel).map(|(_, place)| place)
+    }
+
+    /// Checks every number on its own and against the others.
+    ///
+    /// What must be positive must be 1e-9 to 1e9, and no number may be larger: products and quotients of four such numbers
+    /// are finite, so that nothing the firmware computes from them is not.
+    ///
+    /// # Errors
+    /// The first rule that does not hold.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.validate_board()?;
+        self.validate_motors()?;
+        self.validate_outputs()?;
+        self.validate_inputs()?;
+        self.validate_homing()?;
+        for (position, (id, _)) in self.channels().enumerate() {
+            let twice = self.channels().take(position).any(|(other, _)| other == id);
+            check(Some(id), !twice, "the channel is named twice")?;
+        }
+        Ok(())
+    }
+
+    fn validate_board(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(None, holds, rule);
+        rule((500..=20_000).contains(&self.control_period_us), "control_period_us must be 500 to 20000")?;
+        rule((20..=1000).contains(&self.link_timeout_ms), "link_timeout_ms must be 20 to 1000")?;
+        rule((10_000..=400_000).contains(&self.i2c_hz), "i2c_hz must be 10000 to 400000")?;
+        rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
+        for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
+            rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;
+            rule(pca9685_address(chip.address), PCA9685_RULE)?;
+        }
+        if let Some(chip) = self.servo_pwm {
+            chip.validate()?;
+        }
+        if let Some(chip) = self.bldc_dac {
+            rule((0x60..0x68).contains(&chip.address), "an MCP4728 has an address from 0x60 to 0x67")?;
+            rule(Range::new(2.7, 5.5).contains(chip.full_scale_v), "an MCP4728 is supplied with 2.7 to 5.5 V")?;
+        }
+        if let Some(expander) = self.expander {
+            rule((0x20..0x28).contains(&expander.address), "an MCP23017 has an address from 0x20 to 0x27")?;
+        }
+        if let Some(bank) = self.stepper_bank {
+            bank.validate()?;
+        }
+        let pwm = [self.osmc_pwm, self.dhb_pwm].map(|chip| chip.map(|chip| chip.address));
+        let others = [self.servo_pwm.map(|chip| chip.address), self.bldc_dac.map(|chip| chip.address)];
+        let mut addresses = Used::default();
+        let distinct = pwm.into_iter().chain(others).flatten().all(|address| addresses.take(address));
+        rule(distinct, "two chips have the same address")
+    }
+
+    fn validate_motors(&self) -> Result<(), ConfigError> {
+        let (mut osmc_lines, mut dhb_lines, mut encoders) = (Used::default(), Used::default(), Used::default());
+        for (position, motor) in self.motors.iter().enumerate() {
+            let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
+            let lines_rule = "bridge lines must be 0 to 15, each used once";
+            match motor.bridge {
+                BridgeConfig::Osmc(lines) => {
+                    rule(self.osmc_pwm.is_some(), "a motor on an OSMC needs osmc_pwm")?;
+                    rule(lines.all().iter().all(|line| *line < 16 && osmc_lines.take(*line)), lines_rule)?;
+                }
+                BridgeConfig::Dhb(lines) => {
+                    rule(self.dhb_pwm.is_some(), "a motor on a DHB needs dhb_pwm")?;
+                    rule(lines.all().iter().all(|line| *line < 16 && dhb_lines.take(*line)), lines_rule)?;
+                }
+            }
+            motor.validate()?;
+            if let Some(ControlConfig { feedback: Feedback::Encoder { index, .. }, .. }) = motor.control {
+                rule(encoders.take(index), "the encoder must exist and be used by one motor")?;
+            }
+            let same_connector = |other: &MotorConfig| {
+                other.id.index == motor.id.index
+                    && (other.id.kind == ChannelKind::Dhb) == (motor.id.kind == ChannelKind::Dhb)
+            };
+            let taken = self.motors.iter().take(position).any(same_connector);
+            rule(!taken, "the bridge connector is used twice")?;
+        }
+        Ok(())
+    }
+
+    fn validate_outputs(&self) -> Result<(), ConfigError> {
+        let mut bits = Used::default();
+        let bits_rule = "expander bits must be 0 to 15, each used once";
+        let mut dac_outputs = Used::default();
+        for bldc in &self.bldcs {
+            let rule = |holds: bool, rule| check(Some(bldc.id), holds, rule);
+            let Some(chip) = self.bldc_dac else { return rule(false, "a brushless drive needs bldc_dac") };
+            bldc.validate(chip.full_scale_v)?;
+            rule(bldc.output < 4 && dac_outputs.take(bldc.output), "DAC outputs must be 0 to 3, each used once")?;
+            rule(bldc.lines().all(|line| line.bit < 16 && bits.take(line.bit)), bits_rule)?;
+            rule(
+                self.expander.is_some() || bldc.lines().next().is_none(),
+                "the lines of a brushless drive need the expander",
+            )?;
+        }
+        for relay in &self.relays {
+            let rule = |holds: bool, rule| check(Some(relay.id), holds, rule);
+            rule(relay.id.kind == ChannelKind::Relay, "a relay needs a relay channel name")?;
+            rule(self.expander.is_some(), "a relay needs the expander")?;
+            rule(relay.bit < 16 && bits.take(relay.bit), bits_rule)?;
+        }
+        let mut servo_outputs = Used::default();
+        for servo in &self.servos {
+            let rule = |holds: bool, rule| check(Some(servo.id), holds, rule);
+            rule(self.servo_pwm.is_some(), "a servo needs servo_pwm")?;
+            servo.validate()?;
+            rule(
+                servo.output < 16 && servo_outputs.take(servo.output),
+                "servo outputs must be 0 to 15, each used once",
+            )?;
+        }
+        for stepper in &self.steppers {
+            let rule = |holds: bool, rule| check(Some(stepper.id), holds, rule);
+            let Some(bank) = self.stepper_bank else { return rule(false, "a stepper needs stepper_bank") };
+            stepper.validate(bank.rate_max_hz)?;
+        }
+        self.dacs.iter().try_for_each(DacConfig::validate)
+    }
+
+    fn validate_inputs(&self) -> Result<(), ConfigError> {
+        self.encoders.iter().try_for_each(EncoderConfig::validate)?;
+        self.switches.iter().try_for_each(SwitchConfig::validate)?;
+        self.ranges.iter().try_for_each(RangeConfig::validate)?;
+        let mut analogs = Used::default();
+        let analog_rule = "the analog input must exist and be used once";
+        for motor in &self.motors {
+            if let Some(ControlConfig { feedback: Feedback::Potentiometer { analog, .. }, .. }) = motor.control {
+                check(Some(motor.id), analogs.take(analog), analog_rule)?;
+            }
+        }
+        for analog in &self.analogs {
+            analog.validate()?;
+            check(Some(analog.id), analogs.take(analog.id.index), analog_rule)?;
+        }
+        for supply in &self.supplies {
+            supply.validate()?;
+            check(Some(supply.id), analogs.take(supply.analog), analog_rule)?;
+        }
+        Ok(())
+    }
+
+    fn validate_homing(&self) -> Result<(), ConfigError> {
+        let motors = self.motors.iter().filter_map(|motor| Some((motor.id, motor.control.as_ref()?.homing?)));
+        let steppers = self.steppers.iter().filter_map(|stepper| Some((stepper.id, stepper.homing?)));
+        let mut switches = Used::default();
+        for (id, HomingConfig { switch, .. }) in motors.chain(steppers) {
+            let known = self.switches.iter().any(|config| config.id.index == switch);
+            let rule = "the homing switch must be in the list of switches, and belong to one axis";
+            check(Some(id), known && switches.take(switch), rule)?;
+        }
+        Ok(())
+    }
+}
+
+const PCA9685_RULE: &str = "a PCA9685 has an address from 0x40 to 0x77, but for 0x70, which all of them answer";
+
+/// Every PCA9685 answers its all-call address, 0x70, from power-up on (NXP datasheet, "LED All Call I2C-bus address").
+fn pca9685_address(address: u8) -> bool {
+    (0x40..0x78).contains(&address) && address != 0x70
+}
+
+/// Small numbers that have been taken.
+#[derive(Default)]
+struct Used(u128);
+
+impl Used {
+    /// Takes `number`, which is below 128; whether it was free.
+    fn take(&mut self, number: u8) -> bool {
+        let bit = 1u128 << (number & 127);
+        let free = self.0 & bit == 0;
+        self.0 |= bit;
+        free
+    }
+}
+
+fn check(channel: Option<ChannelId>, holds: bool, rule: &'static str) -> Result<(), ConfigError> {
+    if holds { Ok(()) } else { Err(ConfigError { channel, rule }) }
+}
+
+/// No number is larger, and none that must be positive smaller than its inverse.
+const LARGEST: f32 = 1e9;
+
+fn finite(value: f32) -> bool {
+    value.abs() <= LARGEST
+}
+
+fn positive(value: f32) -> bool {
+    (1.0 / LARGEST..=LARGEST).contains(&value)
+}
+
+fn not_negative(value: f32) -> bool {
+    value == 0.0 || positive(value)
+}
+
+fn finite_range(range: Range) -> bool {
+    finite(range.min) && finite(range.max) && positive(range.max - range.min)
+}

@@ -1,0 +1,345 @@
+//! Motors on bridges: wiring, limits, feedback and loops.
+
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+use super::{ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, SWITCHES, check, finite_range, not_negative, positive};
+use crate::channel::{ChannelId, ChannelKind, Range};
+
+/// No configuration may let a bridge exceed this share: an OSMC's high side needs the rest to refresh its bootstrap, and the
+/// makers of the DHB forbid more.
+pub const DUTY_HARD_MAX: f32 = 0.98;
+
+/// A motor on a bridge.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct MotorConfig {
+    /// [`ChannelKind::Osmc`], [`ChannelKind::Actuator`] or [`ChannelKind::Dhb`], with the bridge connector's number.
+    pub id: ChannelId,
+    /// Which bridge, and its wiring.
+    pub bridge: BridgeConfig,
+    /// Whether positive duty is reverse current.
+    pub inverted: bool,
+    /// Highest share of the supply, 0..=[`DUTY_HARD_MAX`].
+    pub duty_max: f32,
+    /// Fastest change of the duty, 1/s.
+    pub duty_slew_per_s: f32,
+    /// Feedback and loops; without them the motor takes an open duty only.
+    pub control: Option<ControlConfig>,
+}
+
+/// A bridge and which outputs of its PWM chip drive it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum BridgeConfig {
+    /// OSMC, on [`super::BoardConfig::osmc_pwm`].
+    Osmc(BridgeLines),
+    /// One motor of a DHB-12, on [`super::BoardConfig::dhb_pwm`].
+    Dhb(DhbLines),
+}
+
+/// Which outputs of the PWM chip drive which input of an OSMC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct BridgeLines {
+    /// High side of leg A.
+    pub ahi: u8,
+    /// Low side of leg A.
+    pub ali: u8,
+    /// High side of leg B.
+    pub bhi: u8,
+    /// Low side of leg B.
+    pub bli: u8,
+}
+
+impl BridgeLines {
+    /// The four lines, in the order of the fields.
+    #[must_use]
+    pub const fn all(self) -> [u8; 4] {
+        [self.ahi, self.ali, self.bhi, self.bli]
+    }
+
+    /// The lowest of the four.
+    #[must_use]
+    pub fn first(self) -> u8 {
+        lowest(&self.all())
+    }
+}
+
+/// Which outputs of the PWM chip drive which input of one motor of a DHB-12.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct DhbLines {
+    /// PWM forwards.
+    pub in1: u8,
+    /// PWM backwards.
+    pub in2: u8,
+    /// Enable.
+    pub en: u8,
+}
+
+impl DhbLines {
+    /// The three lines, in the order of the fields.
+    #[must_use]
+    pub const fn all(self) -> [u8; 3] {
+        [self.in1, self.in2, self.en]
+    }
+
+    /// The lowest of the three.
+    #[must_use]
+    pub fn first(self) -> u8 {
+        lowest(&self.all())
+    }
+}
+
+fn lowest(lines: &[u8]) -> u8 {
+    lines.iter().copied().min().unwrap_or(0)
+}
+
+/// What a motor's loops need to know.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct ControlConfig {
+    /// What measures the position.
+    pub feedback: Feedback,
+    /// Positions it may be sent to, rad or m.
+    pub position: Range,
+    /// Highest speed it may be asked for, rad/s or m/s.
+    pub speed_max: f32,
+    /// Position loop; its output is a duty.
+    pub position_pid: PidGains,
+    /// Speed loop; its output is a duty.
+    pub speed_pid: PidGains,
+    /// Time constant of the low-pass on the measured speed, s.
+    pub speed_filter_s: f32,
+    /// Path to a new position.
+    pub profile: ProfileLimits,
+    /// Feed-forward from the path, added to both loops.
+    pub feed_forward: FeedForward,
+    /// When a position counts as reached.
+    pub settle: SettleConfig,
+    /// When a motor counts as stalled.
+    pub stall: StallConfig,
+    /// When a motor counts as not following its path.
+    pub follow: FollowConfig,
+    /// How it finds its zero; `None` when it is where power came on, or the feedback is absolute.
+    pub homing: Option<HomingConfig>,
+}
+
+/// What measures a motor's position.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Feedback {
+    /// Quadrature counter, four counts to a line.
+    Encoder {
+        /// Which counter.
+        index: u8,
+        /// Counts in one turn of the output shaft.
+        counts_per_turn: u32,
+        /// Whether positive duty counts down.
+        inverted: bool,
+    },
+    /// Potentiometer on an analog input, calibrated at two points.
+    Potentiometer {
+        /// Which analog input.
+        analog: u8,
+        /// First point.
+        low: PotPoint,
+        /// Second point.
+        high: PotPoint,
+    },
+}
+
+/// One calibration point of a potentiometer.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct PotPoint {
+    /// 16-bit converter code.
+    pub code: u16,
+    /// Position there, m.
+    pub position_m: f32,
+}
+
+/// Calibration points are no nearer, in 16-bit codes: 1/64 of the converter's range still tells 1/1000 of the stroke.
+const POT_SPAN: u16 = 1024;
+/// Codes of calibration points, 1/256 of the range away from either rail: room to tell a shorted wiper from an end.
+const POT_CODES: core::ops::RangeInclusive<u16> = 256..=u16::MAX - 256;
+
+/// How an axis finds its position: it seeks a switch, backs off it, and takes that place as known.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct HomingConfig {
+    /// Number of the switch input.
+    pub switch: u8,
+    /// Position at which the switch opens again when left slowly, rad.
+    pub position: f32,
+    /// Highest speed it may be sought at, rad/s.
+    pub speed_max: f32,
+}
+
+pub(super) const HOMING_RULE: &str =
+    "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
+
+impl HomingConfig {
+    /// Whether it fits an axis with these limits.
+    pub(super) fn is_valid(&self, position: Range, speed_max: f32) -> bool {
+        usize::from(self.switch) < SWITCHES
+            && position.contains(self.position)
+            && positive(self.speed_max)
+            && self.speed_max <= speed_max
+    }
+}
+
+/// Gains of a PID loop whose output is a duty. E is the unit of the error (rad, m, rad/s or m/s).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct PidGains {
+    /// duty / E
+    pub kp: f32,
+    /// duty / (E s)
+    pub ki: f32,
+    /// duty s / E, on the measurement
+    pub kd: f32,
+}
+
+impl PidGains {
+    /// No gain is higher: with any error a sensor can have, the loop computes in finite numbers.
+    pub const MAX: f32 = 1e6;
+
+    /// Whether every gain is from 0 to [`PidGains::MAX`].
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        [self.kp, self.ki, self.kd].into_iter().all(|gain| (0.0..=Self::MAX).contains(&gain))
+    }
+}
+
+/// Limits of a trapezoidal path.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct ProfileLimits {
+    /// rad/s or m/s
+    pub speed: f32,
+    /// rad/s² or m/s²
+    pub acceleration: f32,
+}
+
+/// Feed-forward duty `static_duty sign(v) + duty_per_speed v`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct FeedForward {
+    /// Duty that just does not move the motor.
+    pub static_duty: f32,
+    /// duty s / rad, or duty s / m
+    pub duty_per_speed: f32,
+}
+
+/// When a position counts as reached: error and speed within these for `time_ms`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct SettleConfig {
+    /// rad or m
+    pub error: f32,
+    /// rad/s or m/s
+    pub speed: f32,
+    /// ms
+    pub time_ms: u16,
+}
+
+/// A motor that is further than `error` from its path for `time_ms`, in position mode, does not follow it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct FollowConfig {
+    /// rad or m
+    pub error: f32,
+    /// ms
+    pub time_ms: u16,
+}
+
+/// A motor driven with at least `duty` that moves less than `travel` in `time_ms` is stalled.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct StallConfig {
+    /// Share of the supply.
+    pub duty: f32,
+    /// rad or m
+    pub travel: f32,
+    /// ms
+    pub time_ms: u16,
+}
+
+impl MotorConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        rule(self.id.index < 4, "bridges are numbered 0 to 3")?;
+        rule(positive(self.duty_max) && self.duty_max <= DUTY_HARD_MAX, "duty_max must be above 0 and at most 0.98")?;
+        rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
+        match (self.bridge, self.id.kind) {
+            (BridgeConfig::Osmc(lines), ChannelKind::Osmc | ChannelKind::Actuator) => rule(
+                lines.all().iter().all(|line| line - lines.first() < 4),
+                "a bridge's lines must be four in a row, so that one transfer sets them",
+            )?,
+            (BridgeConfig::Dhb(lines), ChannelKind::Dhb) => rule(
+                lines.all().iter().all(|line| line - lines.first() < 3),
+                "a bridge's lines must be three in a row, so that one transfer sets them",
+            )?,
+            _ => rule(false, "osmc and actuator channels are on OSMC bridges, dhb channels on DHB bridges")?,
+        }
+        let Some(control) = &self.control else {
+            return rule(self.id.kind != ChannelKind::Actuator, "an actuator needs a potentiometer");
+        };
+        match (self.id.kind, control.feedback) {
+            (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => rule(false, "an osmc channel has an encoder")?,
+            (ChannelKind::Actuator, Feedback::Encoder { .. }) => rule(false, "an actuator has a potentiometer")?,
+            _ => {}
+        }
+        control.validate(self)
+    }
+}
+
+impl ControlConfig {
+    fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
+        rule(finite_range(self.position), "position must have a finite min below a finite max")?;
+        let Range { min, max } = self.position;
+        match self.feedback {
+            Feedback::Encoder { index, counts_per_turn, .. } => {
+                rule(usize::from(index) < ENCODERS, "the encoder must exist and be used by one motor")?;
+                rule((1..=MAX_EXACT).contains(&counts_per_turn), "counts_per_turn must be 1 to 16777216")?;
+                // So that a count is an i32, with room for what an axis may turn beyond its range.
+                let counts = |position: f32| (position / core::f32::consts::TAU * counts_per_turn as f32).abs();
+                rule(counts(min) <= 1e9 && counts(max) <= 1e9, "position must be within 1e9 counts of 0")?;
+            }
+            Feedback::Potentiometer { analog, low, high } => {
+                rule(usize::from(analog) < ANALOG_INPUTS, "the analog input must exist and be used once")?;
+                rule(
+                    low.code.abs_diff(high.code) >= POT_SPAN,
+                    "the calibration points need different codes, at least 1024 apart",
+                )?;
+                rule(
+                    [low, high].iter().all(|point| POT_CODES.contains(&point.code)),
+                    "the calibration points need codes from 256 to 65279, or a shorted wiper passes for an end",
+                )?;
+                rule(
+                    finite_range(Range::new(low.position_m, high.position_m)),
+                    "the low calibration point must be below the high one",
+                )?;
+                rule(
+                    low.position_m <= min && max <= high.position_m,
+                    "position must lie between the calibration points, beyond which the sensor counts as broken",
+                )?;
+                rule(self.homing.is_none(), "a potentiometer needs no homing")?;
+            }
+        }
+        rule(positive(self.speed_max), "speed_max must be positive")?;
+        rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;
+        rule(
+            not_negative(self.speed_filter_s) && self.speed_filter_s <= 1.0,
+            "speed_filter_s must be 0 to 1, or the speed is known too late",
+        )?;
+        rule(
+            positive(self.profile.speed) && positive(self.profile.acceleration),
+            "profile speed and acceleration must be positive",
+        )?;
+        rule(self.profile.speed <= self.speed_max, "profile speed must be at most speed_max")?;
+        rule(
+            not_negative(self.feed_forward.static_duty)
+                && self.feed_forward.static_duty < motor.duty_max
+                && not_negative(self.feed_forward.duty_per_speed),
+            "feed-forward must not be negative, and static_duty must stay below duty_max",
+        )?;
+        rule(positive(self.settle.error) && positive(self.settle.speed), "settle error and speed must be positive")?;
+        rule(
+            positive(self.stall.duty) && positive(self.stall.travel) && self.stall.time_ms > 0,
+            "stall duty, travel and time must be positive",
+        )?;
+        rule(self.stall.duty < motor.duty_max, "stall duty must be below duty_max, or a stall is never seen")?;
+        rule(positive(self.follow.error) && self.follow.time_ms > 0, "follow error and time must be positive")?;
+        rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)
+    }
+}
