@@ -113,18 +113,23 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
-        // The relay in the motors' supply comes first, and brakes with it.
-        self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
-        for chip in self.bridge_chips() {
-            self.bus.checked(async |bus: &mut B| chip.init(bus).await).await?;
+        if let (Some(expander), Some(drives)) = (&self.expander, &mut self.drives) {
+            // Drives may still turn from before the processor was reset: their direction lines stay as they are.
+            let driven = self.bus.checked(async |bus: &mut B| Ok(expander.driven(bus).await?)).await?;
+            driven.into_iter().for_each(|levels| drives.rules.resume(levels));
         }
-        self.bridges.iter_mut().for_each(Bridge::now_off);
+        // The relay in the motors' supply comes first, and brakes with it; then drives go to neutral.
+        self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
         if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
             drives.written = None;
             self.bus.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await?;
             drives.written = Some(codes);
         }
+        for chip in self.bridge_chips() {
+            self.bus.checked(async |bus: &mut B| chip.init(bus).await).await?;
+        }
+        self.bridges.iter_mut().for_each(Bridge::now_off);
         match &mut self.servos {
             Some(servos) => self.bus.checked(async |bus: &mut B| servos.init(bus).await).await,
             None => Ok(()),
