@@ -17,7 +17,7 @@ use r4_firmware::{
     safety::{SafetyPins, supervise},
     storage,
 };
-use r4_plants::PlantError;
+use r4_plants::{Effect, Plant, PlantError, PlantSpec, effect::friction::CoulombFriction};
 use r4_protocol::ChannelId;
 
 use crate::{
@@ -32,6 +32,9 @@ use crate::{
 
 /// Bits per second of the link to the host, as on the board's UART connectors.
 const LINK_BAUD: u32 = 1_000_000;
+
+/// Friction that no motor overcomes, N m or N.
+const BLOCKED: f64 = 1e3;
 
 /// Why a board cannot be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -207,6 +210,29 @@ impl SimBoard {
         self.tasks.replace(tasks);
         self.shared.replace(shared);
         self.host.replace(Some(host));
+    }
+
+    /// The robot that it is.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// Blocks what a motor drives, or gives it the physics of the robot's file again; at rest where it is.
+    ///
+    /// # Errors
+    /// When its plant cannot be blocked.
+    pub fn block_motor(&self, channel: ChannelId, blocked: bool) -> Result<(), PlantError> {
+        let Some(motor) = self.robot.simulation.motors.iter().find(|motor| motor.channel == channel) else {
+            return Ok(());
+        };
+        let mut spec = PlantSpec::from_toml(&motor.plant.name, &motor.plant.text)?;
+        if blocked {
+            let pushed = spec.push_effect(Effect::CoulombFriction(CoulombFriction { level: BLOCKED }));
+            pushed.map_err(|error| PlantError::Field { source_name: motor.plant.name.clone(), line: 0, error })?;
+        }
+        self.world().set_plant(channel, Plant::new(&spec, 1));
+        Ok(())
     }
 
     /// The host's end of the link; `None` after the first call since the board started.

@@ -30,6 +30,7 @@ fn main() -> ExitCode {
         Command::Duty(motion) => commands::motion::run(&args, motion, Mode::Duty),
         Command::Relay(relay) => commands::relay::run(&args, relay),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

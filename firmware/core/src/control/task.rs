@@ -292,7 +292,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
-        let [osmc, dhb] = self.outputs.order(self.tick);
+        let [osmc, dhb] = self.outputs.order();
         if !self.drive_motors(shared, view, &osmc).await? {
             return Ok(());
         }

@@ -1,5 +1,6 @@
 //! One module per verb, or per few verbs that are one thing.
 
+pub(crate) mod bench;
 pub(crate) mod demo;
 pub(crate) mod info;
 pub(crate) mod motion;
