@@ -296,11 +296,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         if !self.drive_motors(shared, view, &osmc).await? {
             return Ok(());
         }
-        if self.tick.is_multiple_of(CHECK_EVERY) {
+        // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
+        let drives_first = !self.tick.is_multiple_of(2);
+        if self.tick % CHECK_EVERY == 1 {
             self.outputs.check_next().await?;
         }
-        // What does not fit this period goes first in the next.
-        let drives_first = !self.tick.is_multiple_of(2);
         if drives_first {
             self.outputs.write_drives().await?;
             self.outputs.write_servos().await?;

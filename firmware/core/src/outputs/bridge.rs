@@ -18,8 +18,6 @@ use crate::chips::{
     pca9685::{Output, Pca9685},
 };
 
-/// Bytes on the bus, address included, of a new duty in the same direction.
-pub(super) const CHANGE_BYTES: u32 = 4;
 /// Most lines of a bridge.
 pub const MAX_LINES: usize = 4;
 
@@ -84,7 +82,7 @@ impl Bridge {
     pub fn bytes(&self, duty: f32) -> u32 {
         match self.next(duty) {
             Step::Keep { .. } => 0,
-            Step::Change { .. } => CHANGE_BYTES,
+            Step::Change { .. } => 4,
             Step::SetAll { .. } => 2 + 4 * self.line_count() as u32,
         }
     }

@@ -18,7 +18,7 @@ use crate::{
     platform::Bus,
 };
 use bldc::{Bldcs, Command};
-use bridge::{Bridge, CHANGE_BYTES as BRIDGE_CHANGE_BYTES};
+use bridge::Bridge;
 use expander::Expander;
 use servo::Servos;
 
@@ -327,13 +327,10 @@ impl<B: Bus> Outputs<B> {
         let in_turn = servos.writes_per_period(self.period_s);
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
         let mut result = Ok(());
-        for write in 0..self.servos_due.min(2 * in_turn) {
-            // What is caught up with leaves room for a bridge.
-            let kept = if write < in_turn { 0 } else { bits(BRIDGE_CHANGE_BYTES) };
-            let has_room = self.bits_left >= bits(Servos::WRITE_BYTES) + kept;
+        for _ in 0..self.servos_due.min(2 * in_turn) {
             if !servos.has_changed() {
                 self.servos_due = 0;
-            } else if result.is_ok() && has_room && self.fits(bits(Servos::WRITE_BYTES)) {
+            } else if result.is_ok() && self.fits(bits(Servos::WRITE_BYTES)) {
                 result = self.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await;
                 self.servos_due -= 1;
             }

@@ -305,7 +305,7 @@ fn written(config: &BoardConfig, record: &WireRecord) -> Option<(Group, usize)> 
 /// How many control periods may pass between two updates of an output that changes all the time.
 fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
     let period_ns = u64::from(config.control_period_us) * 1000;
-    let bridges = |osmc| config.motors.iter().filter(|motor| matches!(motor.bridge, BridgeConfig::Osmc(_)) == osmc);
+    let bridges = |osmc: bool| config.motors.iter().filter(move |motor| matches!(motor.bridge, BridgeConfig::Osmc(_)) == osmc);
     // A bridge rests for two PWM periods between directions.
     let pwm_hz = config.osmc_pwm.map_or(1.0, |chip| f64::from(chip.frequency_hz));
     let rest = (2e9 / pwm_hz / period_ns as f64).ceil() as u64;

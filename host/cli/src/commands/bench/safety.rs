@@ -506,7 +506,6 @@ impl Injections<'_> {
             None => Ok(()),
             Some(outputs) => {
                 let (state, causes) = bench.host.safety();
-                for i in 0..4 { let id = ChannelId::new(ChannelKind::Stepper, i); let mut w = bench.board.world(); let p = w.position(id); let d = w.stepper(id).unwrap(); eprintln!("DEBUG {i} {} en {} at {p:?}", d.commanded(), d.is_enabled()); }
                 bail!("`{outputs}` already before anything has happened; the board is {state}, causes {causes}")
             }
         }
