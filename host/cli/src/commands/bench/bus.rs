@@ -40,8 +40,13 @@ struct Load {
 }
 
 const LOADS: [Load; 5] = {
-    let idle =
-        Load { name: "armed, nothing moves", osmc: false, dhb_and_bldc: false, servos_and_relays: false, reversals: false };
+    let idle = Load {
+        name: "armed, nothing moves",
+        osmc: false,
+        dhb_and_bldc: false,
+        servos_and_relays: false,
+        reversals: false,
+    };
     [
         Load { ..idle },
         Load { name: "OSMC duties sweep", osmc: true, ..idle },
@@ -110,8 +115,7 @@ pub(super) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
         progress.inc(1);
     }
     progress.finish_and_clear();
-    let limits =
-        Limits { tick_us: robot.config.control_period_us, longest_transfer_us: LONGEST_TRANSFER_US };
+    let limits = Limits { tick_us: robot.config.control_period_us, longest_transfer_us: LONGEST_TRANSFER_US };
     let report = Report { board: board.to_string(), simulated: true, seconds, limits, rows };
     if args.json {
         output::json(&report)?;
@@ -217,7 +221,8 @@ async fn sweep(bench: &Bench<'_>, load: &Load, until_ns: u64) -> anyhow::Result<
                 (true, false) => -0.9,
                 (false, false) => 0.1,
             };
-            let mut all = |kind, mode, value| commands.extend(bench.taking(kind, mode).map(|(id, _)| (id, mode, value)));
+            let mut all =
+                |kind, mode, value| commands.extend(bench.taking(kind, mode).map(|(id, _)| (id, mode, value)));
             if load.osmc {
                 all(ChannelKind::Osmc, Mode::Duty, bridge);
             }
@@ -229,7 +234,8 @@ async fn sweep(bench: &Bench<'_>, load: &Load, until_ns: u64) -> anyhow::Result<
         if load.servos_and_relays && (step * STEP_MS).is_multiple_of(SERVO_TURN_MS) {
             turns.servos_ns.push(bench.clock.now_ns());
             let there = if turns.servos_ns.len() % 2 == 0 { 0.75 } else { -0.75 };
-            commands.extend(bench.taking(ChannelKind::Servo, Mode::Position).map(|(id, _)| (id, Mode::Position, there)));
+            commands
+                .extend(bench.taking(ChannelKind::Servo, Mode::Position).map(|(id, _)| (id, Mode::Position, there)));
         }
         if load.servos_and_relays && !relays.is_empty() {
             let (turn, count) = (step as usize, relays.len());
@@ -294,9 +300,7 @@ fn written(config: &BoardConfig, record: &WireRecord) -> Option<(Group, usize)> 
         BridgeConfig::Osmc(lines) => {
             address == config.osmc_pwm.map(|chip| chip.address) && lines.all().contains(&output)
         }
-        BridgeConfig::Dhb(lines) => {
-            address == config.dhb_pwm.map(|chip| chip.address) && lines.all().contains(&output)
-        }
+        BridgeConfig::Dhb(lines) => address == config.dhb_pwm.map(|chip| chip.address) && lines.all().contains(&output),
     })?;
     let group = if let BridgeConfig::Osmc(_) = config.motors[bridge].bridge { Group::Osmc } else { Group::Dhb };
     Some((group, bridge))
@@ -305,7 +309,8 @@ fn written(config: &BoardConfig, record: &WireRecord) -> Option<(Group, usize)> 
 /// How many control periods may pass between two updates of an output that changes all the time.
 fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
     let period_ns = u64::from(config.control_period_us) * 1000;
-    let bridges = |osmc: bool| config.motors.iter().filter(move |motor| matches!(motor.bridge, BridgeConfig::Osmc(_)) == osmc);
+    let bridges =
+        |osmc: bool| config.motors.iter().filter(move |motor| matches!(motor.bridge, BridgeConfig::Osmc(_)) == osmc);
     // A bridge rests for two PWM periods between directions.
     let pwm_hz = config.osmc_pwm.map_or(1.0, |chip| f64::from(chip.frequency_hz));
     let rest = (2e9 / pwm_hz / period_ns as f64).ceil() as u64;
@@ -321,8 +326,7 @@ fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let header =
-        ["load", "occupancy", "worst tick", "late", "longest transfer", "ticks between updates, at worst", ""];
+    let header = ["load", "occupancy", "worst tick", "late", "longest transfer", "ticks between updates, at worst", ""];
     let mut table = table::new(&header, 1..5);
     for row in &report.rows {
         let between: Vec<_> =
@@ -344,4 +348,26 @@ fn print(report: &Report) -> anyhow::Result<()> {
          brushless every second (more only while all bridges reverse), servos every 20 ms",
         report.seconds, report.limits.tick_us, report.limits.longest_transfer_us
     ))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_load_leaves_every_period_in_time() {
+        let robot = r4_boards::load("every-interface").unwrap();
+        for load in &LOADS {
+            let row = measure(&robot, 1, load, 0.5).unwrap();
+            assert!(row.held, "{}: {:?}, late {}", load.name, row.worst_ticks_between_updates, row.late_ticks);
+            assert_eq!(row.worst_ticks_between_updates.contains_key(&Group::Osmc), load.osmc);
+        }
+    }
+
+    #[test]
+    fn a_bus_too_slow_for_the_load_is_noticed() {
+        let mut robot = r4_boards::load("every-interface").unwrap();
+        robot.carrier.i2c.rate_hz = 200_000;
+        assert!(!measure(&robot, 1, &LOADS[3], 0.2).is_ok_and(|row| row.held));
+    }
 }

@@ -88,11 +88,7 @@ struct Bench<'b> {
 }
 
 /// Powers a board up, connects a host and runs `work`.
-fn on_board<T>(
-    robot: &Robot,
-    seed: u64,
-    work: impl AsyncFnOnce(&Bench<'_>) -> anyhow::Result<T>,
-) -> anyhow::Result<T> {
+fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> anyhow::Result<T>) -> anyhow::Result<T> {
     let mut simulation = Simulation::new(Pace::Free);
     let board = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
     let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
@@ -117,7 +113,10 @@ impl Bench<'_> {
     }
 
     /// Sends commands, one behind the other, then waits for the answers.
-    async fn set_all(&self, commands: impl IntoIterator<Item = (ChannelId, Mode, f32)>) -> Result<(), r4_driver::Error> {
+    async fn set_all(
+        &self,
+        commands: impl IntoIterator<Item = (ChannelId, Mode, f32)>,
+    ) -> Result<(), r4_driver::Error> {
         let commands = commands.into_iter();
         let sent = commands.map(|(channel, mode, value)| self.host.set(channel, Setpoint { mode, value }));
         join_all(sent).await.into_iter().collect()

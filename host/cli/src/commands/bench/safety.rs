@@ -211,7 +211,8 @@ impl Event {
             Self::EncoderJumps => 2.0 * period_ms,
             // One that stops within a window may have covered enough before; the next window tells.
             Self::EncoderDead | Self::MotorBlocked => {
-                let windows = config.motors.iter().filter_map(|motor| motor.control.map(|control| control.stall.time_ms));
+                let windows =
+                    config.motors.iter().filter_map(|motor| motor.control.map(|control| control.stall.time_ms));
                 2.0 * f64::from(windows.max().unwrap_or(0)) + 2.0 * period_ms + SUPERVISOR_MS
             }
         }
@@ -392,9 +393,8 @@ fn measure(robot: &Robot, seed: u64, injections: u32) -> anyhow::Result<Vec<(Eve
     let threads = thread::available_parallelism().map_or(1, usize::from);
     thread::scope(|scope| {
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        let joined = workers.into_iter().map(|worker| {
-            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        });
+        let joined =
+            workers.into_iter().map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
         joined.collect::<anyhow::Result<()>>()
     })?;
     progress.finish_and_clear();
@@ -542,8 +542,7 @@ impl Injections<'_> {
         let in_reach = Outputs::ALL.into_iter().filter(|outputs| self.event.limit(*outputs, config).is_some());
         let in_reach: Vec<_> = in_reach.collect();
         let cycle_ms = if self.event == Event::Proximity { TURN_MS * config.ranges.len() as f64 } else { 0.0 };
-        let give_up_ns =
-            since_ns.get() + ((cycle_ms + 2.0 * self.event.noticed_ms(config) + 50.0) * 1e6) as u64;
+        let give_up_ns = since_ns.get() + ((cycle_ms + 2.0 * self.event.noticed_ms(config) + 50.0) * 1e6) as u64;
         let appeared_ns = since_ns.get();
         let (mut rose, mut high, mut heard) = (false, false, false);
         let mut watch = StopWatch::new(&bench.board);
@@ -691,31 +690,46 @@ impl Injections<'_> {
 }
 
 fn print(report: &Report, measured: &[(Event, Measured)]) -> anyhow::Result<()> {
-    let outputs = Outputs::ALL.map(|outputs| outputs.to_string());
     let mut header = vec!["cause", "times"];
-    header.extend(outputs.iter().map(String::as_str));
+    header.extend(Outputs::ALL.map(short));
     let mut table = table::new(&header, 1..header.len());
     for (event, of) in measured {
         let cause = event.to_string();
         let mut cells = vec![cause.clone(), of.injections.to_string()];
-        cells.extend(outputs.iter().map(|name| {
-            let row = report.rows.iter().find(|row| row.cause == cause && row.outputs == *name);
+        cells.extend(Outputs::ALL.map(|outputs| {
+            let name = outputs.to_string();
+            let row = report.rows.iter().find(|row| row.cause == cause && row.outputs == name);
             row.map_or("-".into(), |row| {
                 let promised = if row.promised { "*" } else { "" };
                 let over = if row.held { "" } else { "OVER " };
-                format!("{over}{} of {}{promised}", digits(row.max_ms), digits(row.limit_ms))
+                format!("{over}{}/{}{promised}", digits(row.max_ms), digits(row.limit_ms))
             })
         }));
         table.add_row(cells);
     }
     output::line(format_args!(
-        "Longest time until outputs are safe, ms, and its limit; {} (simulated), {} injections, seed {}",
+        "Longest time until outputs are safe / its limit, ms; {} (simulated), {} injections, seed {}",
         report.board, report.injections, report.seed
     ))?;
     output::line(table)?;
+    let meanings: Vec<_> = Outputs::ALL.into_iter().map(|outputs| format!("{}: {outputs}", short(outputs))).collect();
+    output::line(meanings.join("; "))?;
     output::line("*  promised; the other limits follow from the board's configuration")?;
     output::line("-  out of reach: the chip or the bus that would have to be told does not answer")?;
     Ok(output::line("times count from the event; for an object, from the end of the echo that shows it")?)
+}
+
+/// For the head of a column.
+const fn short(outputs: Outputs) -> &'static str {
+    match outputs {
+        Outputs::MotorPower => "power",
+        Outputs::Bridges => "bridges",
+        Outputs::BridgeChips => "chips",
+        Outputs::Bldcs => "brushless",
+        Outputs::Steppers => "steppers",
+        Outputs::Servos => "servos",
+        Outputs::Dacs => "analog",
+    }
 }
 
 /// Three digits are enough to compare.
@@ -724,5 +738,28 @@ fn digits(ms: f64) -> String {
         ms if ms < 10.0 => format!("{ms:.2}"),
         ms if ms < 100.0 => format!("{ms:.1}"),
         ms => format!("{ms:.0}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_event_stops_everything_in_time_and_only_the_seed_decides() {
+        let robot = r4_boards::load("every-interface").unwrap();
+        let run = || measure(&robot, 3, EVENTS.len() as u32).unwrap();
+        let measured = run();
+        assert_eq!(measured.len(), EVENTS.len());
+        for (event, of) in &measured {
+            assert_eq!(of.wrong, 0, "{event}: {:?}", of.wrong_causes);
+            for outputs in Outputs::ALL {
+                let max_ms = of.max_ms[outputs as usize];
+                let held = event.limit(outputs, &robot.config).is_none_or(|limit| max_ms <= limit.ms);
+                assert!(held, "{event}: {outputs} after {max_ms} ms");
+            }
+        }
+        let times = |measured: &[(Event, Measured)]| measured.iter().map(|(_, of)| of.max_ms).collect::<Vec<_>>();
+        assert_eq!(times(&run()), times(&measured));
     }
 }
