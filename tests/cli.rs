@@ -44,7 +44,12 @@ struct Seen {
 /// `r4` with these arguments, away from the sources and from the user's settings.
 fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
-    command.args(args).current_dir(env!("CARGO_TARGET_TMPDIR")).env_remove("R4_BOARD").stdin(Stdio::null());
+    command
+        .args(args)
+        .current_dir(env!("CARGO_TARGET_TMPDIR"))
+        .env_remove("R4_BOARD")
+        .env_remove("R4_FLASH")
+        .stdin(Stdio::null());
     command
 }
 
@@ -555,6 +560,433 @@ fn ctrl_c_and_a_polite_kill_disarm() {
     }
 }
 
+// Every kind of channel
+
+const EVERY: [&str; 2] = ["--board", "sim:every-interface"];
+
+fn every(args: &[&str]) -> Seen {
+    r4(&[&EVERY, args].concat())
+}
+
+fn every_json(args: &[&str]) -> Value {
+    good_json(&[&EVERY, args, &["--json"]].concat())
+}
+
+/// As [`all_refused`], on the board with every channel.
+fn every_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
+    let complaints = cases.into_iter().filter_map(|(args, says)| complaint(&[&EVERY, args].concat(), says));
+    let complaints: String = complaints.collect();
+    assert!(complaints.is_empty(), "{complaints}");
+}
+
+#[test]
+fn info_and_watch_know_every_kind_of_channel() {
+    let info = every_json(&["info"]);
+    let channels = array(&info, "channels");
+    let of_kind = |kind: &str| channels.iter().filter(|channel| text(channel, "kind") == kind).collect::<Vec<_>>();
+    for (kind, unit) in [
+        ("osmc", "rad"),
+        ("dhb", "duty"),
+        ("bldc", "duty"),
+        ("servo", "rad"),
+        ("stepper", "rad"),
+        ("relay", "bool"),
+        ("encoder", "rad"),
+        ("switch", "bool"),
+        ("range", "m"),
+        ("analog", "V"),
+        ("supply", "V"),
+        ("dac", "V"),
+        ("dead-man", "bool"),
+    ] {
+        let channels = of_kind(kind);
+        assert!(!channels.is_empty() && channels.iter().all(|channel| text(channel, "unit") == unit), "{kind}");
+    }
+    for channel in channels {
+        let (min, max) = (number(channel, "min"), number(channel, "max"));
+        assert!(min < max && min.is_finite() && max.is_finite() && number(channel, "rate_hz") > 0.0, "{channel}");
+    }
+    let printed = every(&["info"]).out;
+    let unlimited: Vec<_> = printed.lines().filter(|line| line.contains("unlimited")).collect();
+    assert!(unlimited.len() == of_kind("encoder").len() && unlimited[0].contains("encoder0"), "{printed}");
+
+    // More channels than a telemetry frame holds come as one line.
+    let printed = every(&["watch", "--for", "1", "--pace", "max", "--json"]).out;
+    let lines: Vec<Value> = printed.lines().map(object).collect();
+    assert!((4..=6).contains(&lines.len()), "{}", lines.len());
+    for line in &lines {
+        let ids = array(line, "channels").iter().map(|value| text(value, "channel"));
+        assert!(ids.eq(channels.iter().map(|channel| text(channel, "id"))), "{line}");
+    }
+    let last = lines.last().unwrap();
+    let value = |id: &str| {
+        let mut values = array(last, "channels").iter();
+        values.find(|value| text(value, "channel") == id).unwrap_or_else(|| panic!("{id}")).clone()
+    };
+    assert!(value("servo0")["value"].is_null(), "nothing was asked of it yet");
+    let range = value("range0");
+    assert!((0.02..=4.0).contains(&number(&range, "value")) && text(&range, "quality") == "good", "{range}");
+    // Four sensors in turn, each 60 ms.
+    assert!(number(&range, "age_ms") <= 250.0, "{range}");
+    assert_eq!((number(&value("encoder0"), "value"), number(&value("encoder0"), "illegal")), (0.0, 0.0));
+    assert_eq!(number(&value("dead-man0"), "value"), 1.0);
+    assert!(value("stepper0")["duty"].is_null() && value("stepper0")["homed"] == false);
+    let printed = every(&["watch", "--for", "0.3", "--pace", "max"]).out;
+    assert!(printed.lines().any(|line| line.contains("range0") && line.ends_with(" mm")), "{printed}");
+}
+
+#[test]
+fn a_servo_is_held_at_an_angle() {
+    let end = every_json(&["servo", "servo3", "-30deg", "--for", "1"]);
+    assert_eq!((text(&end, "channel"), text(&end, "mode"), &end["held"]), ("servo3", "position", &true.into()));
+    // Angles travel as 32-bit floats.
+    assert!((number(&end, "value") + 30f64.to_radians()).abs() < 1e-6 && number(&end, "seconds") == 1.0, "{end}");
+    let seen = every(&["servo", "servo3", "30deg"]);
+    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "servo3 was told 30.00 deg for 2 s; now disarmed\n"));
+    every_refused([
+        (&["servo", "servo3", "60deg"][..], &["servo3", "position from -44.98 deg to 44.98 deg"][..]),
+        (&["servo", "servo3", "10mm"], &["servo3", "angle"]),
+        (&["servo", "servo16", "10deg"], &["servo16", "`r4 info`"]),
+        (&["servo", "stepper0", "10deg"], &["stepper0", "no servo"]),
+        (&["move", "servo3", "30deg"], &["servo3", "`r4 servo`"]),
+    ]);
+}
+
+#[test]
+fn a_brushless_drive_runs_and_brakes() {
+    let end = every_json(&["bldc", "bldc0", "40%"]);
+    assert_eq!((text(&end, "mode"), &end["held"]), ("duty", &true.into()));
+    assert!((number(&end, "value") - 0.4).abs() < 1e-6, "{end}");
+    let end = every_json(&["bldc", "bldc0", "--brake", "--for", "0.5"]);
+    assert_eq!((text(&end, "mode"), number(&end, "set"), number(&end, "value")), ("brake", 1.0, 0.0));
+    // Full speed takes a second at least.
+    let seen = every(&["bldc", "bldc0", "-0.9", "--for", "0.5", "--json"]);
+    assert!(seen.code == Some(1) && seen.err.contains("--for"), "{seen:?}");
+    assert_eq!(object(&seen.out)["held"], false);
+    every_refused([
+        (&["bldc", "bldc0", "1.5"][..], &["bldc0", "-1.000 to 1.000"][..]),
+        (&["bldc", "bldc0", "2rad/s"], &["bldc0", "share"]),
+        (&["duty", "bldc0", "0.4"], &["bldc0", "`r4 bldc`"]),
+    ]);
+}
+
+#[test]
+fn a_voltage_is_given() {
+    for typed in ["1.2V", "1200mV"] {
+        let end = every_json(&["dac", "dac0", typed]);
+        assert!((number(&end, "value") - 1.2).abs() < 1e-6 && end["held"] == true, "{end}");
+    }
+    let seen = every(&["dac", "dac1", "0.5V", "--for", "1"]);
+    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "dac1 was told 0.50 V for 1 s; now at its safe voltage\n"));
+    every_refused([
+        (&["dac", "dac1", "0.1V"][..], &["dac1", "0.50 V to 2.80 V"][..]),
+        (&["dac", "dac0", "1.2"], &["dac0", "1.2V"]),
+    ]);
+}
+
+#[test]
+fn a_stepper_moves_steps_turns_and_finds_its_home() {
+    let end = every_json(&["move", "stepper1", "90deg"]);
+    // 1600 steps a turn: a quarter of one.
+    assert!((number(&end, "position") - 90f64.to_radians()).abs() < 1e-6 && end["settled"] == true, "{end}");
+    for (steps, position_deg) in [("200", 45.0), ("-1", -0.225)] {
+        let end = every_json(&["step", "stepper0", steps]);
+        assert!((number(&end, "position").to_degrees() - position_deg).abs() < 1e-4, "{end}");
+    }
+    let end = every_json(&["speed", "stepper2", "-2rad/s"]);
+    assert!((number(&end, "speed") + 2.0).abs() < 1e-3 && end["held"] == true, "{end}");
+    assert!(every(&["speed", "stepper2", "2rad/s"]).out.contains("moving at 114.6 deg/s, after 2.0"));
+
+    // The configured place of each switch; the osmc comes to rest within what counts as settled there.
+    for (channel, home_rad, within) in [("stepper0", -0.5, 0.01), ("stepper1", -0.5, 0.01), ("osmc0", -1.0, 0.02)] {
+        let end = every_json(&["home", channel, "--speed", "-1rad/s"]);
+        assert_eq!((text(&end, "mode"), &end["homed"]), ("home", &true.into()), "{end}");
+        assert!((number(&end, "position") - home_rad).abs() < within, "{end}");
+    }
+    let seen = every(&["home", "stepper0", "--speed", "-60deg/s"]);
+    assert!(seen.code == Some(0) && seen.out.starts_with("stepper0 has found its home and rests at -28"), "{seen:?}");
+    every_refused([
+        (&["home", "stepper2", "--speed", "-1rad/s"][..], &["stepper2", "home", "`r4 info`"][..]),
+        (&["home", "stepper0", "--speed", "5rad/s"], &["stepper0", "114.6 deg/s"]),
+        (&["home", "osmc0", "--speed", "-1rad/s", "--for", "0.2"], &["osmc0", "home switch after 0.2 s", "direction"]),
+        (&["step", "stepper0", "1000000"], &["stepper0", " to "]),
+    ]);
+}
+
+#[test]
+fn a_motor_without_a_sensor_tells_only_its_duty() {
+    let end = every_json(&["duty", "dhb1", "50%"]);
+    assert!(end["position"].is_null() && (number(&end, "duty") - 0.5).abs() < 1e-6, "{end}");
+    let printed = every(&["duty", "dhb1", "-0.5"]).out;
+    assert!(printed.starts_with("dhb1 duty -0.500, after 2.0") && !printed.contains("NaN"), "{printed}");
+}
+
+// r4 config
+
+/// A file for the flash of a simulated board, and `r4` with it.
+struct Kept {
+    folder: TempDir,
+    robot: String,
+}
+
+impl Kept {
+    fn new(robot: &str) -> Self {
+        Self { folder: TempDir::new().expect("a temporary folder"), robot: robot.to_owned() }
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn r4(&self, args: &[&str]) -> Seen {
+        let flash = self.file("flash");
+        r4(&[&["--board", &self.robot, "--flash", path(&flash)], args].concat())
+    }
+
+    /// The one JSON object of a run that must succeed and say nothing on stderr.
+    fn json(&self, args: &[&str]) -> Value {
+        let seen = self.r4(&[args, &["--json"]].concat());
+        assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
+        object(&seen.out)
+    }
+
+    /// A parameter as `r4 config show` has it.
+    fn parameter(&self, key: &str) -> Value {
+        let shown = self.json(&["config", "show"]);
+        array(&shown, "parameters").iter().find(|info| text(info, "key") == key).expect("it is listed").clone()
+    }
+
+    /// A run that must fail with these words.
+    fn refused(&self, args: &[&str], says: &[&str]) {
+        let seen = self.r4(args);
+        let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
+        assert!(told && seen.code == Some(1) && seen.out.is_empty(), "{args:?} should say {says:?}: {seen:?}");
+    }
+}
+
+const KP: &str = "osmc0.position_kp";
+
+#[test]
+fn config_shows_every_parameter_or_those_of_a_channel() {
+    let shown = good_json(&["config", "show", "--json"]);
+    assert_eq!(text(&shown, "board"), "sim:osmc-bench");
+    let keys: Vec<&str> = array(&shown, "parameters").iter().map(|info| text(info, "key")).collect();
+    for key in ["board.link_timeout_ms", KP, "actuator1.pot_low_code", "supply0.volts_min"] {
+        assert_eq!(keys.iter().filter(|known| **known == key).count(), 1, "{key}");
+    }
+    let unit = |key| text(&array(&shown, "parameters")[keys.iter().position(|known| *known == key).unwrap()], "unit");
+    assert_eq!((unit(KP), unit("actuator1.speed_max")), ("duty/rad", "m/s"));
+    for info in array(&shown, "parameters") {
+        assert_eq!((&info["active"], &info["set"]), (&info["built_in"], &info["built_in"]), "{info}");
+    }
+    let printed = good(&["config", "show", "osmc0"]);
+    assert!(printed.contains(KP) && printed.contains("after restart"), "{printed}");
+    assert!(!printed.contains("actuator1") && !printed.contains("board."), "{printed}");
+    assert!(good(&["config", "show", "board"]).contains("board.link_timeout_ms"));
+    assert_eq!(good(&["config", "show", "dead-man0"]), "no parameters\n");
+    all_refused([
+        (&["config", "show", "osmc3"][..], &["osmc3", "`r4 info`"][..]),
+        (&["config", "show", "motor"], &["motor", "board"]),
+    ]);
+}
+
+#[test]
+fn config_keeps_what_is_saved_and_nothing_else() {
+    let kept = Kept::new("sim:osmc-bench");
+    let built_in = number(&kept.parameter(KP), "active");
+    let set = kept.json(&["config", "set", KP, "5.5", "--save"]);
+    assert_eq!((text(&set, "key"), number(&set, "set"), &set["saved"]), (KP, 5.5, &true.into()));
+    assert_eq!(number(&set, "active"), built_in, "until the restart");
+    let shown = kept.parameter(KP);
+    assert_eq!((number(&shown, "active"), number(&shown, "built_in")), (5.5, built_in));
+
+    let seen = kept.r4(&["config", "set", KP, "7"]);
+    assert!(seen.code == Some(0) && seen.err.contains("forgets") && seen.out.contains("5.5 -> 7"), "{seen:?}");
+    assert_eq!(number(&kept.parameter(KP), "active"), 5.5);
+
+    kept.json(&["config", "name", "rover 2", "--save"]);
+    assert_eq!(text(&kept.json(&["info"]), "robot"), "rover 2");
+    kept.json(&["config", "save"]);
+    kept.json(&["config", "reset", "--save"]);
+    assert_eq!(number(&kept.parameter(KP), "active"), built_in);
+    assert_eq!(text(&kept.json(&["info"]), "robot"), "osmc-bench");
+}
+
+#[test]
+fn what_is_saved_is_what_the_board_works_with() {
+    let kept = Kept::new("sim:osmc-bench");
+    let seen = kept.r4(&["config", "set", "osmc0.position_max", "1.0", "--save"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+    kept.refused(&["move", "osmc0", "90deg"], &["osmc0", "to 57.30 deg"]);
+    assert_eq!(good_json(&["move", "osmc0", "90deg", "--json"])["settled"], true, "another board has another flash");
+}
+
+#[test]
+fn saving_without_a_flash_is_refused() {
+    let says = &["sim:osmc-bench", "keeps nothing", "--flash"][..];
+    all_refused([
+        (&["config", "save"][..], says),
+        (&["config", "set", KP, "5", "--save"], says),
+        (&["config", "name", "rover", "--save"], says),
+        (&["config", "reset", "--save"], says),
+        (&["config", "import", "any.toml"], says),
+    ]);
+    let seen = r4(&["config", "set", KP, "5"]);
+    assert!(seen.code == Some(0) && seen.err.contains("--flash") && seen.out.contains("not saved"), "{seen:?}");
+    let folder = TempDir::new().unwrap();
+    let mut with = command(&["config", "set", KP, "5", "--save"]);
+    with.env("R4_FLASH", folder.path().join("flash"));
+    let seen = start(with).finish();
+    assert!(seen.code == Some(0) && folder.path().join("flash").is_file(), "{seen:?}");
+}
+
+#[test]
+fn config_refuses_what_the_board_does_not_take() {
+    all_refused([
+        (
+            &["config", "set", "osmc0.position_kpp", "5"][..],
+            &["osmc0.position_kpp", "nearest is osmc0.position_kp:"][..],
+        ),
+        (&["config", "set", "relay0.speed_max", "5"], &["relay0.speed_max", "`r4 config show`"]),
+        (&["config", "set", "osmc0.duty_max", "1.5"], &["osmc0.duty_max", "1.5", "not be valid"]),
+        (&["config", "set", KP, "nan"], &[KP, "NaN"]),
+        (&["config", "set", KP, "fast"], &["fast"]),
+        (&["config", "name", "a robot with a name that is longer than any board keeps"], &["bytes"]),
+    ]);
+}
+
+#[test]
+fn a_file_of_parameters_comes_back() {
+    let kept = Kept::new("sim:osmc-bench");
+    let (all, some) = (kept.file("all.toml"), kept.file("some.toml"));
+    let seen = kept.r4(&["config", "export", path(&all)]);
+    assert!(seen.code == Some(0) && seen.out.contains("all.toml"), "{seen:?}");
+    let before = fs::read_to_string(&all).unwrap();
+    assert!(before.contains("\n[board]\n") && before.contains("\n[osmc0]\n"), "{before}");
+    assert_eq!(kept.json(&["config", "import", path(&all)])["changed"], Value::Array(vec![]), "nothing differs");
+
+    // Beyond where the range is now: its upper end has to be moved first.
+    fs::write(&some, "[osmc0]\nposition_min = 70\nposition_max = 80.5\nposition_kp = 3.25\n").unwrap();
+    let imported = kept.json(&["config", "import", path(&some)]);
+    assert_eq!((array(&imported, "changed").len(), &imported["saved"]), (3, &true.into()), "{imported}");
+    for (key, value) in [("osmc0.position_min", 70.0), ("osmc0.position_max", 80.5), (KP, 3.25)] {
+        assert_eq!(number(&kept.parameter(key), "active"), value, "{key}");
+    }
+    let printed = kept.r4(&["config", "export", "-"]).out;
+    assert!(printed.contains("position_kp = 3.25 # duty/rad; built in: 4.0\n"), "{printed}");
+    let printed = kept.r4(&["config", "import", path(&all)]).out;
+    assert!(printed.contains("osmc0.position_kp 3.25 -> 4\n") && printed.contains("3 of "), "{printed}");
+    assert_eq!(kept.r4(&["config", "export", "-"]).out, before);
+}
+
+#[test]
+fn a_file_of_parameters_is_taken_as_a_whole_or_not() {
+    let kept = Kept::new("sim:osmc-bench");
+    let file = kept.file("new.toml");
+    let import = ["config", "import", path(&file)];
+    for (toml, line, says) in [
+        ("[osmc0]\nposition_kp = 9.0\nduty_max = 1.5\n", 3, "osmc0.duty_max cannot be 1.5"),
+        ("[osmc0]\nposition_kp = 9.0\n[actuator1]\nposition_kq = 9.0\n", 4, "nearest is actuator1.position_kp"),
+        ("[osmc0]\nposition_kp = 9.0\n[osmc2]\nposition_kp = 9.0\n", 4, "nearest is osmc0.position_kp"),
+        ("[osmc0]\nposition_kp = 9.0\nspeed_max = \"fast\"\n", 3, "osmc0.speed_max must be a number"),
+        ("[osmc0]\nposition_kp = 9.0\nspeed_max =\n", 3, "numbers like"),
+    ] {
+        fs::write(&file, toml).unwrap();
+        kept.refused(&import, &[&format!("new.toml:{line}: "), says]);
+        assert_eq!(number(&kept.parameter(KP), "active"), 4.0, "{toml}");
+    }
+    kept.refused(&["config", "import", path(&kept.file("none.toml"))], &["none.toml", "cannot read"]);
+    kept.refused(&["config", "export", path(&kept.file("no/folder.toml"))], &["folder.toml", "cannot write"]);
+}
+
+#[test]
+fn a_file_that_is_no_flash_is_left_alone() {
+    let kept = Kept::new("sim:osmc-bench");
+    fs::write(kept.file("flash"), "my thesis").unwrap();
+    kept.refused(&["info"], &["flash", "not the flash of a simulated board"]);
+    assert_eq!(fs::read_to_string(kept.file("flash")).unwrap(), "my thesis");
+    all_refused([
+        (&["--flash", path(&kept.file("no/flash")), "info"][..], &["no/flash", "cannot write"][..]),
+        (&["--flash", path(kept.folder.path()), "info"], &["cannot read"]),
+    ]);
+}
+
+// r4 faults
+
+#[test]
+fn trips_are_remembered_with_what_came_before() {
+    let own = Own::new(ROBOT, &stuck());
+    let kept = Kept::new(&own.robot);
+    assert!(array(&kept.json(&["faults"]), "faults").is_empty());
+    kept.refused(&["faults", "0"], &["no trip 0", "`r4 faults`"]);
+    for _ in 0..2 {
+        kept.refused(&["move", "actuator1", "25mm"], &["stalled"]);
+    }
+    let faults = kept.json(&["faults"]);
+    let faults = array(&faults, "faults");
+    assert_eq!(faults.len(), 2);
+    let (newest, oldest) = (&faults[0], &faults[1]);
+    assert_eq!((number(newest, "index"), number(newest, "number")), (0.0, number(oldest, "number") + 1.0));
+    assert!(number(newest, "start") > number(oldest, "start"), "{newest} {oldest}");
+    assert!(array(newest, "causes").contains(&"stalled".into()) && number(newest, "time_s") > 0.3, "{newest}");
+
+    let before = kept.json(&["faults", "0"]);
+    assert_eq!(number(&before, "number"), number(newest, "number"));
+    let moments = array(&before, "before");
+    let times: Vec<f64> = moments.iter().map(|moment| number(moment, "before_ms")).collect();
+    // Every 10 ms for 200 ms.
+    assert!(times.len() == 20 && times.is_sorted_by(|a, b| a > b) && times[0] <= 200.0, "{times:?}");
+    let last = moments.last().unwrap();
+    let [osmc, actuator] = array(last, "motors") else { panic!("{last}") };
+    assert_eq!((text(osmc, "channel"), text(actuator, "channel")), ("osmc0", "actuator1"));
+    // A stall is hard drive without motion.
+    assert!(number(actuator, "duty") > 0.3 && number(actuator, "position").abs() < 1e-3, "{actuator}");
+    assert_eq!(number(osmc, "duty"), 0.0);
+    let volts = number(&array(last, "supplies")[0], "voltage_v");
+    assert!((volts - 24.0).abs() < 1.0, "{volts}");
+
+    let printed = kept.r4(&["faults"]).out;
+    assert_eq!(printed.matches("stalled").count(), 2, "{printed}");
+    let printed = kept.r4(&["faults", "1"]).out;
+    for says in ["trip 1", "stalled", "free the mechanism", "ms before", "actuator1", "mm/s", "duty", "supply1"] {
+        assert!(printed.contains(says), "{says} in\n{printed}");
+    }
+    kept.refused(&["faults", "2"], &["no trip 2", "remembers 2"]);
+    let seen = r4(&["faults"]);
+    assert!(seen.code == Some(0) && seen.out.contains("no trip") && seen.err.contains("--flash"), "{seen:?}");
+}
+
+// r4 i2c, uart
+
+#[test]
+fn external_connectors_are_reached() {
+    // On each I2C connector of a simulated board is a memory of 256 bytes, erased; each UART hears itself.
+    for bus in ["0", "1"] {
+        let read = good_json(&["i2c", bus, "0x50", "--write", "10", "--read", "3", "--json"]);
+        assert_eq!((text(&read, "written"), text(&read, "read")), ("10", "ffffff"));
+        assert_eq!((number(&read, "bus").to_string(), number(&read, "address")), (bus.to_owned(), 80.0));
+    }
+    assert_eq!(good(&["i2c", "0", "80", "--write", "00", "--read", "2"]), "ff ff\n");
+    assert_eq!(good(&["i2c", "0", "0x50", "--write", "00 12 34"]), "wrote 3 bytes to 0x50 on I2C connector 0\n");
+    assert_eq!(good(&["uart", "1", "--write", r"R4 \\\r\n\x00", "--read"]), "R4 \\\\\\r\\n\\x00\n");
+    let long = "0123456789".repeat(20);
+    let echo = good_json(&["uart", "0", "--write", &long, "--read", "--json"]);
+    assert_eq!((text(&echo, "read"), text(&echo, "read").len()), (text(&echo, "written"), 400));
+    assert_eq!(good(&["uart", "0", "--write", "x"]), "sent 1 byte out of UART connector 0\n");
+    assert_eq!(good(&["uart", "0", "--read", "--for", "0.1"]), "\n");
+    all_refused([
+        (&["i2c", "0", "0x51", "--read", "1"][..], &["0x51", "pull-ups"][..]),
+        (&["i2c", "2", "0x50", "--read", "1"], &["connector 2"]),
+        (&["i2c", "0", "0x03", "--read", "1"], &["0x08 to 0x77"]),
+        (&["i2c", "0", "0x50"], &["--write", "--read"]),
+        (&["i2c", "0", "0x50", "--read", "65"], &["65", "64"]),
+        (&["i2c", "0", "0x50", "--write", "0"], &["hex", "00ff"]),
+        (&["uart", "2", "--read"], &["connector 2"]),
+        (&["uart", "0"], &["--write", "--read"]),
+        (&["uart", "0", "--write", r"\q"], &["two hex digits"]),
+    ]);
+}
+
 // Bad input
 
 #[test]
@@ -596,6 +1028,17 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["move", "actuator1", "150mm"], &["actuator1", " to "]),
         (&["speed", "osmc0", "100rad/s"], &["osmc0", " to "]),
         (&["duty", "osmc0", "1.5"], &["osmc0", "-0.902 to 0.902"]),
+        // What it is not.
+        (&["home", "osmc0", "--speed", "-1rad/s"], &["osmc0", "home", "`r4 info`"]),
+        (&["home", "osmc0", "--speed", "0rad/s"], &["other than 0"]),
+        (&["home", "osmc0"], &["--speed"]),
+        (&["step", "osmc0", "200"], &["osmc0", "no stepper", "`r4 move`"]),
+        (&["step", "stepper0", "1.5"], &["1.5"]),
+        (&["servo", "osmc0", "30deg"], &["osmc0", "no servo"]),
+        (&["bldc", "osmc0", "40%"], &["osmc0", "no bldc"]),
+        (&["bldc", "bldc0"], &["<VALUE>"]),
+        (&["bldc", "bldc0", "40%", "--brake"], &["--brake"]),
+        (&["dac", "dac0", "1.2V"], &["dac0", "`r4 info`"]),
         // Options.
         (&["arm", "--for=-1", "--pace", "max"], &["--for", "above 0"]),
         (&["arm", "--for", "nan", "--pace", "max"], &["--for", "above 0"]),

@@ -182,7 +182,7 @@ const ALL_MISTAKES: &[Mistake] = &[
         "missing field `encoder`",
     ),
     // Brushless drives.
-    there("rest_ms = 500 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),
+    there("rest_ms = 4000 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),
     mistake(
         "brake = { active_low = true }",
         "brake = { active_low = true }\nreverse_v = 1.0",

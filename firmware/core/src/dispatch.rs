@@ -24,7 +24,6 @@ use crate::{
 };
 
 /// What becomes of a message.
-#[expect(clippy::large_enum_variant, reason = "there is no heap, and it is taken apart at once")]
 pub(crate) enum Outcome {
     /// It wants no answer.
     Nothing,

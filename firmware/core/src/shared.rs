@@ -420,6 +420,12 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.session.is_some())
     }
 
+    /// Since the host was last heard; `None` without one.
+    pub(crate) fn heartbeat_age(&self) -> Option<Duration> {
+        let now = Instant::now();
+        self.with(|s| s.session.map(|session| since(session.last_heartbeat, now)))
+    }
+
     /// Takes a heartbeat; false when it belongs to no open session.
     pub(crate) fn heartbeat(&self, link: u8, id: u16, now: Instant) -> bool {
         self.with(|s| match &mut s.session {

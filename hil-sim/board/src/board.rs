@@ -15,12 +15,14 @@ use r4_firmware::{
     passthrough::PassthroughIo,
     ranging,
     safety::{SafetyPins, supervise},
+    screen::{self, ScreenPins},
     storage,
 };
 use r4_plants::{Effect, Plant, PlantError, PlantSpec, effect::friction::CoulombFriction};
 use r4_protocol::ChannelId;
 
 use crate::{
+    chips::ili9488::ScreenWiring,
     clock::Clock,
     executor::{Simulation, TaskId},
     flash::Flash,
@@ -35,6 +37,8 @@ const LINK_BAUD: u32 = 1_000_000;
 
 /// Friction that no motor overcomes, N m or N.
 const BLOCKED: f64 = 1e3;
+/// Clock of the screen's SPI.
+const SCREEN_SPI_HZ: u32 = 20_000_000;
 
 /// Why a board cannot be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +77,7 @@ pub struct SimBoard {
     host: RefCell<Option<Port>>,
     shared: RefCell<Rc<Shared<NoopRawMutex>>>,
     tasks: RefCell<Vec<TaskId>>,
+    screen: RefCell<Option<ScreenWiring>>,
     clock: Clock,
 }
 
@@ -124,6 +129,7 @@ impl SimBoard {
             host: RefCell::new(None),
             shared: RefCell::new(clock.enter(|| Rc::new(Shared::new(config.clone(), config, ResetCause::Normal)))),
             tasks: RefCell::default(),
+            screen: RefCell::default(),
             clock,
         };
         board.boot(simulation, ResetCause::Normal);
@@ -209,6 +215,9 @@ impl SimBoard {
         tasks.push(simulation.spawn(async move { storage::run(&of.storage, flash, &robot).await }));
         self.tasks.replace(tasks);
         self.shared.replace(shared);
+        if self.screen.borrow().is_some() {
+            self.start_screen(simulation);
+        }
         self.host.replace(Some(host));
     }
 
@@ -233,6 +242,28 @@ impl SimBoard {
         }
         self.world().set_plant(channel, Plant::new(&spec, 1));
         Ok(())
+    }
+
+    /// Plugs a screen in, and starts the firmware's task for it. Returns the screen, to look at.
+    ///
+    /// Not part of every simulated board, for drawing takes longer than everything else together.
+    pub fn plug_screen(&self, simulation: &mut Simulation) -> ScreenWiring {
+        let wiring = ScreenWiring::new(self.clock.clone(), SCREEN_SPI_HZ);
+        self.screen.replace(Some(wiring.clone()));
+        self.start_screen(simulation);
+        wiring
+    }
+
+    fn start_screen(&self, simulation: &mut Simulation) {
+        let Some(wiring) = self.screen.borrow().clone() else { return };
+        let pins = ScreenPins {
+            spi: wiring.spi(),
+            data_command: wiring.data_command(),
+            reset: wiring.reset(),
+            backlight: wiring.backlight(),
+        };
+        let shared = self.shared.borrow().clone();
+        self.tasks.borrow_mut().push(simulation.spawn(async move { screen::run(&*shared, pins).await }));
     }
 
     /// The host's end of the link; `None` after the first call since the board started.

@@ -258,10 +258,12 @@ fn an_unchanged_direction_writes_two_registers_of_one_line() {
         for (sign, low_line) in [(1.0, lines.bli), (-1.0, lines.ali)] {
             // Through the direction change, if there is one.
             while outputs.drive(0, 0.25 * sign).await.unwrap() == 0.0 {
+                outputs.begin_tick();
                 clock.sleep(MS).await;
             }
             for (duty, off_count) in [(0.5, Some([0x00, 0x08])), (0.5, None), (0.75, Some([0x00, 0x0C]))] {
                 bus.0.borrow_mut().bus.set_trace(100);
+                outputs.begin_tick();
                 assert_eq!(outputs.drive(0, duty * sign).await, Ok(duty * sign));
                 let written: Vec<_> = bus.0.borrow().bus.trace().map(|record| record.written.clone()).collect();
                 // LEDn_OFF_L is the third of a line's four registers.
@@ -337,6 +339,7 @@ proptest! {
             for step in &steps {
                 match *step {
                     Step::Drive { index, duty } => {
+                        outputs.begin_tick();
                         let now = outputs.drive(index, duty).await.expect("faults pass");
                         assert!(now == duty || now == 0.0, "{now} on the way to {duty}");
                     }
@@ -370,6 +373,7 @@ proptest! {
             with_outputs(async |outputs, bus, clock| {
                 let drive = async |outputs: &mut Outputs<RigBus>, duty| {
                     for _ in 0..5 {
+                        outputs.begin_tick();
                         outputs.drive(0, duty).await.unwrap();
                         clock.sleep(2 * MS).await;
                     }
@@ -383,6 +387,7 @@ proptest! {
                 bus.0.borrow_mut().bus.clear_injections();
                 let mut found = false;
                 for _ in 0..CHECKS {
+                    outputs.begin_tick();
                     found |= outputs.check_next().await == Err(OutputFault::Mismatch);
                 }
                 clock.sleep(2 * MS).await;

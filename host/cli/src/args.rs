@@ -2,10 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
-use r4_protocol::ChannelId;
+use clap::{ArgGroup, Parser, Subcommand};
+use r4_protocol::{ChannelId, message::MAX_RAW};
 
-use crate::{quantity::Quantity, session::Target};
+use crate::{
+    commands::config::{Name, Scope},
+    quantity::Quantity,
+    session::Target,
+};
 
 /// Drives R4 boards, real and simulated.
 ///
@@ -23,6 +27,9 @@ pub(crate) struct Args {
     /// Seed of a simulated board's noise
     #[arg(long, global = true, default_value_t = 1)]
     pub(crate) seed: u64,
+    /// File with a simulated board's flash, which holds parameters and trips; made if there is none
+    #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
+    pub(crate) flash: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
@@ -46,16 +53,38 @@ pub(crate) enum Command {
     Disarm,
     /// Leave a trip behind, once its causes are gone
     Clear,
-    /// Arm, send a motor to a position, wait until it rests there, disarm
+    /// Arm, send a motor or stepper to a position, wait until it rests there, disarm
     Move(Motion),
-    /// Arm, turn a motor at a speed for a time, disarm
+    /// Arm, move a stepper by whole steps, wait until it rests, disarm
+    Step(Step),
+    /// Arm, seek the home switch of a motor or stepper, wait until it rests there, disarm
+    Home(Home),
+    /// Arm, turn a motor or stepper at a speed for a time, disarm
     Speed(Motion),
     /// Arm, give a motor a share of the supply for a time, disarm
     Duty(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
+    /// Arm, hold a servo at an angle for a time, disarm
+    Servo(Held),
+    /// Arm, drive or brake a brushless drive for a time, disarm (which stops it)
+    Bldc(Bldc),
+    /// Arm, give a voltage for a time, disarm (which gives the safe voltage)
+    Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
+    /// Show and change the parameters of the board
+    #[command(subcommand)]
+    Config(Config),
+    /// Trips that the board remembers, or what it looked like before one of them
+    Faults {
+        /// Which trip: 0 is the newest
+        index: Option<u8>,
+    },
+    /// Write to a device on an external I2C connector, then read from it
+    I2c(I2c),
+    /// Send and receive on a UART connector
+    Uart(Uart),
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
@@ -98,6 +127,140 @@ pub(crate) struct Motion {
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Step {
+    /// The stepper, as in stepper0
+    pub(crate) channel: ChannelId,
+    /// How many steps from where it is; negative is backwards
+    #[arg(allow_negative_numbers = true)]
+    pub(crate) steps: i32,
+    /// How long to wait [default: 30]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Home {
+    /// The channel, as in osmc0 or stepper0
+    pub(crate) channel: ChannelId,
+    /// How fast to seek, as in 1rad/s or -30deg/s; the sign is the direction
+    #[arg(long, allow_hyphen_values = true)]
+    pub(crate) speed: Quantity,
+    /// How long to wait [default: 30]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Held {
+    /// The channel, as in servo3 or dac0
+    pub(crate) channel: ChannelId,
+    /// A number with its unit: 30deg 0.5rad | 1.2V 1200mV
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) value: Quantity,
+    /// How long to stay armed [default: 2]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Bldc {
+    /// The drive, as in bldc0
+    pub(crate) channel: ChannelId,
+    /// Share of full speed, as in 0.4 or 40%; negative is backwards
+    #[arg(allow_hyphen_values = true, required_unless_present = "brake")]
+    pub(crate) value: Option<Quantity>,
+    /// Apply the brake instead
+    #[arg(long, conflicts_with = "value")]
+    pub(crate) brake: bool,
+    /// How long to stay armed [default: 2]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Config {
+    /// Every parameter, or those of a channel
+    Show {
+        /// A channel, or `board` for what belongs to none
+        scope: Option<Scope>,
+    },
+    /// Change a parameter; it holds from the next start on, once saved
+    Set {
+        /// Which, as in osmc0.position_kp
+        #[arg(value_name = "KEY")]
+        key: String,
+        /// In the unit of the parameter
+        #[arg(allow_negative_numbers = true)]
+        value: f32,
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Change the robot's name; it holds from the next start on, once saved
+    Name {
+        /// The new name
+        name: Name,
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Keep all changes over a restart
+    Save,
+    /// Go back to what the firmware was built with; holds from the next start on, once saved
+    Reset {
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Write all parameters to a TOML file
+    Export {
+        /// The file; `-` is stdout
+        file: PathBuf,
+    },
+    /// Set the parameters in a TOML file and save them: all of them, or none
+    Import {
+        /// The file
+        file: PathBuf,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+#[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
+pub(crate) struct I2c {
+    /// The connector, 0 or 1
+    pub(crate) bus: u8,
+    /// 7-bit address, as in 0x50
+    #[arg(value_parser = i2c_address)]
+    pub(crate) address: u8,
+    /// Bytes to write, in hex, as in 00ff or "00 ff"
+    #[arg(long, value_name = "HEX", value_parser = hex)]
+    pub(crate) write: Option<Bytes>,
+    /// How many bytes to read then
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=MAX_RAW as i64))]
+    pub(crate) read: Option<u8>,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
+pub(crate) struct Uart {
+    /// The connector, 0 or 1
+    pub(crate) port: u8,
+    /// What to send; \r \n \t \\ and \xHH stand for bytes
+    #[arg(long, value_name = "TEXT", value_parser = escaped)]
+    pub(crate) write: Option<Bytes>,
+    /// Print what is received
+    #[arg(long)]
+    pub(crate) read: bool,
+    /// How long to receive [default: 0.5]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", requires = "read")]
+    pub(crate) seconds: Option<f64>,
+}
+
+/// What goes out of a connector.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Bytes(pub(crate) Vec<u8>);
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Relay {
@@ -155,6 +318,52 @@ fn parse_pace(text: &str) -> Result<r4_sim::Pace, String> {
     }
 }
 
+fn i2c_address(text: &str) -> Result<u8, String> {
+    let address = match text.strip_prefix("0x") {
+        Some(hex) => u8::from_str_radix(hex, 16),
+        None => text.parse(),
+    };
+    // The others are reserved (I2C-bus specification, UM10204, 3.1.12).
+    address.ok().filter(|address| (0x08..=0x77).contains(address)).ok_or("an address from 0x08 to 0x77".into())
+}
+
+fn hex(text: &str) -> Result<Bytes, String> {
+    let digits: String = text.split_whitespace().collect();
+    let digits = digits.strip_prefix("0x").unwrap_or(&digits);
+    let bytes = (0..digits.len()).step_by(2).map(|at| {
+        let pair = digits.get(at..at + 2).filter(|pair| pair.bytes().all(|digit| digit.is_ascii_hexdigit()))?;
+        u8::from_str_radix(pair, 16).ok()
+    });
+    match bytes.collect::<Option<Vec<u8>>>() {
+        Some(bytes) if (1..=MAX_RAW).contains(&bytes.len()) => Ok(Bytes(bytes)),
+        _ => Err(format!("1 to {MAX_RAW} bytes of two hex digits each, as in 00ff")),
+    }
+}
+
+fn escaped(text: &str) -> Result<Bytes, String> {
+    let mut bytes = Vec::new();
+    let mut rest = text.bytes();
+    while let Some(byte) = rest.next() {
+        let meant = match (byte, byte == b'\\') {
+            (_, false) => Some(byte),
+            (_, true) => match rest.next() {
+                Some(b'r') => Some(b'\r'),
+                Some(b'n') => Some(b'\n'),
+                Some(b't') => Some(b'\t'),
+                Some(b'\\') => Some(b'\\'),
+                Some(b'x') => {
+                    let mut digit = || char::from(rest.next()?).to_digit(16);
+                    let (high, low) = (digit(), digit());
+                    high.zip(low).map(|(high, low)| (16 * high + low) as u8)
+                }
+                _ => None,
+            },
+        };
+        bytes.push(meant.ok_or(r"after a \ comes r, n, t, \ or x and two hex digits")?);
+    }
+    if bytes.is_empty() { Err("nothing to send".into()) } else { Ok(Bytes(bytes)) }
+}
+
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
@@ -164,5 +373,20 @@ mod tests {
     #[test]
     fn definitions_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn bytes_are_typed_in_hex_or_as_text() {
+        for (typed, bytes) in [("00ff", &[0, 255][..]), ("0x1A", &[26]), ("00 01 0a", &[0, 1, 10])] {
+            assert_eq!(hex(typed), Ok(Bytes(bytes.to_vec())), "{typed}");
+        }
+        let long = "00".repeat(MAX_RAW + 1);
+        for bad in ["", "0", "0g", "+1", "00f", "é0", &long] {
+            assert!(hex(bad).is_err(), "{bad}");
+        }
+        assert_eq!(escaped(r"a\r\n\x00\xfF\\é"), Ok(Bytes(b"a\r\n\x00\xFF\\\xC3\xA9".to_vec())));
+        for bad in ["", r"\", r"\q", r"\x1", r"\xg0"] {
+            assert!(escaped(bad).is_err(), "{bad}");
+        }
     }
 }

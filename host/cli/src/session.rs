@@ -1,7 +1,10 @@
 //! From `--board` to a session with that board.
 
 use std::{
+    fs,
     future::Future,
+    io,
+    path::{Path, PathBuf},
     pin::pin,
     rc::Rc,
     str::FromStr,
@@ -12,7 +15,7 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_sim::{Pace, SimBoard, Simulation};
+use r4_sim::{Pace, SimBoard, Simulation, flash::Flash};
 
 use crate::args::Args;
 
@@ -112,6 +115,46 @@ const INTERRUPT_POLL_US: u64 = 10_000;
 /// Set by Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
+/// The file with a simulated board's flash.
+struct FlashFile {
+    path: PathBuf,
+    /// What was in it; nothing before there was a file.
+    before: Vec<u8>,
+}
+
+impl FlashFile {
+    fn open(path: &Path) -> anyhow::Result<Self> {
+        let before = match fs::read(path) {
+            Ok(before) => before,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+            Err(error) => return Err(error).with_context(|| format!("cannot read the flash {}", path.display())),
+        };
+        Ok(Self { path: path.to_owned(), before })
+    }
+
+    /// The flash, or `None` where nothing was ever written.
+    fn flash(&self) -> anyhow::Result<Option<Flash>> {
+        if self.before.is_empty() {
+            return Ok(None);
+        }
+        let flash = Flash::from_bytes(&self.before);
+        let path = self.path.display();
+        flash.map(Some).ok_or_else(|| anyhow!("{path} is not the flash of a simulated board: name another file"))
+    }
+
+    /// Writes what `flash` holds now: all of it, or nothing.
+    fn write(&self, flash: &Flash) -> anyhow::Result<()> {
+        let now = flash.to_bytes();
+        if now == self.before {
+            return Ok(());
+        }
+        let mut beside = self.path.clone().into_os_string();
+        beside.push(".new");
+        let written = fs::write(&beside, &now).and_then(|()| fs::rename(&beside, &self.path));
+        written.with_context(|| format!("cannot write the flash {}", self.path.display()))
+    }
+}
+
 /// Connects to the board that `args` name and runs `work` in a session with it.
 ///
 /// Ctrl-C disarms, closes the session and is an error.
@@ -123,18 +166,25 @@ pub(crate) fn run<T>(
     let Target::Sim(name) = &args.board;
     let robot: Robot = r4_boards::load(name)?;
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
-    let board = Rc::new(SimBoard::start(&mut simulation, &robot, args.seed)?);
+    let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
+    let board = Rc::new(match file.as_ref().map(FlashFile::flash).transpose()?.flatten() {
+        Some(flash) => SimBoard::start_with(&mut simulation, &robot, args.seed, flash)?,
+        None => SimBoard::start(&mut simulation, &robot, args.seed)?,
+    });
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
     // A second handler cannot be set; the first one does the same.
     let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
     let begin = Instant::now();
     let host = with_board(port.rx, port.tx, HostClock(clock.clone()), async |connected| {
-        let session = Session { board: connected, simulated: board };
+        let session = Session { board: connected, simulated: board.clone() };
         unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
     });
     let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
     let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+    if let Some(file) = file {
+        file.write(&board.flash())?;
+    }
     let value = result.with_context(|| format!("cannot connect to {}", args.board))??;
     Ok((value, elapsed))
 }

@@ -13,8 +13,10 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState,
-    Sample, Setpoint, ToDevice, VERSION, config::PidGains,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ParameterInfo,
+    ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, VERSION,
+    config::{MAX_NAME, PidGains},
+    message::MAX_RAW,
 };
 
 use crate::{
@@ -25,6 +27,8 @@ use crate::{
 
 /// A request without an answer after this long has failed.
 const REQUEST_TIMEOUT_MS: u32 = 500;
+/// The same for what waits for the board's flash, of which a sector takes 2 s to erase: the board gives up after 10 s.
+const FLASH_TIMEOUT_MS: u32 = 11_000;
 /// A board that does not answer so many times is not there.
 const HELLO_ATTEMPTS: u32 = 3;
 /// Set points older than this on arrival are refused by the board.
@@ -58,19 +62,26 @@ pub enum Until {
         /// s
         seconds: f64,
     },
+    /// Until it has found its home and rests; after the time-out it is an error. For [`Mode::Home`].
+    Homed {
+        /// s
+        timeout_s: f64,
+    },
 }
 
 /// What a motor did when [`Board::drive`] looked last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// rad or m
+    /// rad or m; NaN for a motor whose position nothing measures.
     pub position: f64,
     /// rad/s or m/s
     pub speed: f64,
-    /// Share of the supply.
+    /// Share of the supply; 0 for a stepper.
     pub duty: f64,
     /// Whether it rested at its position.
     pub settled: bool,
+    /// Whether its position was known, and not only counted from where power came on.
+    pub homed: bool,
     /// From the command to that look, s.
     pub after_s: f64,
 }
@@ -198,7 +209,7 @@ impl<C: Clock> Board<C> {
         self.wire.done("stop", Request::Stop).await
     }
 
-    /// Commands a motor channel. The board follows it from its next control period on.
+    /// Commands a channel. The board follows it from its next control period on.
     ///
     /// # Errors
     /// A refusal that says what the channel takes, besides what befalls any request.
@@ -249,58 +260,240 @@ impl<C: Clock> Board<C> {
         self.drive(channel, setpoint, Until::Settled { timeout_s }).await
     }
 
-    /// Commands `channel` and follows it by its telemetry. The board keeps following the set point afterwards.
+    /// Seeks the home switch of `channel` at `speed` (rad/s, its sign being the direction) and waits until the channel rests
+    /// there, at most `timeout_s`.
     ///
     /// # Errors
-    /// [`Error::Stopped`] when the board trips or is disarmed, [`Error::NotSettled`] after the time-out, besides what
-    /// befalls any request.
+    /// As [`Board::drive`].
+    pub async fn home(&self, channel: ChannelId, speed: f64, timeout_s: f64) -> Result<Motion, Error> {
+        let setpoint = Setpoint { mode: Mode::Home, value: speed as f32 };
+        self.drive(channel, setpoint, Until::Homed { timeout_s }).await
+    }
+
+    /// Commands `channel`, a motor or stepper, and follows it by its telemetry. The board keeps following the set point
+    /// afterwards.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] when the board trips or is disarmed, [`Error::NotSettled`] or [`Error::NotHomed`] after the
+    /// time-out, besides what befalls any request.
     pub async fn drive(&self, channel: ChannelId, setpoint: Setpoint, until: Until) -> Result<Motion, Error> {
         let info = self.channel(channel)?;
-        let (resolution, unit) = (f64::from(info.resolution), info.unit);
+        let (unit, resolution) = (info.unit, f64::from(info.resolution));
+        let (Until::Settled { timeout_s: limit_s }
+        | Until::Elapsed { seconds: limit_s }
+        | Until::Homed { timeout_s: limit_s }) = until;
+        let (mut followed_once, mut searched) = (false, false);
+        self.follow(channel, setpoint, limit_s, |sample, after_s| {
+            let Sample::Motor { setpoint: followed, position, speed, duty, settled, homed, .. } = *sample else {
+                return Ok(None);
+            };
+            match (followed == setpoint, followed_once) {
+                (true, _) => followed_once = true,
+                // Under way when the command was sent, and so still of the last one.
+                (false, false) => return Ok(None),
+                (false, true) => return Err(Error::NotFollowed { channel }),
+            }
+            searched |= !homed;
+            let position = if resolution > 0.0 { f64::from(position) * resolution } else { f64::NAN };
+            let motion = Motion { position, speed: speed.into(), duty: duty.into(), settled, homed, after_s };
+            match until {
+                Until::Settled { .. } if settled => Ok(Some(motion)),
+                Until::Settled { timeout_s } if after_s > timeout_s => {
+                    Err(Error::NotSettled { channel, target: setpoint.value.into(), position, unit, after_s })
+                }
+                Until::Elapsed { seconds } if after_s >= seconds => Ok(Some(motion)),
+                Until::Homed { .. } if searched && homed && settled => Ok(Some(motion)),
+                Until::Homed { timeout_s } if after_s > timeout_s => Err(Error::NotHomed { channel, after_s }),
+                Until::Settled { .. } | Until::Elapsed { .. } | Until::Homed { .. } => Ok(None),
+            }
+        })
+        .await
+    }
+
+    /// Commands `channel`, an output that has one number, and returns that number after `seconds`: what the output is
+    /// then told, in its unit.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] when the board trips or is disarmed, besides what befalls any request.
+    pub async fn hold(&self, channel: ChannelId, setpoint: Setpoint, seconds: f64) -> Result<f64, Error> {
+        self.channel(channel)?;
+        self.follow(channel, setpoint, seconds, |sample, after_s| match *sample {
+            Sample::Scalar { value, .. } if after_s >= seconds => Ok(Some(value.into())),
+            _ => Ok(None),
+        })
+        .await
+    }
+
+    /// Commands `channel` and shows `look` its samples, with the seconds since the command, until that returns something.
+    async fn follow<T>(
+        &self,
+        channel: ChannelId,
+        setpoint: Setpoint,
+        limit_s: f64,
+        mut look: impl FnMut(&Sample, f64) -> Result<Option<T>, Error>,
+    ) -> Result<T, Error> {
         let mut telemetry = self.telemetry();
         self.subscribe(channel, LOOK_EVERY_MS).await?;
         let begin_us = self.device_us();
         self.set(channel, setpoint).await?;
-        let (Until::Settled { timeout_s: limit_s } | Until::Elapsed { seconds: limit_s }) = until;
         // By our clock, should the board's telemetry never show what was asked for.
         let deadline_us =
             self.wire.clock.now_us() + (limit_s.max(0.0) * 1e6) as u64 + u64::from(REQUEST_TIMEOUT_MS) * 1000;
-        let mut followed_once = false;
         loop {
-            let frame = match select(pin!(telemetry.next()), pin!(self.wire.clock.sleep_until(deadline_us))).await {
-                Either::Left((frame, _)) => frame?,
-                Either::Right(((), _)) => return Err(Error::NotFollowed { channel }),
-            };
+            let frame: Telemetry =
+                match select(pin!(telemetry.next()), pin!(self.wire.clock.sleep_until(deadline_us))).await {
+                    Either::Left((frame, _)) => frame?,
+                    Either::Right(((), _)) => return Err(Error::NotFollowed { channel }),
+                };
             if frame.state != SafetyState::Armed {
                 return Err(Error::Stopped { causes: frame.causes });
             }
             let after_s = frame.device_us.saturating_sub(begin_us) as f64 / 1e6;
-            let own = frame.samples.iter().find_map(|sample| match *sample {
-                Sample::Motor { channel: of, setpoint: followed, position, speed, duty, settled, .. }
-                    if of == channel =>
-                {
-                    let position = f64::from(position) * resolution;
-                    Some((followed, Motion { position, speed: speed.into(), duty: duty.into(), settled, after_s }))
+            for sample in frame.samples.iter().filter(|sample| sample.channel() == channel) {
+                if let Some(done) = look(sample, after_s)? {
+                    return Ok(done);
                 }
-                _ => None,
-            });
-            let Some((followed, motion)) = own else { continue };
-            match (followed == setpoint, followed_once) {
-                (true, _) => followed_once = true,
-                // Under way when the command was sent, and so still of the last one.
-                (false, false) => continue,
-                (false, true) => return Err(Error::NotFollowed { channel }),
-            }
-            match until {
-                Until::Settled { .. } if motion.settled => return Ok(motion),
-                Until::Settled { timeout_s } if after_s > timeout_s => {
-                    let (target, position) = (setpoint.value.into(), motion.position);
-                    return Err(Error::NotSettled { channel, target, position, unit, after_s });
-                }
-                Until::Elapsed { seconds } if after_s >= seconds => return Ok(motion),
-                Until::Settled { .. } | Until::Elapsed { .. } => {}
             }
         }
+    }
+
+    /// Every parameter of the board's configuration, in its order.
+    ///
+    /// # Errors
+    /// What befalls any request.
+    pub async fn parameters(&self) -> Result<Vec<ParameterInfo>, Error> {
+        let mut parameters = Vec::new();
+        loop {
+            // A board has some hundreds, at most 52 for each of its channels.
+            let index = parameters.len() as u16;
+            match self.wire.request("describe parameter", Request::DescribeParameter { index }).await {
+                Ok(Reply::Parameter(parameter)) => parameters.push(parameter),
+                Ok(_) => return Err(Error::WrongReply { request: "describe parameter" }),
+                Err(Error::Refused(Refusal::NoSuchIndex { .. })) => return Ok(parameters),
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Changes a parameter. The board works with it after a restart, if [`Board::save_parameters`] has kept it.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownParameter`] or [`Refusal::BadParameter`], besides what befalls any request.
+    pub async fn set_parameter(&self, key: ParameterKey, value: f32) -> Result<(), Error> {
+        self.wire.done("set parameter", Request::SetParameter { key, value }).await
+    }
+
+    /// Changes the robot's name, as [`Board::set_parameter`] does a number.
+    ///
+    /// # Errors
+    /// [`Error::NameTooLong`], besides what befalls any request.
+    pub async fn set_name(&self, robot: &str) -> Result<(), Error> {
+        let robot = robot.try_into().map_err(|_| Error::NameTooLong { most_bytes: MAX_NAME })?;
+        self.wire.done("set name", Request::SetName { robot }).await
+    }
+
+    /// Keeps all changes over a restart: all of them, or none if it fails. May take seconds.
+    ///
+    /// # Errors
+    /// [`Refusal::NotWhile`] on an armed board, [`Refusal::StorageFailed`], besides what befalls any request.
+    pub async fn save_parameters(&self) -> Result<(), Error> {
+        self.wire.done("save parameters", Request::SaveParameters).await
+    }
+
+    /// Takes all changes back to what the firmware was built with; kept by [`Board::save_parameters`] too.
+    ///
+    /// # Errors
+    /// What befalls any request.
+    pub async fn reset_parameters(&self) -> Result<(), Error> {
+        self.wire.done("reset parameters", Request::ResetParameters).await
+    }
+
+    /// Restarts the board, which ends this session: connect again afterwards.
+    ///
+    /// # Errors
+    /// [`Refusal::NotWhile`] on an armed board, besides what befalls any request.
+    pub async fn restart(&self) -> Result<(), Error> {
+        self.wire.done("restart", Request::Restart).await
+    }
+
+    /// The trips that the board remembers, the newest first.
+    ///
+    /// # Errors
+    /// [`Refusal::StorageFailed`], besides what befalls any request.
+    pub async fn faults(&self) -> Result<Vec<FaultInfo>, Error> {
+        let mut faults: Vec<FaultInfo> = Vec::new();
+        for index in 0..=u8::MAX {
+            match self.fault(index).await {
+                // A trip meanwhile moves all others one back.
+                Ok(fault) if faults.last().is_some_and(|last| last.number <= fault.number) => {}
+                Ok(fault) => faults.push(fault),
+                Err(Error::Refused(Refusal::NoSuchFault)) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(faults)
+    }
+
+    async fn fault(&self, index: u8) -> Result<FaultInfo, Error> {
+        match self.wire.request("fault", Request::Fault { index }).await? {
+            Reply::Fault(fault) => Ok(fault),
+            _ => Err(Error::WrongReply { request: "fault" }),
+        }
+    }
+
+    /// What the board looked like before trip `index`, 0 being the newest trip; the oldest look first.
+    ///
+    /// # Errors
+    /// [`Refusal::NoSuchFault`] when it remembers no such trip, besides what befalls any request.
+    pub async fn fault_snapshots(&self, index: u8) -> Result<Vec<FaultSnapshot>, Error> {
+        let mut snapshots = Vec::new();
+        for snapshot in 0..self.fault(index).await?.snapshots {
+            match self.wire.request("fault snapshot", Request::FaultSnapshot { index, snapshot }).await? {
+                Reply::FaultSnapshot(snapshot) => snapshots.push(snapshot),
+                _ => return Err(Error::WrongReply { request: "fault snapshot" }),
+            }
+        }
+        Ok(snapshots)
+    }
+
+    /// Writes to the device at 7-bit `address` of the external I2C connector `bus`, 0 or 1, then reads `read` bytes;
+    /// either may be nothing.
+    ///
+    /// # Errors
+    /// [`Refusal::BadTransfer`] for more than [`MAX_RAW`] bytes or what cannot be, [`Refusal::NoAcknowledge`],
+    /// [`Refusal::TransferFailed`], besides what befalls any request.
+    pub async fn i2c_transfer(&self, bus: u8, address: u8, write: &[u8], read: u8) -> Result<Vec<u8>, Error> {
+        let write = write.try_into().map_err(|_| Refusal::BadTransfer)?;
+        self.wire.bytes("I2C transfer", Request::I2cTransfer { bus, address, write, read }).await
+    }
+
+    /// Sends `bytes` out of UART connector `port`, 0 or 1.
+    ///
+    /// # Errors
+    /// [`Refusal::BadTransfer`] or [`Refusal::TransferFailed`], when part of the bytes may have been sent, besides what
+    /// befalls any request.
+    pub async fn uart_write(&self, port: u8, bytes: &[u8]) -> Result<(), Error> {
+        for bytes in bytes.chunks(MAX_RAW) {
+            let bytes = bytes.try_into().map_err(|_| Refusal::BadTransfer)?;
+            self.wire.done("UART write", Request::UartWrite { port, bytes }).await?;
+        }
+        Ok(())
+    }
+
+    /// Takes what UART connector `port`, 0 or 1, has received, up to [`MAX_RAW`] bytes. Never waits: there may be nothing.
+    ///
+    /// # Errors
+    /// [`Refusal::BadTransfer`], besides what befalls any request.
+    pub async fn uart_read(&self, port: u8) -> Result<Vec<u8>, Error> {
+        self.wire.bytes("UART read", Request::UartRead { port }).await
+    }
+}
+
+/// How long the answer to `request` may take.
+fn timeout_ms(request: &Request) -> u32 {
+    match request {
+        Request::SaveParameters | Request::Fault { .. } | Request::FaultSnapshot { .. } => FLASH_TIMEOUT_MS,
+        _ => REQUEST_TIMEOUT_MS,
     }
 }
 
@@ -318,6 +511,13 @@ impl<C: Clock> Wire<C> {
         }
     }
 
+    async fn bytes(&self, name: &'static str, request: Request) -> Result<Vec<u8>, Error> {
+        match self.request(name, request).await? {
+            Reply::Bytes(bytes) => Ok(bytes.to_vec()),
+            _ => Err(Error::WrongReply { request: name }),
+        }
+    }
+
     async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
         let (sender, answer) = oneshot::channel();
@@ -330,11 +530,12 @@ impl<C: Clock> Wire<C> {
         }
         // Also when this future is dropped, nobody waits any more.
         let _waiting = Waiting { state: &self.state, seq };
-        let timed_out = Error::TimedOut { request: name, after_ms: REQUEST_TIMEOUT_MS };
+        let after_ms = timeout_ms(&request);
+        let timed_out = Error::TimedOut { request: name, after_ms };
         if self.outgoing.unbounded_send(ToDevice::Request { seq, request }).is_err() {
             return Err(lock(&self.state).end.clone().unwrap_or(timed_out));
         }
-        let until_us = self.clock.now_us() + u64::from(REQUEST_TIMEOUT_MS) * 1000;
+        let until_us = self.clock.now_us() + u64::from(after_ms) * 1000;
         match select(answer, pin!(self.clock.sleep_until(until_us))).await {
             Either::Left((Ok(result), _)) => Ok(result?),
             // The link ended, which dropped the sender.

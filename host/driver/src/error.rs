@@ -46,6 +46,23 @@ pub enum Error {
         /// Which.
         channel: ChannelId,
     },
+    /// A motor did not find its home in time.
+    #[error(
+        "{channel} has not found its home switch after {after_s:.1} s: check the switch and the direction of the speed, \
+         or allow more time"
+    )]
+    NotHomed {
+        /// Which.
+        channel: ChannelId,
+        /// How long was waited.
+        after_s: f64,
+    },
+    /// The name of a robot has more bytes than a board keeps.
+    #[error("the name is too long: a board keeps {most_bytes} bytes")]
+    NameTooLong {
+        /// How many it keeps.
+        most_bytes: usize,
+    },
     /// A motor did not reach its set point in time.
     #[error("{channel} was not settled after {after_s:.1} s: at {position:.4} {unit}, asked for {target:.4} {unit}")]
     NotSettled {

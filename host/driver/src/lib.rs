@@ -18,6 +18,20 @@
 //! # }
 //! ```
 //!
+//! What a board keeps over a restart, and what it remembers of its trips:
+//!
+//! ```no_run
+//! # async fn example<C: r4_driver::Clock>(board: &r4_driver::Board<C>) -> Result<(), r4_driver::Error> {
+//! let key = "osmc0.position_kp".parse().expect("a parameter");
+//! board.set_parameter(key, 4.0).await?;
+//! board.save_parameters().await?;
+//! for fault in board.faults().await? {
+//!     println!("trip {}: {}", fault.number, fault.causes);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! Nothing here knows what the link is or whether time is real: bytes come and go through `embedded-io-async`, time
 //! through [`Clock`]. So the same code drives a board and a simulated one.
 

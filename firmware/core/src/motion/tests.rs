@@ -427,7 +427,12 @@ fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
     for hold in [false, true] {
         let mut board = Board::default();
         // So fast that the first pulse comes 0.14 ms after the path begins.
-        let configs = [StepperConfig { acceleration: 1e5, jerk: 0.0, ..config() }; 4];
+        let configs = [0, 1, 2, 3].map(|index| StepperConfig {
+            id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, index),
+            acceleration: 1e5,
+            jerk: 0.0,
+            ..config()
+        });
         let mut bank = Bank::new(&configs, &DRIVER, false, hold, PERIOD_US, &mut board).expect("good");
         let no_switch = |_| None;
         let no_fault = |index, fault| panic!("stepper {index}: {fault:?}");
@@ -437,7 +442,7 @@ fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
             let armed_at = board.now;
             bank.arm(&mut board);
             for index in 0..4 {
-                bank.command(index, Command::Speed(30.0 + f32::from(index))).expect("taken");
+                bank.command(index, Command::Speed(30.0 + index as f32)).expect("taken");
             }
             for _ in 0..100 {
                 board.run_to(board.now + PERIOD);

@@ -57,7 +57,7 @@ struct Drives {
 
 /// The outputs of one board.
 pub struct Outputs<B> {
-    bus: B,
+    bus: Patient<B>,
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
@@ -73,7 +73,6 @@ pub struct Outputs<B> {
     bits_per_tick: u32,
     bits_left: u32,
     next_check: usize,
-    retries: u32,
 }
 
 impl<B: Bus> Outputs<B> {
@@ -100,7 +99,7 @@ impl<B: Bus> Outputs<B> {
         });
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         Self {
-            bus,
+            bus: Patient { bus, retries: 0 },
             bridges: bridges.collect(),
             waiting: [None; 2],
             osmc,
@@ -113,7 +112,6 @@ impl<B: Bus> Outputs<B> {
             bits_per_tick,
             bits_left: bits_per_tick,
             next_check: 0,
-            retries: 0,
         }
     }
 
@@ -126,20 +124,19 @@ impl<B: Bus> Outputs<B> {
         // The relay in the motors' supply comes first, and brakes with it.
         self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
         for chip in self.bridge_chips() {
-            self.checked(async |bus: &mut B| chip.init(bus).await).await?;
+            self.bus.checked(async |bus: &mut B| chip.init(bus).await).await?;
         }
         self.bridges.iter_mut().for_each(Bridge::now_off);
-        if let Some(mut drives) = self.drives.take() {
+        if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
-            let result = self.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await;
-            drives.written = result.is_ok().then_some(codes);
-            self.drives = Some(drives);
-            result?;
+            drives.written = None;
+            self.bus.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await?;
+            drives.written = Some(codes);
         }
-        let Some(mut servos) = self.servos.take() else { return Ok(()) };
-        let result = self.checked(async |bus: &mut B| servos.init(bus).await).await;
-        self.servos = Some(servos);
-        result
+        match &mut self.servos {
+            Some(servos) => self.bus.checked(async |bus: &mut B| servos.init(bus).await).await,
+            None => Ok(()),
+        }
     }
 
     /// Opens every relay, the motors' supply with them, brakes, then turns every motor output off, whatever they did.
@@ -150,23 +147,21 @@ impl<B: Bus> Outputs<B> {
         let mut result =
             self.expander_safe(async |expander: &mut Expander, bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
         for chip in self.bridge_chips() {
-            let off = self.checked(async |bus: &mut B| Ok(chip.all_off(bus).await?)).await;
+            let off = self.bus.checked(async |bus: &mut B| Ok(chip.all_off(bus).await?)).await;
             result = result.and(off);
         }
         if result.is_ok() {
             self.bridges.iter_mut().for_each(Bridge::now_off);
         }
-        if let Some(mut drives) = self.drives.take() {
+        if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
             // All of them, whatever they were told.
-            let neutral = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
+            let neutral = self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
             drives.written = neutral.is_ok().then_some(codes);
-            self.drives = Some(drives);
             result = result.and(neutral);
         }
-        if let Some(mut servos) = self.servos.take() {
-            let limp = self.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;
-            self.servos = Some(servos);
+        if let Some(servos) = &mut self.servos {
+            let limp = self.bus.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;
             result = result.and(limp);
         }
         result
@@ -182,14 +177,12 @@ impl<B: Bus> Outputs<B> {
         &mut self,
         mut write: impl AsyncFnMut(&mut Expander, &mut B) -> Result<(), ChipError<B::Error>>,
     ) -> Result<(), OutputFault> {
-        let Some(mut expander) = self.expander.take() else { return Ok(()) };
+        let Some(expander) = &mut self.expander else { return Ok(()) };
         expander.open_all();
         if let Some(drives) = &mut self.drives {
             expander.set_lines(drives.rules.make_safe().levels);
         }
-        let result = self.checked(async |bus: &mut B| write(&mut expander, bus).await).await;
-        self.expander = Some(expander);
-        result
+        self.bus.checked(async |bus: &mut B| write(expander, bus).await).await
     }
 
     /// A control period begins: the bus is free again.
@@ -231,12 +224,13 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; its pins may then be in either state.
     pub async fn write_expander(&mut self) -> Result<(), OutputFault> {
-        let Some(mut expander) = self.expander.take_if(|expander| expander.has_changed()) else { return Ok(()) };
+        if !self.expander.as_ref().is_some_and(Expander::has_changed) {
+            return Ok(());
+        }
         // Never waits: it comes first in every period.
         self.fits(EXPANDER_BITS);
-        let result = self.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
-        self.expander = Some(expander);
-        result
+        let Some(expander) = &mut self.expander else { return Ok(()) };
+        self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await
     }
 
     /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has. What does not fit this period
@@ -245,17 +239,15 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; the bridge then still does what it did before.
     pub async fn drive(&mut self, index: usize, duty: f32) -> Result<f32, OutputFault> {
-        let mut bridge = self.bridges[index];
-        let Some(chip) = self.chip_of(bridge) else { return Ok(0.0) };
-        if let bytes @ 1.. = bridge.bytes(duty)
+        let Some(chip) = self.chip_of(&self.bridges[index]) else { return Ok(0.0) };
+        if let bytes @ 1.. = self.bridges[index].bytes(duty)
             && !self.fits(bits(bytes))
         {
-            self.waiting[usize::from(!bridge.is_osmc())].get_or_insert(index);
-            return Ok(bridge.applied());
+            self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
+            return Ok(self.bridges[index].applied());
         }
-        let applied = self.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await?;
-        self.bridges[index] = bridge;
-        Ok(applied)
+        let bridge = &mut self.bridges[index];
+        self.bus.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await
     }
 
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
@@ -288,18 +280,16 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; the voltages may then be either.
     pub async fn write_drives(&mut self) -> Result<(), OutputFault> {
-        let Some(mut drives) = self.drives.take() else { return Ok(()) };
-        let codes = drives.rules.wanted().codes;
-        let result = if drives.written == Some(codes) || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
-            Ok(())
-        } else {
-            let before = drives.written.take();
-            let result = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await;
-            drives.written = result.is_ok().then_some(codes);
-            result
-        };
-        self.drives = Some(drives);
-        result
+        let wanted = |drives: &Drives| drives.rules.wanted().codes;
+        let changed = self.drives.as_ref().is_some_and(|drives| drives.written != Some(wanted(drives)));
+        if !changed || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
+            return Ok(());
+        }
+        let Some(drives) = &mut self.drives else { return Ok(()) };
+        let (codes, before) = (wanted(drives), drives.written.take());
+        self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await?;
+        drives.written = Some(codes);
+        Ok(())
     }
 
     /// Share of full speed that brushless drive number `index` is told.
@@ -323,20 +313,21 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; a servo may then have either pulse.
     pub async fn write_servos(&mut self) -> Result<(), OutputFault> {
-        let Some(mut servos) = self.servos.take() else { return Ok(()) };
-        let in_turn = servos.writes_per_period(self.period_s);
+        let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
-        let mut result = Ok(());
         for _ in 0..self.servos_due.min(2 * in_turn) {
-            if !servos.has_changed() {
+            if !self.servos.as_ref().is_some_and(Servos::has_changed) {
                 self.servos_due = 0;
-            } else if result.is_ok() && self.fits(bits(Servos::WRITE_BYTES)) {
-                result = self.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await;
-                self.servos_due -= 1;
+                break;
             }
+            if !self.fits(bits(Servos::WRITE_BYTES)) {
+                break;
+            }
+            self.servos_due -= 1;
+            let Some(servos) = &mut self.servos else { break };
+            self.bus.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await?;
         }
-        self.servos = Some(servos);
-        result
+        Ok(())
     }
 
     /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
@@ -345,7 +336,7 @@ impl<B: Bus> Outputs<B> {
         self.servos.as_ref().and_then(|servos| servos.angle(index)).unwrap_or(f32::NAN)
     }
 
-    fn chip_of(&self, bridge: Bridge) -> Option<Pca9685> {
+    fn chip_of(&self, bridge: &Bridge) -> Option<Pca9685> {
         if bridge.is_osmc() { self.osmc } else { self.dhb }
     }
 
@@ -364,29 +355,27 @@ impl<B: Bus> Outputs<B> {
         let mut step = self.next_check;
         self.next_check = (step + 1) % checks;
         if step == 0 {
-            let Some(expander) = self.expander.clone() else { return Ok(()) };
-            return self.checked(async |bus: &mut B| expander.verify(bus).await).await;
+            let Some(expander) = &self.expander else { return Ok(()) };
+            return self.bus.checked(async |bus: &mut B| expander.verify(bus).await).await;
         }
         step -= 1;
         for chip in self.bridge_chips() {
             if step == 0 {
-                return self.checked(async |bus: &mut B| chip.verify_mode(bus).await).await;
+                return self.bus.checked(async |bus: &mut B| chip.verify_mode(bus).await).await;
             }
             step -= 1;
         }
-        for bridge in self.bridges.clone() {
+        for bridge in &self.bridges {
             if let (Some(chip), true) = (self.chip_of(bridge), step < bridge.line_count()) {
-                return self.checked(async |bus: &mut B| bridge.verify(&chip, bus, step).await).await;
+                return self.bus.checked(async |bus: &mut B| bridge.verify(&chip, bus, step).await).await;
             }
             step -= bridge.line_count().min(step);
         }
-        let Some(servos) = self.servos.take() else { return Ok(()) };
-        let result = match step.checked_sub(1) {
-            None => self.checked(async |bus: &mut B| servos.verify_mode(bus).await).await,
-            Some(index) => self.checked(async |bus: &mut B| servos.verify(bus, index).await).await,
-        };
-        self.servos = Some(servos);
-        result
+        let Some(servos) = &self.servos else { return Ok(()) };
+        match step.checked_sub(1) {
+            None => self.bus.checked(async |bus: &mut B| servos.verify_mode(bus).await).await,
+            Some(index) => self.bus.checked(async |bus: &mut B| servos.verify(bus, index).await).await,
+        }
     }
 
     /// Reads the DAC back and compares. Too long for a stop to wait behind, so only while the board is safe; while it is
@@ -395,20 +384,27 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_drives(&mut self) -> Result<(), OutputFault> {
-        let Some(drives) = self.drives.take() else { return Ok(()) };
-        let result = match drives.written {
-            Some(codes) => self.checked(async |bus: &mut B| drives.chip.verify(bus, &codes).await).await,
-            None => Ok(()),
-        };
-        self.drives = Some(drives);
-        result
+        match &self.drives {
+            Some(Drives { chip, written: Some(codes), .. }) => {
+                self.bus.checked(async |bus: &mut B| chip.verify(bus, codes).await).await
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Transfers that had to be repeated since the last call.
     pub fn take_retries(&mut self) -> u32 {
-        core::mem::take(&mut self.retries)
+        core::mem::take(&mut self.bus.retries)
     }
+}
 
+/// The bus, with the patience that transfers need.
+struct Patient<B> {
+    bus: B,
+    retries: u32,
+}
+
+impl<B: Bus> Patient<B> {
     /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
     /// it costs a time-out.
     async fn checked<T>(

@@ -6,6 +6,7 @@ mod banner;
 mod draw;
 mod glyph;
 mod panel;
+mod source;
 mod task;
 mod view;
 

@@ -46,16 +46,16 @@ impl From<&ChannelInfo> for Channel {
         let limits = |mode: &r4_protocol::ModeInfo| ModeLimits {
             mode: mode.mode.to_string(),
             unit: mode.unit.to_string(),
-            min: mode.range.min,
-            max: mode.range.max,
+            min: finite(mode.range.min),
+            max: finite(mode.range.max),
             si: mode.unit,
         };
         Self {
             id: info.id.to_string(),
             kind: info.id.kind.name(),
             unit: info.unit.to_string(),
-            min: info.range.min,
-            max: info.range.max,
+            min: finite(info.range.min),
+            max: finite(info.range.max),
             rate_hz: info.rate_hz,
             modes: info.modes.iter().map(limits).collect(),
             si: info.unit,
@@ -105,10 +105,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     Ok(true)
 }
 
+/// JSON has no infinity.
+fn finite(limit: f32) -> f32 {
+    limit.clamp(-f32::MAX, f32::MAX)
+}
+
 /// Both ends and the unit, as people read them.
 fn limits(min: f32, max: f32, unit: Unit) -> [String; 3] {
     let (factor, name, _) = human(unit);
-    let shown = |value: f32| digits((f64::from(value) * factor) as f32);
+    let shown = |value: f32| match value {
+        value if value.abs() == f32::MAX => "unlimited".to_owned(),
+        value => digits((f64::from(value) * factor) as f32),
+    };
     [shown(min), shown(max), if name.is_empty() { unit.to_string() } else { name.to_owned() }]
 }
 

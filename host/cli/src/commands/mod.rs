@@ -1,9 +1,13 @@
 //! One module per verb, or per few verbs that are one thing.
 
 pub(crate) mod bench;
+pub(crate) mod config;
 pub(crate) mod demo;
+pub(crate) mod faults;
+pub(crate) mod hold;
 pub(crate) mod info;
 pub(crate) mod motion;
+pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod state;
 pub(crate) mod watch;

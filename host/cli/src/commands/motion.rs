@@ -1,17 +1,17 @@
-//! `r4 move`, `r4 speed`, `r4 duty`
+//! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`
 
-use anyhow::bail;
-use r4_driver::{Error, Until};
-use r4_protocol::{Mode, Unit};
+use anyhow::{bail, ensure};
+use r4_driver::{Error, Motion, Until};
+use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, Sample, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::{setpoint, speed_unit};
 use crate::{
-    args::{Args, Motion},
+    args::{self, Args},
     output,
     quantity::Quantity,
-    session,
+    session::{self, Session},
 };
 
 /// What became of one command, in SI.
@@ -22,11 +22,13 @@ struct Outcome {
     mode: String,
     unit: String,
     set: f64,
+    /// Null where nothing measures it.
     position: f64,
     speed: f64,
     duty: f64,
     seconds: f64,
     settled: bool,
+    homed: bool,
     /// Whether what was asked for held at the end.
     held: bool,
 }
@@ -42,19 +44,78 @@ const M_S_RESOLVED: f64 = 0.000_3;
 const HOLD_S: f64 = 2.0;
 /// A position is given up after this long unless told otherwise, s.
 const TIMEOUT_S: f64 = 30.0;
+/// How often a stepper is looked at before it steps, ms.
+const LOOK_EVERY_MS: u16 = 10;
 
-pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bool> {
-    let (channel, set) = (motion.channel, motion.value);
+/// What was asked of a motor, and what it did.
+struct Driven {
+    info: ChannelInfo,
+    mode: Mode,
+    set: Quantity,
+    end: Result<Motion, Error>,
+}
+
+pub(crate) fn run(args: &Args, motion: &args::Motion, mode: Mode) -> anyhow::Result<bool> {
     let until = match mode {
         Mode::Position => Until::Settled { timeout_s: motion.seconds.unwrap_or(TIMEOUT_S) },
         _ => Until::Elapsed { seconds: motion.seconds.unwrap_or(HOLD_S) },
     };
-    let ((end, position_unit), _) = session::run(args, Pace::Free, async |session| {
-        let setpoint = setpoint(session, channel, mode, set)?;
-        let position_unit = session.board.channel(channel)?.unit;
-        let end = session.armed(async || Ok(session.board.drive(channel, setpoint, until).await)).await?;
-        Ok((end, position_unit))
-    })?;
+    let drive = async |session: &Session<'_>| drive(session, motion.channel, mode, motion.value, until).await;
+    report(args, session::run(args, Pace::Free, drive)?.0)
+}
+
+pub(crate) fn home(args: &Args, home: &args::Home) -> anyhow::Result<bool> {
+    ensure!(home.speed.value != 0.0, "a home switch is sought at a speed other than 0");
+    let until = Until::Homed { timeout_s: home.seconds.unwrap_or(TIMEOUT_S) };
+    let drive = async |session: &Session<'_>| drive(session, home.channel, Mode::Home, home.speed, until).await;
+    report(args, session::run(args, Pace::Free, drive)?.0)
+}
+
+pub(crate) fn step(args: &Args, step: &args::Step) -> anyhow::Result<bool> {
+    let channel = step.channel;
+    let until = Until::Settled { timeout_s: step.seconds.unwrap_or(TIMEOUT_S) };
+    let drive = async |session: &Session<'_>| {
+        let board = session.board;
+        let resolution = f64::from(board.channel(channel)?.resolution);
+        ensure!(channel.kind == ChannelKind::Stepper, "{channel} is no stepper: `r4 move` sends it to a position");
+        let mut telemetry = board.telemetry();
+        board.subscribe(channel, LOOK_EVERY_MS).await?;
+        let counts = loop {
+            let frame = telemetry.next().await?;
+            let position = frame.samples.iter().find_map(|sample| match *sample {
+                Sample::Motor { channel: of, position, .. } if of == channel => Some(position),
+                _ => None,
+            });
+            if let Some(position) = position {
+                break position;
+            }
+        };
+        let value = (f64::from(counts) + f64::from(step.steps)) * resolution;
+        drive(session, channel, Mode::Position, Quantity { value, unit: Unit::Rad }, until).await
+    };
+    report(args, session::run(args, Pace::Free, drive)?.0)
+}
+
+async fn drive(
+    session: &Session<'_>,
+    channel: ChannelId,
+    mode: Mode,
+    set: Quantity,
+    until: Until,
+) -> anyhow::Result<Driven> {
+    let setpoint = setpoint(session, channel, mode, set)?;
+    if let verb @ ("servo" | "bldc") = channel.kind.name() {
+        bail!("{channel} does not tell how it moves: command it with `r4 {verb}`");
+    }
+    let info = session.board.channel(channel)?.clone();
+    let end = session.armed(async || Ok(session.board.drive(channel, setpoint, until).await)).await?;
+    Ok(Driven { info, mode, set, end })
+}
+
+/// Prints what came of it; false when it did not hold.
+fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
+    let Driven { info, mode, set, end } = driven;
+    let (channel, position_unit) = (info.id, info.unit);
     let end = match end {
         Err(Error::NotSettled { position, after_s, .. }) => {
             let position = Quantity { value: position, unit: position_unit };
@@ -64,6 +125,7 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
     };
     let held = match mode {
         Mode::Position => end.settled,
+        Mode::Home => end.homed,
         Mode::Duty => (end.duty - set.value).abs() <= DUTY_WITHIN,
         _ => {
             let resolved = if position_unit == Unit::M { M_S_RESOLVED } else { RAD_S_RESOLVED };
@@ -82,20 +144,25 @@ pub(crate) fn run(args: &Args, motion: &Motion, mode: Mode) -> anyhow::Result<bo
             duty: end.duty,
             seconds: end.after_s,
             settled: end.settled,
+            homed: end.homed,
             held,
         })?;
     }
     let position = Quantity { value: end.position, unit: position_unit };
     let speed = Quantity { value: end.speed, unit: speed_unit(position_unit) };
+    // A motor without a sensor has only its duty to tell, a stepper has none.
+    let place = if end.position.is_nan() { String::new() } else { format!(" at {position}, moving at {speed},") };
+    let duty = info.mode(Mode::Duty).map_or(String::new(), |_| format!(" duty {:.3},", end.duty));
+    let after_s = end.after_s;
     match mode {
         _ if args.json => {}
         Mode::Position => {
-            output::line(format_args!("{channel} rests at {position}, asked for {set}, after {:.2} s", end.after_s))?;
+            output::line(format_args!("{channel} rests at {position}, asked for {set}, after {after_s:.2} s"))?;
         }
-        _ => output::line(format_args!(
-            "{channel} at {position}, moving at {speed}, duty {:.3}, after {:.2} s of {mode} {set}; now stopped",
-            end.duty, end.after_s
-        ))?,
+        Mode::Home => {
+            output::line(format_args!("{channel} has found its home and rests at {position}, after {after_s:.2} s"))?;
+        }
+        _ => output::line(format_args!("{channel}{place}{duty} after {after_s:.2} s of {mode} {set}; now stopped"))?,
     }
     if !held {
         eprintln!("r4: {channel} did not hold {mode} {set}: at the end {speed}, duty {:.3}, at {position}", end.duty);

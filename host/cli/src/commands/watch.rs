@@ -1,6 +1,6 @@
 //! `r4 watch`
 
-use r4_protocol::{ChannelId, ChannelInfo, Quality, Sample, Telemetry};
+use r4_protocol::{ChannelId, ChannelInfo, Mode, Quality, Sample, Telemetry, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -56,8 +56,11 @@ impl Value {
             quality: None,
         };
         let number = match *sample {
+            // A motor that nothing measures has only its duty to tell.
+            Sample::Motor { duty, .. } if info.unit == Unit::Duty => duty.into(),
             Sample::Motor { position: counts, speed, duty, homed, .. } => {
-                (value.speed, value.duty, value.homed) = (Some(speed), Some(duty), Some(homed));
+                (value.speed, value.homed) = (Some(speed), Some(homed));
+                value.duty = info.mode(Mode::Duty).map(|_| duty);
                 position(counts)
             }
             Sample::Scalar { value, .. } => value.into(),
@@ -171,10 +174,11 @@ fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     let mut line = format!("{:>9}  {:<8}", "s", "state");
     for (info, sample) in infos.iter().zip(samples) {
         line += &format!("{:>13}", format!("{} {}", info.id, human(info.unit).1).trim_end());
-        if let Sample::Motor { .. } | Sample::Encoder { .. } = sample {
+        let value = Value::new(info, sample);
+        if value.speed.is_some() {
             line += &format!("{:>9}", human(speed_unit(info.unit)).1);
         }
-        if let Sample::Motor { .. } = sample {
+        if value.duty.is_some() {
             line += &format!("{:>8}", "duty");
         }
     }
@@ -189,7 +193,7 @@ fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
         _ => value.value.map_or("-".to_owned(), |value| Quantity { value, unit: info.unit }.number()),
     };
     let speed = value.speed.map(|speed| Quantity { value: speed.into(), unit: speed_unit(info.unit) }.number());
-    let duty = value.duty.map(|duty| Quantity { value: duty.into(), unit: r4_protocol::Unit::Duty }.number());
+    let duty = value.duty.map(|duty| Quantity { value: duty.into(), unit: Unit::Duty }.number());
     [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
 }
 

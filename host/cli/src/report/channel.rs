@@ -299,7 +299,7 @@ fn encoder_panels(series: &EncoderSeries, clock: &Clock) -> Vec<Panel> {
         Some(Panel { title, note, height: 110, range, lines: vec![line], guides: None })
     };
     let illegal = match series.samples.last() {
-        Some(last) if last.illegal > 0 => format!("{} illegal transitions: check its wiring", last.illegal),
+        Some(last) if last.illegal > 0 => format!("illegal transitions: {}, check its wiring", last.illegal),
         _ => String::new(),
     };
     let id = series.info.id;

@@ -253,8 +253,8 @@ mod tests {
 
     use r4_log::{Header, Recorder};
     use r4_protocol::{
-        Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, SafetyState, Sample, Setpoint,
-        Telemetry, Unit,
+        Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Quality, Range, SafetyState, Sample,
+        Setpoint, Telemetry, Unit,
     };
 
     use super::*;
@@ -316,6 +316,55 @@ mod tests {
                 vec![Cell::Number { value: f64::NAN, decimals: 1 }, verdict(false)],
                 vec![Cell::Text(HOSTILE.into())],
             ],
+        }
+    }
+
+    /// A range sensor that stops answering halfway, and an encoder that turns and sees an illegal transition.
+    fn input_log() -> Log {
+        let channel = |kind, unit, resolution| ChannelInfo {
+            id: ChannelId::new(kind, 0),
+            unit,
+            range: Range::symmetric(f32::MAX),
+            rate_hz: 1_000.0,
+            resolution,
+            modes: Default::default(),
+        };
+        let (range, encoder) =
+            (channel(ChannelKind::Range, Unit::M, 0.0), channel(ChannelKind::Encoder, Unit::Rad, 0.01));
+        let samples = |tick: i16| {
+            let quality = if tick < 100 { Quality::Good } else { Quality::NoAnswer };
+            let reading = Sample::Reading { channel: range.id, value: 0.5, age_ms: 0, quality };
+            let (position, illegal) = (tick.into(), u32::from(tick > 150));
+            [reading, Sample::Encoder { channel: encoder.id, position, speed: 10.0, illegal }]
+        };
+        let header = Header {
+            robot: "bench".into(),
+            board: "sim:bench".into(),
+            firmware: "0.1.0".into(),
+            protocol_version: 3,
+            channels: vec![range.clone(), encoder.clone()],
+        };
+        let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
+        for tick in 0..200_i16 {
+            let device_us = u64::from(tick.unsigned_abs()) * 1_000;
+            let samples = samples(tick).into_iter().collect();
+            let frame = Telemetry { device_us, state: SafetyState::Disarmed, causes: Causes::NONE, samples };
+            recorder.telemetry(&frame).expect("the channels are in the header");
+        }
+        Log::from_bytes(&recorder.finish().expect("finished").into_inner()).expect("a log")
+    }
+
+    #[test]
+    fn readings_and_encoders_are_plotted_with_what_is_wrong() {
+        let page = html(&input_log(), "run", &[]);
+        for expected in [
+            "range0 (m)",
+            "100 of 200 not good, last: sensor does not answer",
+            "encoder0 (°)",
+            "encoder0 speed (°/s)",
+            "illegal transitions: 1,",
+        ] {
+            assert!(page.contains(expected), "{expected}");
         }
     }
 

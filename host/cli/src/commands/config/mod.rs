@@ -1,0 +1,358 @@
+//! `r4 config`: the parameters that a board keeps.
+
+mod file;
+mod unit;
+
+use std::{fs, str::FromStr};
+
+use anyhow::{Context, anyhow, bail, ensure};
+use r4_driver::{Board, Clock, Error};
+use r4_protocol::{ChannelId, ParameterInfo, ParameterKey, Refusal, config::MAX_NAME};
+use r4_sim::Pace;
+use serde::Serialize;
+
+use unit::unit;
+
+use crate::{
+    args::{Args, Config},
+    output,
+    session::{self, Session, Target},
+    table,
+};
+
+/// What stands for the channel of the parameters that belong to none.
+const BOARD: &str = "board";
+
+/// Whose parameters: of a channel, or of the board.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Scope(Option<ChannelId>);
+
+impl FromStr for Scope {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse() {
+            Ok(channel) => Ok(Self(Some(channel))),
+            Err(_) if text == BOARD => Ok(Self(None)),
+            Err(error) => Err(format!("{error}; or `{BOARD}`")),
+        }
+    }
+}
+
+/// A robot's name that a board can keep.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Name(String);
+
+impl FromStr for Name {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.len() {
+            1..=MAX_NAME => Ok(Self(text.to_owned())),
+            _ => Err(format!("1 to {MAX_NAME} bytes")),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Shown {
+    board: String,
+    parameters: Vec<Parameter>,
+}
+
+#[derive(Serialize)]
+struct Parameter {
+    key: String,
+    unit: String,
+    active: f32,
+    set: f32,
+    built_in: f32,
+}
+
+impl From<&ParameterInfo> for Parameter {
+    fn from(info: &ParameterInfo) -> Self {
+        let ParameterInfo { key, active, set, built_in } = *info;
+        Self { key: key.to_string(), unit: unit(key), active, set, built_in }
+    }
+}
+
+#[derive(Serialize)]
+struct Changed {
+    board: String,
+    #[serde(flatten)]
+    parameter: Parameter,
+    saved: bool,
+}
+
+#[derive(Serialize)]
+struct Renamed {
+    board: String,
+    robot: String,
+    saved: bool,
+}
+
+#[derive(Serialize)]
+struct Saved {
+    board: String,
+    saved: bool,
+}
+
+#[derive(Serialize)]
+struct Imported {
+    board: String,
+    changed: Vec<Change>,
+    saved: bool,
+}
+
+#[derive(Serialize)]
+struct Change {
+    key: String,
+    from: f32,
+    to: f32,
+}
+
+pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
+    let saves = match config {
+        Config::Set { save, .. } | Config::Name { save, .. } | Config::Reset { save } => *save,
+        Config::Save | Config::Import { .. } => true,
+        Config::Show { .. } | Config::Export { .. } => false,
+    };
+    if saves {
+        check_keeps(args)?;
+    }
+    match config {
+        Config::Show { scope } => show(args, *scope),
+        Config::Set { key, value, save } => set(args, key, *value, *save),
+        Config::Name { name, save } => rename(args, name, *save),
+        Config::Save => {
+            change(args, true, async |_| Ok(()))?;
+            done(args, "all changes are", true)
+        }
+        Config::Reset { save } => {
+            change(args, *save, async |session| Ok(session.board.reset_parameters().await?))?;
+            done(args, "all parameters are as built in,", *save)
+        }
+        Config::Export { file } => export(args, file),
+        Config::Import { file } => import(args, file),
+    }
+}
+
+/// A simulated board has a flash of its own only while it runs.
+fn check_keeps(args: &Args) -> anyhow::Result<()> {
+    let Target::Sim(_) = args.board;
+    ensure!(
+        args.flash.is_some(),
+        "{} keeps nothing from one command to the next: name a file for its flash with --flash FILE or R4_FLASH",
+        args.board
+    );
+    Ok(())
+}
+
+/// Does `work`, and saves what came of it.
+async fn and_save<T>(
+    session: &Session<'_>,
+    save: bool,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let value = work(session).await?;
+    if save {
+        session.board.save_parameters().await.context("cannot save")?;
+    }
+    Ok(value)
+}
+
+fn change<T>(args: &Args, save: bool, work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>) -> anyhow::Result<T> {
+    Ok(session::run(args, Pace::Free, async |session| and_save(session, save, work).await)?.0)
+}
+
+/// When a change holds.
+fn outlook(saved: bool) -> &'static str {
+    if saved { "saved: holds from the next start on" } else { "not saved yet: `r4 config save`, or --save" }
+}
+
+/// On a simulated board a change that is not saved ends with the command.
+fn warn_unsaved(args: &Args, saved: bool) {
+    let Target::Sim(_) = args.board;
+    if !saved {
+        eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
+    }
+}
+
+fn done(args: &Args, what: &str, saved: bool) -> anyhow::Result<bool> {
+    if args.json {
+        output::json(&Saved { board: args.board.to_string(), saved })?;
+    } else {
+        output::line(format_args!("{what} {}", outlook(saved)))?;
+    }
+    warn_unsaved(args, saved);
+    Ok(true)
+}
+
+fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
+    let (parameters, _) = session::run(args, Pace::Free, async |session| {
+        if let Some(Scope(Some(channel))) = scope {
+            session.board.channel(channel)?;
+        }
+        let mut parameters = session.board.parameters().await?;
+        parameters.retain(|info| scope.is_none_or(|Scope(of)| info.key.channel == of));
+        Ok(parameters)
+    })?;
+    if args.json {
+        let parameters = parameters.iter().map(Parameter::from).collect();
+        output::json(&Shown { board: args.board.to_string(), parameters })?;
+        return Ok(true);
+    }
+    if parameters.is_empty() {
+        output::line("no parameters")?;
+        return Ok(true);
+    }
+    let mut table = table::new(&["parameter", "value", "after restart", "built in", "unit"], 1..4);
+    for ParameterInfo { key, active, set, built_in } in &parameters {
+        let unless = |value: &f32, same: &f32| if value == same { String::new() } else { shown(*value) };
+        table.add_row([key.to_string(), shown(*active), unless(set, active), unless(built_in, active), unit(*key)]);
+    }
+    output::line(table)?;
+    let changed = parameters.iter().filter(|info| info.active != info.built_in).count();
+    let waiting = parameters.iter().filter(|info| info.set != info.active).count();
+    output::line(format_args!(
+        "{} parameters, {changed} not as built in, {waiting} changed at the next restart",
+        parameters.len()
+    ))?;
+    Ok(true)
+}
+
+/// The shortest text that means this number.
+fn shown(value: f32) -> String {
+    let magnitude = value.abs();
+    if magnitude == 0.0 || (1e-4..1e7).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
+}
+
+fn set(args: &Args, key: &str, value: f32, save: bool) -> anyhow::Result<bool> {
+    let info = change(args, save, async |session| {
+        let parameters = session.board.parameters().await?;
+        let known = find(&parameters, key).ok_or_else(|| anyhow!("{}", unknown(&parameters, key)))?;
+        session.board.set_parameter(known.key, value).await?;
+        Ok(ParameterInfo { set: value, ..*known })
+    })?;
+    if args.json {
+        output::json(&Changed { board: args.board.to_string(), parameter: Parameter::from(&info), saved: save })?;
+    } else {
+        output::line(format_args!("{key} {} -> {}, {}", shown(info.active), shown(value), outlook(save)))?;
+    }
+    warn_unsaved(args, save);
+    Ok(true)
+}
+
+fn rename(args: &Args, Name(robot): &Name, save: bool) -> anyhow::Result<bool> {
+    let before = change(args, save, async |session| {
+        session.board.set_name(robot).await?;
+        Ok(session.board.info().robot.to_string())
+    })?;
+    if args.json {
+        output::json(&Renamed { board: args.board.to_string(), robot: robot.clone(), saved: save })?;
+    } else {
+        output::line(format_args!("robot {before} -> {robot}, {}", outlook(save)))?;
+    }
+    warn_unsaved(args, save);
+    Ok(true)
+}
+
+fn find<'p>(parameters: &'p [ParameterInfo], key: &str) -> Option<&'p ParameterInfo> {
+    parameters.iter().find(|info| info.key.to_string() == key)
+}
+
+/// What to say of a key that no parameter has.
+fn unknown(parameters: &[ParameterInfo], key: &str) -> String {
+    let keys = parameters.iter().map(|info| info.key.to_string());
+    let nearest = keys.min_by_key(|known| strsim::damerau_levenshtein(known, key));
+    let nearest = nearest.map_or(String::new(), |nearest| format!(", nearest is {nearest}"));
+    format!("the board has no parameter {key}{nearest}: `r4 config show` lists those it has")
+}
+
+fn export(args: &Args, file: &std::path::Path) -> anyhow::Result<bool> {
+    let (text, _) = session::run(args, Pace::Free, async |session| {
+        let info = session.board.info();
+        let title = format!("Parameters of {} ({}), firmware {}.", info.robot, args.board, info.firmware);
+        Ok(file::write(&title, &session.board.parameters().await?))
+    })?;
+    if file.as_os_str() == "-" {
+        output::line(text.trim_end())?;
+        return Ok(true);
+    }
+    fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    if args.json {
+        output::json(&serde_json::json!({ "board": args.board.to_string(), "file": file }))?;
+    } else {
+        output::line(format_args!("wrote {}", file.display()))?;
+    }
+    Ok(true)
+}
+
+fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let entries = file::read(&text).map_err(|error| anyhow!("{}:{error}", path.display()))?;
+    let (changed, _) = session::run(args, Pace::Free, async |session| {
+        let parameters = session.board.parameters().await?;
+        let mut changes = Vec::new();
+        for entry in &entries {
+            let place = format!("{}:{}", path.display(), entry.line);
+            let Some(info) = find(&parameters, &entry.key) else {
+                bail!("{place}: {}", unknown(&parameters, &entry.key));
+            };
+            if info.set != entry.value {
+                changes.push((place, ParameterInfo { set: entry.value, ..*info }, info.set));
+            }
+        }
+        let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
+        let (place, error) = match set_all(session.board, &wanted).await {
+            Ok(None) => {
+                let unsure = "cannot save; after a restart `r4 config show` tells what holds";
+                session.board.save_parameters().await.context(unsure)?;
+                return Ok(changes);
+            }
+            Ok(Some((index, error))) => (changes[index].0.clone(), error),
+            Err(error) => (path.display().to_string(), error),
+        };
+        let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
+        match set_all(session.board, &before).await {
+            Ok(None) => bail!("{place}: {error}; nothing was changed"),
+            _ => bail!("{place}: {error}; what was set before it is not saved: restart the board to be rid of it"),
+        }
+    })?;
+    let changed = changed.into_iter().map(|(_, info, from)| Change { key: info.key.to_string(), from, to: info.set });
+    let changed: Vec<Change> = changed.collect();
+    if args.json {
+        output::json(&Imported { board: args.board.to_string(), changed, saved: true })?;
+        return Ok(true);
+    }
+    for Change { key, from, to } in &changed {
+        output::line(format_args!("{key} {} -> {}", shown(*from), shown(*to)))?;
+    }
+    output::line(format_args!("{} of {} parameters changed; {}", changed.len(), entries.len(), outlook(true)))?;
+    Ok(true)
+}
+
+/// Sets all of `values`, whatever order they need: a range that moves must have its upper end moved first, or its lower.
+/// Gives the first that the board refuses in every order, and why.
+async fn set_all<C: Clock>(board: &Board<C>, values: &[(ParameterKey, f32)]) -> Result<Option<(usize, Error)>, Error> {
+    let mut left: Vec<usize> = (0..values.len()).collect();
+    loop {
+        let (before, mut refused) = (left.len(), None);
+        let mut still = Vec::new();
+        for index in left {
+            let (key, value) = values[index];
+            match board.set_parameter(key, value).await {
+                Ok(()) => {}
+                Err(error @ Error::Refused(Refusal::BadParameter { .. })) => {
+                    still.push(index);
+                    refused.get_or_insert((index, error));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        if still.is_empty() || still.len() == before {
+            return Ok(refused);
+        }
+        left = still;
+    }
+}

@@ -1,0 +1,102 @@
+//! `r4 servo`, `r4 bldc`, `r4 dac`: outputs that are told one number, and tell no more than that.
+
+use anyhow::{bail, ensure};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint, Unit};
+use r4_sim::Pace;
+use serde::Serialize;
+
+use super::setpoint;
+use crate::{
+    args::{Args, Bldc, Held},
+    output,
+    quantity::Quantity,
+    session,
+};
+
+/// An output is held this long unless told otherwise, s.
+pub(super) const HOLD_S: f64 = 2.0;
+/// Counts as held within this, rad, V or share: finer than the pulses and codes that the outputs are made of.
+const WITHIN: f64 = 0.001;
+
+/// What became of the output, in SI.
+#[derive(Serialize)]
+struct Outcome {
+    board: String,
+    channel: String,
+    mode: String,
+    unit: String,
+    set: f64,
+    /// What the output was told at the end; null if nothing.
+    value: f64,
+    seconds: f64,
+    /// Whether that was what was asked for.
+    held: bool,
+}
+
+/// What is asked of an output, and how to tell of it.
+struct Order {
+    channel: ChannelId,
+    kind: ChannelKind,
+    mode: Mode,
+    /// `None` for a brake.
+    value: Option<Quantity>,
+    seconds: f64,
+    /// What disarming leaves.
+    afterwards: &'static str,
+}
+
+pub(crate) fn servo(args: &Args, servo: &Held) -> anyhow::Result<bool> {
+    of_held(args, servo, ChannelKind::Servo, Mode::Position, "now disarmed")
+}
+
+pub(crate) fn dac(args: &Args, dac: &Held) -> anyhow::Result<bool> {
+    of_held(args, dac, ChannelKind::Dac, Mode::Voltage, "now at its safe voltage")
+}
+
+fn of_held(args: &Args, held: &Held, kind: ChannelKind, mode: Mode, afterwards: &'static str) -> anyhow::Result<bool> {
+    let (channel, value, seconds) = (held.channel, Some(held.value), held.seconds.unwrap_or(HOLD_S));
+    run(args, Order { channel, kind, mode, value, seconds, afterwards })
+}
+
+pub(crate) fn bldc(args: &Args, bldc: &Bldc) -> anyhow::Result<bool> {
+    let mode = if bldc.brake { Mode::Brake } else { Mode::Duty };
+    let (channel, value, seconds) = (bldc.channel, bldc.value, bldc.seconds.unwrap_or(HOLD_S));
+    run(args, Order { channel, kind: ChannelKind::Bldc, mode, value, seconds, afterwards: "now at neutral" })
+}
+
+fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
+    let Order { channel, kind, mode, value: asked, seconds, afterwards } = order;
+    let ((unit, value), _) = session::run(args, Pace::Free, async |session| {
+        let info = session.board.channel(channel)?;
+        ensure!(channel.kind == kind, "{channel} is no {}: `r4 info` lists the channels", kind.name());
+        let setpoint = match asked {
+            Some(asked) => setpoint(session, channel, mode, asked)?,
+            None if info.mode(mode).is_none() => bail!("{channel} has no {mode}: `r4 info` lists what it can take"),
+            None => Setpoint { mode, value: 1.0 },
+        };
+        let hold = async || Ok(session.board.hold(channel, setpoint, seconds).await?);
+        Ok((info.unit, session.armed(hold).await?))
+    })?;
+    let set = asked.unwrap_or(Quantity { value: 0.0, unit: Unit::Duty });
+    let held = (value - set.value).abs() <= WITHIN;
+    let what = if asked.is_some() { set.to_string() } else { mode.to_string() };
+    if args.json {
+        output::json(&Outcome {
+            board: args.board.to_string(),
+            channel: channel.to_string(),
+            mode: mode.to_string(),
+            unit: unit.to_string(),
+            set: if asked.is_some() { set.value } else { 1.0 },
+            value,
+            seconds,
+            held,
+        })?;
+    } else {
+        output::line(format_args!("{channel} was told {what} for {seconds} s; {afterwards}"))?;
+    }
+    if !held {
+        let reached = Quantity { value, unit };
+        eprintln!("r4: {channel} had only come to {reached} after {seconds} s: allow more time with --for");
+    }
+    Ok(held)
+}
