@@ -299,14 +299,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
-        let [osmc, dhb] = self.outputs.order(self.tick);
+        let [osmc, dhb] = self.outputs.order();
         if !self.drive_motors(shared, view, &osmc).await? {
             return Ok(());
         }
-        if self.tick.is_multiple_of(CHECK_EVERY) && self.may_go_on(shared, view).await {
+        if self.tick % CHECK_EVERY == 1 && self.may_go_on(shared, view).await {
             self.outputs.check_next().await?;
         }
-        // What does not fit this period goes first in the next.
+        // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
         if self.tick.is_multiple_of(2) {
             if self.drive_motors(shared, view, &dhb).await? {
                 self.write_drives_and_servos(shared, view).await?;

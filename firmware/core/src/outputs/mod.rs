@@ -35,6 +35,8 @@ pub enum OutputFault {
 const TRIES: u32 = 3;
 /// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
 const BUS_SHARE: f32 = 0.95;
+/// Servos that had to wait are caught up with for as many periods.
+const SERVO_PERIODS_DUE: usize = 8;
 /// Bits on the bus to set the expander.
 const EXPANDER_BITS: u32 = bits(4);
 /// Most bits on the bus to read one thing back: mode and prescaler of a PWM chip, each with two addresses and a register.
@@ -59,9 +61,13 @@ pub struct Outputs<B> {
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
+    /// The first OSMC and the first DHB that had to wait for the next period.
+    waiting: [Option<usize>; 2],
     expander: Option<Expander>,
     drives: Option<Drives>,
     servos: Option<Servos>,
+    /// Writes of servos that are due, those with them that had to wait.
+    servos_due: usize,
     period_s: f32,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
@@ -95,11 +101,13 @@ impl<B: Bus> Outputs<B> {
         Self {
             bus: Patient { bus, retries: 0 },
             bridges: bridges.collect(),
+            waiting: [None; 2],
             osmc,
             dhb,
             expander: expander.map(|expander| Expander::new(expander, config.relays.clone())),
             drives,
             servos,
+            servos_due: 0,
             period_s,
             bits_per_tick,
             bits_left: bits_per_tick,
@@ -240,19 +248,23 @@ impl<B: Bus> Outputs<B> {
         if let bytes @ 1.. = self.bridges[index].bytes(duty)
             && !self.fits(bits(bytes))
         {
+            self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
             return Ok(self.bridges[index].applied());
         }
         let bridge = &mut self.bridges[index];
         self.bus.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await
     }
 
-    /// The bridges in the order in which they are written in period number `tick`: OSMC first, then DHB, each group
-    /// beginning with another one each time, so that those which have to wait take turns.
-    pub fn order(&self, tick: u32) -> [Vec<usize, MAX_MOTORS>; 2] {
+    /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
+    /// with the first that had to wait in the last.
+    pub fn order(&mut self) -> [Vec<usize, MAX_MOTORS>; 2] {
         let count = self.bridges.len();
-        let turned = (0..count).map(|place| (place + tick as usize) % count);
-        let (osmc, dhb) = turned.partition(|index| self.bridges[*index].is_osmc());
-        [osmc, dhb]
+        let beginning_with = |first: Option<usize>, osmc: bool| {
+            let turned = (0..count).map(|place| (place + first.unwrap_or(0)) % count);
+            turned.filter(|index| self.bridges[*index].is_osmc() == osmc).collect()
+        };
+        let [osmc, dhb] = core::mem::take(&mut self.waiting);
+        [beginning_with(osmc, true), beginning_with(dhb, false)]
     }
 
     /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
@@ -301,17 +313,22 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Writes the servos whose turn it is and that fit this period.
+    /// Writes the servos whose turn it is and that fit this period; up to as many again of those that had to wait.
     ///
     /// # Errors
     /// [`OutputFault::Bus`]; a servo may then have either pulse.
     pub async fn write_servos(&mut self) -> Result<(), OutputFault> {
-        let writes = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
-        for _ in 0..writes {
-            let changed = self.servos.as_ref().is_some_and(Servos::has_changed);
-            if !changed || !self.fits(bits(Servos::WRITE_BYTES)) {
+        let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
+        self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
+        for _ in 0..self.servos_due.min(2 * in_turn) {
+            if !self.servos.as_ref().is_some_and(Servos::has_changed) {
+                self.servos_due = 0;
                 break;
             }
+            if !self.fits(bits(Servos::WRITE_BYTES)) {
+                break;
+            }
+            self.servos_due -= 1;
             let Some(servos) = &mut self.servos else { break };
             self.bus.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await?;
         }
