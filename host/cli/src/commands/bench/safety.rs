@@ -429,7 +429,7 @@ impl Injections<'_> {
         bench.host.arm().await?;
         bench.sleep_ms(POWER_UP_MS).await;
         // Alternately both ways, so that nothing comes to its end stop.
-        let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
         let osmc: Vec<_> = bench.taking(ChannelKind::Osmc, Mode::Duty).map(|(id, _)| id).collect();
         let victim = osmc.get(self.below(osmc.len() as u64) as usize).copied();
         let Some(victim) = victim else { bail!("no OSMC") };
