@@ -72,6 +72,17 @@ enum Group {
     Servo,
 }
 
+impl std::fmt::Display for Group {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Osmc => "osmc",
+            Self::Dhb => "dhb",
+            Self::Bldc => "bldc",
+            Self::Servo => "servo",
+        })
+    }
+}
+
 #[derive(Serialize)]
 struct Row {
     load: &'static str,
@@ -330,7 +341,7 @@ fn print(report: &Report) -> anyhow::Result<()> {
     let mut table = table::new(&header, 1..5);
     for row in &report.rows {
         let between: Vec<_> =
-            row.worst_ticks_between_updates.iter().map(|(group, ticks)| format!("{group:?} {ticks}")).collect();
+            row.worst_ticks_between_updates.iter().map(|(group, ticks)| format!("{group} {ticks}")).collect();
         table.add_row([
             row.load.to_owned(),
             format!("{:.1} %", 100.0 * row.occupancy),
