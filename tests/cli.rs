@@ -1144,3 +1144,28 @@ fn output_that_cannot_be_written_is_an_error() {
         assert!(seen.code == Some(1) && !seen.err.contains("panicked") && !seen.err.is_empty(), "{args:?}: {seen:?}");
     }
 }
+
+#[test]
+fn bench_bus_tells_what_the_bus_carries() {
+    let told = good_json(&["bench", "bus", "--seconds", "0.5", "--json"]);
+    let rows = told["rows"].as_array().expect("rows");
+    assert!(rows.len() >= 4, "{told}");
+    for row in rows {
+        let occupancy = row["occupancy"].as_f64().expect("a share");
+        assert!(row["load"].is_string() && (0.0..1.0).contains(&occupancy), "{row}");
+        assert_eq!(row["late_ticks"], 0, "{row}");
+        assert!(row["worst_tick_us"].as_f64().expect("a time") <= 1000.0, "{row}");
+    }
+}
+
+#[test]
+fn bench_safety_holds_every_limit() {
+    let seen = r4(&["bench", "safety", "--injections", "120", "--json"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+    let told = object(&seen.out);
+    assert_eq!(told["board"], "sim:every-interface");
+    for row in told["rows"].as_array().expect("rows") {
+        assert!(row["cause"].is_string() && row["outputs"].is_string(), "{row}");
+        assert!(row["max_ms"].as_f64() <= row["limit_ms"].as_f64() && row["injections"].as_u64() > Some(0), "{row}");
+    }
+}

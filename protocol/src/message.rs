@@ -417,6 +417,9 @@ pub enum Refusal {
     },
     /// The external bus or port did not come to an end in time.
     TransferFailed,
+    /// Arming while something is done that must not be while outputs move: parameters are being saved, or the board is
+    /// about to restart.
+    Busy,
 }
 
 impl fmt::Display for Refusal {
@@ -481,6 +484,7 @@ impl fmt::Display for Refusal {
             Self::TransferFailed => {
                 f.write_str("the transfer did not end in time: check that nothing holds the line, and the baud rate")
             }
+            Self::Busy => f.write_str("the board is saving, or about to restart: try again in a moment"),
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }
     }

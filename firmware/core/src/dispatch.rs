@@ -5,7 +5,7 @@ use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
     ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request, SCHEMA_HASH,
-    SafetyState, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
+    SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
@@ -93,16 +93,9 @@ fn stored(done: Done) -> Reply {
 
 /// Keeps what hosts have changed. A sector may have to be erased, so not while the board is armed.
 async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
-    refuse_while_armed(shared)?;
-    let changes = shared.pending(|config| Changes::between(shared.built_in(), config));
+    let _held = shared.hold_arming()?;
+    let changes = Changes::between(shared.built_in(), &shared.pending());
     shared.storage.request(Job::Save(changes.map_err(|_| Refusal::StorageFailed)?)).await.map(stored)
-}
-
-fn refuse_while_armed<M: RawMutex>(shared: &Shared<M>) -> Result<(), Refusal> {
-    match shared.safety().state {
-        state @ SafetyState::Armed => Err(Refusal::NotWhile { state }),
-        SafetyState::Disarmed | SafetyState::Tripped => Ok(()),
-    }
 }
 
 fn response<M: RawMutex>(shared: &Shared<M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
@@ -116,7 +109,7 @@ fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<P
     let end = Refusal::NoSuchIndex { index: u8::try_from(index).unwrap_or(u8::MAX) };
     let key = shared.config().parameters().nth(index).ok_or(end)?;
     let active = shared.config().parameter(key).ok_or(end)?;
-    let set = shared.pending(|config| config.parameter(key)).unwrap_or(active);
+    let set = shared.pending().parameter(key).unwrap_or(active);
     let built_in = shared.built_in().parameter(key).unwrap_or(active);
     Ok(ParameterInfo { key, active, set, built_in })
 }
@@ -188,16 +181,17 @@ fn answer<M: RawMutex>(
             return describe_parameter(shared, usize::from(index)).map(Reply::Parameter);
         }
         Request::SetParameter { key, value } => {
-            shared.pending(|config| config.set_parameter(key, value)).map_err(|error| match error {
+            let mut config = shared.pending();
+            config.set_parameter(key, value).map_err(|error| match error {
                 SetError::Unknown(key) => Refusal::UnknownParameter { key },
                 SetError::Invalid(_) => Refusal::BadParameter { key, value },
             })?;
+            shared.set_pending(config);
         }
-        Request::SetName { robot } => shared.pending(|config| config.robot = robot),
-        Request::ResetParameters => shared.pending(|config| config.clone_from(shared.built_in())),
+        Request::SetName { robot } => shared.set_pending(BoardConfig { robot, ..shared.pending() }),
+        Request::ResetParameters => shared.set_pending(shared.built_in().clone()),
         Request::Restart => {
-            refuse_while_armed(shared)?;
-            shared.restart();
+            shared.restart()?;
         }
         // Not answered here: [`dispatch`] passes them on.
         _ => return Err(Refusal::TransferFailed),

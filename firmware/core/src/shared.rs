@@ -139,8 +139,11 @@ struct State {
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
     ranges: [RangeReading; RANGE_SENSORS],
-    /// Trips since the start.
+    /// Trips since the start, and the causes of the last.
     trips: u32,
+    trip_causes: Causes,
+    /// How many hold arming back: something is done that must not be while outputs move.
+    arming_held: u8,
     /// The configuration as hosts have changed it; it holds from the next start on, if it is saved.
     pending: BoardConfig,
     statuses: [Status; CHANNELS],
@@ -198,8 +201,11 @@ impl<M: RawMutex> Shared<M> {
                 commands: [None; OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
-                ranges: [RangeReading::NONE; RANGE_SENSORS],
+                // Silent from now on, and not from the beginning of time.
+                ranges: [RangeReading { updated: Instant::now(), ..RangeReading::NONE }; RANGE_SENSORS],
                 trips: u32::from(reset == ResetCause::Watchdog),
+                trip_causes: safety.causes(),
+                arming_held: 0,
                 pending: config.clone(),
                 statuses,
                 stats: DeviceStats::default(),
@@ -269,6 +275,11 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.last_tick = Some(now));
     }
 
+    /// The control loop sets chips up, which takes longer than periods do; nothing is driven until its next tick.
+    pub(crate) fn control_pauses(&self) {
+        self.with(|s| s.last_tick = None);
+    }
+
     pub(crate) fn set_control_causes(&self, causes: Causes) {
         let new = self.with(|s| {
             let new = causes.bits() & !s.control_causes.bits() != 0;
@@ -323,6 +334,11 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
+    /// Every cause of the last trip, also when it has been cleared since.
+    pub(crate) fn trip_causes(&self) -> Causes {
+        self.with(|s| s.trip_causes)
+    }
+
     /// Trips since the start of the board.
     pub(crate) fn trips(&self) -> u32 {
         self.with(|s| s.trips)
@@ -348,13 +364,38 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// The configuration as hosts have changed it.
-    pub(crate) fn pending<T>(&self, f: impl FnOnce(&mut BoardConfig) -> T) -> T {
-        self.with(|s| f(&mut s.pending))
+    pub(crate) fn pending(&self) -> BoardConfig {
+        self.with(|s| s.pending.clone())
     }
 
-    /// Asks whoever runs the board to restart it.
-    pub(crate) fn restart(&self) {
+    /// Takes a changed configuration. Of two hosts that change it at once, the later wins.
+    pub(crate) fn set_pending(&self, config: BoardConfig) {
+        self.with(|s| s.pending = config);
+    }
+
+    /// Keeps the board from being armed for as long as the result lives.
+    ///
+    /// # Errors
+    /// [`Refusal::NotWhile`] while it is.
+    pub(crate) fn hold_arming(&self) -> Result<ArmingHeld<'_, M>, Refusal> {
+        self.with(|s| match s.safety {
+            Safety::Armed => Err(Refusal::NotWhile { state: SafetyState::Armed }),
+            Safety::Disarmed | Safety::Tripped { .. } => {
+                s.arming_held = s.arming_held.saturating_add(1);
+                Ok(())
+            }
+        })?;
+        Ok(ArmingHeld(self))
+    }
+
+    /// Asks whoever runs the board to restart it, which cannot be armed any more.
+    ///
+    /// # Errors
+    /// [`Refusal::NotWhile`] while it is armed.
+    pub(crate) fn restart(&self) -> Result<(), Refusal> {
+        core::mem::forget(self.hold_arming()?);
         self.restart.signal(());
+        Ok(())
     }
 
     /// Ready when a host has asked for a restart, which is only taken while the board is not armed.
@@ -417,7 +458,8 @@ impl<M: RawMutex> Shared<M> {
 
     /// Whether a host is connected.
     pub(crate) fn has_host(&self) -> bool {
-        self.with(|s| s.session.is_some())
+        let timeout = Duration::from_millis(self.config.link_timeout_ms.into());
+        self.heartbeat_age().is_some_and(|age| age <= timeout)
     }
 
     /// Since the host was last heard; `None` without one.
@@ -447,6 +489,15 @@ impl<M: RawMutex> Shared<M> {
     }
 }
 
+/// See [`Shared::hold_arming`].
+pub(crate) struct ArmingHeld<'s, M: RawMutex>(&'s Shared<M>);
+
+impl<M: RawMutex> Drop for ArmingHeld<'_, M> {
+    fn drop(&mut self) {
+        self.0.with(|s| s.arming_held = s.arming_held.saturating_sub(1));
+    }
+}
+
 /// From `then` to `now`; nothing when another task has already seen a later moment.
 fn since(then: Instant, now: Instant) -> Duration {
     now.saturating_duration_since(then)
@@ -458,12 +509,19 @@ const CONTROL_OVERRUN_PERIODS: u64 = 5;
 impl State {
     /// Returns whether the state changed.
     fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
+        let arms = event == Event::Arm && self.safety == Safety::Disarmed && self.present.is_empty();
+        if arms && self.arming_held > 0 {
+            return (false, Err(Refusal::Busy));
+        }
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
         self.trips = self.trips.wrapping_add(u32::from(changed && next.state() == SafetyState::Tripped));
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];
+        }
+        if next.state() == SafetyState::Tripped {
+            self.trip_causes = next.causes();
         }
         self.safety = next;
         (changed, result)

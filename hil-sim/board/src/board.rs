@@ -18,7 +18,7 @@ use r4_firmware::{
     screen::{self, ScreenPins},
     storage,
 };
-use r4_plants::PlantError;
+use r4_plants::{Effect, Plant, PlantError, PlantSpec, effect::friction::CoulombFriction};
 use r4_protocol::ChannelId;
 
 use crate::{
@@ -35,6 +35,8 @@ use crate::{
 /// Bits per second of the link to the host, as on the board's UART connectors.
 const LINK_BAUD: u32 = 1_000_000;
 
+/// Friction that no motor overcomes, N m or N.
+const BLOCKED: f64 = 1e3;
 /// Clock of the screen's SPI.
 const SCREEN_SPI_HZ: u32 = 20_000_000;
 
@@ -217,6 +219,29 @@ impl SimBoard {
             self.start_screen(simulation);
         }
         self.host.replace(Some(host));
+    }
+
+    /// The robot that it is.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// Blocks what a motor drives, or gives it the physics of the robot's file again; at rest where it is.
+    ///
+    /// # Errors
+    /// When its plant cannot be blocked.
+    pub fn block_motor(&self, channel: ChannelId, blocked: bool) -> Result<(), PlantError> {
+        let Some(motor) = self.robot.simulation.motors.iter().find(|motor| motor.channel == channel) else {
+            return Ok(());
+        };
+        let mut spec = PlantSpec::from_toml(&motor.plant.name, &motor.plant.text)?;
+        if blocked {
+            let pushed = spec.push_effect(Effect::CoulombFriction(CoulombFriction { level: BLOCKED }));
+            pushed.map_err(|error| PlantError::Field { source_name: motor.plant.name.clone(), line: 0, error })?;
+        }
+        self.world().set_plant(channel, Plant::new(&spec, 1));
+        Ok(())
     }
 
     /// Plugs a screen in, and starts the firmware's task for it. Returns the screen, to look at.

@@ -35,6 +35,7 @@ pub mod link;
 pub mod misuse;
 pub mod osmc;
 pub mod sensors;
+pub mod stop;
 pub mod world;
 
 pub use board::{Lights, SimBoard, SimError};

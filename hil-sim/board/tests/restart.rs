@@ -302,3 +302,37 @@ fn every_robot_comes_up_arms_and_is_driven() {
         assert_eq!(board.board.world().misuse(), [], "{name}");
     }
 }
+
+#[test]
+fn a_board_starts_with_every_analog_input_broken() {
+    let mut board = Restarts::new(&r4_boards::load("every-interface").expect("built in"));
+    for source in board.board.world().pins().analogs[..4].iter_mut().flatten() {
+        source.input.fault = Some(r4_sim::sensors::analog_input::AnalogFault::ShortToGround);
+    }
+    board.session(async |host, _, _| host.arm().await.expect("a broken input is told, and stops nothing"));
+}
+
+#[test]
+fn a_reset_leaves_the_direction_of_a_drive_that_still_turns() {
+    let bldc0 = ChannelId::new(ChannelKind::Bldc, 0);
+    let mut board = Restarts::new(&r4_boards::load("every-interface").expect("built in"));
+    board.session(async |host, board, clock| {
+        host.arm().await.unwrap();
+        clock.sleep(60 * MS).await;
+        host.set(bldc0, Setpoint { mode: Mode::Duty, value: -0.8 }).await.unwrap();
+        clock.sleep(6000 * MS).await;
+        assert!(board.world().speed(bldc0).unwrap() < -20.0);
+    });
+    board.restart(ResetCause::Watchdog);
+    board.pass_ms(300);
+    assert!(board.board.world().speed(bldc0).unwrap() < -1.0, "it still turns");
+    board.session(async |host, _, clock| {
+        host.clear().await.unwrap();
+        host.arm().await.unwrap();
+        clock.sleep(60 * MS).await;
+        // The other way: only after a rest at neutral.
+        host.set(bldc0, Setpoint { mode: Mode::Duty, value: 0.8 }).await.unwrap();
+        clock.sleep(7000 * MS).await;
+    });
+    assert_eq!(board.board.world().misuse(), []);
+}

@@ -13,6 +13,7 @@ use harness::{
     Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, bench_with_misuse,
     control_of, lines_of, osmc_bench, pwm_of, raw_bench,
 };
+use proptest::prelude::*;
 use r4_boards::Robot;
 use r4_driver::Error;
 use r4_plants::{
@@ -747,4 +748,84 @@ fn a_general_relay_is_switched_while_armed_and_opens_on_a_stop() {
         bench.sleep_ms(20).await;
         assert!(!closed(), "a relay closed before the stop stays open after it");
     });
+}
+
+/// What a host and the world may do to the board, in any order.
+#[derive(Clone, Copy, Debug)]
+enum Act {
+    Arm,
+    Disarm,
+    Clear,
+    Stop,
+    Drive,
+    Handle(bool),
+    Wait(u64),
+}
+
+fn acts() -> impl Strategy<Value = Vec<Act>> {
+    let act = prop_oneof![
+        3 => Just(Act::Arm),
+        1 => Just(Act::Disarm),
+        2 => Just(Act::Clear),
+        1 => Just(Act::Stop),
+        3 => Just(Act::Drive),
+        2 => any::<bool>().prop_map(Act::Handle),
+        3 => (1u64..120).prop_map(Act::Wait),
+    ];
+    proptest::collection::vec(act, 1..24)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+    /// Whatever comes in whatever order: what the board does is what this model of it says. Nothing moves unless it is armed
+    /// and was told to since it was, and a stop reaches the bridges within 5 ms.
+    #[test]
+    fn nothing_moves_unless_armed_and_told_since(acts in acts()) {
+        bench(&osmc_bench(), async |bench| {
+            let device = bench.device();
+            let (mut armed, mut tripped, mut told, mut held) = (false, false, false, true);
+            for (place, act) in acts.iter().enumerate() {
+                match *act {
+                    Act::Arm => {
+                        let taken = bench.host.arm().await.is_ok();
+                        assert_eq!(taken, held && !tripped, "{place} of {acts:?}");
+                        (armed, told) = (taken, told && armed);
+                    }
+                    Act::Disarm => {
+                        bench.host.disarm().await.unwrap();
+                        armed = false;
+                    }
+                    Act::Clear => {
+                        assert_eq!(bench.host.clear().await.is_ok(), held, "{place} of {acts:?}");
+                        tripped &= !held;
+                    }
+                    Act::Stop => {
+                        bench.host.stop().await.unwrap();
+                        (armed, tripped) = (false, true);
+                    }
+                    Act::Drive => {
+                        let taken = bench.set(ROTARY, Mode::Duty, 0.8).await.is_ok();
+                        assert_eq!(taken, armed, "{place} of {acts:?}");
+                        told |= taken;
+                    }
+                    Act::Handle(hold) => {
+                        bench.board.dead_man().set(hold);
+                        // Held counts after 20 ms.
+                        bench.sleep_ms(25).await;
+                        (armed, tripped, held) = (armed && hold, tripped || !hold, hold);
+                    }
+                    Act::Wait(ms) => bench.sleep_ms(ms).await,
+                }
+                told &= armed;
+                // Longer than any promised stop, and than power takes to come on.
+                bench.sleep_ms(if told { 100 } else { 5 }).await;
+                assert_eq!(device.duty(ROTARY) > 0.0, told, "{place} of {acts:?}");
+                assert_eq!(bench.board.lights().green, armed, "{place} of {acts:?}");
+                if !armed {
+                    assert!(device.is_off(ROTARY) && device.is_off(LINEAR), "{place} of {acts:?}");
+                    assert_eq!(bench.board.world().relay_closed(ChannelId::new(ChannelKind::Relay, 0)), Some(false));
+                }
+            }
+        });
+    }
 }

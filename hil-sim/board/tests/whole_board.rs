@@ -4,7 +4,7 @@ mod harness;
 
 use std::f64::consts::TAU;
 
-use harness::{Bench, bench, bench_with_misuse, control_of};
+use harness::{Bench, bench, bench_with_misuse, both, control_of};
 use r4_boards::Robot;
 use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample};
 
@@ -380,5 +380,73 @@ fn the_auxiliary_stop_trips_and_lights_tell_the_state() {
         // The supervisor kicks each ms, whatever else happens.
         let now_ns = bench.clock.now_ns();
         assert!(bench.board.world().pins().longest_kick_ns(now_ns) <= 2_000_000);
+    });
+}
+
+#[test]
+fn servos_that_hold_do_not_follow_a_command_of_before_the_stop() {
+    let servo = |index| channel(ChannelKind::Servo, index);
+    bench(&every_interface(), async |bench| {
+        bench.host.arm().await.unwrap();
+        bench.sleep_ms(100).await;
+        for index in 0..16 {
+            bench.set(servo(index), Mode::Position, 0.7).await.unwrap();
+        }
+        // Their pulses are written one in a period: most of them have none yet.
+        bench.board.dead_man().set(false);
+        bench.sleep_ms(50).await;
+        bench.board.dead_man().set(true);
+        bench.sleep_ms(50).await;
+        let here = |index| bench.position(servo(index));
+        let before: Vec<_> = (0..16).map(here).collect();
+        assert!(before.contains(&0.0), "some have not been told anything: {before:?}");
+        bench.sleep_ms(1000).await;
+        bench.host.clear().await.unwrap();
+        let before: Vec<_> = (0..16).map(here).collect();
+        bench.host.arm().await.unwrap();
+        bench.sleep_ms(1000).await;
+        assert_eq!((0..16).map(here).collect::<Vec<_>>(), before);
+    });
+}
+
+#[test]
+fn an_arming_begins_with_nothing_of_the_last_one() {
+    let bldc0 = channel(ChannelKind::Bldc, 0);
+    let dhb0 = channel(ChannelKind::Dhb, 0);
+    bench(&every_interface(), async |bench| {
+        // Whenever the two requests meet the control loop, also while it is late.
+        for phase in 0..40 {
+            bench.host.arm().await.unwrap();
+            bench.sleep_ms(60).await;
+            bench.set(bldc0, Mode::Duty, 0.5).await.unwrap();
+            bench.set(dhb0, Mode::Duty, 0.5).await.unwrap();
+            bench.sleep_ms(100).await;
+            assert!(bench.board.world().throttle_v(bldc0).unwrap() > 0.1);
+            bench.board.world().bus.set_rate_hz(60_000);
+            bench.clock.sleep(2_000_000 + 97_000 * phase).await;
+            let (disarmed, armed) = both(bench.host.disarm(), bench.host.arm()).await;
+            bench.board.world().bus.set_rate_hz(400_000);
+            disarmed.unwrap();
+            armed.unwrap();
+            bench.sleep_ms(20).await;
+            let world = &mut bench.board.world();
+            assert!(world.throttle_v(bldc0).unwrap() < 1e-3, "phase {phase}");
+            assert_eq!(world.drive(dhb0).unwrap().duty, 0.0, "phase {phase}");
+        }
+    });
+}
+
+#[test]
+fn a_brake_released_with_a_speed_leaves_the_speed() {
+    let bldc0 = channel(ChannelKind::Bldc, 0);
+    bench(&every_interface(), async |bench| {
+        bench.host.arm().await.unwrap();
+        bench.sleep_ms(60).await;
+        bench.set(bldc0, Mode::Brake, 1.0).await.unwrap();
+        bench.sleep_ms(10).await;
+        let (released, driven) = both(bench.set(bldc0, Mode::Brake, 0.0), bench.set(bldc0, Mode::Duty, 0.5)).await;
+        released.and(driven).unwrap();
+        bench.sleep_ms(1000).await;
+        assert_eq!(scalar(bench, bldc0).await, 0.5);
     });
 }

@@ -85,6 +85,28 @@ pub(crate) enum Command {
     I2c(I2c),
     /// Send and receive on a UART connector
     Uart(Uart),
+    /// Measure on simulated boards what the firmware promises
+    Bench {
+        #[command(subcommand)]
+        what: Bench,
+    },
+}
+
+/// Each on sim:every-interface, unless `--board` names another robot with every kind of output.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Bench {
+    /// Bus occupancy and late control periods under growing load
+    Bus {
+        /// How long each load lasts
+        #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+        seconds: f64,
+    },
+    /// Longest time until outputs are safe, for every cause of a stop
+    Safety {
+        /// How often causes are injected, in all
+        #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        injections: u32,
+    },
 }
 
 #[derive(Debug, clap::Args)]

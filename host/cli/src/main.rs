@@ -39,6 +39,7 @@ fn main() -> ExitCode {
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

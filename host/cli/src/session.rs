@@ -56,7 +56,7 @@ impl std::fmt::Display for Target {
 
 /// The time a session runs on.
 #[derive(Clone)]
-pub(crate) struct HostClock(r4_sim::Clock);
+pub(crate) struct HostClock(pub(crate) r4_sim::Clock);
 
 impl Clock for HostClock {
     fn now_us(&self) -> u64 {

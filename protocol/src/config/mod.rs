@@ -236,9 +236,30 @@ impl BoardConfig {
         }
         let pwm = [self.osmc_pwm, self.dhb_pwm].map(|chip| chip.map(|chip| chip.address));
         let others = [self.servo_pwm.map(|chip| chip.address), self.bldc_dac.map(|chip| chip.address)];
+        self.validate_bus()?;
         let mut addresses = Used::default();
         let distinct = pwm.into_iter().chain(others).flatten().all(|address| addresses.take(address));
         rule(distinct, "two chips have the same address")
+    }
+
+    /// Each control period must have room on the bus for the largest single write, and beside every OSMC bridge for the
+    /// largest of the others, or some output would never be written.
+    fn validate_bus(&self) -> Result<(), ConfigError> {
+        const fn bits(bytes: u64) -> u64 {
+            9 * bytes + 3
+        }
+        let is_osmc = |motor: &&MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
+        let osmc = self.motors.iter().filter(is_osmc).count() as u64;
+        let has_dhb = self.motors.len() as u64 > osmc;
+        // All lines of a bridge, a reading back of a PWM chip's mode, all voltages of the DAC.
+        let all_lines = if osmc > 0 { bits(18) } else { 0 };
+        let others =
+            [(has_dhb, bits(14)), (!self.bldcs.is_empty(), bits(9)), (!self.motors.is_empty(), bits(5) + bits(4))];
+        let largest = others.into_iter().filter(|(there, _)| *there).map(|(_, bits)| bits).max();
+        let needed = all_lines.max(osmc * bits(4) + largest.unwrap_or(0)).max(bits(4));
+        // 95 % of the period: the rest is for the processor.
+        let room = u64::from(self.control_period_us) * u64::from(self.i2c_hz) / 1_000_000 * 95 / 100;
+        check(None, room >= needed, "i2c_hz and control_period_us must leave room for every output in a period")
     }
 
     fn validate_motors(&self) -> Result<(), ConfigError> {

@@ -61,6 +61,7 @@ fn dhb(in1: u8, in2: u8, en: u8) -> BridgeConfig {
 const BOARD: &[Case] = {
     const PERIOD: &str = "control_period_us must be 500 to 20000";
     const TIMEOUT: &str = "link_timeout_ms must be 20 to 1000";
+    const ROOM: &str = "i2c_hz and control_period_us must leave room for every output in a period";
     const BUS: &str = "i2c_hz must be 10000 to 400000";
     const AIR: &str = "air_temperature_c must be -40 to 60";
     const PWM: &str = "the PWM chip has 24 to 1526 Hz";
@@ -79,6 +80,8 @@ const BOARD: &[Case] = {
         (None, PERIOD, |c| c.control_period_us = u32::MAX),
         (None, TIMEOUT, |c| c.link_timeout_ms = 19),
         (None, TIMEOUT, |c| c.link_timeout_ms = 1001),
+        (None, ROOM, |c| c.i2c_hz = 100_000),
+        (None, ROOM, |c| c.control_period_us = 500),
         (None, BUS, |c| c.i2c_hz = 9999),
         (None, BUS, |c| c.i2c_hz = 400_001),
         (None, AIR, |c| c.air_temperature_c = -41.0),
@@ -419,11 +422,17 @@ fn no_rule_is_without_a_change_that_breaks_it() {
 #[test]
 fn the_ends_of_what_is_allowed_are_taken() {
     let ends: &[fn(&mut BoardConfig)] = &[
-        |c| c.control_period_us = 500,
+        |c| {
+            c.motors.clear();
+            c.control_period_us = 500;
+        },
         |c| c.control_period_us = 20_000,
         |c| c.link_timeout_ms = 20,
         |c| c.link_timeout_ms = 1000,
-        |c| c.i2c_hz = 10_000,
+        |c| {
+            c.motors.clear();
+            (c.i2c_hz, c.control_period_us) = (10_000, 20_000);
+        },
         |c| c.air_temperature_c = -40.0,
         |c| c.air_temperature_c = 60.0,
         |c| c.osmc_pwm.as_mut().expect("one").frequency_hz = 24.0,

@@ -373,6 +373,7 @@ fn later_refusals() -> Vec<(&'static str, Refusal)> {
         ("refused-bad-transfer", Refusal::BadTransfer),
         ("refused-no-acknowledge", Refusal::NoAcknowledge { address: 0x48 }),
         ("refused-transfer-failed", Refusal::TransferFailed),
+        ("refused-busy", Refusal::Busy),
     ]
 }
 

@@ -119,7 +119,13 @@ fn refusal() -> BoxedStrategy<Refusal> {
         state().prop_map(|state| Refusal::NotWhile { state }),
         key().prop_map(|key| Refusal::UnknownParameter { key }),
         (key(), f32s()).prop_map(|(key, value)| Refusal::BadParameter { key, value }),
-        select(vec![Refusal::StorageFailed, Refusal::NoSuchFault, Refusal::BadTransfer, Refusal::TransferFailed,]),
+        select(vec![
+            Refusal::StorageFailed,
+            Refusal::NoSuchFault,
+            Refusal::BadTransfer,
+            Refusal::TransferFailed,
+            Refusal::Busy
+        ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
     ]
     .boxed()

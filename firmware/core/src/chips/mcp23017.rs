@@ -41,6 +41,17 @@ impl Mcp23017 {
         self.verify(bus, levels).await
     }
 
+    /// The levels that the pins are driven to; `None` while not all of them are outputs, as after power-up.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn driven<B: I2c>(&self, bus: &mut B) -> Result<Option<u16>, B::Error> {
+        let (mut directions, mut levels) = ([0; 2], [0; 2]);
+        bus.write_read(self.address, &[IODIRA], &mut directions).await?;
+        bus.write_read(self.address, &[OLATA], &mut levels).await?;
+        Ok((directions == [0, 0]).then_some(u16::from_le_bytes(levels)))
+    }
+
     /// Sets all pins in one transfer of 3 bytes.
     ///
     /// # Errors

@@ -86,6 +86,9 @@ struct Homing {
     reference: f32,
     /// Whether the switch has been found and is being left again.
     backing_off: bool,
+    /// Whether it has been closed while the motor was on its way back: one that overshoots a short cam finds it open on the
+    /// far side, which is no zero.
+    seen_again: bool,
     /// Where the search began.
     start: f64,
 }
@@ -225,7 +228,13 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 self.homed = false;
                 let start = self.position;
-                Following::Home(Homing { speed: setpoint.value, reference: self.speed, backing_off: false, start })
+                Following::Home(Homing {
+                    speed: setpoint.value,
+                    reference: self.speed,
+                    backing_off: false,
+                    seen_again: false,
+                    start,
+                })
             }
             // Dispatch lets no motor be switched.
             (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake) => Following::Duty,
@@ -396,9 +405,11 @@ impl Motor {
     /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
     /// gone too far.
     fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
+        let goes_back = homing.reference * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
         match (homing.backing_off, self.switch_closed) {
             (false, Some(true)) => homing.backing_off = true,
-            (true, Some(false)) => {
+            (true, Some(true)) => homing.seen_again |= goes_back,
+            (true, Some(false)) if homing.seen_again => {
                 self.set_zero();
                 self.position_loop.reset(self.duty);
                 self.profile.start(self.distance(), self.speed);

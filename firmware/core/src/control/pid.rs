@@ -18,6 +18,9 @@ impl OutputLimits {
     }
 }
 
+/// A loop without an integral part lets go of an integral with this time constant, s.
+const FORGET_S: f32 = 5.0;
+
 /// A PID loop of fixed period.
 ///
 /// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured rate `v`
@@ -73,6 +76,9 @@ impl Pid {
             let tracking = if kp > 0.0 { (ki / kp * self.period_s).min(1.0) } else { 1.0 };
             let unload = (excess * tracking).abs().min(self.integral.abs());
             if self.integral * excess > 0.0 { self.integral - unload.copysign(excess) } else { self.integral }
+        } else if ki == 0.0 {
+            // Left by other gains, or pushed: nothing else would ever unload it.
+            limits.bound(self.integral - self.integral * (self.period_s / FORGET_S).min(1.0))
         } else {
             limits.bound(self.integral + ki * error * self.period_s)
         };

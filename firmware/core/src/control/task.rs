@@ -53,7 +53,7 @@ pub struct BoardIo<B, P> {
 pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: BoardIo<B, P>) -> ! {
     let config = shared.config();
     let mut control = Control::new(config, io);
-    control.initialise().await;
+    control.initialise(shared).await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
     shared.set_control_causes(control.causes());
@@ -175,13 +175,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 gains.into_iter().for_each(|gains| motor.set_gains(mode, gains));
             }
         }
+        // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
+        self.step_steppers(shared);
         let view = shared.safety();
         if view.state == SafetyState::Armed {
             self.drive(shared, view).await;
         } else {
             self.hold_safe(shared).await;
         }
-        self.step_steppers(shared);
         self.publish_outputs(shared);
         self.record(shared);
         shared.set_control_causes(self.causes());
@@ -200,7 +201,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let trips = shared.trips();
         if trips != self.trips {
             self.trips = trips;
-            shared.storage.record(self.recorder.freeze(now_us, shared.safety().causes));
+            shared.storage.record(self.recorder.freeze(now_us, shared.trip_causes()));
         }
     }
 
@@ -257,7 +258,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         for (index, (input, analog)) in self.analogs.iter_mut().enumerate() {
             let reading = analog.update(self.peripherals.code(*input));
-            let taken = Instant::now() - Duration::from_millis(reading.age_ms.into());
+            let age = Duration::from_millis(reading.age_ms.into());
+            // One that has never been good is older than the board.
+            let taken = Instant::now().checked_sub(age).unwrap_or(Instant::MIN);
             let status = Status::Reading { value: reading.volts, quality: reading.quality, taken };
             shared.publish(Place::Analog(index), status);
         }
@@ -274,6 +277,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// One period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one matters.
     async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
         if view.epoch != self.epoch {
+            if !self.safe {
+                // Stopped and armed again before this loop could see it: the last arming ends here all the same.
+                self.make_safe(shared).await;
+            }
             self.epoch = view.epoch;
             self.motors.iter_mut().for_each(Axis::stop);
             if self.outputs.has_motor_power_relay() {
@@ -292,27 +299,47 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
-        let [osmc, dhb] = self.outputs.order(self.tick);
+        let [osmc, dhb] = self.outputs.order();
         if !self.drive_motors(shared, view, &osmc).await? {
             return Ok(());
         }
-        if self.tick.is_multiple_of(CHECK_EVERY) {
+        if self.tick % CHECK_EVERY == 1 && self.may_go_on(shared, view).await {
             self.outputs.check_next().await?;
         }
-        // What does not fit this period goes first in the next.
-        let drives_first = !self.tick.is_multiple_of(2);
-        if drives_first {
-            self.outputs.write_drives().await?;
-            self.outputs.write_servos().await?;
+        // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
+        if self.tick.is_multiple_of(2) {
+            if self.drive_motors(shared, view, &dhb).await? {
+                self.write_drives_and_servos(shared, view).await?;
+            }
+        } else {
+            self.write_drives_and_servos(shared, view).await?;
+            self.drive_motors(shared, view, &dhb).await?;
         }
-        if !self.drive_motors(shared, view, &dhb).await? {
-            return Ok(());
-        }
-        if !drives_first {
+        Ok(())
+    }
+
+    async fn write_drives_and_servos<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        view: SafetyView,
+    ) -> Result<(), OutputFault> {
+        if self.may_go_on(shared, view).await {
             self.outputs.write_drives().await?;
+        }
+        if self.may_go_on(shared, view).await {
             self.outputs.write_servos().await?;
         }
         Ok(())
+    }
+
+    /// Whether no stop has come in this period. One that has is carried out at once: it must not wait for what else was to
+    /// be written.
+    async fn may_go_on<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> bool {
+        let goes_on = shared.safety() == view;
+        if !goes_on && !self.safe {
+            self.make_safe(shared).await;
+        }
+        goes_on
     }
 
     /// Steps and writes some motors; false when a stop came meanwhile, which has then been carried out.
@@ -333,9 +360,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));
-            // A stop that came while another bridge was written must not wait for this one.
-            if shared.safety() != view {
-                self.make_safe(shared).await;
+            if !self.may_go_on(shared, view).await {
                 return Ok(false);
             }
             let applied = self.outputs.drive(index, duty).await?;
@@ -362,13 +387,15 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             return;
         }
         for index in 0..config.bldcs.len() {
-            if let Some(setpoint) = shared.take_command(Place::Bldc(index), view.epoch) {
-                self.outputs.command_drive(index, DriveCommand::Run(setpoint.value));
-            }
-            // Of a speed and a brake in the same period, the brake is taken.
-            if let Some(brake) = shared.take_brake(index, view.epoch) {
-                self.outputs.command_drive(index, if brake { DriveCommand::Brake } else { DriveCommand::Run(0.0) });
-            }
+            let share = shared.take_command(Place::Bldc(index), view.epoch).map(|setpoint| setpoint.value);
+            // Of a speed and an applied brake in the same period, the brake is taken; a released one leaves the speed.
+            let command = match (shared.take_brake(index, view.epoch), share) {
+                (Some(true), _) => DriveCommand::Brake,
+                (_, Some(share)) => DriveCommand::Run(share),
+                (Some(false), None) => DriveCommand::Run(0.0),
+                (None, None) => continue,
+            };
+            self.outputs.command_drive(index, command);
         }
         self.outputs.step_drives();
         for index in 0..config.servos.len() {
@@ -418,10 +445,22 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.iter().for_each(|cause| shared.trip(cause));
     }
 
-    async fn initialise(&mut self) {
+    async fn initialise<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        // What went wrong is known before the setting up is over, and that takes longer than a loop that hangs may.
+        shared.set_control_causes(self.causes());
+        shared.control_pauses();
+        self.rest_dacs(shared);
         // The only way out of a fault: whatever a chip lost, it gets again.
         self.fault = self.outputs.init().await.err();
         self.safe = self.fault.is_none();
+        shared.control_tick(Instant::now());
+    }
+
+    fn rest_dacs<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        for (index, dac) in shared.config().dacs.iter().enumerate() {
+            self.peripherals.set(dac.id.index, dac_code(dac.safe_v));
+            shared.publish(Place::Dac(index), Status::Scalar(dac.safe_v));
+        }
     }
 
     async fn make_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
@@ -430,10 +469,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             bank.make_safe(&mut self.peripherals);
             self.stepper_setpoints = [Setpoint::NONE; STEPPERS];
         }
-        for (index, dac) in shared.config().dacs.iter().enumerate() {
-            self.peripherals.set(dac.id.index, dac_code(dac.safe_v));
-            shared.publish(Place::Dac(index), Status::Scalar(dac.safe_v));
-        }
+        self.rest_dacs(shared);
         self.motors.iter_mut().for_each(Axis::stop);
         match self.outputs.make_safe().await {
             Ok(()) => self.safe = true,
@@ -447,7 +483,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             self.make_safe(shared).await;
         }
         if self.fault.is_some() {
-            self.initialise().await;
+            self.initialise(shared).await;
         } else if self.tick % REASSERT_EVERY == REASSERT_EVERY / 2 {
             self.fault = self.outputs.check_drives().await.err();
         } else {

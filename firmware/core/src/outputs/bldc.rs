@@ -11,7 +11,7 @@
 //!
 //! After power-up the expander's pins are inputs until it is set up: pull-ups or pull-downs at the drive must then give
 //! "brake applied", as the EEPROM of the DAC gives neutral. A reset of the processor alone leaves voltages and lines as
-//! they were: set up the DAC first, which takes the drives to neutral, then wait for [`Bldcs::rest_ms`].
+//! they were: [`Bldcs::resume`] keeps the direction lines, so that they too change only after a rest at neutral.
 
 use heapless::Vec;
 use r4_protocol::config::{BldcConfig, DacChipConfig, MAX_BLDCS, Reverse};
@@ -87,15 +87,14 @@ impl Bldcs {
         wanted
     }
 
-    /// For how long the drives must have been at neutral before the expander is set up, ms: it tells them to go forwards,
-    /// and before a reset of the processor they may have gone backwards.
-    #[must_use]
-    pub fn rest_ms(&self) -> u16 {
-        let rests = self.drives.iter().map(|drive| match drive.config.reverse {
-            Reverse::Line { rest_ms, .. } => rest_ms,
-            Reverse::None | Reverse::Voltage { .. } => 0,
-        });
-        rests.max().unwrap_or(0)
+    /// Keeps the directions that the expander's pins, driven to `levels`, tell the drives.
+    pub fn resume(&mut self, levels: u16) {
+        for drive in &mut self.drives {
+            if let Reverse::Line { line, .. } = drive.config.reverse {
+                drive.backwards = (levels & 1 << line.bit != 0) != line.active_low;
+            }
+            drive.at_neutral_us = 0;
+        }
     }
 
     /// Share of full speed that drive number `index` is now told, -1..=1.

@@ -57,6 +57,11 @@ impl Expander {
         }
     }
 
+    /// What the pins are driven to by a chip that was set up before the processor started; `None` otherwise.
+    pub(super) async fn driven<B: I2c>(&self, bus: &mut B) -> Result<Option<u16>, B::Error> {
+        self.chip.driven(bus).await
+    }
+
     /// Sets the chip up with the relays as they should be.
     pub(super) async fn init<B: I2c>(&mut self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.written = None;

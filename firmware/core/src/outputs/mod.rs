@@ -35,6 +35,8 @@ pub enum OutputFault {
 const TRIES: u32 = 3;
 /// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
 const BUS_SHARE: f32 = 0.95;
+/// Servos that had to wait are caught up with for as many periods.
+const SERVO_PERIODS_DUE: usize = 8;
 /// Bits on the bus to set the expander.
 const EXPANDER_BITS: u32 = bits(4);
 /// Most bits on the bus to read one thing back: mode and prescaler of a PWM chip, each with two addresses and a register.
@@ -55,19 +57,22 @@ struct Drives {
 
 /// The outputs of one board.
 pub struct Outputs<B> {
-    bus: B,
+    bus: Patient<B>,
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
+    /// The first OSMC and the first DHB that had to wait for the next period.
+    waiting: [Option<usize>; 2],
     expander: Option<Expander>,
     drives: Option<Drives>,
     servos: Option<Servos>,
+    /// Writes of servos that are due, those with them that had to wait.
+    servos_due: usize,
     period_s: f32,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
     bits_left: u32,
     next_check: usize,
-    retries: u32,
 }
 
 impl<B: Bus> Outputs<B> {
@@ -94,18 +99,19 @@ impl<B: Bus> Outputs<B> {
         });
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         Self {
-            bus,
+            bus: Patient { bus, retries: 0 },
             bridges: bridges.collect(),
+            waiting: [None; 2],
             osmc,
             dhb,
             expander: expander.map(|expander| Expander::new(expander, config.relays.clone())),
             drives,
             servos,
+            servos_due: 0,
             period_s,
             bits_per_tick,
             bits_left: bits_per_tick,
             next_check: 0,
-            retries: 0,
         }
     }
 
@@ -115,23 +121,27 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
-        // The relay in the motors' supply comes first, and brakes with it.
+        if let (Some(expander), Some(drives)) = (&self.expander, &mut self.drives) {
+            // Drives may still turn from before the processor was reset: their direction lines stay as they are.
+            let driven = self.bus.checked(async |bus: &mut B| Ok(expander.driven(bus).await?)).await?;
+            driven.into_iter().for_each(|levels| drives.rules.resume(levels));
+        }
+        // The relay in the motors' supply comes first, and brakes with it; then drives go to neutral.
         self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
+        if let Some(drives) = &mut self.drives {
+            let codes = drives.rules.make_safe().codes;
+            drives.written = None;
+            self.bus.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await?;
+            drives.written = Some(codes);
+        }
         for chip in self.bridge_chips() {
-            self.checked(async |bus: &mut B| chip.init(bus).await).await?;
+            self.bus.checked(async |bus: &mut B| chip.init(bus).await).await?;
         }
         self.bridges.iter_mut().for_each(Bridge::now_off);
-        if let Some(mut drives) = self.drives.take() {
-            let codes = drives.rules.make_safe().codes;
-            let result = self.checked(async |bus: &mut B| drives.chip.init(bus, codes).await).await;
-            drives.written = result.is_ok().then_some(codes);
-            self.drives = Some(drives);
-            result?;
+        match &mut self.servos {
+            Some(servos) => self.bus.checked(async |bus: &mut B| servos.init(bus).await).await,
+            None => Ok(()),
         }
-        let Some(mut servos) = self.servos.take() else { return Ok(()) };
-        let result = self.checked(async |bus: &mut B| servos.init(bus).await).await;
-        self.servos = Some(servos);
-        result
     }
 
     /// Opens every relay, the motors' supply with them, brakes, then turns every motor output off, whatever they did.
@@ -142,23 +152,21 @@ impl<B: Bus> Outputs<B> {
         let mut result =
             self.expander_safe(async |expander: &mut Expander, bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
         for chip in self.bridge_chips() {
-            let off = self.checked(async |bus: &mut B| Ok(chip.all_off(bus).await?)).await;
+            let off = self.bus.checked(async |bus: &mut B| Ok(chip.all_off(bus).await?)).await;
             result = result.and(off);
         }
         if result.is_ok() {
             self.bridges.iter_mut().for_each(Bridge::now_off);
         }
-        if let Some(mut drives) = self.drives.take() {
+        if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
             // All of them, whatever they were told.
-            let neutral = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
+            let neutral = self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
             drives.written = neutral.is_ok().then_some(codes);
-            self.drives = Some(drives);
             result = result.and(neutral);
         }
-        if let Some(mut servos) = self.servos.take() {
-            let limp = self.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;
-            self.servos = Some(servos);
+        if let Some(servos) = &mut self.servos {
+            let limp = self.bus.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;
             result = result.and(limp);
         }
         result
@@ -174,14 +182,12 @@ impl<B: Bus> Outputs<B> {
         &mut self,
         mut write: impl AsyncFnMut(&mut Expander, &mut B) -> Result<(), ChipError<B::Error>>,
     ) -> Result<(), OutputFault> {
-        let Some(mut expander) = self.expander.take() else { return Ok(()) };
+        let Some(expander) = &mut self.expander else { return Ok(()) };
         expander.open_all();
         if let Some(drives) = &mut self.drives {
             expander.set_lines(drives.rules.make_safe().levels);
         }
-        let result = self.checked(async |bus: &mut B| write(&mut expander, bus).await).await;
-        self.expander = Some(expander);
-        result
+        self.bus.checked(async |bus: &mut B| write(expander, bus).await).await
     }
 
     /// A control period begins: the bus is free again.
@@ -223,12 +229,13 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; its pins may then be in either state.
     pub async fn write_expander(&mut self) -> Result<(), OutputFault> {
-        let Some(mut expander) = self.expander.take_if(|expander| expander.has_changed()) else { return Ok(()) };
+        if !self.expander.as_ref().is_some_and(Expander::has_changed) {
+            return Ok(());
+        }
         // Never waits: it comes first in every period.
         self.fits(EXPANDER_BITS);
-        let result = self.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
-        self.expander = Some(expander);
-        result
+        let Some(expander) = &mut self.expander else { return Ok(()) };
+        self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await
     }
 
     /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has. What does not fit this period
@@ -237,25 +244,27 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; the bridge then still does what it did before.
     pub async fn drive(&mut self, index: usize, duty: f32) -> Result<f32, OutputFault> {
-        let mut bridge = self.bridges[index];
-        let Some(chip) = self.chip_of(bridge) else { return Ok(0.0) };
-        if let bytes @ 1.. = bridge.bytes(duty)
+        let Some(chip) = self.chip_of(&self.bridges[index]) else { return Ok(0.0) };
+        if let bytes @ 1.. = self.bridges[index].bytes(duty)
             && !self.fits(bits(bytes))
         {
-            return Ok(bridge.applied());
+            self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
+            return Ok(self.bridges[index].applied());
         }
-        let applied = self.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await?;
-        self.bridges[index] = bridge;
-        Ok(applied)
+        let bridge = &mut self.bridges[index];
+        self.bus.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await
     }
 
-    /// The bridges in the order in which they are written in period number `tick`: OSMC first, then DHB, each group
-    /// beginning with another one each time, so that those which have to wait take turns.
-    pub fn order(&self, tick: u32) -> [Vec<usize, MAX_MOTORS>; 2] {
+    /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
+    /// with the first that had to wait in the last.
+    pub fn order(&mut self) -> [Vec<usize, MAX_MOTORS>; 2] {
         let count = self.bridges.len();
-        let turned = (0..count).map(|place| (place + tick as usize) % count);
-        let (osmc, dhb) = turned.partition(|index| self.bridges[*index].is_osmc());
-        [osmc, dhb]
+        let beginning_with = |first: Option<usize>, osmc: bool| {
+            let turned = (0..count).map(|place| (place + first.unwrap_or(0)) % count);
+            turned.filter(|index| self.bridges[*index].is_osmc() == osmc).collect()
+        };
+        let [osmc, dhb] = core::mem::take(&mut self.waiting);
+        [beginning_with(osmc, true), beginning_with(dhb, false)]
     }
 
     /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
@@ -276,18 +285,16 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`]; the voltages may then be either.
     pub async fn write_drives(&mut self) -> Result<(), OutputFault> {
-        let Some(mut drives) = self.drives.take() else { return Ok(()) };
-        let codes = drives.rules.wanted().codes;
-        let result = if drives.written == Some(codes) || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
-            Ok(())
-        } else {
-            let before = drives.written.take();
-            let result = self.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await;
-            drives.written = result.is_ok().then_some(codes);
-            result
-        };
-        self.drives = Some(drives);
-        result
+        let wanted = |drives: &Drives| drives.rules.wanted().codes;
+        let changed = self.drives.as_ref().is_some_and(|drives| drives.written != Some(wanted(drives)));
+        if !changed || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
+            return Ok(());
+        }
+        let Some(drives) = &mut self.drives else { return Ok(()) };
+        let (codes, before) = (wanted(drives), drives.written.take());
+        self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await?;
+        drives.written = Some(codes);
+        Ok(())
     }
 
     /// Share of full speed that brushless drive number `index` is told.
@@ -306,20 +313,26 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Writes the servos whose turn it is and that fit this period.
+    /// Writes the servos whose turn it is and that fit this period; up to as many again of those that had to wait.
     ///
     /// # Errors
     /// [`OutputFault::Bus`]; a servo may then have either pulse.
     pub async fn write_servos(&mut self) -> Result<(), OutputFault> {
-        let Some(mut servos) = self.servos.take() else { return Ok(()) };
-        let mut result = Ok(());
-        for _ in 0..servos.writes_per_period(self.period_s) {
-            if result.is_ok() && servos.has_changed() && self.fits(bits(Servos::WRITE_BYTES)) {
-                result = self.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await;
+        let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
+        self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
+        for _ in 0..self.servos_due.min(2 * in_turn) {
+            if !self.servos.as_ref().is_some_and(Servos::has_changed) {
+                self.servos_due = 0;
+                break;
             }
+            if !self.fits(bits(Servos::WRITE_BYTES)) {
+                break;
+            }
+            self.servos_due -= 1;
+            let Some(servos) = &mut self.servos else { break };
+            self.bus.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await?;
         }
-        self.servos = Some(servos);
-        result
+        Ok(())
     }
 
     /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
@@ -328,7 +341,7 @@ impl<B: Bus> Outputs<B> {
         self.servos.as_ref().and_then(|servos| servos.angle(index)).unwrap_or(f32::NAN)
     }
 
-    fn chip_of(&self, bridge: Bridge) -> Option<Pca9685> {
+    fn chip_of(&self, bridge: &Bridge) -> Option<Pca9685> {
         if bridge.is_osmc() { self.osmc } else { self.dhb }
     }
 
@@ -347,29 +360,27 @@ impl<B: Bus> Outputs<B> {
         let mut step = self.next_check;
         self.next_check = (step + 1) % checks;
         if step == 0 {
-            let Some(expander) = self.expander.clone() else { return Ok(()) };
-            return self.checked(async |bus: &mut B| expander.verify(bus).await).await;
+            let Some(expander) = &self.expander else { return Ok(()) };
+            return self.bus.checked(async |bus: &mut B| expander.verify(bus).await).await;
         }
         step -= 1;
         for chip in self.bridge_chips() {
             if step == 0 {
-                return self.checked(async |bus: &mut B| chip.verify_mode(bus).await).await;
+                return self.bus.checked(async |bus: &mut B| chip.verify_mode(bus).await).await;
             }
             step -= 1;
         }
-        for bridge in self.bridges.clone() {
+        for bridge in &self.bridges {
             if let (Some(chip), true) = (self.chip_of(bridge), step < bridge.line_count()) {
-                return self.checked(async |bus: &mut B| bridge.verify(&chip, bus, step).await).await;
+                return self.bus.checked(async |bus: &mut B| bridge.verify(&chip, bus, step).await).await;
             }
             step -= bridge.line_count().min(step);
         }
-        let Some(servos) = self.servos.take() else { return Ok(()) };
-        let result = match step.checked_sub(1) {
-            None => self.checked(async |bus: &mut B| servos.verify_mode(bus).await).await,
-            Some(index) => self.checked(async |bus: &mut B| servos.verify(bus, index).await).await,
-        };
-        self.servos = Some(servos);
-        result
+        let Some(servos) = &self.servos else { return Ok(()) };
+        match step.checked_sub(1) {
+            None => self.bus.checked(async |bus: &mut B| servos.verify_mode(bus).await).await,
+            Some(index) => self.bus.checked(async |bus: &mut B| servos.verify(bus, index).await).await,
+        }
     }
 
     /// Reads the DAC back and compares. Too long for a stop to wait behind, so only while the board is safe; while it is
@@ -378,20 +389,27 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_drives(&mut self) -> Result<(), OutputFault> {
-        let Some(drives) = self.drives.take() else { return Ok(()) };
-        let result = match drives.written {
-            Some(codes) => self.checked(async |bus: &mut B| drives.chip.verify(bus, &codes).await).await,
-            None => Ok(()),
-        };
-        self.drives = Some(drives);
-        result
+        match &self.drives {
+            Some(Drives { chip, written: Some(codes), .. }) => {
+                self.bus.checked(async |bus: &mut B| chip.verify(bus, codes).await).await
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Transfers that had to be repeated since the last call.
     pub fn take_retries(&mut self) -> u32 {
-        core::mem::take(&mut self.retries)
+        core::mem::take(&mut self.bus.retries)
     }
+}
 
+/// The bus, with the patience that transfers need.
+struct Patient<B> {
+    bus: B,
+    retries: u32,
+}
+
+impl<B: Bus> Patient<B> {
     /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
     /// it costs a time-out.
     async fn checked<T>(

@@ -37,6 +37,8 @@ struct Servo {
     motion: Option<Motion>,
     /// What its output was last told; `None` when that is not known.
     written: Option<Output>,
+    /// The angle of the last pulse it was told, rad; `None` while it gets none.
+    sent: Option<f32>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -52,7 +54,7 @@ impl Servos {
     /// Servos without pulses. The configuration must be valid.
     #[must_use]
     pub fn new(chip: ServoChipConfig, servos: &[ServoConfig]) -> Self {
-        let new = |config: &ServoConfig| Servo { config: *config, motion: None, written: None };
+        let new = |config: &ServoConfig| Servo { config: *config, motion: None, written: None, sent: None };
         Self {
             chip: Pca9685::with_oscillator(chip.address, chip.frequency_hz, chip.oscillator_hz),
             hold_when_safe: chip.hold_when_safe,
@@ -118,6 +120,7 @@ impl Servos {
         servo.written = None;
         self.chip.set_off_count(bus, servo.config.output, output).await?;
         servo.written = Some(output);
+        servo.sent = servo.motion.map(|motion| motion.angle);
         self.next = (index + 1) % self.servos.len();
         Ok(())
     }
@@ -139,8 +142,9 @@ impl Servos {
     /// A failed transfer.
     pub async fn make_safe<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
         if self.hold_when_safe {
-            for motion in self.servos.iter_mut().filter_map(|servo| servo.motion.as_mut()) {
-                motion.target = motion.angle;
+            // At the pulses they have, not at those that were to be written: nothing moves now, and not at the next arming.
+            for servo in &mut self.servos {
+                servo.motion = servo.sent.map(|angle| Motion { angle, target: angle });
             }
             return Ok(());
         }
@@ -182,7 +186,7 @@ impl Servos {
 
     fn forget(&mut self) {
         for servo in &mut self.servos {
-            (servo.motion, servo.written) = (None, None);
+            (servo.motion, servo.written, servo.sent) = (None, None, None);
         }
     }
 

@@ -157,6 +157,8 @@ impl World {
             servo.look(self.now_ns, &self.chips);
         }
         for axis in &mut self.steppers {
+            // First the pulses up to now: a driver does not go back in time.
+            axis.catch_up(self.now_ns);
             axis.driver.supply(self.now_ns, powered);
         }
     }

@@ -1,5 +1,6 @@
 //! One module per verb, or per few verbs that are one thing.
 
+pub(crate) mod bench;
 pub(crate) mod config;
 pub(crate) mod demo;
 pub(crate) mod faults;

@@ -1,0 +1,765 @@
+//! `r4 bench safety`: for every cause of a stop, the longest time until each kind of output is safe.
+//!
+//! Causes are injected again and again at random moments into a board on which everything moves. Times are virtual and
+//! taken by [`StopWatch`]; limits are those the project promises, or follow from the board's configuration.
+
+use std::{
+    cell::Cell,
+    fmt,
+    sync::{
+        Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
+    thread,
+};
+
+use anyhow::{Context, bail};
+use futures::future::{Either, join, select};
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_boards::Robot;
+use r4_driver::Error;
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Mode, Refusal,
+    config::{BoardConfig, BridgeConfig},
+};
+use r4_sim::{
+    i2c::{Disturbance, Injection, Span},
+    sensors::{hc_sr04::HcSr04Fault, quadrature::EdgeNoise},
+    stop::{Outputs, StopWatch},
+};
+use rand_pcg::{Pcg64, rand_core::Rng};
+use serde::Serialize;
+
+use super::{Bench, MS, on_board, robot};
+use crate::{args::Args, output, table};
+
+/// Injections that one simulated board takes one after the other.
+const CHUNK: u32 = 25;
+/// From arming until motors may move (the supply's relay bounces).
+const POWER_UP_MS: u64 = 52;
+/// Everything has moved for this long before something happens: at least, and at most.
+const MOVING_NS: std::ops::Range<u64> = 100 * MS..200 * MS;
+/// Servos are sent elsewhere this often, so that they never arrive.
+const RETARGET_MS: u64 = 100;
+/// Everything stays safe for this long after the last of it became so.
+const QUIET_NS: u64 = 3 * MS;
+/// A board that cannot be cleared so long after the cause is gone stays tripped.
+const CLEARED_WITHIN_MS: u64 = 5_000;
+/// Pings to one range sensor after another (HC-SR04 datasheet).
+const TURN_MS: f64 = 60.0;
+
+/// A chip on the board's I2C bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Chip {
+    OsmcPwm,
+    DhbPwm,
+    ServoPwm,
+    BldcDac,
+    Expander,
+}
+
+/// What happens to the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Event {
+    DeadMan,
+    AuxiliaryStop,
+    HostStop,
+    LinkLost,
+    Proximity,
+    ProximityLost,
+    NoAnswer(Chip),
+    BusHeldLow,
+    LostSettings(Chip),
+    SupplyLow,
+    SupplyHigh,
+    EncoderJumps,
+    EncoderDead,
+    MotorBlocked,
+}
+
+const EVENTS: [Event; 20] = [
+    Event::DeadMan,
+    Event::AuxiliaryStop,
+    Event::HostStop,
+    Event::LinkLost,
+    Event::Proximity,
+    Event::ProximityLost,
+    Event::NoAnswer(Chip::OsmcPwm),
+    Event::NoAnswer(Chip::DhbPwm),
+    Event::NoAnswer(Chip::ServoPwm),
+    Event::NoAnswer(Chip::BldcDac),
+    Event::NoAnswer(Chip::Expander),
+    Event::BusHeldLow,
+    Event::LostSettings(Chip::OsmcPwm),
+    Event::LostSettings(Chip::DhbPwm),
+    Event::LostSettings(Chip::ServoPwm),
+    Event::SupplyLow,
+    Event::SupplyHigh,
+    Event::EncoderJumps,
+    Event::EncoderDead,
+    Event::MotorBlocked,
+];
+
+impl fmt::Display for Chip {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::OsmcPwm => "OSMC PWM chip",
+            Self::DhbPwm => "DHB PWM chip",
+            Self::ServoPwm => "servo PWM chip",
+            Self::BldcDac => "brushless DAC",
+            Self::Expander => "port expander",
+        })
+    }
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::DeadMan => f.write_str("dead-man released"),
+            Self::AuxiliaryStop => f.write_str("auxiliary stop pressed"),
+            Self::HostStop => f.write_str("host stop"),
+            Self::LinkLost => f.write_str("host silent"),
+            Self::Proximity => f.write_str("object near, from its echo"),
+            Self::ProximityLost => f.write_str("range sensor dead"),
+            Self::NoAnswer(chip) => write!(f, "no answer: {chip}"),
+            Self::BusHeldLow => f.write_str("I2C bus held low"),
+            Self::LostSettings(chip) => write!(f, "lost settings: {chip}"),
+            Self::SupplyLow => f.write_str("supply under range"),
+            Self::SupplyHigh => f.write_str("supply over range"),
+            Self::EncoderJumps => f.write_str("encoder jumps"),
+            Self::EncoderDead => f.write_str("encoder dead"),
+            Self::MotorBlocked => f.write_str("motor blocked"),
+        }
+    }
+}
+
+/// How long something may take, and who says so.
+#[derive(Clone, Copy, Debug)]
+struct Limit {
+    ms: f64,
+    /// By the project; otherwise it follows from the configuration.
+    promised: bool,
+}
+
+impl Event {
+    /// What the board must then give as its reason.
+    const fn cause(self) -> Cause {
+        match self {
+            Self::DeadMan => Cause::DeadMan,
+            Self::AuxiliaryStop => Cause::AuxiliaryStop,
+            Self::HostStop => Cause::HostStop,
+            Self::LinkLost => Cause::LinkLost,
+            Self::Proximity | Self::ProximityLost => Cause::Proximity,
+            Self::NoAnswer(_) | Self::BusHeldLow => Cause::I2cFault,
+            Self::LostSettings(_) => Cause::ReadBackMismatch,
+            Self::SupplyLow | Self::SupplyHigh => Cause::SupplyOutOfRange,
+            Self::EncoderJumps => Cause::EncoderImplausible,
+            Self::EncoderDead | Self::MotorBlocked => Cause::Stalled,
+        }
+    }
+
+    /// How often it is injected for each time that others are: those that take long in virtual time, more rarely.
+    const fn weight(self) -> f64 {
+        match self {
+            Self::Proximity | Self::ProximityLost | Self::EncoderDead | Self::MotorBlocked => 0.25,
+            _ => 1.0,
+        }
+    }
+
+    /// How often outputs are looked at while waiting for it.
+    const fn look_every_ns(self) -> u64 {
+        match self {
+            Self::ProximityLost | Self::EncoderDead | Self::MotorBlocked => 100_000,
+            _ => 10_000,
+        }
+    }
+
+    /// From the event until the board knows of it, at most.
+    fn noticed_ms(self, config: &BoardConfig) -> f64 {
+        let period_ms = f64::from(config.control_period_us) / 1000.0;
+        /// The supervisor looks this often.
+        const SUPERVISOR_MS: f64 = 1.0;
+        match self {
+            // An edge wakes the supervisor.
+            Self::DeadMan => 0.0,
+            Self::AuxiliaryStop => SUPERVISOR_MS,
+            // A frame of at most 64 bytes at 1 Mbit/s, behind another one.
+            Self::HostStop => 1.3,
+            // Promised.
+            Self::LinkLost => f64::from(config.link_timeout_ms) + 2.0,
+            // Promised as one ranging cycle; the shortest there can be, that of a single sensor.
+            Self::Proximity => TURN_MS,
+            // Three pings without an answer, the last of which is waited for as long as an echo can last.
+            Self::ProximityLost => 3.0 * TURN_MS * config.ranges.len() as f64 + 42.0,
+            // While voltages change the DAC is written every second period; three tries of three bytes.
+            Self::NoAnswer(Chip::BldcDac) => 2.0 * period_ms + 1.0,
+            Self::NoAnswer(_) | Self::LostSettings(_) => read_back_ms(config) + period_ms,
+            // The next transfer, and three tries that time out after 1 ms.
+            Self::BusHeldLow => period_ms + 3.2,
+            Self::SupplyLow | Self::SupplyHigh => {
+                let slowest = config.supplies.iter().map(|supply| {
+                    let range = supply.range_v;
+                    let (from_v, to_v, limit_v) = match self {
+                        Self::SupplyLow => (range.max, far_below(range.min), range.min),
+                        _ => (range.min, far_above(range.max), range.max),
+                    };
+                    // The supply's first-order filter of 10 ms.
+                    10.0 * f64::from((from_v - to_v) / (limit_v - to_v)).ln()
+                });
+                slowest.fold(0.0, f64::max) + 2.0 * period_ms
+            }
+            Self::EncoderJumps => 2.0 * period_ms,
+            // One that stops within a window may have covered enough before; the next window tells.
+            Self::EncoderDead | Self::MotorBlocked => {
+                let windows =
+                    config.motors.iter().filter_map(|motor| motor.control.map(|control| control.stall.time_ms));
+                2.0 * f64::from(windows.max().unwrap_or(0)) + 2.0 * period_ms + SUPERVISOR_MS
+            }
+        }
+    }
+
+    /// How long `outputs` may take until they are safe; `None` when nothing can reach them any more.
+    fn limit(self, outputs: Outputs, config: &BoardConfig) -> Option<Limit> {
+        let out_of_reach = match self {
+            Self::BusHeldLow => matches!(outputs, Outputs::MotorPower | Outputs::BridgeChips | Outputs::Bldcs),
+            Self::NoAnswer(Chip::OsmcPwm | Chip::DhbPwm) => outputs == Outputs::BridgeChips,
+            Self::NoAnswer(Chip::BldcDac) => outputs == Outputs::Bldcs,
+            Self::NoAnswer(Chip::Expander) => outputs == Outputs::MotorPower,
+            _ => false,
+        };
+        let period_ms = f64::from(config.control_period_us) / 1000.0;
+        let look_ms = self.look_every_ns() as f64 * 1e-6;
+        let after_ms = match outputs {
+            // By lines, without the bus: seen at the next look.
+            Outputs::Bridges => look_ms,
+            // Promised for the dead-man's edge.
+            Outputs::MotorPower => 1.0,
+            Outputs::BridgeChips | Outputs::Bldcs => 5.0,
+            // The control loop comes to it after what it is writing; two looks see that nothing changes any more.
+            Outputs::Steppers | Outputs::Servos | Outputs::Dacs => period_ms + 2.0 * look_ms,
+        };
+        let promised = match (self, outputs) {
+            (Self::DeadMan, Outputs::MotorPower | Outputs::BridgeChips | Outputs::Bldcs) => true,
+            // Tripped: the lines of the bridges follow at once.
+            (Self::LinkLost | Self::Proximity, Outputs::Bridges) => true,
+            _ => false,
+        };
+        (!out_of_reach).then(|| Limit { ms: self.noticed_ms(config) + after_ms, promised })
+    }
+}
+
+/// A voltage well below a supply's range, and one well above.
+fn far_below(min_v: f32) -> f32 {
+    0.6 * min_v
+}
+fn far_above(max_v: f32) -> f32 {
+    1.35 * max_v
+}
+
+/// How long the firmware takes to read everything back once, while armed: one thing every fourth period.
+fn read_back_ms(config: &BoardConfig) -> f64 {
+    let lines = config.motors.iter().map(|motor| if let BridgeConfig::Osmc(_) = motor.bridge { 4 } else { 3 });
+    let modes = [config.osmc_pwm.is_some(), config.dhb_pwm.is_some(), config.servo_pwm.is_some()];
+    let modes = modes.into_iter().filter(|there| *there).count();
+    let things = 1 + modes + lines.sum::<usize>() + config.servos.len();
+    (4 * things) as f64 * f64::from(config.control_period_us) / 1000.0
+}
+
+/// What became of one event.
+#[derive(Clone, Debug, Default)]
+struct Measured {
+    injections: u32,
+    /// Longest by kind of output, ms; infinite when it was not safe by then.
+    max_ms: [f64; Outputs::ALL.len()],
+    /// Injections after which the board gave other reasons, with the first of them.
+    wrong: u32,
+    wrong_causes: Option<Causes>,
+}
+
+impl Measured {
+    fn merge(&mut self, other: &Self) {
+        self.injections += other.injections;
+        self.max_ms.iter_mut().zip(other.max_ms).for_each(|(max, ms)| *max = max.max(ms));
+        self.wrong += other.wrong;
+        self.wrong_causes = self.wrong_causes.or(other.wrong_causes);
+    }
+}
+
+#[derive(Serialize)]
+struct Row {
+    cause: String,
+    outputs: String,
+    max_ms: f64,
+    limit_ms: f64,
+    injections: u32,
+    /// Whether the limit is promised; otherwise it follows from the configuration.
+    promised: bool,
+    held: bool,
+}
+
+/// Outputs that a cause leaves without a way to tell them.
+#[derive(Serialize)]
+struct OutOfReach {
+    cause: String,
+    outputs: String,
+}
+
+#[derive(Serialize)]
+struct Report {
+    board: String,
+    simulated: bool,
+    seed: u64,
+    injections: u32,
+    rows: Vec<Row>,
+    out_of_reach: Vec<OutOfReach>,
+}
+
+pub(super) fn run(args: &Args, injections: u32) -> anyhow::Result<bool> {
+    let (board, robot) = robot(args)?;
+    let measured = measure(&robot, args.seed, injections)?;
+    let mut report = Report {
+        board: board.to_string(),
+        simulated: true,
+        seed: args.seed,
+        injections: measured.iter().map(|(_, measured)| measured.injections).sum(),
+        rows: Vec::new(),
+        out_of_reach: Vec::new(),
+    };
+    for (event, of) in &measured {
+        for outputs in Outputs::ALL {
+            let (cause, outputs_name) = (event.to_string(), outputs.to_string());
+            let Some(limit) = event.limit(outputs, &robot.config) else {
+                report.out_of_reach.push(OutOfReach { cause, outputs: outputs_name });
+                continue;
+            };
+            let max_ms = of.max_ms[outputs as usize];
+            report.rows.push(Row {
+                cause,
+                outputs: outputs_name,
+                max_ms,
+                limit_ms: limit.ms,
+                injections: of.injections,
+                promised: limit.promised,
+                held: max_ms <= limit.ms,
+            });
+        }
+    }
+    if args.json {
+        output::json(&report)?;
+    } else {
+        print(&report, &measured)?;
+    }
+    let mut right = true;
+    for (event, of) in measured.iter().filter(|(_, of)| of.wrong > 0) {
+        right = false;
+        let causes = of.wrong_causes.unwrap_or(Causes::NONE);
+        eprintln!("r4: {event}: {} times the board gave another reason, first `{causes}`", of.wrong);
+    }
+    Ok(right && report.rows.iter().all(|row| row.held))
+}
+
+/// All events, on as many boards at once as there are processors. The result depends on the seed alone.
+fn measure(robot: &Robot, seed: u64, injections: u32) -> anyhow::Result<Vec<(Event, Measured)>> {
+    let weights: f64 = EVENTS.iter().map(|event| event.weight()).sum();
+    let mut chunks = Vec::new();
+    for (place, event) in EVENTS.into_iter().enumerate() {
+        let mut left = (f64::from(injections) * event.weight() / weights).ceil() as u32;
+        while left > 0 {
+            let count = left.min(CHUNK);
+            left -= count;
+            chunks.push((place, event, count));
+        }
+    }
+    let all = chunks.iter().map(|(.., count)| u64::from(*count)).sum();
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} injections, {msg}, {eta} left");
+    let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    let next = AtomicUsize::new(0);
+    let results = Mutex::new(vec![Measured::default(); EVENTS.len()]);
+    let work = || -> anyhow::Result<()> {
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            let Some((place, event, count)) = chunks.get(number) else { return Ok(()) };
+            let number = number as u64;
+            progress.set_message(event.to_string());
+            let measured = on_board(robot, seed.wrapping_add(number), async |bench| {
+                let random = Pcg64::new(seed.into(), number.into());
+                Injections { bench, event: *event, random, progress: &progress }.run(*count).await
+            });
+            let measured = measured.with_context(|| format!("{event}, seed {seed}, board {number}"))?;
+            // Nobody panics with the lock.
+            results.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[*place].merge(&measured);
+        }
+    };
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let joined =
+            workers.into_iter().map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        joined.collect::<anyhow::Result<()>>()
+    })?;
+    progress.finish_and_clear();
+    let results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    Ok(EVENTS.into_iter().zip(results).filter(|(_, of)| of.injections > 0).collect())
+}
+
+/// One event again and again on one board.
+struct Injections<'b> {
+    bench: &'b Bench<'b>,
+    event: Event,
+    random: Pcg64,
+    progress: &'b ProgressBar,
+}
+
+impl Injections<'_> {
+    async fn run(mut self, count: u32) -> anyhow::Result<Measured> {
+        let mut measured = Measured::default();
+        for number in 0..count {
+            let (max_ms, causes) = self.inject_once(number).await.with_context(|| format!("injection {number}"))?;
+            let wrong = !causes.contains(self.event.cause());
+            let wrong_causes = wrong.then_some(causes);
+            measured.merge(&Measured { injections: 1, max_ms, wrong: wrong.into(), wrong_causes });
+            self.progress.inc(1);
+        }
+        Ok(measured)
+    }
+
+    /// Arms, lets everything move, lets it happen, and waits until all is safe and the cause gone.
+    async fn inject_once(&mut self, number: u32) -> anyhow::Result<([f64; Outputs::ALL.len()], Causes)> {
+        let bench = self.bench;
+        bench.host.arm().await?;
+        bench.sleep_ms(POWER_UP_MS).await;
+        // Alternately both ways, so that nothing comes to its end stop.
+        let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let osmc: Vec<_> = bench.taking(ChannelKind::Osmc, Mode::Duty).map(|(id, _)| id).collect();
+        let victim = osmc.get(self.below(osmc.len() as u64) as usize).copied();
+        let Some(victim) = victim else { bail!("no OSMC") };
+        self.move_all(victim, sign).await?;
+        let moving_ns = MOVING_NS.start + self.below(MOVING_NS.end - MOVING_NS.start);
+        let chosen = self.below(1 << 32);
+        let watch = async {
+            bench.clock.sleep(moving_ns).await;
+            self.check_moving().await?;
+            self.let_happen(victim, sign, chosen).await
+        };
+        let retarget = async {
+            loop {
+                bench.sleep_ms(RETARGET_MS).await;
+                // Refused once the board has tripped.
+                let _ = self.retarget_servos().await;
+            }
+        };
+        let times_ms = match select(Box::pin(watch), Box::pin(retarget)).await {
+            Either::Left((result, _)) => result?,
+            Either::Right((never, _)) => never,
+        };
+        self.remedy(victim)?;
+        Ok((times_ms, self.clear().await?))
+    }
+
+    fn below(&mut self, end: u64) -> u64 {
+        self.random.next_u64() % end.max(1)
+    }
+
+    async fn move_all(&self, victim: ChannelId, sign: f32) -> anyhow::Result<()> {
+        let bench = self.bench;
+        // A servo's first command is not slowed down: where it is, and then somewhere else.
+        let here = |id| bench.board.world().position(id).map_or(0.0, |angle| angle.clamp(-0.7, 0.7)) as f32;
+        let servos = bench.taking(ChannelKind::Servo, Mode::Position);
+        bench.set_all(servos.map(|(id, _)| (id, Mode::Position, here(id)))).await?;
+        let mut commands = Vec::new();
+        for (id, _) in bench.taking(ChannelKind::Osmc, Mode::Duty) {
+            commands.push(match (id == victim, id.index % 2 == 0) {
+                // Hard enough to count as a stall when it stops.
+                (true, _) => (id, Mode::Duty, 0.85 * sign),
+                (false, true) => (id, Mode::Speed, 3.0 * sign),
+                (false, false) => (id, Mode::Duty, 0.7 * sign),
+            });
+        }
+        commands.extend(bench.taking(ChannelKind::Dhb, Mode::Duty).map(|(id, _)| (id, Mode::Duty, 0.8 * sign)));
+        commands.extend(bench.taking(ChannelKind::Bldc, Mode::Duty).map(|(id, range)| (id, Mode::Duty, range.max)));
+        for (id, range) in bench.taking(ChannelKind::Stepper, Mode::Speed) {
+            // Away from the nearer end of its travel.
+            let way = if bench.board.world().position(id).unwrap_or(0.0) > 0.0 { -0.8 } else { 0.8 };
+            commands.push((id, Mode::Speed, way * range.max));
+        }
+        commands.extend(bench.taking(ChannelKind::Relay, Mode::Switch).map(|(id, _)| (id, Mode::Switch, 1.0)));
+        let dacs = bench.taking(ChannelKind::Dac, Mode::Voltage);
+        commands.extend(dacs.map(|(id, range)| (id, Mode::Voltage, 0.9 * range.max)));
+        bench.set_all(commands).await?;
+        Ok(self.retarget_servos().await?)
+    }
+
+    async fn retarget_servos(&self) -> Result<(), Error> {
+        let bench = self.bench;
+        let there = |id| if bench.board.world().position(id).unwrap_or(0.0) > 0.0 { -0.75 } else { 0.75 };
+        let servos = bench.taking(ChannelKind::Servo, Mode::Position);
+        bench.set_all(servos.map(|(id, _)| (id, Mode::Position, there(id)))).await
+    }
+
+    /// Nothing may be safe yet, or nothing would be measured.
+    async fn check_moving(&self) -> anyhow::Result<()> {
+        let bench = self.bench;
+        let mut watch = StopWatch::new(&bench.board);
+        bench.sleep_ms(5).await;
+        watch.look(&bench.board);
+        match Outputs::ALL.into_iter().find(|outputs| watch.safe_since_ns(*outputs).is_some()) {
+            None => Ok(()),
+            Some(outputs) => {
+                let (state, causes) = bench.host.safety();
+                bail!("`{outputs}` already before anything has happened; the board is {state}, causes {causes}")
+            }
+        }
+    }
+
+    /// Brings the event about and waits until all outputs that can be reached are safe; how long each took, ms.
+    async fn let_happen(&self, victim: ChannelId, sign: f32, chosen: u64) -> anyhow::Result<[f64; Outputs::ALL.len()]> {
+        let bench = self.bench;
+        let at_ns = bench.clock.now_ns();
+        self.inject(victim, sign, chosen)?;
+        // Bytes that are in the cable when the host falls silent still arrive.
+        let silent_ns = if self.event == Event::LinkLost { bench.cable.arrived_ns.get() } else { 0 };
+        let since_ns = Cell::new(at_ns.max(silent_ns));
+        let stop = async {
+            if self.event == Event::HostStop {
+                bench.host.stop().await?;
+            }
+            anyhow::Ok(())
+        };
+        let (stopped, watch) = join(stop, self.watch(&since_ns)).await;
+        stopped?;
+        Ok(Outputs::ALL.map(|outputs| {
+            let after_ns = watch.safe_since_ns(outputs).map(|safe_ns| safe_ns.saturating_sub(since_ns.get()));
+            after_ns.map_or(f64::INFINITY, |after_ns| after_ns as f64 * 1e-6)
+        }))
+    }
+
+    /// Looks until all is safe for good, or far too late. Where an echo tells of the event, `since_ns` becomes its end.
+    async fn watch(&self, since_ns: &Cell<u64>) -> StopWatch {
+        /// From a trigger's end to the rise of its echo, and a little more.
+        const RISE_NS: u64 = 600_000;
+        let bench = self.bench;
+        let config = &bench.board.robot().config;
+        let in_reach = Outputs::ALL.into_iter().filter(|outputs| self.event.limit(*outputs, config).is_some());
+        let in_reach: Vec<_> = in_reach.collect();
+        let cycle_ms = if self.event == Event::Proximity { TURN_MS * config.ranges.len() as f64 } else { 0.0 };
+        let give_up_ns = since_ns.get() + ((cycle_ms + 2.0 * self.event.noticed_ms(config) + 50.0) * 1e6) as u64;
+        let appeared_ns = since_ns.get();
+        let (mut rose, mut high, mut heard) = (false, false, false);
+        let mut watch = StopWatch::new(&bench.board);
+        loop {
+            bench.clock.sleep(self.event.look_every_ns()).await;
+            let now_ns = bench.clock.now_ns();
+            watch.look(&bench.board);
+            if self.event == Event::Proximity && !heard {
+                let guard = config.ranges.iter().find(|range| range.stop_below_m.is_some());
+                let mut world = bench.board.world();
+                let sensor = guard.and_then(|range| world.range_sensor(range.id.index));
+                let is_high = sensor.is_some_and(|sensor| sensor.echo_is_high(now_ns));
+                rose |= is_high && !high && now_ns > appeared_ns + RISE_NS;
+                heard = rose && !is_high;
+                high = is_high;
+                if heard {
+                    since_ns.set(now_ns);
+                }
+            }
+            let safe_ns = in_reach.iter().map(|outputs| watch.safe_since_ns(*outputs)).collect::<Option<Vec<_>>>();
+            let quiet = safe_ns.is_some_and(|safe_ns| safe_ns.iter().all(|safe_ns| now_ns - safe_ns >= QUIET_NS));
+            if quiet || now_ns > give_up_ns {
+                return watch;
+            }
+        }
+    }
+
+    fn inject(&self, victim: ChannelId, sign: f32, chosen: u64) -> anyhow::Result<()> {
+        let bench = self.bench;
+        let config = &bench.board.robot().config;
+        let now_ns = bench.clock.now_ns();
+        let encoder = usize::from(victim.index);
+        match self.event {
+            Event::DeadMan => bench.board.dead_man().set(false),
+            Event::AuxiliaryStop => bench.board.auxiliary_stop().set(false),
+            Event::HostStop => {}
+            Event::LinkLost => bench.cable.cut.set(true),
+            Event::Proximity => self.guard(|sensor| sensor.set_distance_m(Some(0.2))),
+            Event::ProximityLost => self.guard(|sensor| sensor.set_fault(now_ns, Some(HcSr04Fault::Silent))),
+            Event::NoAnswer(chip) => {
+                let address = match chip {
+                    Chip::OsmcPwm => config.osmc_pwm.map(|chip| chip.address),
+                    Chip::DhbPwm => config.dhb_pwm.map(|chip| chip.address),
+                    Chip::ServoPwm => config.servo_pwm.map(|chip| chip.address),
+                    Chip::BldcDac => config.bldc_dac.map(|chip| chip.address),
+                    Chip::Expander => config.expander.map(|chip| chip.address),
+                };
+                self.disturb(Disturbance::AddressNack, address);
+            }
+            Event::BusHeldLow => self.disturb(Disturbance::StuckLow { persistent: true }, None),
+            Event::LostSettings(chip) => {
+                let world = bench.board.world();
+                let chip = match chip {
+                    Chip::OsmcPwm => world.osmc_pwm(),
+                    Chip::DhbPwm => world.dhb_pwm(),
+                    Chip::ServoPwm => world.servo_pwm(),
+                    Chip::BldcDac | Chip::Expander => None,
+                };
+                chip.context("no such chip")?.borrow_mut().power_cycle(now_ns);
+            }
+            Event::SupplyLow | Event::SupplyHigh => {
+                let supply = &config.supplies[chosen as usize % config.supplies.len()];
+                let volts = match self.event {
+                    Event::SupplyLow => far_below(supply.range_v.min),
+                    _ => far_above(supply.range_v.max),
+                };
+                bench.board.world().set_emf(supply.id, volts.into());
+            }
+            Event::EncoderJumps => {
+                let mut world = bench.board.world();
+                let from = world.position(victim).context("no such motor")?;
+                world.set_position(victim, from - std::f64::consts::PI * f64::from(sign));
+            }
+            Event::EncoderDead => bench.board.world().pins().encoders[encoder]
+                .set_noise(EdgeNoise { lost_share: 1.0, ..EdgeNoise::default() }),
+            Event::MotorBlocked => bench.board.block_motor(victim, true)?,
+        }
+        Ok(())
+    }
+
+    /// Takes away what was injected.
+    fn remedy(&self, victim: ChannelId) -> anyhow::Result<()> {
+        let bench = self.bench;
+        let now_ns = bench.clock.now_ns();
+        match self.event {
+            Event::DeadMan => bench.board.dead_man().set(true),
+            Event::AuxiliaryStop => bench.board.auxiliary_stop().set(true),
+            Event::LinkLost => bench.cable.cut.set(false),
+            Event::Proximity => self.guard(|sensor| sensor.set_distance_m(Some(2.0))),
+            Event::ProximityLost => self.guard(|sensor| sensor.set_fault(now_ns, None)),
+            Event::NoAnswer(_) | Event::BusHeldLow => bench.board.world().bus.clear_injections(),
+            Event::SupplyLow | Event::SupplyHigh => {
+                for rail in &bench.board.robot().simulation.rails {
+                    bench.board.world().set_emf(rail.channel, rail.emf_v);
+                }
+            }
+            Event::EncoderDead => {
+                bench.board.world().pins().encoders[usize::from(victim.index)].set_noise(EdgeNoise::default());
+            }
+            Event::MotorBlocked => bench.board.block_motor(victim, false)?,
+            Event::HostStop | Event::LostSettings(_) | Event::EncoderJumps => {}
+        }
+        Ok(())
+    }
+
+    /// Clears as soon as the board lets it; returns the causes of the trip.
+    async fn clear(&self) -> anyhow::Result<Causes> {
+        let bench = self.bench;
+        let until_ns = bench.clock.now_ns() + CLEARED_WITHIN_MS * MS;
+        loop {
+            match bench.host.arm().await {
+                Err(Error::Refused(Refusal::Tripped { causes })) => match bench.host.clear().await {
+                    Ok(()) => return Ok(causes),
+                    Err(Error::Refused(Refusal::CausesPresent { .. })) => {}
+                    Err(error) => return Err(error.into()),
+                },
+                Err(Error::Refused(Refusal::CausesPresent { causes })) if bench.clock.now_ns() > until_ns => {
+                    bail!("still {causes}, {CLEARED_WITHIN_MS} ms after it was taken away");
+                }
+                Err(Error::Refused(Refusal::CausesPresent { .. })) => {}
+                // Nobody saw the event, and the row says so.
+                Ok(()) => {
+                    bench.host.disarm().await?;
+                    return Ok(Causes::NONE);
+                }
+                Err(error) => return Err(error.into()),
+            }
+            bench.sleep_ms(5).await;
+        }
+    }
+
+    fn disturb(&self, disturbance: Disturbance, address: Option<u8>) {
+        let span = Span::Time { from_ns: self.bench.clock.now_ns(), until_ns: u64::MAX };
+        self.bench.board.world().bus.inject(Injection { disturbance, span, address });
+    }
+
+    /// Does something to the range sensor that can stop the board.
+    fn guard(&self, change: impl FnOnce(&mut r4_sim::sensors::hc_sr04::HcSr04)) {
+        let guard = self.bench.board.robot().config.ranges.iter().find(|range| range.stop_below_m.is_some());
+        let mut world = self.bench.board.world();
+        if let Some(sensor) = guard.and_then(|range| world.range_sensor(range.id.index)) {
+            change(sensor);
+        }
+    }
+}
+
+fn print(report: &Report, measured: &[(Event, Measured)]) -> anyhow::Result<()> {
+    let mut header = vec!["cause", "times"];
+    header.extend(Outputs::ALL.map(short));
+    let mut table = table::new(&header, 1..header.len());
+    for (event, of) in measured {
+        let cause = event.to_string();
+        let mut cells = vec![cause.clone(), of.injections.to_string()];
+        cells.extend(Outputs::ALL.map(|outputs| {
+            let name = outputs.to_string();
+            let row = report.rows.iter().find(|row| row.cause == cause && row.outputs == name);
+            row.map_or("-".into(), |row| {
+                let promised = if row.promised { "*" } else { "" };
+                let over = if row.held { "" } else { "OVER " };
+                format!("{over}{}/{}{promised}", digits(row.max_ms), digits(row.limit_ms))
+            })
+        }));
+        table.add_row(cells);
+    }
+    output::line(format_args!(
+        "Longest time until outputs are safe / its limit, ms; {} (simulated), {} injections, seed {}",
+        report.board, report.injections, report.seed
+    ))?;
+    output::line(table)?;
+    let meanings: Vec<_> = Outputs::ALL.into_iter().map(|outputs| format!("{}: {outputs}", short(outputs))).collect();
+    output::line(meanings.join("; "))?;
+    output::line("*  promised; the other limits follow from the board's configuration")?;
+    output::line("-  out of reach: the chip or the bus that would have to be told does not answer")?;
+    Ok(output::line("times count from the event; for an object, from the end of the echo that shows it")?)
+}
+
+/// For the head of a column.
+const fn short(outputs: Outputs) -> &'static str {
+    match outputs {
+        Outputs::MotorPower => "power",
+        Outputs::Bridges => "bridges",
+        Outputs::BridgeChips => "chips",
+        Outputs::Bldcs => "brushless",
+        Outputs::Steppers => "steppers",
+        Outputs::Servos => "servos",
+        Outputs::Dacs => "analog",
+    }
+}
+
+/// Three digits are enough to compare.
+fn digits(ms: f64) -> String {
+    match ms {
+        ms if ms < 10.0 => format!("{ms:.2}"),
+        ms if ms < 100.0 => format!("{ms:.1}"),
+        ms => format!("{ms:.0}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_event_stops_everything_in_time_and_only_the_seed_decides() {
+        let robot = r4_boards::load("every-interface").unwrap();
+        let run = || measure(&robot, 3, EVENTS.len() as u32).unwrap();
+        let measured = run();
+        assert_eq!(measured.len(), EVENTS.len());
+        for (event, of) in &measured {
+            assert_eq!(of.wrong, 0, "{event}: {:?}", of.wrong_causes);
+            for outputs in Outputs::ALL {
+                let max_ms = of.max_ms[outputs as usize];
+                let held = event.limit(outputs, &robot.config).is_none_or(|limit| max_ms <= limit.ms);
+                assert!(held, "{event}: {outputs} after {max_ms} ms");
+            }
+        }
+        let times = |measured: &[(Event, Measured)]| measured.iter().map(|(_, of)| of.max_ms).collect::<Vec<_>>();
+        assert_eq!(times(&run()), times(&measured));
+    }
+}
