@@ -42,7 +42,7 @@ pub fn must_stop(config: &[RangeConfig], readings: &[RangeReading], now: Instant
 }
 
 /// Pings the sensors of `config` in turn for ever and gives each outcome to `publish`, with the sensor's place in
-/// `config`, within [`POLL`] of the end of its echo.
+/// `config`, within 1 ms of the end of its echo.
 ///
 /// A sensor whose echo does not end keeps its turn but is not triggered, which it would ignore; the others go on.
 pub async fn run<H: Ranging>(

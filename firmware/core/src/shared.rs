@@ -168,7 +168,7 @@ pub struct Shared<M: RawMutex> {
 
 impl<M: RawMutex> Shared<M> {
     /// The state of a board that has just started with `config`: the configuration it was `built_in` with, and what was
-    /// saved of it since (see [`crate::storage::load`]).
+    /// saved of it since (see [`crate::storage::parameters::load`]).
     #[must_use]
     pub fn new(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> Self {
         let safety = match reset {

@@ -1,10 +1,9 @@
-//! A simulated R4 board: the firmware's own code on virtual time, register-level chips, and motors with physics.
+//! A simulated R4 board: the firmware's own code on virtual time, register-level chips, and devices with physics.
 //!
 //! ```text
 //!  Simulation (clock.rs, executor.rs): virtual nanoseconds, tasks by priority
-//!    firmware tasks ── traits ──> lines.rs, io.rs: GPIO, I2C controller, counters, converter
-//!                                   └─> world.rs: i2c.rs ─ chips/ ─ osmc.rs ─ plants ─ rails ─ sensors
-//!                                       devices/: further actuators by line, not on the world yet
+//!    firmware tasks ── traits ──> lines.rs, io.rs, world/{pins,stepping}.rs: the processor's peripherals
+//!                                   └─> world/: i2c.rs ─ chips/ ─ devices/ ─ plants ─ rails ─ sensors/
 //!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
 //! ```
 //!
@@ -33,7 +32,6 @@ mod io;
 pub mod lines;
 pub mod link;
 pub mod misuse;
-pub mod osmc;
 pub mod sensors;
 pub mod stop;
 pub mod world;

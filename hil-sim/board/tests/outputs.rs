@@ -22,8 +22,8 @@ use r4_protocol::{
 use r4_sim::{
     Clock, Simulation,
     chips::{Line, pca9685 as chip},
+    devices::osmc::{BridgeInputs, OsmcBridge},
     i2c::{Disturbance, Fault, I2cBus, Injection, Span, WireRecord},
-    osmc::{BridgeInputs, OsmcBridge},
 };
 
 const MODE1: u8 = 0x00;

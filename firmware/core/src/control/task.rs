@@ -6,13 +6,10 @@ use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
-    config::{
-        ANALOG_INPUTS, BoardConfig, DAC_FULL_SCALE_V, ENCODERS, Feedback, MAX_MOTORS, MAX_SUPPLIES, Place, STEPPERS,
-        SWITCHES,
-    },
+    config::{BoardConfig, DAC_FULL_SCALE_V, Feedback, MAX_MOTORS, Place, STEPPERS},
 };
 
-use super::axis::Axis;
+use super::{axis::Axis, inputs::Inputs};
 use crate::{
     motion::{
         Bank,
@@ -21,11 +18,6 @@ use crate::{
     },
     outputs::{OutputFault, Outputs, bldc::Command as DriveCommand},
     platform::{Bus, Peripherals},
-    sensing::{
-        analog::{Analog, Supply},
-        encoder::Encoder,
-        switch::Switch,
-    },
     shared::{MotorStatus, SafetyView, Shared, Status},
     storage::faults::{Recorder, SNAPSHOT_MS},
 };
@@ -38,8 +30,6 @@ const CHECK_EVERY: u32 = 4;
 const REASSERT_EVERY: u32 = 16;
 /// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
 const LATE_IN_A_ROW: u32 = 10;
-/// Smooths the speed of an encoder that is read by itself, s.
-const ENCODER_FILTER_S: f32 = 0.02;
 
 /// What the control task works with.
 pub struct BoardIo<B, P> {
@@ -103,13 +93,7 @@ struct Control<B, P> {
     /// `None` without steppers.
     steppers: Option<Bank>,
     stepper_setpoints: [Setpoint; STEPPERS],
-    /// Each with its number and the radians of a count.
-    encoders: Vec<(u8, f32, Encoder), ENCODERS>,
-    /// Each with its number.
-    switches: Vec<(u8, Switch), SWITCHES>,
-    /// Each with its input.
-    analogs: Vec<(u8, Analog), ANALOG_INPUTS>,
-    supplies: Vec<Supply, MAX_SUPPLIES>,
+    inputs: Inputs,
     /// When the motors' supply may be relied on.
     powered_at: Instant,
     /// The arming whose commands are being followed.
@@ -136,23 +120,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
         let steppers = steppers(config, &mut peripherals);
-        let radians = |counts_per_turn: u32| core::f32::consts::TAU / counts_per_turn as f32;
-        let encoders = config.encoders.iter().map(|encoder| {
-            let state = Encoder::new(encoder.inverted, period_s, ENCODER_FILTER_S);
-            (encoder.id.index, radians(encoder.counts_per_turn), state)
-        });
-        let switches = config.switches.iter().map(|switch| (switch.id.index, Switch::new(switch, period_s)));
-        let analogs = config.analogs.iter().map(|analog| (analog.id.index, Analog::new(analog, period_s)));
         Self {
             outputs: Outputs::new(io.bus, config),
             motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
             bad_configuration: !valid || steppers.is_err(),
             steppers: steppers.unwrap_or_default(),
             stepper_setpoints: [Setpoint::NONE; STEPPERS],
-            encoders: encoders.collect(),
-            switches: switches.collect(),
-            analogs: analogs.collect(),
-            supplies: config.supplies.iter().map(|supply| Supply::new(supply, period_s)).collect(),
+            inputs: Inputs::new(config, period_s),
             peripherals,
             powered_at: Instant::MIN,
             epoch: 0,
@@ -196,7 +170,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 let MotorStatus { position, speed, duty, .. } = motor.status();
                 MotorSnapshot { position, speed, duty }
             });
-            self.recorder.note(now_us, motors, self.supplies.iter().map(Supply::volts));
+            self.recorder.note(now_us, motors, self.inputs.supplies_v());
         }
         let trips = shared.trips();
         if trips != self.trips {
@@ -236,40 +210,15 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
-        let mut causes = Causes::NONE;
-        for (index, (number, switch)) in self.switches.iter_mut().enumerate() {
-            let closed = switch.update(self.peripherals.is_high(*number));
-            shared.publish(Place::Switch(index), Status::Scalar(closed.into()));
-        }
+        let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         for (motor, config) in self.motors.iter_mut().zip(&shared.config().motors) {
             let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
             let raw = match control.feedback {
                 Feedback::Encoder { index, .. } => self.peripherals.count(index),
                 Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
             };
-            let home = control.homing.and_then(|homing| closed(&self.switches, homing.switch));
+            let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
-        }
-        for (index, (number, radians, encoder)) in self.encoders.iter_mut().enumerate() {
-            let (position, counts_per_s) = encoder.update(self.peripherals.count(*number));
-            let illegal = self.peripherals.illegal(*number);
-            let status = Status::Encoder { position, speed: counts_per_s * *radians, illegal };
-            shared.publish(Place::Encoder(index), status);
-        }
-        for (index, (input, analog)) in self.analogs.iter_mut().enumerate() {
-            let reading = analog.update(self.peripherals.code(*input));
-            let age = Duration::from_millis(reading.age_ms.into());
-            // One that has never been good is older than the board.
-            let taken = Instant::now().checked_sub(age).unwrap_or(Instant::MIN);
-            let status = Status::Reading { value: reading.volts, quality: reading.quality, taken };
-            shared.publish(Place::Analog(index), status);
-        }
-        for (index, supply) in self.supplies.iter_mut().enumerate() {
-            let (volts, in_range) = supply.update(self.peripherals.code(supply.analog()));
-            shared.publish(Place::Supply(index), Status::Scalar(volts));
-            if !in_range {
-                causes.set(Cause::SupplyOutOfRange, true);
-            }
         }
         self.sensors = causes;
     }
@@ -427,10 +376,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Tells the step generators the pulses of the periods to come, or only counts what they made.
     fn step_steppers<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let Some(bank) = &mut self.steppers else { return };
-        let switches = &self.switches;
+        let inputs = &self.inputs;
         let mut causes = Causes::NONE;
         bank.step(
-            |number| closed(switches, number),
+            |number| inputs.is_closed(number),
             &mut self.peripherals,
             |_, fault| {
                 let cause = match fault {
@@ -504,11 +453,6 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
     }
-}
-
-/// Whether switch number `number` is closed, once that is known.
-fn closed(switches: &[(u8, Switch)], number: u8) -> Option<bool> {
-    switches.iter().find(|(of, _)| *of == number).and_then(|(_, switch)| switch.closed())
 }
 
 /// The nearest code of the processor's own DAC.

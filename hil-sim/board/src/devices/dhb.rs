@@ -18,9 +18,9 @@
 //!
 //! Not modelled: current sense output CT, current limit, heat, dead time between the FETs of a leg.
 
+use super::osmc::BridgeOutput;
 use crate::chips::{COUNTS, Line};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
-use crate::osmc::BridgeOutput;
 
 /// Lowest supply.
 const SUPPLY_MIN_V: f64 = 5.0;

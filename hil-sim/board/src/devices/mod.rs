@@ -2,6 +2,7 @@
 //!
 //! | type | part | modelled | not modelled |
 //! | --- | --- | --- | --- |
+//! | [`osmc::OsmcBridge`] | OSMC full bridge behind an HIP4081A | truth table, exact to the PWM count; lock-out; bootstrap; dead time between directions | currents, heat |
 //! | [`dhb::DhbMotor`] | DHB-12 dual H-bridge, one motor | truth table, exact to the PWM count; supply range; duty limit; pause before a reversal | current sense and limit, heat, dead time of the FETs |
 //! | [`rc_servo::RcServo`] | hobby servo | windows for pulse and frame, rate, dead band, end stops, limp without pulses or supply | load, acceleration, current, servos that hold without pulses |
 //! | [`bldc_drive::BldcDrive`] | brushless drive with analog throttle, and its motor | dead zone, lock until neutral, direction by line or voltage, brake, first-order speed | load, current, commutation |
@@ -13,6 +14,7 @@
 
 pub mod bldc_drive;
 pub mod dhb;
+pub mod osmc;
 pub mod rc_servo;
 pub mod stepper_driver;
 

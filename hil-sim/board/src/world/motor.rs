@@ -9,9 +9,11 @@ use r4_protocol::{
 
 use crate::{
     chips::pca9685::Pca9685,
-    devices::dhb::{DhbInputs, DhbMotor},
+    devices::{
+        dhb::{DhbInputs, DhbMotor},
+        osmc::{BridgeInputs, OsmcBridge},
+    },
     misuse::MisuseLog,
-    osmc::{BridgeInputs, OsmcBridge},
 };
 
 /// The bridge's own regulator makes this for its gate driver, or less from a battery that has less.

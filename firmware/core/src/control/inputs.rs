@@ -1,0 +1,93 @@
+//! The inputs that are read each period, whether or not a motor uses them.
+
+use core::f32::consts::TAU;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::{Duration, Instant};
+use heapless::Vec;
+use r4_protocol::{
+    Cause, Causes,
+    config::{ANALOG_INPUTS, BoardConfig, ENCODERS, MAX_SUPPLIES, Place, SWITCHES},
+};
+
+use crate::{
+    platform::Peripherals,
+    sensing::{
+        analog::{Analog, Supply},
+        encoder::Encoder,
+        switch::Switch,
+    },
+    shared::{Shared, Status},
+};
+
+/// Smooths the speed of an encoder that is read by itself, s.
+const ENCODER_FILTER_S: f32 = 0.02;
+
+/// Switches, encoders, analog inputs and supplies.
+pub(super) struct Inputs {
+    /// Each with its number and the radians of a count.
+    encoders: Vec<(u8, f32, Encoder), ENCODERS>,
+    /// Each with its number.
+    switches: Vec<(u8, Switch), SWITCHES>,
+    /// Each with its input.
+    analogs: Vec<(u8, Analog), ANALOG_INPUTS>,
+    supplies: Vec<Supply, MAX_SUPPLIES>,
+}
+
+impl Inputs {
+    pub(super) fn new(config: &BoardConfig, period_s: f32) -> Self {
+        let encoders = config.encoders.iter().map(|encoder| {
+            let state = Encoder::new(encoder.inverted, period_s, ENCODER_FILTER_S);
+            (encoder.id.index, TAU / encoder.counts_per_turn as f32, state)
+        });
+        let switches = config.switches.iter().map(|switch| (switch.id.index, Switch::new(switch, period_s)));
+        let analogs = config.analogs.iter().map(|analog| (analog.id.index, Analog::new(analog, period_s)));
+        Self {
+            encoders: encoders.collect(),
+            switches: switches.collect(),
+            analogs: analogs.collect(),
+            supplies: config.supplies.iter().map(|supply| Supply::new(supply, period_s)).collect(),
+        }
+    }
+
+    /// Reads all and tells hosts; returns the causes they show.
+    pub(super) fn sense<M: RawMutex>(&mut self, shared: &Shared<M>, peripherals: &mut impl Peripherals) -> Causes {
+        let mut causes = Causes::NONE;
+        for (index, (number, switch)) in self.switches.iter_mut().enumerate() {
+            let closed = switch.update(peripherals.is_high(*number));
+            shared.publish(Place::Switch(index), Status::Scalar(closed.into()));
+        }
+        for (index, (number, radians, encoder)) in self.encoders.iter_mut().enumerate() {
+            let (position, counts_per_s) = encoder.update(peripherals.count(*number));
+            let illegal = peripherals.illegal(*number);
+            let status = Status::Encoder { position, speed: counts_per_s * *radians, illegal };
+            shared.publish(Place::Encoder(index), status);
+        }
+        for (index, (input, analog)) in self.analogs.iter_mut().enumerate() {
+            let reading = analog.update(peripherals.code(*input));
+            let age = Duration::from_millis(reading.age_ms.into());
+            // One that has never been good is older than the board.
+            let taken = Instant::now().checked_sub(age).unwrap_or(Instant::MIN);
+            let status = Status::Reading { value: reading.volts, quality: reading.quality, taken };
+            shared.publish(Place::Analog(index), status);
+        }
+        for (index, supply) in self.supplies.iter_mut().enumerate() {
+            let (volts, in_range) = supply.update(peripherals.code(supply.analog()));
+            shared.publish(Place::Supply(index), Status::Scalar(volts));
+            if !in_range {
+                causes.set(Cause::SupplyOutOfRange, true);
+            }
+        }
+        causes
+    }
+
+    /// Whether switch number `number` is closed, once that is known.
+    pub(super) fn is_closed(&self, number: u8) -> Option<bool> {
+        self.switches.iter().find(|(of, _)| *of == number).and_then(|(_, switch)| switch.closed())
+    }
+
+    /// Of every supply, V.
+    pub(super) fn supplies_v(&self) -> impl Iterator<Item = f32> + '_ {
+        self.supplies.iter().map(Supply::volts)
+    }
+}
