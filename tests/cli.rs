@@ -464,9 +464,11 @@ fn what_was_not_held_is_not_success() {
     for (args, says) in [
         // Faster than the motor at its duty cap; at the end of the stroke, where the drive is cut and stays so.
         (&["speed", "osmc0", "200deg/s"][..], "did not hold speed 200.0 deg/s"),
-        (&["duty", "actuator1", "60%", "--for", "20"], "duty 0.000, at 100.0"),
-        (&["duty", "actuator1", "60%", "--for", "20.3"], "duty 0.000, at 100.0"),
+        (&["duty", "actuator1", "60%", "--for", "20"], "it was at 100.0"),
+        (&["duty", "actuator1", "60%", "--for", "20.3"], "it was at 100.0"),
         (&["speed", "actuator1", "10mm/s", "--for", "20"], "did not hold speed"),
+        // So slow that friction holds the motor.
+        (&["speed", "osmc0", "0.5deg/s", "--for", "1"], "did not hold speed"),
     ] {
         let seen = r4(args);
         assert!(seen.code == Some(1) && seen.err.contains(says), "{args:?} should say {says}: {seen:?}");

@@ -90,7 +90,7 @@ impl Cause {
             Self::SupplyOutOfRange => "check the battery and the fuses",
             Self::EncoderImplausible => "check the encoder or potentiometer wiring and its direction",
             Self::Stalled => {
-                "check that its sensor shows motion and free the mechanism; only then raise the stall limits"
+                "check that its sensor shows motion, free the mechanism or ask for less; then raise limits"
             }
             Self::ControlOverrun => "report it: the control loop does not fit its period",
             Self::BadConfiguration => "correct the robot's configuration",

@@ -197,7 +197,7 @@ impl<M: RawMutex> Shared<M> {
                 control_causes,
                 last_tick: None,
                 session: None,
-                next_session: 1,
+                next_session: FIRST_SESSION,
                 commands: [None; OUTPUTS],
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
@@ -503,6 +503,8 @@ fn since(then: Instant, now: Instant) -> Duration {
     now.saturating_duration_since(then)
 }
 
+/// Number of the first session since the board started.
+const FIRST_SESSION: u16 = 1;
 /// The control loop counts as dead after this many periods without a tick.
 const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
@@ -515,7 +517,11 @@ impl State {
         }
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
-        self.trips = self.trips.wrapping_add(u32::from(changed && next.state() == SafetyState::Tripped));
+        // What holds when the board is switched on, before any host could have armed it, is no trip to remember; or a released
+        // handle would push out those that are.
+        let heard_of = self.next_session != FIRST_SESSION;
+        let trips = changed && next.state() == SafetyState::Tripped && heard_of;
+        self.trips = self.trips.wrapping_add(trips.into());
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];

@@ -96,6 +96,8 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     }
     if !held {
         let reached = Quantity { value, unit };
+        // A servo without pulses is at no angle that anyone knows.
+        let reached = if value.is_nan() { "nothing".to_owned() } else { reached.to_string() };
         eprintln!("r4: {channel} had only come to {reached} after {seconds} s: allow more time with --for");
     }
     Ok(held)

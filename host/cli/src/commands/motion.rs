@@ -129,7 +129,10 @@ fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
         Mode::Duty => (end.duty - set.value).abs() <= DUTY_WITHIN,
         _ => {
             let resolved = if position_unit == Unit::M { M_S_RESOLVED } else { RAD_S_RESOLVED };
-            (end.speed - set.value).abs() <= SPEED_WITHIN * set.value.abs() + resolved
+            let within = SPEED_WITHIN * set.value.abs() + resolved;
+            // However low a speed is asked for, a motor that stands does not hold it.
+            let turns = set.value == 0.0 || end.speed * set.value > 0.0;
+            turns && (end.speed - set.value).abs() <= within.min(set.value.abs().max(resolved))
         }
     };
     if args.json {
@@ -165,7 +168,7 @@ fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
         _ => output::line(format_args!("{channel}{place}{duty} after {after_s:.2} s of {mode} {set}; now stopped"))?,
     }
     if !held {
-        eprintln!("r4: {channel} did not hold {mode} {set}: at the end {speed}, duty {:.3}, at {position}", end.duty);
+        eprintln!("r4: {channel} did not hold {mode} {set}: it was{place}{duty} after {after_s:.2} s");
     }
     Ok(held)
 }

@@ -117,7 +117,11 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         let board = session.board;
         let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
             [] => board.channels().to_vec(),
-            some => some.iter().map(|id| board.channel(*id).cloned()).collect::<Result<_, _>>()?,
+            some => {
+                // Each once, however often it is named.
+                let each = some.iter().enumerate().filter(|(at, id)| !some[..*at].contains(id));
+                each.map(|(_, id)| board.channel(*id).cloned()).collect::<Result<_, _>>()?
+            }
         };
         let channels: Vec<ChannelId> = infos.iter().map(|info| info.id).collect();
         let mut watched = Watched::new(infos);

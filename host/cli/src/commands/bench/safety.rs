@@ -183,8 +183,9 @@ impl Event {
             // An edge wakes the supervisor.
             Self::DeadMan => 0.0,
             Self::AuxiliaryStop => SUPERVISOR_MS,
-            // A frame of at most 64 bytes at 1 Mbit/s, behind another one.
-            Self::HostStop => 1.3,
+            // A frame of at most 64 bytes at 1 Mbit/s, behind another one and what this host has sent just before: a new angle
+            // for each servo, in 30 bytes.
+            Self::HostStop => 1.3 + 0.3 * config.servos.len() as f64,
             // Promised.
             Self::LinkLost => f64::from(config.link_timeout_ms) + 2.0,
             // Promised as one ranging cycle; the shortest there can be, that of a single sensor.

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, fmt, fmt::Write as _};
 use r4_protocol::ParameterInfo;
 use toml::{Spanned, Value};
 
-use super::unit::unit;
+use super::unit::Units;
 
 /// A value in a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +35,7 @@ impl fmt::Display for Mistake {
 pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
     let mut text = format!("# {title}\n");
     let mut table = String::new();
+    let units = Units::of(parameters);
     for info in parameters {
         let ParameterInfo { set, built_in, .. } = info;
         let key = info.key.to_string();
@@ -46,7 +47,7 @@ pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
         }
         // `{:?}` writes what TOML reads as a float, in the fewest digits that mean this number.
         let _ = write!(text, "{name} = {set:?}");
-        let unit = unit(info.key);
+        let unit = units.unit(info.key);
         let built_in = if set == built_in { String::new() } else { format!("built in: {built_in:?}") };
         let notes: Vec<String> = [unit, built_in].into_iter().filter(|note| !note.is_empty()).collect();
         if !notes.is_empty() {

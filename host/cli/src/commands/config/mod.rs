@@ -11,7 +11,7 @@ use r4_protocol::{ChannelId, ParameterInfo, ParameterKey, Refusal, config::MAX_N
 use r4_sim::Pace;
 use serde::Serialize;
 
-use unit::unit;
+use unit::Units;
 
 use crate::{
     args::{Args, Config},
@@ -48,6 +48,7 @@ impl FromStr for Name {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text.len() {
+            _ if text.chars().any(char::is_control) => Err("no line breaks or other control characters".to_owned()),
             1..=MAX_NAME => Ok(Self(text.to_owned())),
             _ => Err(format!("1 to {MAX_NAME} bytes")),
         }
@@ -69,10 +70,10 @@ struct Parameter {
     built_in: f32,
 }
 
-impl From<&ParameterInfo> for Parameter {
-    fn from(info: &ParameterInfo) -> Self {
+impl Parameter {
+    fn new(info: &ParameterInfo, units: &Units) -> Self {
         let ParameterInfo { key, active, set, built_in } = *info;
-        Self { key: key.to_string(), unit: unit(key), active, set, built_in }
+        Self { key: key.to_string(), unit: units.unit(key), active, set, built_in }
     }
 }
 
@@ -125,8 +126,11 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
         Config::Set { key, value, save } => set(args, key, *value, *save),
         Config::Name { name, save } => rename(args, name, *save),
         Config::Save => {
-            change(args, true, async |_| Ok(()))?;
-            done(args, "all changes are", true)
+            let waiting = change(args, true, async |session| {
+                let parameters = session.board.parameters().await?;
+                Ok(parameters.iter().filter(|info| info.set != info.active).count())
+            })?;
+            done(args, &format!("{waiting} changes of this start of the board are"), true)
         }
         Config::Reset { save } => {
             change(args, *save, async |session| Ok(session.board.reset_parameters().await?))?;
@@ -167,7 +171,7 @@ fn change<T>(args: &Args, save: bool, work: impl AsyncFnOnce(&Session<'_>) -> an
 
 /// When a change holds.
 fn outlook(saved: bool) -> &'static str {
-    if saved { "saved: holds from the next start on" } else { "not saved yet: `r4 config save`, or --save" }
+    if saved { "saved: holds from the next start on" } else { "not saved: add --save" }
 }
 
 /// On a simulated board a change that is not saved ends with the command.
@@ -197,8 +201,9 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
         parameters.retain(|info| scope.is_none_or(|Scope(of)| info.key.channel == of));
         Ok(parameters)
     })?;
+    let units = Units::of(&parameters);
     if args.json {
-        let parameters = parameters.iter().map(Parameter::from).collect();
+        let parameters = parameters.iter().map(|info| Parameter::new(info, &units)).collect();
         output::json(&Shown { board: args.board.to_string(), parameters })?;
         return Ok(true);
     }
@@ -209,7 +214,13 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     let mut table = table::new(&["parameter", "value", "after restart", "built in", "unit"], 1..4);
     for ParameterInfo { key, active, set, built_in } in &parameters {
         let unless = |value: &f32, same: &f32| if value == same { String::new() } else { shown(*value) };
-        table.add_row([key.to_string(), shown(*active), unless(set, active), unless(built_in, active), unit(*key)]);
+        table.add_row([
+            key.to_string(),
+            shown(*active),
+            unless(set, active),
+            unless(built_in, active),
+            units.unit(*key),
+        ]);
     }
     output::line(table)?;
     let changed = parameters.iter().filter(|info| info.active != info.built_in).count();
@@ -228,14 +239,15 @@ fn shown(value: f32) -> String {
 }
 
 fn set(args: &Args, key: &str, value: f32, save: bool) -> anyhow::Result<bool> {
-    let info = change(args, save, async |session| {
+    let (info, units) = change(args, save, async |session| {
         let parameters = session.board.parameters().await?;
         let known = find(&parameters, key).ok_or_else(|| anyhow!("{}", unknown(&parameters, key)))?;
         session.board.set_parameter(known.key, value).await?;
-        Ok(ParameterInfo { set: value, ..*known })
+        Ok((ParameterInfo { set: value, ..*known }, Units::of(&parameters)))
     })?;
     if args.json {
-        output::json(&Changed { board: args.board.to_string(), parameter: Parameter::from(&info), saved: save })?;
+        let parameter = Parameter::new(&info, &units);
+        output::json(&Changed { board: args.board.to_string(), parameter, saved: save })?;
     } else {
         output::line(format_args!("{key} {} -> {}, {}", shown(info.active), shown(value), outlook(save)))?;
     }

@@ -1,10 +1,32 @@
 //! Units of parameters, for people.
 
-use r4_protocol::{ChannelKind, Parameter, ParameterKey};
+use r4_protocol::{ChannelId, ChannelKind, Parameter, ParameterInfo, ParameterKey};
 
-/// The unit of `key`'s number; nothing for a count.
-pub(super) fn unit(key: ParameterKey) -> String {
-    let rotary = match key.parameter {
+/// The units of a board's parameters.
+pub(super) struct Units {
+    /// Channels that move in metres.
+    linear: Vec<ChannelId>,
+}
+
+impl Units {
+    /// From all parameters of each channel whose units are wanted: what has a potentiometer moves in metres.
+    pub(super) fn of(parameters: &[ParameterInfo]) -> Self {
+        let with_potentiometer = parameters.iter().filter(|info| info.key.parameter == Parameter::PotLowCode);
+        Self { linear: with_potentiometer.filter_map(|info| info.key.channel).collect() }
+    }
+
+    /// The unit of `key`'s number; nothing for a count.
+    pub(super) fn unit(&self, key: ParameterKey) -> String {
+        let is_linear =
+            key.channel.is_some_and(|channel| channel.kind == ChannelKind::Actuator || self.linear.contains(&channel));
+        let rotary = rotary(key);
+        if is_linear { rotary.replace("rad", "m") } else { rotary.to_owned() }
+    }
+}
+
+/// The unit of `key`'s number, if its channel turns.
+fn rotary(key: ParameterKey) -> &'static str {
+    match key.parameter {
         Parameter::LinkTimeoutMs | Parameter::SettleTimeMs | Parameter::StallTimeMs | Parameter::FollowTimeMs => "ms",
         Parameter::AirTemperatureC => "°C",
         Parameter::ServoOscillatorHz => "Hz",
@@ -42,9 +64,7 @@ pub(super) fn unit(key: ParameterKey) -> String {
         | Parameter::VoltsMin
         | Parameter::VoltsMax => "V",
         Parameter::VoltsPerCode => "V/code",
-    };
-    let is_linear = key.channel.is_some_and(|channel| channel.kind == ChannelKind::Actuator);
-    if is_linear { rotary.replace("rad", "m") } else { rotary.to_owned() }
+    }
 }
 
 #[cfg(test)]
@@ -53,7 +73,11 @@ mod tests {
 
     #[test]
     fn an_actuator_moves_in_metres() {
-        let of = |key: &str| unit(key.parse().expect("a key"));
+        let key = |key: &str| -> ParameterKey { key.parse().expect("a key") };
+        let pot = ParameterInfo { key: key("dhb1.pot_low_code"), active: 0.0, set: 0.0, built_in: 0.0 };
+        let of = |text: &str| Units::of(&[pot]).unit(key(text));
+        assert_eq!(of("dhb0.position_kp"), "duty/rad");
+        assert_eq!(of("dhb1.position_kp"), "duty/m");
         assert_eq!(of("osmc0.position_ki"), "duty/(rad s)");
         assert_eq!(of("actuator1.position_ki"), "duty/(m s)");
         assert_eq!(of("actuator1.profile_acceleration"), "m/s²");
