@@ -76,6 +76,26 @@ impl Line {
     }
 }
 
+/// The stretches of a PWM cycle in which none of `lines` changes: where each begins, and how many counts it has. `EDGES` must
+/// be room for the edges of all, two each, and the beginning of the cycle.
+pub(crate) fn stretches<const EDGES: usize>(lines: impl IntoIterator<Item = Line>) -> impl Iterator<Item = (u16, u16)> {
+    let mut edges = [0; EDGES];
+    let mut used = 1;
+    for line in lines {
+        if let Line::Pwm { on, off } = line {
+            edges[used] = on.min(COUNTS);
+            edges[used + 1] = off.min(COUNTS);
+            used += 2;
+        }
+    }
+    edges[..used].sort_unstable();
+    (0..used).filter_map(move |index| {
+        let from = edges[index];
+        let to = if index + 1 < used { edges[index + 1] } else { COUNTS };
+        (from < to).then(|| (from, to - from))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

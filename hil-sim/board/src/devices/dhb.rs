@@ -19,7 +19,7 @@
 //! Not modelled: current sense output CT, current limit, heat, dead time between the FETs of a leg.
 
 use super::osmc::BridgeOutput;
-use crate::chips::{COUNTS, Line};
+use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
 /// Lowest supply.
@@ -50,25 +50,11 @@ struct Shares {
 }
 
 impl Shares {
-    /// Walks the edges of the three lines in order; between two of them nothing changes.
+    /// Adds up the stretches in which no line changes.
     fn of(inputs: &DhbInputs) -> Self {
-        let mut edges = [0; 7];
-        let mut used = 1;
-        for line in [inputs.in1, inputs.in2, inputs.en] {
-            if let Line::Pwm { on, off } = line {
-                edges[used] = on.min(COUNTS);
-                edges[used + 1] = off.min(COUNTS);
-                used += 2;
-            }
-        }
-        let edges = &mut edges[..used];
-        edges.sort_unstable();
         let mut shares = Self::default();
-        for (index, &from) in edges.iter().enumerate() {
-            let to = edges.get(index + 1).copied().unwrap_or(COUNTS);
-            if from < to {
-                shares.add(inputs, from, to - from);
-            }
+        for (from, length) in stretches::<7>([inputs.in1, inputs.in2, inputs.en]) {
+            shares.add(inputs, from, length);
         }
         shares
     }

@@ -20,7 +20,7 @@
 //! The dead time between the two FETs of a leg (set by resistors, below a microsecond) is shorter than a count and not
 //! modelled; neither are the 400 ns for which both low FETs turn on at power-up (Intersil AN9404).
 
-use crate::chips::{COUNTS, Line};
+use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Leg, Misuse, MisuseKind, MisuseLog};
 
 /// The driver stops all FETs when its supply falls below this (AN9404, nominal).
@@ -98,25 +98,11 @@ const fn is_high(line: Line, count: u16) -> bool {
 }
 
 impl Sweep {
-    /// Walks the edges of the four lines in order; between two of them nothing changes.
+    /// Adds up the stretches in which no line changes.
     fn of(inputs: &BridgeInputs) -> Self {
-        let mut edges = [0; 9];
-        let mut used = 1;
-        for line in [inputs.ahi, inputs.ali, inputs.bhi, inputs.bli] {
-            if let Line::Pwm { on, off } = line {
-                edges[used] = on.min(COUNTS);
-                edges[used + 1] = off.min(COUNTS);
-                used += 2;
-            }
-        }
-        let edges = &mut edges[..used];
-        edges.sort_unstable();
         let mut sweep = Self::default();
-        for (index, &from) in edges.iter().enumerate() {
-            let to = edges.get(index + 1).copied().unwrap_or(COUNTS);
-            if from < to {
-                sweep.add(inputs, from, to - from);
-            }
+        for (from, length) in stretches::<9>([inputs.ahi, inputs.ali, inputs.bhi, inputs.bli]) {
+            sweep.add(inputs, from, length);
         }
         sweep
     }
