@@ -246,7 +246,7 @@ impl SimBoard {
 
     /// Plugs a screen in, and starts the firmware's task for it. Returns the screen, to look at.
     ///
-    /// Not part of every simulated board, for drawing takes longer than everything else together.
+    /// Not part of every simulated board: most runs look at no screen, and drawing costs them time.
     pub fn plug_screen(&self, simulation: &mut Simulation) -> ScreenWiring {
         let wiring = ScreenWiring::new(self.clock.clone(), SCREEN_SPI_HZ);
         self.screen.replace(Some(wiring.clone()));

@@ -179,7 +179,7 @@ impl Pins {
     }
 
     /// An edge of the line to the external watchdog.
-    pub(super) fn kick(&mut self, now_ns: u64, _high: bool) {
+    pub(super) fn kick(&mut self, now_ns: u64) {
         self.longest_kick_ns = self.longest_kick_ns.max(now_ns - self.kicked_ns);
         self.kicked_ns = now_ns;
     }
