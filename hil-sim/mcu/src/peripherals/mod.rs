@@ -1,0 +1,1 @@
+//! The peripherals, one module each.
