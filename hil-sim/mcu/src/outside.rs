@@ -140,4 +140,9 @@ pub trait Outside {
 
     /// A frame left FDCAN `bus` (1 or 2); the moment is the end of its acknowledge slot.
     fn can_sent(&mut self, bus: u8, at_ns: u64, frame: &CanFrame) -> CanOutcome;
+
+    /// Something outside waits to run at the present moment: the processor is to pause.
+    fn wants_to_run(&self) -> bool {
+        false
+    }
 }

@@ -15,7 +15,7 @@ use crate::{
 ///
 /// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 130 after
 /// Ctrl-C, which disarms first.
-#[derive(Debug, Parser)]
+#[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml
@@ -37,7 +37,7 @@ pub(crate) struct Args {
     pub(crate) command: Command,
 }
 
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Command {
     /// Drive the set points of the OSMC evaluation and compare with the paper's results
     Demo(Demo),
@@ -85,6 +85,8 @@ pub(crate) enum Command {
     I2c(I2c),
     /// Send and receive on a UART connector
     Uart(Uart),
+    /// Play files that say what is done to a virtual board, and print or compare what came of it
+    Scenario(Scenario),
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
@@ -92,8 +94,18 @@ pub(crate) enum Command {
     },
 }
 
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Scenario {
+    /// Play each on a simulated and on an emulated board, and list what differs
+    #[arg(long)]
+    pub(crate) compare: bool,
+    /// Scenarios, as docs/scenarios.md describes them
+    #[arg(required = true, value_name = "FILE")]
+    pub(crate) files: Vec<PathBuf>,
+}
+
 /// Each on sim:every-interface, unless `--board` names another robot with every kind of output.
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Bench {
     /// Bus occupancy and late control periods under growing load
     Bus {
@@ -109,14 +121,14 @@ pub(crate) enum Bench {
     },
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Demo {
     /// Folder for log.mcap and report.html
     #[arg(long, default_value = "r4-demo", value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Motion {
     /// The channel, as in osmc0 or actuator1
     pub(crate) channel: ChannelId,
@@ -128,7 +140,7 @@ pub(crate) struct Motion {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Step {
     /// The stepper, as in stepper0
     pub(crate) channel: ChannelId,
@@ -140,7 +152,7 @@ pub(crate) struct Step {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Home {
     /// The channel, as in osmc0 or stepper0
     pub(crate) channel: ChannelId,
@@ -152,7 +164,7 @@ pub(crate) struct Home {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Held {
     /// The channel, as in servo3 or dac0
     pub(crate) channel: ChannelId,
@@ -164,7 +176,7 @@ pub(crate) struct Held {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Bldc {
     /// The drive, as in bldc0
     pub(crate) channel: ChannelId,
@@ -179,7 +191,7 @@ pub(crate) struct Bldc {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Config {
     /// Every parameter, or those of a channel
     Show {
@@ -226,7 +238,7 @@ pub(crate) enum Config {
     },
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct I2c {
     /// The connector, 0 or 1
@@ -242,7 +254,7 @@ pub(crate) struct I2c {
     pub(crate) read: Option<u8>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct Uart {
     /// The connector, 0 or 1
@@ -262,7 +274,7 @@ pub(crate) struct Uart {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Bytes(pub(crate) Vec<u8>);
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Relay {
     /// The relay, as in relay1
     pub(crate) channel: ChannelId,
@@ -282,7 +294,7 @@ pub(crate) enum Contact {
     Off,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Watch {
     /// Channels [default: all]
     pub(crate) channels: Vec<ChannelId>,

@@ -1,6 +1,7 @@
 //! `r4`: drives R4 boards, real and simulated.
 
 mod args;
+mod cable;
 mod commands;
 mod output;
 mod quantity;
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {

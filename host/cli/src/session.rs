@@ -24,6 +24,24 @@ use crate::args::Args;
 pub(crate) enum Target {
     /// A simulated board of this robot: a built-in name or a TOML file.
     Sim(String),
+    /// An emulated processor that runs the firmware's ELF, in the same simulated surroundings.
+    Emu(String),
+}
+
+impl Target {
+    /// The same kind of board for another robot.
+    pub(crate) fn with_robot(&self, robot: &str) -> Self {
+        match self {
+            Self::Sim(_) => Self::Sim(robot.to_owned()),
+            Self::Emu(_) => Self::Emu(robot.to_owned()),
+        }
+    }
+
+    /// The robot's name or file.
+    pub(crate) fn robot(&self) -> &str {
+        let (Self::Sim(robot) | Self::Emu(robot)) = self;
+        robot
+    }
 }
 
 impl FromStr for Target {
@@ -32,8 +50,9 @@ impl FromStr for Target {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
             Some(("sim", robot)) if !robot.is_empty() => Ok(Self::Sim(robot.to_owned())),
-            Some(("emu" | "serial" | "can" | "tcp", _)) => {
-                Err(format!("`{text}`: this version only has simulated boards, as in sim:osmc-bench"))
+            Some(("emu", robot)) if !robot.is_empty() => Ok(Self::Emu(robot.to_owned())),
+            Some(("serial" | "can" | "tcp", _)) => {
+                Err(format!("`{text}`: this version only has simulated and emulated boards, as in sim:osmc-bench"))
             }
             _ => {
                 let known: Vec<_> = r4_boards::names().map(|name| format!("sim:{name}")).collect();
@@ -50,6 +69,7 @@ impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Sim(robot) => write!(f, "sim:{robot}"),
+            Self::Emu(robot) => write!(f, "emu:{robot}"),
         }
     }
 }

@@ -9,6 +9,7 @@ pub(crate) mod info;
 pub(crate) mod motion;
 pub(crate) mod raw;
 pub(crate) mod relay;
+pub(crate) mod scenario;
 pub(crate) mod state;
 pub(crate) mod watch;
 
