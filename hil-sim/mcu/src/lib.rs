@@ -5,11 +5,18 @@
 //! firmware or its libraries. What the manual forbids is reported ([`Misuse`]); what is not modelled fails loudly
 //! ([`Unmodelled`]), with the address and where the program was.
 
+pub mod chip;
 pub mod context;
+pub mod cpu;
+pub mod machine;
+pub mod memory;
 pub mod outside;
 pub mod peripheral;
 pub mod peripherals;
 
+pub use chip::{AccessError, Chip};
 pub use context::{Clocks, Context, Misuse, ResetCause, Signal, Ticks};
+pub use machine::{MachineError, Reason, Settings, Stopped};
+pub use memory::{Bank, Memory, Region};
 pub use outside::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin, UartByte};
 pub use peripheral::{Peripheral, Size, Unmodelled};

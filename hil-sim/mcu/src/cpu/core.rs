@@ -1,0 +1,187 @@
+//! The instruction set, behind a trait: what a backend does, and what the rest of the processor does for it.
+//!
+//! A backend executes instructions and keeps the registers. It takes no exceptions, has no interrupt controller and
+//! knows no time: it counts instructions. What it cannot do by itself — an access that is not direct (see
+//! [`Region::direct`]), sleeping, a fault, a return from an exception — it asks the [`CoreBus`] for, or stops with.
+
+use crate::memory::Region;
+use crate::peripheral::Size;
+
+/// A register of the programmers' model (DDI0403E B1.4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Register {
+    /// R0 to R12.
+    R(u8),
+    /// The stack pointer in use: the bank that mode and CONTROL.SPSEL choose.
+    Sp,
+    /// R14.
+    Lr,
+    /// The address of the next instruction, without the Thumb bit. A write is a branch and clears nothing else.
+    Pc,
+    /// The main stack pointer.
+    Msp,
+    /// The process stack pointer.
+    Psp,
+    /// Flags, IT state and, where the backend keeps it, the exception number; EPSR.T reads as one.
+    Xpsr,
+    /// Bit 0.
+    Primask,
+    /// Bits 7 to 0.
+    Basepri,
+    /// Bit 0.
+    Faultmask,
+    /// nPRIV, SPSEL, FPCA. A write of SPSEL selects the stack whatever the mode.
+    Control,
+    /// Floating-point status and control.
+    Fpscr,
+    /// S0 to S31.
+    S(u8),
+}
+
+/// Where and how a core accesses what is not direct.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Access {
+    /// The address.
+    pub address: u32,
+    /// Width. A wider load or store comes as several accesses, in order of address.
+    pub size: Size,
+    /// Address of the instruction.
+    pub pc: u32,
+    /// Instructions executed in this run before that one.
+    pub instructions: u64,
+}
+
+/// The access is answered with an error: the core stops with [`Fault::Data`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusFault;
+
+/// Until when a core runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Instructions of this run. The core stops before the first block of instructions that begins at or after this
+    /// many: it can overshoot by one block, and never stops within one for this reason.
+    pub instructions: u64,
+    /// Stop as soon as PRIMASK, BASEPRI or FAULTMASK differ from what they were when this was asked for.
+    pub mask_changes: bool,
+}
+
+/// What a core needs while it runs.
+pub trait CoreBus {
+    /// A load that is not direct.
+    ///
+    /// # Errors
+    /// The load is abandoned: the instruction has no effect, and the core stops at it.
+    fn read(&mut self, access: &Access) -> Result<u32, BusFault>;
+
+    /// A store that is not direct.
+    ///
+    /// # Errors
+    /// The store has no effect; the core may execute up to the end of its block before it stops (imprecise, as on the
+    /// Cortex-M7, whose stores are buffered).
+    fn write(&mut self, access: &Access, value: u32) -> Result<(), BusFault>;
+
+    /// Asked at the start of a run and after each access, which may change them.
+    fn limits(&self) -> Limits;
+
+    /// SEV was, or is about to be, executed in the present block.
+    fn event(&mut self);
+
+    /// [`Region::direct`] of some region changed since the core last asked; the regions are then mapped anew.
+    fn remapped(&mut self) -> Option<&[Region]>;
+}
+
+/// What went wrong with an instruction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// A load or store was answered with an error; a load stops at the instruction, a store after it.
+    Data {
+        /// Its address.
+        address: u32,
+        /// The instruction at PC is the one, and had no effect.
+        precise: bool,
+    },
+    /// An instruction cannot be fetched from PC.
+    Fetch,
+    /// Undefined instruction at PC.
+    Undefined,
+    /// Floating-point instruction at PC while CPACR does not allow it.
+    NoCoprocessor,
+    /// EPSR.T is zero, or the IT state makes no sense.
+    InvalidState,
+    /// An unaligned access at PC, of an instruction or to memory that does not take one.
+    Unaligned,
+    /// Division by zero at PC with CCR.DIV_0_TRP (backends that cannot trap it do not).
+    DivideByZero,
+}
+
+/// Why a core stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Why {
+    /// [`Limits::instructions`] is reached.
+    Limit,
+    /// [`Limits::mask_changes`].
+    MaskChanged,
+    /// WFI was executed; PC is after it.
+    Wfi,
+    /// WFE was executed, whatever the event register is; PC is after it.
+    Wfe,
+    /// YIELD was executed; PC is after it.
+    Yield,
+    /// SVC was executed; PC is after it.
+    Svc,
+    /// BKPT is at PC, with this operand.
+    Breakpoint(u8),
+    /// PC is at an address given by [`Core::observe`]; its instruction was not executed.
+    Observed,
+    /// A branch to an EXC_RETURN value, which is in PC (with bit 0 cleared, as in the argument).
+    ExceptionReturn(u32),
+    /// A fault.
+    Fault(Fault),
+}
+
+/// What a run came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CoreStop {
+    /// Instructions executed, those skipped by IT included.
+    pub instructions: u64,
+    /// Why it stopped.
+    pub why: Why,
+}
+
+/// The backend failed by itself: never the program's fault.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the processor backend failed: {0}")]
+pub struct CoreError(pub String);
+
+/// A processor that executes the Thumb instructions of a Cortex-M7 with double-precision floating point.
+pub trait Core {
+    /// Maps every memory, at the start of the machine. The core keeps the references.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn map(&mut self, regions: &[Region]) -> Result<(), CoreError>;
+
+    /// Instructions in direct memory were changed from outside the core.
+    fn code_changed(&mut self);
+
+    /// Reads a register.
+    fn get(&self, register: Register) -> u32;
+
+    /// Writes a register.
+    fn set(&mut self, register: Register, value: u32);
+
+    /// Floating point is allowed (CPACR).
+    fn set_fpu(&mut self, on: bool);
+
+    /// Stops with [`Why::Observed`] before these instructions, from now on; a run that begins at one executes it.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn observe(&mut self, addresses: &[u32]) -> Result<(), CoreError>;
+
+    /// Executes from PC.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn run(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
+}

@@ -1,0 +1,1 @@
+//! Unicorn behind the `Core` trait of r4-mcu.
