@@ -9,6 +9,9 @@ pub mod context;
 pub mod outside;
 pub mod peripheral;
 pub mod peripherals;
+#[cfg(test)]
+#[allow(dead_code, reason = "which of it a test needs is its own business")]
+mod testing;
 
 pub use context::{Clocks, Context, Misuse, ResetCause, Signal, Ticks};
 pub use outside::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin, UartByte};
