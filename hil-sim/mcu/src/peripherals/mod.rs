@@ -1,1 +1,5 @@
 //! The peripherals, one module each.
+
+pub(crate) mod access;
+pub mod pwr;
+pub mod rcc;
