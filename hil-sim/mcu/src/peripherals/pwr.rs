@@ -59,6 +59,8 @@ pub struct Pwr {
     from: VoltageScale,
     /// When it gives what is asked for.
     settled_ns: u64,
+    /// Advanced since then.
+    seen: bool,
 }
 
 impl Default for Pwr {
@@ -82,6 +84,7 @@ impl Pwr {
             overdrive: false,
             from: VoltageScale::Vos3,
             settled_ns: 0,
+            seen: true,
         }
     }
 
@@ -128,7 +131,7 @@ impl Pwr {
         let before = self.scale(now_ns);
         setting(self);
         if self.target() != before {
-            (self.from, self.settled_ns) = (before, now_ns + SETTLE_NS);
+            (self.from, self.settled_ns, self.seen) = (before, now_ns + SETTLE_NS, false);
         }
     }
 
@@ -222,7 +225,11 @@ impl Peripheral for Pwr {
 
     /// When the voltage arrives: the limits of clocks and flash are others from then on.
     fn next_event_ns(&self) -> u64 {
-        u64::MAX
+        if self.seen { u64::MAX } else { self.settled_ns }
+    }
+
+    fn advance(&mut self, context: &mut Context<'_>) {
+        self.seen |= context.now_ns >= self.settled_ns;
     }
 
     /// A reset of the chip. The supply configuration and CR2 outlive it.
@@ -290,7 +297,8 @@ mod tests {
         assert_eq!(pwr.scale(bench.now_ns), VoltageScale::Vos1);
         pwr.set_overdrive(true, &mut bench.context());
         assert_eq!(pwr.scale(bench.now_ns), VoltageScale::Vos1);
-        bench.now_ns += SETTLE_NS;
+        assert_eq!(pwr.next_event_ns(), bench.now_ns + SETTLE_NS);
+        bench.run(&mut pwr, bench.now_ns + SETTLE_NS);
         assert_eq!(pwr.scale(bench.now_ns), VoltageScale::Vos0);
         bench.assert_no_misuse();
     }
