@@ -13,6 +13,9 @@ pub mod memory;
 pub mod outside;
 pub mod peripheral;
 pub mod peripherals;
+#[cfg(test)]
+#[allow(dead_code, reason = "which of it a test needs is its own business")]
+mod testing;
 
 pub use chip::{AccessError, Chip};
 pub use context::{Clocks, Context, Misuse, ResetCause, Signal, Ticks};

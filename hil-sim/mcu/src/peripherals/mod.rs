@@ -1,1 +1,6 @@
 //! The peripherals, one module each.
+
+pub(crate) mod access;
+pub mod gpio;
+pub mod pwr;
+pub mod rcc;
