@@ -1,1 +1,4 @@
 //! The peripherals, one module each.
+
+pub mod dma;
+mod width;
