@@ -4,3 +4,5 @@ pub(crate) mod access;
 pub mod gpio;
 pub mod pwr;
 pub mod rcc;
+pub mod dma;
+mod width;
