@@ -1,1 +1,6 @@
 //! The peripherals, one module each.
+
+pub mod usart;
+
+#[cfg(test)]
+mod bench;
