@@ -6,3 +6,8 @@ pub mod pwr;
 pub mod rcc;
 pub mod dma;
 mod width;
+pub mod i2c;
+pub mod usart;
+
+#[cfg(test)]
+mod bench;
