@@ -37,5 +37,5 @@ pub mod stop;
 pub mod world;
 
 pub use board::{Lights, SimBoard, SimError};
-pub use clock::{Clock, Sleep};
+pub use clock::{Clock, GiveWay, Sleep};
 pub use executor::{Pace, Simulation, TaskId};
