@@ -34,6 +34,7 @@ pub mod link;
 pub mod misuse;
 pub mod sensors;
 pub mod stop;
+pub mod uart;
 pub mod world;
 
 pub use board::{Lights, SimBoard, SimError};
