@@ -26,10 +26,10 @@ use crate::{
     clock::Clock,
     executor::{Simulation, TaskId},
     flash::Flash,
-    io::{BoardBus, Controller, FlashPort, UartReceiver, UartTransmitter},
+    io::{BoardBus, FlashPort, UartReceiver, UartTransmitter},
     lines::{InputLine, Line, OutputLine},
     link::{Port, serial},
-    world::{Processor, World},
+    world::{Controller, Processor, World},
 };
 
 /// Bits per second of the link to the host, as on the board's UART connectors.

@@ -34,8 +34,9 @@ pub mod link;
 pub mod misuse;
 pub mod sensors;
 pub mod stop;
+pub mod uart;
 pub mod world;
 
 pub use board::{Lights, SimBoard, SimError};
-pub use clock::{Clock, Sleep};
+pub use clock::{Clock, GiveWay, Sleep};
 pub use executor::{Pace, Simulation, TaskId};

@@ -16,7 +16,7 @@ use embedded_hal_async::digital::Wait;
 pub struct Line {
     high: Cell<bool>,
     edges: Cell<u64>,
-    waiting: RefCell<Option<Waker>>,
+    waiting: RefCell<Vec<Waker>>,
 }
 
 impl Line {
@@ -30,9 +30,7 @@ impl Line {
     pub fn set(&self, high: bool) {
         if self.high.replace(high) != high {
             self.edges.set(self.edges.get() + 1);
-            if let Some(waker) = self.waiting.take() {
-                waker.wake();
-            }
+            self.waiting.take().into_iter().for_each(Waker::wake);
         }
     }
 
@@ -40,6 +38,20 @@ impl Line {
     #[must_use]
     pub fn is_high(&self) -> bool {
         self.high.get()
+    }
+
+    /// Edges since the line was made.
+    #[must_use]
+    pub fn edges(&self) -> u64 {
+        self.edges.get()
+    }
+
+    /// Wakes `waker` at the next edge, once; the edge is at the virtual time at which the woken task runs.
+    pub fn on_change(&self, waker: &Waker) {
+        let mut waiting = self.waiting.borrow_mut();
+        if !waiting.iter().any(|known| known.will_wake(waker)) {
+            waiting.push(waker.clone());
+        }
     }
 }
 
@@ -57,7 +69,7 @@ impl InputLine {
                     return Poll::Ready(());
                 }
             }
-            *self.0.waiting.borrow_mut() = Some(context.waker().clone());
+            self.0.on_change(context.waker());
             Poll::Pending
         })
         .await;
