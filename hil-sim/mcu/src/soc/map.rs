@@ -17,7 +17,6 @@ pub enum Id {
     Fmc,
     Dma,
     Bdma,
-    Dmamux2,
     Tim1,
     Tim2,
     Tim3,
@@ -99,8 +98,8 @@ const MAP: &[(u32, u32, Id)] = &[
     (0x5802_0000, 11, Id::Gpio),
     (0x5802_4400, 1, Id::Rcc),
     (0x5802_4800, 1, Id::Pwr),
-    (0x5802_5400, 1, Id::Bdma),
-    (0x5802_5800, 1, Id::Dmamux2),
+    // BDMA, DMAMUX2.
+    (0x5802_5400, 2, Id::Bdma),
     (0x5C00_1000, 1, Id::Dbgmcu),
 ];
 
@@ -114,12 +113,13 @@ impl Id {
         all.sort_unstable();
         all.into_iter()
     }
+}
 
-    /// Its first address.
-    pub(super) fn base(self) -> u32 {
-        // Each has exactly one row.
-        MAP.iter().find(|(_, _, id)| *id == self).map_or(0, |(base, _, _)| *base)
-    }
+/// Every first address, by place.
+pub(super) fn bases() -> [u32; Id::COUNT] {
+    let mut bases = [0; Id::COUNT];
+    MAP.iter().for_each(|(base, _, id)| bases[*id as usize] = *base);
+    bases
 }
 
 /// From an address to a peripheral, fast: one byte for each KiB of peripheral space.

@@ -6,8 +6,6 @@
 
 mod map;
 
-use std::cmp::Reverse;
-
 pub use map::Id;
 
 use crate::{
@@ -26,7 +24,7 @@ use crate::{
         fdcan::Fdcan,
         flash::{Flash, FlashCells},
         fmc::Fmc,
-        gpio::Gpio,
+        gpio::{Function, Gpio},
         i2c::I2c,
         iwdg::Iwdg,
         pwr::Pwr,
@@ -65,12 +63,73 @@ struct Devices {
     rng: Rng,
 }
 
+impl Devices {
+    fn new(oscillators: Oscillators, cells: Box<dyn FlashCells>) -> Self {
+        const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
+        Self {
+            rcc: Rcc::new(oscillators),
+            pwr: Pwr::new(),
+            gpio: Gpio::new(),
+            exti: Exti::new(),
+            syscfg: Syscfg::new(),
+            flash: Flash::new(cells),
+            iwdg: Iwdg::new(),
+            rtc: Rtc::new(),
+            dbgmcu: Dbgmcu::new(),
+            usb: Usb::new(),
+            fmc: Fmc::new(),
+            dma: Dma12::new(),
+            bdma: Bdma::new(),
+            timers: TIMERS.into_iter().filter_map(Tim::new).collect(),
+            adc: Adc12::new(),
+            dac: Dac::new(),
+            usarts: (1..=8).filter_map(Usart::new).collect(),
+            i2cs: (1..=4).filter_map(I2c::new).collect(),
+            fdcan: Fdcan::new(),
+            spi: Spi::new(),
+            rng: Rng::new(0),
+        }
+    }
+
+    /// By the place of its [`Id`].
+    fn get(&mut self, id: usize) -> &mut dyn Peripheral {
+        const TIM: usize = Id::Tim1 as usize;
+        const USART: usize = Id::Usart1 as usize;
+        const I2C: usize = Id::I2c1 as usize;
+        const LAST: usize = Id::COUNT - 1;
+        match id {
+            0 => &mut self.rcc,
+            1 => &mut self.pwr,
+            2 => &mut self.gpio,
+            3 => &mut self.exti,
+            4 => &mut self.syscfg,
+            5 => &mut self.flash,
+            6 => &mut self.iwdg,
+            7 => &mut self.rtc,
+            8 => &mut self.dbgmcu,
+            9 => &mut self.usb,
+            10 => &mut self.fmc,
+            11 => &mut self.dma,
+            12 => &mut self.bdma,
+            TIM..ADC => &mut self.timers[id - TIM],
+            ADC => &mut self.adc,
+            DAC => &mut self.dac,
+            USART..I2C => &mut self.usarts[id - USART],
+            I2C..FDCAN => &mut self.i2cs[id - I2C],
+            FDCAN => &mut self.fdcan,
+            SPI => &mut self.spi,
+            LAST.. => &mut self.rng,
+        }
+    }
+}
+
 /// The chip around the processor, wired to `O`.
 pub struct Soc<O> {
     devices: Devices,
     outside: O,
     memory: Memory,
     map: map::AddressMap,
+    bases: [u32; Id::COUNT],
     clocks: Clocks,
     now_ns: u64,
     signals: Vec<Signal>,
@@ -83,7 +142,8 @@ pub struct Soc<O> {
     irqs: Vec<(u16, bool)>,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
-    waits: bool,
+    /// What a DMA controller met that is not modelled; told at the program's next access.
+    unmodelled: Option<Unmodelled>,
 }
 
 /// The memories and peripherals of domain 3, which are all that BDMA reaches.
@@ -102,6 +162,7 @@ impl<O: Outside> Soc<O> {
             outside,
             memory: Memory::new(),
             map: map::AddressMap::new(),
+            bases: map::bases(),
             now_ns: 0,
             signals: Vec::new(),
             misuse: Vec::new(),
@@ -111,7 +172,7 @@ impl<O: Outside> Soc<O> {
             irqs: Vec::new(),
             reset: None,
             edges: Vec::new(),
-            waits: false,
+            unmodelled: None,
         };
         soc.update_memory_clocks();
         soc
@@ -172,7 +233,8 @@ impl<O: Outside> Soc<O> {
                 }
             }
             Signal::TimerOutput { timer, channel, at_ns, high } => {
-                self.devices.gpio.drive_timer(timer, channel, at_ns, high, &mut self.outside);
+                let function = Function::Timer(timer, channel);
+                self.devices.gpio.timer_output(function, Some(high), at_ns, &mut self.outside);
             }
             Signal::Clocks => self.follow_clocks(),
             Signal::Reset(cause) => self.reset = self.reset.or(Some(cause)),
@@ -235,7 +297,7 @@ impl<O: Outside> Soc<O> {
             };
         }
         let Some(id) = self.map.find(beat.address) else { return Err(dma::BusError) };
-        let offset = beat.address - self.base(id);
+        let offset = beat.address - self.bases[id];
         let result = match beat.access {
             dma::Access::Read => self.with(id, |device, context| device.read(offset, beat.size, context)),
             dma::Access::Write(value) => {
@@ -246,5 +308,289 @@ impl<O: Outside> Soc<O> {
             self.unmodelled = self.unmodelled.take().or(Some(unmodelled));
             dma::BusError
         })
+    }
+
+    /// The clock tree has changed: everybody comes to now by the old one and goes on by the new one.
+    fn follow_clocks(&mut self) {
+        for id in 0..Id::COUNT {
+            if id != Id::Rcc as usize {
+                self.with(id, |device, context| device.advance(context));
+            }
+        }
+        self.clocks = self.devices.rcc.clocks();
+        for id in 0..Id::COUNT {
+            self.with(id, |device, context| device.clocks_changed(context));
+        }
+    }
+
+    /// Memories of domains 2 and 3 follow their enable bits.
+    fn update_memory_clocks(&mut self) {
+        for bank in [Bank::Sram1, Bank::Sram2, Bank::Sram3, Bank::Backup] {
+            self.memory.set_enabled(bank, self.devices.rcc.is_enabled(bank.span().0));
+        }
+    }
+
+    /// What RCC, PWR and SYSCFG tell each other, after a write to one of them.
+    fn link_power(&mut self) {
+        self.update_memory_clocks();
+        for base in self.devices.rcc.take_resets() {
+            if let Some(id) = self.map.find(base) {
+                self.reset_part(id, base);
+            }
+        }
+        if self.devices.rcc.take_backup_reset() {
+            self.devices.rcc.reset_backup();
+            self.devices.rtc.reset_domain();
+        }
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        let Devices { rcc, pwr, syscfg, rtc, .. } = &mut self.devices;
+        pwr.set_overdrive(syscfg.overdrive(), &mut context);
+        rcc.set_backup_writable(pwr.backup_writable());
+        rtc.set_writable(pwr.backup_writable());
+        rcc.set_voltage_scale(pwr.scale(self.now_ns), &mut context);
+    }
+
+    /// A reset bit of RCC: of one block where several share a model.
+    fn reset_part(&mut self, id: usize, base: u32) {
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        match base {
+            0x4002_0000 => self.devices.dma.reset_part(dma::Part::Dma1, &mut context),
+            0x4002_0400 => self.devices.dma.reset_part(dma::Part::Dma2, &mut context),
+            0x5802_0000..0x5802_2C00 => self.devices.gpio.reset_port(((base >> 10) & 0xF) as usize, &mut context),
+            _ => self.devices.get(id).reset(&mut context),
+        }
+        self.next_ns[id] = self.devices.get(id).next_event_ns();
+    }
+
+    /// Tells the chip what changed at its input pins.
+    pub fn poll_outside(&mut self) {
+        let mut edges = std::mem::take(&mut self.edges);
+        self.outside.poll(self.now_ns, &mut edges);
+        for edge in edges.drain(..) {
+            self.edge(edge);
+        }
+        self.edges = edges;
+        self.settle();
+        self.next_poll_ns = self.outside.next_poll_ns(self.now_ns, &self.watched);
+    }
+
+    fn edge(&mut self, edge: Edge) {
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        let Devices { gpio, exti, syscfg, timers, .. } = &mut self.devices;
+        if let Some(Function::Timer(timer, channel)) = gpio.function(edge.pin) {
+            if let Some(index) = timer_index(timer) {
+                timers[index].edge(channel, edge.high, edge.at_ns, &mut context);
+                self.next_ns[Id::Tim1 as usize + index] = timers[index].next_event_ns();
+            }
+        }
+        exti.edge(syscfg, edge, &mut context);
+    }
+
+    /// Which pins must be told of at once: those with an interrupt on them.
+    fn update_watched(&mut self) {
+        let Devices { exti, syscfg, .. } = &self.devices;
+        self.watched.clear();
+        self.watched.extend(exti.watched(syscfg));
+        self.next_poll_ns = self.now_ns;
+    }
+}
+
+/// Input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
+fn dma_trigger(timer: u8) -> Option<u8> {
+    (timer == 12).then_some(7)
+}
+
+impl<O: Outside> Soc<O> {
+    /// Bytes for a UART of the chip, each at its time, which is not before now.
+    pub fn uart_receive(&mut self, port: u8, byte: UartByte) {
+        if let Some(index) = self.devices.usarts.iter().position(|usart| usart.number() == port) {
+            self.devices.usarts[index].receive(byte);
+            let id = Id::Usart1 as usize + index;
+            self.next_ns[id] = self.devices.get(id).next_event_ns();
+        }
+    }
+
+    /// A frame for an FDCAN of the chip, which ends at `at_ns`.
+    pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
+        self.devices.fdcan.receive(bus, at_ns, frame);
+        let id = Id::Fdcan as usize;
+        self.next_ns[id] = self.devices.get(id).next_event_ns();
+    }
+
+    /// RCC, to take crystals away or to let them drift.
+    pub fn rcc(&mut self) -> &mut Rcc {
+        &mut self.devices.rcc
+    }
+
+    /// An access of the processor to a peripheral.
+    fn access<R>(
+        &mut self,
+        now_ns: u64,
+        address: u32,
+        f: impl FnOnce(&mut dyn Peripheral, u32, &mut Context<'_>) -> Result<R, Unmodelled>,
+    ) -> Result<(R, usize), AccessError> {
+        self.advance(now_ns);
+        if let Some(unmodelled) = self.unmodelled.take() {
+            return Err(unmodelled.into());
+        }
+        let Some(id) = self.map.find(address) else {
+            let what = format!("nothing is modelled at {address:#010x}");
+            return Err(Unmodelled { peripheral: "bus", what }.into());
+        };
+        if !self.devices.rcc.is_enabled(address & !0x3FF) {
+            let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
+            self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
+        }
+        if id >= Id::Tim1 as usize && id <= Id::Tim17 as usize || id == Id::Exti as usize {
+            self.poll_outside();
+        }
+        let base = self.bases[id];
+        let result = self.with(id, |device, context| f(device, address - base, context))?;
+        Ok((result, id))
+    }
+}
+
+impl<O: Outside> Chip for Soc<O> {
+    fn memory(&self) -> &Memory {
+        &self.memory
+    }
+
+    fn read(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
+        if let Some((region, _)) = self.memory.locate(address) {
+            let bank = region.bank;
+            return if bank == Bank::Storage { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
+        }
+        let (value, _) = self.access(now_ns, address, |device, offset, context| device.read(offset, size, context))?;
+        self.settle();
+        Ok(value)
+    }
+
+    fn write(&mut self, now_ns: u64, address: u32, size: Size, value: u32) -> Result<(), AccessError> {
+        if let Some((region, _)) = self.memory.locate(address) {
+            let is_flash = region.bank.is_flash();
+            return if is_flash { self.program_flash(now_ns, address, size, value) } else { Err(AccessError::Bus) };
+        }
+        let write = |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| {
+            device.write(offset, size, value, context)
+        };
+        let ((), id) = self.access(now_ns, address, write)?;
+        if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
+            self.link_power();
+        }
+        if id == Id::Exti as usize || id == Id::Syscfg as usize {
+            self.update_watched();
+        }
+        self.settle();
+        // A stop line or a trigger may have moved: what is outside changes at other times than it said.
+        if id == Id::Gpio as usize || id == Id::Dac1 as usize {
+            self.next_poll_ns = self.outside.next_poll_ns(now_ns, &self.watched);
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, now_ns: u64) {
+        loop {
+            let due = self.next_event_ns();
+            if due > now_ns {
+                break;
+            }
+            self.now_ns = self.now_ns.max(due);
+            if self.next_poll_ns <= self.now_ns {
+                self.poll_outside();
+                // At least so much later, whatever is said outside: time must go on.
+                self.next_poll_ns = self.next_poll_ns.max(self.now_ns + 1);
+            }
+            for id in 0..Id::COUNT {
+                if self.next_ns[id] <= self.now_ns {
+                    self.with(id, |device, context| device.advance(context));
+                }
+            }
+            self.settle();
+        }
+        self.now_ns = self.now_ns.max(now_ns);
+    }
+
+    fn next_event_ns(&self) -> u64 {
+        self.next_ns.iter().copied().fold(self.next_poll_ns, u64::min)
+    }
+
+    fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {
+        changes.append(&mut self.irqs);
+    }
+
+    fn take_reset(&mut self) -> Option<ResetCause> {
+        self.reset.take()
+    }
+
+    fn reset(&mut self, now_ns: u64, cause: ResetCause) {
+        self.now_ns = self.now_ns.max(now_ns);
+        self.reset = None;
+        self.devices.rcc.note_reset(cause);
+        for id in 0..Id::COUNT {
+            self.with(id, |device, context| device.reset(context));
+        }
+        self.signals.retain(|signal| matches!(signal, Signal::Irq { .. }));
+        self.follow_clocks();
+        self.link_power();
+        self.update_watched();
+        self.settle();
+    }
+
+    fn outside_waits(&self) -> bool {
+        self.outside.wants_to_run()
+    }
+
+    fn core_hz(&self) -> u64 {
+        self.clocks.core_hz
+    }
+}
+
+impl<O: Outside> Soc<O> {
+    fn load_flash(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
+        self.advance(now_ns);
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        let result = self.devices.flash.load(address, size, &mut context);
+        self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
+        self.settle();
+        result.map_err(|_| AccessError::Bus)
+    }
+
+    fn program_flash(&mut self, now_ns: u64, address: u32, size: Size, value: u32) -> Result<(), AccessError> {
+        self.advance(now_ns);
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        self.devices.flash.program(address, size, value, &mut context)?;
+        self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
+        self.settle();
+        Ok(())
     }
 }
