@@ -51,9 +51,9 @@ pub struct Access {
     pub instructions: u64,
 }
 
-/// The access is answered with an error: the core stops with [`Fault::Data`].
+/// A load has no result: the core stops at the instruction, which has no effect, with [`Fault::Load`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BusFault;
+pub struct NoResult;
 
 /// Until when a core runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,18 +67,15 @@ pub struct Limits {
 
 /// What a core needs while it runs.
 pub trait CoreBus {
-    /// A load that is not direct.
+    /// A load that is not direct. The address is as the program gave it, aligned or not.
     ///
     /// # Errors
-    /// The load is abandoned: the instruction has no effect, and the core stops at it.
-    fn read(&mut self, access: &Access) -> Result<u32, BusFault>;
+    /// The load is abandoned.
+    fn read(&mut self, access: &Access) -> Result<u32, NoResult>;
 
-    /// A store that is not direct.
-    ///
-    /// # Errors
-    /// The store has no effect; the core may execute up to the end of its block before it stops (imprecise, as on the
-    /// Cortex-M7, whose stores are buffered).
-    fn write(&mut self, access: &Access, value: u32) -> Result<(), BusFault>;
+    /// A store that is not direct, aligned or not. It always ends: an error takes effect later, as on the Cortex-M7, which
+    /// buffers its stores (imprecise bus faults).
+    fn write(&mut self, access: &Access, value: u32);
 
     /// Asked at the start of a run and after each access, which may change them.
     fn limits(&self) -> Limits;
@@ -93,13 +90,8 @@ pub trait CoreBus {
 /// What went wrong with an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// A load or store was answered with an error; a load stops at the instruction, a store after it.
-    Data {
-        /// Its address.
-        address: u32,
-        /// The instruction at PC is the one, and had no effect.
-        precise: bool,
-    },
+    /// [`CoreBus::read`] gave no result to the instruction at PC.
+    Load,
     /// An instruction cannot be fetched from PC.
     Fetch,
     /// Undefined instruction at PC.
@@ -108,10 +100,8 @@ pub enum Fault {
     NoCoprocessor,
     /// EPSR.T is zero, or the IT state makes no sense.
     InvalidState,
-    /// An unaligned access at PC, of an instruction or to memory that does not take one.
+    /// The instruction at PC needs an aligned address (LDM, LDRD, LDREX and the like), and has another.
     Unaligned,
-    /// Division by zero at PC with CCR.DIV_0_TRP (backends that cannot trap it do not).
-    DivideByZero,
 }
 
 /// Why a core stopped.
@@ -161,17 +151,33 @@ pub trait Core {
     /// The backend's.
     fn map(&mut self, regions: &[Region]) -> Result<(), CoreError>;
 
+    /// Maps regions anew, of which [`Region::direct`] may have changed between runs.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn remap(&mut self, regions: &[Region]) -> Result<(), CoreError>;
+
     /// Instructions in direct memory were changed from outside the core.
-    fn code_changed(&mut self);
+    ///
+    /// # Errors
+    /// The backend's.
+    fn code_changed(&mut self) -> Result<(), CoreError>;
 
     /// Reads a register.
     fn get(&self, register: Register) -> u32;
 
-    /// Writes a register.
+    /// Writes a register. Exception entry writes CONTROL before the exception number in xPSR, return the other way
+    /// round: a backend that keeps the mode ignores SPSEL in handler mode.
     fn set(&mut self, register: Register, value: u32);
 
     /// Floating point is allowed (CPACR).
     fn set_fpu(&mut self, on: bool);
+
+    /// Clears the monitor of exclusive accesses, as exceptions do.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn clear_exclusive(&mut self) -> Result<(), CoreError>;
 
     /// Stops with [`Why::Observed`] before these instructions, from now on; a run that begins at one executes it.
     ///

@@ -2,4 +2,4 @@
 
 pub mod core;
 
-pub use core::{Access, BusFault, Core, CoreBus, CoreError, CoreStop, Fault, Limits, Register, Why};
+pub use core::{Access, Core, CoreBus, CoreError, CoreStop, Fault, Limits, NoResult, Register, Why};
