@@ -1,6 +1,8 @@
 //! The peripherals, one module each.
 
 pub(crate) mod access;
+pub mod exti;
 pub mod gpio;
 pub mod pwr;
 pub mod rcc;
+pub mod syscfg;
