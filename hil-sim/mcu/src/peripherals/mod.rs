@@ -2,6 +2,7 @@
 
 pub(crate) mod access;
 pub mod exti;
+pub mod flash;
 pub mod gpio;
 pub mod pwr;
 pub mod rcc;
