@@ -1,6 +1,8 @@
 //! The peripherals, one module each.
 
 pub(crate) mod access;
+pub mod exti;
+pub mod flash;
 pub mod gpio;
 pub mod pwr;
 pub mod rcc;
@@ -11,3 +13,4 @@ pub mod usart;
 
 #[cfg(test)]
 mod bench;
+pub mod syscfg;
