@@ -1,4 +1,5 @@
 //! The peripherals, one module each.
 
 pub mod dma;
+pub mod tim;
 mod width;
