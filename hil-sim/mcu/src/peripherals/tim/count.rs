@@ -110,7 +110,6 @@ impl Tim {
             self.repetitions -= 1;
             return;
         }
-        self.repetitions = self.rcr_preload;
         if self.cr1 & UDIS != 0 {
             return;
         }

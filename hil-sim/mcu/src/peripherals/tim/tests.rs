@@ -98,6 +98,8 @@ fn compare_interrupts_of_a_time_base() {
     assert_eq!(bench.read(&mut tim, SR) & 0x1f, 0b100);
     assert_eq!(irqs(&mut bench), [(50, true)]);
     bench.write(&mut tim, SR, !0b100);
+    bench.write(&mut tim, DIER, 0b100);
+    assert_eq!(tim.next_event_ns(), 0x1_0000 * US + 500 * US, "not before it comes round");
     bench.write(&mut tim, DIER, 0b011);
     bench.run(&mut tim, 0x1_0000 * US);
     // The counts of channels that nobody asked for match as well: 3 and 4 compare with 0, channel 2 with 500.
@@ -140,6 +142,14 @@ fn long_idle_times_cost_nothing_and_lose_nothing() {
     let clocks = 3_600 * 240_000_000_u64;
     assert_eq!(u64::from(bench.read(&mut tim, CNT)), clocks % 7);
     assert_eq!(bench.read(&mut tim, SR), 0b11);
+    // From the middle on, to a moment just after an overflow: the compare value is met in periods that are skipped.
+    let (mut bench, mut tim) = (Bench::default(), Tim::new(14));
+    bench.write(&mut tim, ARR, 239);
+    bench.write(&mut tim, CCR1, 100);
+    bench.write(&mut tim, CNT, 200);
+    bench.write(&mut tim, CR1, 1);
+    bench.now_ns = 100 * US + 200;
+    assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, SR)), (8, 0b11));
     // With a repetition counter the phase of the updates stays.
     let (mut bench, mut tim) = (Bench::default(), Tim::new(16));
     bench.write(&mut tim, ARR, 239);
@@ -346,7 +356,8 @@ fn an_encoder_counts_every_edge_both_ways() {
     assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, CR1) & 0x10), (0xfffc, 0x10));
     assert_eq!(bench.read(&mut tim, SR) & 1, 1, "an underflow is an update");
     // Written back as it was read: DIR belongs to the hardware here.
-    bench.modify(&mut tim, CR1, 0, 4);
+    bench.modify(&mut tim, CR1, 0x10, 4);
+    assert_eq!(bench.read(&mut tim, CR1) & 0x10, 0x10);
     assert_eq!(tim.next_event_ns(), u64::MAX);
     bench.assert_no_misuse();
 }
@@ -579,7 +590,77 @@ fn observe(setting: &Setting, looks: &[u64], events: bool) -> (Vec<(u64, u8, boo
     (edges, [CNT, SR, CCR1].map(|offset| bench.read(&mut tim, offset)))
 }
 
+/// The same, clock by clock, as the manual's figures draw it.
+fn reference(setting: &Setting) -> (Vec<(u64, u8, bool)>, [u32; 3]) {
+    let mut compare = setting.compare;
+    let (mut count, mut prescaler, mut flags) = (0, 0, 1);
+    let mut references = [false; 2];
+    let mut levels = [false; 2];
+    let mut edges = Vec::new();
+    let output = |mode: u32, count: u32, compare: u32, old: bool, matched: bool| match mode {
+        1 => old || matched,
+        2 => old && !matched,
+        3 => old != matched,
+        6 => count < compare,
+        7 => count >= compare,
+        _ => old,
+    };
+    let mut tell = |references: [bool; 2], at_ns: u64| {
+        for n in 0..2 {
+            if references[n] != levels[n] {
+                levels[n] = references[n];
+                edges.push((at_ns, n as u8 + 1, levels[n]));
+            }
+        }
+    };
+    for n in 0..2 {
+        references[n] = output(setting.modes[n], 0, compare[n], false, false);
+    }
+    tell(references, 0);
+    // 20 us are 4800 clocks; 7 us come between the 1679th and the 1681st.
+    for clock in 1..=4_800_u64 {
+        let at_ns = (clock * 1_000_000_000).div_ceil(240_000_000);
+        if clock == 1_681 && !setting.preload {
+            compare = setting.later;
+            for n in 0..2 {
+                references[n] = output(setting.modes[n], count, compare[n], references[n], false);
+            }
+            tell(references, 7_000);
+        }
+        prescaler += 1;
+        if prescaler <= setting.psc {
+            continue;
+        }
+        prescaler = 0;
+        count += 1;
+        let mut beyond = [false; 2];
+        if count > setting.arr {
+            count = 0;
+            flags |= 1;
+            beyond = compare.map(|compare| compare > setting.arr);
+            if clock > 1_680 {
+                compare = setting.later;
+            }
+        }
+        for n in 0..2 {
+            let matched = count == compare[n];
+            if matched || beyond[n] {
+                flags |= 2 << n;
+            }
+            references[n] = output(setting.modes[n], count, compare[n], references[n], matched);
+        }
+        tell(references, at_ns);
+    }
+    edges.sort();
+    (edges, [count, flags, setting.later[0]])
+}
+
 proptest! {
+    #[test]
+    fn a_timer_does_what_clock_by_clock_counting_does(setting in setting()) {
+        prop_assert_eq!(observe(&setting, &[], false), reference(&setting));
+    }
+
     /// Lazily or closely watched, a timer does the same.
     #[test]
     fn looking_changes_nothing(setting in setting(), mut looks in prop::collection::vec(0..20_000_u64, 0..20)) {
