@@ -7,6 +7,7 @@ pub mod gpio;
 pub mod pwr;
 pub mod rcc;
 pub mod dma;
+pub mod tim;
 mod width;
 pub mod i2c;
 pub mod usart;

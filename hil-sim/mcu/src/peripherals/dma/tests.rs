@@ -209,15 +209,15 @@ fn the_fifo_packs_and_flushes_what_is_left() {
     bus.gives = (1..=7).collect();
     bus.serve(&mut dma, &mut bench);
     assert_eq!(bus.word(0), 0, "below the threshold nothing is written");
-    bus.gives = [8, 9].into();
+    bus.gives = [8, 9, 10, 11, 12, 13].into();
     bus.serve(&mut dma, &mut bench);
-    assert_eq!((bus.word(0), bus.word(4), bus.word(8)), (0x0403_0201, 0x0807_0605, 0));
+    assert_eq!((bus.word(0), bus.word(4), bus.word(8)), (0x0403_0201, 0x0807_0605, 0), "then it fills anew");
     bench.modify(&mut dma, stream(2), EN, 0);
     bus.serve(&mut dma, &mut bench);
-    assert_eq!(bus.word(8), 9, "the stop writes the rest");
+    assert_eq!((bus.word(8), bus.word(12)), (0x0c0b_0a09, 13), "the stop writes the rest");
     assert_eq!(bench.read(&mut dma, 0x00) & 1 << 21, 1 << 21);
     assert_eq!(bench.read(&mut dma, stream(2)) & EN, 0);
-    assert_eq!(bench.read(&mut dma, stream(2) + 4), 7);
+    assert_eq!(bench.read(&mut dma, stream(2) + 4), 3);
     bench.assert_no_misuse();
 }
 
