@@ -34,9 +34,11 @@ pub mod link;
 pub mod misuse;
 pub mod sensors;
 pub mod stop;
+mod surroundings;
 pub mod uart;
 pub mod world;
 
-pub use board::{Lights, SimBoard, SimError};
+pub use board::SimBoard;
 pub use clock::{Clock, GiveWay, Sleep};
 pub use executor::{Pace, Simulation, TaskId};
+pub use surroundings::{Light, Lights, SimError, Surroundings, VirtualBoard};

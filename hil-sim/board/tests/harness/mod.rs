@@ -21,7 +21,7 @@ use r4_protocol::{
     frame::MAX_FRAME,
 };
 use r4_sim::{
-    Pace, SimBoard, Simulation,
+    Pace, SimBoard, Simulation, VirtualBoard,
     i2c::{Disturbance, Injection, Span, WireRecord},
     link::Port,
 };
@@ -70,7 +70,7 @@ impl Clock for HostClock {
 /// A connected host and the world on the other side.
 pub(crate) struct Bench<'b> {
     pub(crate) host: &'b Board<HostClock>,
-    pub(crate) board: Rc<SimBoard>,
+    pub(crate) board: Rc<dyn VirtualBoard>,
     pub(crate) clock: r4_sim::Clock,
 }
 
@@ -118,7 +118,7 @@ impl Bench<'_> {
 /// The board and the world, to watch and to break.
 #[derive(Clone)]
 pub(crate) struct Device {
-    pub(crate) board: Rc<SimBoard>,
+    pub(crate) board: Rc<dyn VirtualBoard>,
     pub(crate) clock: r4_sim::Clock,
 }
 
@@ -214,6 +214,11 @@ pub(crate) fn osmc_bench() -> Robot {
     r4_boards::load("osmc-bench").expect("built in")
 }
 
+/// The board that the tests are about.
+fn power_up(simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
+    Rc::new(SimBoard::start(simulation, robot, 1).expect("the robot has a world"))
+}
+
 /// Powers up `robot`, connects a host, runs `work`; at the end nothing may have been done against a datasheet.
 pub(crate) fn bench<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> T {
     let (result, misuse) = bench_with_misuse(robot, work);
@@ -224,7 +229,7 @@ pub(crate) fn bench<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -
 /// The same for tests that break something, and so expect misuse.
 pub(crate) fn bench_with_misuse<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> (T, Vec<String>) {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let clock = simulation.clock();
     let host_clock = HostClock(clock.clone());
@@ -244,7 +249,7 @@ pub(crate) fn bench_left_alone<A, T>(
     alone: impl AsyncFnOnce(&Device, A) -> T,
 ) -> T {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let device = Device { board, clock: simulation.clock() };
     let left = RefCell::new(None);
@@ -377,7 +382,7 @@ pub(crate) fn frame(message: &ToDevice) -> Vec<u8> {
 /// Powers up `robot` and runs `work` with a host that speaks bytes.
 pub(crate) fn raw_bench<T>(robot: &Robot, work: impl AsyncFnOnce(&mut RawHost, &Device) -> T) -> T {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let clock = simulation.clock();
     let device = Device { board, clock: clock.clone() };
