@@ -6,9 +6,11 @@ use core::{
 };
 
 use embassy_executor::Executor;
-use embassy_futures::block_on;
+use embassy_futures::{block_on, join::join};
 use embassy_stm32::{
-    Peripherals, SharedData, bind_interrupts, dma,
+    Peripherals, SharedData, bind_interrupts,
+    can::{self, CanConfigurator},
+    dma,
     exti::{self, ExtiInput},
     gpio::{Input, Level, Output, Pull, Speed},
     i2c::{ErrorInterruptHandler, EventInterruptHandler, I2c},
@@ -16,6 +18,7 @@ use embassy_stm32::{
     mode::Async,
     pac, peripherals as stm32, rcc,
     usart::{self, Uart, UartTx},
+    usb,
 };
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::Instant;
@@ -33,7 +36,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::{
     clocks, executors,
     i2c::{Bounce, Bus, Timing, Wiring},
-    links::uart::{self, Receiver},
+    links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     peripherals::Processor,
     pins::{self, pin},
     reset::{self, Start},
@@ -80,6 +83,9 @@ bind_interrupts!(struct Irqs {
     DMA1_STREAM7 => dma::InterruptHandler<stm32::DMA1_CH7>;
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
     DMA2_STREAM1 => dma::InterruptHandler<stm32::DMA2_CH1>;
+    FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
+    FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
+    OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
     BDMA_CHANNEL0 => dma::InterruptHandler<stm32::BDMA_CH0>;
     BDMA_CHANNEL1 => dma::InterruptHandler<stm32::BDMA_CH1>;
 });
@@ -239,6 +245,21 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
     let (rx_b, tx_b) = uart::split(uart_b, ring_b.take());
     let raw = PassthroughIo { i2c: [connector_a, connector_b], uart_rx: [rx_a, rx_b], uart_tx: [tx_a, tx_b] };
 
+    static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();
+    let (can_rx, can_tx) = can_link::start(
+        CanConfigurator::new(p.FDCAN2, pin!(p, can_rx as FDCAN2_RX), pin!(p, can_tx as FDCAN2_TX), Irqs),
+        CAN_BUFFERS.init_with(can_link::Buffers::new),
+    );
+
+    static USB_OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
+    let driver = usb::Driver::new_fs(
+        p.USB_OTG_FS,
+        Irqs,
+        pin!(p, usb_dp as USB_OTG_FS_DP),
+        pin!(p, usb_dm as USB_OTG_FS_DM),
+        USB_OUT.take(),
+        usb_link::config(),
+    );
     let executors = executors::start();
     watchdog::tighten();
     executors.supervisor.spawn(safety_task(shared, safety).expect("one"));
@@ -246,7 +267,9 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
     if has_ranges {
         executors.control.spawn(ranging_task(shared, Processor).expect("one"));
     }
-    executors.links.spawn(link_task(shared, 0, host_rx, host_tx).expect("one"));
+    executors.links.spawn(uart_task(shared, host_rx, host_tx).expect("one"));
+    executors.links.spawn(can_task(shared, can_rx, can_tx).expect("one"));
+    executors.usb.spawn(usb_task(shared, driver).expect("one"));
     executors.links.spawn(passthrough_task(shared, raw).expect("one"));
     executors.links.spawn(storage_task(shared, flash).expect("one"));
     executors.links.spawn(restart_task(shared).expect("one"));
@@ -274,15 +297,40 @@ async fn ranging_task(shared: &'static Board, hardware: Processor) -> ! {
 }
 
 #[embassy_executor::task]
-async fn link_task(shared: &'static Board, number: u8, mut rx: Receiver, mut tx: UartTx<'static, Async>) -> ! {
+async fn uart_task(shared: &'static Board, rx: uart::Receiver, tx: UartTx<'static, Async>) -> ! {
+    let (mut rx, mut tx) = (Receiver::Uart(rx), Sender::Uart(tx));
     loop {
-        serve(shared, number, &mut rx, &mut tx).await;
-        defmt::warn!("link {} failed and starts anew", number);
+        serve(shared, 0, &mut rx, &mut tx).await;
     }
 }
 
 #[embassy_executor::task]
-async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, Receiver, UartTx<'static, Async>>) -> ! {
+async fn can_task(shared: &'static Board, rx: can_link::Receiver, tx: can_link::Sender) -> ! {
+    let (mut rx, mut tx) = (Receiver::Can(rx), Sender::Can(tx));
+    loop {
+        serve(shared, 1, &mut rx, &mut tx).await;
+    }
+}
+
+#[embassy_executor::task]
+async fn usb_task(shared: &'static Board, driver: usb_link::Driver) -> ! {
+    static MEMORY: StaticCell<usb_link::Memory> = StaticCell::new();
+    let (mut device, rx, tx) = usb_link::start(driver, MEMORY.init_with(usb_link::Memory::new));
+    let (mut rx, mut tx) = (Receiver::Usb(rx), Sender::Usb(tx));
+    let link = async {
+        loop {
+            if let Receiver::Usb(rx) = &mut rx {
+                rx.wait_connection().await;
+            }
+            defmt::info!("USB is connected");
+            serve(shared, 2, &mut rx, &mut tx).await;
+        }
+    };
+    join(device.run(), link).await.0
+}
+
+#[embassy_executor::task]
+async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, uart::Receiver, UartTx<'static, Async>>) -> ! {
     shared.passthrough.run(io).await
 }
 

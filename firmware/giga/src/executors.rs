@@ -7,10 +7,11 @@
 //! | 0 | TIM5: embassy's time; EXTI9_5: the dead-man's handle | a wait must end, and a released handle be seen, whatever runs |
 //! | 1 | step pulses and directions, encoder 3, echoes | microseconds count; each takes a few |
 //! | 2 | supervisor | must run when all else is late |
-//! | 3 | DMA, I2C2: the end of what the control loop waits for | only wakes |
+//! | 3 | DMA, I2C2: the end of what the control loop waits for; CAN: three frames fill its memory, in 0.2 ms | only wakes and copies |
 //! | 4 | control, ranging | 1 kHz |
-//! | 6 | UARTs, I2C1, I2C4, CAN, USB | only wakes and copies |
+//! | 6 | UARTs, I2C1, I2C4, USB | only wakes and copies |
 //! | 8 | links, passthrough, storage | as long as a request takes |
+//! | 10 | USB: its device and its link | waits for the block's own flags, without bound: the other links must not wait with it |
 //! | thread | screen | blocks for 230 ms |
 //!
 //! An interrupt executor needs a vector of its own: those of the SAIs, whose pins the carrier uses for other things.
@@ -29,10 +30,12 @@ const CONTROL: Priority = Priority::P4;
 /// Interrupts of what hosts talk through.
 const TALK: Priority = Priority::P6;
 const LINKS: Priority = Priority::P8;
+const USB: Priority = Priority::P10;
 
 static SUPERVISOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static CONTROL_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static LINK_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static USB_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 /// Where tasks can be started, by their urgency.
 pub(crate) struct Executors {
@@ -42,6 +45,8 @@ pub(crate) struct Executors {
     pub(crate) control: SendSpawner,
     /// Everything that talks to hosts, and storage.
     pub(crate) links: SendSpawner,
+    /// Only USB.
+    pub(crate) usb: SendSpawner,
 }
 
 /// Sets every priority. Before any driver enables its interrupt.
@@ -60,7 +65,7 @@ pub(crate) fn prioritise() {
             ],
         ),
         (SUPERVISOR, &[interrupt::SAI1]),
-        (TRANSFERS, &[interrupt::I2C2_EV, interrupt::I2C2_ER]),
+        (TRANSFERS, &[interrupt::I2C2_EV, interrupt::I2C2_ER, interrupt::FDCAN2_IT0, interrupt::FDCAN2_IT1]),
         (CONTROL, &[interrupt::SAI2]),
         (
             TALK,
@@ -72,13 +77,12 @@ pub(crate) fn prioritise() {
                 interrupt::I2C1_ER,
                 interrupt::I2C4_EV,
                 interrupt::I2C4_ER,
-                interrupt::FDCAN2_IT0,
-                interrupt::FDCAN2_IT1,
                 interrupt::OTG_FS,
                 interrupt::FLASH,
             ],
         ),
         (LINKS, &[interrupt::SAI3]),
+        (USB, &[interrupt::SAI4]),
     ] {
         interrupts.iter().for_each(|interrupt| interrupt.set_priority(priority));
     }
@@ -90,6 +94,7 @@ pub(crate) fn start() -> Executors {
         supervisor: SUPERVISOR_EXECUTOR.start(interrupt::SAI1),
         control: CONTROL_EXECUTOR.start(interrupt::SAI2),
         links: LINK_EXECUTOR.start(interrupt::SAI3),
+        usb: USB_EXECUTOR.start(interrupt::SAI4),
     }
 }
 
@@ -108,3 +113,4 @@ macro_rules! executor_interrupt {
 executor_interrupt!(SAI1, SUPERVISOR_EXECUTOR);
 executor_interrupt!(SAI2, CONTROL_EXECUTOR);
 executor_interrupt!(SAI3, LINK_EXECUTOR);
+executor_interrupt!(SAI4, USB_EXECUTOR);
