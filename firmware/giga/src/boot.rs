@@ -15,13 +15,16 @@ use embassy_stm32::{
     gpio::{Input, Level, Output, Pull, Speed},
     i2c::{ErrorInterruptHandler, EventInterruptHandler, I2c},
     interrupt::typelevel,
-    mode::Async,
+    mode::{Async, Blocking},
     pac, peripherals as stm32, rcc,
+    spi::{self, Spi},
+    time::Hertz,
     usart::{self, Uart, UartTx},
     usb,
 };
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_time::Instant;
+use embassy_time::{Duration, Instant, Timer};
+use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
     Shared,
     control::{self, BoardIo},
@@ -29,6 +32,7 @@ use r4_firmware::{
     passthrough::PassthroughIo,
     ranging,
     safety::{SafetyPins, supervise},
+    screen::{self, ScreenPins},
 };
 use r4_protocol::config::BoardConfig;
 use static_cell::{ConstStaticCell, StaticCell};
@@ -48,6 +52,18 @@ use crate::{
 /// What the robot's file says, as `build.rs` packed it.
 static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard"));
 
+/// The screen's: 80 MHz / 4.
+const SCREEN_SPI: Hertz = Hertz(20_000_000);
+/// How often the log looks for a trip.
+const LOG_PERIOD: Duration = Duration::from_millis(20);
+
+type Screen = ScreenPins<
+    ExclusiveDevice<Spi<'static, Blocking, spi::mode::Master>, Output<'static>, NoDelay>,
+    Output<'static>,
+    Output<'static>,
+    Output<'static>,
+>;
+
 type Board = Shared<CriticalSectionRawMutex>;
 
 /// What embassy shares between the cores; the Cortex-M4 is held in reset (option byte BCM4 = 0).
@@ -56,11 +72,25 @@ type Board = Shared<CriticalSectionRawMutex>;
 #[unsafe(link_section = ".sram4.shared")]
 static EMBASSY: MaybeUninit<SharedData> = MaybeUninit::uninit();
 
-/// BDMA, which serves I2C4, reaches SRAM4 only.
+/// BDMA, which serves I2C4, reaches SRAM4 only. Start-up does not clear it.
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-// SAFETY: as above; it is written before it is read, `Bounce` being made when the cell is taken.
+// SAFETY: as above.
 #[unsafe(link_section = ".sram4.i2c4")]
-static BOUNCE: StaticCell<Bounce> = StaticCell::new();
+static mut BOUNCE: MaybeUninit<Bounce> = MaybeUninit::uninit();
+
+/// The memory of I2C4's transfers. Once: panics the second time.
+fn bounce() -> &'static mut Bounce {
+    static TAKEN: ConstStaticCell<()> = ConstStaticCell::new(());
+    TAKEN.take();
+    #[allow(
+        unsafe_code,
+        reason = "memory that start-up does not clear cannot be a cell that knows whether it is taken"
+    )]
+    // SAFETY: nothing else refers to it, and this comes here once.
+    unsafe {
+        (*(&raw mut BOUNCE)).write(Bounce::new())
+    }
+}
 
 bind_interrupts!(struct Irqs {
     EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>;
@@ -206,7 +236,7 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
             sda: pins::I2C_EXT2_SDA,
             timing: Timing::STANDARD,
         },
-        Some(BOUNCE.init_with(Bounce::new)),
+        Some(bounce()),
     );
 
     // USART1's receiver, then those of connectors A and B.
@@ -260,6 +290,20 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
         USB_OUT.take(),
         usb_link::config(),
     );
+    let mut spi_config = spi::Config::default();
+    spi_config.frequency = SCREEN_SPI;
+    let select = Output::new(pin!(p, tft_cs), Level::High, Speed::Low);
+    let spi =
+        Spi::new_blocking_txonly(p.SPI1, pin!(p, tft_sck as SPI1_SCK), pin!(p, tft_mosi as SPI1_MOSI), spi_config);
+    // A level of the chip select cannot fail.
+    let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
+    let screen = ScreenPins {
+        spi,
+        data_command: Output::new(pin!(p, tft_dc), Level::Low, Speed::Medium),
+        reset: Output::new(pin!(p, tft_rst), Level::High, Speed::Low),
+        backlight: Output::new(pin!(p, tft_bl), Level::Low, Speed::Low),
+    };
+
     let executors = executors::start();
     watchdog::tighten();
     executors.supervisor.spawn(safety_task(shared, safety).expect("one"));
@@ -272,11 +316,12 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
     executors.usb.spawn(usb_task(shared, driver).expect("one"));
     executors.links.spawn(passthrough_task(shared, raw).expect("one"));
     executors.links.spawn(storage_task(shared, flash).expect("one"));
+    executors.links.spawn(log_task(shared).expect("one"));
     executors.links.spawn(restart_task(shared).expect("one"));
     defmt::info!("tasks run");
 
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init_with(Executor::new).run(|_| {})
+    EXECUTOR.init_with(Executor::new).run(|spawner| spawner.spawn(screen_task(shared, screen).expect("one")))
 }
 
 #[embassy_executor::task]
@@ -337,6 +382,24 @@ async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, uart::R
 #[embassy_executor::task]
 async fn storage_task(shared: &'static Board, flash: Flash) -> ! {
     r4_firmware::storage::run(&shared.storage, flash, env!("R4_ROBOT_NAME")).await
+}
+
+#[embassy_executor::task]
+async fn screen_task(shared: &'static Board, pins: Screen) -> ! {
+    screen::run(shared, pins).await
+}
+
+/// Trips, to the debugger's log.
+#[embassy_executor::task]
+async fn log_task(shared: &'static Board) -> ! {
+    let mut trips = shared.trips();
+    loop {
+        Timer::after(LOG_PERIOD).await;
+        if shared.trips() != trips {
+            trips = shared.trips();
+            defmt::warn!("trip {}: {}", trips, defmt::Debug2Format(&shared.trip_causes()));
+        }
+    }
 }
 
 /// A restart that a host asked for; it is only taken while the board is not armed.

@@ -29,8 +29,6 @@ use r4_protocol::message::MAX_RAW;
 
 use crate::pins::Place;
 
-/// embassy's own limit, and that of its busy waits: only a net below [`Timing::deadline`].
-const DRIVER_TIMEOUT: Duration = Duration::from_millis(5);
 /// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
 const HALF_CLOCK: Duration = Duration::from_micros(5);
 /// As many clocks end any byte that a chip may be sending (UM10204, 3.1.16).
@@ -81,7 +79,8 @@ impl Timing {
     pub(crate) fn config(self, pull_up: bool) -> Config {
         let mut config = Config::default();
         config.frequency = self.frequency;
-        config.timeout = DRIVER_TIMEOUT.max(self.deadline);
+        // It waits for a free bus without letting go of the processor; here it has been free before it begins.
+        config.timeout = self.deadline;
         config.scl_pullup = pull_up;
         config.sda_pullup = pull_up;
         config
@@ -217,6 +216,9 @@ impl Bus {
 
 /// Carries a transfer out within its deadline, and leaves the controller idle whatever comes of it.
 async fn guarded(wiring: Wiring, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
+    if !wiring.is_free() {
+        return Err(BusError::Held);
+    }
     // Dropped last of all: embassy's part ends its DMA first.
     let guard = Transfer(wiring);
     let registers = wiring.registers;

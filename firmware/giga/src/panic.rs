@@ -3,7 +3,7 @@
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_rt::exception;
 
 use crate::{
     reset::{Kind, Record, leave},
@@ -43,13 +43,52 @@ fn fnv1a(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
 }
 
-#[exception]
-#[allow(unsafe_code, reason = "exception handlers are declared so")]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+/// The fault's own stack: what faulted may have been the other one, at its end.
+#[repr(align(8))]
+#[allow(dead_code, reason = "only its place is used")]
+struct Stack([u8; STACK]);
+const STACK: usize = 1024;
+
+#[allow(unsafe_code, reason = "the assembly below needs its address")]
+static mut FAULT_STACK: Stack = Stack([0; STACK]);
+
+/// Enters [`fault`] on a stack of its own, with the frame that the processor stacked. All code runs on the main stack.
+#[allow(unsafe_code, reason = "an exception handler is called by its name, and begins without a stack")]
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+extern "C" fn HardFault() -> ! {
+    core::arch::naked_asm!(
+        "mrs r0, msp",
+        "movw r1, #:lower16:{stack} + {size}",
+        "movt r1, #:upper16:{stack} + {size}",
+        "mov sp, r1",
+        "b {fault}",
+        stack = sym FAULT_STACK,
+        size = const STACK,
+        fault = sym fault,
+    )
+}
+
+/// AXI SRAM, where the stack is.
+const RAM: core::ops::Range<usize> = 0x2400_0000..0x2408_0000;
+/// Places of LR and PC in what the processor stacks (ARMv7-M ARM, B1.5.6).
+const STACKED_LR: usize = 5;
+const STACKED_PC: usize = 6;
+
+extern "C" fn fault(frame: *const u32) -> ! {
     safety_pins::stop();
-    // SAFETY: registers of the processor that can always be read.
-    let (cfsr, hfsr) = unsafe { (CFSR.read_volatile(), HFSR.read_volatile()) };
-    end(&Record { kind: Kind::Fault, pc: frame.pc(), lr: frame.lr(), detail: cfsr, more: hfsr })
+    // After an overflow the frame is not where it should be, and reading there would fault again.
+    let there = |word: usize| RAM.contains(&(frame as usize + 4 * word));
+    let stacked = |word: usize| if there(word) { read(frame.wrapping_add(word)) } else { 0 };
+    let (pc, lr) = (stacked(STACKED_PC), stacked(STACKED_LR));
+    end(&Record { kind: Kind::Fault, pc, lr, detail: read(CFSR), more: read(HFSR) })
+}
+
+#[allow(unsafe_code, reason = "reads registers and the stack by their addresses")]
+fn read(address: *const u32) -> u32 {
+    // SAFETY: called with a place in RAM that is aligned as the processor aligns its stack, and with registers of the processor
+    // that can always be read.
+    unsafe { address.read_volatile() }
 }
 
 #[exception]

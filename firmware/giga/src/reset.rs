@@ -111,8 +111,8 @@ pub(crate) fn note_clock(crystal: bool) {
 fn open() {
     RCC.apb4enr().modify(|w| w.set_rtcapben(true));
     PWR.cr1().modify(|w| w.set_dbp(true));
-    // The bit takes effect some cycles later, and is to be read back until it has.
-    while !PWR.cr1().read().dbp() {}
+    // The bit takes effect some cycles later, and is to be read back until it has; a handful is enough.
+    let _ = (0..100).any(|_| PWR.cr1().read().dbp());
 }
 
 fn read(register: usize) -> u32 {
