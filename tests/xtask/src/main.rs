@@ -3,20 +3,26 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `test` | the steps of `cargo xtask test`, in their order |
+//! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
+mod firmware;
 mod summary;
 mod test;
 mod toolchain;
 
 use std::{env, path::PathBuf, process::ExitCode};
 
+use firmware::Firmware;
+
 const USAGE: &str = "\
 usage: cargo xtask <task>
 
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
-  test --fast   without the documentation";
+  test --fast   without the documentation
+  firmware      the image for the Arduino Giga, into target/firmware:
+                [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -25,6 +31,7 @@ const USAGE_ERROR: u8 = 2;
 enum Task {
     Help,
     Test { fast: bool },
+    Firmware(Firmware),
 }
 
 fn main() -> ExitCode {
@@ -35,6 +42,7 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Ok(Task::Test { fast }) => test::run(&root(), fast),
+        Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -45,9 +53,10 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
+        ["help" | "--help" | "-h"] | ["test" | "firmware", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
+        ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
