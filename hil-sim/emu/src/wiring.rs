@@ -1,14 +1,11 @@
 //! What the chip's pins are wired to: the simulated world, the lines around the board, the host's cable.
 
-use std::{
-    cell::{Cell, RefCell},
-    rc::Rc,
-};
+use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{Carrier, Robot};
+use r4_boards::Carrier;
 use r4_mcu::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin};
 use r4_sim::{
-    Clock, Lights,
+    Clock, Light, Surroundings,
     i2c::Response,
     lines::Line,
     link::Sender,
@@ -52,7 +49,8 @@ pub(crate) struct Wiring {
     rangers: usize,
     dead_man: Watched,
     auxiliary_stop: Watched,
-    lights: Rc<Cell<Lights>>,
+    /// Red, green, blue.
+    lights: [Box<dyn FnMut(bool)>; 3],
     to_host: Sender,
     uarts: Vec<(u8, UartEnd)>,
     /// The controller of the board's own chips; the others are external connectors, in order.
@@ -61,25 +59,19 @@ pub(crate) struct Wiring {
     scl_low: Vec<(u8, bool)>,
 }
 
-/// Lines that people and tests drive and look at.
-pub(crate) struct Around {
-    pub(crate) dead_man: Rc<Line>,
-    pub(crate) auxiliary_stop: Rc<Line>,
-    pub(crate) lights: Rc<Cell<Lights>>,
-}
-
 impl Wiring {
-    pub(crate) fn new(robot: &Robot, world: Rc<RefCell<World>>, clock: Clock, around: &Around, to_host: Sender) -> Self {
-        let carrier = &robot.carrier;
+    pub(crate) fn new(around: &Surroundings, to_host: Sender) -> Self {
+        let carrier = &around.robot().carrier;
+        let light = |light| -> Box<dyn FnMut(bool)> { Box::new(around.light_line(light)) };
         Self {
-            world,
-            clock,
+            world: around.shared_world(),
+            clock: around.clock().clone(),
             roles: Roles::new(carrier),
             encoders: carrier.encoder.connectors.len(),
             rangers: carrier.range.connectors.len(),
-            dead_man: Watched::new(around.dead_man.clone()),
-            auxiliary_stop: Watched::new(around.auxiliary_stop.clone()),
-            lights: around.lights.clone(),
+            dead_man: Watched::new(around.dead_man_line()),
+            auxiliary_stop: Watched::new(around.auxiliary_stop_line()),
+            lights: [Light::Red, Light::Green, Light::Blue].map(light),
             to_host,
             uarts: uarts(carrier),
             controllers: controllers(carrier),
@@ -138,14 +130,9 @@ impl Outside for Wiring {
             Role::LoadDac => self.world.borrow_mut().set_ldac(or(false)),
             Role::Heartbeat => self.world.borrow_mut().set_heartbeat(or(false)),
             Role::Light(index) => {
-                let mut lights = self.lights.get();
-                let light = match index {
-                    0 => &mut lights.red,
-                    1 => &mut lights.green,
-                    _ => &mut lights.blue,
-                };
-                *light = level == Level::Low;
-                self.lights.set(lights);
+                if let Some(light) = self.lights.get_mut(usize::from(index)) {
+                    light(or(true));
+                }
             }
             Role::Scl(controller) => self.scl(at_ns, controller, level == Level::Low),
             // A STOP by hand is seen by the world with the clocks before it; the rest are inputs.

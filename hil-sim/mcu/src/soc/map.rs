@@ -11,10 +11,12 @@ pub enum Id {
     Syscfg,
     Flash,
     Iwdg,
-    Rtc,
+    Backup,
     Dbgmcu,
     Usb,
     Fmc,
+    Crs,
+    Identity,
     Dma,
     Bdma,
     Tim1,
@@ -52,6 +54,7 @@ pub enum Id {
 
 /// Block of 1 KiB: first address, blocks, peripheral.
 const MAP: &[(u32, u32, Id)] = &[
+    (IDENTITY, 1, Id::Identity),
     (0x4000_0000, 1, Id::Tim2),
     (0x4000_0400, 1, Id::Tim3),
     (0x4000_0800, 1, Id::Tim4),
@@ -71,6 +74,7 @@ const MAP: &[(u32, u32, Id)] = &[
     (0x4000_7400, 1, Id::Dac1),
     (0x4000_7800, 1, Id::Uart7),
     (0x4000_7C00, 1, Id::Uart8),
+    (0x4000_8400, 1, Id::Crs),
     // FDCAN1, FDCAN2, their clock calibration unit and the message RAM.
     (0x4000_A000, 13, Id::Fdcan),
     (0x4001_0000, 1, Id::Tim1),
@@ -92,7 +96,7 @@ const MAP: &[(u32, u32, Id)] = &[
     (0x5800_0000, 1, Id::Exti),
     (0x5800_0400, 1, Id::Syscfg),
     (0x5800_1C00, 1, Id::I2c4),
-    (0x5800_4000, 1, Id::Rtc),
+    (0x5800_4000, 1, Id::Backup),
     (0x5800_4800, 1, Id::Iwdg),
     // GPIOA to GPIOK.
     (0x5802_0000, 11, Id::Gpio),
@@ -126,13 +130,15 @@ pub(super) fn bases() -> [u32; Id::COUNT] {
 pub(super) struct AddressMap(Box<[u8]>);
 
 const FIRST: u32 = 0x4000_0000;
+/// What is engraved in the chip is not among the peripherals.
+const IDENTITY: u32 = 0x1FF1_E800;
 const END: u32 = 0x5C00_2000;
 const NOTHING: u8 = u8::MAX;
 
 impl AddressMap {
     pub(super) fn new() -> Self {
         let mut blocks = vec![NOTHING; ((END - FIRST) >> 10) as usize].into_boxed_slice();
-        for (base, count, id) in MAP {
+        for (base, count, id) in MAP.iter().filter(|(base, _, _)| *base != IDENTITY) {
             let first = ((base - FIRST) >> 10) as usize;
             blocks[first..first + *count as usize].fill(*id as u8);
         }
@@ -142,6 +148,9 @@ impl AddressMap {
     /// Place in the list of [`Id::all`], or `None`.
     #[inline]
     pub(super) fn find(&self, address: u32) -> Option<usize> {
+        if address & !0x3FF == IDENTITY {
+            return Some(Id::Identity as usize);
+        }
         let block = address.checked_sub(FIRST)? >> 10;
         self.0.get(block as usize).map(|index| usize::from(*index)).filter(|index| *index < Id::COUNT)
     }

@@ -16,16 +16,18 @@ use crate::{
     peripheral::{Peripheral, Size, Unmodelled},
     peripherals::{
         adc::Adc12,
-        backup::Rtc,
+        backup::Backup,
+        crs::Crs,
         dac::Dac,
         dbgmcu::Dbgmcu,
         dma::{self, Bdma, Dma12},
         exti::Exti,
         fdcan::Fdcan,
-        flash::{Flash, FlashCells},
+        flash::{Flash, FlashCells, LoadError},
         fmc::Fmc,
         gpio::{Function, Gpio},
         i2c::I2c,
+        identity::Identity,
         iwdg::Iwdg,
         pwr::Pwr,
         rcc::{Oscillators, Rcc},
@@ -39,18 +41,20 @@ use crate::{
 };
 
 /// Every peripheral.
-struct Devices {
+struct Devices<F> {
     rcc: Rcc,
     pwr: Pwr,
     gpio: Gpio,
     exti: Exti,
     syscfg: Syscfg,
-    flash: Flash,
+    flash: Flash<F>,
     iwdg: Iwdg,
-    rtc: Rtc,
+    backup: Backup,
     dbgmcu: Dbgmcu,
     usb: Usb,
     fmc: Fmc,
+    crs: Crs,
+    identity: Identity,
     dma: Dma12,
     bdma: Bdma,
     timers: Vec<Tim>,
@@ -63,9 +67,8 @@ struct Devices {
     rng: Rng,
 }
 
-impl Devices {
-    fn new(oscillators: Oscillators, cells: Box<dyn FlashCells>) -> Self {
-        const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
+impl<F: FlashCells> Devices<F> {
+    fn new(oscillators: Oscillators, cells: F) -> Self {
         Self {
             rcc: Rcc::new(oscillators),
             pwr: Pwr::new(),
@@ -74,13 +77,15 @@ impl Devices {
             syscfg: Syscfg::new(),
             flash: Flash::new(cells),
             iwdg: Iwdg::new(),
-            rtc: Rtc::new(),
+            backup: Backup::new(),
             dbgmcu: Dbgmcu::new(),
             usb: Usb::new(),
             fmc: Fmc::new(),
+            crs: Crs::new(),
+            identity: Identity::new(UNIQUE),
             dma: Dma12::new(),
             bdma: Bdma::new(),
-            timers: TIMERS.into_iter().filter_map(Tim::new).collect(),
+            timers: TIMERS.into_iter().map(Tim::new).collect(),
             adc: Adc12::new(),
             dac: Dac::new(),
             usarts: (1..=8).filter_map(Usart::new).collect(),
@@ -96,7 +101,11 @@ impl Devices {
         const TIM: usize = Id::Tim1 as usize;
         const USART: usize = Id::Usart1 as usize;
         const I2C: usize = Id::I2c1 as usize;
-        const LAST: usize = Id::COUNT - 1;
+        const FDCAN: usize = Id::Fdcan as usize;
+        const ADC: usize = Id::Adc12 as usize;
+        const DAC: usize = Id::Dac1 as usize;
+        const SPI: usize = Id::Spi1 as usize;
+        const RNG: usize = Id::Rng as usize;
         match id {
             0 => &mut self.rcc,
             1 => &mut self.pwr,
@@ -105,12 +114,14 @@ impl Devices {
             4 => &mut self.syscfg,
             5 => &mut self.flash,
             6 => &mut self.iwdg,
-            7 => &mut self.rtc,
+            7 => &mut self.backup,
             8 => &mut self.dbgmcu,
             9 => &mut self.usb,
             10 => &mut self.fmc,
-            11 => &mut self.dma,
-            12 => &mut self.bdma,
+            11 => &mut self.crs,
+            12 => &mut self.identity,
+            13 => &mut self.dma,
+            14 => &mut self.bdma,
             TIM..ADC => &mut self.timers[id - TIM],
             ADC => &mut self.adc,
             DAC => &mut self.dac,
@@ -118,14 +129,14 @@ impl Devices {
             I2C..FDCAN => &mut self.i2cs[id - I2C],
             FDCAN => &mut self.fdcan,
             SPI => &mut self.spi,
-            LAST.. => &mut self.rng,
+            RNG.. => &mut self.rng,
         }
     }
 }
 
 /// The chip around the processor, wired to `O`.
-pub struct Soc<O> {
-    devices: Devices,
+pub struct Soc<O, F> {
+    devices: Devices<F>,
     outside: O,
     memory: Memory,
     map: map::AddressMap,
@@ -146,15 +157,19 @@ pub struct Soc<O> {
     unmodelled: Option<Unmodelled>,
 }
 
+/// Registers of a GPIO port that say what its pins are (RM0399, 12.4).
+const MODER: u32 = 0x00;
+const AFRL: u32 = 0x20;
+const AFRH: u32 = 0x24;
 /// The memories and peripherals of domain 3, which are all that BDMA reaches.
 const DOMAIN_3: u32 = 0x3800_0000;
 /// Misuses are kept, the first so many.
 const MISUSE_KEPT: usize = 1000;
 
-impl<O: Outside> Soc<O> {
+impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// A chip that power has just come to, with erased flash but for what `cells` hold in bank 2's last four sectors.
     #[must_use]
-    pub fn new(outside: O, oscillators: Oscillators, cells: Box<dyn FlashCells>) -> Self {
+    pub fn new(outside: O, oscillators: Oscillators, cells: F) -> Self {
         let devices = Devices::new(oscillators, cells);
         let mut soc = Self {
             clocks: devices.rcc.clocks(),
@@ -340,7 +355,7 @@ impl<O: Outside> Soc<O> {
         }
         if self.devices.rcc.take_backup_reset() {
             self.devices.rcc.reset_backup();
-            self.devices.rtc.reset_domain();
+            self.devices.backup.clear();
         }
         let mut context = Context {
             now_ns: self.now_ns,
@@ -349,11 +364,13 @@ impl<O: Outside> Soc<O> {
             signals: &mut self.signals,
             misuse: &mut self.misuse,
         };
-        let Devices { rcc, pwr, syscfg, rtc, .. } = &mut self.devices;
+        let Devices { rcc, pwr, syscfg, backup, flash, .. } = &mut self.devices;
         pwr.set_overdrive(syscfg.overdrive(), &mut context);
         rcc.set_backup_writable(pwr.backup_writable());
-        rtc.set_writable(pwr.backup_writable());
-        rcc.set_voltage_scale(pwr.scale(self.now_ns), &mut context);
+        backup.set_writable(pwr.backup_writable());
+        let scale = pwr.scale(self.now_ns);
+        rcc.set_voltage_scale(scale, &mut context);
+        flash.set_conditions(self.clocks.ahb_hz, scale, &mut context);
     }
 
     /// A reset bit of RCC: of one block where several share a model.
@@ -396,7 +413,7 @@ impl<O: Outside> Soc<O> {
         };
         let Devices { gpio, exti, syscfg, timers, .. } = &mut self.devices;
         if let Some(Function::Timer(timer, channel)) = gpio.function(edge.pin) {
-            if let Some(index) = timer_index(timer) {
+            if let Some(index) = TIMERS.iter().position(|number| *number == timer) {
                 timers[index].edge(channel, edge.high, edge.at_ns, &mut context);
                 self.next_ns[Id::Tim1 as usize + index] = timers[index].next_event_ns();
             }
@@ -404,21 +421,42 @@ impl<O: Outside> Soc<O> {
         exti.edge(syscfg, edge, &mut context);
     }
 
-    /// Which pins must be told of at once: those with an interrupt on them.
+    /// Pins of a port have other functions now: timers see the level of those they have got.
+    fn connect_timers(&mut self, port: u8) {
+        for number in 0..16 {
+            let pin = Pin { port, number };
+            if let Some(Function::Timer(..)) = self.devices.gpio.function(pin) {
+                let high = self.devices.gpio.level(pin, self.now_ns, &mut self.outside);
+                self.edge(Edge { at_ns: self.now_ns, pin, high });
+            }
+        }
+    }
+
+    /// Which pins must be told of at once: those with an interrupt on them, or a timer's that may give one.
     fn update_watched(&mut self) {
-        let Devices { exti, syscfg, .. } = &self.devices;
+        let Devices { exti, syscfg, gpio, timers, .. } = &self.devices;
         self.watched.clear();
         self.watched.extend(exti.watched(syscfg));
+        for (timer, number) in timers.iter().zip(TIMERS) {
+            for channel in (1..=4).filter(|channel| timer.watches(*channel)) {
+                self.watched.extend(gpio.pins_with(Function::Timer(number, channel)));
+            }
+        }
         self.next_poll_ns = self.now_ns;
     }
 }
+
+/// Numbers of the timers, in the order of their [`Id`]s.
+const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
+/// The number that is engraved in the emulated chip: "R4 emulated!" in ASCII.
+const UNIQUE: [u32; 3] = [0x6520_3452, 0x616C_756D, 0x2164_6574];
 
 /// Input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
 fn dma_trigger(timer: u8) -> Option<u8> {
     (timer == 12).then_some(7)
 }
 
-impl<O: Outside> Soc<O> {
+impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// Bytes for a UART of the chip, each at its time, which is not before now.
     pub fn uart_receive(&mut self, port: u8, byte: UartByte) {
         if let Some(index) = self.devices.usarts.iter().position(|usart| usart.number() == port) {
@@ -459,7 +497,7 @@ impl<O: Outside> Soc<O> {
             let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
             self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
         }
-        if id >= Id::Tim1 as usize && id <= Id::Tim17 as usize || id == Id::Exti as usize {
+        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) || id == Id::Exti as usize {
             self.poll_outside();
         }
         let base = self.bases[id];
@@ -468,7 +506,7 @@ impl<O: Outside> Soc<O> {
     }
 }
 
-impl<O: Outside> Chip for Soc<O> {
+impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
     fn memory(&self) -> &Memory {
         &self.memory
     }
@@ -496,6 +534,13 @@ impl<O: Outside> Chip for Soc<O> {
             self.link_power();
         }
         if id == Id::Exti as usize || id == Id::Syscfg as usize {
+            self.update_watched();
+        }
+        if id == Id::Gpio as usize && matches!(address & 0x3FF, MODER | AFRL | AFRH) {
+            self.connect_timers((address >> 10 & 0xF) as u8);
+            self.update_watched();
+        }
+        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) {
             self.update_watched();
         }
         self.settle();
@@ -563,7 +608,7 @@ impl<O: Outside> Chip for Soc<O> {
     }
 }
 
-impl<O: Outside> Soc<O> {
+impl<O: Outside, F: FlashCells> Soc<O, F> {
     fn load_flash(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
         self.advance(now_ns);
         let mut context = Context {
@@ -576,7 +621,13 @@ impl<O: Outside> Soc<O> {
         let result = self.devices.flash.load(address, size, &mut context);
         self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
         self.settle();
-        result.map_err(|_| AccessError::Bus)
+        result.map_err(|error| match error {
+            LoadError::Ecc | LoadError::Outside => AccessError::Bus,
+            LoadError::Busy { until_ns } => {
+                let what = format!("a read of a bank that programs or erases until {until_ns} ns would halt the core");
+                Unmodelled { peripheral: "FLASH", what }.into()
+            }
+        })
     }
 
     fn program_flash(&mut self, now_ns: u64, address: u32, size: Size, value: u32) -> Result<(), AccessError> {
@@ -588,7 +639,7 @@ impl<O: Outside> Soc<O> {
             signals: &mut self.signals,
             misuse: &mut self.misuse,
         };
-        self.devices.flash.program(address, size, value, &mut context)?;
+        self.devices.flash.store(address, size, value, &mut context);
         self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
         self.settle();
         Ok(())
