@@ -1,9 +1,16 @@
 //! The peripherals, one module each.
 
 pub(crate) mod access;
+pub mod backup;
+pub mod crs;
+pub mod dbgmcu;
 pub mod exti;
 pub mod flash;
+pub mod fmc;
 pub mod gpio;
+pub mod identity;
+pub mod iwdg;
 pub mod pwr;
 pub mod rcc;
 pub mod syscfg;
+pub mod usb;
