@@ -78,7 +78,10 @@ impl Peripheral for Backup {
             // The keys for the calendar's registers, which are not writable anyway.
             WPR => {}
             _ => {
-                return Err(Unmodelled { peripheral: "RTC", what: format!("calendar (write at offset {offset:#05x})") });
+                return Err(Unmodelled {
+                    peripheral: "RTC",
+                    what: format!("calendar (write at offset {offset:#05x})"),
+                });
             }
         }
         Ok(())

@@ -14,3 +14,4 @@ pub mod pwr;
 pub mod rcc;
 pub mod syscfg;
 pub mod usb;
+pub mod wiring;
