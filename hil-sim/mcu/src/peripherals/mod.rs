@@ -1,9 +1,15 @@
 //! The peripherals, one module each.
 
 pub(crate) mod access;
+pub mod backup;
+pub mod crs;
+pub mod dbgmcu;
 pub mod exti;
 pub mod flash;
+pub mod fmc;
 pub mod gpio;
+pub mod identity;
+pub mod iwdg;
 pub mod pwr;
 pub mod rcc;
 pub mod dma;
@@ -15,3 +21,5 @@ pub mod usart;
 #[cfg(test)]
 mod bench;
 pub mod syscfg;
+pub mod usb;
+pub mod wiring;

@@ -15,6 +15,9 @@ fn highest(scale: VoltageScale) -> (u64, u64) {
     }
 }
 
+/// HSI with all prescalers at 1, which is what the chip itself starts with at scale 3, where its APBs may have 50 MHz.
+const AT_RESET_HZ: u64 = 64_000_000;
+
 /// What is too fast for the voltage.
 pub(super) fn too_fast(clocks: &Clocks, scale: VoltageScale) -> Vec<String> {
     let (core, ahb) = highest(scale);
@@ -27,7 +30,7 @@ pub(super) fn too_fast(clocks: &Clocks, scale: VoltageScale) -> Vec<String> {
         ("APB4", clocks.apb4_hz, ahb / 2),
     ]
     .into_iter()
-    .filter(|(_, hz, limit)| hz > limit)
+    .filter(|(_, hz, limit)| hz > limit && *hz > AT_RESET_HZ)
     .map(|(what, hz, limit)| format!("{what} at {hz} Hz, over the {limit} Hz of {scale:?} (DS12930, 6.3.1)"))
     .collect()
 }

@@ -163,6 +163,8 @@ pub struct Rcc {
     backup_writable: bool,
     scale: VoltageScale,
     clocks: Clocks,
+    /// The same with crystals that are exact.
+    nominal: Clocks,
     usb_hz: u64,
     reset: Vec<u32>,
     backup_reset: bool,
@@ -185,6 +187,7 @@ impl Rcc {
             backup_writable: false,
             scale: VoltageScale::Vos3,
             clocks: Clocks::default(),
+            nominal: Clocks::default(),
             usb_hz: 0,
             reset: Vec::new(),
             backup_reset: false,
@@ -192,6 +195,7 @@ impl Rcc {
         rcc.set_reset_values();
         rcc.note_reset(ResetCause::PowerOn);
         (rcc.clocks, rcc.usb_hz) = rcc.decode(&rcc.oscillators);
+        (rcc.nominal, _) = rcc.decode(&Oscillators::default());
         rcc
     }
 
@@ -199,6 +203,12 @@ impl Rcc {
     #[must_use]
     pub fn clocks(&self) -> Clocks {
         self.clocks
+    }
+
+    /// The frequencies that the registers are meant to give, with oscillators that are exact: what limits are judged by.
+    #[must_use]
+    pub fn nominal_clocks(&self) -> Clocks {
+        self.nominal
     }
 
     /// Kernel clock of the USB controllers now, Hz.
@@ -550,20 +560,29 @@ impl Rcc {
         self.follow_switch();
         let (clocks, usb_hz) = self.decode(&self.oscillators);
         self.usb_hz = usb_hz;
-        if clocks != self.clocks {
-            self.clocks = clocks;
-            context.signals.push(Signal::Clocks);
+        if clocks == self.clocks {
+            return;
+        }
+        self.clocks = clocks;
+        context.signals.push(Signal::Clocks);
+        let (nominal, _) = self.decode(&Oscillators::default());
+        let buses = |clocks: &Clocks| {
+            let Clocks { core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz, .. } = *clocks;
+            [core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz]
+        };
+        let changed = buses(&nominal) != buses(&self.nominal);
+        self.nominal = nominal;
+        if changed {
             self.check_limits(context);
         }
     }
 
     /// Judged by the nominal frequencies: that a crystal runs fast within its tolerance is allowed for in the limits.
     fn check_limits(&self, context: &mut Context<'_>) {
-        let (nominal, _) = self.decode(&Oscillators::default());
-        if nominal.core_hz == 0 {
+        if self.nominal.core_hz == 0 {
             context.misuse("RCC", "the core's clock stops: its source gives none");
         }
-        for fault in limits::too_fast(&nominal, self.scale) {
+        for fault in limits::too_fast(&self.nominal, self.scale) {
             context.misuse("RCC", fault);
         }
     }
