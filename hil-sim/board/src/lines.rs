@@ -154,3 +154,45 @@ impl<F: FnMut(bool)> OutputPin for OutputLine<F> {
         self.set(true)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Simulation;
+
+    /// A task that polls, as an emulator does, and one that waits, as the firmware's does: both see each edge at its time.
+    #[test]
+    fn an_edge_wakes_all_who_look_at_its_time() {
+        let mut simulation = Simulation::default();
+        let (line, seen) = (Line::new(true), Rc::new(RefCell::new(Vec::new())));
+        let (of, log, clock) = (line.clone(), seen.clone(), simulation.clock());
+        simulation.spawn(poll_fn(move |context| {
+            log.borrow_mut().push((clock.now_ns(), "polls", of.is_high(), of.edges()));
+            of.on_change(context.waker());
+            Poll::Pending
+        }));
+        let (of, log, clock) = (line.clone(), seen.clone(), simulation.clock());
+        simulation.spawn(async move {
+            loop {
+                let Ok(()) = InputLine(of.clone()).wait_for_any_edge().await;
+                log.borrow_mut().push((clock.now_ns(), "waits", of.is_high(), of.edges()));
+            }
+        });
+        let clock = simulation.clock();
+        simulation.block_on(async {
+            for (at_ns, high) in [(100, false), (150, false), (230, true)] {
+                clock.sleep_until(at_ns).await;
+                line.set(high);
+            }
+            clock.sleep(1).await;
+        });
+        let expected = [
+            (0, "polls", true, 0),
+            (100, "polls", false, 1),
+            (100, "waits", false, 1),
+            (230, "polls", true, 2),
+            (230, "waits", true, 2),
+        ];
+        assert_eq!(*seen.borrow(), expected);
+    }
+}

@@ -27,7 +27,10 @@ use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, Request, SafetyState,
     config::{BoardConfig, Feedback},
 };
-use r4_sim::i2c::{Disturbance, Span};
+use r4_sim::{
+    i2c::{Disturbance, Span},
+    world::BoardChip,
+};
 use rand_pcg::{
     Pcg64,
     rand_core::{Rng, SeedableRng},
@@ -225,10 +228,7 @@ fn chip_lost_its_supply_for_a_moment() {
     Trip {
         cause: Cause::ReadBackMismatch,
         inject: async |bench, _| {
-            let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
-            // Seen by the bridge when the world next moves on.
-            bench.clock.sleep(1).await;
+            assert!(bench.board.world().brown_out(BoardChip::OsmcPwm), "the bench has it");
         },
         stays: false,
         remedy: nothing,
@@ -624,7 +624,7 @@ fn clearing_waits_until_the_chip_is_set_up_again() {
             bench.run_rotary(moment * 1_137 * US).await;
             let device = bench.device();
             let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
+            assert!(bench.board.world().brown_out(BoardChip::OsmcPwm), "the bench has it");
             device.record_wire();
             // The trip is known by the first write of the safe state; clearing is tried from then on without a pause.
             let limit_ns = (CHECKS + 1) * CHECK_EVERY * PERIOD_NS;
