@@ -38,14 +38,22 @@ use r4_protocol::config::BoardConfig;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::{
-    clocks, executors,
+    analog, clocks,
+    encoders::{
+        self, Counters,
+        lines::{self, Lines},
+    },
+    executors,
+    flash::Bank2,
     i2c::{Bounce, Bus, Timing, Wiring},
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     peripherals::Processor,
     pins::{self, pin},
+    ranging::{self, Rangers},
     reset::{self, Start},
     safety_pins::{self, Drive, Line},
-    storage::Flash,
+    steppers::{self, Generators},
+    switches::{self, Switches},
     watchdog,
 };
 
@@ -88,12 +96,15 @@ fn bounce() -> &'static mut Bounce {
     )]
     // SAFETY: nothing else refers to it, and this comes here once.
     unsafe {
-        (*(&raw mut BOUNCE)).write(Bounce::new())
+        (&mut *(&raw mut BOUNCE)).write(Bounce::new())
     }
 }
 
 bind_interrupts!(struct Irqs {
-    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>;
+    // In this order: the second undoes what the first does to lines that are not its own.
+    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, lines::Restore;
+    EXTI15_10 => lines::Edges;
+    TIM2 => steppers::OnClock;
     I2C1_EV => EventInterruptHandler<stm32::I2C1>;
     I2C1_ER => ErrorInterruptHandler<stm32::I2C1>;
     I2C2_EV => EventInterruptHandler<stm32::I2C2>;
@@ -113,6 +124,7 @@ bind_interrupts!(struct Irqs {
     DMA1_STREAM7 => dma::InterruptHandler<stm32::DMA1_CH7>;
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
     DMA2_STREAM1 => dma::InterruptHandler<stm32::DMA2_CH1>;
+    DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
     FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
     FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
     OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
@@ -160,7 +172,7 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
     };
-    let mut flash = Flash;
+    let mut flash = Bank2::new(p.FLASH);
     let loaded = block_on(r4_firmware::storage::parameters::load(&mut flash, &built_in));
     defmt::info!("saved parameters: {}", defmt::Debug2Format(&loaded.saved));
     static SHARED: StaticCell<Board> = StaticCell::new();
@@ -290,6 +302,83 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
         USB_OUT.take(),
         usb_link::config(),
     );
+    let lines = Lines::new(
+        lines::Pins {
+            track_a: pin!(p, enc3_a as EXTI10),
+            track_b: pin!(p, enc3_b as EXTI11),
+            echo2: pin!(p, us2_echo as EXTI14),
+            echo3: pin!(p, us3_echo as EXTI15),
+        },
+        executors::EDGES,
+    );
+    let encoders = Counters::new(
+        encoders::Parts {
+            timer0: p.TIM8,
+            tracks0: (pin!(p, enc0_a as TIM8_CH1), pin!(p, enc0_b as TIM8_CH2)),
+            timer1: p.TIM3,
+            tracks1: (pin!(p, enc1_a as TIM3_CH1), pin!(p, enc1_b as TIM3_CH2)),
+            timer2: p.TIM1,
+            tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
+        },
+        lines,
+    );
+    let steppers = Generators::new(
+        steppers::Parts {
+            clock: p.TIM2,
+            timers: (p.TIM12, p.TIM14, p.TIM15, p.TIM4),
+            steps: (
+                pin!(p, step0 as TIM12_CH1),
+                pin!(p, step1 as TIM14_CH1),
+                pin!(p, step2 as TIM15_CH1),
+                pin!(p, step3 as TIM4_CH2),
+            ),
+            directions: (pin!(p, dir0), pin!(p, dir1), pin!(p, dir2), pin!(p, dir3)),
+            enable: pin!(p, step_en),
+        },
+        executors::STEPS,
+    );
+    let rangers = Rangers::new(
+        ranging::Pins {
+            trigger0: pin!(p, us0_trig),
+            trigger1: pin!(p, us1_trig),
+            trigger2: pin!(p, us2_trig),
+            trigger3: pin!(p, us3_trig),
+            echo0: pin!(p, us0_echo as TIM2_CH4),
+            echo1: pin!(p, us1_echo as TIM2_CH3),
+        },
+        steppers.clock(),
+    );
+    static CODES: ConstStaticCell<[u16; analog::INPUTS]> = ConstStaticCell::new([0; analog::INPUTS]);
+    let inputs = analog::Inputs::new(
+        p.ADC1,
+        analog::Pins {
+            input0: pin!(p, ain0 as ADC1_INP4),
+            input1: pin!(p, ain1 as ADC1_INP8),
+            input2: pin!(p, ain2 as ADC1_INP9),
+            input3: pin!(p, ain3 as ADC1_INP5),
+            input4: pin!(p, ain4 as ADC1_INP13),
+            input5: pin!(p, ain5 as ADC1_INP12),
+        },
+        p.DMA2_CH2,
+        Irqs,
+        CODES.take(),
+    );
+    if let Err(error) = &inputs {
+        defmt::error!("the analog inputs do not work: {}", error);
+    }
+    let processor = Processor {
+        encoders,
+        switches: Switches::new(switches::Pins {
+            switch0: pin!(p, enc0_sw),
+            switch1: pin!(p, enc1_sw),
+            switch2: pin!(p, enc2_sw),
+            switch3: pin!(p, enc3_sw),
+        }),
+        steppers,
+        inputs: inputs.ok(),
+        outputs: analog::Outputs::new(p.DAC1, pin!(p, dac_l as DAC1_OUT1), pin!(p, dac_r as DAC1_OUT2)),
+    };
+
     let mut spi_config = spi::Config::default();
     spi_config.frequency = SCREEN_SPI;
     let select = Output::new(pin!(p, tft_cs), Level::High, Speed::Low);
@@ -307,9 +396,9 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
     let executors = executors::start();
     watchdog::tighten();
     executors.supervisor.spawn(safety_task(shared, safety).expect("one"));
-    executors.control.spawn(control_task(shared, BoardIo { bus: board_bus, peripherals: Processor }).expect("one"));
+    executors.control.spawn(control_task(shared, BoardIo { bus: board_bus, peripherals: processor }).expect("one"));
     if has_ranges {
-        executors.control.spawn(ranging_task(shared, Processor).expect("one"));
+        executors.control.spawn(ranging_task(shared, rangers).expect("one"));
     }
     executors.links.spawn(uart_task(shared, host_rx, host_tx).expect("one"));
     executors.links.spawn(can_task(shared, can_rx, can_tx).expect("one"));
@@ -335,10 +424,10 @@ async fn control_task(shared: &'static Board, io: BoardIo<Bus, Processor>) -> ! 
 }
 
 #[embassy_executor::task]
-async fn ranging_task(shared: &'static Board, hardware: Processor) -> ! {
+async fn ranging_task(shared: &'static Board, hardware: Rangers) -> ! {
     let config = shared.config();
     let publish = |index, reading| shared.publish_range(index, reading);
-    ranging::run(&config.ranges, config.air_temperature_c, hardware, publish).await
+    r4_firmware::ranging::run(&config.ranges, config.air_temperature_c, hardware, publish).await
 }
 
 #[embassy_executor::task]
@@ -380,7 +469,7 @@ async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, uart::R
 }
 
 #[embassy_executor::task]
-async fn storage_task(shared: &'static Board, flash: Flash) -> ! {
+async fn storage_task(shared: &'static Board, flash: Bank2) -> ! {
     r4_firmware::storage::run(&shared.storage, flash, env!("R4_ROBOT_NAME")).await
 }
 

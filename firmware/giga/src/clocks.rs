@@ -37,7 +37,7 @@ pub(crate) fn probe() -> Source {
 
 /// The same frequencies from either source: processor 480, AXI and AHB 240, APB 120, timers 240 MHz.
 ///
-/// PLL1 makes the processor's clock and 80 MHz for FDCAN and SPI, PLL2 50 MHz for the ADC, HSI48 the USB clock. The supply is
+/// PLL1 makes the processor's clock and 80 MHz for FDCAN and SPI, PLL2 64 MHz for the ADC, which wants 16 MHz times a power of two, HSI48 the USB clock. The supply is
 /// the LDO: the Giga has no coil for the SMPS, and a wrong choice locks the debugger out until power is cut.
 pub(crate) fn config(source: Source) -> Config {
     let (pll_source, prediv) = match source {
@@ -59,14 +59,8 @@ pub(crate) fn config(source: Source) -> Config {
         divq: Some(PllDiv::DIV12),
         divr: None,
     });
-    config.pll2 = Some(Pll {
-        source: pll_source,
-        prediv,
-        mul: PllMul::MUL100,
-        divp: Some(PllDiv::DIV16),
-        divq: None,
-        divr: None,
-    });
+    config.pll2 =
+        Some(Pll { source: pll_source, prediv, mul: PllMul::MUL96, divp: Some(PllDiv::DIV12), divq: None, divr: None });
     config.sys = Sysclk::PLL1_P;
     config.d1c_pre = AHBPrescaler::DIV1;
     config.ahb_pre = AHBPrescaler::DIV2;

@@ -4,8 +4,8 @@
 //!
 //! | level | runs | why there |
 //! | --- | --- | --- |
-//! | 0 | TIM5: embassy's time; EXTI9_5: the dead-man's handle | a wait must end, and a released handle be seen, whatever runs |
-//! | 1 | step pulses and directions, encoder 3, echoes | microseconds count; each takes a few |
+//! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
+//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart; a wait must end, and a released handle be seen, whatever task runs |
 //! | 2 | supervisor | must run when all else is late |
 //! | 3 | DMA, I2C2: the end of what the control loop waits for; CAN: three frames fill its memory, in 0.2 ms | only wakes and copies |
 //! | 4 | control, ranging | 1 kHz |
@@ -19,10 +19,10 @@
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 
-/// Interrupts of time and of the dead-man's handle.
-const FIRST: Priority = Priority::P0;
-/// Interrupts that make or measure edges.
-const EDGES: Priority = Priority::P1;
+/// Of step pulses.
+pub(crate) const STEPS: Priority = Priority::P0;
+/// Interrupts of edges and of time. EXTI9_5 and EXTI15_10 must not interrupt each other: both change the lines' masks.
+pub(crate) const EDGES: Priority = Priority::P1;
 const SUPERVISOR: Priority = Priority::P2;
 /// Interrupts that end what control waits for. embassy sets those of DMA itself.
 pub(crate) const TRANSFERS: Priority = Priority::P3;
@@ -52,18 +52,8 @@ pub(crate) struct Executors {
 /// Sets every priority. Before any driver enables its interrupt.
 pub(crate) fn prioritise() {
     for (priority, interrupts) in [
-        (FIRST, &[interrupt::TIM5, interrupt::EXTI9_5][..]),
-        (
-            EDGES,
-            &[
-                interrupt::TIM8_BRK_TIM12,
-                interrupt::TIM8_TRG_COM_TIM14,
-                interrupt::TIM15,
-                interrupt::TIM4,
-                interrupt::TIM2,
-                interrupt::EXTI15_10,
-            ],
-        ),
+        (STEPS, &[interrupt::TIM2][..]),
+        (EDGES, &[interrupt::TIM5, interrupt::EXTI9_5, interrupt::EXTI15_10]),
         (SUPERVISOR, &[interrupt::SAI1]),
         (TRANSFERS, &[interrupt::I2C2_EV, interrupt::I2C2_ER, interrupt::FDCAN2_IT0, interrupt::FDCAN2_IT1]),
         (CONTROL, &[interrupt::SAI2]),

@@ -14,21 +14,27 @@
 //! | `i2c` | the three I2C buses, and freeing them |
 //! | `links` | byte links to hosts, and the UART connectors |
 //! | `peripherals` | counters, converters, pulses: what the control loop uses |
-//! | `storage` | the flash that keeps parameters and trips |
+//! | `encoders`, `steppers`, `ranging`, `analog`, `switches` | its parts |
+//! | `flash` | what keeps parameters and trips |
 #![no_std]
 #![no_main]
 
+mod analog;
 mod boot;
 mod clocks;
+mod encoders;
 mod executors;
+mod flash;
 mod i2c;
 mod links;
 mod panic;
 mod peripherals;
 mod pins;
+mod ranging;
 mod reset;
 mod safety_pins;
-mod storage;
+mod steppers;
+mod switches;
 mod watchdog;
 
 use cortex_m_rt::entry;

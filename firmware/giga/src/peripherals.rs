@@ -1,61 +1,78 @@
 //! Everything of the processor that the control loop uses, in one.
 
-use r4_firmware::platform::{
-    AnalogInputs, AnalogOutputs, EchoState, Encoders, Ranging, StepEvent, Steppers, SwitchInputs,
+use r4_firmware::platform::{AnalogInputs, AnalogOutputs, Encoders, StepEvent, Steppers, SwitchInputs};
+
+use crate::{
+    analog::{Inputs, Outputs},
+    encoders::Counters,
+    steppers::Generators,
+    switches::Switches,
 };
 
-/// See the traits. PLACE-HOLDER: reads nothing and drives nothing until the drivers are merged.
-pub(crate) struct Processor;
+/// Counters, converters, switches and step generators.
+pub(crate) struct Processor {
+    pub(crate) encoders: Counters,
+    pub(crate) switches: Switches,
+    pub(crate) steppers: Generators,
+    /// `None` when the converter did not start: its inputs read 0 V, and supplies that are watched are out of range.
+    pub(crate) inputs: Option<Inputs>,
+    pub(crate) outputs: Outputs,
+}
 
 impl Encoders for Processor {
-    fn count(&mut self, _: u8) -> u16 {
-        0
+    fn count(&mut self, index: u8) -> u16 {
+        self.encoders.count(index)
     }
-    fn illegal(&mut self, _: u8) -> u32 {
-        0
+
+    fn illegal(&mut self, index: u8) -> u32 {
+        self.encoders.illegal(index)
     }
 }
 
 impl SwitchInputs for Processor {
-    fn is_high(&mut self, _: u8) -> bool {
-        true
+    fn is_high(&mut self, index: u8) -> bool {
+        self.switches.is_high(index)
+    }
+}
+
+impl AnalogInputs for Processor {
+    fn code(&mut self, index: u8) -> u16 {
+        self.inputs.as_mut().map_or(0, |inputs| inputs.code(index))
     }
 }
 
 impl AnalogOutputs for Processor {
-    fn set(&mut self, _: u8, _: u16) {}
-}
-
-impl AnalogInputs for Processor {
-    fn code(&mut self, _: u8) -> u16 {
-        0
+    fn set(&mut self, index: u8, code: u16) {
+        self.outputs.set(index, code);
     }
 }
 
 impl Steppers for Processor {
-    const TICK_HZ: u32 = 1_000_000;
-    const PULSE_TICKS: u32 = 5;
-    const DIRECTION_LATENCY_TICKS: u32 = 1;
-    fn now(&mut self) -> u32 {
-        0
-    }
-    fn enable(&mut self, _: bool) {}
-    fn queue(&mut self, _: u8, _: &[StepEvent]) -> usize {
-        0
-    }
-    fn pending(&mut self, _: u8) -> u32 {
-        0
-    }
-    fn position(&mut self, _: u8) -> i32 {
-        0
-    }
-    fn stop(&mut self, _: u8) {}
-}
+    const TICK_HZ: u32 = Generators::TICK_HZ;
+    const PULSE_TICKS: u32 = Generators::PULSE_TICKS;
+    const DIRECTION_LATENCY_TICKS: u32 = Generators::DIRECTION_LATENCY_TICKS;
 
-impl Ranging for Processor {
-    fn trigger(&mut self, _: u8, _: bool) {}
-    fn clear(&mut self, _: u8) {}
-    fn echo(&mut self, _: u8) -> EchoState {
-        EchoState::Idle
+    fn now(&mut self) -> u32 {
+        self.steppers.now()
+    }
+
+    fn enable(&mut self, high: bool) {
+        self.steppers.enable(high);
+    }
+
+    fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
+        self.steppers.queue(axis, events)
+    }
+
+    fn pending(&mut self, axis: u8) -> u32 {
+        self.steppers.pending(axis)
+    }
+
+    fn position(&mut self, axis: u8) -> i32 {
+        self.steppers.position(axis)
+    }
+
+    fn stop(&mut self, axis: u8) {
+        self.steppers.stop(axis);
     }
 }

@@ -80,6 +80,8 @@ impl Lines {
         unsafe {
             interrupt::EXTI15_10.enable();
         }
+        // For edges since the levels were read.
+        interrupt::EXTI15_10.pend();
         Self(inputs)
     }
 

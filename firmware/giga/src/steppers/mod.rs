@@ -94,7 +94,6 @@ impl Generators {
         rcc::enable_and_reset::<peripherals::TIM14>();
         rcc::enable_and_reset::<peripherals::TIM15>();
         rcc::enable_and_reset::<peripherals::TIM4>();
-        let clock_hz = rcc::frequency::<peripherals::TIM2>().0;
         let (directions, steps) = (parts.directions, parts.steps);
         let direction = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::High, Speed::Low);
         let axes = [
@@ -103,11 +102,17 @@ impl Generators {
             Axis::on_tim15(direction(directions.2.into())),
             Axis::on_tim4(direction(directions.3.into())),
         ];
-        axes.iter().for_each(|axis| axis.prepare(clock_hz));
+        let clocks = [
+            rcc::frequency::<peripherals::TIM12>(),
+            rcc::frequency::<peripherals::TIM14>(),
+            rcc::frequency::<peripherals::TIM15>(),
+            rcc::frequency::<peripherals::TIM4>(),
+        ];
+        axes.iter().zip(clocks).for_each(|(axis, clock)| axis.prepare(clock.0));
         // After that the outputs are low.
         let steps = [step_pin(steps.0, 2), step_pin(steps.1, 9), step_pin(steps.2, 4), step_pin(steps.3, 2)];
         let clock = critical_section::with(|cs| {
-            let clock = timers::start(clock_hz, &axes);
+            let clock = timers::start(rcc::frequency::<peripherals::TIM2>().0, &axes);
             // One after the other: they are large for the stack.
             for (driver, axis) in DRIVERS.borrow_ref_mut(cs).iter_mut().zip(axes) {
                 *driver = Some(Driver { generator: Generator::new(0), axis });
