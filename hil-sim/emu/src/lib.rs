@@ -1,4 +1,10 @@
 //! An emulated R4 board: the firmware's ELF on an emulated STM32H747, in the same simulated surroundings as `r4-sim`'s board.
 
+mod board;
+mod flash;
+mod image;
 mod roles;
 mod wiring;
+
+pub use board::{BoardSoc, EmuBoard, EmuError};
+pub use image::{Image, ImageError};

@@ -84,6 +84,32 @@ impl Wiring {
         &self.uarts
     }
 
+    /// Another cable to the host.
+    pub(crate) fn set_host(&mut self, to_host: Sender) {
+        self.to_host = to_host;
+    }
+
+    /// The chip was reset: its pins float.
+    pub(crate) fn processor_reset(&mut self) {
+        self.scl_low.clear();
+        self.world.borrow_mut().reset_processor();
+    }
+
+    /// Every edge of step and direction lines up to `now_ns` has been told.
+    pub(crate) fn settle(&mut self, now_ns: u64) {
+        self.world.borrow_mut().settle_steppers(now_ns);
+    }
+
+    /// The next byte that has come from a UART connector.
+    pub(crate) fn take_uart_arrived(&mut self, connector: usize) -> Option<r4_sim::uart::UartByte> {
+        self.world.borrow_mut().take_uart_arrived(connector)
+    }
+
+    /// When the next one comes.
+    pub(crate) fn next_uart_arrival_ns(&mut self, connector: usize) -> u64 {
+        self.world.borrow_mut().next_uart_arrival_ns(connector)
+    }
+
     fn controller(&self, number: u8) -> Option<Controller> {
         self.controllers.iter().find(|(known, _)| *known == number).map(|(_, controller)| *controller)
     }
@@ -167,9 +193,7 @@ impl Outside for Wiring {
                 edges.extend(pin.map(|pin| Edge { at_ns: edge.at_ns, pin, high: edge.high }));
             });
         }
-        for (watched, role) in
-            [(&mut self.dead_man, Role::DeadMan), (&mut self.auxiliary_stop, Role::AuxiliaryStop)]
-        {
+        for (watched, role) in [(&mut self.dead_man, Role::DeadMan), (&mut self.auxiliary_stop, Role::AuxiliaryStop)] {
             let high = watched.line.is_high();
             if std::mem::replace(&mut watched.told, high) != high {
                 edges.extend(self.roles.pin(role).map(|pin| Edge { at_ns: now_ns, pin, high }));
@@ -304,11 +328,8 @@ fn uart_number(carrier: &Carrier, id: &str) -> Option<u8> {
 }
 
 fn uarts(carrier: &Carrier) -> Vec<(u8, UartEnd)> {
-    let ends = [
-        ("uart_dbg_tx", UartEnd::Host),
-        ("uart_a_tx", UartEnd::Connector(0)),
-        ("uart_b_tx", UartEnd::Connector(1)),
-    ];
+    let ends =
+        [("uart_dbg_tx", UartEnd::Host), ("uart_a_tx", UartEnd::Connector(0)), ("uart_b_tx", UartEnd::Connector(1))];
     ends.into_iter().filter_map(|(id, end)| Some((uart_number(carrier, id)?, end))).collect()
 }
 

@@ -13,6 +13,7 @@ pub mod memory;
 pub mod outside;
 pub mod peripheral;
 pub mod peripherals;
+pub mod soc;
 #[cfg(test)]
 #[allow(dead_code, reason = "which of it a test needs is its own business")]
 mod testing;

@@ -15,9 +15,12 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_sim::{Pace, SimBoard, Simulation, flash::Flash};
+use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
-use crate::args::Args;
+use crate::{
+    args::Args,
+    cable::{Cable, CableState},
+};
 
 /// What `--board` names.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,13 +94,24 @@ impl Clock for HostClock {
 /// A connected board, and what only the program knows about it.
 pub(crate) struct Session<'s> {
     pub(crate) board: &'s Board<HostClock>,
-    simulated: Rc<SimBoard>,
+    surroundings: Rc<dyn VirtualBoard>,
+    cable: Rc<CableState>,
 }
 
 impl Session<'_> {
     /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
     pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
-        self.simulated.world().position(channel)
+        self.surroundings.world().position(channel)
+    }
+
+    /// The board with its surroundings, to look at and to break.
+    pub(crate) fn virtual_board(&self) -> &dyn VirtualBoard {
+        &*self.surroundings
+    }
+
+    /// The cable to the board, to cut.
+    pub(crate) fn cable(&self) -> &CableState {
+        &self.cable
     }
 
     /// Arms, runs `work`, and disarms whatever came of it.
@@ -183,21 +197,19 @@ pub(crate) fn run<T>(
     default_pace: Pace,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
-    let Target::Sim(name) = &args.board;
-    let robot: Robot = r4_boards::load(name)?;
+    let robot: Robot = r4_boards::load(args.board.robot())?;
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
-    let board = Rc::new(match file.as_ref().map(FlashFile::flash).transpose()?.flatten() {
-        Some(flash) => SimBoard::start_with(&mut simulation, &robot, args.seed, flash)?,
-        None => SimBoard::start(&mut simulation, &robot, args.seed)?,
-    });
+    let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    let board = start(args, &mut simulation, &robot, flash)?;
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
     // A second handler cannot be set; the first one does the same.
     let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
     let begin = Instant::now();
-    let host = with_board(port.rx, port.tx, HostClock(clock.clone()), async |connected| {
-        let session = Session { board: connected, simulated: board.clone() };
+    let (tx, cable) = Cable::new(port.tx, clock.clone());
+    let host = with_board(port.rx, tx, HostClock(clock.clone()), async |connected| {
+        let session = Session { board: connected, surroundings: board.clone(), cable };
         unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
     });
     let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
@@ -207,6 +219,27 @@ pub(crate) fn run<T>(
     }
     let value = result.with_context(|| format!("cannot connect to {}", args.board))??;
     Ok((value, elapsed))
+}
+
+/// Powers up the virtual board that `args` name.
+fn start(
+    args: &Args,
+    simulation: &mut Simulation,
+    robot: &Robot,
+    flash: Option<Flash>,
+) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    match &args.board {
+        Target::Sim(_) => Ok(match flash {
+            Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, args.seed, flash)?),
+            None => Rc::new(SimBoard::start(simulation, robot, args.seed)?),
+        }),
+        #[cfg(feature = "emu")]
+        Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
+        #[cfg(not(feature = "emu"))]
+        Target::Emu(_) => bail!(
+            "this program was built without the emulator: build it with `--features emu` (it needs cmake and a C compiler)"
+        ),
+    }
 }
 
 async fn unless_interrupted<T>(

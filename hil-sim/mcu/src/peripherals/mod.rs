@@ -4,19 +4,19 @@ pub(crate) mod access;
 pub mod backup;
 pub mod crs;
 pub mod dbgmcu;
+pub mod dma;
 pub mod exti;
 pub mod flash;
 pub mod fmc;
 pub mod gpio;
+pub mod i2c;
 pub mod identity;
 pub mod iwdg;
 pub mod pwr;
 pub mod rcc;
-pub mod dma;
 pub mod tim;
-mod width;
-pub mod i2c;
 pub mod usart;
+mod width;
 
 #[cfg(test)]
 mod bench;

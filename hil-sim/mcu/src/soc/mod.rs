@@ -15,14 +15,14 @@ use crate::{
     outside::{CanFrame, Edge, Outside, Pin, UartByte},
     peripheral::{Peripheral, Size, Unmodelled},
     peripherals::{
-        adc::Adc12,
+        //TODO adc::Adc12,
         backup::Backup,
         crs::Crs,
-        dac::Dac,
+        //TODO dac::Dac,
         dbgmcu::Dbgmcu,
         dma::{self, Bdma, Dma12},
         exti::Exti,
-        fdcan::Fdcan,
+        //TODO fdcan::Fdcan,
         flash::{Flash, FlashCells, LoadError},
         fmc::Fmc,
         gpio::{Function, Gpio},
@@ -31,12 +31,13 @@ use crate::{
         iwdg::Iwdg,
         pwr::Pwr,
         rcc::{Oscillators, Rcc},
-        rng::Rng,
-        spi::Spi,
+        //TODO rng::Rng,
+        //TODO spi::Spi,
         syscfg::Syscfg,
         tim::Tim,
         usart::Usart,
         usb::Usb,
+        wiring::Wired,
     },
 };
 
@@ -58,13 +59,13 @@ struct Devices<F> {
     dma: Dma12,
     bdma: Bdma,
     timers: Vec<Tim>,
-    adc: Adc12,
-    dac: Dac,
+    //TODO adc: Adc12,
+    //TODO dac: Dac,
     usarts: Vec<Usart>,
     i2cs: Vec<I2c>,
-    fdcan: Fdcan,
-    spi: Spi,
-    rng: Rng,
+    //TODO fdcan: Fdcan,
+    //TODO spi: Spi,
+    //TODO rng: Rng,
 }
 
 impl<F: FlashCells> Devices<F> {
@@ -86,13 +87,13 @@ impl<F: FlashCells> Devices<F> {
             dma: Dma12::new(),
             bdma: Bdma::new(),
             timers: TIMERS.into_iter().map(Tim::new).collect(),
-            adc: Adc12::new(),
-            dac: Dac::new(),
+            //TODO adc: Adc12::new(),
+            //TODO dac: Dac::new(),
             usarts: (1..=8).filter_map(Usart::new).collect(),
             i2cs: (1..=4).filter_map(I2c::new).collect(),
-            fdcan: Fdcan::new(),
-            spi: Spi::new(),
-            rng: Rng::new(0),
+            //TODO fdcan: Fdcan::new(),
+            //TODO spi: Spi::new(),
+            //TODO rng: Rng::new(0),
         }
     }
 
@@ -123,13 +124,14 @@ impl<F: FlashCells> Devices<F> {
             13 => &mut self.dma,
             14 => &mut self.bdma,
             TIM..ADC => &mut self.timers[id - TIM],
-            ADC => &mut self.adc,
-            DAC => &mut self.dac,
+            //TODO ADC => &mut self.adc,
+            //TODO DAC => &mut self.dac,
             USART..I2C => &mut self.usarts[id - USART],
             I2C..FDCAN => &mut self.i2cs[id - I2C],
-            FDCAN => &mut self.fdcan,
-            SPI => &mut self.spi,
-            RNG.. => &mut self.rng,
+            //TODO FDCAN => &mut self.fdcan,
+            //TODO SPI => &mut self.spi,
+            //TODO RNG.. => &mut self.rng,
+            _ => &mut self.identity,
         }
     }
 }
@@ -353,10 +355,6 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.reset_part(id, base);
             }
         }
-        if self.devices.rcc.take_backup_reset() {
-            self.devices.rcc.reset_backup();
-            self.devices.backup.clear();
-        }
         let mut context = Context {
             now_ns: self.now_ns,
             clocks: &self.clocks,
@@ -364,13 +362,8 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             signals: &mut self.signals,
             misuse: &mut self.misuse,
         };
-        let Devices { rcc, pwr, syscfg, backup, flash, .. } = &mut self.devices;
-        pwr.set_overdrive(syscfg.overdrive(), &mut context);
-        rcc.set_backup_writable(pwr.backup_writable());
-        backup.set_writable(pwr.backup_writable());
-        let scale = pwr.scale(self.now_ns);
-        rcc.set_voltage_scale(scale, &mut context);
-        flash.set_conditions(self.clocks.ahb_hz, scale, &mut context);
+        let Devices { rcc, pwr, syscfg, flash, backup, .. } = &mut self.devices;
+        Wired { rcc, pwr, syscfg, flash, backup }.settle(&mut context);
     }
 
     /// A reset bit of RCC: of one block where several share a model.
@@ -459,8 +452,9 @@ fn dma_trigger(timer: u8) -> Option<u8> {
 impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// Bytes for a UART of the chip, each at its time, which is not before now.
     pub fn uart_receive(&mut self, port: u8, byte: UartByte) {
-        if let Some(index) = self.devices.usarts.iter().position(|usart| usart.number() == port) {
-            self.devices.usarts[index].receive(byte);
+        let index = usize::from(port).wrapping_sub(1);
+        if let Some(usart) = self.devices.usarts.get_mut(index) {
+            usart.receive(byte);
             let id = Id::Usart1 as usize + index;
             self.next_ns[id] = self.devices.get(id).next_event_ns();
         }
@@ -468,7 +462,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// A frame for an FDCAN of the chip, which ends at `at_ns`.
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
-        self.devices.fdcan.receive(bus, at_ns, frame);
+        //TODO self.devices.fdcan.receive(bus, at_ns, frame);
         let id = Id::Fdcan as usize;
         self.next_ns[id] = self.devices.get(id).next_event_ns();
     }
@@ -526,9 +520,8 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             let is_flash = region.bank.is_flash();
             return if is_flash { self.program_flash(now_ns, address, size, value) } else { Err(AccessError::Bus) };
         }
-        let write = |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| {
-            device.write(offset, size, value, context)
-        };
+        let write =
+            |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| device.write(offset, size, value, context);
         let ((), id) = self.access(now_ns, address, write)?;
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();

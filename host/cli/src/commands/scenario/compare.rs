@@ -75,7 +75,8 @@ mod tests {
     use crate::commands::scenario::play::Look;
 
     fn outcome(position: f64, speed: f64) -> Outcome {
-        let motion = Motion { channel: "osmc0".into(), unit: "rad", position, speed, resolution: 0.001, period_s: 0.001 };
+        let motion =
+            Motion { channel: "osmc0".into(), unit: "rad", position, speed, resolution: 0.001, period_s: 0.001 };
         let look = Look { at_s: 1.0, state: "armed".into(), motions: vec![motion] };
         Outcome { looks: vec![look], trips: vec![vec!["stalled".into()]], refused: Vec::new() }
     }

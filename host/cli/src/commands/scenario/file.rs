@@ -36,23 +36,51 @@ pub(super) enum Action {
     Stop,
     Clear,
     /// A set point; SI units.
-    Set { channel: ChannelId, mode: Mode, value: f32 },
+    Set {
+        channel: ChannelId,
+        mode: Mode,
+        value: f32,
+    },
     /// The dead-man's handle.
-    DeadMan { held: bool },
+    DeadMan {
+        held: bool,
+    },
     /// The auxiliary stop.
-    AuxiliaryStop { pressed: bool },
+    AuxiliaryStop {
+        pressed: bool,
+    },
     /// What a range sensor sees; nothing without a distance.
-    Distance { range: u8, distance_m: Option<f64> },
+    Distance {
+        range: u8,
+        distance_m: Option<f64>,
+    },
     /// A rail's voltage without load.
-    Supply { channel: ChannelId, emf_v: f64 },
+    Supply {
+        channel: ChannelId,
+        emf_v: f64,
+    },
     /// What a motor drives blocks, or turns again.
-    Block { channel: ChannelId, blocked: bool },
+    Block {
+        channel: ChannelId,
+        blocked: bool,
+    },
     /// The next transfers to an address on the board's bus are not acknowledged.
-    BusNack { address: u8, transfers: u32 },
+    BusNack {
+        address: u8,
+        transfers: u32,
+    },
     /// The bus is held low from now on, for this long or until it is recovered.
-    BusStuck { for_s: f64, persistent: bool },
+    BusStuck {
+        for_s: f64,
+        persistent: bool,
+    },
     /// The encoder's next edges are lost.
-    LoseEdges { encoder: u8, count: u32 },
+    LoseEdges {
+        encoder: u8,
+        count: u32,
+    },
     /// The wire from the host is cut, or mended.
-    HostCable { cut: bool },
+    HostCable {
+        cut: bool,
+    },
 }

@@ -107,7 +107,8 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         output::json(&Compared { rows })?;
         return Ok(agree);
     }
-    let mut shown = table::new(&["scenario", "robot", "looks", "trips", "worst, share of allowed", "differences"], 2..6);
+    let mut shown =
+        table::new(&["scenario", "robot", "looks", "trips", "worst, share of allowed", "differences"], 2..6);
     for row in &rows {
         shown.add_row([
             row.scenario.clone(),
@@ -142,6 +143,7 @@ fn name(path: &Path) -> String {
 impl Scenario {
     fn read(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        toml::from_str(&text).with_context(|| format!("{} is no scenario; docs/scenarios.md says how one is written", path.display()))
+        toml::from_str(&text)
+            .with_context(|| format!("{} is no scenario; docs/scenarios.md says how one is written", path.display()))
     }
 }

@@ -89,11 +89,14 @@ async fn act(session: &Session<'_>, step: &Step, outcome: &mut Outcome) -> Resul
             // The robot's file has been read with this plant before.
             let _ = session.virtual_board().block_motor(channel, blocked);
         }
-        Action::BusNack { address, transfers } => inject(session, Injection {
-            disturbance: Disturbance::AddressNack,
-            span: Span::Transfers { count: transfers },
-            address: Some(address),
-        }),
+        Action::BusNack { address, transfers } => inject(
+            session,
+            Injection {
+                disturbance: Disturbance::AddressNack,
+                span: Span::Transfers { count: transfers },
+                address: Some(address),
+            },
+        ),
         Action::BusStuck { for_s, persistent } => {
             let from_ns = session.virtual_board().world().clock().now_ns();
             let span = Span::Time { from_ns, until_ns: from_ns + (for_s * 1e9) as u64 };

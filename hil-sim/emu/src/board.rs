@@ -1,0 +1,171 @@
+//! The emulated board: a machine that runs as one task of a simulation.
+
+use std::{
+    cell::{Cell, RefCell},
+    ops::Deref,
+    rc::Rc,
+};
+
+use r4_boards::Robot;
+use r4_mcu::{
+    Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators, soc::Soc,
+};
+use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Flash, link::Receiver};
+
+use crate::{
+    flash::Cells,
+    image::Image,
+    wiring::{UartEnd, Wiring},
+};
+
+/// Sectors of flash for parameters and trips.
+const KEPT_SECTORS: usize = 4;
+/// Longest stretch in which nobody else is asked, ns: whoever presses a key is noticed after it.
+const SLICE_NS: u64 = 10_000_000;
+
+/// The chip with everything around it.
+pub type BoardSoc = Soc<Wiring, Cells>;
+
+/// Why a board cannot be emulated.
+#[derive(Debug, thiserror::Error)]
+pub enum EmuError {
+    /// The world around it.
+    #[error(transparent)]
+    Surroundings(#[from] SimError),
+    /// The processor or its program.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
+}
+
+/// A board whose processor is emulated.
+pub struct EmuBoard<C> {
+    surroundings: Surroundings,
+    machine: Rc<RefCell<Machine<C, BoardSoc>>>,
+    failure: Rc<RefCell<Option<MachineError>>>,
+    from_host: Rc<RefCell<Receiver>>,
+}
+
+impl<C: Core + 'static> EmuBoard<C> {
+    /// Powers up a board for `robot` with `image` in its flash and nothing kept, or with what another had kept.
+    ///
+    /// # Errors
+    /// When there is no world to simulate, or the image is not one for this processor.
+    pub fn start(
+        simulation: &mut Simulation,
+        robot: &Robot,
+        seed: u64,
+        image: &Image,
+        core: C,
+        kept: Option<Flash>,
+        settings: Settings,
+    ) -> Result<Self, EmuError> {
+        let clock = simulation.clock();
+        let kept = kept.unwrap_or_else(|| Flash::new(KEPT_SECTORS));
+        let surroundings = Surroundings::new(clock.clone(), robot, seed, kept)?;
+        let link = surroundings.new_link();
+        let wiring = Wiring::new(&surroundings, link.tx);
+        let soc = Soc::new(wiring, Oscillators::default(), Cells::new(surroundings.shared_flash()));
+        let machine = Machine::new(core, soc, image.elf(), settings)?;
+        let board = Self {
+            surroundings,
+            machine: Rc::new(RefCell::new(machine)),
+            failure: Rc::default(),
+            from_host: Rc::new(RefCell::new(link.rx)),
+        };
+        let run = Run { machine: board.machine.clone(), from_host: board.from_host.clone(), clock };
+        let failure = board.failure.clone();
+        simulation.spawn(async move {
+            let error = run.forever().await;
+            failure.replace(Some(error));
+        });
+        Ok(board)
+    }
+
+    /// Why the machine stopped for ever, if it did: the program uses what is not modelled, or locked up.
+    #[must_use]
+    pub fn failure(&self) -> Option<MachineError> {
+        self.failure.borrow().clone()
+    }
+
+    /// The machine, to look into and to break. Must not be kept over an `await`.
+    pub fn machine(&self) -> std::cell::RefMut<'_, Machine<C, BoardSoc>> {
+        self.machine.borrow_mut()
+    }
+}
+
+impl<C> Deref for EmuBoard<C> {
+    type Target = Surroundings;
+
+    fn deref(&self) -> &Surroundings {
+        &self.surroundings
+    }
+}
+
+/// The machine as a task.
+struct Run<C> {
+    machine: Rc<RefCell<Machine<C, BoardSoc>>>,
+    from_host: Rc<RefCell<Receiver>>,
+    clock: Clock,
+}
+
+impl<C: Core> Run<C> {
+    /// Runs until it cannot go on.
+    async fn forever(self) -> MachineError {
+        loop {
+            // Whoever is ready at this moment runs before the processor's next instruction.
+            self.clock.give_way().await;
+            let limit_ns = self.deliver();
+            let stopped = match self.machine.borrow_mut().run_until(limit_ns) {
+                Ok(stopped) => stopped,
+                Err(error) => return error,
+            };
+            if let Reason::Reset(_) = stopped.reason {
+                self.machine.borrow_mut().chip_mut().outside().processor_reset();
+            }
+            // Edges of step lines up to now have been told.
+            let now_ns = self.clock.run_ahead(stopped.at_ns);
+            self.machine.borrow_mut().chip_mut().outside().settle(now_ns);
+        }
+    }
+
+    /// Hands over what arrived from outside, and says until when nothing more comes.
+    fn deliver(&self) -> u64 {
+        let now_ns = self.clock.now_ns();
+        let mut machine = self.machine.borrow_mut();
+        let soc = machine.chip_mut();
+        let mut next_ns = now_ns + SLICE_NS;
+        let uarts = soc.outside().uarts().to_vec();
+        for (port, end) in uarts {
+            loop {
+                let arrived = match end {
+                    UartEnd::Host => self.from_host.borrow_mut().take_arrived(now_ns),
+                    UartEnd::Connector(connector) => soc.outside().take_uart_arrived(connector),
+                };
+                let Some(byte) = arrived else { break };
+                let r4_sim::uart::UartByte { at_ns, value, framing_error, noise } = byte;
+                // A byte is at its time or, when the processor overran it by a block of instructions, just after.
+                soc.uart_receive(port, UartByte { at_ns: at_ns.max(now_ns), value, framing_error, noise });
+            }
+            let arrives_ns = match end {
+                UartEnd::Host => self.from_host.borrow().next_arrival_ns().unwrap_or(u64::MAX),
+                UartEnd::Connector(connector) => soc.outside().next_uart_arrival_ns(connector),
+            };
+            next_ns = next_ns.min(arrives_ns);
+        }
+        soc.poll_outside();
+        next_ns.min(self.clock.next_wake().unwrap_or(u64::MAX)).max(now_ns)
+    }
+}
+
+impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
+    fn restart(&self, _simulation: &mut Simulation, cause: r4_firmware::ResetCause) {
+        let link = self.surroundings.new_link();
+        self.from_host.replace(link.rx);
+        let mut machine = self.machine.borrow_mut();
+        machine.chip_mut().outside().set_host(link.tx);
+        machine.reset(match cause {
+            r4_firmware::ResetCause::Watchdog => ResetCause::Watchdog,
+            _ => ResetCause::Software,
+        });
+    }
+}
