@@ -30,7 +30,6 @@ use r4_firmware::{
     control::{self, BoardIo},
     link::serve,
     passthrough::PassthroughIo,
-    ranging,
     safety::{SafetyPins, supervise},
     screen::{self, ScreenPins},
 };

@@ -19,6 +19,10 @@ pub(crate) struct Processor {
     pub(crate) outputs: Outputs,
 }
 
+#[allow(unsafe_code, reason = "the inputs hold a plain pointer")]
+// SAFETY: it is to memory that DMA writes and one owner reads, from whichever priority; nothing else refers to it.
+unsafe impl Send for Inputs {}
+
 impl Encoders for Processor {
     fn count(&mut self, index: u8) -> u16 {
         self.encoders.count(index)
