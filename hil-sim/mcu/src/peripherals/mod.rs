@@ -1,5 +1,6 @@
 //! The peripherals, one module each.
 
+pub mod fdcan;
 pub mod i2c;
 pub mod usart;
 
