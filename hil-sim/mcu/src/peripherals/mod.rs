@@ -9,6 +9,7 @@ pub mod exti;
 pub mod flash;
 pub mod fmc;
 pub mod gpio;
+pub mod fdcan;
 pub mod i2c;
 pub mod identity;
 pub mod iwdg;
