@@ -12,7 +12,7 @@ const SER: u32 = 1 << 2;
 const BER: u32 = 1 << 3;
 const FW: u32 = 1 << 6;
 const START: u32 = 1 << 7;
-const CRC_EN: u32 = 1 << 15;
+pub(super) const CRC_EN: u32 = 1 << 15;
 pub(super) const CR_AT_RESET: u32 = 0x31;
 const CR_WRITABLE: u32 = 0x0FEF_0F7F | START;
 
@@ -126,9 +126,6 @@ impl Bank {
                 context.misuse("FLASH", "CR is written while it is locked; the chip ignores it (RM0399, 4.5.1)");
             }
             return;
-        }
-        if value & CRC_EN != 0 {
-            context.misuse("FLASH", "the CRC unit is not modelled: CRC_EN is ignored");
         }
         const SETTINGS: u32 = 0b11 << 4 | 0b111 << 8;
         if !self.queue.is_empty() && (value ^ self.cr) & SETTINGS != 0 {

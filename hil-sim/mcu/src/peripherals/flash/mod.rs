@@ -217,6 +217,9 @@ impl<C: FlashCells> Peripheral for Flash<C> {
                 self.check_wait_states(context);
             }
             KEYR => bank.write_key(value, context),
+            CR if merged(0, offset, size, value) & bank::CRC_EN != 0 => {
+                return Err(Unmodelled { peripheral: "FLASH", what: "the CRC unit (CR.CRC_EN)".into() });
+            }
             CR => bank.write_cr(merged(bank.cr, offset, size, value), runs_here, context),
             SR => {}
             CCR => bank.clear(merged(0, offset, size, value)),

@@ -236,4 +236,5 @@ fn option_bytes_are_those_of_a_giga_and_cannot_be_changed() {
     assert_eq!(bench.read(&mut flash, OPTSR_CUR), 0x0B86_AAF0);
     assert!(bench.try_write(&mut flash, 0x08, Size::Word, 0x0819_2A3B).is_err());
     assert!(bench.try_write(&mut flash, OPTSR_PRG, Size::Word, 0).is_err());
+    assert!(bench.try_write(&mut flash, CR2, Size::Word, X64 | CRC_EN).is_err());
 }

@@ -270,4 +270,56 @@ mod tests {
         assert_eq!(function_of(Pin::new('H', 6), 9), None);
         assert!(pins_for(I2cSda(2)).any(|pair| pair == (Pin::new('B', 11), 4)));
     }
+
+    /// A function by the name that data sheets give it; `None` for those that no test needs.
+    fn named(signal: &str) -> Option<Function> {
+        let (peripheral, line) = signal.rsplit_once('_')?;
+        let number = peripheral.trim_start_matches(|letter: char| !letter.is_ascii_digit());
+        let kind = peripheral.strip_suffix(number)?;
+        let number = number.parse().ok();
+        Some(match (kind, line, number) {
+            ("TIM", channel, Some(timer)) => Timer(timer, channel.strip_prefix("CH")?.parse().ok()?),
+            ("USART" | "UART", "TX", Some(port)) => UartTx(port),
+            ("USART" | "UART", "RX", Some(port)) => UartRx(port),
+            ("FDCAN", "TX", Some(bus)) => CanTx(bus),
+            ("FDCAN", "RX", Some(bus)) => CanRx(bus),
+            ("SPI", "SCK", Some(bus)) => SpiClock(bus),
+            ("SPI", "MOSI", Some(bus)) => SpiMosi(bus),
+            ("SPI", "MISO", Some(bus)) => SpiMiso(bus),
+            ("USB_OTG_FS", "DM" | "DP", None) => Usb,
+            // The 2 of I2C is a digit too.
+            ("I", "SCL", None) => I2cScl(peripheral.strip_prefix("I2C")?.parse().ok()?),
+            ("I", "SDA", None) => I2cSda(peripheral.strip_prefix("I2C")?.parse().ok()?),
+            _ => return None,
+        })
+    }
+
+    /// The pins of the R4 carrier, as its file has them: pin, signal, alternate function.
+    fn carrier() -> Vec<(Pin, String, u8)> {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../boards/r4-carrier.toml");
+        let text = std::fs::read_to_string(path).unwrap();
+        let field = |line: &str, name: &str| {
+            let (_, rest) = line.split_once(&format!("{name} = "))?;
+            let end = rest.find([',', ' ', '}'])?;
+            Some(rest[..end].trim_matches('"').to_owned())
+        };
+        let pin = |line: &str| {
+            let (pin, signal, af) = (field(line, "stm32")?, field(line, "signal")?, field(line, "af")?);
+            let port = pin.chars().nth(1)?;
+            Some((Pin::new(port, pin[2..].parse().ok()?), signal, af.parse().ok()?))
+        };
+        text.lines().filter_map(pin).collect()
+    }
+
+    #[test]
+    fn the_carrier_s_pins_have_the_functions_that_its_file_wants() {
+        let pins = carrier();
+        // Timers: six of encoders, four of steppers, two of echoes. Buses: I2C six, CAN two, UART six, USB two, SPI three.
+        assert_eq!(pins.len(), 31);
+        for (pin, signal, af) in pins {
+            let function = named(&signal);
+            assert!(function.is_some(), "{signal}");
+            assert_eq!(function_of(pin, af), function, "{pin} {signal}");
+        }
+    }
 }

@@ -155,9 +155,15 @@ impl Gpio {
         self.port(pin).pull_of(pin.number)
     }
 
+    /// Whether a pin's digital input is connected, so that its changes reach EXTI and peripherals: not in analog mode.
+    #[must_use]
+    pub fn has_input(&self, pin: Pin) -> bool {
+        self.mode(pin) != Mode::Analog
+    }
+
     /// Reports a pin that an analog peripheral uses and that is not in analog mode.
     pub fn check_analog(&self, pin: Pin, user: &'static str, context: &mut Context<'_>) {
-        if self.mode(pin) != Mode::Analog {
+        if self.has_input(pin) {
             context.misuse("GPIO", format!("{pin} is used by {user} and is not in analog mode (RM0399, 12.3.12)"));
         }
     }
