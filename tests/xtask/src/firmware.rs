@@ -20,6 +20,11 @@ pub(crate) struct Firmware {
 }
 
 impl Firmware {
+    /// The image of one kind for one robot.
+    pub(crate) fn new(robot: &str, image: &str) -> Self {
+        Self { robot: robot.into(), image: image.into() }
+    }
+
     /// Reads the words after `firmware`.
     ///
     /// # Errors
@@ -55,10 +60,13 @@ impl Firmware {
         }
     }
 
-    fn build(&self, root: &Path) -> Result<String, String> {
+    /// Builds it, and tells where it is and what.
+    ///
+    /// # Errors
+    /// What a person has to do.
+    pub(crate) fn build(&self, root: &Path) -> Result<String, String> {
         toolchain::complete(root)?;
-        let target = env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-        let target = std::path::absolute(&target).map_err(|error| format!("{}: {error}", target.display()))?;
+        let target = target_folder(root)?;
         let status = Command::new(toolchain::cargo())
             .args(["build", "--release", "--locked", "--target-dir"])
             .arg(target.join("giga"))
@@ -96,6 +104,12 @@ impl Firmware {
         let file = Path::new(&self.robot).file_name().unwrap_or_default().to_string_lossy();
         file.strip_suffix(".toml").unwrap_or(&file).to_owned()
     }
+}
+
+/// The folder that cargo builds into, whole.
+pub(crate) fn target_folder(root: &Path) -> Result<PathBuf, String> {
+    let target = env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+    std::path::absolute(&target).map_err(|error| format!("{}: {error}", target.display()))
 }
 
 /// Bytes of an image by what becomes of them.

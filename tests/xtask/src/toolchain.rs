@@ -66,6 +66,25 @@ pub(crate) fn complete(root: &Path) -> Result<(), String> {
     }
 }
 
+/// The emulator's processor core is built with cmake. Where this is run as root on a Debian, as CI does, it is installed.
+///
+/// # Errors
+/// What a person has to install.
+pub(crate) fn cmake(root: &Path) -> Result<(), String> {
+    let is_there = || output(Command::new("cmake").arg("--version"), root).is_some();
+    if is_there() {
+        return Ok(());
+    }
+    println!("cmake is missing: apt-get install cmake");
+    for arguments in [&["update", "-q"][..], &["install", "-q", "-y", "--no-install-recommends", "cmake"]] {
+        // Whether it worked is seen by looking again.
+        let _ = Command::new("apt-get").args(arguments).status();
+    }
+    let advice = "the emulated board needs cmake, and apt-get could not install it, see above. Install it with what \
+                  installs software on this machine, as in `sudo apt-get install cmake` or `brew install cmake`";
+    if is_there() { Ok(()) } else { Err(advice.into()) }
+}
+
 fn advice(missing: &[Part], with_rustup: bool) -> String {
     let names: Vec<_> = missing.iter().map(|part| part.name()).collect();
     let commands: String =
