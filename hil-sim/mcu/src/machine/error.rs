@@ -1,7 +1,7 @@
-//! The machine: a core, the chip around it, and virtual time.
+//! How a machine runs, and how runs end.
 
+use crate::context::ResetCause;
 use crate::cpu::CoreError;
-use crate::memory::Memory;
 use crate::peripheral::{Size, Unmodelled};
 
 /// How a machine runs.
@@ -11,19 +11,21 @@ pub struct Settings {
     /// setting, not a measurement: caches, wait states, the bus and dual issue are not modelled, so that counts of
     /// instructions are never cycles. The clock tree does not change it.
     pub instructions_per_second: u64,
+    /// BKPT ends a run ([`Reason::Breakpoint`]), as with a debugger; without, it is the program's HardFault.
+    pub stop_at_breakpoints: bool,
 }
 
 impl Default for Settings {
-    /// One instruction every two cycles of a 480 MHz core.
+    /// One instruction every two cycles of a 480 MHz core; no debugger.
     fn default() -> Self {
-        Self { instructions_per_second: 240_000_000 }
+        Self { instructions_per_second: 240_000_000, stop_at_breakpoints: false }
     }
 }
 
 /// Why [`Machine::run_until`](crate::Machine::run_until) returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// The moment is reached: at, or up to one block of instructions after it.
+    /// The moment is reached.
     Time,
     /// [`Chip::outside_waits`](crate::Chip::outside_waits).
     Outside,
@@ -32,8 +34,13 @@ pub enum Reason {
         /// Its address.
         address: u32,
     },
+    /// BKPT is next; write PC to go on after it.
+    Breakpoint {
+        /// Its operand.
+        operand: u8,
+    },
     /// The chip was reset, and the processor is about to execute its first instruction.
-    Reset(crate::ResetCause),
+    Reset(ResetCause),
 }
 
 /// Where a run stopped.
@@ -89,9 +96,21 @@ pub enum MachineError {
     Core(#[from] CoreError),
 }
 
-// The contract of this module for those who build on it:
-//   Machine::new(core, chip, Settings) -> Result<Machine<C, S>, MachineError>
-//   Machine::load_elf(&mut self, elf: &[u8]) -> Result<(), LoadError>   segments into memories, symbols kept
-//   Machine::reset(&mut self, ResetCause); Machine::run_until(&mut self, t_ns) -> Result<Stopped, MachineError>
-//   Machine::{now_ns, instructions, observe(&[u32]), symbol(name), start_trace, trace_hash, locate(pc)}, pub core, pub chip
-const _: fn(&Memory) = |_| {};
+/// Why a program cannot be loaded.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LoadError {
+    /// It is not an ELF file that can be read.
+    #[error("not an ELF file: {0}")]
+    Format(String),
+    /// It is for another processor.
+    #[error("the program is not for a 32-bit Arm processor")]
+    Processor,
+    /// A segment lies where no memory is.
+    #[error("the segment of {len} bytes at {address:#010x} is in no memory of the chip")]
+    Segment {
+        /// Load address.
+        address: u32,
+        /// Bytes.
+        len: usize,
+    },
+}
