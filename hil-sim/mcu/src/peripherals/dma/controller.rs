@@ -45,6 +45,10 @@ impl Controller {
         best.map(|(number, wanted, _)| (number, wanted))
     }
 
+    pub(super) fn is_enabled(&self, number: usize) -> bool {
+        self.streams[number].is_enabled()
+    }
+
     pub(super) fn finish(
         &mut self,
         number: usize,

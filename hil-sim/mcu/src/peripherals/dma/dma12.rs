@@ -82,11 +82,14 @@ impl Dma12 {
     }
 
     /// What became of the access: the value read (anything after a write), or that the bus refused it.
-    pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
-        let Some((unit, number, wanted)) = self.current.take() else { return };
+    ///
+    /// Returns the request whose transfer has ended with it, if any: the ADCs' one-shot mode needs to know.
+    pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) -> Option<u8> {
+        let (unit, number, wanted) = self.current.take()?;
         let request = self.mux.selected(unit * STREAMS + number);
         self.controllers[unit].finish(number, wanted, result, request, context);
         self.mux.carry_events(context);
+        (!self.controllers[unit].is_enabled(number)).then_some(request)
     }
 
     /// A reset of one part by RCC.

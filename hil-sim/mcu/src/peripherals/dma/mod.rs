@@ -9,7 +9,9 @@
 //!         Access::Write(value) => bus.write(beat.address, beat.size, value).map(|()| 0),
 //!     };
 //!     // signals of the peripheral that was accessed are carried out here
-//!     dma.finish_beat(result, &mut context);
+//!     if let Some(request) = dma.finish_beat(result, &mut context) {
+//!         adc12.dma_ended(request, &mut context);
+//!     }
 //! }
 //! ```
 //!

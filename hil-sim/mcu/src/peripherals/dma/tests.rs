@@ -38,7 +38,7 @@ impl Controller for Dma12 {
         self.next_beat()
     }
     fn finish(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
-        self.finish_beat(result, context);
+        let _ = self.finish_beat(result, context);
     }
     fn line(&mut self, level: bool) {
         self.request(LEVEL, level);
