@@ -1,4 +1,4 @@
-//! DAC1 (RM0399 section 27): two channels, on PA4 and PA5.
+//! DAC1 (RM0399, DAC): two channels, on PA4 and PA5.
 //!
 //! A channel gives `DOR / 4096` of its 3.3 V reference, at once and to the rails: settling, and the 0.2 V that a buffered output
 //! keeps from them, are left out. A channel that does not drive its pin is told as 0 V, where a load takes it.
@@ -59,7 +59,7 @@ impl Channel {
         }
     }
 
-    /// The timer whose trigger output TSELx selects (RM0399 27.4.2), 0 for the software's.
+    /// The timer whose trigger output TSELx selects (RM0399, DAC, trigger selection), 0 for the software's.
     fn trigger_source(&self) -> Option<u8> {
         [0, 1, 2, 4, 5, 6, 7, 8, 15].get((self.control >> 2 & 15) as usize).copied()
     }
@@ -89,7 +89,7 @@ impl Dac {
             }
             channel.output = channel.holding;
             if channel.control & DMAEN != 0 && !channel.underrun {
-                // A trigger before the last request was served ends them (RM0399 27.4.8).
+                // A trigger before the last request was served ends them (RM0399, DAC, DMA requests).
                 channel.underrun = channel.asked;
                 channel.asked = true;
                 if !channel.underrun {
@@ -172,7 +172,7 @@ impl Dac {
         for (index, channel) in self.channels.iter_mut().enumerate() {
             let selected = channel.control & (EN | TEN) == EN | TEN && channel.trigger_source() == Some(0);
             if value >> index & 1 != 0 && selected {
-                // No DMA request: those follow external triggers only (RM0399 27.4.8).
+                // No DMA request: those follow external triggers only (RM0399, DAC, DMA requests).
                 channel.output = channel.holding;
             }
         }
@@ -186,7 +186,7 @@ impl Dac {
             }
             if mode != channel.mode && channel.control & EN != 0 {
                 context
-                    .misuse(NAME, format!("MODE{} changed while the channel is enabled (RM0399 27.7.16)", index + 1));
+                    .misuse(NAME, format!("MODE{} changed while the channel is enabled (RM0399, DAC_MCR)", index + 1));
             }
             channel.mode = mode;
         }

@@ -4,4 +4,6 @@ pub mod adc;
 pub mod dac;
 pub mod dma;
 pub mod tim;
+#[cfg(test)]
+mod together;
 mod width;

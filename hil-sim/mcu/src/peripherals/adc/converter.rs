@@ -44,7 +44,7 @@ const LINEARITY_CLOCKS: u64 = 165_010;
 /// From ADEN to ADRDY: one conversion (DS12930, same table), of 1.5 + 8.5 clocks.
 const READY_CLOCKS: u64 = 10;
 
-/// Half clocks of sampling, by SMPx (RM0399 26.4.12).
+/// Half clocks of sampling, by SMPx (RM0399, ADC, sampling time).
 const SAMPLING: [u64; 8] = [3, 5, 17, 33, 65, 129, 775, 1621];
 
 /// Pins of INP2 to INP19 (DS12930, pin definitions); `None` is internal, or missing on this converter.
@@ -156,7 +156,7 @@ impl Converter {
     }
 
     pub(super) fn tell_request(&mut self, context: &mut Context<'_>) {
-        // After an overrun what is in memory stays in step with the sequence: nothing more is asked for (RM0399 26.4.27).
+        // After an overrun what is in memory stays in step with the sequence: nothing more is asked for (RM0399, ADC, DMA one-shot mode).
         let lost = self.isr & OVR != 0 && self.cfgr & OVRMOD == 0;
         let request = self.uses_dma() && !self.results.is_empty() && !lost && !self.dma_over;
         if self.request != request {
@@ -230,7 +230,7 @@ impl Converter {
     fn duration(&self, rank: u32) -> u64 {
         let channel = self.channel(rank);
         let sampling = SAMPLING[(self.smpr[(channel / 10).min(1) as usize] >> (3 * (channel % 10)) & 7) as usize];
-        // 8.5 clocks for 16 bits, one less for each two bits less (RM0399 26.4.15).
+        // 8.5 clocks for 16 bits, one less for each two bits less (RM0399, ADC, conversion timing).
         let approximation = u64::from(self.bits()) + 1;
         (sampling + approximation) * self.ratio()
     }
@@ -260,7 +260,7 @@ impl Converter {
         }
     }
 
-    /// DR has a FIFO of eight stages, but of one when results may be overwritten (RM0399 26.4.26).
+    /// DR has a FIFO of eight stages, but of one when results may be overwritten (RM0399, ADC, overrun).
     fn store(&mut self, code: u32) {
         let overwrites = self.cfgr & OVRMOD != 0;
         let depth = if overwrites { 1 } else { FIFO };
@@ -276,7 +276,10 @@ impl Converter {
 
     fn sample(&self, channel: u32, context: &mut Context<'_>) -> u32 {
         if self.pcsel >> channel & 1 == 0 {
-            context.misuse(self.name, format!("channel {channel} converted without its bit in PCSEL (RM0399 26.4.11)"));
+            context.misuse(
+                self.name,
+                format!("channel {channel} converted without its bit in PCSEL (RM0399, ADC, channel preselection)"),
+            );
             return 0;
         }
         let Some(pin) = pin(self.number, channel) else { return 0 };
@@ -294,7 +297,7 @@ impl Converter {
         }
     }
 
-    /// The timer whose trigger output EXTSEL selects (RM0399 26.4.19).
+    /// The timer whose trigger output EXTSEL selects (RM0399, ADC, external triggers).
     fn trigger_timer(&self) -> Option<u8> {
         match self.cfgr >> 5 & 0x1f {
             4 => Some(3),
@@ -311,7 +314,7 @@ impl Converter {
     pub(super) fn dma_ended(&mut self, request: u8, context: &mut Context<'_>) {
         if request == 8 + self.number && self.cfgr & 3 == 1 {
             self.dma_over = true;
-            // The conversion under way is dropped; ADSTART stays until the program stops it (RM0399 26.4.27).
+            // The conversion under way is dropped; ADSTART stays until the program stops it (RM0399, ADC, DMA one-shot mode).
             self.running = None;
             self.tell_request(context);
         }
@@ -355,7 +358,10 @@ impl Converter {
     ) -> Result<(), Unmodelled> {
         let sequence = matches!(offset, 0x0c..=0x1c | 0x30..=0x3c);
         if sequence && self.cr & ADSTART != 0 {
-            context.misuse(self.name, format!("register {offset:#04x} written while ADSTART is set (RM0399 26.6)"));
+            context.misuse(
+                self.name,
+                format!("register {offset:#04x} written while ADSTART is set (RM0399, ADC registers)"),
+            );
         }
         match offset {
             // LDORDY is read-only.
@@ -392,7 +398,7 @@ impl Converter {
             return self.refuse("results to the DFSDM (DMNGT)");
         }
         if value >> 2 & 7 == 4 {
-            context.misuse(self.name, "a reserved resolution (RM0399 26.6.4)");
+            context.misuse(self.name, "a reserved resolution (RM0399, ADC_CFGR)");
         }
         if (value ^ self.cfgr) & 3 != 0 {
             self.dma_over = false;
@@ -420,8 +426,10 @@ impl Converter {
         }
         if set & ADEN != 0 {
             if self.isr & LDORDY == 0 || self.cr & ADCAL != 0 {
-                context
-                    .misuse(self.name, "ADEN set before the regulator is ready, or while calibrating (RM0399 26.4.9)");
+                context.misuse(
+                    self.name,
+                    "ADEN set before the regulator is ready, or while calibrating (RM0399, ADC, on-off control)",
+                );
             }
             self.cr |= ADEN;
             self.ready_ns = after(clock, 2 * READY_CLOCKS, context);
@@ -436,7 +444,7 @@ impl Converter {
         }
         if value & ADDIS != 0 && self.cr & ADEN != 0 {
             if self.cr & ADSTART != 0 {
-                context.misuse(self.name, "ADDIS set while converting (RM0399 26.6.3)");
+                context.misuse(self.name, "ADDIS set while converting (RM0399, ADC_CR)");
             }
             self.cr &= !(ADEN | ADSTART);
             self.running = None;
@@ -450,7 +458,7 @@ impl Converter {
     fn power(&mut self, set: u32, context: &mut Context<'_>) {
         if self.cr & DEEPPWD != 0 || self.cr & ADVREGEN == 0 {
             if set & ADVREGEN != 0 {
-                context.misuse(self.name, "ADVREGEN set in deep power-down (RM0399 26.4.6)");
+                context.misuse(self.name, "ADVREGEN set in deep power-down (RM0399, ADC, voltage regulator)");
             }
             self.isr &= !LDORDY;
             self.regulator_ns = u64::MAX;
@@ -461,7 +469,7 @@ impl Converter {
 
     fn calibrate(&mut self, clock: Clock, context: &mut Context<'_>) {
         if self.isr & LDORDY == 0 || self.cr & ADEN != 0 {
-            context.misuse(self.name, "ADCAL set without the regulator, or while enabled (RM0399 26.4.8)");
+            context.misuse(self.name, "ADCAL set without the regulator, or while enabled (RM0399, ADC, calibration)");
         }
         let clocks = if self.cr & LINEARITY != 0 { LINEARITY_CLOCKS } else { OFFSET_CLOCKS };
         self.cr |= ADCAL;
@@ -470,7 +478,7 @@ impl Converter {
 
     fn start(&mut self, clock: Clock, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         if self.cr & ADEN == 0 || self.ready_ns != u64::MAX {
-            context.misuse(self.name, "ADSTART set while the ADC is not ready (RM0399 26.4.9)");
+            context.misuse(self.name, "ADSTART set while the ADC is not ready (RM0399, ADC, on-off control)");
             return Ok(());
         }
         if let Some(channel) =
@@ -479,10 +487,10 @@ impl Converter {
             return self.refuse(&format!("channel {channel}"));
         }
         let hz = clock.frequency_hz / (2 * clock.divider);
-        // BOOST: up to 6.25, 12.5, 25 and 50 MHz (RM0399 26.6.3).
+        // BOOST: up to 6.25, 12.5, 25 and 50 MHz (RM0399, ADC_CR).
         let limit_hz = 6_250_000 << (self.cr >> 8 & 3);
         if hz > limit_hz {
-            context.misuse(self.name, format!("a clock of {hz} Hz with BOOST for {limit_hz} Hz (RM0399 26.4.3)"));
+            context.misuse(self.name, format!("a clock of {hz} Hz with BOOST for {limit_hz} Hz (RM0399, ADC, clocks)"));
         }
         let hardware = self.cfgr >> 10 & 3 != 0;
         if hardware && self.trigger_timer().is_none() {

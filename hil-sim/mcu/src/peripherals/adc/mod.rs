@@ -1,4 +1,4 @@
-//! ADC1 and ADC2 with what they share (RM0399 section 26), silicon revision V.
+//! ADC1 and ADC2 with what they share (RM0399, ADC), silicon revision V.
 //!
 //! Regular conversions: software start or a timer's trigger output, single or continuous sequences, oversampling, DMA. An input
 //! is sampled once for each conversion, at its end, and so are the `OSVR + 1` parts of an oversampled one; EOSMP comes with
@@ -68,7 +68,7 @@ impl Adc12 {
         self.leave(context);
     }
 
-    /// RM0399 26.4.3 and, for revision V, the fixed divider by 2 behind the others.
+    /// RM0399, ADC, clocks and, for revision V, the fixed divider by 2 behind the others.
     fn clock(&self, clocks: &Clocks) -> Clock {
         const DIVIDERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
         let (frequency_hz, divider) = match self.common >> 16 & 3 {
@@ -119,7 +119,7 @@ impl Adc12 {
             });
         }
         if (value ^ self.common) & CLOCKING != 0 && self.converters.iter().any(Converter::is_on) {
-            context.misuse("ADC12", "the clock changed while an ADC is enabled (RM0399 26.7.2)");
+            context.misuse("ADC12", "the clock changed while an ADC is enabled (RM0399, ADCx_CCR)");
         }
         self.common = value & 0x01ff_cf1f;
         Ok(())

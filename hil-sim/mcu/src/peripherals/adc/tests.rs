@@ -217,6 +217,19 @@ fn a_timer_starts_conversions() {
     bench.run(&mut adc, 30 * US);
     assert_eq!(bench.read(&mut adc, CR) & ADSTART, ADSTART, "armed for the next");
     assert_eq!(bench.read(&mut adc, ISR) & 8, 8);
+    // With DMA in one-shot mode it goes on after the transfer, but asks for nothing.
+    bench.write(&mut adc, CR, ON | ADEN | ADSTP);
+    bench.write(&mut adc, CFGR, 13 << 5 | 1 << 10 | 1);
+    bench.write(&mut adc, CR, ON | ADEN | ADSTART);
+    adc.trigger(6, &mut bench.context());
+    bench.run(&mut adc, 40 * US);
+    bench.read(&mut adc, DR);
+    assert_eq!(requests(&mut bench), [(9, true), (9, false)]);
+    adc.dma_ended(10, &mut bench.context());
+    adc.dma_ended(9, &mut bench.context());
+    adc.trigger(6, &mut bench.context());
+    bench.run(&mut adc, 50 * US);
+    assert_eq!(requests(&mut bench), []);
 }
 
 #[test]
@@ -234,9 +247,13 @@ fn the_clock_is_divided_and_may_change() {
     assert_eq!(adc.next_event_ns(), 20 * US + 334);
     bench.assert_no_misuse();
     bench.write(&mut adc, CCR, 0);
-    assert_eq!(bench.take_misuse(), ["the clock changed while an ADC is enabled (RM0399 26.7.2)"]);
-    // All of its clocks are left, now of 125 ns.
+    assert_eq!(bench.take_misuse(), ["the clock changed while an ADC is enabled (RM0399, ADCx_CCR)"]);
+    // All of its 10 clocks are left, now of 125 ns; after 5 of them they are of 62.5 ns.
     assert_eq!(adc.next_event_ns(), 20 * US + 1_250);
+    bench.run(&mut adc, 20 * US + 625);
+    bench.clocks.adc_hz = 32_000_000;
+    adc.clocks_changed(&mut bench.context());
+    assert_eq!(adc.next_event_ns(), 20 * US + 625 + 313);
     bench.run(&mut adc, 30 * US);
     assert_eq!(bench.read(&mut adc, 0x300) >> 16 & 0x1f, 0b1111, "ADC2 in the common status");
 }
@@ -251,17 +268,17 @@ fn misuse_is_told() {
     assert_eq!(
         bench.take_misuse(),
         [
-            "register 0x30 written while ADSTART is set (RM0399 26.6)",
-            "channel 5 converted without its bit in PCSEL (RM0399 26.4.11)"
+            "register 0x30 written while ADSTART is set (RM0399, ADC registers)",
+            "channel 5 converted without its bit in PCSEL (RM0399, ADC, channel preselection)"
         ]
     );
     // 8 MHz needs more than the lowest BOOST.
     bench.write(&mut adc, PCSEL, 1 << 5);
     bench.write(&mut adc, CR, ADVREGEN | ADEN | ADSTART);
-    assert_eq!(bench.take_misuse(), ["a clock of 8000000 Hz with BOOST for 6250000 Hz (RM0399 26.4.3)"]);
+    assert_eq!(bench.take_misuse(), ["a clock of 8000000 Hz with BOOST for 6250000 Hz (RM0399, ADC, clocks)"]);
     let mut adc = Adc12::new();
     bench.write(&mut adc, CR, ADSTART | 1 << 29);
-    assert_eq!(bench.take_misuse(), ["ADSTART set while the ADC is not ready (RM0399 26.4.9)"]);
+    assert_eq!(bench.take_misuse(), ["ADSTART set while the ADC is not ready (RM0399, ADC, on-off control)"]);
 }
 
 #[test]
