@@ -4,6 +4,8 @@ pub(crate) mod access;
 pub mod backup;
 pub mod crs;
 pub mod dbgmcu;
+pub mod adc;
+pub mod dac;
 pub mod dma;
 pub mod exti;
 pub mod fdcan;
@@ -17,6 +19,8 @@ pub mod pwr;
 pub mod rcc;
 pub mod tim;
 pub mod usart;
+#[cfg(test)]
+mod together;
 mod width;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! BDMA and DMAMUX2 in domain D3 (RM0399 section 17 and 18): eight channels, no FIFO.
+//! BDMA and DMAMUX2 in domain D3 (RM0399, BDMA, DMAMUX): eight channels, no FIFO.
 
 use super::mux::{DMAMUX2, Mux};
 use super::{Access, Beat, BusError, Patience, size_of_code};
@@ -72,7 +72,7 @@ impl Channel {
             (self.peripheral_side(), self.memory_side())
         };
         match self.held {
-            // Right-aligned: wider destinations get zeros, narrower ones the low part (RM0399 table 119).
+            // Right-aligned: wider destinations get zeros, narrower ones the low part (RM0399, BDMA, data width and alignment).
             Some(value) => Some((destination.0, destination.1, Access::Write(value))),
             None => (request || self.control & MEM2MEM != 0).then_some((source.0, source.1, Access::Read)),
         }
@@ -132,7 +132,7 @@ impl Bdma {
         self.mux.request(request, level);
     }
 
-    /// A pulse at an input of the request generators (RM0399 table 130).
+    /// A pulse at an input of the request generators (RM0399, DMAMUX2, trigger inputs).
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
         self.mux.trigger_pulse(input, context);
     }
@@ -178,7 +178,10 @@ impl Bdma {
             (Err(BusError), _) => {
                 let is_memory = channel.reads_memory() == (access == Access::Read);
                 let address = if is_memory { channel.memory } else { channel.peripheral };
-                context.misuse("BDMA", format!("channel {number} cannot reach {address:#010x} (RM0399 17.4.7)"));
+                context.misuse(
+                    "BDMA",
+                    format!("channel {number} cannot reach {address:#010x} (RM0399, BDMA, error management)"),
+                );
                 channel.flags |= TEIF;
                 channel.control &= !EN;
                 channel.held = None;
@@ -241,7 +244,7 @@ impl Bdma {
                 if (buffer == 1) == (channel.control & CT != 0) {
                     context.misuse(
                         "BDMA",
-                        format!("channel {number}: address of the buffer in use written (RM0399 17.6)"),
+                        format!("channel {number}: address of the buffer in use written (RM0399, BDMA registers)"),
                     );
                 }
                 channel.memory_address[buffer] = value;
@@ -249,7 +252,9 @@ impl Bdma {
             _ if enabled => {
                 context.misuse(
                     "BDMA",
-                    format!("channel {number}: register {register:#x} written while it is enabled (RM0399 17.6)"),
+                    format!(
+                        "channel {number}: register {register:#x} written while it is enabled (RM0399, BDMA registers)"
+                    ),
                 );
             }
             0x04 => {
@@ -268,13 +273,20 @@ impl Bdma {
             return;
         }
         if size_of_code(value >> 8).is_none() || size_of_code(value >> 10).is_none() {
-            context.misuse("BDMA", format!("channel {number}: PSIZE or MSIZE has a reserved value (RM0399 17.6.3)"));
+            context
+                .misuse("BDMA", format!("channel {number}: PSIZE or MSIZE has a reserved value (RM0399, BDMA_CCRx)"));
         }
         if value & MEM2MEM != 0 && value & (CIRC | DBM) != 0 {
-            context.misuse("BDMA", format!("channel {number}: memory to memory in circular mode (RM0399 17.4.5)"));
+            context.misuse(
+                "BDMA",
+                format!("channel {number}: memory to memory in circular mode (RM0399, BDMA, memory-to-memory mode)"),
+            );
         }
         if channel.flags & TEIF != 0 && value & TEIE != 0 {
-            context.misuse("BDMA", format!("channel {number}: enabled with TEIF not cleared (RM0399 17.4.7)"));
+            context.misuse(
+                "BDMA",
+                format!("channel {number}: enabled with TEIF not cleared (RM0399, BDMA, error management)"),
+            );
         }
         channel.rewind();
     }

@@ -1,4 +1,4 @@
-//! DMA1 or DMA2: eight streams, their flags and the arbiter (RM0399 section 16).
+//! DMA1 or DMA2: eight streams, their flags and the arbiter (RM0399, DMA).
 
 use super::stream::{self, Direction, Port, Stream, Wanted};
 use super::{BusError, mux::Mux, size_of_code};
@@ -45,6 +45,10 @@ impl Controller {
         best.map(|(number, wanted, _)| (number, wanted))
     }
 
+    pub(super) fn is_enabled(&self, number: usize) -> bool {
+        self.streams[number].is_enabled()
+    }
+
     pub(super) fn finish(
         &mut self,
         number: usize,
@@ -61,7 +65,10 @@ impl Controller {
                 let port = if wanted.port == Port::Memory { "memory" } else { "peripheral" };
                 context.misuse(
                     name,
-                    format!("stream {number} cannot reach {port} address {:#010x} (RM0399 16.3.18)", wanted.address),
+                    format!(
+                        "stream {number} cannot reach {port} address {:#010x} (RM0399, DMA, error management)",
+                        wanted.address
+                    ),
                 );
                 stream.abort();
                 stream.flags |= stream::TEIF;
@@ -160,7 +167,9 @@ impl Controller {
                 if buffer == target {
                     context.misuse(
                         name,
-                        format!("stream {number}: address of the buffer in use written (RM0399 16.3.10)"),
+                        format!(
+                            "stream {number}: address of the buffer in use written (RM0399, DMA, double-buffer mode)"
+                        ),
                     );
                     stream.abort();
                     stream.flags |= stream::TEIF;
@@ -171,15 +180,19 @@ impl Controller {
             0x14 if enabled => {
                 // FEIE only: FTH and DMDIS are protected.
                 if (stream.fifo_control ^ value) & 7 != 0 {
-                    context
-                        .misuse(name, format!("stream {number}: SxFCR written while it is enabled (RM0399 16.5.10)"));
+                    context.misuse(
+                        name,
+                        format!("stream {number}: SxFCR written while it is enabled (RM0399, DMA_SxFCR)"),
+                    );
                 }
                 stream.fifo_control = stream.fifo_control & !stream::FEIE | value & stream::FEIE;
             }
             _ if enabled => {
                 context.misuse(
                     name,
-                    format!("stream {number}: register {register:#x} written while it is enabled (RM0399 16.5)"),
+                    format!(
+                        "stream {number}: register {register:#x} written while it is enabled (RM0399, DMA registers)"
+                    ),
                 );
             }
             0x04 => {
@@ -234,22 +247,22 @@ impl Controller {
 
 #[derive(Debug, thiserror::Error)]
 enum Wrong {
-    #[error("DIR, PSIZE or MSIZE has a reserved value (RM0399 16.5.5)")]
+    #[error("DIR, PSIZE or MSIZE has a reserved value (RM0399, DMA_SxCR)")]
     Reserved,
-    #[error("enabled with event flags {0:#04x} not cleared (RM0399 16.3.19)")]
+    #[error("enabled with event flags {0:#04x} not cleared (RM0399, DMA, stream configuration)")]
     Flags(u32),
-    #[error("memory to memory in circular or double-buffer mode (RM0399 16.3.7)")]
+    #[error("memory to memory in circular or double-buffer mode (RM0399, DMA, memory-to-memory mode)")]
     CircularMemory,
-    #[error("a memory burst of {burst} bytes and a FIFO threshold of {threshold} do not fit (RM0399 16.3.14)")]
+    #[error("a memory burst of {burst} bytes and a FIFO threshold of {threshold} do not fit (RM0399, DMA, FIFO)")]
     Threshold { burst: usize, threshold: usize },
-    #[error("{items} items of {size} bytes are not a multiple of MSIZE (RM0399 16.3.12)")]
+    #[error("{items} items of {size} bytes are not a multiple of MSIZE (RM0399, DMA, packing)")]
     Odd { items: u32, size: u32 },
-    #[error("an address is not a multiple of its size (RM0399 16.3.11)")]
+    #[error("an address is not a multiple of its size (RM0399, DMA, pointers)")]
     Alignment,
 }
 
 impl Wrong {
-    /// The stream is disabled again and FEIF tells it (RM0399 16.3.14).
+    /// The stream is disabled again and FEIF tells it (RM0399, DMA, FIFO).
     fn is_fatal(&self) -> bool {
         matches!(self, Self::Reserved | Self::CircularMemory | Self::Threshold { .. })
     }

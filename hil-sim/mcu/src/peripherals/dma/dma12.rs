@@ -55,7 +55,7 @@ impl Dma12 {
         self.mux.request(request, level);
     }
 
-    /// A pulse at an input of the request generators, RM0399 table 127: TIM12's trigger output is 7, LPTIM1 to 3 are 3 to 5.
+    /// A pulse at an input of the request generators, RM0399, DMAMUX1, trigger inputs: TIM12's trigger output is 7, LPTIM1 to 3 are 3 to 5.
     /// The multiplexer's own events (0 to 2) are wired inside.
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
         self.mux.trigger_pulse(input, context);
@@ -82,11 +82,14 @@ impl Dma12 {
     }
 
     /// What became of the access: the value read (anything after a write), or that the bus refused it.
-    pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
-        let Some((unit, number, wanted)) = self.current.take() else { return };
+    ///
+    /// Returns the request whose transfer has ended with it, if any: the ADCs' one-shot mode needs to know.
+    pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) -> Option<u8> {
+        let (unit, number, wanted) = self.current.take()?;
         let request = self.mux.selected(unit * STREAMS + number);
         self.controllers[unit].finish(number, wanted, result, request, context);
         self.mux.carry_events(context);
+        (!self.controllers[unit].is_enabled(number)).then_some(request)
     }
 
     /// A reset of one part by RCC.
@@ -119,8 +122,10 @@ impl Peripheral for Dma12 {
         let value = if size == Size::Word {
             value
         } else {
-            context
-                .misuse("DMA", format!("register at offset {offset:#05x} written in less than a word (RM0399 16.2)"));
+            context.misuse(
+                "DMA",
+                format!("register at offset {offset:#05x} written in less than a word (RM0399, DMA, main features)"),
+            );
             width::merge(self.register(offset & !3)?, offset, size, value)
         };
         let offset = offset & !3;

@@ -1,4 +1,4 @@
-//! Direct memory access: DMA1 and DMA2 behind DMAMUX1 (RM0399 section 16 and 18), BDMA behind DMAMUX2 (section 17 and 18).
+//! Direct memory access: DMA1 and DMA2 behind DMAMUX1 (RM0399, DMA and DMAMUX), BDMA behind DMAMUX2.
 //!
 //! A controller here does not reach the bus itself. Whoever owns the bus asks for one access after another:
 //!
@@ -9,7 +9,9 @@
 //!         Access::Write(value) => bus.write(beat.address, beat.size, value).map(|()| 0),
 //!     };
 //!     // signals of the peripheral that was accessed are carried out here
-//!     dma.finish_beat(result, &mut context);
+//!     if let Some(request) = dma.finish_beat(result, &mut context) {
+//!         adc12.dma_ended(request, &mut context);
+//!     }
 //! }
 //! ```
 //!

@@ -1,10 +1,10 @@
 //! DMAMUX: which request reaches which channel, after how many of them something else is told, and requests made of triggers
-//! (RM0399 section 18).
+//! (RM0399, DMAMUX).
 
 use crate::context::Context;
 use crate::peripheral::Unmodelled;
 
-/// What an instance has (RM0399 tables 125 to 131).
+/// What an instance has (RM0399, DMAMUX implementation).
 #[derive(Debug)]
 pub(super) struct Kind {
     pub(super) name: &'static str,
@@ -23,7 +23,7 @@ pub(super) static DMAMUX1: Kind = Kind {
     name: "DMAMUX1",
     sync_id: 7,
     signal_id: 7,
-    // Timers 1 to 8, DAC1, timers 15 to 17: RM0399 table 126.
+    // Timers 1 to 8, DAC1, timers 15 to 17: RM0399, DMAMUX1, request inputs.
     is_pulse: |request| matches!(request, 11..=32 | 47..=53 | 55..=60 | 67..=70 | 105..=112),
     event_trigger: |channel| (channel < 3).then_some(channel as u8),
     event_sync: |channel| (channel < 3).then_some(channel as u8),
@@ -260,8 +260,10 @@ impl Mux {
         let id = value & 0x7f;
         let twice = id != 0 && self.channels.iter().enumerate().any(|(n, c)| n != index && c.control & 0x7f == id);
         if twice {
-            context
-                .misuse(self.kind.name, format!("request {id} selected by a second channel, {index} (RM0399 18.4.4)"));
+            context.misuse(
+                self.kind.name,
+                format!("request {id} selected by a second channel, {index} (RM0399, DMAMUX, request multiplexer)"),
+            );
         }
         let channel = &mut self.channels[index];
         if (channel.control ^ value) & (SE | EGE | 0x00f8_007f) != 0 {
@@ -276,7 +278,7 @@ impl Mux {
         if generator.control & value & GE != 0 && (generator.control ^ value) & 0x00f8_0000 != 0 {
             context.misuse(
                 self.kind.name,
-                format!("GNBREQ of generator {index} written while it is enabled (RM0399 18.6.7)"),
+                format!("GNBREQ of generator {index} written while it is enabled (RM0399, DMAMUX_RGxCR)"),
             );
         }
         generator.control = value;

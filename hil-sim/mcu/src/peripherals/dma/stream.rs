@@ -66,7 +66,7 @@ pub(super) struct Stream {
     pub(super) peripheral_address: u32,
     pub(super) memory_address: [u32; 2],
     pub(super) flags: u32,
-    /// EN was cleared by the program, what is in the FIFO goes to memory first (RM0399 16.3.14).
+    /// EN was cleared by the program, what is in the FIFO goes to memory first (RM0399, DMA, FIFO).
     pub(super) stopping: bool,
     fifo: VecDeque<u8>,
     /// The FIFO has reached its threshold and is being emptied.
@@ -99,7 +99,7 @@ impl Stream {
         }
     }
 
-    /// Without the FIFO; memory to memory always uses it (RM0399 16.3.13).
+    /// Without the FIFO; memory to memory always uses it (RM0399, DMA, direct mode).
     pub(super) fn is_direct(&self) -> bool {
         self.fifo_control & DMDIS == 0 && self.direction() != Some(Direction::Memory)
     }
@@ -108,7 +108,7 @@ impl Stream {
         size_of_code(self.control >> 11).unwrap_or(Size::Word)
     }
 
-    /// In direct mode MSIZE is as PSIZE (RM0399 16.5.5).
+    /// In direct mode MSIZE is as PSIZE (RM0399, DMA_SxCR).
     pub(super) fn memory_size(&self) -> Size {
         if self.is_direct() { self.peripheral_size() } else { size_of_code(self.control >> 13).unwrap_or(Size::Word) }
     }
@@ -162,7 +162,7 @@ impl Stream {
         self.fifo.clear();
     }
 
-    /// The program clears EN. TCIF comes when the FIFO is empty; SxNDTR stays (RM0399 16.3.14, 16.3.17).
+    /// The program clears EN. TCIF comes when the FIFO is empty; SxNDTR stays (RM0399, DMA, FIFO flush and suspension).
     pub(super) fn stop(&mut self) {
         let drains = self.direction() != Some(Direction::ToPeripheral);
         if !drains {

@@ -38,7 +38,7 @@ impl Controller for Dma12 {
         self.next_beat()
     }
     fn finish(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
-        self.finish_beat(result, context);
+        let _ = self.finish_beat(result, context);
     }
     fn line(&mut self, level: bool) {
         self.request(LEVEL, level);
@@ -155,7 +155,7 @@ fn a_transmitter_is_fed_and_the_stream_ends() {
     let (mut bench, mut dma, mut bus) = bench();
     bus.memory[..3].copy_from_slice(&[1, 2, 3]);
     set_up(&mut dma, &mut bench, 13, LEVEL, 3, 0, TO_PERIPHERAL | MINC | TCIE | EN);
-    // Direct mode fetches one item before it is asked (RM0399 16.3.14).
+    // Direct mode fetches one item before it is asked (RM0399, DMA, FIFO).
     bus.serve(&mut dma, &mut bench);
     assert_eq!(bus.beats.len(), 1);
     bus.memory[..3].copy_from_slice(&[9, 2, 3]);
@@ -173,7 +173,7 @@ fn a_transmitter_is_fed_and_the_stream_ends() {
     assert_eq!(bench.read(&mut dma, 0x400 + stream(5)) & EN, 0);
     assert_eq!(bench.read(&mut dma, 0x400 + stream(5) + 4), 0);
 
-    // Enabled again, it starts over with the number once written (RM0399 16.5.6).
+    // Enabled again, it starts over with the number once written (RM0399, DMA_SxNDTR).
     bench.write(&mut dma, 0x40c, 0x3d << 6);
     bench.modify(&mut dma, 0x400 + stream(5), 0, EN);
     bus.room = 9;
@@ -288,7 +288,10 @@ fn a_refused_access_ends_the_stream() {
     assert_eq!(bench.read(&mut dma, stream(0)) & EN, 0);
     assert_eq!(bus.gives.len(), 1);
     assert!(bench.take_signals().contains(&Signal::Irq { number: 11, level: true }));
-    assert_eq!(bench.take_misuse(), ["stream 0 cannot reach memory address 0x20000000 (RM0399 16.3.18)"]);
+    assert_eq!(
+        bench.take_misuse(),
+        ["stream 0 cannot reach memory address 0x20000000 (RM0399, DMA, error management)"]
+    );
 }
 
 #[test]
@@ -301,7 +304,10 @@ fn what_does_not_fit_is_refused_or_told() {
     assert_eq!(bench.take_misuse().len(), 1);
     // That flag left where it is.
     set_up(&mut dma, &mut bench, 0, LEVEL, 8, 0, MINC | EN);
-    assert_eq!(bench.take_misuse(), ["stream 0: enabled with event flags 0x01 not cleared (RM0399 16.3.19)"]);
+    assert_eq!(
+        bench.take_misuse(),
+        ["stream 0: enabled with event flags 0x01 not cleared (RM0399, DMA, stream configuration)"]
+    );
     // Registers of a running stream.
     bench.write(&mut dma, stream(0) + 4, 1);
     assert_eq!(bench.read(&mut dma, stream(0) + 4), 8);
@@ -396,7 +402,10 @@ fn one_request_for_two_channels_is_told() {
     let (mut bench, mut dma, _) = bench();
     bench.write(&mut dma, 0x800, 41);
     bench.write(&mut dma, 0x804, 41);
-    assert_eq!(bench.take_misuse(), ["request 41 selected by a second channel, 1 (RM0399 18.4.4)"]);
+    assert_eq!(
+        bench.take_misuse(),
+        ["request 41 selected by a second channel, 1 (RM0399, DMAMUX, request multiplexer)"]
+    );
 }
 
 #[test]
@@ -442,7 +451,54 @@ fn bdma_feeds_a_transmitter_and_stops_at_a_refusal() {
     assert_eq!(bus.taken, [5, 6]);
     assert_eq!(bench.read(&mut dma, 0x00), 0b1001);
     assert_eq!(bench.read(&mut dma, 0x08) & 1, 0);
-    assert_eq!(bench.take_misuse(), ["channel 0 cannot reach 0x24000100 (RM0399 17.4.7)"]);
+    assert_eq!(bench.take_misuse(), ["channel 0 cannot reach 0x24000100 (RM0399, BDMA, error management)"]);
+}
+
+#[test]
+fn bdma_goes_round_and_finishes_an_item_first() {
+    let (mut bench, mut dma, mut bus) = (Bench::default(), Bdma::new(), Bus::new());
+    // Channel 0, low priority, two bytes for ever; channel 1, very high priority, request 14.
+    for (channel, request, control) in [(0, 13, 1 | 1 << 5 | 1 << 7), (1, 14, 1 | 1 << 7 | 3 << 12)] {
+        bench.write(&mut dma, 0x400 + 4 * channel, request);
+        let base = 0x08 + 0x14 * channel;
+        bench.write(&mut dma, base + 0x04, 2);
+        bench.write(&mut dma, base + 0x08, REGISTER);
+        bench.write(&mut dma, base + 0x0c, RAM + 0x40 * channel);
+        bench.write(&mut dma, base, control);
+    }
+    bus.gives = [1, 2, 3].into();
+    bus.serve(&mut dma, &mut bench);
+    assert_eq!(bus.memory[..3], [3, 2, 0]);
+    assert_eq!(bench.read(&mut dma, 0x0c), 1);
+
+    dma.request(13, true);
+    let read = dma.next_beat().unwrap();
+    assert_eq!((read.channel, read.access), (0, Access::Read));
+    dma.request(14, true);
+    dma.finish_beat(Ok(4), &mut bench.context());
+    let write = dma.next_beat().unwrap();
+    assert_eq!((write.channel, write.access), (0, Access::Write(4)));
+    dma.finish_beat(Ok(0), &mut bench.context());
+    assert_eq!(dma.next_beat().unwrap().channel, 1);
+}
+
+#[test]
+fn a_burst_takes_several_items_for_one_request() {
+    let (mut bench, mut dma, mut bus) = bench();
+    // Bursts of four half-words from addresses that go up by words (PINCOS), FIFO full.
+    bus.memory[..20].copy_from_slice(&[1, 1, 0, 0, 2, 2, 0, 0, 3, 3, 0, 0, 4, 4, 0, 0, 5, 5, 0, 0]);
+    let sizes = 1 << 11 | 1 << 13;
+    set_up(&mut dma, &mut bench, 0, PULSE, 8, 1 << 2 | 3, 1 << 21 | 1 << 15 | PINC | MINC | sizes);
+    bench.write(&mut dma, stream(0) + 0x08, RAM);
+    bench.write(&mut dma, stream(0) + 0x0c, RAM + 0x80);
+    bench.modify(&mut dma, stream(0), 0, EN);
+    dma.request(PULSE, true);
+    bus.serve(&mut dma, &mut bench);
+    assert_eq!(bench.read(&mut dma, stream(0) + 4), 4);
+    bench.modify(&mut dma, stream(0), EN, 0);
+    bus.serve(&mut dma, &mut bench);
+    assert_eq!(bus.memory[0x80..0x8a], [1, 1, 2, 2, 3, 3, 4, 4, 0, 0]);
+    bench.assert_no_misuse();
 }
 
 proptest! {

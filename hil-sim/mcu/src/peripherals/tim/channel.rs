@@ -236,7 +236,7 @@ impl Tim {
         Some(self.smcr & 7).filter(|mode| self.kind.has_encoder && (1..=3).contains(mode))
     }
 
-    /// An edge of TI1 or TI2 moves the count (RM0399 39.3.16, table of counting directions).
+    /// An edge of TI1 or TI2 moves the count (RM0399, TIM2 to 5, encoder interface).
     fn encoder_edge(&mut self, mode: u32, input: usize, at_ns: u64, context: &mut Context<'_>) {
         // Mode 1 counts the edges of TI1, mode 2 those of TI2, mode 3 both.
         if mode & 1 << input == 0 {

@@ -41,7 +41,7 @@ impl Tim {
         while self.cr1 & CEN != 0 {
             let per_count = u64::from(self.psc) + 1;
             let clocks = self.prescaled + (target - self.done);
-            // "The counter is blocked while the auto-reload value is null" (RM0399 39.4.12).
+            // "The counter is blocked while the auto-reload value is null" (RM0399, TIMx_ARR).
             let counts = if self.arr == 0 { 0 } else { clocks / per_count };
             let to_boundary = self.counts_to_boundary();
             if counts < to_boundary {
@@ -101,7 +101,7 @@ impl Tim {
     /// The count has passed an end.
     fn overflow(&mut self, context: &mut Context<'_>) {
         for index in 0..self.kind.channels {
-            // A compare value that is never reached is told at the overflow (RM0399 39.4.5, CC1IF).
+            // A compare value that is never reached is told at the overflow (RM0399, TIMx_SR, CC1IF).
             if self.is_output(index) && self.channels[index].compare > self.arr {
                 self.compare_event(index, context);
             }

@@ -1,6 +1,6 @@
 //! An input of a timer, with its digital filter.
 
-/// Samples and divider of f_DTS for each value of ICxF (RM0399 38.4.7); 0 divides nothing: f_CK_INT.
+/// Samples and divider of f_DTS for each value of ICxF (RM0399, TIMx_CCMR1, IC1F); 0 divides nothing: f_CK_INT.
 const FILTER: [(u64, u64); 16] = [
     (0, 0),
     (2, 0),

@@ -1,4 +1,4 @@
-//! Which timer has what (RM0399 sections 38 to 42).
+//! Which timer has what (RM0399, one chapter for each group).
 
 use crate::context::Clocks;
 

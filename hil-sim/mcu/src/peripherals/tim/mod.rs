@@ -1,4 +1,4 @@
-//! Timers TIM1 to 8 and 12 to 17 (RM0399 sections 38 to 42).
+//! Timers TIM1 to 8 and 12 to 17 (RM0399, one chapter for each group).
 //!
 //! **Time.** A timer counts nothing by itself: whenever it is looked at it works out, exactly, what has happened since the
 //! last time. It asks to be advanced ([`Peripheral::next_event_ns`]) only for what others can see: an enabled interrupt or DMA

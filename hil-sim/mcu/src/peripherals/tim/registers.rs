@@ -106,7 +106,10 @@ impl Tim {
         let value = match (size, register) {
             (Size::Word, _) => value,
             (Size::Byte, _) => {
-                context.misuse(self.kind.name, format!("register {register:#x} written by a byte (RM0399 39.4)"));
+                context.misuse(
+                    self.kind.name,
+                    format!("register {register:#x} written by a byte (RM0399, TIM2 to 5, registers)"),
+                );
                 return self.refuse(format!("a byte written to offset {offset:#x}"));
             }
             // What is not written does nothing.
@@ -299,7 +302,7 @@ impl Tim {
             if (bits ^ self.mode_byte(index)) & 3 != 0 && self.is_enabled(index) {
                 context.misuse(
                     self.kind.name,
-                    format!("CC{}S written while the channel is enabled (RM0399 39.4.7)", index + 1),
+                    format!("CC{}S written while the channel is enabled (RM0399, TIMx_CCMR1)", index + 1),
                 );
             }
         }
@@ -347,13 +350,14 @@ impl Tim {
 
     fn write_bdtr(&mut self, value: u32, context: &mut Context<'_>) {
         if value & !self.bdtr & (1 << 12 | 1 << 24) != 0 {
-            context.misuse(self.kind.name, "a break input is enabled (BKE, BK2E); here it is ignored (RM0399 38.4.20)");
+            context
+                .misuse(self.kind.name, "a break input is enabled (BKE, BK2E); here it is ignored (RM0399, TIMx_BDTR)");
         }
         self.bdtr = value & 0x03ff_ffff;
         self.tell_outputs(self.now_ns, context);
     }
 
-    /// The register that an access to DMAR reaches; the timer asks again until the burst is through (RM0399 39.3.20).
+    /// The register that an access to DMAR reaches; the timer asks again until the burst is through (RM0399, TIM2 to 5, DMA burst mode).
     fn burst_target(&mut self, context: &mut Context<'_>) -> u32 {
         let target = 4 * ((self.dcr & 0x1f) + self.burst);
         self.burst += 1;
