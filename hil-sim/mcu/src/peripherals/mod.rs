@@ -2,6 +2,8 @@
 
 pub mod fdcan;
 pub mod i2c;
+pub mod rng;
+pub mod spi;
 pub mod usart;
 
 #[cfg(test)]
