@@ -8,7 +8,7 @@ use crate::context::{Clocks, Context, Ticks};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
 
 const NAME: &str = "RNG";
-/// Position in the vector table (RM0399, table 152).
+/// Position in the vector table (RM0399, chapter 20).
 const IRQ: u16 = 80;
 
 const CR: u32 = 0x00;

@@ -22,7 +22,7 @@ use self::registers::{cfg1, cfg2, cr1, sr};
 
 const NAME: &str = "SPI1";
 const CONTROLLER: u8 = 1;
-/// Position in the vector table (RM0399, table 152).
+/// Position in the vector table (RM0399, chapter 20).
 const IRQ: u16 = 35;
 /// Inputs of DMAMUX1 (RM0399, 18.3.2).
 const RX_REQUEST: u8 = 37;
