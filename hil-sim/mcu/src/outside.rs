@@ -138,6 +138,10 @@ pub trait Outside {
     /// A byte left UART `port` (1 to 8, as in USART1, UART4); the moment is the end of its stop bit.
     fn uart_sent(&mut self, port: u8, at_ns: u64, byte: u8);
 
+    /// A data frame of `bits` (4 to 32) left SPI `controller`; the moment is the end of its last clock. The bit that was first
+    /// on the wire is the most significant one. What is selected is a matter of pins.
+    fn spi_sent(&mut self, _controller: u8, _at_ns: u64, _frame: u32, _bits: u8) {}
+
     /// A frame left FDCAN `bus` (1 or 2); the moment is the end of its acknowledge slot.
     fn can_sent(&mut self, bus: u8, at_ns: u64, frame: &CanFrame) -> CanOutcome;
 

@@ -18,6 +18,8 @@ pub(crate) enum OnI2c {
 /// Keeps what left the chip.
 pub(crate) struct Wires {
     pub(crate) uart: Vec<(u8, u64, u8)>,
+    /// Controller, moment, frame, bits.
+    pub(crate) spi: Vec<(u8, u64, u32, u8)>,
     pub(crate) i2c: Vec<OnI2c>,
     /// Answers to the next bytes (address included); acknowledged when there is none.
     pub(crate) i2c_answers: VecDeque<I2cResponse>,
@@ -35,6 +37,7 @@ impl Default for Wires {
     fn default() -> Self {
         Self {
             uart: Vec::new(),
+            spi: Vec::new(),
             i2c: Vec::new(),
             i2c_answers: VecDeque::new(),
             i2c_data: VecDeque::new(),
@@ -90,6 +93,10 @@ impl Outside for Wires {
 
     fn uart_sent(&mut self, port: u8, at_ns: u64, byte: u8) {
         self.uart.push((port, at_ns, byte));
+    }
+
+    fn spi_sent(&mut self, controller: u8, at_ns: u64, frame: u32, bits: u8) {
+        self.spi.push((controller, at_ns, frame, bits));
     }
 
     fn can_sent(&mut self, bus: u8, at_ns: u64, frame: &CanFrame) -> CanOutcome {

@@ -18,6 +18,8 @@ pub mod iwdg;
 pub mod pwr;
 pub mod rcc;
 pub mod tim;
+pub mod rng;
+pub mod spi;
 pub mod usart;
 #[cfg(test)]
 mod together;

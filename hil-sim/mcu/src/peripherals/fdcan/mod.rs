@@ -39,7 +39,7 @@ use self::registers::{cccr, ir, psr, test, txbc};
 use self::transmit::Transmission;
 use self::wire::{AFTER_ACK_BITS, BitTime};
 
-/// Names of the modules, and positions of their interrupt lines in the vector table (RM0399, table 152).
+/// Names of the modules, and positions of their interrupt lines in the vector table (RM0399, chapter 20).
 const MODULES: [(&str, [u16; 2]); 2] = [("FDCAN1", [19, 21]), ("FDCAN2", [20, 22])];
 
 /// Words of a module's registers up to TXEFA.

@@ -29,7 +29,7 @@ use self::transfer::Phase;
 struct Instance {
     number: u8,
     name: &'static str,
-    /// Positions in the vector table (RM0399, table 152).
+    /// Positions in the vector table (RM0399, chapter 20).
     event_irq: u16,
     error_irq: u16,
     /// Inputs of DMAMUX1, and for I2C4 of DMAMUX2 (RM0399, 18.3.2).
@@ -127,7 +127,7 @@ impl I2c {
         self.inject(isr::ARLO, context);
     }
 
-    /// A START or STOP comes where none should be: BERR, and the transfer is over (RM0399, 50.4.17). Nothing happens while no
+    /// A START or STOP comes where none should be: BERR, and the transfer is over (RM0399, 50.4.16). Nothing happens while no
     /// transfer is under way.
     pub fn inject_bus_error(&mut self, context: &mut Context<'_>) {
         self.inject(isr::BERR, context);
@@ -181,7 +181,7 @@ impl I2c {
         value
     }
 
-    /// Sets the interrupt and request lines as the flags are (RM0399, 50.6 and 50.4.18).
+    /// Sets the interrupt and request lines as the flags are (RM0399, 50.6 and 50.4.17).
     fn update_lines(&mut self, context: &mut Context<'_>) {
         let flag = |enable: u32, flags: u32| self.cr1 & enable != 0 && self.flags & flags != 0;
         let lines = [

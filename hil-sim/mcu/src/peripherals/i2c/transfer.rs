@@ -231,7 +231,7 @@ impl I2c {
         self.phase = Phase::Stopping { end_ns: risen_ns.saturating_add(timing.phases_ns(0, 1)) };
     }
 
-    /// TIMEOUT: a STOP follows, where the lines allow it (RM0399, 50.4.17).
+    /// TIMEOUT: a STOP follows, where the lines allow it (RM0399, 50.4.16).
     fn timed_out(&mut self, at_ns: u64) {
         self.flags |= isr::TIMEOUT;
         self.cr2 &= !cr2::START;

@@ -51,6 +51,8 @@ impl Usart {
                 self.load(self.half_bits_from(context.now_ns), 0);
             } else {
                 self.cut_transmitter("TE", context);
+                // Without a transmission TC is set at once (51.8.9).
+                self.kept |= isr::TC;
             }
         }
         if turned & (cr1::UE | cr1::RE) != 0 {
@@ -81,7 +83,8 @@ impl Usart {
         if value & !cr2::MODELLED != 0 {
             return Err(self.unmodelled(format!("CR2 = {value:#010x}: a mode that is not modelled")));
         }
-        let value = self.locked("CR2", self.cr2, value, cr2::LOCKED, context);
+        let add = if self.on(cr1::RE) { 0xFF << cr2::ADD_AT } else { 0 };
+        let value = self.locked("CR2", self.cr2, value, cr2::LOCKED | add, context);
         if value & cr2::RTOEN == 0 {
             self.receiver.cancel_timeout();
         }
@@ -109,7 +112,7 @@ impl Usart {
         }
         if value & rqr::TXFRQ != 0 {
             if !self.fifo() {
-                context.misuse(self.port.name, "TXFRQ without FIFO is for Smartcard mode only (RM0399, 51.8.7)");
+                context.misuse(self.port.name, "TXFRQ without FIFO is for Smartcard mode only (RM0399, 51.8.8)");
             }
             self.transmitter.flush();
             self.txfe_cleared = false;
@@ -182,7 +185,7 @@ impl Peripheral for Usart {
             register::BRR => self.brr = self.locked("BRR", self.brr, value & 0xFFFF, 0xFFFF, context),
             register::PRESC => {
                 if value & 0xF >= PRESCALER.len() as u32 {
-                    context.misuse(self.port.name, "PRESCALER above 11 (RM0399, 51.8.12: reserved)");
+                    context.misuse(self.port.name, "PRESCALER above 11 (RM0399, 51.8.14: reserved)");
                 }
                 self.presc = self.locked("PRESC", self.presc, value & 0xF, 0xF, context);
             }

@@ -29,7 +29,7 @@ use self::transmit::Transmitter;
 /// Depth of each FIFO (RM0399, 51.5.4).
 const FIFO_DEPTH: usize = 16;
 
-/// Division of the kernel clock by PRESCALER (RM0399, 51.8.12); codes above divide by 256.
+/// Division of the kernel clock by PRESCALER (RM0399, 51.8.14); codes above divide by 256.
 const PRESCALER: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 
 /// What tells one port from the next.
@@ -37,9 +37,9 @@ const PRESCALER: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 struct Port {
     number: u8,
     name: &'static str,
-    /// Position in the vector table (RM0399, table 152).
+    /// Position in the vector table (RM0399, chapter 20).
     irq: u16,
-    /// Inputs of DMAMUX1 (RM0399, table 129).
+    /// Inputs of DMAMUX1 (RM0399, table 126).
     rx_request: u8,
     tx_request: u8,
 }
@@ -191,12 +191,12 @@ impl Usart {
         if self.fifo() { FIFO_DEPTH } else { 1 }
     }
 
-    /// Characters that the receiver holds: its FIFO and RDR, or RDR (RM0399, 51.8.8, RXFF).
+    /// Characters that the receiver holds: its FIFO and RDR, or RDR (RM0399, 51.8.9, RXFF).
     fn receive_capacity(&self) -> usize {
         if self.fifo() { FIFO_DEPTH + 1 } else { 1 }
     }
 
-    /// ISR (RM0399, 51.8.8 and 51.8.9).
+    /// ISR (RM0399, 51.8.9 and 51.8.10).
     fn isr(&self, now_ns: u64) -> u32 {
         let mut value = self.kept;
         let mut set = |condition: bool, bit: u32| {

@@ -70,12 +70,14 @@ impl Receiver {
     pub(super) fn next(&self, frame_ns: u64) -> Option<(u64, Happens)> {
         let byte = self.coming.front().map(|byte| byte.at_ns);
         let start_ns = byte.map_or(u64::MAX, |at_ns| at_ns.saturating_sub(frame_ns));
-        let silence = |at_ns: Option<u64>, what| at_ns.filter(|at_ns| *at_ns <= start_ns).map(|at_ns| (at_ns, what));
+        // A pause of exactly the timeout is none (51.8.9, RTOF).
+        let idle = self.idle_ns.filter(|at_ns| *at_ns <= start_ns);
+        let timeout = self.timeout_ns.filter(|at_ns| *at_ns < start_ns);
         // At the same moment a byte comes first: told late, it has been on the line.
         [
             byte.map(|at_ns| (at_ns, Happens::Byte)),
-            silence(self.idle_ns, Happens::Idle),
-            silence(self.timeout_ns, Happens::Timeout),
+            idle.map(|at_ns| (at_ns, Happens::Idle)),
+            timeout.map(|at_ns| (at_ns, Happens::Timeout)),
         ]
         .into_iter()
         .flatten()
@@ -131,7 +133,7 @@ impl Usart {
         }
     }
 
-    /// The errors of the character in RDR (RM0399, 51.8.8: with FIFO they belong to the one that is read next).
+    /// The errors of the character in RDR (RM0399, 51.8.9: with FIFO they belong to the one that is read next).
     fn show_errors(&mut self) {
         if let Some(byte) = self.receiver.held.front() {
             if byte.framing_error {

@@ -79,7 +79,7 @@ pub(super) mod rqr {
     pub(crate) const ALL: u32 = 0x1F;
 }
 
-/// Bits of ISR; those of ICR are at the same places, except [`TXFECF`].
+/// Bits of ISR; those of ICR are at the same places, except `TXFECF`.
 pub(super) mod isr {
     pub(crate) const PE: u32 = 1 << 0;
     pub(crate) const FE: u32 = 1 << 1;

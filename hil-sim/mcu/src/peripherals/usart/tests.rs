@@ -31,7 +31,7 @@ fn byte(at_ns: u64, value: u8) -> UartByte {
 #[test]
 fn reset_values() {
     let mut bench = bench(1);
-    assert_eq!(bench.read(ISR), 0xC0); // TXE and TC (51.8.9)
+    assert_eq!(bench.read(ISR), 0xC0); // TXE and TC (51.8.10)
     for offset in [CR1, CR2, CR3, BRR, RTOR, RDR, TDR, PRESC] {
         assert_eq!(bench.read(offset), 0);
     }
@@ -176,6 +176,33 @@ fn the_receiver_timeout_counts_bits_after_the_stop_bit() {
     assert!(bench.irq(82));
     bench.write(ICR, isr::RTOF);
     assert!(!bench.irq(82));
+    // A pause of exactly 22 bits is none, of one nanosecond more it is.
+    bench.peripheral.receive(byte(300_000, 1));
+    bench.peripheral.receive(byte(332_000, 1));
+    bench.peripheral.receive(byte(364_001, 1));
+    bench.run_until(353_999);
+    assert!(!bench.irq(82));
+    bench.run_until(354_000);
+    assert!(bench.irq(82));
+}
+
+#[test]
+fn a_character_match_is_flagged() {
+    let mut bench = started(1, cr1::CMIE | cr1::FIFOEN);
+    bench.write(CR2, 0x0A << cr2::ADD_AT);
+    assert_eq!(bench.take_misuse().len(), 1, "ADD is written while RE is 1");
+    bench.write(CR1, cr1::UE | cr1::CMIE | cr1::FIFOEN);
+    bench.write(CR2, 0x0A << cr2::ADD_AT);
+    bench.write(CR1, cr1::UE | cr1::RE | cr1::CMIE | cr1::FIFOEN);
+    bench.peripheral.receive(byte(200_000, 0x0B));
+    bench.peripheral.receive(byte(300_000, 0x0A));
+    bench.run_until(299_999);
+    assert!(!bench.irq(37));
+    bench.run_until(300_000);
+    assert!(bench.irq(37));
+    bench.write(ICR, isr::CMF);
+    assert!(!bench.irq(37));
+    assert_eq!(bench.take_misuse(), [""; 0]);
 }
 
 #[test]

@@ -73,7 +73,7 @@ impl Usart {
             context.misuse(self.port.name, "TDR is written while TE is 0; TE is to be set first (RM0399, 51.5.5)");
         }
         if self.transmitter.waiting() == self.transmit_capacity() {
-            context.misuse(self.port.name, "TDR is written while it is full: a character is lost (RM0399, 51.8.11)");
+            context.misuse(self.port.name, "TDR is written while it is full: a character is lost (RM0399, 51.8.13)");
             if self.fifo() {
                 return;
             }
