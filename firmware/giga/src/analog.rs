@@ -127,9 +127,8 @@ impl Inputs {
         options.complete_transfer_ir = false;
         #[allow(unsafe_code, reason = "DMA")]
         // SAFETY: the memory is DMA's for ever, and read volatile only.
-        let transfer = unsafe {
-            channel.read_raw(request, ADC1.dr().as_ptr().cast::<u16>(), codes as *mut [u16], options)
-        };
+        let transfer =
+            unsafe { channel.read_raw(request, ADC1.dr().as_ptr().cast::<u16>(), codes as *mut [u16], options) };
         // Dropping it would stop it.
         core::mem::forget(transfer);
         ADC1.cr().modify(|w| w.set_adstart(true));

@@ -372,6 +372,29 @@ proptest! {
     }
 }
 
+#[test]
+fn a_full_queue_takes_what_fits() {
+    let mut rig = Rig::new(u32::MAX - 5000, 0, 1, std::vec![0]);
+    let events: Vec<_> = (0..ROOM as u64 + 100).map(|index| (20_000 + 200 * index, StepAction::Pulse)).collect();
+    assert_eq!(rig.tell(&events[..ROOM - 1]), ROOM - 1);
+    assert_eq!(rig.tell(&events[ROOM - 1..]), 1);
+    assert_eq!(rig.pending() as usize, ROOM);
+    rig.run_to(20_000 + 200 * 2 * ROOM as u64);
+    assert_eq!((rig.pending(), rig.position()), (0, ROOM as i32));
+}
+
+#[test]
+fn nothing_to_do_needs_no_interrupts() {
+    let mut rig = Rig::new(0, 3, 1, std::vec![0]);
+    rig.tell(&[(20_000, StepAction::Direction(false)), (21_000, StepAction::Pulse)]);
+    rig.run_to(30_000);
+    let served = rig.served;
+    // A minute, in which the clock does not even wrap.
+    rig.run_to(600_000_000);
+    assert_eq!(rig.served, served);
+    assert_eq!((rig.position(), rig.hardware.position()), (-1, -1));
+}
+
 /// The board's clock and pulse.
 struct Ticks;
 
