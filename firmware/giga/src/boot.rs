@@ -96,7 +96,10 @@ fn bounce() -> &'static mut Bounce {
         reason = "memory that start-up does not clear cannot be a cell that knows whether it is taken"
     )]
     // SAFETY: nothing else refers to it, and this comes here once.
-    let place = unsafe { &mut *(&raw mut BOUNCE) };
+    let place = unsafe {
+        let memory = &raw mut BOUNCE;
+        &mut *memory
+    };
     place.write(Bounce::new())
 }
 
