@@ -61,6 +61,8 @@ static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard
 
 /// The screen's: 80 MHz / 4.
 const SCREEN_SPI: Hertz = Hertz(20_000_000);
+/// Before a link that failed is served again.
+const LINK_PAUSE: Duration = Duration::from_millis(10);
 /// How often the log looks for a trip.
 const LOG_PERIOD: Duration = Duration::from_millis(20);
 
@@ -94,9 +96,11 @@ fn bounce() -> &'static mut Bounce {
         reason = "memory that start-up does not clear cannot be a cell that knows whether it is taken"
     )]
     // SAFETY: nothing else refers to it, and this comes here once.
-    unsafe {
-        (&mut *(&raw mut BOUNCE)).write(Bounce::new())
-    }
+    let place = unsafe {
+        let memory = &raw mut BOUNCE;
+        &mut *memory
+    };
+    place.write(Bounce::new())
 }
 
 bind_interrupts!(struct Irqs {
@@ -160,6 +164,7 @@ pub(crate) fn run() -> ! {
         clocks::Source::Crystal => defmt::info!("480 MHz from the crystal"),
         clocks::Source::Internal => {
             defmt::error!("the crystal does not start: 480 MHz from the internal oscillator, 1 % off");
+            safety_pins::blink(3);
         }
     }
     start_tasks(p, &start)
@@ -434,6 +439,7 @@ async fn uart_task(shared: &'static Board, rx: uart::Receiver, tx: UartTx<'stati
     let (mut rx, mut tx) = (Receiver::Uart(rx), Sender::Uart(tx));
     loop {
         serve(shared, 0, &mut rx, &mut tx).await;
+        Timer::after(LINK_PAUSE).await;
     }
 }
 
@@ -442,6 +448,7 @@ async fn can_task(shared: &'static Board, rx: can_link::Receiver, tx: can_link::
     let (mut rx, mut tx) = (Receiver::Can(rx), Sender::Can(tx));
     loop {
         serve(shared, 1, &mut rx, &mut tx).await;
+        Timer::after(LINK_PAUSE).await;
     }
 }
 

@@ -1,6 +1,9 @@
 //! What happens when the firmware cannot go on: the stop lines go safe, a record is left, the processor resets.
 
-use core::panic::PanicInfo;
+use core::{
+    panic::{Location, PanicInfo},
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
@@ -23,24 +26,29 @@ fn end(record: &Record) -> ! {
     SCB::sys_reset()
 }
 
+/// Whether a panic is being recorded: one within it, as of a log line in the middle of a log line, only resets.
+static PANICKED: AtomicBool = AtomicBool::new(false);
+
+/// Where it was called from is of no use, for that is `core`. What is kept leads to it in the ELF file: the address of the
+/// location and of its file's name, the line, and how deep the stack was.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     cortex_m::interrupt::disable();
     safety_pins::stop();
-    let (line, file) = info.location().map_or((0, 0), |at| (at.line(), fnv1a(at.file().as_bytes())));
-    let lr: u32;
-    #[allow(unsafe_code, reason = "the link register has no other access")]
-    // SAFETY: reads a register.
-    unsafe {
-        core::arch::asm!("mov {}, lr", out(reg) lr, options(nomem, nostack, preserves_flags));
+    if PANICKED.swap(true, Ordering::Relaxed) {
+        SCB::sys_reset();
     }
-    defmt::error!("panic at {}:{}", info.location().map_or("?", |at| at.file()), line);
-    end(&Record { kind: Kind::Panic, pc: panic as *const () as u32, lr, detail: line, more: file })
-}
-
-/// Of a file's name, so that a record can be matched against the sources.
-fn fnv1a(bytes: &[u8]) -> u32 {
-    bytes.iter().fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+    let at = info.location();
+    let record = Record {
+        kind: Kind::Panic,
+        pc: at.map_or(0, |at| core::ptr::from_ref(at).addr() as u32),
+        lr: cortex_m::register::msp::read(),
+        detail: at.map_or(0, Location::line),
+        more: at.map_or(0, |at| at.file().as_ptr().addr() as u32),
+    };
+    leave(&record);
+    defmt::error!("panic at {}:{}", at.map_or("?", Location::file), record.detail);
+    end(&record)
 }
 
 /// The fault's own stack: what faulted may have been the other one, at its end.

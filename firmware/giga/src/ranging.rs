@@ -16,7 +16,10 @@ use embassy_stm32::{
     pac::{self, timer::vals},
     peripherals,
 };
-use r4_firmware::platform::{EchoState, Ranging};
+use r4_firmware::{
+    platform::{EchoState, Ranging},
+    sensing::echo::Echo,
+};
 
 use crate::steppers::Clock;
 
@@ -24,46 +27,6 @@ use crate::steppers::Clock;
 const TICKS_PER_US: u32 = crate::steppers::TICK_HZ / 1_000_000;
 /// Capture channels of echoes 0 and 1, counted from 0.
 const CHANNELS: [usize; 2] = [3, 2];
-
-/// What is known of one echo.
-#[derive(Clone, Copy)]
-struct Echo {
-    high: bool,
-    cleared: u32,
-    rose: Option<u32>,
-    /// Ticks from rise to fall.
-    width: Option<u32>,
-}
-
-impl Echo {
-    const fn new(high: bool, cleared: u32) -> Self {
-        Self { high, cleared, rose: None, width: None }
-    }
-
-    /// The level is `high` since `at`, if it was not before.
-    fn level(&mut self, high: bool, at: u32) {
-        if high == self.high {
-            return;
-        }
-        self.high = high;
-        match (high, self.rose) {
-            (true, None) => self.rose = Some(at),
-            (false, Some(rose)) if self.width.is_none() => self.width = Some(at.wrapping_sub(rose)),
-            _ => {}
-        }
-    }
-
-    fn state(&self, now: u32) -> EchoState {
-        match self.width {
-            Some(width) => EchoState::Done { width_us: width / TICKS_PER_US },
-            None if self.high => {
-                let since = now.wrapping_sub(self.rose.unwrap_or(self.cleared));
-                EchoState::High { since_us: since / TICKS_PER_US }
-            }
-            None => EchoState::Idle,
-        }
-    }
-}
 
 static ECHOES: Mutex<RefCell<[Echo; 4]>> = Mutex::new(RefCell::new([Echo::new(false, 0); 4]));
 
@@ -174,7 +137,7 @@ impl Ranging for Rangers {
     fn echo(&mut self, index: u8) -> EchoState {
         critical_section::with(|cs| {
             let echoes = ECHOES.borrow_ref(cs);
-            echoes.get(usize::from(index)).map_or(EchoState::Idle, |echo| echo.state(self.clock.now()))
+            echoes.get(usize::from(index)).map_or(EchoState::Idle, |echo| echo.state(self.clock.now(), TICKS_PER_US))
         })
     }
 }

@@ -6,9 +6,9 @@
 //! | register | holds |
 //! | --- | --- |
 //! | DR16 | "R4" and the [`Kind`] of the end; anything else is no record |
-//! | DR17, DR18 | program counter and link register |
-//! | DR19 | of a fault CFSR, of a panic its line |
-//! | DR20 | of a fault HFSR, of a panic the FNV-1a hash of its file's name |
+//! | DR17, DR18 | of a fault PC and LR, of a panic the address of its location and the stack pointer |
+//! | DR19 | of a fault CFSR, of a panic its line, of an interrupt its number |
+//! | DR20 | of a fault HFSR, of a panic the address of its file's name |
 //! | DR21 | clock source of the run that ended: 1 crystal, 2 internal |
 
 use embassy_stm32::pac::{PWR, RCC, RTC};
@@ -41,11 +41,13 @@ pub(crate) enum Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub(crate) struct Record {
     pub(crate) kind: Kind,
+    /// DR17.
     pub(crate) pc: u32,
+    /// DR18.
     pub(crate) lr: u32,
-    /// CFSR, or the panic's line.
+    /// DR19.
     pub(crate) detail: u32,
-    /// HFSR, or the hash of the panic's file.
+    /// DR20.
     pub(crate) more: u32,
 }
 

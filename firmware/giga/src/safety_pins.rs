@@ -8,6 +8,7 @@ use embassy_stm32::{
     mode::Async,
     pac::{RCC, gpio::vals::Moder},
 };
+use embassy_time::{Duration, block_for};
 use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
 use embedded_hal_async::digital::Wait;
 
@@ -39,6 +40,18 @@ pub(crate) fn stop() {
     PCA_OE_N.set(true);
     LED_R.set(false);
     LED_G.set(true);
+}
+
+/// Red and blue together, `times` times, in 0.3 s each: a fault of the board that does not keep it from working. For the
+/// boot, when the lights have no other meaning yet.
+pub(crate) fn blink(times: u32) {
+    for _ in 0..times {
+        for high in [false, true] {
+            LED_R.set(high);
+            LED_B.set(high);
+            block_for(Duration::from_millis(150));
+        }
+    }
 }
 
 /// An input of the supervisor.

@@ -27,14 +27,17 @@ const FILTER: vals::FilterValue = vals::FilterValue::FDTS_DIV8_N8;
 /// Timers and pins of the encoders, by connector.
 pub struct Parts {
     /// Counts encoder 0.
+    #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub timer0: Peri<'static, peripherals::TIM8>,
     /// `enc0_a`, `enc0_b`
     pub tracks0: (Peri<'static, peripherals::PJ8>, Peri<'static, peripherals::PJ6>),
     /// Counts encoder 1.
+    #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub timer1: Peri<'static, peripherals::TIM3>,
     /// `enc1_a`, `enc1_b`
     pub tracks1: (Peri<'static, peripherals::PB4>, Peri<'static, peripherals::PC7>),
     /// Counts encoder 2.
+    #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub timer2: Peri<'static, peripherals::TIM1>,
     /// `enc2_a`, `enc2_b`
     pub tracks2: (Peri<'static, peripherals::PK1>, Peri<'static, peripherals::PJ11>),

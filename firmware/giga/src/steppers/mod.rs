@@ -50,8 +50,10 @@ static DRIVERS: Mutex<RefCell<[Option<Driver>; 4]>> = Mutex::new(RefCell::new([c
 /// Timers and pins, by connector.
 pub struct Parts {
     /// The clock.
+    #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub clock: Peri<'static, peripherals::TIM2>,
     /// Of axes 0 to 3.
+    #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub timers: (
         Peri<'static, peripherals::TIM12>,
         Peri<'static, peripherals::TIM14>,

@@ -283,6 +283,7 @@ proptest! {
     #[test]
     fn a_stop_at_any_moment_is_final(
         mut rig in rig(), gaps in gaps(), ahead in u64::from(LEAD)..CONTROL, moment in 0.0..1.0f64, after in 0..3000u64,
+        turns: bool,
     ) {
         let events = events(2 * CONTROL, &gaps);
         let last = events.last().map_or(0, |(time, _)| *time);
@@ -310,17 +311,36 @@ proptest! {
         prop_assert_eq!(rig.hardware.position(), position);
         prop_assert_eq!(rig.hardware.line, line);
         prop_assert_eq!(rig.position(), position);
-        // And it goes on from there.
+        // And it goes on from there, either way.
         let made = rig.hardware.pulses.len();
         let first = rig.hardware.time + u64::from(LEAD);
-        let more: Vec<_> = core::iter::once((first - 100, StepAction::Direction(true)))
-            .chain((0..20).map(|index| (first + index * 150, StepAction::Pulse))).collect();
+        let way = if turns { !line } else { line };
+        let turn = turns.then_some((first - 100, StepAction::Direction(way)));
+        let more: Vec<_> = turn.into_iter().chain((0..20).map(|index| (first + index * 150, StepAction::Pulse))).collect();
         rig.tell(&more);
         rig.run_to(first + 20 * 150 + 2000);
-        prop_assert_eq!(rig.position(), position + 20);
+        prop_assert_eq!(rig.position(), position + if way { 20 } else { -20 });
         for (index, (time, positive)) in rig.hardware.pulses[made..].iter().enumerate() {
-            prop_assert!(*positive);
+            prop_assert_eq!(*positive, way);
             prop_assert!(time.abs_diff(first + index as u64 * 150) <= ERROR.into());
+        }
+    }
+
+    /// Late by the shortest period, a load makes no pulse more: the one that is made again was due, for the end of a stretch
+    /// is its place, and behind the last there is an idle period.
+    #[test]
+    fn a_pulse_made_again_stands_for_the_next(
+        mut rig in rig(), gap in 100..1000u64, count in 1..400u64,
+        latency in prop::collection::vec(0..LATENCY + u64::from(SHORTEST), 1..9),
+    ) {
+        rig.latency = latency;
+        let gaps: Vec<_> = (0..count).map(|_| (gap, true)).collect();
+        let events = events(2 * CONTROL, &gaps);
+        tell_all(&mut rig, &events, CONTROL / 2, |_| Ok(()))?;
+        prop_assert_eq!(rig.hardware.pulses.len() as u64, count);
+        prop_assert_eq!((rig.pending(), rig.position()), (0, count as i32));
+        for ((made, _), ideal) in rig.hardware.pulses.iter().zip(pulses_of(&events)) {
+            prop_assert!(made.abs_diff(ideal) <= (2 * SHORTEST + LONGEST).into(), "{made} for {ideal}");
         }
     }
 
@@ -370,6 +390,29 @@ proptest! {
             prop_assert!(made.0.abs_diff(ideal) <= ERROR.into());
         }
     }
+}
+
+#[test]
+fn a_full_queue_takes_what_fits() {
+    let mut rig = Rig::new(u32::MAX - 5000, 0, 1, std::vec![0]);
+    let events: Vec<_> = (0..ROOM as u64 + 100).map(|index| (20_000 + 200 * index, StepAction::Pulse)).collect();
+    assert_eq!(rig.tell(&events[..ROOM - 1]), ROOM - 1);
+    assert_eq!(rig.tell(&events[ROOM - 1..]), 1);
+    assert_eq!(rig.pending() as usize, ROOM);
+    rig.run_to(20_000 + 200 * 2 * ROOM as u64);
+    assert_eq!((rig.pending(), rig.position()), (0, ROOM as i32));
+}
+
+#[test]
+fn nothing_to_do_needs_no_interrupts() {
+    let mut rig = Rig::new(0, 3, 1, std::vec![0]);
+    rig.tell(&[(20_000, StepAction::Direction(false)), (21_000, StepAction::Pulse)]);
+    rig.run_to(30_000);
+    let served = rig.served;
+    // A minute, in which the clock does not even wrap.
+    rig.run_to(600_000_000);
+    assert_eq!(rig.served, served);
+    assert_eq!((rig.position(), rig.hardware.position()), (-1, -1));
 }
 
 /// The board's clock and pulse.
