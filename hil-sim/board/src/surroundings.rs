@@ -228,7 +228,6 @@ impl Surroundings {
     }
 
     /// What the processor's line to a light does: it lights while low.
-    #[must_use]
     pub fn light_line(&self, light: Light) -> impl FnMut(bool) + use<> {
         let lights = self.lights.clone();
         move |high| {
