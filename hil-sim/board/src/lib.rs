@@ -7,6 +7,9 @@
 //!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
 //! ```
 //!
+//! A processor can also drive the world's pins and buses itself, with its own timing: `world/wires.rs`. What every board
+//! has, whatever runs on its processor, is its [`Surroundings`].
+//!
 //! Chip models are written from datasheets and share no constant with the firmware's drivers. What a real chip ignores
 //! in silence is reported ([`misuse`]). Same robot, same seed, same host: same bits, on every machine.
 //!
