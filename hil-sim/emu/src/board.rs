@@ -8,7 +8,7 @@ use std::{
 
 use r4_boards::Robot;
 use r4_mcu::{
-    Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators, soc::Soc,
+    LoadError, Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators, soc::Soc,
 };
 use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Flash, link::Receiver};
 
@@ -35,6 +35,9 @@ pub enum EmuError {
     /// The processor or its program.
     #[error(transparent)]
     Machine(#[from] MachineError),
+    /// The program's file.
+    #[error(transparent)]
+    Load(#[from] LoadError),
 }
 
 /// A board whose processor is emulated.
@@ -65,7 +68,9 @@ impl<C: Core + 'static> EmuBoard<C> {
         let link = surroundings.new_link();
         let wiring = Wiring::new(&surroundings, link.tx);
         let soc = Soc::new(wiring, Oscillators::default(), Cells::new(surroundings.shared_flash()));
-        let machine = Machine::new(core, soc, image.elf(), settings)?;
+        let mut machine = Machine::new(core, soc, settings)?;
+        machine.load_elf(image.elf())?;
+        machine.reset(ResetCause::PowerOn)?;
         let board = Self {
             surroundings,
             machine: Rc::new(RefCell::new(machine)),
@@ -120,11 +125,11 @@ impl<C: Core> Run<C> {
                 Err(error) => return error,
             };
             if let Reason::Reset(_) = stopped.reason {
-                self.machine.borrow_mut().chip_mut().outside().processor_reset();
+                self.machine.borrow_mut().chip.outside().processor_reset();
             }
             // Edges of step lines up to now have been told.
             let now_ns = self.clock.run_ahead(stopped.at_ns);
-            self.machine.borrow_mut().chip_mut().outside().settle(now_ns);
+            self.machine.borrow_mut().chip.outside().settle(now_ns);
         }
     }
 
@@ -132,7 +137,7 @@ impl<C: Core> Run<C> {
     fn deliver(&self) -> u64 {
         let now_ns = self.clock.now_ns();
         let mut machine = self.machine.borrow_mut();
-        let soc = machine.chip_mut();
+        let soc = &mut machine.chip;
         let mut next_ns = now_ns + SLICE_NS;
         let uarts = soc.outside().uarts().to_vec();
         for (port, end) in uarts {
@@ -162,10 +167,13 @@ impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
         let link = self.surroundings.new_link();
         self.from_host.replace(link.rx);
         let mut machine = self.machine.borrow_mut();
-        machine.chip_mut().outside().set_host(link.tx);
-        machine.reset(match cause {
+        machine.chip.outside().set_host(link.tx);
+        let reset = machine.reset(match cause {
             r4_firmware::ResetCause::Watchdog => ResetCause::Watchdog,
-            _ => ResetCause::Software,
+            r4_firmware::ResetCause::Normal => ResetCause::Software,
         });
+        if let Err(error) = reset {
+            self.failure.replace(Some(error));
+        }
     }
 }

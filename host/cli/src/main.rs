@@ -3,6 +3,8 @@
 mod args;
 mod cable;
 mod commands;
+#[cfg(feature = "emu")]
+mod emulated;
 mod output;
 mod quantity;
 mod report;

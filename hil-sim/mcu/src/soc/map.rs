@@ -3,7 +3,7 @@
 /// A peripheral of the chip, by its place in [`super::Soc`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
-pub enum Id {
+pub(super) enum Id {
     Rcc,
     Pwr,
     Gpio,
@@ -112,7 +112,8 @@ impl Id {
     pub(super) const COUNT: usize = Self::Rng as usize + 1;
 
     /// Every one, in order of its discriminant.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
+    #[cfg(test)]
+    fn all() -> impl Iterator<Item = Self> {
         let mut all: Vec<Self> = MAP.iter().map(|(_, _, id)| *id).collect();
         all.sort_unstable();
         all.into_iter()

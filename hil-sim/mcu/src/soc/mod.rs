@@ -6,7 +6,7 @@
 
 mod map;
 
-pub use map::Id;
+use map::Id;
 
 use crate::{
     chip::{AccessError, Chip},
@@ -15,14 +15,14 @@ use crate::{
     outside::{CanFrame, Edge, Outside, Pin, UartByte},
     peripheral::{Peripheral, Size, Unmodelled},
     peripherals::{
-        //TODO adc::Adc12,
+        adc::Adc12,
         backup::Backup,
         crs::Crs,
-        //TODO dac::Dac,
+        dac::Dac,
         dbgmcu::Dbgmcu,
         dma::{self, Bdma, Dma12},
         exti::Exti,
-        //TODO fdcan::Fdcan,
+        fdcan::Fdcan,
         flash::{Flash, FlashCells, LoadError},
         fmc::Fmc,
         gpio::{Function, Gpio},
@@ -31,8 +31,8 @@ use crate::{
         iwdg::Iwdg,
         pwr::Pwr,
         rcc::{Oscillators, Rcc},
-        //TODO rng::Rng,
-        //TODO spi::Spi,
+        rng::Rng,
+        spi::Spi,
         syscfg::Syscfg,
         tim::Tim,
         usart::Usart,
@@ -59,13 +59,13 @@ struct Devices<F> {
     dma: Dma12,
     bdma: Bdma,
     timers: Vec<Tim>,
-    //TODO adc: Adc12,
-    //TODO dac: Dac,
+    adc: Adc12,
+    dac: Dac,
     usarts: Vec<Usart>,
     i2cs: Vec<I2c>,
-    //TODO fdcan: Fdcan,
-    //TODO spi: Spi,
-    //TODO rng: Rng,
+    fdcan: Fdcan,
+    spi: Spi,
+    rng: Rng,
 }
 
 impl<F: FlashCells> Devices<F> {
@@ -87,13 +87,13 @@ impl<F: FlashCells> Devices<F> {
             dma: Dma12::new(),
             bdma: Bdma::new(),
             timers: TIMERS.into_iter().map(Tim::new).collect(),
-            //TODO adc: Adc12::new(),
-            //TODO dac: Dac::new(),
+            adc: Adc12::new(),
+            dac: Dac::new(),
             usarts: (1..=8).filter_map(Usart::new).collect(),
             i2cs: (1..=4).filter_map(I2c::new).collect(),
-            //TODO fdcan: Fdcan::new(),
-            //TODO spi: Spi::new(),
-            //TODO rng: Rng::new(0),
+            fdcan: Fdcan::new(),
+            spi: Spi::new(),
+            rng: Rng::new(0),
         }
     }
 
@@ -124,14 +124,13 @@ impl<F: FlashCells> Devices<F> {
             13 => &mut self.dma,
             14 => &mut self.bdma,
             TIM..ADC => &mut self.timers[id - TIM],
-            //TODO ADC => &mut self.adc,
-            //TODO DAC => &mut self.dac,
+            ADC => &mut self.adc,
+            DAC => &mut self.dac,
             USART..I2C => &mut self.usarts[id - USART],
             I2C..FDCAN => &mut self.i2cs[id - I2C],
-            //TODO FDCAN => &mut self.fdcan,
-            //TODO SPI => &mut self.spi,
-            //TODO RNG.. => &mut self.rng,
-            _ => &mut self.identity,
+            FDCAN => &mut self.fdcan,
+            SPI => &mut self.spi,
+            RNG.. => &mut self.rng,
         }
     }
 }
@@ -155,10 +154,13 @@ pub struct Soc<O, F> {
     irqs: Vec<(u16, bool)>,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
+    boot: u32,
     /// What a DMA controller met that is not modelled; told at the program's next access.
     unmodelled: Option<Unmodelled>,
 }
 
+/// Where the Cortex-M7 boots, as the Giga's option bytes say.
+const BANK_1: u32 = 0x0800_0000;
 /// Registers of a GPIO port that say what its pins are (RM0399, 12.4).
 const MODER: u32 = 0x00;
 const AFRL: u32 = 0x20;
@@ -189,6 +191,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             irqs: Vec::new(),
             reset: None,
             edges: Vec::new(),
+            boot: BANK_1,
             unmodelled: None,
         };
         soc.update_memory_clocks();
@@ -244,11 +247,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             Signal::Irq { number, level } => self.irqs.push((number, level)),
             Signal::Dma { request, level } => self.devices.dma.request(request, level),
             Signal::Bdma { request, level } => self.devices.bdma.request(request, level),
-            Signal::Trigger { timer } => {
-                if let Some(input) = dma_trigger(timer) {
-                    self.with_dma(|dma, context| dma.trigger(input, context));
-                }
-            }
+            Signal::Trigger { timer } => self.trigger(timer),
             Signal::TimerOutput { timer, channel, at_ns, high } => {
                 let function = Function::Timer(timer, channel);
                 self.devices.gpio.timer_output(function, Some(high), at_ns, &mut self.outside);
@@ -256,6 +255,25 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             Signal::Clocks => self.follow_clocks(),
             Signal::Reset(cause) => self.reset = self.reset.or(Some(cause)),
         }
+    }
+
+    /// A timer's trigger output, to whoever may listen.
+    fn trigger(&mut self, timer: u8) {
+        let mut context = Context {
+            now_ns: self.now_ns,
+            clocks: &self.clocks,
+            outside: &mut self.outside,
+            signals: &mut self.signals,
+            misuse: &mut self.misuse,
+        };
+        let Devices { dma, adc, dac, .. } = &mut self.devices;
+        if let Some(input) = dma_trigger(timer) {
+            dma.trigger(input, &mut context);
+        }
+        adc.trigger(timer, &mut context);
+        dac.trigger(timer, &mut context);
+        self.next_ns[Id::Adc12 as usize] = adc.next_event_ns();
+        self.next_ns[Id::Dac1 as usize] = dac.next_event_ns();
     }
 
     fn with_dma<R>(&mut self, f: impl FnOnce(&mut Dma12, &mut Context<'_>) -> R) -> R {
@@ -462,9 +480,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// A frame for an FDCAN of the chip, which ends at `at_ns`.
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
-        //TODO self.devices.fdcan.receive(bus, at_ns, frame);
+        self.devices.fdcan.receive(bus, at_ns, frame);
         let id = Id::Fdcan as usize;
         self.next_ns[id] = self.devices.get(id).next_event_ns();
+    }
+
+    /// Where the processor starts: at the vector table to which a bootloader would jump, if not that of bank 1.
+    pub fn set_boot_address(&mut self, address: u32) {
+        self.boot = address;
     }
 
     /// RCC, to take crystals away or to let them drift.
@@ -598,6 +621,10 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn core_hz(&self) -> u64 {
         self.clocks.core_hz
+    }
+
+    fn vector_table(&self) -> u32 {
+        self.boot
     }
 }
 
