@@ -170,7 +170,8 @@ impl Converter {
     }
 
     pub(super) fn next_event_ns(&self) -> u64 {
-        let conversion_ns = self.running.map_or(u64::MAX, |running| running.ticks.when_ns(running.end));
+        let running = self.running.filter(|_| !self.is_drowned());
+        let conversion_ns = running.map_or(u64::MAX, |running| running.ticks.when_ns(running.end));
         let ready_ns = if self.ier & ADRDY != 0 { self.ready_ns } else { u64::MAX };
         conversion_ns.min(ready_ns)
     }
@@ -178,6 +179,7 @@ impl Converter {
     /// Works out what has ended up to now.
     pub(super) fn run(&mut self, clock: Clock, context: &mut Context<'_>) {
         let now_ns = context.now_ns;
+        self.skip_lost(now_ns);
         while let Some(running) = self.running.filter(|running| running.ticks.when_ns(running.end) <= now_ns) {
             self.convert(running, context);
         }
@@ -201,6 +203,22 @@ impl Converter {
                 let ticks = Ticks { start_ns: now_ns, frequency_hz: clock.frequency_hz, divider: clock.divider };
                 *running = Running { ticks, end: left, ..*running };
             }
+        }
+    }
+
+    /// Nobody reads: all that a further conversion can set is set, and its result is lost.
+    fn is_drowned(&self) -> bool {
+        let overwrites = self.cfgr & OVRMOD != 0;
+        self.isr & (EOSMP | EOC | EOS | OVR) == EOSMP | EOC | EOS | OVR && self.results.len() == FIFO && !overwrites
+    }
+
+    /// Skips sequences of a continuous mode whose results are lost.
+    fn skip_lost(&mut self, now_ns: u64) {
+        let lost = self.is_drowned() && self.cfgr & CONT != 0;
+        let sequence: u64 = (1..=self.ranks()).map(|rank| self.duration(rank)).sum();
+        if let Some(running) = self.running.as_mut().filter(|_| lost) {
+            let late = running.ticks.at(now_ns).saturating_sub(running.end);
+            running.end += late / sequence * sequence;
         }
     }
 

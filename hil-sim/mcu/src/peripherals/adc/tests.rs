@@ -187,6 +187,14 @@ fn unread_results_overrun() {
         assert_eq!(bench.read(&mut adc, ISR) >> 4 & 1, u32::from(n == 9));
     }
     assert_eq!(requests(&mut bench), [(9, true), (9, false)], "no requests after an overrun");
+    // A day of conversions that nobody reads is no work, and keeps their phase.
+    assert_eq!(adc.next_event_ns(), u64::MAX);
+    now_ns += 86_400_000_000 * US + 1_000;
+    bench.run(&mut adc, now_ns);
+    bench.write(&mut adc, ISR, 1 << 4);
+    assert_eq!(adc.next_event_ns(), now_ns + 250);
+    bench.run(&mut adc, now_ns + 250);
+    assert_eq!(bench.read(&mut adc, ISR) >> 4 & 1, 1);
     assert_eq!(bench.read(&mut adc, DR), (0.1 / 3.3 * 65_536.0) as u32, "the oldest");
     // Overwriting instead.
     bench.write(&mut adc, CR, ON | ADEN | ADSTP);
