@@ -283,7 +283,7 @@ impl Peripheral for Fdcan {
     }
 
     fn next_event_ns(&self) -> u64 {
-        self.modules[0].next_ns().min(self.modules[1].next_ns())
+        self.modules[0].next_event_ns().min(self.modules[1].next_event_ns())
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {

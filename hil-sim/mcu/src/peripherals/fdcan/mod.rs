@@ -341,17 +341,21 @@ impl Module {
         self.coming.front().map_or(u64::MAX, |(at_ns, _)| *at_ns)
     }
 
+    /// What others can see next: a wrap of the timestamp counter only as an interrupt.
+    fn next_event_ns(&self) -> u64 {
+        let wrap_ns = if self.reg(register::IE) & ir::TSW != 0 { self.timestamp_wrap_ns() } else { u64::MAX };
+        self.next_but_wrap_ns().min(wrap_ns)
+    }
+
     fn next_ns(&self) -> u64 {
-        [
-            self.transmission_ns(),
-            self.coming_ns(),
-            self.start_ns().unwrap_or(u64::MAX),
-            self.recovery_ns(),
-            self.timestamp_wrap_ns(),
-        ]
-        .into_iter()
-        .min()
-        .unwrap_or(u64::MAX)
+        self.next_but_wrap_ns().min(self.timestamp_wrap_ns())
+    }
+
+    fn next_but_wrap_ns(&self) -> u64 {
+        [self.transmission_ns(), self.coming_ns(), self.start_ns().unwrap_or(u64::MAX), self.recovery_ns()]
+            .into_iter()
+            .min()
+            .unwrap_or(u64::MAX)
     }
 
     fn bring_to_now(&mut self, ram: &mut MessageRam, context: &mut Context<'_>) {

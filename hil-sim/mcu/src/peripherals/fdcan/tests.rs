@@ -3,6 +3,8 @@
 //! 80 MHz, nominal bits of 80 clocks (1 Mbit/s: 1 + 63 + 16 quanta), data bits of 16 (5 Mbit/s: 1 + 11 + 4). The message RAM is
 //! laid out as standard filters at word 0, extended ones at 16, FIFO 0 at 64, FIFO 1 at 256, events at 448, buffers at 512.
 
+use proptest::prelude::*;
+
 use super::registers::*;
 use super::*;
 use crate::outside::CanOutcome;
@@ -719,4 +721,47 @@ fn misuse_of_clocks_is_reported() {
     let value = bench.read(CCCR);
     bench.write(CCCR, value & !3);
     assert_eq!(bench.take_misuse().len(), 2);
+}
+
+proptest! {
+    /// Looking more often changes nothing: neither what is sent nor what is counted, stored and flagged.
+    #[test]
+    fn looking_more_often_changes_nothing(
+        cuts in prop::collection::vec(0..3_000_000_u64, 0..20),
+        outcomes in prop::collection::vec(0..3_u8, 0..40),
+        gaps in prop::collection::vec(0..500_000_u64, 0..5),
+        queue: bool,
+    ) {
+        let outcome = |mut cuts: Vec<u64>| {
+            let mut bench = configured(0);
+            bench.write(TSCC, 1);
+            bench.write(TXBC, BUFFERS << 2 | 3 << 24 | if queue { txbc::TFQM } else { 0 });
+            run(&mut bench);
+            bench.wires.can_outcomes = outcomes
+                .iter()
+                .map(|outcome| {
+                    [CanOutcome::Acknowledged, CanOutcome::NotAcknowledged, CanOutcome::BitError][usize::from(*outcome)]
+                })
+                .collect();
+            for buffer in 0..3 {
+                fill(&mut bench, buffer, 0x300 - buffer, buffer);
+            }
+            bench.write(TXBAR, 7);
+            let mut at_ns = bench.now_ns;
+            for (nth, gap_ns) in gaps.iter().enumerate() {
+                at_ns += 100_000 + gap_ns;
+                bench.peripheral.receive(1, at_ns, frame(nth as u32, &[nth as u8]));
+            }
+            cuts.sort_unstable();
+            for cut_ns in cuts {
+                bench.run_until(bench.now_ns.max(cut_ns));
+            }
+            bench.run_until(20_000_000);
+            let registers: Vec<u32> =
+                [IR, ECR, PSR, TXBRP, TXBTO, TXBCF, TXFQS, RXF0S, TSCV].into_iter().map(|offset| bench.read(offset)).collect();
+            let memory: Vec<u32> = (FIFO_0..FIFO_0 + 3 * ELEMENT).map(|word| ram(&mut bench, word)).collect();
+            (bench.wires.can, registers, memory)
+        };
+        prop_assert_eq!(outcome(cuts), outcome(Vec::new()));
+    }
 }

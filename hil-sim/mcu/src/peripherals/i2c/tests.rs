@@ -3,6 +3,8 @@
 //! 100 MHz, SCLL + 1 + 3 = 124 periods and 10 ns of slope low, SCLH + 1 + 3 = 115 periods and 100 ns high: bits of 1250 +
 //! 1250 ns. SCLDEL is 10 periods.
 
+use proptest::prelude::*;
+
 use super::registers::*;
 use super::*;
 use crate::outside::I2cResponse;
@@ -395,4 +397,51 @@ fn reset_is_as_new() {
     assert!(!bench.irq(31));
     assert_eq!(bench.read(ISR), isr::TXE);
     assert_eq!(bench.peripheral.next_event_ns(), u64::MAX);
+}
+
+proptest! {
+    /// Whatever the target answers, a transfer ends, with STOP as the last thing on the bus, and all bytes in order.
+    #[test]
+    fn a_transfer_ends(nbytes in 0..20_u32, read: bool, nack_at in 0..25_usize, late_ns in prop::collection::vec(0..50_000_u64, 1..5)) {
+        let mut bench = started(1, 0);
+        let acks = std::iter::repeat_n(I2cResponse::Ack, nack_at);
+        bench.wires.i2c_answers = acks.chain([I2cResponse::Nack]).collect();
+        bench.write(CR2, request(nbytes, cr2::AUTOEND | if read { cr2::RD_WRN } else { 0 }));
+        let mut count = 0;
+        while bench.read(ISR) & isr::STOPF == 0 {
+            let flags = bench.read(ISR);
+            if flags & (isr::TXIS | isr::RXNE) != 0 {
+                let until_ns = bench.now_ns + late_ns[count as usize % late_ns.len()];
+                bench.run_until(until_ns);
+            }
+            if flags & isr::TXIS != 0 {
+                // While software was late the byte before may have been refused.
+                if bench.read(ISR) & isr::TXIS != 0 {
+                    bench.write(TXDR, count);
+                    count += 1;
+                }
+            } else if flags & isr::RXNE != 0 {
+                bench.read(RXDR);
+                count += 1;
+            } else {
+                let next_ns = bench.peripheral.next_event_ns();
+                prop_assert!(next_ns < u64::MAX);
+                bench.run_until(next_ns);
+            }
+        }
+        let answered = nack_at.min(if read { 1 } else { nbytes as usize + 1 });
+        let refused = nack_at < if read { 1 } else { nbytes as usize + 1 };
+        prop_assert_eq!(bench.read(ISR) & isr::NACKF != 0, refused);
+        let stopped = matches!(bench.wires.i2c.last(), Some(OnI2c::Stop { .. }));
+        prop_assert!(stopped);
+        let written: Vec<u8> =
+            bench.wires.i2c.iter().filter_map(|event| if let OnI2c::Write { byte, .. } = event { Some(*byte) } else { None }).collect();
+        // The address is the first answer; a byte that is refused is on the bus, too.
+        let expected = if read { 0 } else { answered + usize::from(refused) - 1 };
+        prop_assert_eq!(written, (0..expected as u8).collect::<Vec<u8>>());
+        if read && !refused {
+            let reads = bench.wires.i2c.iter().filter(|event| matches!(event, OnI2c::Read { .. })).count();
+            prop_assert_eq!(reads, nbytes as usize);
+        }
+    }
 }

@@ -130,15 +130,14 @@ impl Usart {
     /// Everything up to now, in order of time.
     fn bring_to_now(&mut self, context: &mut Context<'_>) {
         self.kernel_hz = self.kernel_hz_of(context.clocks);
-        let frame_ns = self.frame_ns();
         loop {
             let sent_ns = self.transmitter.next_ns();
-            let received = self.receiver.next(frame_ns);
+            let received = self.receiver_next();
             let received_ns = received.map_or(u64::MAX, |(at_ns, _)| at_ns);
             if let Some(at_ns) = sent_ns.filter(|at_ns| *at_ns <= context.now_ns && *at_ns <= received_ns) {
                 self.frame_sent(at_ns, context);
-            } else if let Some((at_ns, happens)) = received.filter(|(at_ns, _)| *at_ns <= context.now_ns) {
-                self.receiver_event(at_ns, happens);
+            } else if let Some((_, happens)) = received.filter(|(at_ns, _)| *at_ns <= context.now_ns) {
+                self.receiver_event(happens);
             } else {
                 break;
             }
@@ -204,7 +203,7 @@ impl Peripheral for Usart {
     }
 
     fn next_event_ns(&self) -> u64 {
-        let received_ns = self.receiver.next(self.frame_ns()).map_or(u64::MAX, |(at_ns, _)| at_ns);
+        let received_ns = self.receiver_next().map_or(u64::MAX, |(at_ns, _)| at_ns);
         self.transmitter.next_ns().unwrap_or(u64::MAX).min(received_ns)
     }
 

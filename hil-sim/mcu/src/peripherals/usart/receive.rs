@@ -66,6 +66,11 @@ impl Receiver {
         self.timeout_ns = None;
     }
 
+    /// Nothing is coming, and no silence is waited for.
+    pub(super) fn is_quiet(&self) -> bool {
+        self.coming.is_empty() && self.idle_ns.is_none() && self.timeout_ns.is_none()
+    }
+
     /// What happens next, given how long a frame takes.
     pub(super) fn next(&self, frame_ns: u64) -> Option<(u64, Happens)> {
         let byte = self.coming.front().map(|byte| byte.at_ns);
@@ -86,8 +91,13 @@ impl Receiver {
 }
 
 impl Usart {
-    /// Something has happened in the receiver, at that moment.
-    pub(super) fn receiver_event(&mut self, at_ns: u64, happens: Happens) {
+    /// What happens next in the receiver.
+    pub(super) fn receiver_next(&self) -> Option<(u64, Happens)> {
+        if self.receiver.is_quiet() { None } else { self.receiver.next(self.frame_ns()) }
+    }
+
+    /// Something has happened in the receiver.
+    pub(super) fn receiver_event(&mut self, happens: Happens) {
         match happens {
             Happens::Byte => {
                 if let Some(byte) = self.receiver.coming.pop_front() {
@@ -103,7 +113,6 @@ impl Usart {
                 self.kept |= isr::RTOF;
             }
         }
-        debug_assert!(self.receiver.next(self.frame_ns()).is_none_or(|(next_ns, _)| next_ns >= at_ns));
     }
 
     fn byte_arrived(&mut self, byte: UartByte) {

@@ -1,5 +1,7 @@
 //! Sequences of RM0399, 51.5, and misuse. 64 MHz / 64 gives bits of exactly 1 µs, so that frames of 10 bits end at round numbers.
 
+use proptest::prelude::*;
+
 use super::registers::*;
 use super::*;
 use crate::peripherals::bench::Bench;
@@ -395,4 +397,33 @@ fn reset_ends_everything_but_not_what_comes() {
     bench.run_until(300_000);
     assert_eq!(bench.read(RDR), 5);
     assert_eq!(bench.wires.uart, []);
+}
+
+proptest! {
+    /// Looking more often changes nothing.
+    #[test]
+    fn time_may_be_cut_anywhere(
+        cuts in prop::collection::vec(0..600_000_u64, 0..20), gaps in prop::collection::vec(0..30_000_u64, 1..15), fifo: bool,
+    ) {
+        let run = |mut cuts: Vec<u64>| {
+            let mut bench = started(1, if fifo { cr1::FIFOEN } else { 0 });
+            let mut at_ns = 150_000;
+            for (nth, gap_ns) in gaps.iter().enumerate() {
+                at_ns += 10_000 + gap_ns;
+                bench.peripheral.receive(byte(at_ns, nth as u8));
+            }
+            for nth in 0..if fifo { 10 } else { 1 } {
+                bench.write(TDR, nth);
+            }
+            cuts.sort_unstable();
+            for cut_ns in cuts {
+                bench.run_until(bench.now_ns.max(cut_ns));
+            }
+            bench.run_until(1_000_000);
+            let flags = bench.read(ISR);
+            let received: Vec<u32> = gaps.iter().map(|_| bench.read(RDR)).collect();
+            (bench.wires.uart, flags, received)
+        };
+        prop_assert_eq!(run(cuts), run(Vec::new()));
+    }
 }
