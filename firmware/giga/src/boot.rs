@@ -5,6 +5,7 @@ use core::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+use cortex_m::peripheral::{NVIC, SYST};
 use embassy_executor::Executor;
 use embassy_futures::{block_on, join::join};
 use embassy_stm32::{
@@ -144,6 +145,7 @@ defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::
 pub(crate) fn run() -> ! {
     safety_pins::claim();
     watchdog::start_for_boot();
+    quiet();
     let start = Start::take();
     caches();
     no_speculation();
@@ -503,6 +505,22 @@ async fn restart_task(shared: &'static Board) -> ! {
     shared.restart_requested().await;
     defmt::info!("a host asked for a restart");
     cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Words with a bit for each of the 150 interrupts.
+const INTERRUPT_WORDS: usize = 5;
+
+/// Ends what a bootloader may have left: its tick, its interrupts, and that none are taken.
+fn quiet() {
+    #[allow(unsafe_code, reason = "no driver owns an interrupt yet")]
+    // SAFETY: each bit written turns an interrupt off or forgets that it was asked for; no driver and no critical section
+    // exists yet.
+    unsafe {
+        (*SYST::PTR).csr.write(0);
+        (*NVIC::PTR).icer.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        (*NVIC::PTR).icpr.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        cortex_m::interrupt::enable();
+    }
 }
 
 /// Instructions are cached; data is not, so that DMA and the processor see the same. The Arduino bootloader may have left the
