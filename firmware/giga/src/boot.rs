@@ -5,6 +5,7 @@ use core::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+use cortex_m::peripheral::{NVIC, SYST};
 use embassy_executor::Executor;
 use embassy_futures::{block_on, join::join};
 use embassy_stm32::{
@@ -26,7 +27,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
-    Shared,
+    ResetCause, Shared,
     control::{self, BoardIo},
     link::serve,
     passthrough::PassthroughIo,
@@ -144,6 +145,7 @@ defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::
 pub(crate) fn run() -> ! {
     safety_pins::claim();
     watchdog::start_for_boot();
+    quiet();
     let start = Start::take();
     caches();
     no_speculation();
@@ -167,21 +169,34 @@ pub(crate) fn run() -> ! {
             safety_pins::blink(3);
         }
     }
-    start_tasks(p, &start)
+    let (shared, screen) = start_tasks(p, &start);
+    defmt::info!("tasks run");
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    EXECUTOR.init_with(Executor::new).run(|spawner| spawner.spawn(screen_task(shared, screen).expect("one")))
 }
 
-fn start_tasks(p: Peripherals, start: &Start) -> ! {
+/// The state that all tasks share, from what is built in and what was saved since.
+#[inline(never)]
+fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
     // `build.rs` packed it with the same types, so it is there; without it there is nothing that could be driven.
     let built_in: BoardConfig = match postcard::from_bytes(CONFIG) {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
     };
-    let mut flash = Bank2::new(p.FLASH);
-    let loaded = block_on(r4_firmware::storage::parameters::load(&mut flash, &built_in));
+    let loaded = block_on(r4_firmware::storage::parameters::load(flash, &built_in));
     defmt::info!("saved parameters: {}", defmt::Debug2Format(&loaded.saved));
     static SHARED: StaticCell<Board> = StaticCell::new();
-    let has_ranges = !built_in.ranges.is_empty();
-    let shared: &'static Board = SHARED.init_with(|| Shared::new(loaded.config, built_in, start.cause()));
+    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset))
+}
+
+/// Makes the drivers and starts all tasks but the screen's, which has the thread to itself.
+///
+/// Not part of [`run`], which never returns: what these take of the stack is free again for the tasks.
+#[inline(never)]
+fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
+    let mut flash = Bank2::new(p.FLASH);
+    let shared = board(&mut flash, start.cause());
+    let has_ranges = !shared.config().ranges.is_empty();
 
     let output = |high: bool| if high { Level::High } else { Level::Low };
     let safety = SafetyPins {
@@ -411,10 +426,7 @@ fn start_tasks(p: Peripherals, start: &Start) -> ! {
     executors.links.spawn(storage_task(shared, flash).expect("one"));
     executors.links.spawn(log_task(shared).expect("one"));
     executors.links.spawn(restart_task(shared).expect("one"));
-    defmt::info!("tasks run");
-
-    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init_with(Executor::new).run(|spawner| spawner.spawn(screen_task(shared, screen).expect("one")))
+    (shared, screen)
 }
 
 #[embassy_executor::task]
@@ -503,6 +515,22 @@ async fn restart_task(shared: &'static Board) -> ! {
     shared.restart_requested().await;
     defmt::info!("a host asked for a restart");
     cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Words with a bit for each of the 150 interrupts.
+const INTERRUPT_WORDS: usize = 5;
+
+/// Ends what a bootloader may have left: its tick, its interrupts, and that none are taken.
+fn quiet() {
+    #[allow(unsafe_code, reason = "no driver owns an interrupt yet")]
+    // SAFETY: each bit written turns an interrupt off or forgets that it was asked for; no driver and no critical section
+    // exists yet.
+    unsafe {
+        (*SYST::PTR).csr.write(0);
+        (*NVIC::PTR).icer.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        (*NVIC::PTR).icpr.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        cortex_m::interrupt::enable();
+    }
 }
 
 /// Instructions are cached; data is not, so that DMA and the processor see the same. The Arduino bootloader may have left the
