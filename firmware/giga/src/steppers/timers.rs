@@ -99,6 +99,9 @@ impl StepTimer for Axis {
     }
 }
 
+/// UIF, CC1IF to CC4IF, TIF and CC1OF to CC4OF of TIMx_SR.
+const FLAGS: u32 = 0x1E5F;
+
 fn prescaler(clock_hz: u32) -> u16 {
     (clock_hz / TICK_HZ - 1) as u16
 }
@@ -125,7 +128,7 @@ pub(super) fn wake_at(tick: u32) -> bool {
     pac::TIM2.ccr(0).write_value(tick);
     // Other flags are left as they are: writing 1 does nothing (RM0399, TIMx_SR: rc_w0).
     pac::TIM2.sr().write(|w| {
-        w.0 = !0;
+        w.0 = FLAGS;
         w.set_ccif(0, false);
     });
     tick.wrapping_sub(Clock::ticks()).cast_signed() > 0
