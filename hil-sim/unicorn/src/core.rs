@@ -28,7 +28,7 @@ mod raised {
 }
 
 /// EPSR.T.
-const THUMB: u32 = 1 << 24;
+pub(crate) const THUMB: u32 = 1 << 24;
 
 /// A Cortex-M7 by Unicorn.
 pub struct UnicornCore {

@@ -5,6 +5,7 @@ use r4_mcu::cpu::{Access, NoResult, Why};
 use unicorn_engine::{HookType, MemType, RegisterARM, Unicorn, uc_error};
 
 use crate::blocks::Block;
+use crate::core::THUMB;
 use crate::mapping::STUB;
 use crate::state::{State, slice};
 
@@ -93,6 +94,14 @@ fn access(engine: &mut Unicorn<'_, State>, address: u32, size: Size) -> Access {
     Access { address, size, pc, instructions: engine.get_data().instructions_before(pc) }
 }
 
+/// To know the program counter, Unicorn has also restored the state of an IT block, as if the instruction were to be executed
+/// again. The translated block that goes on has that state within its code; left behind in the processor, it would make the
+/// *next* block conditional.
+fn clear_it_state(engine: &mut Unicorn<'_, State>) {
+    // Cannot fail: the register exists.
+    let _ = engine.reg_write(RegisterARM::EPSR, THUMB.into());
+}
+
 /// The widths on the bus of an access: a double word is two words.
 fn parts(bytes: u32) -> (Size, u32) {
     match bytes {
@@ -124,6 +133,7 @@ fn load(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> bool {
     state.window.base = base;
     state.window.bytes = window;
     refresh_limits(engine);
+    clear_it_state(engine);
     true
 }
 
@@ -152,4 +162,5 @@ fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) 
     let unaligned = address & (bytes - 1) != 0;
     engine.get_data_mut().window.repeated = if unaligned { (address, address + bytes) } else { (0, 0) };
     refresh_limits(engine);
+    clear_it_state(engine);
 }

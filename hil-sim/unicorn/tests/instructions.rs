@@ -137,6 +137,16 @@ fn an_access_knows_its_instruction_width_and_count() {
 }
 
 #[test]
+fn an_access_in_a_conditional_block_does_not_make_what_follows_conditional() {
+    // cmp r5,r5; itt eq; ldreq r1,[r0]; streq r1,[r0]; cmp r5,#1; b next; next: movs r2,#7; wfi
+    let (mut core, _) = core(&[0x42AD, 0xBF04, 0x6801, 0x6001, 0x2D01, 0xE7FF, 0x2207, 0xBF30]);
+    core.set(Register::R(0), 0x4000_0000);
+    let mut bus = bus();
+    assert_eq!(run(&mut core, &mut bus), (8, Why::Wfi, 16));
+    assert_eq!((bus.accesses.len(), core.get(Register::R(2))), (2, 7));
+}
+
+#[test]
 fn a_load_without_result_stops_at_its_instruction_and_changes_nothing() {
     // movs r1,#5; ldr r1,[r0]; movs r2,#1
     let (mut core, _) = core(&[0x2105, 0x6801, 0x2201, 0xE7FE]);
