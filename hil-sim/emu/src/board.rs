@@ -1,14 +1,15 @@
 //! The emulated board: a machine that runs as one task of a simulation.
 
 use std::{
-    cell::{Cell, RefCell},
+    cell::{RefCell, RefMut},
     ops::Deref,
     rc::Rc,
 };
 
 use r4_boards::Robot;
 use r4_mcu::{
-    LoadError, Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators, soc::Soc,
+    LoadError, Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators,
+    soc::Soc,
 };
 use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Flash, link::Receiver};
 
@@ -22,6 +23,9 @@ use crate::{
 const KEPT_SECTORS: usize = 4;
 /// Longest stretch in which nobody else is asked, ns: whoever presses a key is noticed after it.
 const SLICE_NS: u64 = 10_000_000;
+
+/// A byte at the host's rate, ns: the chip's receiver is told of it when it begins.
+const FRAME_NS: u64 = 10_000;
 
 /// The chip with everything around it.
 pub type BoardSoc = Soc<Wiring, Cells>;
@@ -93,7 +97,7 @@ impl<C: Core + 'static> EmuBoard<C> {
     }
 
     /// The machine, to look into and to break. Must not be kept over an `await`.
-    pub fn machine(&self) -> std::cell::RefMut<'_, Machine<C, BoardSoc>> {
+    pub fn machine(&self) -> RefMut<'_, Machine<C, BoardSoc>> {
         self.machine.borrow_mut()
     }
 }
@@ -143,16 +147,18 @@ impl<C: Core> Run<C> {
         for (port, end) in uarts {
             loop {
                 let arrived = match end {
-                    UartEnd::Host => self.from_host.borrow_mut().take_arrived(now_ns),
+                    UartEnd::Host => self.from_host.borrow_mut().take_arrived(now_ns + FRAME_NS),
                     UartEnd::Connector(connector) => soc.outside().take_uart_arrived(connector),
                 };
                 let Some(byte) = arrived else { break };
                 let r4_sim::uart::UartByte { at_ns, value, framing_error, noise } = byte;
-                // A byte is at its time or, when the processor overran it by a block of instructions, just after.
                 soc.uart_receive(port, UartByte { at_ns: at_ns.max(now_ns), value, framing_error, noise });
             }
             let arrives_ns = match end {
-                UartEnd::Host => self.from_host.borrow().next_arrival_ns().unwrap_or(u64::MAX),
+                UartEnd::Host => {
+                    let next_ns = self.from_host.borrow().next_arrival_ns();
+                    next_ns.map_or(u64::MAX, |at_ns| at_ns.saturating_sub(FRAME_NS))
+                }
                 UartEnd::Connector(connector) => soc.outside().next_uart_arrival_ns(connector),
             };
             next_ns = next_ns.min(arrives_ns);

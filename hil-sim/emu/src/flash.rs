@@ -11,7 +11,7 @@ use r4_sim::flash::{Flash, FlashError};
 const FIRST: u32 = BANK_WORDS + 4 * SECTOR_WORDS;
 
 /// All cells of the chip.
-pub(crate) struct Cells {
+pub struct Cells {
     /// What is kept.
     kept: Rc<RefCell<Flash>>,
     /// The rest: code, which the processor reads from the chip's memory, and four sectors that nobody uses.

@@ -7,4 +7,6 @@ mod roles;
 mod wiring;
 
 pub use board::{BoardSoc, EmuBoard, EmuError};
+pub use flash::Cells;
 pub use image::{Image, ImageError};
+pub use wiring::Wiring;

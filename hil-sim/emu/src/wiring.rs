@@ -19,8 +19,8 @@ use crate::roles::{Role, Roles};
 const REFERENCE_V: f64 = 3.3;
 
 /// A line that someone outside drives, and the level the chip was told last.
-pub(crate) struct Watched {
-    pub(crate) line: Rc<Line>,
+struct Watched {
+    line: Rc<Line>,
     told: bool,
 }
 
@@ -41,7 +41,7 @@ pub(crate) enum UartEnd {
 }
 
 /// Everything outside the chip.
-pub(crate) struct Wiring {
+pub struct Wiring {
     world: Rc<RefCell<World>>,
     clock: Clock,
     roles: Roles,

@@ -1,11 +1,11 @@
 //! The peripherals, one module each.
 
 pub(crate) mod access;
+pub mod adc;
 pub mod backup;
 pub mod crs;
-pub mod dbgmcu;
-pub mod adc;
 pub mod dac;
+pub mod dbgmcu;
 pub mod dma;
 pub mod exti;
 pub mod fdcan;
@@ -17,12 +17,12 @@ pub mod identity;
 pub mod iwdg;
 pub mod pwr;
 pub mod rcc;
-pub mod tim;
 pub mod rng;
 pub mod spi;
-pub mod usart;
+pub mod tim;
 #[cfg(test)]
 mod together;
+pub mod usart;
 mod width;
 
 #[cfg(test)]

@@ -6,6 +6,8 @@
 
 mod map;
 
+use std::collections::HashMap;
+
 use map::Id;
 
 use crate::{
@@ -145,12 +147,16 @@ pub struct Soc<O, F> {
     clocks: Clocks,
     now_ns: u64,
     signals: Vec<Signal>,
+    /// Who gave off each signal, by place.
+    sources: Vec<usize>,
     misuse: Vec<Misuse>,
     /// When each peripheral must be advanced, by its place.
     next_ns: [u64; Id::COUNT],
     next_poll_ns: u64,
     /// Pins with an interrupt or a capture on them.
     watched: Vec<Pin>,
+    /// Who asserts each interrupt line now, by place.
+    asserted: HashMap<u16, Vec<usize>>,
     irqs: Vec<(u16, bool)>,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
@@ -184,10 +190,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             bases: map::bases(),
             now_ns: 0,
             signals: Vec::new(),
+            sources: Vec::new(),
             misuse: Vec::new(),
             next_ns: [u64::MAX; Id::COUNT],
             next_poll_ns: u64::MAX,
             watched: Vec::new(),
+            asserted: HashMap::new(),
             irqs: Vec::new(),
             reset: None,
             edges: Vec::new(),
@@ -209,8 +217,8 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         &self.misuse
     }
 
-    /// Calls `f` with a peripheral and its context, then carries out the signals it gave off.
-    fn with<R>(&mut self, id: usize, f: impl FnOnce(&mut dyn Peripheral, &mut Context<'_>) -> R) -> R {
+    /// Calls `f` with the peripherals and the context of one of them, whose next event is then asked for.
+    fn call<R>(&mut self, id: usize, f: impl FnOnce(&mut Devices<F>, &mut Context<'_>) -> R) -> R {
         let mut context = Context {
             now_ns: self.now_ns,
             clocks: &self.clocks,
@@ -218,11 +226,16 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             signals: &mut self.signals,
             misuse: &mut self.misuse,
         };
-        let device = self.devices.get(id);
-        let result = f(device, &mut context);
-        self.next_ns[id] = device.next_event_ns();
+        let result = f(&mut self.devices, &mut context);
+        self.sources.resize(self.signals.len(), id);
+        self.next_ns[id] = self.devices.get(id).next_event_ns();
         self.misuse.truncate(MISUSE_KEPT);
         result
+    }
+
+    /// The same for what every peripheral can do.
+    fn with<R>(&mut self, id: usize, f: impl FnOnce(&mut dyn Peripheral, &mut Context<'_>) -> R) -> R {
+        self.call(id, |devices, context| f(devices.get(id), context))
     }
 
     /// Carries out what peripherals have given off, and what follows from that, until nothing is left.
@@ -230,11 +243,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         let mut next = 0;
         loop {
             while next < self.signals.len() {
-                let signal = self.signals[next];
+                let (signal, source) = (self.signals[next], self.sources[next]);
                 next += 1;
-                self.carry_out(signal);
+                self.carry_out(signal, source);
             }
             self.signals.clear();
+            self.sources.clear();
             next = 0;
             if !self.dma_beat() {
                 break;
@@ -242,9 +256,9 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    fn carry_out(&mut self, signal: Signal) {
+    fn carry_out(&mut self, signal: Signal, source: usize) {
         match signal {
-            Signal::Irq { number, level } => self.irqs.push((number, level)),
+            Signal::Irq { number, level } => self.interrupt(number, level, source),
             Signal::Dma { request, level } => self.devices.dma.request(request, level),
             Signal::Bdma { request, level } => self.devices.bdma.request(request, level),
             Signal::Trigger { timer } => self.trigger(timer),
@@ -257,57 +271,42 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
+    /// An interrupt line of a peripheral. Those that share a vector are ORed.
+    fn interrupt(&mut self, number: u16, level: bool, source: usize) {
+        let sources = self.asserted.entry(number).or_default();
+        let was = !sources.is_empty();
+        sources.retain(|other| *other != source);
+        if level {
+            sources.push(source);
+        }
+        let is = !sources.is_empty();
+        if was != is {
+            self.irqs.push((number, is));
+        }
+    }
+
     /// A timer's trigger output, to whoever may listen.
     fn trigger(&mut self, timer: u8) {
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        let Devices { dma, adc, dac, .. } = &mut self.devices;
         if let Some(input) = dma_trigger(timer) {
-            dma.trigger(input, &mut context);
+            self.call(Id::Dma as usize, |devices, context| devices.dma.trigger(input, context));
         }
-        adc.trigger(timer, &mut context);
-        dac.trigger(timer, &mut context);
-        self.next_ns[Id::Adc12 as usize] = adc.next_event_ns();
-        self.next_ns[Id::Dac1 as usize] = dac.next_event_ns();
-    }
-
-    fn with_dma<R>(&mut self, f: impl FnOnce(&mut Dma12, &mut Context<'_>) -> R) -> R {
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        f(&mut self.devices.dma, &mut context)
-    }
-
-    fn with_bdma<R>(&mut self, f: impl FnOnce(&mut Bdma, &mut Context<'_>) -> R) -> R {
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        f(&mut self.devices.bdma, &mut context)
+        self.call(Id::Adc12 as usize, |devices, context| devices.adc.trigger(timer, context));
+        self.call(Id::Dac1 as usize, |devices, context| devices.dac.trigger(timer, context));
     }
 
     /// One access of a DMA controller; false when none wants any.
     fn dma_beat(&mut self) -> bool {
         if let Some(beat) = self.devices.dma.next_beat() {
             let result = self.bus_access(beat);
-            self.with_dma(|dma, context| dma.finish_beat(result, context));
+            let finish = |devices: &mut Devices<F>, context: &mut Context<'_>| devices.dma.finish_beat(result, context);
+            if let Some(request) = self.call(Id::Dma as usize, finish) {
+                self.call(Id::Adc12 as usize, |devices, context| devices.adc.dma_ended(request, context));
+            }
             return true;
         }
         if let Some(beat) = self.devices.bdma.next_beat() {
             let result = if beat.address < DOMAIN_3 { Err(dma::BusError) } else { self.bus_access(beat) };
-            self.with_bdma(|bdma, context| bdma.finish_beat(result, context));
+            self.call(Id::Bdma as usize, |devices, context| devices.bdma.finish_beat(result, context));
             return true;
         }
         false
@@ -365,7 +364,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// What RCC, PWR and SYSCFG tell each other, after a write to one of them.
+    /// What RCC, PWR and SYSCFG tell each other, after a write to one of them or an event in it.
     fn link_power(&mut self) {
         self.update_memory_clocks();
         for base in self.devices.rcc.take_resets() {
@@ -373,33 +372,20 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.reset_part(id, base);
             }
         }
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        let Devices { rcc, pwr, syscfg, flash, backup, .. } = &mut self.devices;
-        Wired { rcc, pwr, syscfg, flash, backup }.settle(&mut context);
+        self.call(Id::Rcc as usize, |devices, context| {
+            let Devices { rcc, pwr, syscfg, flash, backup, .. } = devices;
+            Wired { rcc, pwr, syscfg, flash, backup }.settle(context);
+        });
     }
 
     /// A reset bit of RCC: of one block where several share a model.
     fn reset_part(&mut self, id: usize, base: u32) {
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        match base {
-            0x4002_0000 => self.devices.dma.reset_part(dma::Part::Dma1, &mut context),
-            0x4002_0400 => self.devices.dma.reset_part(dma::Part::Dma2, &mut context),
-            0x5802_0000..0x5802_2C00 => self.devices.gpio.reset_port(((base >> 10) & 0xF) as usize, &mut context),
-            _ => self.devices.get(id).reset(&mut context),
-        }
-        self.next_ns[id] = self.devices.get(id).next_event_ns();
+        self.call(id, |devices, context| match base {
+            0x4002_0000 => devices.dma.reset_part(dma::Part::Dma1, context),
+            0x4002_0400 => devices.dma.reset_part(dma::Part::Dma2, context),
+            0x5802_0000..0x5802_2C00 => devices.gpio.reset_port(((base >> 10) & 0xF) as usize, context),
+            _ => devices.get(id).reset(context),
+        });
     }
 
     /// Tells the chip what changed at its input pins.
@@ -415,21 +401,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     }
 
     fn edge(&mut self, edge: Edge) {
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        let Devices { gpio, exti, syscfg, timers, .. } = &mut self.devices;
-        if let Some(Function::Timer(timer, channel)) = gpio.function(edge.pin) {
+        if let Some(Function::Timer(timer, channel)) = self.devices.gpio.function(edge.pin) {
             if let Some(index) = TIMERS.iter().position(|number| *number == timer) {
-                timers[index].edge(channel, edge.high, edge.at_ns, &mut context);
-                self.next_ns[Id::Tim1 as usize + index] = timers[index].next_event_ns();
+                self.call(Id::Tim1 as usize + index, |devices, context| {
+                    devices.timers[index].edge(channel, edge.high, edge.at_ns, context);
+                });
             }
         }
-        exti.edge(syscfg, edge, &mut context);
+        self.call(Id::Exti as usize, |devices, context| devices.exti.edge(&devices.syscfg, edge, context));
     }
 
     /// Pins of a port have other functions now: timers see the level of those they have got.
@@ -455,16 +434,6 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
         self.next_poll_ns = self.now_ns;
     }
-}
-
-/// Numbers of the timers, in the order of their [`Id`]s.
-const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
-/// The number that is engraved in the emulated chip: "R4 emulated!" in ASCII.
-const UNIQUE: [u32; 3] = [0x6520_3452, 0x616C_756D, 0x2164_6574];
-
-/// Input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
-fn dma_trigger(timer: u8) -> Option<u8> {
-    (timer == 12).then_some(7)
 }
 
 impl<O: Outside, F: FlashCells> Soc<O, F> {
@@ -582,6 +551,9 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             for id in 0..Id::COUNT {
                 if self.next_ns[id] <= self.now_ns {
                     self.with(id, |device, context| device.advance(context));
+                    if id == Id::Rcc as usize || id == Id::Pwr as usize {
+                        self.link_power();
+                    }
                 }
             }
             self.settle();
@@ -608,7 +580,14 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         for id in 0..Id::COUNT {
             self.with(id, |device, context| device.reset(context));
         }
-        self.signals.retain(|signal| matches!(signal, Signal::Irq { .. }));
+        // What was under way between peripherals is gone with them; what they tell of their lines is not.
+        for index in 0..self.signals.len() {
+            if let Signal::Irq { number, level } = self.signals[index] {
+                self.interrupt(number, level, self.sources[index]);
+            }
+        }
+        self.signals.clear();
+        self.sources.clear();
         self.follow_clocks();
         self.link_power();
         self.update_watched();
@@ -631,15 +610,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 impl<O: Outside, F: FlashCells> Soc<O, F> {
     fn load_flash(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
         self.advance(now_ns);
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        let result = self.devices.flash.load(address, size, &mut context);
-        self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
+        let result = self.call(Id::Flash as usize, |devices, context| devices.flash.load(address, size, context));
         self.settle();
         result.map_err(|error| match error {
             LoadError::Ecc | LoadError::Outside => AccessError::Bus,
@@ -652,16 +623,18 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     fn program_flash(&mut self, now_ns: u64, address: u32, size: Size, value: u32) -> Result<(), AccessError> {
         self.advance(now_ns);
-        let mut context = Context {
-            now_ns: self.now_ns,
-            clocks: &self.clocks,
-            outside: &mut self.outside,
-            signals: &mut self.signals,
-            misuse: &mut self.misuse,
-        };
-        self.devices.flash.store(address, size, value, &mut context);
-        self.next_ns[Id::Flash as usize] = self.devices.flash.next_event_ns();
+        self.call(Id::Flash as usize, |devices, context| devices.flash.store(address, size, value, context));
         self.settle();
         Ok(())
     }
+}
+
+/// Numbers of the timers, in the order of their [`Id`]s.
+const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
+/// The number that is engraved in the emulated chip: "R4 emulated!" in ASCII.
+const UNIQUE: [u32; 3] = [0x6520_3452, 0x616C_756D, 0x2164_6574];
+
+/// Input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
+fn dma_trigger(timer: u8) -> Option<u8> {
+    (timer == 12).then_some(7)
 }
