@@ -2,7 +2,7 @@
 
 use r4_mcu::Size;
 use r4_mcu::cpu::{Access, NoResult, Why};
-use unicorn_engine::{HookType, MemType, RegisterARM, Unicorn, uc_error};
+use unicorn_engine::{HookType, MemType, RegisterARM, UcHookId, Unicorn, uc_error};
 
 use crate::blocks::Block;
 use crate::core::THUMB;
@@ -14,22 +14,30 @@ pub(crate) type Engine = Unicorn<'static, State>;
 /// ITCM lies below this: its contents may be changed by any store, and are decoded each time.
 const CACHED_FROM: u32 = 0x0001_0000;
 
-/// Installs the hooks that stay.
+/// Installs the hooks that are for every address.
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
     // 1 > 0: everywhere.
     engine.add_block_hook(1, 0, |engine, address, bytes| block(engine, address as u32, bytes))?;
-    engine.add_mem_hook(HookType::MEM_READ_PROT, 1, 0, |engine, _: MemType, address, bytes, _| {
-        load(engine, address as u32, bytes as u32)
-    })?;
-    engine.add_mem_hook(HookType::MEM_WRITE_PROT, 1, 0, |engine, _: MemType, address, bytes, value| {
-        store(engine, address as u32, bytes as u32, value as u64);
-        true
-    })?;
     engine.add_intr_hook(|engine, number| {
         engine.get_data_mut().exception = Some(number);
         stop(engine);
     })?;
     Ok(())
+}
+
+/// Installs the hooks for accesses without permission, for these addresses only: where such a hook reaches, Unicorn's
+/// translated code makes every store by a slow way.
+pub(crate) fn install_access(engine: &mut Unicorn<'_, State>, base: u64, len: u64) -> Result<[UcHookId; 2], uc_error> {
+    let last = base + len - 1;
+    let load = engine.add_mem_hook(HookType::MEM_READ_PROT, base, last, |engine, _: MemType, address, bytes, _| {
+        load(engine, address as u32, bytes as u32)
+    })?;
+    let store =
+        engine.add_mem_hook(HookType::MEM_WRITE_PROT, base, last, |engine, _: MemType, address, bytes, value| {
+            store(engine, address as u32, bytes as u32, value as u64);
+            true
+        })?;
+    Ok([load, store])
 }
 
 /// Asks for the limits again.

@@ -3,7 +3,7 @@
 use r4_mcu::{Bank, Region};
 use unicorn_engine::{Prot, Unicorn, uc_error};
 
-use crate::hooks::{load_result, refresh_limits};
+use crate::hooks::{install_access, load_result, refresh_limits};
 use crate::state::State;
 
 /// A page of this crate's own, in an area that RM0399 leaves reserved: see [`CLREX`].
@@ -25,9 +25,11 @@ pub(crate) fn map_all(engine: &mut Unicorn<'static, State>, regions: &[Region]) 
     for (base, len) in used.into_iter().chain([(1 << 32, 0)]) {
         if base > from {
             map_io(engine, from, base - from)?;
+            install_access(engine, from, base - from)?;
         }
         from = base + len;
     }
+    install_access(engine, STUB.into(), PAGE)?;
     for region in regions {
         map_region(engine, region)?;
     }
@@ -56,6 +58,13 @@ fn span(bank: Bank) -> (u64, u64) {
 fn map_region(engine: &mut Unicorn<'_, State>, region: &Region) -> Result<(), uc_error> {
     let (base, len) = span(region.bank);
     let direct = region.direct();
+    for hook in engine.get_data_mut().access_hooks.remove(&base).into_iter().flatten() {
+        engine.remove_hook(hook)?;
+    }
+    if !(direct.read && direct.write) {
+        let hooks = install_access(engine, base, len)?;
+        engine.get_data_mut().access_hooks.insert(base, hooks);
+    }
     if !direct.read {
         return map_io(engine, base, len);
     }

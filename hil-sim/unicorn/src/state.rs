@@ -1,10 +1,13 @@
 //! What the hooks know during a run.
 
 use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::ptr::NonNull;
 use std::rc::Rc;
 
 use r4_mcu::cpu::{CoreBus, CoreError, Limits, Why};
+
+use unicorn_engine::UcHookId;
 
 use crate::blocks::{Block, Cache};
 
@@ -29,6 +32,8 @@ pub(crate) struct State {
     /// Executable memories.
     pub(crate) code: Vec<CodeMemory>,
     pub(crate) cache: Cache,
+    /// Hooks for accesses to memories that are not, or not wholly, direct; by base address.
+    pub(crate) access_hooks: BTreeMap<u64, [UcHookId; 2]>,
     /// The block that was begun last.
     pub(crate) block: Block,
     /// Instructions of this run, up to the end of `block`.
@@ -55,6 +60,7 @@ impl State {
             bus: None,
             code: Vec::new(),
             cache: Cache::new(),
+            access_hooks: BTreeMap::new(),
             block: Block::NONE,
             executed: 0,
             limits: Limits { instructions: 0, mask_changes: false },
