@@ -58,6 +58,11 @@ pub trait VirtualBoard: Deref<Target = Surroundings> {
     /// Resets the processor, as a watchdog or a request to restart does: the world and the chips stay as they are, the
     /// firmware starts anew. Hosts have to [`Surroundings::connect`] again.
     fn restart(&self, simulation: &mut Simulation, cause: ResetCause);
+
+    /// Why the board has stopped for ever, if it has: an emulated processor met what its models do not have.
+    fn failure(&self) -> Option<String> {
+        None
+    }
 }
 
 /// The lights on the board.

@@ -90,12 +90,6 @@ impl<C: Core + 'static> EmuBoard<C> {
         Ok(board)
     }
 
-    /// Why the machine stopped for ever, if it did: the program uses what is not modelled, or locked up.
-    #[must_use]
-    pub fn failure(&self) -> Option<MachineError> {
-        self.failure.borrow().clone()
-    }
-
     /// The machine, to look into and to break. Must not be kept over an `await`.
     pub fn machine(&self) -> RefMut<'_, Machine<C, BoardSoc>> {
         self.machine.borrow_mut()
@@ -169,6 +163,10 @@ impl<C: Core> Run<C> {
 }
 
 impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
+    fn failure(&self) -> Option<String> {
+        self.failure.borrow().as_ref().map(ToString::to_string)
+    }
+
     fn restart(&self, _simulation: &mut Simulation, cause: r4_firmware::ResetCause) {
         let link = self.surroundings.new_link();
         self.from_host.replace(link.rx);

@@ -212,7 +212,11 @@ pub(crate) fn run<T>(
         let session = Session { board: connected, surroundings: board.clone(), cable };
         unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
     });
-    let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
+    let result = simulation.block_on(host);
+    if let Some(failure) = board.failure() {
+        bail!("the emulated board stopped: {failure}");
+    }
+    let result = result.ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
     let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
     if let Some(file) = file {
         file.write(&board.flash())?;
