@@ -172,7 +172,12 @@ pub(crate) fn run() -> ! {
     let (shared, screen) = start_tasks(p, &start);
     defmt::info!("tasks run");
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init_with(Executor::new).run(|spawner| spawner.spawn(screen_task(shared, screen).expect("one")))
+    EXECUTOR.init_with(Executor::new).run(|spawner| {
+        // It draws for as long as it takes, and nothing would notice that no screen is there.
+        if shared.config().screen {
+            spawner.spawn(screen_task(shared, screen).expect("one"));
+        }
+    })
 }
 
 /// The state that all tasks share, from what is built in and what was saved since.

@@ -65,6 +65,8 @@ pub struct BoardConfig {
     pub i2c_hz: u32,
     /// Whether a stop button is wired to the auxiliary stop input; it trips when the line is low.
     pub auxiliary_stop: bool,
+    /// Whether a screen is plugged in, for the board's own display.
+    pub screen: bool,
     /// Air in front of the range sensors, °C: the speed of sound follows from it.
     pub air_temperature_c: f32,
     /// The PWM chip behind the OSMC bridges; needed when there are any.
