@@ -296,7 +296,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
         } else if store_fault {
-            self.taker().pend_store_fault();
+            let pended = self.taker().pend_store_fault();
+            pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
         }
         match why {
             Why::Limit | Why::MaskChanged | Why::Yield => {}
@@ -378,10 +379,16 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 }
                 Ok(())
             }
-            Err(Failure::LockUp(what)) => {
-                Err(MachineError::LockUp { at_ns: self.now_ns(), location: self.symbols.locate(from), what })
+            Err(failure) => Err(self.failed(failure, from)),
+        }
+    }
+
+    fn failed(&self, failure: Failure, pc: u32) -> MachineError {
+        match failure {
+            Failure::LockUp(what) => {
+                MachineError::LockUp { at_ns: self.now_ns(), location: self.symbols.locate(pc), what }
             }
-            Err(Failure::Core(error)) => Err(error.into()),
+            Failure::Core(error) => error.into(),
         }
     }
 }
