@@ -335,3 +335,6 @@ struct Frame {
     /// The stack pointer below it.
     sp: u32,
 }
+
+#[cfg(test)]
+mod tests;
