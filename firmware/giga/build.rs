@@ -51,6 +51,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         .replace("@FLASH_LENGTH@", &format!("{:#X}", BANK_1_LEN - offset));
     fs::write(out.join("memory.x"), memory)?;
     println!("cargo:rustc-link-search={}", out.display());
+    // The list of tests for probe-rs, from embedded-test.
+    println!("cargo:rustc-link-arg-tests=-Tembedded-test.x");
     Ok(())
 }
 

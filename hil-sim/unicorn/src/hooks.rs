@@ -2,7 +2,7 @@
 
 use r4_mcu::Size;
 use r4_mcu::cpu::{Access, NoResult, Why};
-use unicorn_engine::{HookType, MemType, RegisterARM, UcHookId, Unicorn, uc_error};
+use unicorn_engine::{HookType, MemType, Prot, RegisterARM, TlbEntry, TlbType, UcHookId, Unicorn, uc_error};
 
 use crate::blocks::Block;
 use crate::core::THUMB;
@@ -18,11 +18,26 @@ const CACHED_FROM: u32 = 0x0001_0000;
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
     // 1 > 0: everywhere.
     engine.add_block_hook(1, 0, |engine, address, bytes| block(engine, address as u32, bytes))?;
+    engine.ctl_set_tlb_type(TlbType::VIRTUAL)?;
+    engine.add_tlb_hook(1, 0, translate)?;
     engine.add_intr_hook(|engine, number| {
         engine.get_data_mut().exception = Some(number);
         stop(engine);
     })?;
     Ok(())
+}
+
+/// A page is accessed for the first time, or again after a change of the mapping. Addresses are what they are; what is
+/// said here of data memory is that no code lies in it, which makes stores several times faster: without, the translator
+/// looks for translated code at each.
+fn translate(engine: &mut Unicorn<'_, State>, address: u64, kind: MemType) -> Option<TlbEntry> {
+    if kind == MemType::FETCH {
+        return Some(TlbEntry { paddr: address, perms: Prot::ALL });
+    }
+    clear_it_state(engine);
+    let code = !engine.get_data().code(address as u32, address as u32 + 1).is_empty();
+    let perms = if code { Prot::ALL } else { Prot::READ | Prot::WRITE };
+    Some(TlbEntry { paddr: address, perms })
 }
 
 /// Installs the hooks for accesses without permission, for these addresses only: where such a hook reaches, Unicorn's

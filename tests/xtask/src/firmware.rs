@@ -82,14 +82,26 @@ impl Firmware {
         let built = target.join("giga").join(TARGET).join("release/r4-giga");
         let elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
         let sizes = Sizes::of(&elf).ok_or_else(|| format!("{} is no ELF file of 32 bits", built.display()))?;
-        let folder = target.join("firmware");
-        let path = folder.join(format!("{}-{}.elf", self.name(), self.image));
-        fs::create_dir_all(&folder)
+        let path = self.elf(root)?;
+        fs::create_dir_all(path.parent().unwrap_or(root))
             .and_then(|()| fs::write(&path, &elf))
             .map_err(|error| format!("{}: {error}", path.display()))?;
         let Sizes { text, data, bss } = sizes;
         let digest: String = Sha256::digest(&elf).iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(format!("{}\n  text {text}, data {data}, bss {bss} bytes\n  SHA-256 {digest}", path.display()))
+    }
+
+    /// Where [`Self::build`] puts it.
+    ///
+    /// # Errors
+    /// There is no current folder.
+    pub(crate) fn elf(&self, root: &Path) -> Result<PathBuf, String> {
+        Ok(target_folder(root)?.join("firmware").join(format!("{}-{}.elf", self.name(), self.image)))
+    }
+
+    /// Whether it is for behind the Arduino bootloader.
+    pub(crate) fn is_hosted(&self) -> bool {
+        self.image == "hosted"
     }
 
     /// A file's path holds wherever the build script runs.

@@ -1,5 +1,7 @@
 //! Faults: their status registers, and which exception they raise (DDI0403E B1.5.14, B3.2.15 ff.).
 
+use std::fmt;
+
 use super::exceptions::number;
 
 /// What went wrong, as the status registers tell it.
@@ -92,6 +94,20 @@ impl FaultStatus {
             self.bus_address = address;
             self.configurable |= BFAR_VALID;
         }
+    }
+}
+
+impl fmt::Display for FaultStatus {
+    /// The registers that are not zero; the address of a bus fault where it is valid.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let bus_address = if self.configurable & BFAR_VALID == 0 { 0 } else { self.bus_address };
+        let registers = [("CFSR", self.configurable), ("HFSR", self.hard), ("DFSR", self.debug), ("BFAR", bus_address)];
+        let mut separator = "";
+        for (name, value) in registers.into_iter().filter(|(_, value)| *value != 0) {
+            write!(f, "{separator}{name} {value:#010x}")?;
+            separator = ", ";
+        }
+        Ok(())
     }
 }
 

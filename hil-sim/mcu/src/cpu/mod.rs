@@ -12,6 +12,8 @@ mod bits;
 pub mod core;
 pub mod debug;
 pub mod exceptions;
+#[cfg(test)]
+mod fake;
 pub mod faults;
 pub mod mpu;
 mod nvic;

@@ -132,14 +132,18 @@ impl<C: Core> Taker<'_, C> {
     }
 
     /// A store was refused some time ago: an asynchronous BusFault, or HardFault where that is not enabled.
-    pub fn pend_store_fault(&mut self) {
+    ///
+    /// # Errors
+    /// Lock-up, in the handlers of HardFault and NMI.
+    pub fn pend_store_fault(&mut self) -> Result<(), Failure> {
         self.cpu.faults.note(Cause::Store);
         if self.cpu.exceptions.enabled.get(number::BUS_FAULT) {
             self.cpu.exceptions.set_pending(number::BUS_FAULT);
-        } else {
-            self.cpu.faults.hard |= FORCED;
-            self.cpu.exceptions.set_pending(number::HARD_FAULT);
+            return Ok(());
         }
+        let exception = self.escalate(number::BUS_FAULT, "a store was refused")?;
+        self.cpu.exceptions.set_pending(exception);
+        Ok(())
     }
 
     /// Returns from a handler by `exc_return`; or goes on to the handler of what is pending. `true`: the processor is in
@@ -331,3 +335,6 @@ struct Frame {
     /// The stack pointer below it.
     sp: u32,
 }
+
+#[cfg(test)]
+mod tests;

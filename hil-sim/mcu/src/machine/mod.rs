@@ -54,6 +54,9 @@ pub struct Machine<C, S> {
     symbols: Symbols,
     trace: Option<Trace>,
     just_reset: Option<ResetCause>,
+    observed: Vec<u32>,
+    /// An observed instruction that was told, and is to be executed.
+    told: Option<u32>,
     /// A load that was refused, and whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
 }
@@ -78,6 +81,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
             symbols: Symbols::default(),
             trace: None,
             just_reset: None,
+            observed: Vec::new(),
+            told: None,
             ignored_load: None,
             core,
             chip,
@@ -154,12 +159,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
         &self.symbols
     }
 
-    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. A run that begins at one
-    /// executes it.
+    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. The next run executes it.
     ///
     /// # Errors
     /// The backend's.
     pub fn observe(&mut self, addresses: &[u32]) -> Result<(), MachineError> {
+        self.observed = addresses.to_vec();
+        self.told = None;
         Ok(self.core.observe(addresses)?)
     }
 
@@ -272,6 +278,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
 
     /// Executes for a while.
     fn execute(&mut self, t_ns: u64) -> Result<Option<Reason>, MachineError> {
+        let pc = self.core.get(Register::Pc);
+        if self.told == Some(pc) {
+            self.told = None;
+        } else if self.observed.contains(&pc) {
+            self.told = Some(pc);
+            return Ok(Some(Reason::Observed { address: pc }));
+        }
         let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let mut bus = Bus::new(
             &mut self.chip,
@@ -296,13 +309,18 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
         } else if store_fault {
-            self.taker().pend_store_fault();
+            let pended = self.taker().pend_store_fault();
+            pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
         }
         match why {
             Why::Limit | Why::MaskChanged | Why::Yield => {}
             Why::Wfi => self.go_to_sleep(Sleep::Interrupt)?,
             Why::Wfe => self.go_to_sleep(Sleep::Event)?,
-            Why::Observed => return Ok(Some(Reason::Observed { address: self.core.get(Register::Pc) })),
+            Why::Observed => {
+                let address = self.core.get(Register::Pc);
+                self.told = Some(address);
+                return Ok(Some(Reason::Observed { address }));
+            }
             Why::Breakpoint(operand) if self.settings.stop_at_breakpoints => {
                 return Ok(Some(Reason::Breakpoint { operand }));
             }
@@ -378,10 +396,16 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 }
                 Ok(())
             }
-            Err(Failure::LockUp(what)) => {
-                Err(MachineError::LockUp { at_ns: self.now_ns(), location: self.symbols.locate(from), what })
+            Err(failure) => Err(self.failed(failure, from)),
+        }
+    }
+
+    fn failed(&self, failure: Failure, pc: u32) -> MachineError {
+        match failure {
+            Failure::LockUp(what) => {
+                MachineError::LockUp { at_ns: self.now_ns(), location: self.symbols.locate(pc), what }
             }
-            Err(Failure::Core(error)) => Err(error.into()),
+            Failure::Core(error) => error.into(),
         }
     }
 }

@@ -31,6 +31,8 @@ pub(crate) struct TestChip {
     pub(crate) outside: bool,
     pub(crate) core_hz: u64,
     pub(crate) writes: Vec<(u64, u32, u32)>,
+    /// The next event is always now.
+    pub(crate) stuck: bool,
 }
 
 impl TestChip {
@@ -43,6 +45,7 @@ impl TestChip {
             outside: false,
             core_hz: 480_000_000,
             writes: Vec::new(),
+            stuck: false,
         }
     }
 }
@@ -91,7 +94,7 @@ impl Chip for TestChip {
     }
 
     fn next_event_ns(&self) -> u64 {
-        self.alarm_ns
+        if self.stuck { 0 } else { self.alarm_ns }
     }
 
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {
