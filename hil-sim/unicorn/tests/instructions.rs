@@ -1,5 +1,7 @@
 //! Hand-assembled Thumb on the backend: what it stops with, counts, and asks the bus for.
 
+#![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
+
 use r4_mcu::cpu::{Access, Core, CoreBus, CoreStop, Fault, Limits, NoResult, Register, Why};
 use r4_mcu::{Bank, Memory, Region, Size};
 use r4_unicorn::UnicornCore;

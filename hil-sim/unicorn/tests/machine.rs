@@ -1,6 +1,8 @@
 //! The machine on this backend, with a chip of six registers around it (`common::TestChip`): time, interrupts, sleep,
 //! resets, faults, and what ends a run. Programs are hand-assembled, their source is next to them.
 
+#![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
+
 mod common;
 
 use common::{PERIPHERAL, TestChip, machine};

@@ -2,10 +2,12 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
+mod probe;
 mod summary;
 mod test;
 mod toolchain;
@@ -16,7 +18,8 @@ const USAGE: &str = "\
 usage: cargo xtask <task>
 
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
-  test --fast   without the documentation";
+  test --fast   without the documentation
+  probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -24,6 +27,7 @@ const USAGE_ERROR: u8 = 2;
 #[derive(Debug, PartialEq)]
 enum Task {
     Help,
+    Probe,
     Test { fast: bool },
 }
 
@@ -34,6 +38,7 @@ fn main() -> ExitCode {
             println!("{USAGE}");
             ExitCode::SUCCESS
         }
+        Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test { fast }) => test::run(&root(), fast),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
@@ -48,6 +53,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
+        ["probe"] => Ok(Task::Probe),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
@@ -71,6 +77,7 @@ mod tests {
     fn command_lines_are_understood() {
         assert_eq!(of("test"), Ok(Task::Test { fast: false }));
         assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
+        assert_eq!(of("probe"), Ok(Task::Probe));
         assert_eq!(of("--help"), Ok(Task::Help));
         assert_eq!(of("test --help"), Ok(Task::Help));
     }
