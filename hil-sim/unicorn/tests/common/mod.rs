@@ -99,7 +99,7 @@ impl Chip for TestChip {
     }
 
     fn next_event_ns(&self) -> u64 {
-        if self.stuck { 0 } else { self.alarm_ns }
+        if self.stuck || self.reset.is_some() { 0 } else { self.alarm_ns }
     }
 
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {
