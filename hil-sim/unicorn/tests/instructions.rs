@@ -325,6 +325,15 @@ fn observed_instructions_are_stopped_at_and_then_executed() {
 }
 
 #[test]
+fn an_observed_instruction_in_a_conditional_block_does_not_confuse_the_stop_after_it() {
+    // cmp r5,r5; ite eq; moveq r1,#1 (observed); movne r1,#2; wfi
+    let (mut core, _) = core(&[0x42AD, 0xBF0C, 0x2101, 0x2102, 0xBF30]);
+    core.observe(&[CODE + 4]).unwrap();
+    assert_eq!(run(&mut core, &mut bus()), (5, Why::Wfi, 10));
+    assert_eq!(core.get(Register::R(1)), 1);
+}
+
+#[test]
 fn the_exclusive_monitor_can_be_cleared() {
     // ldrex r1,[r0]; wfi; strex r2,r3,[r0]; wfi
     for clear in [false, true] {
