@@ -17,9 +17,9 @@ use std::{env, path::PathBuf, process::ExitCode};
 const USAGE: &str = "\
 usage: cargo xtask <task>
 
+  probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
-  test --fast   without the documentation
-  probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500";
+  test --fast   without the documentation";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -50,10 +50,10 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
+        ["probe"] => Ok(Task::Probe),
         ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
-        ["probe"] => Ok(Task::Probe),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
