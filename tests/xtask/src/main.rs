@@ -7,10 +7,11 @@
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
-mod probe;
 mod summary;
 mod test;
 mod toolchain;
+
+mod probe;
 
 use std::{env, path::PathBuf, process::ExitCode};
 
@@ -50,12 +51,12 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["probe"] => Ok(Task::Probe),
         ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        ["probe"] => Ok(Task::Probe),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
 }
