@@ -36,8 +36,9 @@ pub trait Chip {
     /// Brings everything to a moment.
     fn advance(&mut self, now_ns: u64);
 
-    /// When [`Chip::advance`] must be called at the latest; `u64::MAX` is never. Asked after each access and advance, and
-    /// may become earlier by them; a moment that is past counts as now.
+    /// When [`Chip::advance`] must be called at the latest; `u64::MAX` is never. Asked after each access and advance, so that
+    /// it should cost little; it may become earlier by them. A moment that is past counts as now: so does a reset that
+    /// [`Chip::take_reset`] has to tell. After `advance(now)` and `take_reset` the next event is later than `now`.
     fn next_event_ns(&self) -> u64;
 
     /// Appends the changes of interrupt lines since the last call, in order: position of the line in RM0399's vector

@@ -52,7 +52,7 @@ pub(crate) fn integer_digest(rounds: u32) -> u32 {
             ^ low.leading_zeros()
             ^ high.reverse_bits()
             ^ low.swap_bytes()
-            ^ (u64::from(high) * u64::from(low) >> 17) as u32;
+            ^ ((u64::from(high) * u64::from(low)) >> 17) as u32;
     }
     digest
 }

@@ -99,7 +99,7 @@ fn priorities() {
     pend(1 << 6 | 1 << 7);
     set_primask(0);
     // 7 first; then 6, which makes 7 pending again.
-    check("exceptions: a sub-priority orders", take_log(), 0x7F6E_7F);
+    check("exceptions: a sub-priority orders", take_log(), 0x007F_6E7F);
     write(AIRCR, 0x05FA_0000);
     pend(1 << 6);
     check("exceptions: without groups it preempts", take_log(), 0x67FE);

@@ -24,7 +24,7 @@ pub(crate) fn run() {
         TICKS.store(ticks, Relaxed);
         // Other rounding, other values in every register: none of it may reach the main program. Every other time without
         // any, so that both kinds of frame are tail-chained and returned to.
-        if ticks % 2 == 0 {
+        if ticks.is_multiple_of(2) {
             clobber();
             if single_digest(black_box(4)) != DIGEST.load(Relaxed) {
                 WRONG.fetch_add(1, Relaxed);

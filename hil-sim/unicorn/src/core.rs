@@ -127,11 +127,14 @@ impl UnicornCore {
         if let Some(why @ (Why::Limit | Why::MaskChanged)) = state.why {
             return Ok(CoreStop { instructions: state.executed, why });
         }
-        let why = match state.why {
-            Some(why) => why,
-            None => self.why(result)?,
+        let stop_at = state.stop_at;
+        let pc = self.register(RegisterARM::PC);
+        let why = match self.engine.get_data().why {
+            // Within an IT block the engine does not stop: what it stopped with later is the reason then.
+            Some(why) if stop_at == pc => why,
+            _ => self.why(result)?,
         };
-        let instructions = self.engine.get_data().instructions_before(self.register(RegisterARM::PC));
+        let instructions = self.engine.get_data().instructions_before(pc);
         Ok(CoreStop { instructions, why })
     }
 
@@ -144,6 +147,7 @@ impl UnicornCore {
                 return;
             }
             state.why = Some(why);
+            state.stop_at = address as u32;
             stop(engine);
         });
         let hook = hook.map_err(|error| failed("observe", error))?;

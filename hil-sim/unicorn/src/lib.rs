@@ -3,7 +3,7 @@
 //!
 //! Unicorn executes instructions and nothing else of a Cortex-M; what it cannot say, this crate finds out:
 //!
-//! - It reports no instruction counts: [`blocks`] decodes the lengths of a block's instructions, once.
+//! - It reports no instruction counts: `blocks` decodes the lengths of a block's instructions, once.
 //! - SEV is a no-operation to it, and it allows floating point whatever CPACR says: blocks that hold such instructions
 //!   are marked when they are decoded.
 //! - A load or store outside mapped memory cannot be given a result and a program counter at once. Everything that is not

@@ -43,6 +43,8 @@ pub(crate) struct State {
     pub(crate) masks: [u32; 3],
     /// A hook wants to stop, and why.
     pub(crate) why: Option<Why>,
+    /// Where a hook before an instruction wants to stop.
+    pub(crate) stop_at: u32,
     /// A block begins with, or holds, floating point that is not allowed, from here.
     pub(crate) float_at: Option<u32>,
     /// The exception that the translator raised.
@@ -66,6 +68,7 @@ impl State {
             limits: Limits { instructions: 0, mask_changes: false },
             masks: [0; 3],
             why: None,
+            stop_at: 0,
             float_at: None,
             exception: None,
             window: Window::default(),

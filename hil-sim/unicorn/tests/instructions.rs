@@ -1,5 +1,7 @@
 //! Hand-assembled Thumb on the backend: what it stops with, counts, and asks the bus for.
 
+#![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
+
 use r4_mcu::cpu::{Access, Core, CoreBus, CoreStop, Fault, Limits, NoResult, Register, Why};
 use r4_mcu::{Bank, Memory, Region, Size};
 use r4_unicorn::UnicornCore;
@@ -320,6 +322,15 @@ fn observed_instructions_are_stopped_at_and_then_executed() {
     core.observe(&[]).unwrap();
     bus.limit = 12;
     assert_eq!(run(&mut core, &mut bus), (12, Why::Limit, 2));
+}
+
+#[test]
+fn an_observed_instruction_in_a_conditional_block_does_not_confuse_the_stop_after_it() {
+    // cmp r5,r5; ite eq; moveq r1,#1 (observed); movne r1,#2; wfi
+    let (mut core, _) = core(&[0x42AD, 0xBF0C, 0x2101, 0x2102, 0xBF30]);
+    core.observe(&[CODE + 4]).unwrap();
+    assert_eq!(run(&mut core, &mut bus()), (5, Why::Wfi, 10));
+    assert_eq!(core.get(Register::R(1)), 1);
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! The probe (hil-sim/probe) on this backend, and on qemu where there is one: every check passes, and both agree word for
 //! word.
 
+#![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
+
 mod common;
 
 use std::path::{Path, PathBuf};

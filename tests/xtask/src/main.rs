@@ -2,6 +2,7 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash`, `binary` | `cargo xtask flash`: the image written into the board |
@@ -15,6 +16,8 @@ mod summary;
 mod test;
 mod toolchain;
 
+mod probe;
+
 use std::{env, path::PathBuf, process::ExitCode};
 
 use firmware::Firmware;
@@ -23,6 +26,7 @@ use flash::Flash;
 const USAGE: &str = "\
 usage: cargo xtask <task>
 
+  probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
   test --fast   without the documentation
   firmware      the image for the Arduino Giga, into target/firmware:
@@ -37,6 +41,7 @@ const USAGE_ERROR: u8 = 2;
 #[derive(Debug, PartialEq)]
 enum Task {
     Help,
+    Probe,
     Test { fast: bool },
     Firmware(Firmware),
     Flash(Flash),
@@ -49,6 +54,7 @@ fn main() -> ExitCode {
             println!("{USAGE}");
             ExitCode::SUCCESS
         }
+        Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test { fast }) => test::run(&root(), fast),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
@@ -69,6 +75,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        ["probe"] => Ok(Task::Probe),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
 }
@@ -90,6 +97,7 @@ mod tests {
     fn command_lines_are_understood() {
         assert_eq!(of("test"), Ok(Task::Test { fast: false }));
         assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
+        assert_eq!(of("probe"), Ok(Task::Probe));
         assert_eq!(of("--help"), Ok(Task::Help));
         assert_eq!(of("test --help"), Ok(Task::Help));
     }

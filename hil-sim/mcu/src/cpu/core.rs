@@ -180,6 +180,7 @@ pub trait Core {
     fn clear_exclusive(&mut self) -> Result<(), CoreError>;
 
     /// Stops with [`Why::Observed`] before these instructions, from now on; a run that begins at one executes it.
+    /// Not within IT blocks.
     ///
     /// # Errors
     /// The backend's.

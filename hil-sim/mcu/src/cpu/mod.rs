@@ -2,7 +2,7 @@
 //!
 //! [`Core`] is the instruction set. [`Processor`] is the rest that a program can see: exceptions and their controller,
 //! the system control block, SysTick, the cycle counter, the registers of the memory protection unit and of floating
-//! point. [`take`](take::enter) and [`leave`](take::leave) move a core into a handler and back.
+//! point. [`take::Taker`] moves a core into a handler and back.
 //!
 //! Two simplifications a program can notice: registers of floating point are saved on exception entry at once where the
 //! processor would do so when the handler uses them (FPCCR.LSPACT is never set), and a processor in unprivileged mode may

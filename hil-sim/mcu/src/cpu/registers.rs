@@ -513,6 +513,20 @@ mod tests {
     }
 
     #[test]
+    fn caches_are_described_and_their_maintenance_is_accepted() {
+        let mut cpu = processor();
+        // 128 sets of 4 ways of 32 bytes; 256 of 2.
+        assert_eq!(read(&mut cpu, 0xE000_ED80), 0xF00F_E019);
+        cpu.write(0xE000_ED84, Size::Word, 1, 0).unwrap();
+        assert_eq!(read(&mut cpu, 0xE000_ED80), 0xF01F_E009);
+        for operation in [0xF50, 0xF58, 0xF60, 0xF70, 0xF74, 0xF78] {
+            cpu.write(0xE000_E000 + operation, Size::Word, 0, 0).unwrap();
+        }
+        cpu.write(0xE000_ED14, Size::Word, 3 << 16, 0).unwrap();
+        assert_eq!(read(&mut cpu, 0xE000_ED14), 3 << 16 | 1 << 9);
+    }
+
+    #[test]
     fn traps_that_are_not_modelled_are_refused() {
         let mut cpu = processor();
         assert!(cpu.write(0xE000_ED14, Size::Word, DIV_0_TRP, 0).is_err());

@@ -50,6 +50,11 @@ impl TestChip {
     }
 }
 
+/// Peripherals, most of which this chip does not have.
+fn is_peripheral(address: u32) -> bool {
+    matches!(address, 0x4000_0000..0x6000_0000)
+}
+
 fn unmodelled(address: u32) -> AccessError {
     Unmodelled { peripheral: "test", what: format!("nothing at {address:#010x}") }.into()
 }
@@ -65,8 +70,8 @@ impl Chip for TestChip {
             0x4000_0004 => Ok(now_ns as u32),
             0x4000_0008 => Ok(self.memory.is_enabled(Bank::Sram1).into()),
             0x4000_0014 => Ok(self.core_hz as u32),
-            0x4000_0000..0x4000_0020 => Ok(0),
-            0x4000_0000..0x6000_0000 => Err(unmodelled(address)),
+            0x4000_0000..0x4000_0004 | 0x4000_000C..0x4000_0014 => Ok(0),
+            _ if is_peripheral(address) => Err(unmodelled(address)),
             _ => Err(AccessError::Bus),
         }
     }
@@ -80,7 +85,7 @@ impl Chip for TestChip {
             0x4000_000C => self.reset = Some(ResetCause::Watchdog),
             0x4000_0010 => self.outside = true,
             0x4000_0014 => self.core_hz = value.into(),
-            0x4000_0000..0x6000_0000 => return Err(unmodelled(address)),
+            _ if is_peripheral(address) => return Err(unmodelled(address)),
             _ => return Err(AccessError::Bus),
         }
         Ok(())
@@ -94,7 +99,7 @@ impl Chip for TestChip {
     }
 
     fn next_event_ns(&self) -> u64 {
-        if self.stuck { 0 } else { self.alarm_ns }
+        if self.stuck || self.reset.is_some() { 0 } else { self.alarm_ns }
     }
 
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {

@@ -105,11 +105,14 @@ fn an_extended_frame_has_floating_point_and_its_address_in_fpcar() {
     assert_eq!(bench.word(frame + 0x1C), 0x6100_0200, "padding is told");
     assert_eq!(bench.core.get(Register::Control), 0, "a handler begins without a context of floating point");
     assert_eq!(bench.cpu.read(0xE000_EF38, Size::Word, 0, 0), Ok(frame + 0x20));
-    bench.core.set(Register::S(3), 0);
+    for clobbered in [0, 3, 15] {
+        bench.core.set(Register::S(clobbered), 0);
+    }
     bench.core.set(Register::S(16), 7);
     bench.core.set(Register::Fpscr, 0);
     bench.leave();
-    assert_eq!((bench.core.get(Register::S(3)), bench.core.get(Register::Fpscr)), (0x2003, 0x0100_0000));
+    let restored = [0, 3, 15].map(|index| bench.core.get(Register::S(index)));
+    assert_eq!((restored, bench.core.get(Register::Fpscr)), ([0x2000, 0x2003, 0x200F], 0x0100_0000));
     assert_eq!(bench.core.get(Register::S(16)), 7, "the callee's to keep");
     assert_eq!((bench.core.get(Register::Control), bench.core.get(Register::Sp)), (FLOAT_ACTIVE, STACK - 4));
 }
