@@ -1,20 +1,28 @@
-//! On a Giga on its carrier, with the motors' supply off: the chips of the board's bus, the dead-man's handle.
+//! On a Giga on its carrier, with the motors' supply off: the chips of the board's bus, the dead-man's
+//! handle, encoders turned by hand.
 //!
 //! Ignored unless asked for, for there may be no carrier: `docs/bring-up.md` says how. Chips are read and never written to.
 #![no_std]
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "of the firmware's modules each test needs a part")]
+#![allow(unfulfilled_lint_expectations, reason = "the modules expect to be used whole")]
 #![allow(unexpected_cfgs, reason = "embedded-test asks for `rust_analyzer`")]
 
 #[path = "../src/clocks.rs"]
 mod clocks;
 mod common;
+#[path = "../src/encoders/mod.rs"]
+mod encoders;
 #[path = "../src/i2c.rs"]
 mod i2c;
 #[path = "../src/pins.rs"]
 mod pins;
+#[path = "../src/ranging.rs"]
+mod ranging;
 #[path = "../src/safety_pins.rs"]
 mod safety_pins;
+#[path = "../src/steppers/mod.rs"]
+mod steppers;
 #[path = "../src/watchdog.rs"]
 mod watchdog;
 
@@ -26,7 +34,8 @@ use embassy_stm32::{
 };
 
 bind_interrupts!(struct Irqs {
-    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>;
+    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, encoders::lines::Restore;
+    EXTI15_10 => encoders::lines::Edges;
     I2C2_EV => EventInterruptHandler<peripherals::I2C2>;
     I2C2_ER => ErrorInterruptHandler<peripherals::I2C2>;
     DMA1_STREAM0 => dma::InterruptHandler<peripherals::DMA1_CH0>;
@@ -37,13 +46,26 @@ bind_interrupts!(struct Irqs {
 #[embedded_test::tests(default_timeout = 20)]
 mod tests {
     use defmt::{assert, assert_eq, info};
-    use embassy_stm32::{Peripherals, exti::ExtiInput, gpio::Pull, i2c::I2c, pac, peripherals::I2C2, rcc};
-    use embassy_time::{Duration, with_timeout};
+    use embassy_stm32::{
+        Peripherals,
+        exti::ExtiInput,
+        gpio::Pull,
+        i2c::I2c,
+        interrupt::Priority,
+        pac,
+        peripherals::{I2C2, TIM2},
+        rcc,
+    };
+    use embassy_time::{Duration, Instant, Timer, with_timeout};
     use embedded_hal_async::i2c::I2c as _;
-    use r4_firmware::platform::Bus as _;
+    use r4_firmware::platform::{Bus as _, Encoders};
 
     use crate::{
         Irqs, common,
+        encoders::{
+            self, Counters,
+            lines::{self, Lines},
+        },
         i2c::{Bus, BusError, Timing, Wiring},
         pins::{self, pin},
     };
@@ -174,5 +196,76 @@ mod tests {
         assert!(with_timeout(PATIENCE, line.wait_for_high()).await.is_ok(), "it stays released");
         info!("let go of it");
         assert!(with_timeout(PATIENCE, line.wait_for_low()).await.is_ok(), "it stays held");
+    }
+
+    /// Counts to each side, from where it stood: a quarter of a turn of the coarsest usual encoder, 100 lines.
+    const TURNED: i16 = 100;
+
+    /// For one hand: forward, then back past where it began.
+    async fn turned_by_hand(p: Peripherals, index: u8) {
+        // The handler of the lines looks at the echoes too, and at their clock.
+        rcc::enable_and_reset::<TIM2>();
+        let lines = Lines::new(
+            lines::Pins {
+                track_a: pin!(p, enc3_a as EXTI10),
+                track_b: pin!(p, enc3_b as EXTI11),
+                echo2: pin!(p, us2_echo as EXTI14),
+                echo3: pin!(p, us3_echo as EXTI15),
+            },
+            Priority::P1,
+        );
+        let mut counters = Counters::new(
+            encoders::Parts {
+                timer0: p.TIM8,
+                tracks0: (pin!(p, enc0_a as TIM8_CH1), pin!(p, enc0_b as TIM8_CH2)),
+                timer1: p.TIM3,
+                tracks1: (pin!(p, enc1_a as TIM3_CH1), pin!(p, enc1_b as TIM3_CH2)),
+                timer2: p.TIM1,
+                tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
+            },
+            lines,
+        );
+        info!("turn encoder {} by a quarter of a turn or more, then back past where it began", index);
+        let start = counters.count(index);
+        let (mut least, mut most) = (0, 0);
+        let end = Instant::now() + Duration::from_secs(20);
+        while (most < TURNED || least > -TURNED) && Instant::now() < end {
+            let now = counters.count(index).wrapping_sub(start) as i16;
+            if now < least || now > most {
+                info!("{}", now);
+            }
+            (least, most) = (least.min(now), most.max(now));
+            Timer::after_millis(10).await;
+        }
+        assert!(most >= TURNED && least <= -TURNED, "from {} to {} counts", least, most);
+        assert_eq!(counters.illegal(index), 0, "both tracks changed at once");
+    }
+
+    #[test]
+    #[ignore]
+    #[timeout(30)]
+    async fn encoder_0_counts_both_ways(p: Peripherals) {
+        turned_by_hand(p, 0).await;
+    }
+
+    #[test]
+    #[ignore]
+    #[timeout(30)]
+    async fn encoder_1_counts_both_ways(p: Peripherals) {
+        turned_by_hand(p, 1).await;
+    }
+
+    #[test]
+    #[ignore]
+    #[timeout(30)]
+    async fn encoder_2_counts_both_ways(p: Peripherals) {
+        turned_by_hand(p, 2).await;
+    }
+
+    #[test]
+    #[ignore]
+    #[timeout(30)]
+    async fn encoder_3_counts_both_ways(p: Peripherals) {
+        turned_by_hand(p, 3).await;
     }
 }

@@ -178,7 +178,7 @@ impl Way {
             }
             Self::Dfu => {
                 "dfu-util failed, see above. If it found no device: press the reset button twice quickly, so that the \
-                 board's light pulses, and try again. If it said that the file was downloaded and failed after that, the \
+                 green light pulses, and try again. If it said that the file was downloaded and failed after that, the \
                  board left for the program before it could answer, and all is well"
             }
         }
