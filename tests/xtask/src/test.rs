@@ -59,7 +59,21 @@ const STEPS: [Step; 9] = [
     },
     Step {
         name: "lints, giga",
-        run: cargo("firmware/giga", &["clippy", "--release", "--target-dir", GIGA_TARGET, "--", "-D", "warnings"]),
+        run: cargo(
+            "firmware/giga",
+            &[
+                "clippy",
+                "--release",
+                "--locked",
+                "--bins",
+                "--tests",
+                "--target-dir",
+                GIGA_TARGET,
+                "--",
+                "-D",
+                "warnings",
+            ],
+        ),
         slow: false,
     },
     Step { name: "images", run: Run::Images, slow: false },
@@ -116,7 +130,7 @@ fn run_all<'s>(
 
 fn execute(step: &Step, root: &Path) -> Result<(), String> {
     match &step.run {
-        Run::Toolchain => toolchain::complete(root).and_then(|()| toolchain::cmake(root)),
+        Run::Toolchain => toolchain::complete(root).and_then(|()| toolchain::emulator(root)),
         Run::Images => IMAGES.iter().try_for_each(|(robot, image)| {
             println!("{}", Firmware::new(robot, image).build(root)?);
             Ok(())
@@ -144,7 +158,7 @@ impl Step {
     /// As a person would type it.
     fn command_line(&self) -> String {
         match &self.run {
-            Run::Toolchain => format!("rustfmt, clippy, the target {TARGET} and cmake"),
+            Run::Toolchain => format!("rustfmt, clippy, the target {TARGET}, cmake and libclang"),
             Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
             Run::Cargo { folder, arguments, environment } => {
                 let into = if *folder == "." { String::new() } else { format!("cd {folder} && ") };

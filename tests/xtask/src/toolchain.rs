@@ -66,22 +66,30 @@ pub(crate) fn complete(root: &Path) -> Result<(), String> {
     }
 }
 
-/// The emulator's processor core is built with cmake. Where this is run as root on a Debian, as CI does, it is installed.
+/// What the emulated processor is built with, besides a C compiler: cmake, and libclang for the bindings. Where this is
+/// run as root on a Debian, as CI does, what is missing is installed.
 ///
 /// # Errors
 /// What a person has to install.
-pub(crate) fn cmake(root: &Path) -> Result<(), String> {
-    let is_there = || output(Command::new("cmake").arg("--version"), root).is_some();
+pub(crate) fn emulator(root: &Path) -> Result<(), String> {
+    let is_there = || {
+        let libraries = output(Command::new("ldconfig").arg("-p"), root).unwrap_or_default();
+        output(Command::new("cmake").arg("--version"), root).is_some()
+            && (libraries.contains("libclang") || env::var_os("LIBCLANG_PATH").is_some() || cfg!(target_os = "macos"))
+    };
     if is_there() {
         return Ok(());
     }
-    println!("cmake is missing: apt-get install cmake");
-    for arguments in [&["update", "-q"][..], &["install", "-q", "-y", "--no-install-recommends", "cmake"]] {
+    println!("cmake or libclang is missing: apt-get install cmake libclang-dev");
+    for arguments in
+        [&["update", "-q"][..], &["install", "-q", "-y", "--no-install-recommends", "cmake", "libclang-dev"]]
+    {
         // Whether it worked is seen by looking again.
         let _ = Command::new("apt-get").args(arguments).status();
     }
-    let advice = "the emulated board needs cmake, and apt-get could not install it, see above. Install it with what \
-                  installs software on this machine, as in `sudo apt-get install cmake` or `brew install cmake`";
+    let advice = "the emulated board needs cmake and libclang, and apt-get could not install them, see above. Install them \
+                  with what installs software on this machine, as in `sudo apt-get install cmake libclang-dev`, or say \
+                  with LIBCLANG_PATH where libclang is";
     if is_there() { Ok(()) } else { Err(advice.into()) }
 }
 
