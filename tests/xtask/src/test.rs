@@ -13,8 +13,9 @@ use crate::{
     toolchain::{self, TARGET},
 };
 
-/// Stands for the folder in which the board's image is built.
+/// Stand for the folders in which the board's image and the probe are built.
 const GIGA_TARGET: &str = "target/giga";
+const PROBE_TARGET: &str = "target/probe";
 
 struct Step {
     name: &'static str,
@@ -47,7 +48,7 @@ const IMAGES: [(&str, &str); 4] =
     [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
 
 /// Cheapest first: what fails most often is seen soonest.
-const STEPS: [Step; 9] = [
+const STEPS: [Step; 10] = [
     Step { name: "toolchain", run: Run::Toolchain, slow: false },
     Step { name: "format", run: cargo(".", &["fmt", "--all", "--check"]), slow: false },
     Step { name: "format, giga", run: cargo("firmware/giga", &["fmt", "--check"]), slow: false },
@@ -55,6 +56,14 @@ const STEPS: [Step; 9] = [
     Step {
         name: "lints",
         run: cargo(".", &["clippy", "--workspace", "--all-targets", "--features", "r4/emu", "--", "-D", "warnings"]),
+        slow: false,
+    },
+    Step {
+        name: "lints, probe",
+        run: cargo(
+            "hil-sim/probe",
+            &["clippy", "--release", "--locked", "--target-dir", PROBE_TARGET, "--", "-D", "warnings"],
+        ),
         slow: false,
     },
     Step {
@@ -136,9 +145,13 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
             Ok(())
         }),
         Run::Cargo { folder, arguments, environment } => {
-            let target = firmware::target_folder(root)?.join("giga");
-            let arguments =
-                arguments.iter().map(|word| if *word == GIGA_TARGET { target.as_os_str() } else { word.as_ref() });
+            let target = firmware::target_folder(root)?;
+            let (giga, probe) = (target.join("giga"), target.join("probe"));
+            let arguments = arguments.iter().map(|word| match *word {
+                GIGA_TARGET => giga.as_os_str(),
+                PROBE_TARGET => probe.as_os_str(),
+                word => word.as_ref(),
+            });
             let status = Command::new(toolchain::cargo())
                 .args(arguments)
                 .envs(environment.iter().copied())
@@ -183,7 +196,7 @@ mod tests {
         assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), 4, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), 5, "{summary}");
     }
 
     #[test]
