@@ -50,6 +50,10 @@ impl I2c for BoardBus {
             let mut world = self.world.borrow_mut();
             let clock = world.clock().clone();
             let bus = world.bus_of(self.controller);
+            if !bus.lines_are_free(clock.now_ns()) {
+                // The controller sees that before it begins, and says so at once.
+                return Err(BusError(Fault::StuckLow { since_ns: clock.now_ns() }));
+            }
             let start_ns = bus.earliest_start_ns(clock.now_ns());
             let end_ns = start_ns + bus.planned_duration_ns(operations);
             (clock, start_ns, end_ns)

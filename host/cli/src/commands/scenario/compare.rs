@@ -31,19 +31,25 @@ pub(super) struct Compared {
 }
 
 /// Positions may differ by one count of the sensor and by one control period of motion: the two boards' loops do not run at
-/// the same moment. States, trips and refusals must be the same.
+/// the same moment. The motion is that at this look or the one before, whichever is faster: what was stopped in between was
+/// stopped up to a period earlier or later. States, trips and refusals must be the same.
 pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
     let mut list = Vec::new();
     let mut worst_share = 0.0_f64;
     let mut differ = |of: String, simulated: String, emulated: String, allowed: String| {
         list.push(Difference { of, simulated, emulated, allowed });
     };
+    let mut speeds = Vec::new();
     for (ours, theirs) in simulated.looks.iter().zip(&emulated.looks) {
         if ours.state != theirs.state {
             differ(format!("state at {} s", ours.at_s), ours.state.clone(), theirs.state.clone(), "the same".into());
         }
-        for (one, other) in ours.motions.iter().zip(&theirs.motions) {
-            let allowed = allowed(one, other);
+        for (index, (one, other)) in ours.motions.iter().zip(&theirs.motions).enumerate() {
+            let speed = one.speed.abs().max(other.speed.abs());
+            // Channels are the same, in the same order, at each look.
+            speeds.resize(speeds.len().max(index + 1), 0.0);
+            let fastest = speed.max(std::mem::replace(&mut speeds[index], speed));
+            let allowed = one.resolution + fastest * one.period_s;
             let share = (one.position - other.position).abs() / allowed;
             worst_share = worst_share.max(share);
             // Written so that NaN is a difference.
@@ -63,10 +69,6 @@ pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
         differ("refusals".into(), refused, other_refused, "the same".into());
     }
     Compared { list, worst_share }
-}
-
-fn allowed(one: &Motion, other: &Motion) -> f64 {
-    one.resolution + one.speed.abs().max(other.speed.abs()) * one.period_s
 }
 
 #[cfg(test)]
