@@ -59,6 +59,7 @@ pub struct Machine<C, S> {
     told: Option<u32>,
     /// A load that was refused, and whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
+    runs: u64,
 }
 
 impl<C: Core, S: Chip> Machine<C, S> {
@@ -84,6 +85,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             observed: Vec::new(),
             told: None,
             ignored_load: None,
+            runs: 0,
             core,
             chip,
         })
@@ -145,6 +147,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
     #[must_use]
     pub fn instructions(&self) -> u64 {
         self.time.executed()
+    }
+
+    /// How often the core was started since power-on: each start costs the time of many instructions.
+    #[must_use]
+    pub fn runs(&self) -> u64 {
+        self.runs
     }
 
     /// The processor around the core: exceptions, fault status.
@@ -298,6 +306,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         );
         bus.watch_masks = masked;
         bus.ignored_load = self.ignored_load.take();
+        self.runs += 1;
         let CoreStop { instructions, why } = self.core.run(&mut bus)?;
         let (store_fault, load_fault, failure) = (bus.store_fault, bus.load_fault.take(), bus.failure.take());
         if let Some(failure) = failure {

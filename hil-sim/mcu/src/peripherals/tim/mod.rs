@@ -184,6 +184,15 @@ impl Tim {
         encoder || self.capturing(index).any(|channel| self.dier >> channel & 0x202 != 0)
     }
 
+    /// [`Tim::watches`] of every input: bit 0 is TI1.
+    #[must_use]
+    pub fn watching(&self) -> u8 {
+        if self.dier & 0x1f1f == 0 {
+            return 0;
+        }
+        (0..4).filter(|index| self.watches(index + 1)).fold(0, |bits, index| bits | 1 << index)
+    }
+
     /// The level of output OC`channel` (1 to 4); low when it does not drive.
     #[must_use]
     pub fn output(&self, channel: u8) -> bool {
