@@ -84,6 +84,10 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
         return;
     }
     let state = engine.get_data_mut();
+    // The block before was executed to its end.
+    if state.block.releases {
+        state.claimed = false;
+    }
     if state.executed >= state.limits.instructions {
         state.why = Some(Why::Limit);
         return stop(engine);
@@ -95,17 +99,18 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
             return stop(engine);
         }
     }
-    let State { cache, code, .. } = engine.get_data_mut();
+    let state = engine.get_data_mut();
+    let (cache, code) = (&mut state.cache, &state.code);
     let decode = || Block::decode(address, slice(code, address, address.wrapping_add(bytes)));
     let block = if address >= CACHED_FROM { *cache.get(address, bytes, decode) } else { decode() };
-    let state = engine.get_data_mut();
-    if block.float.is_some() && !state.fpu && state.float_at != block.float {
-        state.float_at = block.float;
+    if !state.fpu && block.float().is_some() && state.float_at != block.float() {
+        state.float_at = block.float();
         state.why = Some(Why::Limit);
         return stop(engine);
     }
     state.block = block;
     state.executed += u64::from(block.instructions);
+    state.claimed |= block.claims;
     if block.event {
         state.bus().event();
     }

@@ -51,6 +51,8 @@ pub(crate) struct State {
     /// The first instruction of the run: observed or not, it is executed.
     pub(crate) first: Option<u32>,
     pub(crate) fpu: bool,
+    /// The exclusive monitor may be set.
+    pub(crate) claimed: bool,
     pub(crate) error: Option<CoreError>,
 }
 
@@ -71,6 +73,7 @@ impl State {
             window: Window::default(),
             first: None,
             fpu: false,
+            claimed: false,
             error: None,
         }
     }

@@ -181,6 +181,10 @@ const AFRL: u32 = 0x20;
 const AFRH: u32 = 0x24;
 /// The memories and peripherals of domain 3, which are all that BDMA reaches.
 const DOMAIN_3: u32 = 0x3800_0000;
+/// Peripherals that see pins.
+const EXTI: usize = Id::Exti as usize;
+const TIM1: usize = Id::Tim1 as usize;
+const TIM17: usize = Id::Tim17 as usize;
 /// Places for blocks that are known to have their clock.
 const CLOCKED: usize = 64;
 const NO_BLOCK: u32 = u32::MAX;
@@ -523,17 +527,23 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.activity.accessed(id, address, write);
         let block = address >> 10;
         let place = block as usize % CLOCKED;
-        if self.clocked[place] == block {
-        } else if self.devices.rcc.is_enabled(address & !0x3FF) {
-            self.clocked[place] = block;
-        } else {
-            let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
-            self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
-        }
-        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) || id == Id::Exti as usize {
-            self.poll_outside();
+        if self.clocked[place] != block {
+            if self.devices.rcc.is_enabled(address & !0x3FF) {
+                self.clocked[place] = block;
+            } else {
+                let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
+                self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
+            }
         }
         let base = self.bases[id];
+        let sees_pins = match id {
+            TIM1..=TIM17 => self.devices.timers[id - TIM1].needs_inputs(address - base, write),
+            EXTI => true,
+            _ => false,
+        };
+        if sees_pins {
+            self.poll_outside();
+        }
         let result = self.with(id, |device, context| f(device, address - base, context))?;
         Ok((result, id))
     }
@@ -572,8 +582,8 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             self.connect_timers((address >> 10 & 0xF) as u8);
             self.update_watched();
         }
-        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) {
-            let index = id - Id::Tim1 as usize;
+        if (TIM1..=TIM17).contains(&id) {
+            let index = id - TIM1;
             if self.watching[index] != self.devices.timers[index].watching() {
                 self.update_watched();
             }
@@ -598,7 +608,9 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
                 // At least so much later, whatever is said outside: time must go on.
                 self.next_poll_ns = self.next_poll_ns.max(self.now_ns + 1);
             }
-            for id in 0..if self.next_device_ns <= self.now_ns { Id::COUNT } else { 0 } {
+            // Only a poll was due: no peripheral is looked at.
+            let looked_at = if self.next_device_ns <= self.now_ns { Id::COUNT } else { 0 };
+            for id in 0..looked_at {
                 if self.next_ns[id] <= self.now_ns {
                     self.activity.advanced(id);
                     self.with(id, |device, context| device.advance(context));
