@@ -137,7 +137,8 @@ impl Cache {
     /// The block, decoded by `decode` where it is not known.
     #[inline]
     pub(crate) fn get(&mut self, address: u32, bytes: u32, decode: impl FnOnce() -> Block) -> &Block {
-        let slot = &mut self.blocks[address as usize / 2 % Self::LEN];
+        // Also by the length: parts of one block lie apart.
+        let slot = &mut self.blocks[address.wrapping_add(bytes) as usize / 2 % Self::LEN];
         if slot.address != address || slot.bytes() != bytes {
             *slot = decode();
         }

@@ -170,7 +170,9 @@ impl Core for UnicornCore {
     }
 
     fn code_changed(&mut self) -> Result<(), CoreError> {
-        self.engine.get_data_mut().cache.clear();
+        let state = self.engine.get_data_mut();
+        state.cache.clear();
+        state.parts.get_mut().clear();
         self.engine.ctl_flush_tb().map_err(|error| failed("flush", error))
     }
 

@@ -12,7 +12,7 @@ use crate::state::{State, slice};
 pub(crate) type Engine = Unicorn<'static, State>;
 
 /// ITCM lies below this: its contents may be changed by any store, and are decoded each time.
-const CACHED_FROM: u32 = 0x0001_0000;
+pub(crate) const CACHED_FROM: u32 = 0x0001_0000;
 
 /// Installs the hooks that are for every address.
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
@@ -88,16 +88,17 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
     if state.block.releases {
         state.claimed = false;
     }
-    if state.executed >= state.limits.instructions {
-        state.why = Some(Why::Limit);
-        return stop(engine);
-    }
+    let reached = state.executed >= state.limits.instructions;
     if state.limits.mask_changes {
         let before = state.masks;
         if masks(engine) != before {
             engine.get_data_mut().why = Some(Why::MaskChanged);
             return stop(engine);
         }
+    }
+    if reached && limit_stands(engine) {
+        engine.get_data_mut().why = Some(Why::Limit);
+        return stop(engine);
     }
     let state = engine.get_data_mut();
     let (cache, code) = (&mut state.cache, &state.code);
@@ -114,6 +115,16 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
     if block.event {
         state.bus().event();
     }
+}
+
+/// The limit is reached: whether it is still so once what is due is done, which spares stopping and starting again.
+#[cold]
+fn limit_stands(engine: &mut Unicorn<'_, State>) -> bool {
+    let executed = engine.get_data().executed;
+    engine.get_data_mut().bus().reached(executed);
+    refresh_limits(engine);
+    let state = engine.get_data();
+    state.executed >= state.limits.instructions
 }
 
 fn access(engine: &mut Unicorn<'_, State>, address: u32, size: Size) -> Access {

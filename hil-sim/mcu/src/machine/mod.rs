@@ -222,7 +222,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
                     continue;
                 }
             }
-            if let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core)) {
+            if self.cpu.exceptions.is_any_pending()
+                && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
+            {
                 self.take(|taker| taker.enter(exception).map(|()| false))?;
             }
             if let Some(reason) = self.execute(t_ns)? {
@@ -274,11 +276,14 @@ impl<C: Core, S: Chip> Machine<C, S> {
 
     /// B1.5.17 and B1.5.18: what ends a sleep.
     fn wakes(&mut self, sleep: Sleep) -> bool {
-        let masks = masks(&self.core);
         if sleep == Sleep::Event && self.cpu.event {
             self.cpu.event = false;
             return true;
         }
+        if !self.cpu.exceptions.is_any_pending() {
+            return false;
+        }
+        let masks = masks(&self.core);
         // WFI wakes for what only PRIMASK holds back; WFE for what is taken.
         let unmasked = Masks { primask: masks.primask && sleep == Sleep::Event, ..masks };
         self.cpu.exceptions.preempting(unmasked).is_some()

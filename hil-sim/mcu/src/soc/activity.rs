@@ -57,6 +57,9 @@ impl Activity {
 
     /// Of every peripheral its name, accesses of the program, and events of its own.
     pub fn peripherals(&self) -> impl Iterator<Item = (String, u64, u64)> {
-        map::names().into_iter().zip(self.accesses.into_iter().zip(self.events)).map(|(name, (all, own))| (name, all, own))
+        map::names()
+            .into_iter()
+            .zip(self.accesses.into_iter().zip(self.events))
+            .map(|(name, (all, own))| (name, all, own))
     }
 }

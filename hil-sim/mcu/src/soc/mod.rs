@@ -559,7 +559,8 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             let bank = region.bank;
             return if bank == Bank::Storage { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
         }
-        let (value, _) = self.access(now_ns, address, false, |device, offset, context| device.read(offset, size, context))?;
+        let (value, _) =
+            self.access(now_ns, address, false, |device, offset, context| device.read(offset, size, context))?;
         self.settle();
         Ok(value)
     }
@@ -575,7 +576,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();
         }
-        if id == Id::Exti as usize || id == Id::Syscfg as usize {
+        if id == EXTI && Exti::chooses(address & 0x3FF) || id == Id::Syscfg as usize {
             self.update_watched();
         }
         if id == Id::Gpio as usize && matches!(address & 0x3FF, MODER | AFRL | AFRH) {
@@ -630,6 +631,10 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {
         changes.append(&mut self.irqs);
+    }
+
+    fn wants_reset(&self) -> bool {
+        self.reset.is_some()
     }
 
     fn take_reset(&mut self) -> Option<ResetCause> {
