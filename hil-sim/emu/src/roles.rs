@@ -1,7 +1,5 @@
 //! Which of the chip's pins is wired to what, from the carrier's file.
 
-use std::collections::BTreeMap;
-
 use r4_boards::Carrier;
 use r4_mcu::Pin;
 
@@ -50,19 +48,23 @@ pub(crate) enum Role {
 
 /// The roles of all pins that have one.
 pub(crate) struct Roles {
-    by_pin: BTreeMap<Pin, Role>,
-    by_role: BTreeMap<Role, Pin>,
+    /// By port and number.
+    by_pin: [[Option<Role>; 16]; PORTS],
+    by_role: Vec<(Role, Pin)>,
 }
+
+/// Ports A to K.
+const PORTS: usize = 11;
 
 impl Roles {
     /// Reads them from a carrier. The carrier's reader has checked that each name it uses is a pin of it.
     pub(crate) fn new(carrier: &Carrier) -> Self {
-        let mut roles = Self { by_pin: BTreeMap::new(), by_role: BTreeMap::new() };
+        let mut roles = Self { by_pin: [[None; 16]; PORTS], by_role: Vec::new() };
         let mut is = |id: &str, role: Role| {
             if let Some(pin) = carrier.pin(id) {
                 let pin = Pin::new(pin.stm32.port, pin.stm32.number);
-                roles.by_pin.insert(pin, role);
-                roles.by_role.insert(role, pin);
+                roles.by_pin[usize::from(pin.port)][usize::from(pin.number)] = Some(role);
+                roles.by_role.push((role, pin));
             }
         };
         for (pins, encoder) in carrier.encoder.connectors.iter().zip(0..) {
@@ -100,12 +102,12 @@ impl Roles {
 
     /// What a pin is wired to.
     pub(crate) fn of(&self, pin: Pin) -> Option<Role> {
-        self.by_pin.get(&pin).copied()
+        *self.by_pin.get(usize::from(pin.port))?.get(usize::from(pin.number))?
     }
 
     /// The pin that has a role.
     pub(crate) fn pin(&self, role: Role) -> Option<Pin> {
-        self.by_role.get(&role).copied()
+        self.by_role.iter().rev().find(|(known, _)| *known == role).map(|(_, pin)| *pin)
     }
 }
 

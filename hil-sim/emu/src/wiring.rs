@@ -45,8 +45,10 @@ pub struct Wiring {
     world: Rc<RefCell<World>>,
     clock: Clock,
     roles: Roles,
-    encoders: usize,
-    rangers: usize,
+    /// Pins of each encoder's tracks.
+    encoders: Vec<[Option<Pin>; 2]>,
+    /// Echo pins of the range sensors.
+    rangers: Vec<Option<Pin>>,
     dead_man: Watched,
     auxiliary_stop: Watched,
     /// Red, green, blue.
@@ -63,12 +65,16 @@ impl Wiring {
     pub(crate) fn new(around: &Surroundings, to_host: Sender) -> Self {
         let carrier = &around.robot().carrier;
         let light = |light| -> Box<dyn FnMut(bool)> { Box::new(around.light_line(light)) };
+        let roles = Roles::new(carrier);
+        let encoders = 0..carrier.encoder.connectors.len() as u8;
+        let tracks = |encoder| [false, true].map(|b| roles.pin(Role::Track { encoder, b }));
+        let rangers = 0..carrier.range.connectors.len() as u8;
         Self {
             world: around.shared_world(),
             clock: around.clock().clone(),
-            roles: Roles::new(carrier),
-            encoders: carrier.encoder.connectors.len(),
-            rangers: carrier.range.connectors.len(),
+            encoders: encoders.map(tracks).collect(),
+            rangers: rangers.map(|sensor| roles.pin(Role::Echo(sensor))).collect(),
+            roles,
             dead_man: Watched::new(around.dead_man_line()),
             auxiliary_stop: Watched::new(around.auxiliary_stop_line()),
             lights: [Light::Red, Light::Green, Light::Blue].map(light),
@@ -178,17 +184,14 @@ impl Outside for Wiring {
         self.follow(now_ns);
         let first = edges.len();
         let mut world = self.world.borrow_mut();
-        for encoder in 0..self.encoders {
-            let pin = |b| self.roles.pin(Role::Track { encoder: encoder as u8, b });
-            let (a, b) = (pin(false), pin(true));
+        for (encoder, [a, b]) in self.encoders.iter().enumerate() {
             // Edges that are left out are those of a shaft too fast to be counted at all.
             world.take_encoder_edges(encoder, |edge| {
-                let pin = if edge.track == Channel::A { a } else { b };
+                let pin = if edge.track == Channel::A { *a } else { *b };
                 edges.extend(pin.map(|pin| Edge { at_ns: edge.at_ns, pin, high: edge.high }));
             });
         }
-        for sensor in 0..self.rangers {
-            let pin = self.roles.pin(Role::Echo(sensor as u8));
+        for (sensor, pin) in self.rangers.iter().enumerate() {
             world.take_echo_edges(sensor, |edge| {
                 edges.extend(pin.map(|pin| Edge { at_ns: edge.at_ns, pin, high: edge.high }));
             });

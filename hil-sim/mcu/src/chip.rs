@@ -45,6 +45,11 @@ pub trait Chip {
     /// table (0 is the first after the system exceptions), and its level.
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>);
 
+    /// [`Chip::take_reset`] would give one.
+    fn wants_reset(&self) -> bool {
+        false
+    }
+
     /// A reset that the chip itself wants (a watchdog); the machine then calls [`Chip::reset`].
     fn take_reset(&mut self) -> Option<ResetCause>;
 

@@ -43,12 +43,14 @@ pub struct Clocks {
     pub lse_hz: u64,
 }
 
+const SECOND: u64 = 1_000_000_000;
+
 /// A count of clock ticks against virtual time, exact: no rounding adds up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ticks {
     /// The moment of tick 0.
     pub start_ns: u64,
-    /// Ticks in `per_ns` / 1e9 seconds: a frequency and its divider.
+    /// Ticks in `per_ns` / 1e9 seconds: a frequency and its divider. Below 18 GHz.
     pub frequency_hz: u64,
     /// Divider of the frequency, at least 1.
     pub divider: u64,
@@ -58,8 +60,12 @@ impl Ticks {
     /// Whole ticks from the start to `now_ns`.
     #[must_use]
     pub fn at(&self, now_ns: u64) -> u64 {
-        let elapsed = u128::from(now_ns.saturating_sub(self.start_ns));
-        (elapsed * u128::from(self.frequency_hz) / (1_000_000_000 * u128::from(self.divider.max(1)))) as u64
+        // In 64 bits: whole seconds and the rest apart, and the divider last, which rounds no differently.
+        let elapsed = now_ns.saturating_sub(self.start_ns);
+        let (seconds, rest) = (elapsed / SECOND, elapsed % SECOND);
+        let whole = seconds.wrapping_mul(self.frequency_hz);
+        let clocks = whole.wrapping_add(rest * self.frequency_hz / SECOND);
+        if self.divider <= 1 { clocks } else { clocks / self.divider }
     }
 
     /// The first nanosecond at which [`Ticks::at`] gives `ticks`; `u64::MAX` when the clock is stopped.
@@ -68,9 +74,10 @@ impl Ticks {
         if self.frequency_hz == 0 {
             return u64::MAX;
         }
-        let scaled = u128::from(ticks) * 1_000_000_000 * u128::from(self.divider.max(1));
-        let ns = scaled.div_ceil(u128::from(self.frequency_hz));
-        u64::try_from(ns).unwrap_or(u64::MAX).saturating_add(self.start_ns)
+        let Some(clocks) = ticks.checked_mul(self.divider.max(1)) else { return u64::MAX };
+        let (seconds, rest) = (clocks / self.frequency_hz, clocks % self.frequency_hz);
+        let ns = seconds.saturating_mul(SECOND).saturating_add((rest * SECOND).div_ceil(self.frequency_hz));
+        ns.saturating_add(self.start_ns)
     }
 }
 

@@ -87,6 +87,12 @@ impl Bank {
     }
 }
 
+/// The address after the last memory: peripherals follow.
+const END: u32 = {
+    let (base, len) = Bank::Backup.span();
+    base + len
+};
+
 /// What the core does with a memory by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Direct {
@@ -184,6 +190,9 @@ impl Memory {
     /// Which memory holds an address, and the offset there.
     #[must_use]
     pub fn locate(&self, address: u32) -> Option<(&Region, u32)> {
+        if address >= END {
+            return None;
+        }
         let after = self.regions.partition_point(|region| region.base <= address);
         let region = self.regions.get(after.checked_sub(1)?)?;
         let offset = address - region.base;

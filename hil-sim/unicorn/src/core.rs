@@ -75,7 +75,7 @@ impl UnicornCore {
         let pc = self.register(RegisterARM::PC);
         let halfword = |back| halfword(state.code(pc.wrapping_sub(back), pc), 0);
         let is = |first: Option<u16>, second| first.is_some_and(|first| is_hint(first, second, hint));
-        let at_end = state.block.bytes > 0 && pc == state.block.end();
+        let at_end = state.block.bytes() > 0 && pc == state.block.end();
         at_end && (is(halfword(2), None) || is(halfword(4), halfword(2)))
     }
 
@@ -174,7 +174,9 @@ impl Core for UnicornCore {
     }
 
     fn code_changed(&mut self) -> Result<(), CoreError> {
-        self.engine.get_data_mut().cache.clear();
+        let state = self.engine.get_data_mut();
+        state.cache.clear();
+        state.parts.get_mut().clear();
         self.engine.ctl_flush_tb().map_err(|error| failed("flush", error))
     }
 
@@ -201,6 +203,9 @@ impl Core for UnicornCore {
     }
 
     fn clear_exclusive(&mut self) -> Result<(), CoreError> {
+        if !std::mem::take(&mut self.engine.get_data_mut().claimed) {
+            return Ok(());
+        }
         let pc = self.register(RegisterARM::PC);
         let result = self.engine.emu_start(u64::from(STUB) | 1, 0, 0, 0);
         result.map_err(|error| failed("clear the exclusive monitor", error))?;

@@ -12,7 +12,7 @@ use crate::state::{State, slice};
 pub(crate) type Engine = Unicorn<'static, State>;
 
 /// ITCM lies below this: its contents may be changed by any store, and are decoded each time.
-const CACHED_FROM: u32 = 0x0001_0000;
+pub(crate) const CACHED_FROM: u32 = 0x0001_0000;
 
 /// Installs the hooks that are for every address.
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
@@ -84,10 +84,11 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
         return;
     }
     let state = engine.get_data_mut();
-    if state.executed >= state.limits.instructions {
-        state.why = Some(Why::Limit);
-        return stop(engine);
+    // The block before was executed to its end.
+    if state.block.releases {
+        state.claimed = false;
     }
+    let reached = state.executed >= state.limits.instructions;
     if state.limits.mask_changes {
         let before = state.masks;
         if masks(engine) != before {
@@ -95,20 +96,35 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
             return stop(engine);
         }
     }
-    let State { cache, code, .. } = engine.get_data_mut();
+    if reached && limit_stands(engine) {
+        engine.get_data_mut().why = Some(Why::Limit);
+        return stop(engine);
+    }
+    let state = engine.get_data_mut();
+    let (cache, code) = (&mut state.cache, &state.code);
     let decode = || Block::decode(address, slice(code, address, address.wrapping_add(bytes)));
     let block = if address >= CACHED_FROM { *cache.get(address, bytes, decode) } else { decode() };
-    let state = engine.get_data_mut();
-    if block.float.is_some() && !state.fpu && state.float_at != block.float {
-        state.float_at = block.float;
+    if !state.fpu && block.float().is_some() && state.float_at != block.float() {
+        state.float_at = block.float();
         state.why = Some(Why::Limit);
         return stop(engine);
     }
     state.block = block;
     state.executed += u64::from(block.instructions);
+    state.claimed |= block.claims;
     if block.event {
         state.bus().event();
     }
+}
+
+/// The limit is reached: whether it is still so once what is due is done, which spares stopping and starting again.
+#[cold]
+fn limit_stands(engine: &mut Unicorn<'_, State>) -> bool {
+    let executed = engine.get_data().executed;
+    engine.get_data_mut().bus().reached(executed);
+    refresh_limits(engine);
+    let state = engine.get_data();
+    state.executed >= state.limits.instructions
 }
 
 fn access(engine: &mut Unicorn<'_, State>, address: u32, size: Size) -> Access {

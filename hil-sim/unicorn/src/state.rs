@@ -1,6 +1,6 @@
 //! What the hooks know during a run.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::ptr::NonNull;
 use std::rc::Rc;
@@ -10,6 +10,7 @@ use r4_mcu::cpu::{CoreBus, CoreError, Limits, Why};
 use unicorn_engine::UcHookId;
 
 use crate::blocks::{Block, Cache};
+use crate::hooks::CACHED_FROM;
 
 /// Code that the core can fetch: the address of its first byte, and the bytes.
 pub(crate) type CodeMemory = (u32, Rc<[Cell<u8>]>);
@@ -32,6 +33,8 @@ pub(crate) struct State {
     /// Executable memories.
     pub(crate) code: Vec<CodeMemory>,
     pub(crate) cache: Cache,
+    /// Blocks as far as an instruction that has made an access.
+    pub(crate) parts: RefCell<Cache>,
     /// Hooks for accesses to memories that are not, or not wholly, direct; by base address.
     pub(crate) access_hooks: BTreeMap<u64, [UcHookId; 2]>,
     /// The block that was begun last.
@@ -53,6 +56,8 @@ pub(crate) struct State {
     /// The first instruction of the run: observed or not, it is executed.
     pub(crate) first: Option<u32>,
     pub(crate) fpu: bool,
+    /// The exclusive monitor may be set.
+    pub(crate) claimed: bool,
     pub(crate) error: Option<CoreError>,
 }
 
@@ -62,6 +67,7 @@ impl State {
             bus: None,
             code: Vec::new(),
             cache: Cache::new(),
+            parts: RefCell::new(Cache::new()),
             access_hooks: BTreeMap::new(),
             block: Block::NONE,
             executed: 0,
@@ -74,6 +80,7 @@ impl State {
             window: Window::default(),
             first: None,
             fpu: false,
+            claimed: false,
             error: None,
         }
     }
@@ -110,7 +117,13 @@ impl State {
         if pc < self.block.address || pc >= self.block.end() {
             return self.executed;
         }
-        let part = Block::decode(self.block.address, self.code(self.block.address, pc)).instructions;
+        let (address, bytes) = (self.block.address, pc - self.block.address);
+        let decode = || Block::decode(address, self.code(address, pc));
+        let part = if address >= CACHED_FROM {
+            self.parts.borrow_mut().get(address, bytes, decode).instructions
+        } else {
+            decode().instructions
+        };
         self.executed - whole + u64::from(part)
     }
 }

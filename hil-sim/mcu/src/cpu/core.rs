@@ -77,8 +77,12 @@ pub trait CoreBus {
     /// buffers its stores (imprecise bus faults).
     fn write(&mut self, access: &Access, value: u32);
 
-    /// Asked at the start of a run and after each access, which may change them.
+    /// Asked at the start of a run, after each access and after [`CoreBus::reached`], which may change them.
     fn limits(&self) -> Limits;
+
+    /// [`Limits::instructions`] is reached, after so many: what is due is done, and the limits may be others now. Where they
+    /// are not, the core stops.
+    fn reached(&mut self, _instructions: u64) {}
 
     /// SEV was, or is about to be, executed in the present block.
     fn event(&mut self);

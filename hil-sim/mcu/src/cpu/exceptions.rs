@@ -159,6 +159,12 @@ impl Exceptions {
         candidates.iter().min_by_key(|exception| (self.priority(*exception), *exception))
     }
 
+    /// An exception is pending and enabled, however urgent.
+    #[must_use]
+    pub fn is_any_pending(&self) -> bool {
+        !self.pending.and(&self.enabled).is_empty()
+    }
+
     /// The exception that preempts what is executing now, if one does.
     #[must_use]
     pub fn preempting(&self, masks: Masks) -> Option<u16> {

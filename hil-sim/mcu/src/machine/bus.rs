@@ -115,7 +115,9 @@ impl<'a, S: Chip> Bus<'a, S> {
             || requests.reset
             || requests.fpu
             || self.chip.outside_waits()
-            || self.code_version != self.chip.memory().code_version();
+            || self.chip.wants_reset()
+            || self.code_version != self.chip.memory().code_version()
+            || *self.mapping_version != self.chip.memory().mapping_version();
         if now {
             return 0;
         }
@@ -217,6 +219,16 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
 
     fn limits(&self) -> Limits {
         Limits { instructions: self.limit, mask_changes: self.watch_masks }
+    }
+
+    fn reached(&mut self, instructions: u64) {
+        let now_ns = self.time.after_ns(instructions);
+        // A run that ends here anyway leaves what is due to the machine.
+        if now_ns < self.t_ns && self.failure.is_none() {
+            self.chip.advance(now_ns);
+            self.cpu.advance(now_ns);
+            self.accessed(now_ns);
+        }
     }
 
     fn event(&mut self) {

@@ -59,6 +59,7 @@ pub struct Machine<C, S> {
     told: Option<u32>,
     /// A load that was refused, and whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
+    runs: u64,
 }
 
 impl<C: Core, S: Chip> Machine<C, S> {
@@ -84,6 +85,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             observed: Vec::new(),
             told: None,
             ignored_load: None,
+            runs: 0,
             core,
             chip,
         })
@@ -145,6 +147,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
     #[must_use]
     pub fn instructions(&self) -> u64 {
         self.time.executed()
+    }
+
+    /// How often the core was started since power-on: each start costs the time of many instructions.
+    #[must_use]
+    pub fn runs(&self) -> u64 {
+        self.runs
     }
 
     /// The processor around the core: exceptions, fault status.
@@ -214,7 +222,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
                     continue;
                 }
             }
-            if let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core)) {
+            if self.cpu.exceptions.is_any_pending()
+                && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
+            {
                 self.take(|taker| taker.enter(exception).map(|()| false))?;
             }
             if let Some(reason) = self.execute(t_ns)? {
@@ -266,11 +276,14 @@ impl<C: Core, S: Chip> Machine<C, S> {
 
     /// B1.5.17 and B1.5.18: what ends a sleep.
     fn wakes(&mut self, sleep: Sleep) -> bool {
-        let masks = masks(&self.core);
         if sleep == Sleep::Event && self.cpu.event {
             self.cpu.event = false;
             return true;
         }
+        if !self.cpu.exceptions.is_any_pending() {
+            return false;
+        }
+        let masks = masks(&self.core);
         // WFI wakes for what only PRIMASK holds back; WFE for what is taken.
         let unmasked = Masks { primask: masks.primask && sleep == Sleep::Event, ..masks };
         self.cpu.exceptions.preempting(unmasked).is_some()
@@ -298,6 +311,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         );
         bus.watch_masks = masked;
         bus.ignored_load = self.ignored_load.take();
+        self.runs += 1;
         let CoreStop { instructions, why } = self.core.run(&mut bus)?;
         let (store_fault, load_fault, failure) = (bus.store_fault, bus.load_fault.take(), bus.failure.take());
         if let Some(failure) = failure {

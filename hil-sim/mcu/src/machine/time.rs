@@ -32,10 +32,11 @@ impl Instructions {
 
     /// How many instructions later the moment is at or after `t_ns`; 0 when it is already.
     pub(crate) fn until(&self, t_ns: u64) -> u64 {
-        let ns = u128::from(t_ns.saturating_sub(self.start_ns));
-        // The first n for which ceil(n * SECOND / per_second) >= ns.
-        let needed = ns.saturating_sub(1) * u128::from(self.per_second) / u128::from(SECOND) + u128::from(ns > 0);
-        u64::try_from(needed).unwrap_or(u64::MAX).saturating_sub(self.since)
+        let Some(before) = t_ns.saturating_sub(self.start_ns).checked_sub(1) else { return 0 };
+        // The first n for which ceil(n * SECOND / per_second) > before, whole seconds and the rest apart.
+        let whole = (before / SECOND).saturating_mul(self.per_second);
+        let needed = whole.saturating_add(before % SECOND * self.per_second / SECOND + 1);
+        needed.saturating_sub(self.since)
     }
 
     /// Executes instructions.

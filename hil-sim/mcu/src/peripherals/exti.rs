@@ -61,6 +61,12 @@ impl Exti {
         }
     }
 
+    /// Whether a write there may change [`Exti::watched`]: to RTSR, FTSR or IMR, not to the pending bits.
+    #[must_use]
+    pub fn chooses(offset: u32) -> bool {
+        !matches!(offset & !3, SWIER1 | C1PR1)
+    }
+
     /// Pins of which an edge would raise an interrupt.
     pub fn watched<'a>(&self, syscfg: &'a Syscfg) -> impl Iterator<Item = Pin> + use<'a> {
         let lines = (self.rising | self.falling) & self.mask & PINS;

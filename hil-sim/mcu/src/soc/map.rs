@@ -127,6 +127,13 @@ pub(super) fn bases() -> [u32; Id::COUNT] {
     bases
 }
 
+/// Every name, by place.
+pub(super) fn names() -> [String; Id::COUNT] {
+    let mut names = [const { String::new() }; Id::COUNT];
+    MAP.iter().for_each(|(_, _, id)| names[*id as usize] = format!("{id:?}"));
+    names
+}
+
 /// From an address to a peripheral, fast: one byte for each KiB of peripheral space.
 pub(super) struct AddressMap(Box<[u8]>);
 

@@ -4,9 +4,10 @@
 //! interrupt lines to the processor, requests to DMA, whose beats follow at once, timer outputs to pins, changes of the
 //! clock tree to everybody. DMA takes no time; what it waits for does.
 
+mod activity;
 mod map;
 
-use std::collections::HashMap;
+pub use activity::{Accesses, Activity};
 
 use map::Id;
 
@@ -152,17 +153,24 @@ pub struct Soc<O, F> {
     misuse: Vec<Misuse>,
     /// When each peripheral must be advanced, by its place.
     next_ns: [u64; Id::COUNT],
+    /// The earliest of those.
+    next_device_ns: u64,
     next_poll_ns: u64,
     /// Pins with an interrupt or a capture on them.
     watched: Vec<Pin>,
-    /// Who asserts each interrupt line now, by place.
-    asserted: HashMap<u16, Vec<usize>>,
+    /// Who asserts each interrupt line now, by number and place.
+    asserted: Vec<Vec<usize>>,
+    /// Inputs of timers that are watched, a bit for each, by the timer's place.
+    watching: [u8; TIMERS.len()],
     irqs: Vec<(u16, bool)>,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
     boot: u32,
     /// What a DMA controller met that is not modelled; told at the program's next access.
     unmodelled: Option<Unmodelled>,
+    /// Blocks of 1 KiB that are known to have their clock, each in the place that its number chooses.
+    clocked: [u32; CLOCKED],
+    activity: Activity,
 }
 
 /// Where the Cortex-M7 boots, as the Giga's option bytes say.
@@ -173,6 +181,13 @@ const AFRL: u32 = 0x20;
 const AFRH: u32 = 0x24;
 /// The memories and peripherals of domain 3, which are all that BDMA reaches.
 const DOMAIN_3: u32 = 0x3800_0000;
+/// Peripherals that see pins.
+const EXTI: usize = Id::Exti as usize;
+const TIM1: usize = Id::Tim1 as usize;
+const TIM17: usize = Id::Tim17 as usize;
+/// Places for blocks that are known to have their clock.
+const CLOCKED: usize = 64;
+const NO_BLOCK: u32 = u32::MAX;
 /// Misuses are kept, the first so many.
 const MISUSE_KEPT: usize = 1000;
 
@@ -193,14 +208,18 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             sources: Vec::new(),
             misuse: Vec::new(),
             next_ns: [u64::MAX; Id::COUNT],
+            next_device_ns: u64::MAX,
             next_poll_ns: u64::MAX,
+            clocked: [NO_BLOCK; CLOCKED],
             watched: Vec::new(),
-            asserted: HashMap::new(),
+            asserted: Vec::new(),
+            watching: [0; TIMERS.len()],
             irqs: Vec::new(),
             reset: None,
             edges: Vec::new(),
             boot: BANK_1,
             unmodelled: None,
+            activity: Activity::new(),
         };
         soc.update_memory_clocks();
         soc
@@ -217,6 +236,11 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         &self.misuse
     }
 
+    /// What was done so far, counted.
+    pub fn activity(&mut self) -> &mut Activity {
+        &mut self.activity
+    }
+
     /// Calls `f` with the peripherals and the context of one of them, whose next event is then asked for.
     fn call<R>(&mut self, id: usize, f: impl FnOnce(&mut Devices<F>, &mut Context<'_>) -> R) -> R {
         let mut context = Context {
@@ -227,10 +251,23 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             misuse: &mut self.misuse,
         };
         let result = f(&mut self.devices, &mut context);
-        self.sources.resize(self.signals.len(), id);
-        self.next_ns[id] = self.devices.get(id).next_event_ns();
+        if self.sources.len() != self.signals.len() {
+            self.sources.resize(self.signals.len(), id);
+        }
         self.misuse.truncate(MISUSE_KEPT);
+        self.ask_next(id);
         result
+    }
+
+    /// Asks a peripheral for its next event.
+    fn ask_next(&mut self, id: usize) {
+        let next_ns = self.devices.get(id).next_event_ns();
+        let was_ns = std::mem::replace(&mut self.next_ns[id], next_ns);
+        if next_ns <= self.next_device_ns {
+            self.next_device_ns = next_ns;
+        } else if was_ns == self.next_device_ns {
+            self.next_device_ns = self.next_ns.iter().copied().fold(u64::MAX, u64::min);
+        }
     }
 
     /// The same for what every peripheral can do.
@@ -273,7 +310,11 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// An interrupt line of a peripheral. Those that share a vector are ORed.
     fn interrupt(&mut self, number: u16, level: bool, source: usize) {
-        let sources = self.asserted.entry(number).or_default();
+        let index = usize::from(number);
+        if index >= self.asserted.len() {
+            self.asserted.resize(index + 1, Vec::new());
+        }
+        let sources = &mut self.asserted[index];
         let was = !sources.is_empty();
         sources.retain(|other| *other != source);
         if level {
@@ -297,6 +338,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// One access of a DMA controller; false when none wants any.
     fn dma_beat(&mut self) -> bool {
         if let Some(beat) = self.devices.dma.next_beat() {
+            self.activity.beats += 1;
             let result = self.bus_access(beat);
             let finish = |devices: &mut Devices<F>, context: &mut Context<'_>| devices.dma.finish_beat(result, context);
             if let Some(request) = self.call(Id::Dma as usize, finish) {
@@ -305,6 +347,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             return true;
         }
         if let Some(beat) = self.devices.bdma.next_beat() {
+            self.activity.beats += 1;
             let result = if beat.address < DOMAIN_3 { Err(dma::BusError) } else { self.bus_access(beat) };
             self.call(Id::Bdma as usize, |devices, context| devices.bdma.finish_beat(result, context));
             return true;
@@ -366,6 +409,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// What RCC, PWR and SYSCFG tell each other, after a write to one of them or an event in it.
     fn link_power(&mut self) {
+        self.clocked = [NO_BLOCK; CLOCKED];
         self.update_memory_clocks();
         for base in self.devices.rcc.take_resets() {
             if let Some(id) = self.map.find(base) {
@@ -390,6 +434,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// Tells the chip what changed at its input pins.
     pub fn poll_outside(&mut self) {
+        self.activity.polls += 1;
         let mut edges = std::mem::take(&mut self.edges);
         self.outside.poll(self.now_ns, &mut edges);
         for edge in edges.drain(..) {
@@ -427,8 +472,9 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         let Devices { exti, syscfg, gpio, timers, .. } = &self.devices;
         self.watched.clear();
         self.watched.extend(exti.watched(syscfg));
-        for (timer, number) in timers.iter().zip(TIMERS) {
-            for channel in (1..=4).filter(|channel| timer.watches(*channel)) {
+        for ((timer, number), watching) in timers.iter().zip(TIMERS).zip(&mut self.watching) {
+            *watching = timer.watching();
+            for channel in (1..=4).filter(|channel| *watching >> (channel - 1) & 1 != 0) {
                 self.watched.extend(gpio.pins_with(Function::Timer(number, channel)));
             }
         }
@@ -442,16 +488,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         let index = usize::from(port).wrapping_sub(1);
         if let Some(usart) = self.devices.usarts.get_mut(index) {
             usart.receive(byte);
-            let id = Id::Usart1 as usize + index;
-            self.next_ns[id] = self.devices.get(id).next_event_ns();
+            self.ask_next(Id::Usart1 as usize + index);
         }
     }
 
     /// A frame for an FDCAN of the chip, which ends at `at_ns`.
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
         self.devices.fdcan.receive(bus, at_ns, frame);
-        let id = Id::Fdcan as usize;
-        self.next_ns[id] = self.devices.get(id).next_event_ns();
+        self.ask_next(Id::Fdcan as usize);
     }
 
     /// Where the processor starts: at the vector table to which a bootloader would jump, if not that of bank 1.
@@ -469,6 +513,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         &mut self,
         now_ns: u64,
         address: u32,
+        write: bool,
         f: impl FnOnce(&mut dyn Peripheral, u32, &mut Context<'_>) -> Result<R, Unmodelled>,
     ) -> Result<(R, usize), AccessError> {
         self.advance(now_ns);
@@ -479,14 +524,26 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             let what = format!("nothing is modelled at {address:#010x}");
             return Err(Unmodelled { peripheral: "bus", what }.into());
         };
-        if !self.devices.rcc.is_enabled(address & !0x3FF) {
-            let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
-            self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
-        }
-        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) || id == Id::Exti as usize {
-            self.poll_outside();
+        self.activity.accessed(id, address, write);
+        let block = address >> 10;
+        let place = block as usize % CLOCKED;
+        if self.clocked[place] != block {
+            if self.devices.rcc.is_enabled(address & !0x3FF) {
+                self.clocked[place] = block;
+            } else {
+                let what = format!("access to {address:#010x} while its clock is off (RM0399, 9.5.10)");
+                self.misuse.push(Misuse { at_ns: now_ns, peripheral: "RCC", what });
+            }
         }
         let base = self.bases[id];
+        let sees_pins = match id {
+            TIM1..=TIM17 => self.devices.timers[id - TIM1].needs_inputs(address - base, write),
+            EXTI => true,
+            _ => false,
+        };
+        if sees_pins {
+            self.poll_outside();
+        }
         let result = self.with(id, |device, context| f(device, address - base, context))?;
         Ok((result, id))
     }
@@ -502,7 +559,8 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             let bank = region.bank;
             return if bank == Bank::Storage { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
         }
-        let (value, _) = self.access(now_ns, address, |device, offset, context| device.read(offset, size, context))?;
+        let (value, _) =
+            self.access(now_ns, address, false, |device, offset, context| device.read(offset, size, context))?;
         self.settle();
         Ok(value)
     }
@@ -514,19 +572,22 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         }
         let write =
             |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| device.write(offset, size, value, context);
-        let ((), id) = self.access(now_ns, address, write)?;
+        let ((), id) = self.access(now_ns, address, true, write)?;
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();
         }
-        if id == Id::Exti as usize || id == Id::Syscfg as usize {
+        if id == EXTI && Exti::chooses(address & 0x3FF) || id == Id::Syscfg as usize {
             self.update_watched();
         }
         if id == Id::Gpio as usize && matches!(address & 0x3FF, MODER | AFRL | AFRH) {
             self.connect_timers((address >> 10 & 0xF) as u8);
             self.update_watched();
         }
-        if (Id::Tim1 as usize..=Id::Tim17 as usize).contains(&id) {
-            self.update_watched();
+        if (TIM1..=TIM17).contains(&id) {
+            let index = id - TIM1;
+            if self.watching[index] != self.devices.timers[index].watching() {
+                self.update_watched();
+            }
         }
         self.settle();
         // A stop line or a trigger may have moved: what is outside changes at other times than it said.
@@ -548,8 +609,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
                 // At least so much later, whatever is said outside: time must go on.
                 self.next_poll_ns = self.next_poll_ns.max(self.now_ns + 1);
             }
-            for id in 0..Id::COUNT {
+            // Only a poll was due: no peripheral is looked at.
+            let looked_at = if self.next_device_ns <= self.now_ns { Id::COUNT } else { 0 };
+            for id in 0..looked_at {
                 if self.next_ns[id] <= self.now_ns {
+                    self.activity.advanced(id);
                     self.with(id, |device, context| device.advance(context));
                     if id == Id::Rcc as usize || id == Id::Pwr as usize {
                         self.link_power();
@@ -562,11 +626,15 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
     }
 
     fn next_event_ns(&self) -> u64 {
-        self.next_ns.iter().copied().fold(self.next_poll_ns, u64::min)
+        self.next_device_ns.min(self.next_poll_ns)
     }
 
     fn take_irqs(&mut self, changes: &mut Vec<(u16, bool)>) {
         changes.append(&mut self.irqs);
+    }
+
+    fn wants_reset(&self) -> bool {
+        self.reset.is_some()
     }
 
     fn take_reset(&mut self) -> Option<ResetCause> {

@@ -112,6 +112,8 @@ pub struct Bdma {
     mux: Mux,
     channels: [Channel; CHANNELS],
     current: Option<(usize, Access)>,
+    /// No channel wants anything, and nothing has happened since that could change it.
+    quiet: bool,
 }
 
 impl Default for Bdma {
@@ -124,22 +126,29 @@ impl Bdma {
     /// As after a reset of the chip.
     #[must_use]
     pub fn new() -> Self {
-        Self { mux: Mux::new(&DMAMUX2, CHANNELS), channels: Default::default(), current: None }
+        Self { mux: Mux::new(&DMAMUX2, CHANNELS), channels: Default::default(), current: None, quiet: false }
     }
 
     /// A request line of a peripheral (`Signal::Bdma`).
     pub fn request(&mut self, request: u8, level: bool) {
         self.mux.request(request, level);
+        self.quiet &= !level;
     }
 
     /// A pulse at an input of the request generators (RM0399, DMAMUX2, trigger inputs).
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
+        self.quiet = false;
         self.mux.trigger_pulse(input, context);
     }
 
     /// The next access to the bus, which must be answered with [`Bdma::finish_beat`] before the next is asked for. The order
     /// is that of priority, then number; an item that was read is written before anything else.
+    #[inline]
     pub fn next_beat(&mut self) -> Option<Beat> {
+        if self.quiet { None } else { self.find_beat() }
+    }
+
+    fn find_beat(&mut self) -> Option<Beat> {
         let wanted = |number: usize| {
             let channel = &self.channels[number];
             channel.wants(self.mux.output(number)).map(|wanted| (number, wanted, channel.control >> 12 & 3))
@@ -153,7 +162,10 @@ impl Bdma {
                 }
             }
         }
-        let (number, (address, size, access), _) = best?;
+        let Some((number, (address, size, access), _)) = best else {
+            self.quiet = true;
+            return None;
+        };
         let channel = &self.channels[number];
         let serves = (access == Access::Read) != channel.reads_memory();
         if serves && channel.control & MEM2MEM == 0 {
@@ -170,6 +182,7 @@ impl Bdma {
     /// What became of the access: the value read (anything after a write), or that the bus refused it.
     pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
         let Some((number, access)) = self.current.take() else { return };
+        self.quiet = false;
         let request = self.mux.selected(number);
         let channel = &mut self.channels[number];
         match (result, access) {
@@ -323,6 +336,7 @@ impl Peripheral for Bdma {
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {
+        self.quiet = false;
         for channel in &mut self.channels {
             channel.patience.renew(context.now_ns);
         }
@@ -338,5 +352,6 @@ impl Peripheral for Bdma {
         }
         self.mux.reset(context);
         self.current = None;
+        self.quiet = false;
     }
 }

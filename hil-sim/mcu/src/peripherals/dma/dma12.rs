@@ -28,6 +28,8 @@ pub struct Dma12 {
     controllers: [Controller; 2],
     /// The access that [`Dma12::next_beat`] has given out.
     current: Option<(usize, usize, Wanted)>,
+    /// No stream wants anything, and nothing has happened since that could change it.
+    quiet: bool,
 }
 
 impl Default for Dma12 {
@@ -47,31 +49,44 @@ impl Dma12 {
                 Controller::new("DMA2", [56, 57, 58, 59, 60, 68, 69, 70]),
             ],
             current: None,
+            quiet: false,
         }
     }
 
     /// A request line of a peripheral (`Signal::Dma`).
     pub fn request(&mut self, request: u8, level: bool) {
         self.mux.request(request, level);
+        self.quiet &= !level;
     }
 
     /// A pulse at an input of the request generators, RM0399, DMAMUX1, trigger inputs: TIM12's trigger output is 7, LPTIM1 to 3 are 3 to 5.
     /// The multiplexer's own events (0 to 2) are wired inside.
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
+        self.quiet = false;
         self.mux.trigger_pulse(input, context);
         self.mux.synchronize(input, true, context);
     }
 
     /// An edge at an input of the request generators: EXTI line 0 is 6.
     pub fn trigger_edge(&mut self, input: u8, rising: bool, context: &mut Context<'_>) {
+        self.quiet = false;
         self.mux.trigger_edge(input, rising, context);
         self.mux.synchronize(input, rising, context);
     }
 
     /// The next access to the bus, which must be answered with [`Dma12::finish_beat`] before the next is asked for.
+    #[inline]
     pub fn next_beat(&mut self) -> Option<Beat> {
-        let (unit, (number, wanted)) =
-            (0..2).find_map(|unit| self.controllers[unit].next(&self.mux, unit * STREAMS).map(|next| (unit, next)))?;
+        if self.quiet { None } else { self.find_beat() }
+    }
+
+    fn find_beat(&mut self) -> Option<Beat> {
+        let mut all = self.controllers.iter().enumerate();
+        let next = all.find_map(|(unit, one)| one.next(&self.mux, unit * STREAMS).map(|next| (unit, next)));
+        let Some((unit, (number, wanted))) = next else {
+            self.quiet = true;
+            return None;
+        };
         let channel = unit * STREAMS + number;
         // Before the access: what it does to the peripheral may raise the request anew.
         if wanted.serves {
@@ -86,6 +101,7 @@ impl Dma12 {
     /// Returns the request whose transfer has ended with it, if any: the ADCs' one-shot mode needs to know.
     pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) -> Option<u8> {
         let (unit, number, wanted) = self.current.take()?;
+        self.quiet = false;
         let request = self.mux.selected(unit * STREAMS + number);
         self.controllers[unit].finish(number, wanted, result, request, context);
         self.mux.carry_events(context);
@@ -94,6 +110,7 @@ impl Dma12 {
 
     /// A reset of one part by RCC.
     pub fn reset_part(&mut self, part: Part, context: &mut Context<'_>) {
+        self.quiet = false;
         match part {
             Part::Dma1 => self.controllers[0].reset(context),
             Part::Dma2 => self.controllers[1].reset(context),
@@ -116,9 +133,7 @@ impl Peripheral for Dma12 {
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
-        for controller in &mut self.controllers {
-            controller.renew(context.now_ns);
-        }
+        self.advance(context);
         let value = if size == Size::Word {
             value
         } else {
@@ -137,6 +152,7 @@ impl Peripheral for Dma12 {
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {
+        self.quiet = false;
         for controller in &mut self.controllers {
             controller.renew(context.now_ns);
         }

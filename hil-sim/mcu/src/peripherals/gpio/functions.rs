@@ -1,6 +1,9 @@
 //! Alternate functions of pins (DS12930, tables of the alternate functions), for the pins that are brought out on the
 //! Arduino Giga R1, and its debug pins.
 
+use std::sync::LazyLock;
+
+use super::PORTS;
 use crate::Pin;
 
 /// What a pin is connected to inside the chip.
@@ -39,8 +42,16 @@ pub enum Function {
 /// The function of a pin with an alternate function number; `None` if there is none, or none that is listed here.
 #[must_use]
 pub fn function_of(pin: Pin, alternate: u8) -> Option<Function> {
-    let found = TABLE.iter().find(|(port, number, af, _)| Pin::new(*port, *number) == pin && *af == alternate)?;
-    Some(found.3)
+    /// By port, number and alternate function.
+    static FUNCTIONS: LazyLock<Vec<[[Option<Function>; 16]; 16]>> = LazyLock::new(|| {
+        let mut functions = vec![[[None; 16]; 16]; PORTS];
+        for (port, number, af, function) in TABLE {
+            let pin = Pin::new(port, number);
+            functions[usize::from(pin.port)][usize::from(number)][usize::from(af)] = Some(function);
+        }
+        functions
+    });
+    *FUNCTIONS.get(usize::from(pin.port))?.get(usize::from(pin.number))?.get(usize::from(alternate))?
 }
 
 /// Pins and alternate function numbers with which a function can be had.

@@ -184,6 +184,26 @@ impl Tim {
         encoder || self.capturing(index).any(|channel| self.dier >> channel & 0x202 != 0)
     }
 
+    /// Whether the levels of its inputs must be up to date for an access: they move the count or are captured, or the write
+    /// may be the one from which on they do.
+    #[must_use]
+    pub fn needs_inputs(&self, offset: u32, write: bool) -> bool {
+        let encoder = self.encoder_mode().is_some() && self.cr1 & CEN != 0;
+        let captures = |index| self.is_enabled(index) && !self.is_output(index);
+        // SR, DIER, CNT and CCRx set nothing up.
+        let sets_up = write && !matches!(offset & !3, 0x0C | 0x10 | 0x24 | 0x34..=0x40);
+        sets_up || encoder || (0..self.kind.channels).any(captures)
+    }
+
+    /// [`Tim::watches`] of every input: bit 0 is TI1.
+    #[must_use]
+    pub fn watching(&self) -> u8 {
+        if self.dier & 0x1f1f == 0 {
+            return 0;
+        }
+        (0..4).filter(|index| self.watches(index + 1)).fold(0, |bits, index| bits | 1 << index)
+    }
+
     /// The level of output OC`channel` (1 to 4); low when it does not drive.
     #[must_use]
     pub fn output(&self, channel: u8) -> bool {
