@@ -4,10 +4,14 @@
 //! | --- | --- |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
+//! | `size` | `cargo xtask size`: what that image takes, and whether it may |
+//! | `image` | what an ELF file takes in flash and RAM |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
 mod firmware;
+mod image;
+mod size;
 mod summary;
 mod test;
 mod toolchain;
@@ -15,6 +19,7 @@ mod toolchain;
 use std::{env, path::PathBuf, process::ExitCode};
 
 use firmware::Firmware;
+use size::Size;
 
 const USAGE: &str = "\
 usage: cargo xtask <task>
@@ -22,7 +27,9 @@ usage: cargo xtask <task>
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
   test --fast   without the documentation
   firmware      the image for the Arduino Giga, into target/firmware:
-                [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)";
+                [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
+  size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
+                [--robot NAME|FILE.toml] (default osmc-bench), [--json]";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -32,6 +39,7 @@ enum Task {
     Help,
     Test { fast: bool },
     Firmware(Firmware),
+    Size(Size),
 }
 
 fn main() -> ExitCode {
@@ -43,6 +51,7 @@ fn main() -> ExitCode {
         }
         Ok(Task::Test { fast }) => test::run(&root(), fast),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
+        Ok(Task::Size(size)) => size.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -53,10 +62,11 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test" | "firmware", "--help" | "-h"] => Ok(Task::Help),
+        ["help" | "--help" | "-h"] | ["test" | "firmware" | "size", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
+        ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
