@@ -33,6 +33,7 @@ use r4_firmware::{
     passthrough::PassthroughIo,
     safety::{SafetyPins, supervise},
     screen::{self, ScreenPins},
+    storage::parameters::{Saved, load},
 };
 use r4_protocol::config::BoardConfig;
 use static_cell::{ConstStaticCell, StaticCell};
@@ -161,7 +162,7 @@ pub(crate) fn run() -> ! {
     reset::note_clock(source == clocks::Source::Crystal);
 
     defmt::info!("R4 {} for {}, image {}", r4_firmware::FIRMWARE_VERSION, env!("R4_ROBOT_NAME"), env!("R4_IMAGE_KIND"));
-    defmt::info!("start: {}, cause {}", start, defmt::Debug2Format(&start.cause()));
+    defmt::info!("start: {}, after a watchdog: {}", start, start.cause() == ResetCause::Watchdog);
     match source {
         clocks::Source::Crystal => defmt::info!("480 MHz from the crystal"),
         clocks::Source::Internal => {
@@ -188,8 +189,14 @@ fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
     };
-    let loaded = block_on(r4_firmware::storage::parameters::load(flash, &built_in));
-    defmt::info!("saved parameters: {}", defmt::Debug2Format(&loaded.saved));
+    let loaded = block_on(load(flash, &built_in));
+    match loaded.saved {
+        Saved::Nothing => defmt::info!("no saved parameters"),
+        Saved::Changes => defmt::info!("{} saved parameters", loaded.changes.values.len()),
+        Saved::OtherRobot(robot) => defmt::warn!("saved parameters are for {=str}", robot),
+        Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
+        Saved::Damaged => defmt::error!("saved parameters are damaged"),
+    }
     static SHARED: StaticCell<Board> = StaticCell::new();
     SHARED.init_with(|| Shared::new(loaded.config, built_in, reset))
 }
@@ -509,7 +516,7 @@ async fn log_task(shared: &'static Board) -> ! {
         Timer::after(LOG_PERIOD).await;
         if shared.trips() != trips {
             trips = shared.trips();
-            defmt::warn!("trip {}: {}", trips, defmt::Debug2Format(&shared.trip_causes()));
+            defmt::warn!("trip {}: {}", trips, defmt::Display2Format(&shared.trip_causes()));
         }
     }
 }

@@ -152,6 +152,12 @@ pub struct ConfigError {
     pub rule: &'static str,
 }
 
+impl ConfigError {
+    fn new(channel: Option<ChannelId>, rule: &'static str) -> Self {
+        Self { channel, rule: if cfg!(feature = "brief") { "" } else { rule } }
+    }
+}
+
 impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(channel) = self.channel {
@@ -389,7 +395,7 @@ impl Used {
 }
 
 fn check(channel: Option<ChannelId>, holds: bool, rule: &'static str) -> Result<(), ConfigError> {
-    if holds { Ok(()) } else { Err(ConfigError { channel, rule }) }
+    if holds { Ok(()) } else { Err(ConfigError::new(channel, rule)) }
 }
 
 /// No number is larger, and none that must be positive smaller than its inverse.

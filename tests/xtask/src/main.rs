@@ -6,12 +6,16 @@
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash`, `binary` | `cargo xtask flash`: the image written into the board |
+//! | `size` | `cargo xtask size`: what that image takes, and whether it may |
+//! | `image` | what an ELF file takes in flash and RAM |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
 mod binary;
 mod firmware;
 mod flash;
+mod image;
+mod size;
 mod summary;
 mod test;
 mod toolchain;
@@ -22,6 +26,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 
 use firmware::Firmware;
 use flash::Flash;
+use size::Size;
 
 const USAGE: &str = "\
 usage: cargo xtask <task>
@@ -33,7 +38,9 @@ usage: cargo xtask <task>
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
                 or by dfu-util over USB (--dfu: the hosted image; press reset twice before).
-                --dry-run prints the commands";
+                --dry-run prints the commands
+  size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
+                [--robot NAME|FILE.toml] (default osmc-bench), [--json]";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -45,6 +52,7 @@ enum Task {
     Test { fast: bool },
     Firmware(Firmware),
     Flash(Flash),
+    Size(Size),
 }
 
 fn main() -> ExitCode {
@@ -58,6 +66,7 @@ fn main() -> ExitCode {
         Ok(Task::Test { fast }) => test::run(&root(), fast),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
+        Ok(Task::Size(size)) => size.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -68,11 +77,12 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash", "--help" | "-h"] => Ok(Task::Help),
+        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash" | "size", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
+        ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         ["probe"] => Ok(Task::Probe),

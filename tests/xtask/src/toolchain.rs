@@ -3,7 +3,12 @@
 //! What is missing is found out by asking the tools, so that a Rust that did not come from rustup will do; only adding
 //! what is missing needs rustup.
 
-use std::{env, ffi::OsString, path::Path, process::Command};
+use std::{
+    env,
+    ffi::OsString,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 /// The Cortex-M7 of the Giga.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
@@ -49,6 +54,12 @@ impl Part {
     }
 }
 
+/// The folder of the toolchain that builds in `root`.
+pub(crate) fn sysroot(root: &Path) -> Option<PathBuf> {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    output(Command::new(rustc).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
+}
+
 /// Adds what is missing.
 ///
 /// # Errors
@@ -56,7 +67,7 @@ impl Part {
 pub(crate) fn complete(root: &Path) -> Result<(), String> {
     let missing = || Part::ALL.into_iter().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
     for part in missing() {
-        println!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
+        eprintln!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
         // Whether it worked is seen by looking again.
         let _ = Command::new("rustup").args(part.rustup_arguments()).current_dir(root).status();
     }

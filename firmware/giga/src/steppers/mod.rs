@@ -31,6 +31,7 @@ use r4_firmware::{
     motion::generator::Generator,
     platform::{StepEvent, Steppers},
 };
+use static_cell::StaticCell;
 
 mod timers;
 
@@ -45,7 +46,9 @@ struct Driver {
     axis: Axis,
 }
 
-static DRIVERS: Mutex<RefCell<[Option<Driver>; 4]>> = Mutex::new(RefCell::new([const { None }; 4]));
+/// By axis; made in [`MEMORY`], which has no value before. Absent drivers in here would be 17 KB of values in flash.
+static DRIVERS: Mutex<RefCell<[Option<&'static mut Driver>; 4]>> = Mutex::new(RefCell::new([const { None }; 4]));
+static MEMORY: [StaticCell<Driver>; 4] = [const { StaticCell::new() }; 4];
 
 /// Timers and pins, by connector.
 pub struct Parts {
@@ -116,8 +119,8 @@ impl Generators {
         let clock = critical_section::with(|cs| {
             let clock = timers::start(rcc::frequency::<peripherals::TIM2>().0, &axes);
             // One after the other: they are large for the stack.
-            for (driver, axis) in DRIVERS.borrow_ref_mut(cs).iter_mut().zip(axes) {
-                *driver = Some(Driver { generator: Generator::new(0), axis });
+            for ((driver, memory), axis) in DRIVERS.borrow_ref_mut(cs).iter_mut().zip(&MEMORY).zip(axes) {
+                *driver = Some(memory.init_with(|| Driver { generator: Generator::new(0), axis }));
             }
             serve(cs);
             clock
