@@ -81,6 +81,7 @@ struct LoadRow {
     timed_out: u64,
     late_ticks: u32,
     telemetry_dropped: u32,
+    trips: u32,
 }
 
 #[derive(Serialize)]
@@ -179,6 +180,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
                 timed_out,
                 late_ticks: after.late_ticks.wrapping_sub(before.late_ticks),
                 telemetry_dropped: after.telemetry_dropped.wrapping_sub(before.telemetry_dropped),
+                trips: tormentor.trips(),
             },
         })
     });
@@ -292,11 +294,11 @@ fn print(report: &Report) -> anyhow::Result<()> {
         verdict(*p999 <= report.limits.jitter_p999_us),
     ]);
     output::line(table)?;
-    let LoadRow { requests_per_s, refused, timed_out, late_ticks, telemetry_dropped } = &report.load;
+    let LoadRow { requests_per_s, refused, timed_out, late_ticks, telemetry_dropped, trips } = &report.load;
     output::line(format_args!(
         "load: {requests_per_s:.0} requests/s ({refused} refused, {timed_out} not answered in time), every channel told \
          every ms ({telemetry_dropped} frames dropped), CAN full of frames, raw transfers; {periods} periods, \
-         {late_ticks} late"
+         {late_ticks} late; {trips} trips"
     ))?;
     Ok(output::line(format_args!(
         "{:.1} million instructions/s executed under load; the processor is set to execute {:.0} million/s",
