@@ -3,10 +3,12 @@
 mod board;
 mod flash;
 mod image;
+pub mod measure;
 mod roles;
 mod wiring;
 
 pub use board::{BoardSoc, EmuBoard, EmuError};
 pub use flash::Cells;
 pub use image::{Image, ImageError};
+pub use r4_mcu::Settings;
 pub use wiring::Wiring;

@@ -20,7 +20,7 @@ mod testing;
 
 pub use chip::{AccessError, Chip};
 pub use context::{Clocks, Context, Misuse, ResetCause, Signal, Ticks};
-pub use machine::{LoadError, Machine, MachineError, Reason, Settings, Stopped, Symbols};
+pub use machine::{LoadError, Machine, MachineError, Moment, Profile, Reason, Settings, StackArea, Stopped, Symbols};
 pub use memory::{Bank, Memory, Region};
 pub use outside::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin, UartByte};
 pub use peripheral::{Peripheral, Size, Unmodelled};

@@ -104,7 +104,7 @@ pub(crate) struct Scenario {
     pub(crate) files: Vec<PathBuf>,
 }
 
-/// Each on sim:every-interface, unless `--board` names another robot with every kind of output.
+/// `bus` and `safety` on sim:every-interface, unless `--board` names another robot with every kind of output.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Bench {
     /// Bus occupancy and late control periods under growing load
@@ -119,6 +119,14 @@ pub(crate) enum Bench {
         #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         injections: u32,
     },
+    /// Stack, instructions and jitter of the firmware's ELF on an emulated board, emu:osmc-bench unless `--board` says
+    Firmware {
+        /// How long it is given everything at random, and then for how long as much as links carry
+        #[arg(long, default_value = "10", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+        seconds: f64,
+    },
+    /// Speed and memory of simulated boards, and of emulated ones where there are images for them
+    Sim,
 }
 
 #[derive(Clone, Debug, clap::Args)]

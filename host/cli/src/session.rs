@@ -225,6 +225,10 @@ pub(crate) fn run<T>(
     Ok((value, elapsed))
 }
 
+#[cfg(not(feature = "emu"))]
+pub(crate) const WITHOUT_EMULATOR: &str =
+    "this program was built without the emulator: build it with `--features emu` (it needs cmake and a C compiler)";
+
 /// Powers up the virtual board that `args` name.
 fn start(
     args: &Args,
@@ -240,9 +244,7 @@ fn start(
         #[cfg(feature = "emu")]
         Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
         #[cfg(not(feature = "emu"))]
-        Target::Emu(_) => bail!(
-            "this program was built without the emulator: build it with `--features emu` (it needs cmake and a C compiler)"
-        ),
+        Target::Emu(_) => bail!("{WITHOUT_EMULATOR}"),
     }
 }
 

@@ -10,11 +10,13 @@
 
 mod bus;
 mod error;
+mod profile;
 mod symbols;
 mod time;
 mod trace;
 
 pub use error::{LoadError, MachineError, Reason, Settings, Stopped};
+pub use profile::{Moment, Profile, StackArea};
 pub use symbols::Symbols;
 pub use trace::Trace;
 
@@ -53,6 +55,7 @@ pub struct Machine<C, S> {
     irqs: Vec<(u16, bool)>,
     symbols: Symbols,
     trace: Option<Trace>,
+    profile: Option<Box<Profile>>,
     just_reset: Option<ResetCause>,
     observed: Vec<u32>,
     /// An observed instruction that was told, and is to be executed.
@@ -81,6 +84,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             irqs: Vec::new(),
             symbols: Symbols::default(),
             trace: None,
+            profile: None,
             just_reset: None,
             observed: Vec::new(),
             told: None,
@@ -134,6 +138,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.core.set(Register::Pc, start & !1);
         self.core.set_fpu(false);
         self.core.clear_exclusive()?;
+        if let Some(profile) = &mut self.profile {
+            profile.restarted(self.chip.memory(), stack & !3);
+        }
         Ok(())
     }
 
@@ -186,6 +193,18 @@ impl<C: Core, S: Chip> Machine<C, S> {
     #[must_use]
     pub fn trace(&self) -> Option<Trace> {
         self.trace
+    }
+
+    /// Begins to count instructions and stack by exception, from a reset on; `mark` is an instruction whose executions are
+    /// noted if it is also observed. Replaces an earlier profile.
+    pub fn start_profile(&mut self, stack: StackArea, mark: Option<u32>) {
+        let sp = self.core.get(Register::Msp);
+        self.profile = Some(Box::new(Profile::new(stack, mark, self.chip.memory(), sp)));
+    }
+
+    /// The profile, where one was begun.
+    pub fn profile(&mut self) -> Option<&mut Profile> {
+        self.profile.as_deref_mut()
     }
 
     /// Runs to a moment, or until something else is to be told. It can end up to one block of instructions after it.
@@ -295,16 +314,16 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if self.told == Some(pc) {
             self.told = None;
         } else if self.observed.contains(&pc) {
-            self.told = Some(pc);
-            return Ok(Some(Reason::Observed { address: pc }));
+            return Ok(Some(self.observed(pc)));
         }
+        let executing = active(&self.core);
         let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let mut bus = Bus::new(
             &mut self.chip,
             &mut self.cpu,
             self.time,
             t_ns,
-            active(&self.core),
+            executing,
             &mut self.irqs,
             &mut self.core_hz,
             &mut self.mapping_version,
@@ -320,6 +339,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
             return Err(failure.into_error(location));
         }
         self.time.execute(instructions);
+        if let Some(profile) = &mut self.profile {
+            profile.executed(executing, instructions);
+        }
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
         } else if store_fault {
@@ -332,8 +354,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             Why::Wfe => self.go_to_sleep(Sleep::Event)?,
             Why::Observed => {
                 let address = self.core.get(Register::Pc);
-                self.told = Some(address);
-                return Ok(Some(Reason::Observed { address }));
+                return Ok(Some(self.observed(address)));
             }
             Why::Breakpoint(operand) if self.settings.stop_at_breakpoints => {
                 return Ok(Some(Reason::Breakpoint { operand }));
@@ -359,6 +380,15 @@ impl<C: Core, S: Chip> Machine<C, S> {
             }
         }
         Ok(None)
+    }
+
+    /// An observed instruction is next.
+    fn observed(&mut self, address: u32) -> Reason {
+        self.told = Some(address);
+        if let Some(profile) = &mut self.profile {
+            profile.observed(address, self.time.now_ns(), active(&self.core));
+        }
+        Reason::Observed { address }
     }
 
     /// Execution from where code cannot be: an error of the program, or a restriction of this machine.
@@ -399,8 +429,15 @@ impl<C: Core, S: Chip> Machine<C, S> {
     /// Takes or leaves exceptions; `true` from `how` is to sleep.
     fn take(&mut self, how: impl FnOnce(&mut Taker<'_, C>) -> Result<bool, Failure>) -> Result<(), MachineError> {
         let from = self.core.get(Register::Pc);
+        let sp = self.core.get(Register::Msp);
+        if let Some(profile) = &mut self.profile {
+            profile.leaves_off(self.chip.memory(), active(&self.core), sp);
+        }
         match how(&mut self.taker()) {
             Ok(sleep) => {
+                if let Some(profile) = &mut self.profile {
+                    profile.goes_on(active(&self.core), sp, self.core.get(Register::Msp));
+                }
                 if let Some(trace) = &mut self.trace {
                     let now_ns = self.time.now_ns();
                     trace.exception(now_ns, from, self.core.get(Register::Pc), active(&self.core));

@@ -1,7 +1,7 @@
 //! Programs: their segments and symbols.
 
 use object::read::elf::{ElfFile32, ProgramHeader};
-use object::{Architecture, Object, ObjectSegment, ObjectSymbol, SymbolKind};
+use object::{Architecture, Object, ObjectSegment, ObjectSymbol, SymbolKind, SymbolSection};
 
 use super::error::LoadError;
 use crate::memory::Memory;
@@ -40,7 +40,10 @@ pub(super) fn load(elf: &[u8], memory: &Memory) -> Result<Symbols, LoadError> {
     let mut all: Vec<_> = file
         .symbols()
         .filter(|symbol| {
-            matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data | SymbolKind::Label) && symbol.is_definition()
+            let of_program = matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data | SymbolKind::Label);
+            // What a linker script defines, as the ends of a stack.
+            let of_script = symbol.section() == SymbolSection::Absolute && symbol.kind() == SymbolKind::Unknown;
+            of_program && symbol.is_definition() || of_script
         })
         .filter_map(|symbol| {
             let function = symbol.kind() == SymbolKind::Text;
