@@ -333,6 +333,22 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         USB_OUT.take(),
         usb_link::config(),
     );
+    // First: an edge of an echo is told by the steppers' clock.
+    let steppers = Generators::new(
+        steppers::Parts {
+            clock: p.TIM2,
+            timers: (p.TIM12, p.TIM14, p.TIM15, p.TIM4),
+            steps: (
+                pin!(p, step0 as TIM12_CH1),
+                pin!(p, step1 as TIM14_CH1),
+                pin!(p, step2 as TIM15_CH1),
+                pin!(p, step3 as TIM4_CH2),
+            ),
+            directions: (pin!(p, dir0), pin!(p, dir1), pin!(p, dir2), pin!(p, dir3)),
+            enable: pin!(p, step_en),
+        },
+        executors::STEPS,
+    );
     let lines = Lines::new(
         lines::Pins {
             track_a: pin!(p, enc3_a as EXTI10),
@@ -352,21 +368,6 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
             tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
         },
         lines,
-    );
-    let steppers = Generators::new(
-        steppers::Parts {
-            clock: p.TIM2,
-            timers: (p.TIM12, p.TIM14, p.TIM15, p.TIM4),
-            steps: (
-                pin!(p, step0 as TIM12_CH1),
-                pin!(p, step1 as TIM14_CH1),
-                pin!(p, step2 as TIM15_CH1),
-                pin!(p, step3 as TIM4_CH2),
-            ),
-            directions: (pin!(p, dir0), pin!(p, dir1), pin!(p, dir2), pin!(p, dir3)),
-            enable: pin!(p, step_en),
-        },
-        executors::STEPS,
     );
     let rangers = Rangers::new(
         ranging::Pins {

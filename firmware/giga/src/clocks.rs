@@ -3,8 +3,8 @@
 use embassy_stm32::{
     pac::RCC,
     rcc::{
-        AHBPrescaler, APBPrescaler, Config, HSIPrescaler, Hse, HseMode, Hsi48Config, Pll, PllDiv, PllMul, PllPreDiv,
-        PllSource, SupplyConfig, Sysclk, VoltageScale, mux,
+        AHBPrescaler, APBPrescaler, Config, HSIPrescaler, Hse, HseMode, Hsi48Config, LsConfig, Pll, PllDiv, PllMul,
+        PllPreDiv, PllSource, SupplyConfig, Sysclk, VoltageScale, mux,
     },
     time::Hertz,
 };
@@ -47,6 +47,9 @@ pub(crate) fn config(source: Source) -> Config {
     let mut config = Config::default();
     config.hse = (source == Source::Crystal).then_some(Hse { freq: Hertz(16_000_000), mode: HseMode::Oscillator });
     config.hsi = Some(HSIPrescaler::DIV1);
+    // Nothing counts by the RTC. With a source for it the backup domain would be reset, and its records with it, wherever a
+    // bootloader has chosen another.
+    config.ls = LsConfig::off();
     // The compensation cell of the fast outputs runs on it.
     config.csi = true;
     config.hsi48 = Some(Hsi48Config { sync_from_usb: true });

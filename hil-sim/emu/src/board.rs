@@ -71,7 +71,10 @@ impl<C: Core + 'static> EmuBoard<C> {
         let surroundings = Surroundings::new(clock.clone(), robot, seed, kept)?;
         let link = surroundings.new_link();
         let wiring = Wiring::new(&surroundings, link.tx);
-        let soc = Soc::new(wiring, Oscillators::default(), Cells::new(surroundings.shared_flash()));
+        let mut soc = Soc::new(wiring, Oscillators::default(), Cells::new(surroundings.shared_flash()));
+        if let Some(start) = image.start() {
+            soc.set_boot_address(start);
+        }
         let mut machine = Machine::new(core, soc, settings)?;
         machine.load_elf(image.elf())?;
         machine.reset(ResetCause::PowerOn)?;

@@ -2,6 +2,7 @@
 
 use std::{
     env, fmt, fs, io,
+    ops::Range,
     path::{Path, PathBuf},
 };
 
@@ -80,6 +81,27 @@ impl Image {
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Where its first segment is stored in flash, which begins with the vector table: where the chip boots, or where a
+    /// bootloader jumps to. `None` for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
+    #[must_use]
+    pub fn start(&self) -> Option<u32> {
+        const LOAD: u32 = 1;
+        const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
+        let bytes = |at: usize, len: usize| self.elf.get(at..at + len);
+        let word = |at| Some(u32::from_le_bytes(bytes(at, 4)?.try_into().ok()?));
+        let half = |at| Some(usize::from(u16::from_le_bytes(bytes(at, 2)?.try_into().ok()?)));
+        if bytes(0, 6)? != b"\x7fELF\x01\x01" {
+            return None;
+        }
+        let (table, entry, count) = (word(0x1C)? as usize, half(0x2A)?, half(0x2C)?);
+        // Type, and where it is stored; a segment that is empty in the file is in RAM only.
+        let stored = |header: usize| {
+            let (kind, address, len) = (word(header)?, word(header + 12)?, word(header + 16)?);
+            (kind == LOAD && len > 0 && FLASH.contains(&address)).then_some(address)
+        };
+        (0..count).filter_map(|index| stored(table + index * entry)).min()
     }
 
     /// SHA-256 of the file, as `sha256sum` prints it.

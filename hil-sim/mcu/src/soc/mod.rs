@@ -5,6 +5,7 @@
 //! clock tree to everybody. DMA takes no time; what it waits for does.
 
 mod activity;
+mod inspect;
 mod map;
 
 pub use activity::{Accesses, Activity};
@@ -179,6 +180,8 @@ const BANK_1: u32 = 0x0800_0000;
 const MODER: u32 = 0x00;
 const AFRL: u32 = 0x20;
 const AFRH: u32 = 0x24;
+/// Below are memories only, and between them nothing.
+const PERIPHERALS: u32 = 0x4000_0000;
 /// The memories and peripherals of domain 3, which are all that BDMA reaches.
 const DOMAIN_3: u32 = 0x3800_0000;
 /// Peripherals that see pins.
@@ -521,6 +524,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             return Err(unmodelled.into());
         }
         let Some(id) = self.map.find(address) else {
+            if address < PERIPHERALS {
+                let what = format!("an access to {address:#010x}, where no memory is: a bus error (RM0399, 2.3.2)");
+                self.misuse.push(Misuse { at_ns: now_ns, peripheral: "bus", what });
+                self.misuse.truncate(MISUSE_KEPT);
+                return Err(AccessError::Bus);
+            }
             let what = format!("nothing is modelled at {address:#010x}");
             return Err(Unmodelled { peripheral: "bus", what }.into());
         };
