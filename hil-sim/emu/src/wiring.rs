@@ -1,6 +1,9 @@
 //! What the chip's pins are wired to: the simulated world, the lines around the board, the host's cable.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::{RefCell, RefMut},
+    rc::Rc,
+};
 
 use r4_boards::Carrier;
 use r4_mcu::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin};
@@ -77,6 +80,11 @@ impl Wiring {
             controllers: controllers(carrier),
             scl_low: Vec::new(),
         }
+    }
+
+    /// The world.
+    pub(crate) fn world(&self) -> RefMut<'_, World> {
+        self.world.borrow_mut()
     }
 
     /// The UARTs of the chip that have something at their other end.
