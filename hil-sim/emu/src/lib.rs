@@ -14,5 +14,6 @@ mod wiring;
 pub use board::{BoardSoc, EmuBoard, EmuError};
 pub use flash::Cells;
 pub use image::{Image, ImageError};
+pub use r4_mcu::Settings;
 pub use watch::{Go, SharedMachine, Watcher};
 pub use wiring::Wiring;
