@@ -135,6 +135,7 @@ pub(crate) struct Scenario {
     pub(crate) files: Vec<PathBuf>,
 }
 
+#[cfg_attr(not(feature = "emu"), expect(dead_code, reason = "there is nothing to debug"))]
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("how").required(true).multiple(true).args(["gdb", "trace", "until"]))]
 pub(crate) struct Debug {
@@ -442,6 +443,31 @@ mod tests {
     #[test]
     fn definitions_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn a_log_has_a_level_only_behind_an_equals_sign() {
+        let parsed = |typed: &[&str]| Args::try_parse_from([&["r4"], typed].concat()).map(|args| args.log).ok();
+        assert_eq!(parsed(&["--log", "info"]), Some(Some(LogLevel::Trace)));
+        assert_eq!(parsed(&["info", "--log=warn"]), Some(Some(LogLevel::Warn)));
+        assert_eq!(parsed(&["--log=loud", "info"]), None);
+    }
+
+    #[test]
+    fn debugging_needs_to_know_how() {
+        let parsed = |typed: &str| Args::try_parse_from(["r4", "debug"].into_iter().chain(typed.split(' '))).is_ok();
+        for good in ["--gdb 127.0.0.1:3333", "--gdb [::1]:1 --attach-at 0.5", "--until 5", "--trace - --symbol main"] {
+            assert!(parsed(good), "{good}");
+        }
+        for bad in [
+            "--scenario a.toml",
+            "--gdb 3333",
+            "--attach-at 1",
+            "--symbol main",
+            "--until 5 --gdb [::1]:1 --attach-at 1",
+        ] {
+            assert!(!parsed(bad), "{bad}");
+        }
     }
 
     #[test]

@@ -219,6 +219,12 @@ pub(crate) fn run<T>(
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
+        eprintln!(
+            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{}",
+            args.board.robot()
+        );
+    }
     let board = start(args, &mut simulation, &robot, flash)?;
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
