@@ -16,6 +16,7 @@ use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Fla
 use crate::{
     flash::Cells,
     image::Image,
+    watch::{SharedMachine, Watcher, Watchers},
     wiring::{UartEnd, Wiring},
 };
 
@@ -50,6 +51,7 @@ pub struct EmuBoard<C> {
     machine: Rc<RefCell<Machine<C, BoardSoc>>>,
     failure: Rc<RefCell<Option<MachineError>>>,
     from_host: Rc<RefCell<Receiver>>,
+    watchers: Rc<RefCell<Watchers<C>>>,
 }
 
 impl<C: Core + 'static> EmuBoard<C> {
@@ -83,8 +85,10 @@ impl<C: Core + 'static> EmuBoard<C> {
             machine: Rc::new(RefCell::new(machine)),
             failure: Rc::default(),
             from_host: Rc::new(RefCell::new(link.rx)),
+            watchers: Rc::default(),
         };
-        let run = Run { machine: board.machine.clone(), from_host: board.from_host.clone(), clock };
+        let (machine, from_host) = (board.machine.clone(), board.from_host.clone());
+        let run = Run { machine, from_host, clock, watchers: board.watchers.clone() };
         let failure = board.failure.clone();
         simulation.spawn(async move {
             let error = run.forever().await;
@@ -96,6 +100,17 @@ impl<C: Core + 'static> EmuBoard<C> {
     /// The machine, to look into and to break. Must not be kept over an `await`.
     pub fn machine(&self) -> RefMut<'_, Machine<C, BoardSoc>> {
         self.machine.borrow_mut()
+    }
+
+    /// The same, for those who keep it.
+    #[must_use]
+    pub fn shared_machine(&self) -> SharedMachine<C> {
+        self.machine.clone()
+    }
+
+    /// Lets somebody look at the machine between its runs, from the next one on.
+    pub fn watch(&self, watcher: impl Watcher<C> + 'static) {
+        self.watchers.borrow_mut().add(Box::new(watcher));
     }
 }
 
@@ -112,6 +127,7 @@ struct Run<C> {
     machine: Rc<RefCell<Machine<C, BoardSoc>>>,
     from_host: Rc<RefCell<Receiver>>,
     clock: Clock,
+    watchers: Rc<RefCell<Watchers<C>>>,
 }
 
 impl<C: Core> Run<C> {
@@ -121,7 +137,7 @@ impl<C: Core> Run<C> {
             // Whoever is ready at this moment runs before the processor's next instruction.
             self.clock.give_way().await;
             let limit_ns = self.deliver();
-            let stopped = match self.machine.borrow_mut().run_until(limit_ns) {
+            let stopped = match self.watchers.borrow_mut().run(&self.machine, limit_ns) {
                 Ok(stopped) => stopped,
                 Err(error) => return error,
             };

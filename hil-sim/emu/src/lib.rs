@@ -2,13 +2,19 @@
 
 mod board;
 mod flash;
+pub mod gdb;
 mod image;
 pub mod measure;
+pub mod log;
 mod roles;
+pub mod tracing;
+mod vectors;
+mod watch;
 mod wiring;
 
 pub use board::{BoardSoc, EmuBoard, EmuError};
 pub use flash::Cells;
 pub use image::{Image, ImageError};
 pub use r4_mcu::Settings;
+pub use watch::{Go, SharedMachine, Watcher};
 pub use wiring::Wiring;

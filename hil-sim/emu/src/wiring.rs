@@ -1,6 +1,9 @@
 //! What the chip's pins are wired to: the simulated world, the lines around the board, the host's cable.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::{RefCell, RefMut},
+    rc::Rc,
+};
 
 use r4_boards::Carrier;
 use r4_mcu::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin};
@@ -83,6 +86,11 @@ impl Wiring {
             controllers: controllers(carrier),
             scl_low: Vec::new(),
         }
+    }
+
+    /// The world.
+    pub(crate) fn world(&self) -> RefMut<'_, World> {
+        self.world.borrow_mut()
     }
 
     /// The UARTs of the chip that have something at their other end.
@@ -307,8 +315,8 @@ impl Outside for Wiring {
     }
 
     fn can_sent(&mut self, _bus: u8, _at_ns: u64, _frame: &CanFrame) -> CanOutcome {
-        // No other node is on the simulated bus.
-        CanOutcome::NotAcknowledged
+        // The host's CAN adapter is on the bus and acknowledges; nobody reads what it hears.
+        CanOutcome::Acknowledged
     }
 
     fn wants_to_run(&self) -> bool {

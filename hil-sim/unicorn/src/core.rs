@@ -9,6 +9,7 @@ use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Register, Why};
 use unicorn_engine::{Arch, ArmCpuModel, Mode, RegisterARM, UcHookId, Unicorn, uc_error};
 
 use crate::blocks::{WFE, WFI, YIELD, halfword, is_hint};
+use crate::conditional;
 use crate::hooks::{Engine, install, refresh_limits, stop};
 use crate::mapping::{STUB, map_all};
 use crate::registers::number;
@@ -140,10 +141,20 @@ impl UnicornCore {
 
     /// A code hook that stops before an instruction.
     fn stop_before(&mut self, address: u32, why: Why) -> Result<UcHookId, CoreError> {
-        let at = u64::from(address);
-        let hook = self.engine.add_code_hook(at, at, move |engine, address, _| {
+        self.stop_within(address.into(), address.into(), why)
+    }
+
+    /// A code hook that stops before any instruction in a range but the first of the run; 1 and 0 are everywhere.
+    fn stop_within(&mut self, first: u64, last: u64, why: Why) -> Result<UcHookId, CoreError> {
+        let hook = self.engine.add_code_hook(first, last, move |engine, address, _| {
             let state = engine.get_data_mut();
-            if state.first.take() == Some(address as u32) {
+            let address = address as u32;
+            if state.first.take() == Some(address) {
+                return;
+            }
+            let start = state.block.address;
+            let offset = address.wrapping_sub(start);
+            if offset < state.block.bytes() && conditional::is_within(state.code(start, address), offset as usize) {
                 return;
             }
             state.why = Some(why);
@@ -220,12 +231,52 @@ impl Core for UnicornCore {
         for address in addresses {
             let hook = self.stop_before(*address, Why::Observed)?;
             self.observed.push(hook);
+            // If it is in an IT block, before that.
+            for back in (2..conditional::LONGEST).step_by(2) {
+                let Some(start) = address.checked_sub(back) else { break };
+                if conditional::holds(self.engine.get_data().code(start, *address), back as usize) {
+                    let hook = self.stop_before(start, Why::Observed)?;
+                    self.observed.push(hook);
+                }
+            }
         }
         Ok(())
     }
 
-    #[allow(unsafe_code, reason = "the bus is lent to hooks for one run")]
     fn run(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
+        self.lend(bus, |core| {
+            let mut result = core.start();
+            if let (Ok(stop), Some(float_at)) = (&result, core.engine.get_data().float_at) {
+                let before = stop.instructions;
+                let rest = core.run_to_float(float_at);
+                result = rest.map(|stop| CoreStop { instructions: before + stop.instructions, ..stop });
+            }
+            result
+        })
+    }
+
+    fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
+        let hook = self.stop_within(1, 0, Why::Observed)?;
+        let result = self.lend(bus, Self::step_one);
+        self.remove(hook)?;
+        result
+    }
+
+    fn is_within_block(&self) -> bool {
+        let block = &self.engine.get_data().block;
+        let pc = self.register(RegisterARM::PC);
+        block.bytes() > 0 && block.address < pc && pc < block.end()
+    }
+}
+
+impl UnicornCore {
+    /// Runs with the bus.
+    #[allow(unsafe_code, reason = "the bus is lent to hooks for one run")]
+    fn lend(
+        &mut self,
+        bus: &mut dyn CoreBus,
+        run: impl FnOnce(&mut Self) -> Result<CoreStop, CoreError>,
+    ) -> Result<CoreStop, CoreError> {
         let pc = self.register(RegisterARM::PC);
         // SAFETY: only the lifetime is changed; the pointer is gone from the state before this function returns.
         let lent =
@@ -234,18 +285,28 @@ impl Core for UnicornCore {
         state.bus = Some(lent);
         state.begin(pc);
         refresh_limits(&mut self.engine);
-        let mut result = self.start();
-        if let (Ok(stop), Some(float_at)) = (&result, self.engine.get_data().float_at) {
-            let before = stop.instructions;
-            result =
-                self.run_to_float(float_at).map(|stop| CoreStop { instructions: before + stop.instructions, ..stop });
-        }
+        let result = run(self);
         self.engine.get_data_mut().bus = None;
         result
     }
-}
 
-impl UnicornCore {
+    /// The instruction at PC, with a hook before the next one.
+    fn step_one(&mut self) -> Result<CoreStop, CoreError> {
+        let pc = self.register(RegisterARM::PC);
+        let result = self.start()?;
+        // The block at PC has floating point that is not allowed.
+        match self.engine.get_data().float_at {
+            Some(at) if at == pc => Ok(CoreStop { instructions: 0, why: Why::Fault(Fault::NoCoprocessor) }),
+            Some(at) => {
+                let state = self.engine.get_data_mut();
+                state.begin(pc);
+                state.float_at = Some(at);
+                self.start()
+            }
+            None => Ok(result),
+        }
+    }
+
     /// Floating point is not allowed, and the block at PC has it at `address`: executes up to there.
     fn run_to_float(&mut self, address: u32) -> Result<CoreStop, CoreError> {
         let why = Why::Fault(Fault::NoCoprocessor);

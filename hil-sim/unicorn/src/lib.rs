@@ -13,6 +13,7 @@
 //! - WFI, WFE, SVC, YIELD, BKPT and undefined instructions come back as a handful of errors: the opcode tells.
 
 mod blocks;
+mod conditional;
 mod core;
 mod hooks;
 mod mapping;

@@ -106,6 +106,83 @@ fn a_run_does_not_depend_on_how_it_is_cut() {
     }
 }
 
+/// The same program with an IT block: after the count, `cmp r1,#0; ite ge; movge r5,#1; movlt r5,#2`.
+fn with_if_then() -> Tested {
+    let mut handler = COUNT.to_vec();
+    handler.splice(13..13, [0x2900, 0xBFAC, 0x2501, 0x2502]);
+    let mut machine = program(&ALARM, &handler);
+    machine.chip.memory.write(0x2000_0000, Size::Word, 0).unwrap();
+    machine.start_trace();
+    machine
+}
+
+#[test]
+fn a_debugger_does_not_change_what_happens() {
+    let result = |machine: &Tested| {
+        let registers: Vec<u32> = (0..13).map(|index| register(machine, index)).collect();
+        (machine.trace(), machine.instructions(), machine.now_ns(), word(machine, 0x2000_0000), registers)
+    };
+    let mut free = with_if_then();
+    free.run_until(MILLISECOND).unwrap();
+    let expected = result(&free);
+    assert_eq!((expected.4[5], expected.3 > 900), (1, true));
+    // Stopped at in the middle of blocks, the middle of the IT block among them.
+    let mut watched = with_if_then();
+    watched.observe(&[MAIN + 20, MAIN + 26, HANDLER + 18, HANDLER + 30]).unwrap();
+    let mut stops = 0;
+    let mut visited = std::collections::BTreeSet::new();
+    while watched.run_until(MILLISECOND).unwrap().reason != Reason::Time {
+        visited.insert(watched.core.get(Register::Pc));
+        stops += 1;
+    }
+    // For what is in the IT block, before the block.
+    assert_eq!(visited.into_iter().collect::<Vec<_>>(), [MAIN + 20, MAIN + 26, HANDLER + 18, HANDLER + 28]);
+    assert_eq!(result(&watched), expected);
+    assert!(stops > 3 * expected.3, "{stops}");
+    // Every instruction by itself.
+    let mut stepped = with_if_then();
+    let mut steps = 0;
+    while stepped.step_until(MILLISECOND).unwrap().reason != Reason::Time {
+        steps += 1;
+    }
+    assert_eq!(result(&stepped), expected);
+    // ITE and its two instructions are one step, taking an exception is one too.
+    assert!(steps + 2 * u64::from(expected.3) >= expected.1, "{steps}");
+}
+
+#[test]
+fn a_step_is_one_instruction_or_one_exception() {
+    let mut machine = alarms();
+    let mut visited = Vec::new();
+    for _ in 0..16 {
+        assert_eq!(machine.step_until(MILLISECOND).unwrap().reason, Reason::Stepped);
+        visited.push(machine.core.get(Register::Pc) - MAIN);
+    }
+    // Seven instructions of four bytes with two of two, WFI, and the handler once the alarm has come.
+    let handler = HANDLER - MAIN;
+    assert_eq!(
+        visited,
+        [
+            4,
+            8,
+            12,
+            16,
+            18,
+            20,
+            24,
+            26,
+            28,
+            handler,
+            handler + 4,
+            handler + 8,
+            handler + 12,
+            handler + 16,
+            handler + 18,
+            handler + 20
+        ]
+    );
+}
+
 #[test]
 fn a_reset_by_the_program_or_the_chip_starts_again_and_keeps_memory() {
     // movw r3,#0; movt r3,#0x2400; ldr r1,[r3]; adds r1,#1; str r1,[r3]; movw r0,#0xED0C; movt r0,#0xE000; movw r1,#4;

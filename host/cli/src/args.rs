@@ -1,6 +1,6 @@
 //! What can be typed.
 
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
@@ -33,8 +33,37 @@ pub(crate) struct Args {
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
+    /// Print the log of an emulated board's firmware on stderr, from this level on [levels: trace, debug, info, warn, error;
+    /// without one: trace]
+    #[arg(
+        long,
+        global = true,
+        env = "R4_LOG",
+        value_enum,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "trace",
+        hide_possible_values = true,
+        value_name = "LEVEL"
+    )]
+    pub(crate) log: Option<LogLevel>,
     #[command(subcommand)]
     pub(crate) command: Command,
+}
+
+/// How much a record of the firmware's log matters; in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub(crate) enum LogLevel {
+    /// Everything.
+    Trace,
+    /// For whoever develops the firmware.
+    Debug,
+    /// What goes as it should.
+    Info,
+    /// What should not be.
+    Warn,
+    /// What fails.
+    Error,
 }
 
 #[derive(Clone, Debug, Subcommand)]
@@ -87,6 +116,8 @@ pub(crate) enum Command {
     Uart(Uart),
     /// Play files that say what is done to a virtual board, and print or compare what came of it
     Scenario(Scenario),
+    /// Run the firmware's image on an emulated board under a debugger or with a trace
+    Debug(Debug),
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
@@ -102,6 +133,33 @@ pub(crate) struct Scenario {
     /// Scenarios, as docs/scenarios.md describes them
     #[arg(required = true, value_name = "FILE")]
     pub(crate) files: Vec<PathBuf>,
+}
+
+#[cfg_attr(not(feature = "emu"), expect(dead_code, reason = "there is nothing to debug"))]
+#[derive(Clone, Debug, clap::Args)]
+#[command(group = ArgGroup::new("how").required(true).multiple(true).args(["gdb", "trace", "until"]))]
+pub(crate) struct Debug {
+    /// Halt at the reset and serve gdb at this address, as in 127.0.0.1:3333
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) gdb: Option<SocketAddr>,
+    /// Run freely and halt for gdb after so many virtual seconds
+    #[arg(long, value_parser = seconds, value_name = "SECONDS", requires = "gdb")]
+    pub(crate) attach_at: Option<f64>,
+    /// The same in virtual nanoseconds, as failures tell them; serves gdb at 127.0.0.1:3333 unless --gdb names another address
+    #[arg(long, value_name = "NS", conflicts_with = "attach_at")]
+    pub(crate) until: Option<u64>,
+    /// Write exceptions, misuses and I2C transfers to a file, one a line; `-` is stdout
+    #[arg(long, value_name = "FILE")]
+    pub(crate) trace: Option<PathBuf>,
+    /// Trace only the calls of this function, with their arguments; may be given several times
+    #[arg(long, value_name = "NAME", requires = "trace")]
+    pub(crate) symbol: Vec<String>,
+    /// Play this scenario meanwhile; otherwise no host is connected
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scenario: Option<PathBuf>,
+    /// End after so many virtual seconds [default: with gdb, when it goes; otherwise 1]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", conflicts_with = "scenario")]
+    pub(crate) seconds: Option<f64>,
 }
 
 /// `bus` and `safety` on sim:every-interface, unless `--board` names another robot with every kind of output.
@@ -393,6 +451,31 @@ mod tests {
     #[test]
     fn definitions_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn a_log_has_a_level_only_behind_an_equals_sign() {
+        let parsed = |typed: &[&str]| Args::try_parse_from([&["r4"], typed].concat()).map(|args| args.log).ok();
+        assert_eq!(parsed(&["--log", "info"]), Some(Some(LogLevel::Trace)));
+        assert_eq!(parsed(&["info", "--log=warn"]), Some(Some(LogLevel::Warn)));
+        assert_eq!(parsed(&["--log=loud", "info"]), None);
+    }
+
+    #[test]
+    fn debugging_needs_to_know_how() {
+        let parsed = |typed: &str| Args::try_parse_from(["r4", "debug"].into_iter().chain(typed.split(' '))).is_ok();
+        for good in ["--gdb 127.0.0.1:3333", "--gdb [::1]:1 --attach-at 0.5", "--until 5", "--trace - --symbol main"] {
+            assert!(parsed(good), "{good}");
+        }
+        for bad in [
+            "--scenario a.toml",
+            "--gdb 3333",
+            "--attach-at 1",
+            "--symbol main",
+            "--until 5 --gdb [::1]:1 --attach-at 1",
+        ] {
+            assert!(!parsed(bad), "{bad}");
+        }
     }
 
     #[test]

@@ -43,6 +43,7 @@ fn main() -> ExitCode {
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
+        Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {

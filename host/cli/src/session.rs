@@ -149,6 +149,24 @@ const INTERRUPT_POLL_US: u64 = 10_000;
 /// Set by Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
+/// Somebody has pressed Ctrl-C, or [`interrupt`] was called.
+#[cfg(feature = "emu")]
+pub(crate) fn is_interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Does what Ctrl-C does.
+#[cfg(feature = "emu")]
+pub(crate) fn interrupt() {
+    INTERRUPTED.store(true, Ordering::Relaxed);
+}
+
+/// Lets Ctrl-C end what runs in good order.
+pub(crate) fn catch_interrupts() {
+    // A second handler cannot be set; the first one does the same.
+    let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
+}
+
 /// The file with a simulated board's flash.
 struct FlashFile {
     path: PathBuf,
@@ -201,11 +219,16 @@ pub(crate) fn run<T>(
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
+        eprintln!(
+            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{}",
+            args.board.robot()
+        );
+    }
     let board = start(args, &mut simulation, &robot, flash)?;
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
-    // A second handler cannot be set; the first one does the same.
-    let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
+    catch_interrupts();
     let begin = Instant::now();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
     let host = with_board(port.rx, tx, HostClock(clock.clone()), async |connected| {

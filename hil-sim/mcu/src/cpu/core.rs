@@ -184,7 +184,7 @@ pub trait Core {
     fn clear_exclusive(&mut self) -> Result<(), CoreError>;
 
     /// Stops with [`Why::Observed`] before these instructions, from now on; a run that begins at one executes it.
-    /// Not within IT blocks.
+    /// One within an IT block is stopped at before the IT instruction: no backend need stop within such a block.
     ///
     /// # Errors
     /// The backend's.
@@ -195,4 +195,14 @@ pub trait Core {
     /// # Errors
     /// The backend's.
     fn run(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
+
+    /// Executes the instruction at PC, observed or not, and stops with [`Why::Observed`] before the next one, or with
+    /// another reason. An IT instruction may be executed together with those that it makes conditional.
+    ///
+    /// # Errors
+    /// The backend's.
+    fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
+
+    /// The last run stopped within a block of instructions: some of it were executed, and some not.
+    fn is_within_block(&self) -> bool;
 }

@@ -59,4 +59,12 @@ impl Core for FakeCore {
     fn run(&mut self, _: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
         Err(CoreError("a fake core executes nothing".into()))
     }
+
+    fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
+        self.run(bus)
+    }
+
+    fn is_within_block(&self) -> bool {
+        false
+    }
 }

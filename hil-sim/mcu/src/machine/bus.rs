@@ -61,6 +61,8 @@ pub(super) struct Bus<'a, S> {
     exceptions_version: u32,
     /// Something is pending that only masks hold back.
     pub(super) watch_masks: bool,
+    /// What is executed is the rest of a block, whatever happens meanwhile.
+    pub(super) rest_of_block: bool,
     limit: u64,
     pub(super) store_fault: bool,
     pub(super) load_fault: Option<Cause>,
@@ -94,6 +96,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             code_version,
             exceptions_version,
             watch_masks: false,
+            rest_of_block: false,
             limit: 0,
             store_fault: false,
             load_fault: None,
@@ -218,7 +221,9 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
     }
 
     fn limits(&self) -> Limits {
-        Limits { instructions: self.limit, mask_changes: self.watch_masks }
+        // Up to the next block is at least one instruction.
+        let instructions = if self.rest_of_block { 1 } else { self.limit };
+        Limits { instructions, mask_changes: self.watch_masks }
     }
 
     fn reached(&mut self, instructions: u64) {

@@ -34,6 +34,8 @@ pub enum Reason {
         /// Its address.
         address: u32,
     },
+    /// One instruction was executed, or an exception taken ([`Machine::step_until`](crate::Machine::step_until)).
+    Stepped,
     /// BKPT is next; write PC to go on after it.
     Breakpoint {
         /// Its operand.

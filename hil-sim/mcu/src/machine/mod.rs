@@ -9,6 +9,7 @@
 //! Runs are deterministic, and do not depend on how they are cut into pieces by [`Machine::run_until`].
 
 mod bus;
+mod debugger;
 mod error;
 mod profile;
 mod symbols;
@@ -18,7 +19,7 @@ mod trace;
 pub use error::{LoadError, MachineError, Reason, Settings, Stopped};
 pub use profile::{Moment, Profile, StackArea};
 pub use symbols::Symbols;
-pub use trace::Trace;
+pub use trace::{Change, Trace};
 
 use crate::chip::Chip;
 use crate::context::ResetCause;
@@ -56,6 +57,12 @@ pub struct Machine<C, S> {
     symbols: Symbols,
     trace: Option<Trace>,
     profile: Option<Box<Profile>>,
+    /// Exceptions taken and left since they were last asked for, where somebody asks for them.
+    changes: Option<Vec<Change>>,
+    /// One instruction, and no more.
+    stepping: bool,
+    /// The core stopped within a block: no interrupt is taken before its end, as if it had not stopped.
+    unfinished: bool,
     just_reset: Option<ResetCause>,
     observed: Vec<u32>,
     /// An observed instruction that was told, and is to be executed.
@@ -85,6 +92,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
             symbols: Symbols::default(),
             trace: None,
             profile: None,
+            changes: None,
+            stepping: false,
+            unfinished: false,
             just_reset: None,
             observed: Vec::new(),
             told: None,
@@ -115,6 +125,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         let table = self.chip.vector_table();
         self.cpu.reset(now_ns, self.core_hz, table);
         self.sleep = None;
+        self.unfinished = false;
         self.follow_memory()?;
         let memory = self.chip.memory();
         let word = |address| memory.read(address, crate::Size::Word);
@@ -174,13 +185,14 @@ impl<C: Core, S: Chip> Machine<C, S> {
         &self.symbols
     }
 
-    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. The next run executes it.
+    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. The next run executes the one
+    /// that was told, also where others are observed meanwhile.
     ///
     /// # Errors
     /// The backend's.
     pub fn observe(&mut self, addresses: &[u32]) -> Result<(), MachineError> {
         self.observed = addresses.to_vec();
-        self.told = None;
+        self.told = self.told.filter(|told| addresses.contains(told));
         Ok(self.core.observe(addresses)?)
     }
 
@@ -214,6 +226,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
     pub fn run_until(&mut self, t_ns: u64) -> Result<Stopped, MachineError> {
         let mut standstill = (0, 0, 0);
         loop {
+            if self.unfinished {
+                if let Some(reason) = self.execute(t_ns)? {
+                    return Ok(self.stopped(reason));
+                }
+                continue;
+            }
             self.settle()?;
             standstill = match (self.now_ns(), self.instructions()) {
                 (now_ns, executed) if (now_ns, executed) == (standstill.0, standstill.1) => {
@@ -245,6 +263,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
             {
                 self.take(|taker| taker.enter(exception).map(|()| false))?;
+                if self.stepping {
+                    return Ok(self.stopped(Reason::Stepped));
+                }
             }
             if let Some(reason) = self.execute(t_ns)? {
                 return Ok(self.stopped(reason));
@@ -311,7 +332,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
     /// Executes for a while.
     fn execute(&mut self, t_ns: u64) -> Result<Option<Reason>, MachineError> {
         let pc = self.core.get(Register::Pc);
-        if self.told == Some(pc) {
+        if self.told == Some(pc) || self.stepping {
             self.told = None;
         } else if self.observed.contains(&pc) {
             return Ok(Some(self.observed(pc)));
@@ -329,9 +350,11 @@ impl<C: Core, S: Chip> Machine<C, S> {
             &mut self.mapping_version,
         );
         bus.watch_masks = masked;
+        bus.rest_of_block = std::mem::take(&mut self.unfinished);
         bus.ignored_load = self.ignored_load.take();
         self.runs += 1;
-        let CoreStop { instructions, why } = self.core.run(&mut bus)?;
+        let run = if self.stepping { self.core.step(&mut bus) } else { self.core.run(&mut bus) };
+        let CoreStop { instructions, why } = run?;
         let (store_fault, load_fault, failure) = (bus.store_fault, bus.load_fault.take(), bus.failure.take());
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
@@ -342,6 +365,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if let Some(profile) = &mut self.profile {
             profile.executed(executing, instructions);
         }
+        self.unfinished = why == Why::Observed && self.core.is_within_block();
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
         } else if store_fault {
@@ -349,9 +373,11 @@ impl<C: Core, S: Chip> Machine<C, S> {
             pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
         }
         match why {
+            Why::Limit if instructions == 0 => return Ok(None),
             Why::Limit | Why::MaskChanged | Why::Yield => {}
             Why::Wfi => self.go_to_sleep(Sleep::Interrupt)?,
             Why::Wfe => self.go_to_sleep(Sleep::Event)?,
+            Why::Observed if self.stepping => {}
             Why::Observed => {
                 let address = self.core.get(Register::Pc);
                 return Ok(Some(self.observed(address)));
@@ -379,7 +405,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 self.take(|taker| taker.fault(cause).map(|()| false))?;
             }
         }
-        Ok(None)
+        Ok(self.stepping.then_some(Reason::Stepped))
     }
 
     /// An observed instruction is next.
@@ -428,19 +454,22 @@ impl<C: Core, S: Chip> Machine<C, S> {
 
     /// Takes or leaves exceptions; `true` from `how` is to sleep.
     fn take(&mut self, how: impl FnOnce(&mut Taker<'_, C>) -> Result<bool, Failure>) -> Result<(), MachineError> {
-        let from = self.core.get(Register::Pc);
+        let (from, before) = (self.core.get(Register::Pc), active(&self.core));
         let sp = self.core.get(Register::Msp);
         if let Some(profile) = &mut self.profile {
-            profile.leaves_off(self.chip.memory(), active(&self.core), sp);
+            profile.leaves_off(self.chip.memory(), before, sp);
         }
         match how(&mut self.taker()) {
             Ok(sleep) => {
+                let (at_ns, to, after) = (self.time.now_ns(), self.core.get(Register::Pc), active(&self.core));
                 if let Some(profile) = &mut self.profile {
-                    profile.goes_on(active(&self.core), sp, self.core.get(Register::Msp));
+                    profile.goes_on(after, sp, self.core.get(Register::Msp));
                 }
                 if let Some(trace) = &mut self.trace {
-                    let now_ns = self.time.now_ns();
-                    trace.exception(now_ns, from, self.core.get(Register::Pc), active(&self.core));
+                    trace.exception(at_ns, from, to, after);
+                }
+                if let Some(changes) = &mut self.changes {
+                    changes.push(Change { at_ns, from, to, before, after });
                 }
                 if sleep {
                     self.go_to_sleep(Sleep::Interrupt)?;

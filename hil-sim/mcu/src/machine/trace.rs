@@ -1,4 +1,30 @@
-//! A digest of what a program did.
+//! A digest of what a program did, and its parts.
+
+/// EXC_RETURN values begin here (DDI0403E B1.5.8).
+const EXC_RETURN: u32 = 0xFFFF_FF00;
+
+/// An exception was taken or left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// When.
+    pub at_ns: u64,
+    /// PC before: the next instruction of what was interrupted, or EXC_RETURN.
+    pub from: u32,
+    /// PC after.
+    pub to: u32,
+    /// The exception whose handler was executed; 0 is none.
+    pub before: u16,
+    /// The exception whose handler is executed now; 0 is none.
+    pub after: u16,
+}
+
+impl Change {
+    /// A handler has returned: to what it interrupted, or (tail-chaining) to the handler of one that waited.
+    #[must_use]
+    pub fn is_return(&self) -> bool {
+        self.from >= EXC_RETURN
+    }
+}
 
 /// A hash over all exceptions: when they were taken and left, from where to where. Equal for two runs that did the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

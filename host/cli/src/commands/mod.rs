@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 pub(crate) mod config;
+pub(crate) mod debug;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod hold;

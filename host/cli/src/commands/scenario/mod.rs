@@ -128,6 +128,12 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     Ok(agree)
 }
 
+/// Plays one file on `--board`.
+#[cfg(feature = "emu")]
+pub(crate) fn play_one(args: &Args, path: &Path) -> anyhow::Result<bool> {
+    play(args, &[path.to_owned()])
+}
+
 fn outcome(args: &Args, scenario: &Scenario, path: &Path) -> anyhow::Result<Outcome> {
     if scenario.steps.is_empty() {
         bail!("{} has no steps", path.display());
