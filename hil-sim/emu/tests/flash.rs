@@ -11,7 +11,6 @@ use emulated::{
 };
 use r4_driver::Board;
 use r4_protocol::{Causes, Parameter, ParameterKey, Reply, Request};
-use r4_sim::VirtualBoard;
 use r4_sim::flash::{Flash, Tear};
 
 const TIMEOUT: ParameterKey = ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs };
