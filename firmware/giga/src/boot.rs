@@ -65,6 +65,8 @@ static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard
 const SCREEN_SPI: Hertz = Hertz(20_000_000);
 /// Before a link that failed is served again.
 const LINK_PAUSE: Duration = Duration::from_millis(10);
+/// Between a host's request to restart and the restart: the answer has left on every link by then.
+const FAREWELL: Duration = Duration::from_millis(20);
 /// How often the log looks for a trip.
 const LOG_PERIOD: Duration = Duration::from_millis(20);
 
@@ -527,6 +529,7 @@ async fn log_task(shared: &'static Board) -> ! {
 async fn restart_task(shared: &'static Board) -> ! {
     shared.restart_requested().await;
     defmt::info!("a host asked for a restart");
+    Timer::after(FAREWELL).await;
     cortex_m::peripheral::SCB::sys_reset()
 }
 

@@ -99,22 +99,28 @@ fn a_short_of_the_bus_and_a_brown_out_trip_by_their_own_causes() {
     });
 }
 
-/// An oscillator that jumps in the middle of a run, as no crystal does: the bytes of the host do not fit any more.
+/// A crystal that drifts in the middle of a run, by far more than any does: the board's seconds get shorter with it, the
+/// driver follows its clock, and the board stays armed. (That a UART loses bytes beyond some per cent is not modelled.)
 #[test]
-fn a_clock_that_drifts_away_loses_the_host_and_stops() {
-    Setup::osmc_bench().bench_with_misuse(async |emu| {
+fn a_clock_that_drifts_is_followed() {
+    let (_, misuse) = Setup::osmc_bench().bench_with_misuse(async |emu| {
         emu.run_rotary(0).await;
         let exact = Oscillators::default();
-        // 1 % is what a UART must take (RM0399, 51.5.8); the driver goes on.
-        emu.emulated.machine().chip.rcc().set_oscillators(Oscillators { hse_hz: 16_160_000, ..exact });
-        emu.sleep_ms(300).await;
-        assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE), "1 % is no harm");
-        // 10 % is too much: a byte of ten bits is a whole bit too long.
-        emu.emulated.machine().chip.rcc().set_oscillators(Oscillators { hse_hz: 17_600_000, ..exact });
-        let at_ns = emu.clock.now_ns();
-        let off_ns = emu.device().wait_off(at_ns, 250 * MS).await;
-        assert!(off_ns.is_some(), "nobody is heard, and it goes on");
+        for hse_hz in [16_160_000, 15_840_000] {
+            emu.emulated.machine().chip.drift(Oscillators { hse_hz, ..exact });
+            emu.sleep_ms(20).await;
+            let begin = (emu.clock.now_ns(), emu.host.stats().await.expect("it answers").ticks);
+            emu.sleep_ms(500).await;
+            let ticks = f64::from(emu.host.stats().await.expect("it answers").ticks - begin.1);
+            let expected = (emu.clock.now_ns() - begin.0) as f64 / 1e6 * hse_hz as f64 / 16e6;
+            // 1 % of 500 ticks are 5: seen, with one to spare at each end.
+            assert!((ticks - expected).abs() < 2.5, "{hse_hz} Hz: {ticks} ticks of {expected}");
+            emu.set(ROTARY, Mode::Duty, 0.8).await.expect("fresh by the board's clock");
+            assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE), "{hse_hz} Hz");
+        }
     });
+    // Nothing that the firmware did: CAN notices that its clock changed in the middle of a frame.
+    assert!(misuse.iter().all(|misuse| misuse.contains("kernel clock changes within a frame")), "{misuse:?}");
 }
 
 /// Two edges of a shaft that come as one: the interrupts of connector 3 count what cannot be.
@@ -181,10 +187,16 @@ fn frames_damaged_by_noise_are_counted_and_the_session_survives() {
             }
         }
         device.board.disturb_link(None, None);
+        // Ends whatever the last damaged frame has left in the board's decoder.
+        host.send(&ToDevice::Heartbeat { session: info.session, host_us: 0 }).await;
+        host.listen(5).await;
+        // Answered, so the session is the same.
         let lost = host.stats().await.bad_frames - before.bad_frames;
         assert!(lost > 0 && answers < 300, "{lost} frames lost, {answers} answers: no noise");
-        // A heartbeat may be among the lost, and a delimiter that is damaged joins two frames.
-        assert!((300 - answers).abs_diff(lost as usize) <= 3, "{answers} answers, {lost} lost");
+        // A byte with a framing error ends the receiver's DMA: what it held is gone uncounted. The other frames are taken, or
+        // counted as damaged: a dozen heartbeats may be among those.
+        assert!(answers > 200 && answers + lost as usize <= 312, "{answers} answers, {lost} lost");
+        eprintln!("noise: {answers} of 300 answered, {lost} damaged frames counted");
         assert_eq!(host.hello().await.causes, Causes::NONE);
     });
     assert_eq!(misuse, Vec::<String>::new());

@@ -3,7 +3,8 @@
 use super::{Id, Soc};
 use crate::{
     outside::Outside,
-    peripherals::{flash::FlashCells, gpio::Gpio},
+    peripheral::Peripheral,
+    peripherals::{flash::FlashCells, gpio::Gpio, rcc::Oscillators},
 };
 
 impl<O: Outside, F: FlashCells> Soc<O, F> {
@@ -17,6 +18,15 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     #[must_use]
     pub fn backup_register(&self, index: usize) -> Option<u32> {
         self.devices.backup.register(index)
+    }
+
+    /// The oscillators change their frequencies now, as crystals do with temperature.
+    pub fn drift(&mut self, oscillators: Oscillators) {
+        self.call(Id::Rcc as usize, |devices, context| {
+            devices.rcc.set_oscillators(oscillators);
+            devices.rcc.advance(context);
+        });
+        self.settle();
     }
 
     /// Node 1 or 2 goes bus-off now, as after 32 frames that somebody destroyed.
