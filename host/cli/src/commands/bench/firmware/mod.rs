@@ -112,6 +112,7 @@ struct Report {
 struct Measured {
     stack: Stack,
     whole_s: f64,
+    period_us: u32,
     instructions: Spread,
     jitter: Spread,
     periods: usize,
@@ -170,6 +171,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
         anyhow::Ok(Measured {
             stack: board.stack()?,
             whole_s: clock.now_ns() as f64 * 1e-9,
+            period_us: robot.config.control_period_us,
             instructions: instructions(&all),
             jitter,
             periods,
@@ -194,7 +196,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
 
 /// What was seen, and whether it is within the limits.
 fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: Measured) -> Report {
-    let Measured { stack, whole_s, instructions, jitter, periods, instructions_per_s, load } = measured;
+    let Measured { stack, whole_s, period_us, instructions, jitter, periods, instructions_per_s, load } = measured;
     let Stack { reserved, used, bound, shares } = stack;
     let entries = shares.iter().map(|share| share.entries).sum();
     let all: u64 = shares.iter().map(|share| share.instructions).sum();
@@ -218,7 +220,7 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
     stacks.push(together(TOGETHER, used));
     stacks.push(together(AT_WORST, bound));
     let limits = Limits { stack_share: STACK_SHARE, jitter_p999_us: JITTER_P999_US };
-    let share = |instructions: f64| instructions * periods_per_s(seconds, periods) / CORE_HZ;
+    let share = |instructions: f64| instructions * 1e6 / f64::from(period_us) / CORE_HZ;
     let stack_held = stacks.iter().all(|row| f64::from(row.used) <= STACK_SHARE * f64::from(row.reserved));
     Report {
         board: target.to_string(),
@@ -240,10 +242,6 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
         load,
         held: stack_held && jitter.p999 <= JITTER_P999_US && periods > 0,
     }
-}
-
-fn periods_per_s(seconds: f64, periods: usize) -> f64 {
-    (periods as f64 / seconds).round()
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
