@@ -36,14 +36,6 @@ pub enum MeasureError {
     /// Nobody began.
     #[error("no measurement was begun")]
     NotBegun,
-    /// What was charged to executors is not all.
-    #[error(
-        "the stack was written {below} bytes below what was seen when exceptions were taken: a frame of more than 16 KiB"
-    )]
-    Unseen {
-        /// Bytes.
-        below: u32,
-    },
 }
 
 /// What one executor, or the interrupts of one level, took.
@@ -116,11 +108,6 @@ impl<C: Core + 'static> EmuBoard<C> {
         let (end, start) = (symbol("_stack_end")?, symbol("_stack_start")?);
         let memory = machine.chip.memory();
         let deepest = profile.deepest();
-        let written = profile.lowest_written(memory).map_or(0, |lowest| start - lowest);
-        if written > deepest {
-            return Err(MeasureError::Unseen { below: written - deepest });
-        }
-
         let table = machine.processor().vector_table();
         let mut owners = BTreeMap::new();
         for exception in INTERRUPTS {

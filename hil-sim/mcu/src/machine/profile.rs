@@ -10,9 +10,6 @@ use crate::memory::Memory;
 const EXCEPTIONS: usize = 16 + 240;
 /// Bytes compared at once.
 const CHUNK: usize = 32;
-/// How far below all use so far a stack is searched. A function that leaves more than this of its frame unwritten is missed
-/// there, and found by [`Profile::lowest_written`], which searches all.
-const MARGIN: u32 = 16 * 1024;
 
 /// A stack to watch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,12 +94,6 @@ impl Profile {
         self.stack.start - self.lowest
     }
 
-    /// The lowest address of the stack that holds something else than paint now. Above what was written and painted again.
-    #[must_use]
-    pub fn lowest_written(&self, memory: &Memory) -> Option<u32> {
-        lowest_written(memory, self.stack, self.stack.end, self.stack.start)
-    }
-
     /// Executions of the marked instruction since this was last asked.
     pub fn take_moments(&mut self) -> Vec<Moment> {
         std::mem::take(&mut self.moments)
@@ -126,8 +117,8 @@ impl Profile {
         if !(end..=start).contains(&sp) {
             return;
         }
-        let from = self.lowest.min(sp).saturating_sub(MARGIN).max(end);
-        let written = lowest_written(memory, self.stack, from, sp);
+        // All of it: a frame may be large and hardly written.
+        let written = lowest_written(memory, self.stack, end, sp);
         let reached = written.unwrap_or(sp);
         if let Some(written) = written {
             paint(memory, self.stack, written, sp);
@@ -221,13 +212,14 @@ mod tests {
     }
 
     #[test]
-    fn a_write_far_below_is_found_by_the_search_of_all() {
+    fn a_large_frame_hardly_written_is_seen_at_once() {
         let memory = Memory::new();
         let mut profile = Profile::new(AREA, None, &memory, AREA.start);
-        write(&memory, AREA.start - MARGIN - 0x100);
+        write(&memory, AREA.end);
         profile.leaves_off(&memory, 0, AREA.start);
-        assert_eq!(profile.deepest(), 0);
-        assert_eq!(profile.lowest_written(&memory), Some(AREA.start - MARGIN - 0x100));
+        profile.goes_on(20, AREA.start, AREA.start - 0x20);
+        profile.leaves_off(&memory, 20, AREA.start - 0x20);
+        assert_eq!([profile.depth(0), profile.depth(20), profile.deepest()], [0x8000, 0x20, 0x8000]);
     }
 
     #[test]
