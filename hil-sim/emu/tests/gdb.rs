@@ -204,7 +204,7 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
         return;
     }
     let (mut debugged, address, _) = waiting();
-    let main = address_of(&debugged, "main");
+    let [main, timer] = ["main", "TIM5"].map(|name| address_of(&debugged, name));
     let elf = debugged.image.path().to_owned();
     let gdb = thread::spawn(move || {
         let commands = [
@@ -216,7 +216,7 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
             "print $d0".into(),
             "x/2xw $sp".into(),
             "stepi".into(),
-            "hbreak *TIM5".into(),
+            format!("hbreak *{timer:#x}"),
             "continue".into(),
             "backtrace 3".into(),
             "stepi".into(),
@@ -229,6 +229,8 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
         output.expect("gdb-multiarch runs")
     });
     debugged.run_to_ns(LONG_NS);
+    // If it still waits for a breakpoint, it is told that all has ended.
+    drop(debugged);
     let output = gdb.join().expect("gdb ran");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     let all = format!("{said}\n{}", String::from_utf8_lossy(&output.stderr));
