@@ -240,5 +240,5 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
     // The timer of the firmware's clock: gdb finds what it interrupted behind the exception's frame.
     let frame = |number: &str, what: &str| said.lines().any(|line| line.starts_with(number) && line.contains(what));
     assert!(frame("#0", "TIM5") && frame("#1", "signal handler called") && frame("#2", " ("), "{all}");
-    assert!(said.contains(" instructions, in 66 TIM5, awake"), "{all}");
+    assert!(all.contains(" instructions, in 66 TIM5, awake"), "{all}");
 }
