@@ -4,7 +4,7 @@
 use r4_mcu::cpu::number::IRQ0;
 
 /// Position in the vector table, the first after the system exceptions being 0, and name.
-const INTERRUPTS: [(u16, &str); 93] = [
+const INTERRUPTS: [(u16, &str); 95] = [
     (4, "FLASH"),
     (5, "RCC"),
     (6, "EXTI0"),
@@ -77,6 +77,8 @@ const INTERRUPTS: [(u16, &str); 93] = [
     (84, "SPI4"),
     (85, "SPI5"),
     (86, "SPI6"),
+    (87, "SAI1"),
+    (91, "SAI2"),
     (95, "I2C4_EV"),
     (96, "I2C4_ER"),
     (100, "OTG_FS_WKUP"),
