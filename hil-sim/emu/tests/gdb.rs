@@ -142,7 +142,7 @@ fn the_protocol_stops_steps_and_reads_and_changes_nothing() {
         assert_eq!(gdb.register(PC), main);
         // Reset has called it, and keeps nothing or whole double words on the stack.
         let sp = gdb.register(SP);
-        assert!(sp <= stack_top && stack_top - sp < 64 && sp % 8 == 0, "{sp:#x}");
+        assert!(sp <= stack_top && stack_top - sp < 64 && sp.is_multiple_of(8), "{sp:#x}");
         assert_eq!(gdb.ask(&format!("M{:x},4:78563412", sp - 4)), "OK");
         assert_eq!(gdb.word(sp - 4), 0x1234_5678);
         for _ in 0..100 {

@@ -158,7 +158,7 @@ impl UnicornCore {
                 return;
             }
             state.why = Some(why);
-            state.stop_at = address as u32;
+            state.stop_at = address;
             stop(engine);
         });
         let hook = hook.map_err(|error| failed("observe", error))?;

@@ -38,13 +38,16 @@ pub(crate) fn start(
     Ok(Rc::new(start_debugged(args, simulation, robot, flash)?.0))
 }
 
+/// A board, and where a debugging session with gdb stands, if there is one.
+type Debugged = (EmuBoard<UnicornCore>, Option<Rc<Cell<State>>>);
+
 /// The same, and where a debugging session with gdb stands, if `args` are for one.
 pub(crate) fn start_debugged(
     args: &Args,
     simulation: &mut Simulation,
     robot: &Robot,
     flash: Option<Flash>,
-) -> anyhow::Result<(EmuBoard<UnicornCore>, Option<Rc<Cell<State>>>)> {
+) -> anyhow::Result<Debugged> {
     let image = Image::find(args.board.robot())?;
     eprintln!("r4: runs {}, SHA-256 {}", image.path().display(), image.digest());
     let core = UnicornCore::new().context("the emulated processor does not start")?;

@@ -78,7 +78,7 @@ impl<C: Core> Inferior<C> {
                 read += bytes.len();
                 bytes.copy_from_slice(&word.to_le_bytes()[..bytes.len()]);
             }
-            return if start % 4 == 0 { read } else { 0 };
+            return if start.is_multiple_of(4) { read } else { 0 };
         }
         let memory = machine.chip.memory();
         let Some((region, offset)) = memory.locate(start) else { return 0 };

@@ -449,12 +449,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     }
 
     fn edge(&mut self, edge: Edge) {
-        if let Some(Function::Timer(timer, channel)) = self.devices.gpio.function(edge.pin) {
-            if let Some(index) = TIMERS.iter().position(|number| *number == timer) {
-                self.call(Id::Tim1 as usize + index, |devices, context| {
-                    devices.timers[index].edge(channel, edge.high, edge.at_ns, context);
-                });
-            }
+        if let Some(Function::Timer(timer, channel)) = self.devices.gpio.function(edge.pin)
+            && let Some(index) = TIMERS.iter().position(|number| *number == timer)
+        {
+            self.call(Id::Tim1 as usize + index, |devices, context| {
+                devices.timers[index].edge(channel, edge.high, edge.at_ns, context);
+            });
         }
         self.call(Id::Exti as usize, |devices, context| devices.exti.edge(&devices.syscfg, edge, context));
     }

@@ -52,8 +52,7 @@ pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
             let allowed = one.resolution + fastest * one.period_s;
             let share = (one.position - other.position).abs() / allowed;
             worst_share = worst_share.max(share);
-            // Written so that NaN is a difference.
-            if !(share <= 1.0) {
+            if share > 1.0 || share.is_nan() {
                 let shown = |motion: &Motion| format!("{:.6} {}", motion.position, motion.unit);
                 let of = format!("{} at {} s", one.channel, ours.at_s);
                 differ(of, shown(one), shown(other), format!("{allowed:.6} {}", one.unit));

@@ -216,7 +216,7 @@ impl<'b> Tormentor<'b> {
                 self.arming.set(false);
                 armed?;
             }
-            let side = if now_ns / TURN_NS % 2 == 0 { 0.4 } else { 0.6 };
+            let side = if (now_ns / TURN_NS).is_multiple_of(2) { 0.4 } else { 0.6 };
             let Range { min, max } = mode.range;
             let value = if mode.mode == Mode::Switch { f32::from(side > 0.5) } else { min + (max - min) * side };
             self.note(self.host.set(*channel, Setpoint { mode: mode.mode, value }).await)?;
