@@ -5,7 +5,7 @@ use r4_driver::Error;
 use r4_protocol::{Cause, Causes, Mode, Refusal, SafetyState};
 use r4_sim::{Pace, Simulation};
 
-use super::{Bench, Device, LINEAR, MS, PowerUp, ROTARY, US, bench_of, osmc_bench, power_up};
+use super::{Bench, Device, MS, PowerUp, ROTARY, US, bench_of, osmc_bench, power_up};
 
 /// One pass of the control loop of the bench.
 pub(crate) const PERIOD_NS: u64 = MS;
