@@ -20,7 +20,7 @@ use embassy_stm32::{
     pac, peripherals as stm32, rcc,
     spi::{self, Spi},
     time::Hertz,
-    usart::{self, Uart, UartTx},
+    usart::{self, UartTx},
     usb,
 };
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
@@ -118,19 +118,20 @@ bind_interrupts!(struct Irqs {
     I2C2_ER => ErrorInterruptHandler<stm32::I2C2>;
     I2C4_EV => EventInterruptHandler<stm32::I2C4>;
     I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
-    USART1 => usart::InterruptHandler<stm32::USART1>;
-    USART2 => usart::InterruptHandler<stm32::USART2>;
-    UART4 => usart::InterruptHandler<stm32::UART4>;
+    // embassy's first: uart::OnLine puts right what it does to the receiver.
+    USART1 => usart::InterruptHandler<stm32::USART1>, uart::OnLine;
+    USART2 => usart::InterruptHandler<stm32::USART2>, uart::OnLine;
+    UART4 => usart::InterruptHandler<stm32::UART4>, uart::OnLine;
     DMA1_STREAM0 => dma::InterruptHandler<stm32::DMA1_CH0>;
     DMA1_STREAM1 => dma::InterruptHandler<stm32::DMA1_CH1>;
     DMA1_STREAM2 => dma::InterruptHandler<stm32::DMA1_CH2>;
     DMA1_STREAM3 => dma::InterruptHandler<stm32::DMA1_CH3>;
     DMA1_STREAM4 => dma::InterruptHandler<stm32::DMA1_CH4>;
-    DMA1_STREAM5 => dma::InterruptHandler<stm32::DMA1_CH5>;
+    DMA1_STREAM5 => uart::OnRing;
     DMA1_STREAM6 => dma::InterruptHandler<stm32::DMA1_CH6>;
-    DMA1_STREAM7 => dma::InterruptHandler<stm32::DMA1_CH7>;
+    DMA1_STREAM7 => uart::OnRing;
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
-    DMA2_STREAM1 => dma::InterruptHandler<stm32::DMA2_CH1>;
+    DMA2_STREAM1 => uart::OnRing;
     DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
     FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
     FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
@@ -284,40 +285,16 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         Some(bounce()),
     );
 
-    // USART1's receiver, then those of connectors A and B.
-    static RINGS: [ConstStaticCell<[u8; uart::RING]>; 3] = [const { ConstStaticCell::new([0; uart::RING]) }; 3];
-    let [ring, ring_a, ring_b] = &RINGS;
-    let host = Uart::new(
-        p.USART1,
-        pin!(p, uart_dbg_rx as USART1_RX),
-        pin!(p, uart_dbg_tx as USART1_TX),
-        p.DMA1_CH4,
-        p.DMA1_CH5,
-        Irqs,
-        uart::config(uart::HOST_BAUD),
-    );
-    let uart_a = Uart::new(
-        p.USART2,
-        pin!(p, uart_a_rx as USART2_RX),
-        pin!(p, uart_a_tx as USART2_TX),
-        p.DMA1_CH6,
-        p.DMA1_CH7,
-        Irqs,
-        uart::config(uart::CONNECTOR_BAUD),
-    );
-    let uart_b = Uart::new(
-        p.UART4,
-        pin!(p, uart_b_rx as UART4_RX),
-        pin!(p, uart_b_tx as UART4_TX),
-        p.DMA2_CH0,
-        p.DMA2_CH1,
-        Irqs,
-        uart::config(uart::CONNECTOR_BAUD),
-    );
-    let (Ok(host), Ok(uart_a), Ok(uart_b)) = (host, uart_a, uart_b) else { panic!("a baud rate cannot be made") };
-    let (host_rx, host_tx) = uart::split(host, ring.take());
-    let (rx_a, tx_a) = uart::split(uart_a, ring_a.take());
-    let (rx_b, tx_b) = uart::split(uart_b, ring_b.take());
+    let host_tx =
+        UartTx::new(p.USART1, pin!(p, uart_dbg_tx as USART1_TX), p.DMA1_CH4, Irqs, uart::config(uart::HOST_BAUD));
+    let tx_a =
+        UartTx::new(p.USART2, pin!(p, uart_a_tx as USART2_TX), p.DMA1_CH6, Irqs, uart::config(uart::CONNECTOR_BAUD));
+    let tx_b =
+        UartTx::new(p.UART4, pin!(p, uart_b_tx as UART4_TX), p.DMA2_CH0, Irqs, uart::config(uart::CONNECTOR_BAUD));
+    let (Ok(host_tx), Ok(tx_a), Ok(tx_b)) = (host_tx, tx_a, tx_b) else { panic!("a baud rate cannot be made") };
+    let host_rx = uart::receive::<stm32::USART1>(&host_tx, pin!(p, uart_dbg_rx as USART1_RX), p.DMA1_CH5);
+    let rx_a = uart::receive::<stm32::USART2>(&tx_a, pin!(p, uart_a_rx as USART2_RX), p.DMA1_CH7);
+    let rx_b = uart::receive::<stm32::UART4>(&tx_b, pin!(p, uart_b_rx as UART4_RX), p.DMA2_CH1);
     let raw = PassthroughIo { i2c: [connector_a, connector_b], uart_rx: [rx_a, rx_b], uart_tx: [tx_a, tx_b] };
 
     static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();

@@ -9,6 +9,7 @@
 //! All three are one type each way, so that the code that serves a link is in flash once and not three times.
 
 pub(crate) mod can;
+mod ring;
 pub(crate) mod uart;
 pub(crate) mod usb;
 
@@ -47,7 +48,7 @@ impl ErrorType for Receiver {
 impl Read for Receiver {
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Gone> {
         match self {
-            Self::Uart(link) => link.read(buffer).await.map_err(|_| Gone),
+            Self::Uart(link) => link.read(buffer).await.map_err(|never| match never {}),
             Self::Can(link) => link.read(buffer).await.map_err(|never| match never {}),
             Self::Usb(link) => link.read(buffer).await.map_err(|_| Gone),
         }
