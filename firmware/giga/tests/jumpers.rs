@@ -21,6 +21,8 @@ mod clocks;
 mod common;
 #[path = "../src/pins.rs"]
 mod pins;
+#[path = "../src/links/ring.rs"]
+mod ring;
 #[path = "../src/safety_pins.rs"]
 mod safety_pins;
 #[path = "../src/links/uart.rs"]
@@ -32,15 +34,15 @@ use embassy_stm32::{bind_interrupts, dma, exti, interrupt::typelevel, peripheral
 
 bind_interrupts!(struct Irqs {
     EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>;
-    USART1 => usart::InterruptHandler<peripherals::USART1>;
-    USART2 => usart::InterruptHandler<peripherals::USART2>;
-    UART4 => usart::InterruptHandler<peripherals::UART4>;
+    USART1 => usart::InterruptHandler<peripherals::USART1>, uart::OnLine;
+    USART2 => usart::InterruptHandler<peripherals::USART2>, uart::OnLine;
+    UART4 => usart::InterruptHandler<peripherals::UART4>, uart::OnLine;
     DMA1_STREAM4 => dma::InterruptHandler<peripherals::DMA1_CH4>;
-    DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    DMA1_STREAM5 => uart::OnRing;
     DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
-    DMA1_STREAM7 => dma::InterruptHandler<peripherals::DMA1_CH7>;
+    DMA1_STREAM7 => uart::OnRing;
     DMA2_STREAM0 => dma::InterruptHandler<peripherals::DMA2_CH0>;
-    DMA2_STREAM1 => dma::InterruptHandler<peripherals::DMA2_CH1>;
+    DMA2_STREAM1 => uart::OnRing;
     DMA2_STREAM2 => dma::InterruptHandler<peripherals::DMA2_CH2>;
 });
 
@@ -53,7 +55,8 @@ mod tests {
         exti::ExtiInput,
         gpio::{Level, Output, Pull, Speed},
         mode::Async,
-        usart::Uart,
+        peripherals,
+        usart::UartTx,
     };
     use embassy_time::{Duration, Instant, Timer, with_timeout};
     use embedded_hal::digital::{InputPin, OutputPin};
@@ -67,6 +70,7 @@ mod tests {
         analog::{self, Inputs, Outputs},
         common,
         pins::pin,
+        ring::RING,
         safety_pins::Line,
         uart,
     };
@@ -77,12 +81,10 @@ mod tests {
     }
 
     /// More than the receiver's ring holds, so that it wraps.
-    const BYTES: usize = 3 * uart::RING;
+    const BYTES: usize = 3 * RING;
 
     /// Sends and receives at once, in pieces that the ring takes.
-    async fn comes_back(uart: Uart<'static, Async>) {
-        static RING: ConstStaticCell<[u8; uart::RING]> = ConstStaticCell::new([0; uart::RING]);
-        let (mut rx, mut tx) = uart::split(uart, RING.take());
+    async fn comes_back(mut rx: uart::Receiver, mut tx: UartTx<'static, Async>) {
         let start = Instant::now();
         // Starts the receiver, and looks whether the line rests.
         let mut piece = [0; 64];
@@ -101,25 +103,36 @@ mod tests {
     #[test]
     #[ignore]
     async fn the_hosts_uart_comes_back(p: Peripherals) {
-        let (rx, tx) = (pin!(p, uart_dbg_rx as USART1_RX), pin!(p, uart_dbg_tx as USART1_TX));
-        let uart = Uart::new(p.USART1, rx, tx, p.DMA1_CH4, p.DMA1_CH5, Irqs, uart::config(uart::HOST_BAUD));
-        comes_back(uart.expect("a baud rate that can be made")).await;
+        let tx =
+            UartTx::new(p.USART1, pin!(p, uart_dbg_tx as USART1_TX), p.DMA1_CH4, Irqs, uart::config(uart::HOST_BAUD));
+        let tx = tx.expect("a baud rate that can be made");
+        let rx = uart::receive::<peripherals::USART1>(&tx, pin!(p, uart_dbg_rx as USART1_RX), p.DMA1_CH5);
+        comes_back(rx, tx).await;
     }
 
     #[test]
     #[ignore]
     async fn uart_a_comes_back(p: Peripherals) {
-        let (rx, tx) = (pin!(p, uart_a_rx as USART2_RX), pin!(p, uart_a_tx as USART2_TX));
-        let uart = Uart::new(p.USART2, rx, tx, p.DMA1_CH6, p.DMA1_CH7, Irqs, uart::config(uart::CONNECTOR_BAUD));
-        comes_back(uart.expect("a baud rate that can be made")).await;
+        let tx = UartTx::new(
+            p.USART2,
+            pin!(p, uart_a_tx as USART2_TX),
+            p.DMA1_CH6,
+            Irqs,
+            uart::config(uart::CONNECTOR_BAUD),
+        );
+        let tx = tx.expect("a baud rate that can be made");
+        let rx = uart::receive::<peripherals::USART2>(&tx, pin!(p, uart_a_rx as USART2_RX), p.DMA1_CH7);
+        comes_back(rx, tx).await;
     }
 
     #[test]
     #[ignore]
     async fn uart_b_comes_back(p: Peripherals) {
-        let (rx, tx) = (pin!(p, uart_b_rx as UART4_RX), pin!(p, uart_b_tx as UART4_TX));
-        let uart = Uart::new(p.UART4, rx, tx, p.DMA2_CH0, p.DMA2_CH1, Irqs, uart::config(uart::CONNECTOR_BAUD));
-        comes_back(uart.expect("a baud rate that can be made")).await;
+        let tx =
+            UartTx::new(p.UART4, pin!(p, uart_b_tx as UART4_TX), p.DMA2_CH0, Irqs, uart::config(uart::CONNECTOR_BAUD));
+        let tx = tx.expect("a baud rate that can be made");
+        let rx = uart::receive::<peripherals::UART4>(&tx, pin!(p, uart_b_rx as UART4_RX), p.DMA2_CH1);
+        comes_back(rx, tx).await;
     }
 
     /// Different voltages on the two, so that a swapped pair is seen. Not nearer to the supplies than 0.2 V, where the buffers of
