@@ -187,7 +187,7 @@ impl Receiver {
         let line_errors = self.port.line_errors.load(Ordering::Relaxed);
         if line_errors != self.line_errors {
             self.line_errors = line_errors;
-            defmt::debug!("{=str}: {=u32} times line errors", self.port.name, line_errors);
+            defmt::info!("{=str}: {=u32} times line errors", self.port.name, line_errors);
         }
         match self.port.stream.read(&mut self.position, buffer) {
             Ok(count) => count,
