@@ -329,7 +329,9 @@ fn an_observed_instruction_in_a_conditional_block_does_not_confuse_the_stop_afte
     // cmp r5,r5; ite eq; moveq r1,#1 (observed); movne r1,#2; wfi
     let (mut core, _) = core(&[0x42AD, 0xBF0C, 0x2101, 0x2102, 0xBF30]);
     core.observe(&[CODE + 4]).unwrap();
-    assert_eq!(run(&mut core, &mut bus()), (5, Why::Wfi, 10));
+    // At the IT, of which what follows is a part.
+    assert_eq!(run(&mut core, &mut bus()), (1, Why::Observed, 2));
+    assert_eq!(run(&mut core, &mut bus()), (4, Why::Wfi, 10));
     assert_eq!(core.get(Register::R(1)), 1);
 }
 
