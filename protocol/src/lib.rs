@@ -8,12 +8,14 @@
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
+//! | [`can`] | a byte link on a CAN bus |
 //!
 //! Every wire change bumps [`VERSION`], most change [`SCHEMA_HASH`] by themselves, and each gets a line in `CHANGELOG.md`.
 //! All values are SI: radians, metres, seconds, volts; duty is a share of the supply in -1..=1; angles are at the output
 //! shaft.
 #![no_std]
 
+pub mod can;
 pub mod channel;
 pub mod config;
 pub mod frame;

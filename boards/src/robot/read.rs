@@ -33,6 +33,8 @@ struct RobotFile {
     link_timeout_ms: u16,
     #[serde(default)]
     auxiliary_stop: bool,
+    #[serde(default)]
+    screen: bool,
     #[serde(default = "room_temperature_c", deserialize_with = "air_temperature_c")]
     air_temperature_c: f32,
     servo_chip: Option<output::ServoChip>,
@@ -196,6 +198,7 @@ impl Reader<'_> {
             link_timeout_ms: file.link_timeout_ms,
             i2c_hz: carrier.i2c.rate_hz,
             auxiliary_stop: file.auxiliary_stop,
+            screen: file.screen,
             air_temperature_c: file.air_temperature_c,
             // A board may lack the chips that its robot does not use.
             osmc_pwm: pwm(on_bridge(false), &carrier.osmc.pwm, carrier.osmc.frequency_hz),

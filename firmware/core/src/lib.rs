@@ -34,6 +34,7 @@ pub mod sensing;
 mod shared;
 pub mod storage;
 mod telemetry;
+mod within;
 
 pub use shared::{MotorStatus, ResetCause, Shared};
 

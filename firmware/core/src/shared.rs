@@ -335,12 +335,14 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Every cause of the last trip, also when it has been cleared since.
-    pub(crate) fn trip_causes(&self) -> Causes {
+    #[must_use]
+    pub fn trip_causes(&self) -> Causes {
         self.with(|s| s.trip_causes)
     }
 
     /// Trips since the start of the board.
-    pub(crate) fn trips(&self) -> u32 {
+    #[must_use]
+    pub fn trips(&self) -> u32 {
         self.with(|s| s.trips)
     }
 

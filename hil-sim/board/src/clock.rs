@@ -4,6 +4,10 @@ use std::{
     cell::{Cell, RefCell},
     pin::Pin,
     rc::Rc,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
     task::{Context, Poll, Waker},
 };
 
@@ -18,6 +22,8 @@ pub struct Clock(Rc<Inner>);
 struct Inner {
     now_ns: Cell<u64>,
     timers: RefCell<Vec<Timer>>,
+    /// Tasks that are to be polled. Wakers can be sent to other threads, so this can too.
+    ready: Arc<AtomicUsize>,
 }
 
 /// One sleeping task: the earliest moment at which it asked to be woken.
@@ -61,8 +67,57 @@ impl Clock {
     }
 
     /// When the next sleeper wakes, or `None` when nobody sleeps.
-    pub(crate) fn next_wake(&self) -> Option<u64> {
+    #[must_use]
+    pub fn next_wake(&self) -> Option<u64> {
         self.0.timers.borrow().iter().map(|timer| timer.at_ns).min().filter(|at_ns| *at_ns != IDLE)
+    }
+
+    /// Lets time pass while a task runs: to `to_ns`, but not beyond the next sleeper's wake time. Whoever is due then is
+    /// woken. Returns the time that it is now; never goes back.
+    ///
+    /// For a task that is a processor of its own, an emulator: it moves the clock to the moment of all that it does, and
+    /// [gives way](Clock::give_way) before each such step while [`Clock::is_anyone_ready`]. So every task still runs at
+    /// the time at which it asked to, and order and times depend on virtual time only. The pace of a
+    /// [`Simulation`](crate::Simulation) is kept when a task gives way.
+    ///
+    /// ```
+    /// use r4_sim::{Clock, Simulation};
+    ///
+    /// async fn processor(clock: Clock) {
+    ///     while clock.now_ns() < 1_000_000 {
+    ///         while clock.is_anyone_ready() {
+    ///             clock.give_way().await;
+    ///         }
+    ///         let now_ns = clock.run_ahead(clock.now_ns() + 300);
+    ///         // … whatever the program does up to now_ns
+    ///     }
+    /// }
+    ///
+    /// let mut simulation = Simulation::default();
+    /// simulation.spawn(processor(simulation.clock()));
+    /// let clock = simulation.clock();
+    /// simulation.block_on(clock.sleep_until(12_345));
+    /// assert_eq!(clock.now_ns(), 12_345);
+    /// ```
+    pub fn run_ahead(&self, to_ns: u64) -> u64 {
+        self.advance(self.next_wake().map_or(to_ns, |wake_ns| to_ns.min(wake_ns)));
+        self.now_ns()
+    }
+
+    /// Whether a task of the simulation, or its main one, waits to be polled; one that is being polled does not.
+    #[must_use]
+    pub fn is_anyone_ready(&self) -> bool {
+        self.0.ready.load(Ordering::Relaxed) > 0
+    }
+
+    /// Where tasks count those of them that are to be polled.
+    pub(crate) fn ready_counter(&self) -> Arc<AtomicUsize> {
+        self.0.ready.clone()
+    }
+
+    /// Lets all other tasks run that are ready, those of lower priority too, at the same virtual time.
+    pub fn give_way(&self) -> GiveWay {
+        GiveWay { clock: self.clone(), given: false }
     }
 
     /// Moves to `to_ns` and wakes whoever is due. Time never goes back.
@@ -102,6 +157,25 @@ impl Future for Sleep {
             return Poll::Ready(());
         }
         self.clock.wake_at(self.at_ns, context.waker());
+        Poll::Pending
+    }
+}
+
+/// See [`Clock::give_way`].
+pub struct GiveWay {
+    clock: Clock,
+    given: bool,
+}
+
+impl Future for GiveWay {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
+        if std::mem::replace(&mut self.given, true) {
+            return Poll::Ready(());
+        }
+        // Time stands still until nobody is ready; then this is due.
+        self.clock.wake_at(self.clock.now_ns(), context.waker());
         Poll::Pending
     }
 }

@@ -4,7 +4,7 @@ use std::{
     pin::{Pin, pin},
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicU8, AtomicUsize, Ordering},
     },
     task::{Context, Poll, Wake, Waker},
     time::{Duration, Instant},
@@ -43,15 +43,58 @@ struct Task {
     waker: Waker,
 }
 
-struct Ready(AtomicBool);
+/// Whether a task is to be polled.
+struct Ready {
+    state: AtomicU8,
+    /// Of the simulation: how many tasks are.
+    count: Arc<AtomicUsize>,
+}
+
+impl Ready {
+    const WAITING: u8 = 0;
+    const READY: u8 = 1;
+    /// Whoever still has a waker changes nothing any more.
+    const ENDED: u8 = 2;
+
+    /// Of a task that has to be polled a first time.
+    fn new(clock: &Clock) -> Arc<Self> {
+        let ready = Arc::new(Self { state: AtomicU8::new(Self::WAITING), count: clock.ready_counter() });
+        ready.wake_by_ref();
+        ready
+    }
+
+    fn is_ready(&self) -> bool {
+        self.state.load(Ordering::Relaxed) == Self::READY
+    }
+
+    /// Whether the task was ready; it is not after.
+    fn take(&self) -> bool {
+        self.leave(Self::WAITING)
+    }
+
+    fn end(&self) {
+        self.leave(Self::ENDED);
+    }
+
+    fn leave(&self, state: u8) -> bool {
+        let was_ready = self.state.swap(state, Ordering::Relaxed) == Self::READY;
+        if was_ready {
+            self.count.fetch_sub(1, Ordering::Relaxed);
+        }
+        was_ready
+    }
+}
 
 impl Wake for Ready {
     fn wake(self: Arc<Self>) {
-        self.0.store(true, Ordering::Relaxed);
+        self.wake_by_ref();
     }
 
     fn wake_by_ref(self: &Arc<Self>) {
-        self.0.store(true, Ordering::Relaxed);
+        let was = self.state.compare_exchange(Self::WAITING, Self::READY, Ordering::Relaxed, Ordering::Relaxed);
+        if was.is_ok() {
+            self.count.fetch_add(1, Ordering::Relaxed);
+        }
     }
 }
 
@@ -76,7 +119,7 @@ impl Simulation {
 
     /// Adds a task below all that are there.
     pub fn spawn(&mut self, future: impl Future<Output = ()> + 'static) -> TaskId {
-        let ready = Arc::new(Ready(AtomicBool::new(true)));
+        let ready = Ready::new(&self.clock);
         let id = TaskId(self.next_id);
         self.next_id += 1;
         self.tasks.push(Task { id, future: Box::pin(future), waker: Waker::from(ready.clone()), ready });
@@ -86,8 +129,7 @@ impl Simulation {
     /// Drops a task where it stands, as a reset does; one that has ended already is no error.
     pub fn end(&mut self, id: TaskId) {
         if let Some(index) = self.tasks.iter().position(|task| task.id == id) {
-            let task = self.tasks.remove(index);
-            self.clock.forget(&task.waker);
+            self.remove(index);
         }
     }
 
@@ -96,7 +138,7 @@ impl Simulation {
     /// Returns `None` when `main` waits for something that can never happen: nothing is ready and nobody sleeps.
     pub fn block_on<T>(&mut self, main: impl Future<Output = T>) -> Option<T> {
         let mut main = pin!(main);
-        let ready = Arc::new(Ready(AtomicBool::new(true)));
+        let ready = Ready::new(&self.clock);
         let waker = Waker::from(ready.clone());
         let clock = self.clock.clone();
         let begin = (Instant::now(), clock.now_ns());
@@ -105,16 +147,20 @@ impl Simulation {
                 if self.poll_one() {
                     continue;
                 }
-                if ready.0.swap(false, Ordering::Relaxed) {
+                if ready.take() {
                     match main.as_mut().poll(&mut Context::from_waker(&waker)) {
                         Poll::Ready(value) => {
+                            ready.end();
                             clock.forget(&waker);
                             return Some(value);
                         }
                         Poll::Pending => continue,
                     }
                 }
-                let next_ns = self.clock.next_wake()?;
+                let Some(next_ns) = self.clock.next_wake() else {
+                    ready.end();
+                    return None;
+                };
                 self.keep_pace(begin, next_ns);
                 self.clock.advance(next_ns);
             }
@@ -123,16 +169,21 @@ impl Simulation {
 
     /// Polls the highest task that is ready; false when there is none.
     fn poll_one(&mut self) -> bool {
-        let Some(index) = self.tasks.iter().position(|task| task.ready.0.load(Ordering::Relaxed)) else {
+        let Some(index) = self.tasks.iter().position(|task| task.ready.is_ready()) else {
             return false;
         };
         let task = &mut self.tasks[index];
-        task.ready.0.store(false, Ordering::Relaxed);
+        task.ready.take();
         if task.future.as_mut().poll(&mut Context::from_waker(&task.waker)).is_ready() {
-            let task = self.tasks.remove(index);
-            self.clock.forget(&task.waker);
+            self.remove(index);
         }
         true
+    }
+
+    fn remove(&mut self, index: usize) {
+        let task = self.tasks.remove(index);
+        task.ready.end();
+        self.clock.forget(&task.waker);
     }
 
     fn keep_pace(&self, (wall, begin_ns): (Instant, u64), next_ns: u64) {
@@ -167,6 +218,44 @@ mod tests {
         let clock = simulation.clock();
         assert_eq!(simulation.block_on(async { clock.sleep_until(650).await }), Some(()));
         assert_eq!(*seen.borrow(), [(200, "b"), (300, "a"), (400, "b"), (600, "a"), (600, "b")]);
+    }
+
+    /// A task that lets time pass by itself stops for others when they are due: nobody runs late, also those below it.
+    #[test]
+    fn who_runs_ahead_stops_at_the_next_sleeper_and_gives_way() {
+        let mut simulation = Simulation::default();
+        let seen = Rc::new(RefCell::new(Vec::new()));
+        let (clock, log) = (simulation.clock(), seen.clone());
+        simulation.spawn(async move {
+            loop {
+                while clock.is_anyone_ready() {
+                    clock.give_way().await;
+                }
+                let now_ns = clock.run_ahead(clock.now_ns() + 70);
+                log.borrow_mut().push((now_ns, "ahead"));
+            }
+        });
+        let (clock, log) = (simulation.clock(), seen.clone());
+        let below = simulation.spawn(async move {
+            clock.sleep_until(100).await;
+            log.borrow_mut().push((clock.now_ns(), "below"));
+        });
+        let (clock, log) = (simulation.clock(), seen.clone());
+        let main = async move {
+            for at_ns in [100, 100, 250] {
+                clock.sleep_until(at_ns).await;
+                log.borrow_mut().push((clock.now_ns(), "main"));
+            }
+        };
+        assert_eq!(simulation.block_on(main), Some(()));
+        let (ahead, main) = (|at_ns| (at_ns, "ahead"), |at_ns| (at_ns, "main"));
+        let expected =
+            [ahead(70), ahead(100), (100, "below"), main(100), main(100), ahead(170), ahead(240), ahead(250)];
+        assert_eq!(seen.borrow()[..8], expected);
+        assert_eq!(seen.borrow()[8..], [main(250)]);
+        // Nobody counts who has ended, also if woken once more.
+        simulation.end(below);
+        assert!(!simulation.clock().is_anyone_ready());
     }
 
     #[test]

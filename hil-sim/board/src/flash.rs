@@ -182,6 +182,12 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         }
     }
 
+    /// Words from `address` on lose what they held, as when a reset falls into their programming: they cannot be read.
+    pub fn spoil(&mut self, address: u32, words: u32) {
+        let first = address as usize / WORD_BYTES;
+        self.words.iter_mut().skip(first).take(words as usize).for_each(|word| *word = Word::UNREADABLE);
+    }
+
     /// The next step, if the power lasts: after it, what a cut within it leaves.
     async fn step(&mut self, takes_ns: u64) -> Result<Option<Tear>, FlashError> {
         self.check_power()?;

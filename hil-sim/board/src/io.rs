@@ -11,20 +11,11 @@ use r4_firmware::platform::Bus;
 use crate::{
     flash::{Flash, FlashError, SECTOR_BYTES},
     i2c::Fault,
-    world::World,
+    world::{Controller, World},
 };
 
 /// The controller gives a transfer up after this long without progress: twice the longest transfer on this bus.
 const BUS_TIMEOUT_NS: u64 = 1_000_000;
-
-/// Which of the processor's I2C controllers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Controller {
-    /// That of the board's own chips.
-    Board,
-    /// That of an external connector.
-    External(usize),
-}
 
 /// An I2C controller.
 ///
@@ -59,6 +50,10 @@ impl I2c for BoardBus {
             let mut world = self.world.borrow_mut();
             let clock = world.clock().clone();
             let bus = world.bus_of(self.controller);
+            if !bus.lines_are_free(clock.now_ns()) {
+                // The controller sees that before it begins, and says so at once.
+                return Err(BusError(Fault::StuckLow { since_ns: clock.now_ns() }));
+            }
             let start_ns = bus.earliest_start_ns(clock.now_ns());
             let end_ns = start_ns + bus.planned_duration_ns(operations);
             (clock, start_ns, end_ns)
@@ -66,11 +61,7 @@ impl I2c for BoardBus {
         clock.sleep_until(end_ns).await;
         let result = {
             let mut world = self.world.borrow_mut();
-            world.catch_up();
-            let result = world.bus_of(self.controller).execute(start_ns, address, operations);
-            // The expander's pins and the DAC's outputs change with the transfer; the PWM chips' at the end of their cycle.
-            world.look_at_lines();
-            result
+            world.on_bus(self.controller, |bus| bus.execute(start_ns, address, operations))
         };
         match result {
             Ok(_) => Ok(()),

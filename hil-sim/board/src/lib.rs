@@ -7,6 +7,9 @@
 //!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
 //! ```
 //!
+//! A processor can also drive the world's pins and buses itself, with its own timing: `world/wires.rs`. What every board
+//! has, whatever runs on its processor, is its [`Surroundings`].
+//!
 //! Chip models are written from datasheets and share no constant with the firmware's drivers. What a real chip ignores
 //! in silence is reported ([`misuse`]). Same robot, same seed, same host: same bits, on every machine.
 //!
@@ -34,8 +37,11 @@ pub mod link;
 pub mod misuse;
 pub mod sensors;
 pub mod stop;
+mod surroundings;
+pub mod uart;
 pub mod world;
 
-pub use board::{Lights, SimBoard, SimError};
-pub use clock::{Clock, Sleep};
+pub use board::SimBoard;
+pub use clock::{Clock, GiveWay, Sleep};
 pub use executor::{Pace, Simulation, TaskId};
+pub use surroundings::{Light, Lights, SimError, Surroundings, VirtualBoard};

@@ -16,7 +16,7 @@ use embedded_hal_async::digital::Wait;
 pub struct Line {
     high: Cell<bool>,
     edges: Cell<u64>,
-    waiting: RefCell<Option<Waker>>,
+    waiting: RefCell<Vec<Waker>>,
 }
 
 impl Line {
@@ -30,9 +30,7 @@ impl Line {
     pub fn set(&self, high: bool) {
         if self.high.replace(high) != high {
             self.edges.set(self.edges.get() + 1);
-            if let Some(waker) = self.waiting.take() {
-                waker.wake();
-            }
+            self.waiting.take().into_iter().for_each(Waker::wake);
         }
     }
 
@@ -40,6 +38,20 @@ impl Line {
     #[must_use]
     pub fn is_high(&self) -> bool {
         self.high.get()
+    }
+
+    /// Edges since the line was made.
+    #[must_use]
+    pub fn edges(&self) -> u64 {
+        self.edges.get()
+    }
+
+    /// Wakes `waker` at the next edge, once; the edge is at the virtual time at which the woken task runs.
+    pub fn on_change(&self, waker: &Waker) {
+        let mut waiting = self.waiting.borrow_mut();
+        if !waiting.iter().any(|known| known.will_wake(waker)) {
+            waiting.push(waker.clone());
+        }
     }
 }
 
@@ -57,7 +69,7 @@ impl InputLine {
                     return Poll::Ready(());
                 }
             }
-            *self.0.waiting.borrow_mut() = Some(context.waker().clone());
+            self.0.on_change(context.waker());
             Poll::Pending
         })
         .await;
@@ -140,5 +152,47 @@ impl<F: FnMut(bool)> OutputPin for OutputLine<F> {
 
     fn set_high(&mut self) -> Result<(), Infallible> {
         self.set(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Simulation;
+
+    /// A task that polls, as an emulator does, and one that waits, as the firmware's does: both see each edge at its time.
+    #[test]
+    fn an_edge_wakes_all_who_look_at_its_time() {
+        let mut simulation = Simulation::default();
+        let (line, seen) = (Line::new(true), Rc::new(RefCell::new(Vec::new())));
+        let (of, log, clock) = (line.clone(), seen.clone(), simulation.clock());
+        simulation.spawn(poll_fn(move |context| {
+            log.borrow_mut().push((clock.now_ns(), "polls", of.is_high(), of.edges()));
+            of.on_change(context.waker());
+            Poll::Pending
+        }));
+        let (of, log, clock) = (line.clone(), seen.clone(), simulation.clock());
+        simulation.spawn(async move {
+            loop {
+                let Ok(()) = InputLine(of.clone()).wait_for_any_edge().await;
+                log.borrow_mut().push((clock.now_ns(), "waits", of.is_high(), of.edges()));
+            }
+        });
+        let clock = simulation.clock();
+        simulation.block_on(async {
+            for (at_ns, high) in [(100, false), (150, false), (230, true)] {
+                clock.sleep_until(at_ns).await;
+                line.set(high);
+            }
+            clock.sleep(1).await;
+        });
+        let expected = [
+            (0, "polls", true, 0),
+            (100, "polls", false, 1),
+            (100, "waits", false, 1),
+            (230, "polls", true, 2),
+            (230, "waits", true, 2),
+        ];
+        assert_eq!(*seen.borrow(), expected);
     }
 }

@@ -11,10 +11,11 @@ use std::{
 
 use embedded_io_async::{ErrorType, Read, Write};
 
-use crate::clock::Clock;
+use crate::{
+    clock::Clock,
+    uart::{LineNoise, UartByte, ns_per_byte},
+};
 
-/// Bits on the wire for one byte: start, eight data, stop.
-const BITS_PER_BYTE: u64 = 10;
 /// Bytes a sender may have under way before it has to wait, as in a UART driver's ring buffer.
 const BUFFER: usize = 1024;
 
@@ -22,9 +23,29 @@ const BUFFER: usize = 1024;
 struct Pipe {
     clock: Clock,
     ns_per_byte: u64,
-    /// Byte and the moment its last bit arrives.
-    under_way: VecDeque<(u64, u8)>,
+    under_way: VecDeque<OnWire>,
     reader: Option<Waker>,
+    noise: Option<LineNoise>,
+}
+
+/// A byte under way.
+struct OnWire {
+    /// When its last bit arrives.
+    at_ns: u64,
+    /// What arrives then; `None` where noise hid it.
+    byte: Option<UartByte>,
+}
+
+impl Pipe {
+    /// Sends a byte that has arrived at `at_ns`.
+    fn push(&mut self, at_ns: u64, value: u8) {
+        let sent = UartByte::clean(at_ns, value);
+        let byte = self.noise.as_mut().map_or(Some(sent), |noise| noise.pass(sent));
+        self.under_way.push_back(OnWire { at_ns, byte });
+        if let Some(reader) = self.reader.take() {
+            reader.wake();
+        }
+    }
 }
 
 /// The receiving end of a direction.
@@ -47,13 +68,75 @@ pub fn serial(clock: &Clock, baud: u32) -> (Port, Port) {
     let pipe = || {
         Rc::new(RefCell::new(Pipe {
             clock: clock.clone(),
-            ns_per_byte: BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1)),
+            ns_per_byte: ns_per_byte(baud),
             under_way: VecDeque::new(),
             reader: None,
+            noise: None,
         }))
     };
     let (there, back) = (pipe(), pipe());
     (Port { rx: Receiver(back.clone()), tx: Sender(there.clone()) }, Port { rx: Receiver(there), tx: Sender(back) })
+}
+
+/// Both directions of a link, to disturb.
+#[derive(Clone)]
+pub struct Cable {
+    to_device: Rc<RefCell<Pipe>>,
+    to_host: Rc<RefCell<Pipe>>,
+}
+
+impl Cable {
+    /// The cable of which `device` is the far end.
+    #[must_use]
+    pub fn of(device: &Port) -> Self {
+        Self { to_device: device.rx.0.clone(), to_host: device.tx.0.clone() }
+    }
+
+    /// Disturbs what is sent to the device from now on; `None` ends that.
+    pub fn disturb_to_device(&self, noise: Option<LineNoise>) {
+        self.to_device.borrow_mut().noise = noise;
+    }
+
+    /// Disturbs what is sent to the host from now on; `None` ends that.
+    pub fn disturb_to_host(&self, noise: Option<LineNoise>) {
+        self.to_host.borrow_mut().noise = noise;
+    }
+}
+
+/// For a device that makes its own timing.
+impl Receiver {
+    /// The next byte that has arrived up to and at `now_ns`, with everything that a receiver can see of it.
+    pub fn take_arrived(&mut self, now_ns: u64) -> Option<UartByte> {
+        let mut pipe = self.0.borrow_mut();
+        loop {
+            let arrived = pipe.under_way.pop_front_if(|on_wire| on_wire.at_ns <= now_ns)?;
+            if arrived.byte.is_some() {
+                return arrived.byte;
+            }
+        }
+    }
+
+    /// When the next byte arrives of those that are under way; that of one that was not taken yet lies in the past.
+    #[must_use]
+    pub fn next_arrival_ns(&self) -> Option<u64> {
+        self.0.borrow().under_way.iter().find(|on_wire| on_wire.byte.is_some()).map(|next| next.at_ns)
+    }
+
+    /// Wakes `waker` once, when the next byte is sent: before it arrives.
+    pub fn on_sent(&self, waker: &Waker) {
+        self.0.borrow_mut().reader = Some(waker.clone());
+    }
+}
+
+/// For a device that makes its own timing.
+impl Sender {
+    /// Puts a byte on the wire whose stop bit ends at `at_ns`, not before that of the one before it. Nothing is held
+    /// back: the device's own transmitter does that.
+    pub fn push(&mut self, at_ns: u64, byte: u8) {
+        let mut pipe = self.0.borrow_mut();
+        let at_ns = pipe.under_way.back().map_or(at_ns, |last| at_ns.max(last.at_ns));
+        pipe.push(at_ns, byte);
+    }
 }
 
 impl ErrorType for Receiver {
@@ -69,17 +152,22 @@ impl Read for Receiver {
         poll_fn(|context| {
             let mut pipe = self.0.borrow_mut();
             let now_ns = pipe.clock.now_ns();
-            let arrived = pipe.under_way.iter().take_while(|(at_ns, _)| *at_ns <= now_ns).count();
-            let len = arrived.min(buffer.len());
-            if len > 0 || buffer.is_empty() {
-                for (slot, (_, byte)) in buffer.iter_mut().zip(pipe.under_way.drain(..len)) {
-                    *slot = byte;
+            let mut len = 0;
+            while len < buffer.len()
+                && let Some(arrived) = pipe.under_way.pop_front_if(|on_wire| on_wire.at_ns <= now_ns)
+            {
+                // A driver drops what has no stop bit.
+                if let Some(byte) = arrived.byte.filter(|byte| !byte.framing_error) {
+                    buffer[len] = byte.value;
+                    len += 1;
                 }
+            }
+            if len > 0 || buffer.is_empty() {
                 return Poll::Ready(Ok(len));
             }
             match pipe.under_way.back() {
                 // A receiver that sleeps until the line falls idle, as a UART with idle detection does.
-                Some((last_ns, _)) => pipe.clock.wake_at(*last_ns, context.waker()),
+                Some(last) => pipe.clock.wake_at(last.at_ns, context.waker()),
                 None => pipe.reader = Some(context.waker().clone()),
             }
             Poll::Pending
@@ -93,20 +181,18 @@ impl Write for Sender {
         poll_fn(|context| {
             let mut pipe = self.0.borrow_mut();
             let now_ns = pipe.clock.now_ns();
-            let on_the_wire = pipe.under_way.iter().filter(|(at_ns, _)| *at_ns > now_ns).count();
+            let on_the_wire = pipe.under_way.iter().filter(|on_wire| on_wire.at_ns > now_ns).count();
             let len = bytes.len().min(BUFFER - on_the_wire.min(BUFFER));
             if len == 0 && !bytes.is_empty() {
-                let drained_ns = pipe.under_way.iter().find(|(at_ns, _)| *at_ns > now_ns).map_or(now_ns, |(at, _)| *at);
+                let next = pipe.under_way.iter().find(|on_wire| on_wire.at_ns > now_ns);
+                let drained_ns = next.map_or(now_ns, |next| next.at_ns);
                 pipe.clock.wake_at(drained_ns, context.waker());
                 return Poll::Pending;
             }
-            let mut at_ns = pipe.under_way.back().map_or(now_ns, |(at_ns, _)| now_ns.max(*at_ns));
+            let mut at_ns = pipe.under_way.back().map_or(now_ns, |last| now_ns.max(last.at_ns));
             for byte in &bytes[..len] {
                 at_ns += pipe.ns_per_byte;
-                pipe.under_way.push_back((at_ns, *byte));
-            }
-            if let Some(reader) = pipe.reader.take() {
-                reader.wake();
+                pipe.push(at_ns, *byte);
             }
             Poll::Ready(Ok(len))
         })
@@ -141,6 +227,44 @@ mod tests {
         assert_eq!(received.as_deref(), Some(&b"0123456789"[..]));
         // 10 bytes x 10 bits at 1 Mbit/s.
         assert_eq!(clock.now_ns(), 100_000);
+    }
+
+    #[test]
+    fn a_device_with_its_own_timing_says_when_bytes_pass() {
+        let mut simulation = Simulation::default();
+        let clock = simulation.clock();
+        let (mut host, mut device) = serial(&clock, 1_000_000);
+        simulation.block_on(async { host.tx.write_all(b"ab").await }).unwrap().unwrap();
+        assert_eq!(device.rx.next_arrival_ns(), Some(10_000));
+        assert_eq!(device.rx.take_arrived(9_999), None);
+        assert_eq!(device.rx.take_arrived(50_000), Some(UartByte::clean(10_000, b'a')));
+        assert_eq!(device.rx.take_arrived(50_000), Some(UartByte::clean(20_000, b'b')));
+        assert_eq!((device.rx.take_arrived(50_000), device.rx.next_arrival_ns()), (None, None));
+        // 8.68 us a byte; the second one cannot end before the first
+        device.tx.push(8_680, b'x');
+        device.tx.push(8_000, b'y');
+        device.tx.push(17_360, b'z');
+        let mut buffer = [0; 3];
+        simulation.block_on(async { host.rx.read_exact(&mut buffer).await }).unwrap().unwrap();
+        assert_eq!((&buffer, clock.now_ns()), (b"xyz", 17_360));
+    }
+
+    /// Every byte of an inverted line loses its start bit; spikes change nothing but a flag.
+    #[test]
+    fn noise_acts_on_what_is_sent_after_it_began() {
+        let mut simulation = Simulation::default();
+        let clock = simulation.clock();
+        let (mut host, mut device) = serial(&clock, 1_000_000);
+        let cable = Cable::of(&device);
+        simulation.block_on(async { host.tx.write_all(b"a").await }).unwrap().unwrap();
+        cable.disturb_to_device(Some(LineNoise::new(1.0, 0.0, 1)));
+        simulation.block_on(async { host.tx.write_all(b"b").await }).unwrap().unwrap();
+        cable.disturb_to_device(Some(LineNoise::new(0.0, 1.0, 1)));
+        simulation.block_on(async { host.tx.write_all(b"c").await }).unwrap().unwrap();
+        assert_eq!(device.rx.take_arrived(30_000), Some(UartByte::clean(10_000, b'a')));
+        assert_eq!(device.rx.next_arrival_ns(), Some(30_000));
+        let spiked = UartByte { noise: true, ..UartByte::clean(30_000, b'c') };
+        assert_eq!(device.rx.take_arrived(30_000), Some(spiked));
     }
 
     #[test]

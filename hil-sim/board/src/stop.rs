@@ -4,7 +4,7 @@ use std::fmt;
 
 use r4_protocol::config::{BoardConfig, RelayRole};
 
-use crate::{board::SimBoard, chips::pca9685::Pca9685, world::World};
+use crate::{chips::pca9685::Pca9685, surroundings::Surroundings, world::World};
 
 /// Outputs of a PCA9685.
 const PWM_OUTPUTS: u8 = 16;
@@ -84,14 +84,14 @@ pub struct StopWatch {
 impl StopWatch {
     /// Takes the first look.
     #[must_use]
-    pub fn new(board: &SimBoard) -> Self {
+    pub fn new(board: &Surroundings) -> Self {
         let mut watch = Self { safe_since_ns: [None; Outputs::ALL.len()], steps: Vec::new(), pulses: Vec::new() };
         watch.look(board);
         watch
     }
 
     /// Looks at all outputs now.
-    pub fn look(&mut self, board: &SimBoard) {
+    pub fn look(&mut self, board: &Surroundings) {
         let config = &board.robot().config;
         let mut world = board.world();
         let now_ns = world.clock().now_ns();

@@ -11,7 +11,7 @@ use r4_firmware::ResetCause;
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Parameter, ParameterKey, Refusal, SafetyState, Setpoint,
 };
-use r4_sim::{Clock, Pace, SimBoard, Simulation};
+use r4_sim::{Clock, Pace, SimBoard, Simulation, VirtualBoard};
 
 /// A board that can be restarted between sessions.
 struct Restarts {

@@ -10,8 +10,9 @@ mod harness;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use harness::{
-    Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, bench_with_misuse,
-    control_of, lines_of, osmc_bench, pwm_of, raw_bench,
+    Bench, Device, LINEAR, MS, ROTARY, SUPPLY_12, SUPPLY_24, US, bench, bench_left_alone, control_of, lines_of,
+    osmc_bench, pwm_of, raw_bench,
+    trip::{CHECK_EVERY, CHECKS, PERIOD_NS, SETTLED_MS, Trip, bench_with_rod_at, nothing},
 };
 use proptest::prelude::*;
 use r4_boards::Robot;
@@ -27,7 +28,10 @@ use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, Request, SafetyState,
     config::{BoardConfig, Feedback},
 };
-use r4_sim::i2c::{Disturbance, Span};
+use r4_sim::{
+    i2c::{Disturbance, Span},
+    world::BoardChip,
+};
 use rand_pcg::{
     Pcg64,
     rand_core::{Rng, SeedableRng},
@@ -37,109 +41,6 @@ use rand_pcg::{
 const WRITTEN_SAFE_NS: u64 = 5 * MS;
 /// The supervisor looks this often at causes without a line of their own.
 const SUPERVISOR_NS: u64 = MS;
-/// One pass of the control loop of the bench.
-const PERIOD_NS: u64 = MS;
-/// A steadily driven bench looks at its chip once in so many periods ...
-const CHECK_EVERY: u64 = 4;
-/// ... at one of so many things in turn: the mode, the relays, and four lines of each of two bridges.
-const CHECKS: u64 = 10;
-/// More than anything needs to pass: contact bounce (20 ms), the supply's filter, setting the chip up again.
-const SETTLED_MS: u64 = 150;
-
-/// How one cause is brought about, and what must follow.
-struct Trip<I: AsyncFn(&Bench<'_>, &Robot)> {
-    cause: Cause,
-    /// Brings it about on a board with a running motor; its own time counts.
-    inject: I,
-    /// Whether it is present until it is taken away, or over at once.
-    stays: bool,
-    /// Takes it away again.
-    remedy: fn(&Device, &Robot),
-    /// From the injection until the bridges are off.
-    off_ns: u64,
-    /// From the injection until all outputs of the chip were written off; `None` while the bus does not work.
-    written_ns: Option<u64>,
-    /// Injected at as many moments, spread over the 72 ms in which the firmware looks at everything once.
-    moments: u64,
-}
-
-/// The bench, its rod somewhere on its stroke.
-fn bench_with_rod_at(start_m: f64) -> Robot {
-    let mut robot = osmc_bench();
-    robot.simulation.motors[1].start = start_m;
-    robot
-}
-
-/// For causes that are over at once.
-fn nothing(_: &Device, _: &Robot) {}
-
-impl<I: AsyncFn(&Bench<'_>, &Robot)> Trip<I> {
-    /// Runs it: off in time, tripped, latched, and afterwards as new.
-    fn check(&self, name: &str) {
-        let robot = bench_with_rod_at(0.010);
-        let (mut worst_off_ns, mut worst_written_ns) = (0, None);
-        for moment in 0..self.moments {
-            let phase_ns = moment * CHECKS * CHECK_EVERY * PERIOD_NS / self.moments + moment * 137 * US;
-            bench_with_misuse(&robot, async |bench| {
-                bench.run_rotary(phase_ns).await;
-                let device = bench.device();
-                device.record_wire();
-                let at_ns = device.clock.now_ns();
-                (self.inject)(bench, &robot).await;
-                let off_ns = device.wait_off(at_ns, self.off_ns).await;
-                let off_ns = off_ns.unwrap_or_else(|| panic!("{name}: not off after {} us", self.off_ns / US));
-                worst_off_ns = worst_off_ns.max(off_ns);
-                if let Some(limit_ns) = self.written_ns {
-                    let written_ns = device.wait_all_off_written(at_ns, limit_ns).await;
-                    let written_ns = written_ns.filter(|after_ns| *after_ns <= limit_ns);
-                    assert!(written_ns.is_some(), "{name}: not written off after {} us", limit_ns / US);
-                    worst_written_ns = worst_written_ns.max(written_ns);
-                }
-                self.check_latch(bench, &robot).await;
-            });
-        }
-        eprintln!(
-            "{name}: off after at most {} us, written off after at most {:?} us",
-            worst_off_ns / US,
-            worst_written_ns.map(|ns| ns / US)
-        );
-    }
-
-    /// A trip is left by clearing and then arming, with the cause gone, and by nothing else.
-    async fn check_latch(&self, bench: &Bench<'_>, robot: &Robot) {
-        let (device, cause) = (bench.device(), self.cause);
-        let (state, causes) = bench.safety().await;
-        assert!(state == SafetyState::Tripped && causes.contains(cause), "{state}: {causes}");
-        if self.stays {
-            for refused in [bench.host.clear().await, bench.host.arm().await] {
-                let present =
-                    matches!(refused, Err(Error::Refused(Refusal::CausesPresent { causes })) if causes.contains(cause));
-                assert!(present, "{cause}: {refused:?} while it is present");
-            }
-        }
-        (self.remedy)(&device, robot);
-        bench.sleep_ms(SETTLED_MS).await;
-        let refused = bench.host.arm().await;
-        assert!(
-            matches!(refused, Err(Error::Refused(Refusal::Tripped { causes })) if causes.contains(cause)),
-            "{refused:?}"
-        );
-        assert_eq!(bench.host.safety().0, SafetyState::Tripped);
-        bench.host.clear().await.expect("the cause is gone");
-        assert_eq!(bench.safety().await, (SafetyState::Disarmed, Causes::NONE));
-        bench.host.arm().await.expect("cleared");
-        bench.sleep_ms(200).await;
-        assert_eq!(bench.host.safety().0, SafetyState::Armed, "{}", bench.host.safety().1);
-        assert_eq!(device.duty(ROTARY), 0.0, "the command from before the trip is not resumed");
-        bench.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
-        bench.sleep_ms(300).await;
-        assert!(
-            bench.board.world().speed(ROTARY).expect("the bench has the channel") > 0.5,
-            "a new command moves the motor"
-        );
-    }
-}
-
 #[test]
 fn dead_man_released() {
     Trip {
@@ -225,10 +126,7 @@ fn chip_lost_its_supply_for_a_moment() {
     Trip {
         cause: Cause::ReadBackMismatch,
         inject: async |bench, _| {
-            let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
-            // Seen by the bridge when the world next moves on.
-            bench.clock.sleep(1).await;
+            assert!(bench.board.world().brown_out(BoardChip::OsmcPwm), "the bench has it");
         },
         stays: false,
         remedy: nothing,
@@ -624,7 +522,7 @@ fn clearing_waits_until_the_chip_is_set_up_again() {
             bench.run_rotary(moment * 1_137 * US).await;
             let device = bench.device();
             let at_ns = bench.clock.now_ns();
-            bench.board.world().osmc_pwm().expect("the bench has it").borrow_mut().power_cycle(at_ns);
+            assert!(bench.board.world().brown_out(BoardChip::OsmcPwm), "the bench has it");
             device.record_wire();
             // The trip is known by the first write of the safe state; clearing is tried from then on without a pause.
             let limit_ns = (CHECKS + 1) * CHECK_EVERY * PERIOD_NS;

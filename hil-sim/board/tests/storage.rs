@@ -68,6 +68,7 @@ fn board(robot: &str, supplies: u8) -> BoardConfig {
         link_timeout_ms: 100,
         i2c_hz: 400_000,
         auxiliary_stop: false,
+        screen: false,
         air_temperature_c: 20.0,
         osmc_pwm: None,
         dhb_pwm: None,

@@ -1,6 +1,6 @@
 //! What can be typed.
 
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
@@ -15,7 +15,7 @@ use crate::{
 ///
 /// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 130 after
 /// Ctrl-C, which disarms first.
-#[derive(Debug, Parser)]
+#[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml
@@ -33,11 +33,40 @@ pub(crate) struct Args {
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
+    /// Print the log of an emulated board's firmware on stderr, from this level on [levels: trace, debug, info, warn, error;
+    /// without one: trace]
+    #[arg(
+        long,
+        global = true,
+        env = "R4_LOG",
+        value_enum,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "trace",
+        hide_possible_values = true,
+        value_name = "LEVEL"
+    )]
+    pub(crate) log: Option<LogLevel>,
     #[command(subcommand)]
     pub(crate) command: Command,
 }
 
-#[derive(Debug, Subcommand)]
+/// How much a record of the firmware's log matters; in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub(crate) enum LogLevel {
+    /// Everything.
+    Trace,
+    /// For whoever develops the firmware.
+    Debug,
+    /// What goes as it should.
+    Info,
+    /// What should not be.
+    Warn,
+    /// What fails.
+    Error,
+}
+
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Command {
     /// Drive the set points of the OSMC evaluation and compare with the paper's results
     Demo(Demo),
@@ -85,6 +114,10 @@ pub(crate) enum Command {
     I2c(I2c),
     /// Send and receive on a UART connector
     Uart(Uart),
+    /// Play files that say what is done to a virtual board, and print or compare what came of it
+    Scenario(Scenario),
+    /// Run the firmware's image on an emulated board under a debugger or with a trace
+    Debug(Debug),
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
@@ -92,8 +125,45 @@ pub(crate) enum Command {
     },
 }
 
-/// Each on sim:every-interface, unless `--board` names another robot with every kind of output.
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Scenario {
+    /// Play each on a simulated and on an emulated board, and list what differs
+    #[arg(long)]
+    pub(crate) compare: bool,
+    /// Scenarios, as docs/scenarios.md describes them
+    #[arg(required = true, value_name = "FILE")]
+    pub(crate) files: Vec<PathBuf>,
+}
+
+#[cfg_attr(not(feature = "emu"), expect(dead_code, reason = "there is nothing to debug"))]
+#[derive(Clone, Debug, clap::Args)]
+#[command(group = ArgGroup::new("how").required(true).multiple(true).args(["gdb", "trace", "until"]))]
+pub(crate) struct Debug {
+    /// Halt at the reset and serve gdb at this address, as in 127.0.0.1:3333
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) gdb: Option<SocketAddr>,
+    /// Run freely and halt for gdb after so many virtual seconds
+    #[arg(long, value_parser = seconds, value_name = "SECONDS", requires = "gdb")]
+    pub(crate) attach_at: Option<f64>,
+    /// The same in virtual nanoseconds, as failures tell them; serves gdb at 127.0.0.1:3333 unless --gdb names another address
+    #[arg(long, value_name = "NS", conflicts_with = "attach_at")]
+    pub(crate) until: Option<u64>,
+    /// Write exceptions, misuses and I2C transfers to a file, one a line; `-` is stdout
+    #[arg(long, value_name = "FILE")]
+    pub(crate) trace: Option<PathBuf>,
+    /// Trace only the calls of this function, with their arguments; may be given several times
+    #[arg(long, value_name = "NAME", requires = "trace")]
+    pub(crate) symbol: Vec<String>,
+    /// Play this scenario meanwhile; otherwise no host is connected
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scenario: Option<PathBuf>,
+    /// End after so many virtual seconds [default: with gdb, when it goes; otherwise 1]
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", conflicts_with = "scenario")]
+    pub(crate) seconds: Option<f64>,
+}
+
+/// `bus` and `safety` on sim:every-interface, unless `--board` names another robot with every kind of output.
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Bench {
     /// Bus occupancy and late control periods under growing load
     Bus {
@@ -107,16 +177,24 @@ pub(crate) enum Bench {
         #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         injections: u32,
     },
+    /// Stack, instructions and jitter of the firmware's ELF on an emulated board, emu:osmc-bench unless `--board` says
+    Firmware {
+        /// How long it is given everything at random, and then for how long as much as links carry
+        #[arg(long, default_value = "10", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+        seconds: f64,
+    },
+    /// Speed and memory of simulated boards, and of emulated ones where there are images for them
+    Sim,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Demo {
     /// Folder for log.mcap and report.html
     #[arg(long, default_value = "r4-demo", value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Motion {
     /// The channel, as in osmc0 or actuator1
     pub(crate) channel: ChannelId,
@@ -128,7 +206,7 @@ pub(crate) struct Motion {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Step {
     /// The stepper, as in stepper0
     pub(crate) channel: ChannelId,
@@ -140,7 +218,7 @@ pub(crate) struct Step {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Home {
     /// The channel, as in osmc0 or stepper0
     pub(crate) channel: ChannelId,
@@ -152,7 +230,7 @@ pub(crate) struct Home {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Held {
     /// The channel, as in servo3 or dac0
     pub(crate) channel: ChannelId,
@@ -164,7 +242,7 @@ pub(crate) struct Held {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Bldc {
     /// The drive, as in bldc0
     pub(crate) channel: ChannelId,
@@ -179,7 +257,7 @@ pub(crate) struct Bldc {
     pub(crate) seconds: Option<f64>,
 }
 
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Config {
     /// Every parameter, or those of a channel
     Show {
@@ -226,7 +304,7 @@ pub(crate) enum Config {
     },
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct I2c {
     /// The connector, 0 or 1
@@ -242,7 +320,7 @@ pub(crate) struct I2c {
     pub(crate) read: Option<u8>,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("what").required(true).multiple(true).args(["write", "read"]))]
 pub(crate) struct Uart {
     /// The connector, 0 or 1
@@ -262,7 +340,7 @@ pub(crate) struct Uart {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Bytes(pub(crate) Vec<u8>);
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Relay {
     /// The relay, as in relay1
     pub(crate) channel: ChannelId,
@@ -282,7 +360,7 @@ pub(crate) enum Contact {
     Off,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Watch {
     /// Channels [default: all]
     pub(crate) channels: Vec<ChannelId>,
@@ -373,6 +451,31 @@ mod tests {
     #[test]
     fn definitions_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn a_log_has_a_level_only_behind_an_equals_sign() {
+        let parsed = |typed: &[&str]| Args::try_parse_from([&["r4"], typed].concat()).map(|args| args.log).ok();
+        assert_eq!(parsed(&["--log", "info"]), Some(Some(LogLevel::Trace)));
+        assert_eq!(parsed(&["info", "--log=warn"]), Some(Some(LogLevel::Warn)));
+        assert_eq!(parsed(&["--log=loud", "info"]), None);
+    }
+
+    #[test]
+    fn debugging_needs_to_know_how() {
+        let parsed = |typed: &str| Args::try_parse_from(["r4", "debug"].into_iter().chain(typed.split(' '))).is_ok();
+        for good in ["--gdb 127.0.0.1:3333", "--gdb [::1]:1 --attach-at 0.5", "--until 5", "--trace - --symbol main"] {
+            assert!(parsed(good), "{good}");
+        }
+        for bad in [
+            "--scenario a.toml",
+            "--gdb 3333",
+            "--attach-at 1",
+            "--symbol main",
+            "--until 5 --gdb [::1]:1 --attach-at 1",
+        ] {
+            assert!(!parsed(bad), "{bad}");
+        }
     }
 
     #[test]

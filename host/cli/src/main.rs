@@ -1,7 +1,10 @@
 //! `r4`: drives R4 boards, real and simulated.
 
 mod args;
+mod cable;
 mod commands;
+#[cfg(feature = "emu")]
+mod emulated;
 mod output;
 mod quantity;
 mod report;
@@ -39,6 +42,8 @@ fn main() -> ExitCode {
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
+        Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {

@@ -15,15 +15,36 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_sim::{Pace, SimBoard, Simulation, flash::Flash};
+use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
-use crate::args::Args;
+use crate::{
+    args::Args,
+    cable::{Cable, CableState},
+};
 
 /// What `--board` names.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Target {
     /// A simulated board of this robot: a built-in name or a TOML file.
     Sim(String),
+    /// An emulated processor that runs the firmware's ELF, in the same simulated surroundings.
+    Emu(String),
+}
+
+impl Target {
+    /// The same kind of board for another robot.
+    pub(crate) fn with_robot(&self, robot: &str) -> Self {
+        match self {
+            Self::Sim(_) => Self::Sim(robot.to_owned()),
+            Self::Emu(_) => Self::Emu(robot.to_owned()),
+        }
+    }
+
+    /// The robot's name or file.
+    pub(crate) fn robot(&self) -> &str {
+        let (Self::Sim(robot) | Self::Emu(robot)) = self;
+        robot
+    }
 }
 
 impl FromStr for Target {
@@ -32,8 +53,9 @@ impl FromStr for Target {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
             Some(("sim", robot)) if !robot.is_empty() => Ok(Self::Sim(robot.to_owned())),
-            Some(("emu" | "serial" | "can" | "tcp", _)) => {
-                Err(format!("`{text}`: this version only has simulated boards, as in sim:osmc-bench"))
+            Some(("emu", robot)) if !robot.is_empty() => Ok(Self::Emu(robot.to_owned())),
+            Some(("serial" | "can" | "tcp", _)) => {
+                Err(format!("`{text}`: this version only has simulated and emulated boards, as in sim:osmc-bench"))
             }
             _ => {
                 let known: Vec<_> = r4_boards::names().map(|name| format!("sim:{name}")).collect();
@@ -50,6 +72,7 @@ impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Sim(robot) => write!(f, "sim:{robot}"),
+            Self::Emu(robot) => write!(f, "emu:{robot}"),
         }
     }
 }
@@ -71,13 +94,24 @@ impl Clock for HostClock {
 /// A connected board, and what only the program knows about it.
 pub(crate) struct Session<'s> {
     pub(crate) board: &'s Board<HostClock>,
-    simulated: Rc<SimBoard>,
+    surroundings: Rc<dyn VirtualBoard>,
+    cable: Rc<CableState>,
 }
 
 impl Session<'_> {
     /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
     pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
-        self.simulated.world().position(channel)
+        self.surroundings.world().position(channel)
+    }
+
+    /// The board with its surroundings, to look at and to break.
+    pub(crate) fn virtual_board(&self) -> &dyn VirtualBoard {
+        &*self.surroundings
+    }
+
+    /// The cable to the board, to cut.
+    pub(crate) fn cable(&self) -> &CableState {
+        &self.cable
     }
 
     /// Arms, runs `work`, and disarms whatever came of it.
@@ -114,6 +148,24 @@ const INTERRUPT_POLL_US: u64 = 10_000;
 
 /// Set by Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// Somebody has pressed Ctrl-C, or [`interrupt`] was called.
+#[cfg(feature = "emu")]
+pub(crate) fn is_interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Does what Ctrl-C does.
+#[cfg(feature = "emu")]
+pub(crate) fn interrupt() {
+    INTERRUPTED.store(true, Ordering::Relaxed);
+}
+
+/// Lets Ctrl-C end what runs in good order.
+pub(crate) fn catch_interrupts() {
+    // A second handler cannot be set; the first one does the same.
+    let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
+}
 
 /// The file with a simulated board's flash.
 struct FlashFile {
@@ -163,30 +215,60 @@ pub(crate) fn run<T>(
     default_pace: Pace,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
-    let Target::Sim(name) = &args.board;
-    let robot: Robot = r4_boards::load(name)?;
+    let robot: Robot = r4_boards::load(args.board.robot())?;
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
-    let board = Rc::new(match file.as_ref().map(FlashFile::flash).transpose()?.flatten() {
-        Some(flash) => SimBoard::start_with(&mut simulation, &robot, args.seed, flash)?,
-        None => SimBoard::start(&mut simulation, &robot, args.seed)?,
-    });
+    let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
+        eprintln!(
+            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{}",
+            args.board.robot()
+        );
+    }
+    let board = start(args, &mut simulation, &robot, flash)?;
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
-    // A second handler cannot be set; the first one does the same.
-    let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed));
+    catch_interrupts();
     let begin = Instant::now();
-    let host = with_board(port.rx, port.tx, HostClock(clock.clone()), async |connected| {
-        let session = Session { board: connected, simulated: board.clone() };
+    let (tx, cable) = Cable::new(port.tx, clock.clone());
+    let host = with_board(port.rx, tx, HostClock(clock.clone()), async |connected| {
+        let session = Session { board: connected, surroundings: board.clone(), cable };
         unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
     });
-    let result = simulation.block_on(host).ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
+    let result = simulation.block_on(host);
+    if let Some(failure) = board.failure() {
+        bail!("the emulated board stopped: {failure}");
+    }
+    let result = result.ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
     let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
     if let Some(file) = file {
         file.write(&board.flash())?;
     }
     let value = result.with_context(|| format!("cannot connect to {}", args.board))??;
     Ok((value, elapsed))
+}
+
+#[cfg(not(feature = "emu"))]
+pub(crate) const WITHOUT_EMULATOR: &str =
+    "this program was built without the emulator: build it with `--features emu` (it needs cmake and a C compiler)";
+
+/// Powers up the virtual board that `args` name.
+fn start(
+    args: &Args,
+    simulation: &mut Simulation,
+    robot: &Robot,
+    flash: Option<Flash>,
+) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    match &args.board {
+        Target::Sim(_) => Ok(match flash {
+            Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, args.seed, flash)?),
+            None => Rc::new(SimBoard::start(simulation, robot, args.seed)?),
+        }),
+        #[cfg(feature = "emu")]
+        Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
+        #[cfg(not(feature = "emu"))]
+        Target::Emu(_) => bail!("{WITHOUT_EMULATOR}"),
+    }
 }
 
 async fn unless_interrupted<T>(

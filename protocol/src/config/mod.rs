@@ -65,6 +65,8 @@ pub struct BoardConfig {
     pub i2c_hz: u32,
     /// Whether a stop button is wired to the auxiliary stop input; it trips when the line is low.
     pub auxiliary_stop: bool,
+    /// Whether a screen is plugged in, for the board's own display.
+    pub screen: bool,
     /// Air in front of the range sensors, °C: the speed of sound follows from it.
     pub air_temperature_c: f32,
     /// The PWM chip behind the OSMC bridges; needed when there are any.
@@ -148,6 +150,12 @@ pub struct ConfigError {
     pub channel: Option<ChannelId>,
     /// What must hold.
     pub rule: &'static str,
+}
+
+impl ConfigError {
+    fn new(channel: Option<ChannelId>, rule: &'static str) -> Self {
+        Self { channel, rule: if cfg!(feature = "brief") { "" } else { rule } }
+    }
 }
 
 impl fmt::Display for ConfigError {
@@ -387,7 +395,7 @@ impl Used {
 }
 
 fn check(channel: Option<ChannelId>, holds: bool, rule: &'static str) -> Result<(), ConfigError> {
-    if holds { Ok(()) } else { Err(ConfigError { channel, rule }) }
+    if holds { Ok(()) } else { Err(ConfigError::new(channel, rule)) }
 }
 
 /// No number is larger, and none that must be positive smaller than its inverse.

@@ -50,7 +50,7 @@ impl BoardConfig {
             write::number(&mut changed, place, key.parameter)
                 .ok_or(SetError::Unknown(key))?
                 .set(value)
-                .map_err(|rule| SetError::Invalid(ConfigError { channel: key.channel, rule }))?;
+                .map_err(|rule| SetError::Invalid(ConfigError::new(key.channel, rule)))?;
         }
         changed.validate().map_err(SetError::Invalid)?;
         *self = changed;

@@ -25,6 +25,7 @@ pub(crate) fn good() -> BoardConfig {
         link_timeout_ms: 200,
         i2c_hz: 400_000,
         auxiliary_stop: true,
+        screen: true,
         air_temperature_c: 20.0,
         osmc_pwm: Some(PwmConfig { address: 0x40, frequency_hz: 1526.0 }),
         dhb_pwm: Some(PwmConfig { address: 0x41, frequency_hz: 1526.0 }),

@@ -2,21 +2,45 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
+//! | `firmware` | `cargo xtask firmware`: the image for the Giga |
+//! | `flash`, `binary` | `cargo xtask flash`: the image written into the board |
+//! | `size` | `cargo xtask size`: what that image takes, and whether it may |
+//! | `image` | what an ELF file takes in flash and RAM |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
+mod binary;
+mod firmware;
+mod flash;
+mod image;
+mod size;
 mod summary;
 mod test;
 mod toolchain;
 
+mod probe;
+
 use std::{env, path::PathBuf, process::ExitCode};
+
+use firmware::Firmware;
+use flash::Flash;
+use size::Size;
 
 const USAGE: &str = "\
 usage: cargo xtask <task>
 
+  probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
-  test --fast   without the documentation";
+  test --fast   without the documentation
+  firmware      the image for the Arduino Giga, into target/firmware:
+                [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
+  flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
+                or by dfu-util over USB (--dfu: the hosted image; press reset twice before).
+                --dry-run prints the commands
+  size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
+                [--robot NAME|FILE.toml] (default osmc-bench), [--json]";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -24,7 +48,11 @@ const USAGE_ERROR: u8 = 2;
 #[derive(Debug, PartialEq)]
 enum Task {
     Help,
+    Probe,
     Test { fast: bool },
+    Firmware(Firmware),
+    Flash(Flash),
+    Size(Size),
 }
 
 fn main() -> ExitCode {
@@ -34,7 +62,11 @@ fn main() -> ExitCode {
             println!("{USAGE}");
             ExitCode::SUCCESS
         }
+        Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test { fast }) => test::run(&root(), fast),
+        Ok(Task::Firmware(firmware)) => firmware.run(&root()),
+        Ok(Task::Flash(flash)) => flash.run(&root()),
+        Ok(Task::Size(size)) => size.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -45,11 +77,15 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test", "--help" | "-h"] => Ok(Task::Help),
+        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash" | "size", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
+        ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
+        ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
+        ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        ["probe"] => Ok(Task::Probe),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
 }
@@ -71,6 +107,7 @@ mod tests {
     fn command_lines_are_understood() {
         assert_eq!(of("test"), Ok(Task::Test { fast: false }));
         assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
+        assert_eq!(of("probe"), Ok(Task::Probe));
         assert_eq!(of("--help"), Ok(Task::Help));
         assert_eq!(of("test --help"), Ok(Task::Help));
     }

@@ -8,41 +8,93 @@ use std::{
 };
 
 use crate::{
+    firmware::{self, Firmware},
     summary::{Outcome, Summary},
     toolchain::{self, TARGET},
 };
 
+/// Stand for the folders in which the board's image and the probe are built.
+const GIGA_TARGET: &str = "target/giga";
+const PROBE_TARGET: &str = "target/probe";
+
 struct Step {
     name: &'static str,
-    /// For cargo; the toolchain step has none.
-    arguments: &'static [&'static str],
-    environment: &'static [(&'static str, &'static str)],
+    run: Run,
     /// Left out by `--fast`.
     slow: bool,
 }
 
+/// What a step does.
+enum Run {
+    /// Looks for what the others need, and adds what is missing.
+    Toolchain,
+    /// Builds the board's images that the tests run.
+    Images,
+    /// Calls cargo.
+    Cargo {
+        /// Within the repository: each has a workspace.
+        folder: &'static str,
+        arguments: &'static [&'static str],
+        environment: &'static [(&'static str, &'static str)],
+    },
+}
+
+const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run {
+    Run::Cargo { folder, arguments, environment: &[] }
+}
+
+/// The images that tests run on the emulated board.
+const IMAGES: [(&str, &str); 4] =
+    [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
+
 /// Cheapest first: what fails most often is seen soonest.
-const STEPS: [Step; 6] = [
-    Step { name: "toolchain", arguments: &[], environment: &[], slow: false },
-    Step { name: "format", arguments: &["fmt", "--all", "--check"], environment: &[], slow: false },
+const STEPS: [Step; 10] = [
+    Step { name: "toolchain", run: Run::Toolchain, slow: false },
+    Step { name: "format", run: cargo(".", &["fmt", "--all", "--check"]), slow: false },
+    Step { name: "format, giga", run: cargo("firmware/giga", &["fmt", "--check"]), slow: false },
+    Step { name: "format, probe", run: cargo("hil-sim/probe", &["fmt", "--check"]), slow: false },
     Step {
         name: "lints",
-        arguments: &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"],
-        environment: &[],
+        run: cargo(".", &["clippy", "--workspace", "--all-targets", "--features", "r4/emu", "--", "-D", "warnings"]),
         slow: false,
     },
     Step {
-        name: "firmware",
-        arguments: &["build", "--release", "--target", TARGET, "-p", "r4-firmware", "-p", "r4-protocol"],
-        environment: &[],
+        name: "lints, probe",
+        run: cargo(
+            "hil-sim/probe",
+            &["clippy", "--release", "--locked", "--target-dir", PROBE_TARGET, "--", "-D", "warnings"],
+        ),
         slow: false,
     },
+    Step {
+        name: "lints, giga",
+        run: cargo(
+            "firmware/giga",
+            &[
+                "clippy",
+                "--release",
+                "--locked",
+                "--bins",
+                "--tests",
+                "--target-dir",
+                GIGA_TARGET,
+                "--",
+                "-D",
+                "warnings",
+            ],
+        ),
+        slow: false,
+    },
+    Step { name: "images", run: Run::Images, slow: false },
     // Without further arguments cargo runs the documentation's examples too.
-    Step { name: "tests", arguments: &["test", "--workspace"], environment: &[], slow: false },
+    Step { name: "tests", run: cargo(".", &["test", "--workspace", "--features", "r4/emu"]), slow: false },
     Step {
         name: "docs",
-        arguments: &["doc", "--workspace", "--no-deps"],
-        environment: &[("RUSTDOCFLAGS", "-D warnings")],
+        run: Run::Cargo {
+            folder: ".",
+            arguments: &["doc", "--workspace", "--no-deps"],
+            environment: &[("RUSTDOCFLAGS", "-D warnings")],
+        },
         slow: true,
     },
 ];
@@ -86,26 +138,47 @@ fn run_all<'s>(
 }
 
 fn execute(step: &Step, root: &Path) -> Result<(), String> {
-    if step.arguments.is_empty() {
-        return toolchain::complete(root);
+    match &step.run {
+        Run::Toolchain => toolchain::complete(root).and_then(|()| toolchain::emulator(root)),
+        Run::Images => IMAGES.iter().try_for_each(|(robot, image)| {
+            println!("{}", Firmware::new(robot, image).build(root)?);
+            Ok(())
+        }),
+        Run::Cargo { folder, arguments, environment } => {
+            let target = firmware::target_folder(root)?;
+            let (giga, probe) = (target.join("giga"), target.join("probe"));
+            let arguments = arguments.iter().map(|word| match *word {
+                GIGA_TARGET => giga.as_os_str(),
+                PROBE_TARGET => probe.as_os_str(),
+                word => word.as_ref(),
+            });
+            let status = Command::new(toolchain::cargo())
+                .args(arguments)
+                .envs(environment.iter().copied())
+                .current_dir(root.join(folder))
+                .status()
+                .map_err(|error| format!("cargo cannot be started: {error}"))?;
+            if status.success() {
+                Ok(())
+            } else {
+                Err(format!("see above. To run it alone:\n  {}", step.command_line()))
+            }
+        }
     }
-    let status = Command::new(toolchain::cargo())
-        .args(step.arguments)
-        .envs(step.environment.iter().copied())
-        .current_dir(root)
-        .status()
-        .map_err(|error| format!("cargo cannot be started: {error}"))?;
-    if status.success() { Ok(()) } else { Err(format!("see above. To run it alone:\n  {}", step.command_line())) }
 }
 
 impl Step {
     /// As a person would type it.
     fn command_line(&self) -> String {
-        if self.arguments.is_empty() {
-            return format!("rustfmt, clippy and the target {TARGET}");
+        match &self.run {
+            Run::Toolchain => format!("rustfmt, clippy, the target {TARGET}, cmake and libclang"),
+            Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
+            Run::Cargo { folder, arguments, environment } => {
+                let into = if *folder == "." { String::new() } else { format!("cd {folder} && ") };
+                let set: String = environment.iter().map(|(name, value)| format!("{name}='{value}' ")).collect();
+                format!("{into}{set}cargo {}", arguments.join(" "))
+            }
         }
-        let environment: String = self.environment.iter().map(|(name, value)| format!("{name}='{value}' ")).collect();
-        format!("{environment}cargo {}", self.arguments.join(" "))
     }
 }
 
@@ -120,10 +193,10 @@ mod tests {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
-        assert_eq!(executed, ["toolchain", "format", "lints"]);
+        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), 3, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), 5, "{summary}");
     }
 
     #[test]

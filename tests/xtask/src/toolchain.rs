@@ -3,7 +3,12 @@
 //! What is missing is found out by asking the tools, so that a Rust that did not come from rustup will do; only adding
 //! what is missing needs rustup.
 
-use std::{env, ffi::OsString, path::Path, process::Command};
+use std::{
+    env,
+    ffi::OsString,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 /// The Cortex-M7 of the Giga.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
@@ -49,6 +54,12 @@ impl Part {
     }
 }
 
+/// The folder of the toolchain that builds in `root`.
+pub(crate) fn sysroot(root: &Path) -> Option<PathBuf> {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    output(Command::new(rustc).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
+}
+
 /// Adds what is missing.
 ///
 /// # Errors
@@ -56,7 +67,7 @@ impl Part {
 pub(crate) fn complete(root: &Path) -> Result<(), String> {
     let missing = || Part::ALL.into_iter().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
     for part in missing() {
-        println!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
+        eprintln!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
         // Whether it worked is seen by looking again.
         let _ = Command::new("rustup").args(part.rustup_arguments()).current_dir(root).status();
     }
@@ -64,6 +75,33 @@ pub(crate) fn complete(root: &Path) -> Result<(), String> {
         [] => Ok(()),
         missing => Err(advice(missing, output(Command::new("rustup").arg("--version"), root).is_some())),
     }
+}
+
+/// What the emulated processor is built with, besides a C compiler: cmake, and libclang for the bindings. Where this is
+/// run as root on a Debian, as CI does, what is missing is installed.
+///
+/// # Errors
+/// What a person has to install.
+pub(crate) fn emulator(root: &Path) -> Result<(), String> {
+    let is_there = || {
+        let libraries = output(Command::new("ldconfig").arg("-p"), root).unwrap_or_default();
+        output(Command::new("cmake").arg("--version"), root).is_some()
+            && (libraries.contains("libclang") || env::var_os("LIBCLANG_PATH").is_some() || cfg!(target_os = "macos"))
+    };
+    if is_there() {
+        return Ok(());
+    }
+    println!("cmake or libclang is missing: apt-get install cmake libclang-dev");
+    for arguments in
+        [&["update", "-q"][..], &["install", "-q", "-y", "--no-install-recommends", "cmake", "libclang-dev"]]
+    {
+        // Whether it worked is seen by looking again.
+        let _ = Command::new("apt-get").args(arguments).status();
+    }
+    let advice = "the emulated board needs cmake and libclang, and apt-get could not install them, see above. Install them \
+                  with what installs software on this machine, as in `sudo apt-get install cmake libclang-dev`, or say \
+                  with LIBCLANG_PATH where libclang is";
+    if is_there() { Ok(()) } else { Err(advice.into()) }
 }
 
 fn advice(missing: &[Part], with_rustup: bool) -> String {

@@ -10,6 +10,7 @@ use super::{
     pid::{BadPeriod, OutputLimits},
 };
 use crate::shared::MotorStatus;
+use crate::within::Within;
 
 /// A motor channel, stepped once each control period.
 #[allow(clippy::large_enum_variant, reason = "no heap, and most motors are measured")]
@@ -62,7 +63,7 @@ impl Axis {
             Self::Measured(motor) => motor.step(),
             Self::Open(OpenMotor { limits, period_s, setpoint, duty, .. }) => {
                 let step = limits.slew_per_s * *period_s;
-                *duty = setpoint.value.clamp(*duty - step, *duty + step).clamp(-limits.magnitude, limits.magnitude);
+                *duty = setpoint.value.within(*duty - step, *duty + step).within(-limits.magnitude, limits.magnitude);
                 (*duty, Causes::NONE)
             }
         }

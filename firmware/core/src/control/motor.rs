@@ -13,6 +13,7 @@ use super::{
 use crate::{
     sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
     shared::MotorStatus,
+    within::Within,
 };
 
 /// One count of a potentiometer channel's position on the wire, m.
@@ -273,8 +274,8 @@ impl Motor {
             }
             Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
-                let duty = self.setpoint.value.clamp(self.duty - step, self.duty + step);
-                (duty.clamp(-limits.magnitude, limits.magnitude), Following::Duty)
+                let duty = self.setpoint.value.within(self.duty - step, self.duty + step);
+                (duty.within(-limits.magnitude, limits.magnitude), Following::Duty)
             }
         };
         self.duty = wanted;
@@ -366,7 +367,7 @@ impl Motor {
         hold.slipped |= holds && slip > self.control.settle.error / 2.0;
         if hold.slipped {
             let step = self.limits.slew_per_s * self.period_s;
-            hold.duty = duty_at_rest.clamp(hold.duty - step, hold.duty + step);
+            hold.duty = duty_at_rest.within(hold.duty - step, hold.duty + step);
         } else {
             hold.duty -= hold.duty * self.period_s / LET_GO_S;
             if hold.duty.abs() < NO_DUTY {
@@ -383,9 +384,9 @@ impl Motor {
         let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
         let down = stoppable(self.position - f64::from(range.min));
         let up = stoppable(f64::from(range.max) - self.position);
-        let wanted = self.setpoint.value.clamp(-down, up);
+        let wanted = self.setpoint.value.within(-down, up);
         let change = acceleration * self.period_s;
-        let reference = wanted.clamp(last - change, last + change);
+        let reference = wanted.within(last - change, last + change);
         // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
         let stands = self.speed.abs() <= self.control.settle.speed;
         // A load that slips once is left to the loop, which starts from what held it.
@@ -419,7 +420,7 @@ impl Motor {
         }
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
         let change = self.control.profile.acceleration * self.period_s;
-        homing.reference = wanted.clamp(homing.reference - change, homing.reference + change);
+        homing.reference = wanted.within(homing.reference - change, homing.reference + change);
         let path_duty = self.feed_forward(homing.reference.signum(), homing.reference);
         let error = homing.reference - self.speed;
         let duty = self.speed_loop.step(error, self.acceleration_now, path_duty, limits);

@@ -1,5 +1,6 @@
 //! PID with derivative on the measurement, back-calculation anti-windup, clipped and slew-limited output.
 
+use crate::within::Within;
 use r4_protocol::config::PidGains;
 
 /// What the output may do.
@@ -14,7 +15,7 @@ pub struct OutputLimits {
 impl OutputLimits {
     /// An integral, bounded: no load needs more than the whole range of the output, from one end to the other.
     fn bound(self, integral: f32) -> f32 {
-        integral.clamp(-2.0 * self.magnitude, 2.0 * self.magnitude)
+        integral.within(-2.0 * self.magnitude, 2.0 * self.magnitude)
     }
 }
 
@@ -66,10 +67,11 @@ impl Pid {
         let unlimited = kp * error + self.integral - kd * rate + feed_forward;
         let step = limits.slew_per_s * self.period_s;
         if !unlimited.is_finite() {
-            self.output = 0.0f32.clamp(self.output - step, self.output + step);
+            self.output = 0.0f32.within(self.output - step, self.output + step);
             return self.output;
         }
-        let output = unlimited.clamp(self.output - step, self.output + step).clamp(-limits.magnitude, limits.magnitude);
+        let output =
+            unlimited.within(self.output - step, self.output + step).within(-limits.magnitude, limits.magnitude);
         let excess = unlimited - output;
         self.integral = if excess * error > 0.0 {
             // Without a proportional part the tracking time is one period.

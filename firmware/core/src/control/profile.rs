@@ -1,5 +1,6 @@
 //! Trapezoidal path to a position, told as the distance still to go.
 
+use crate::within::Within;
 use r4_protocol::config::ProfileLimits;
 
 /// A path with limited speed and acceleration.
@@ -24,7 +25,7 @@ impl Profile {
     /// Starts anew: `distance` away from the target, moving at `speed` (clipped to the limit).
     pub fn start(&mut self, distance: f32, speed: f32) {
         self.to_go = distance;
-        self.speed = speed.clamp(-self.limits.speed, self.limits.speed);
+        self.speed = speed.within(-self.limits.speed, self.limits.speed);
     }
 
     /// Moves the target by `distance` while under way.
@@ -42,7 +43,7 @@ impl Profile {
         let stoppable = libm::sqrtf(half * half + 2.0 * acceleration * distance) - half;
         let wanted = towards * stoppable.min(self.limits.speed);
         let change = acceleration * dt;
-        self.speed = wanted.clamp(self.speed - change, self.speed + change);
+        self.speed = wanted.within(self.speed - change, self.speed + change);
         let moved = self.speed * dt;
         if distance <= change * dt && moved.abs() <= change * dt {
             self.to_go = 0.0;

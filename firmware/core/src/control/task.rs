@@ -53,7 +53,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
     let mut due = Instant::now();
     let mut late_in_a_row = 0;
     loop {
-        let begin = Instant::now();
+        let begin = period_begins(Instant::now());
         shared.control_tick(begin);
         control.tick(shared).await;
         due += period;
@@ -84,6 +84,13 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
             }
         }
     }
+}
+
+/// The moment at which each period begins, under a name: whoever measures the firmware from outside, in an emulator or with a
+/// debugger, finds it among the symbols. It does nothing else, and no two functions are alike so that they would be merged.
+#[inline(never)]
+fn period_begins(at: Instant) -> Instant {
+    core::hint::black_box(at)
 }
 
 struct Control<B, P> {

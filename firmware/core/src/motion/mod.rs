@@ -2,6 +2,7 @@
 
 pub mod axis;
 mod bank;
+pub mod generator;
 pub mod scurve;
 pub mod steps;
 

@@ -7,6 +7,7 @@
 //!
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
+use crate::within::Within;
 use heapless::Vec;
 
 /// Limits of a path. All positive; speed and acceleration finite.
@@ -360,7 +361,7 @@ fn root(low: (f64, f64), high: (f64, f64), function: impl Fn(f64) -> f64) -> f64
         } else {
             0.5
         };
-        share = share.clamp(least, 1.0 - least);
+        share = share.within(least, 1.0 - least);
     }
     a.0
 }

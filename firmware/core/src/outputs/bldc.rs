@@ -18,6 +18,7 @@ use r4_protocol::config::{BldcConfig, DacChipConfig, MAX_BLDCS, Reverse};
 
 use super::slew::towards;
 use crate::chips::mcp4728::{CODE_MAX, OUTPUTS};
+use crate::within::Within;
 
 /// What a drive is to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,7 +151,7 @@ impl Drive {
             self.braked = false;
             return;
         }
-        let mut target = if share.is_nan() { 0.0 } else { share.clamp(-1.0, 1.0) };
+        let mut target = if share.is_nan() { 0.0 } else { share.within(-1.0, 1.0) };
         match self.config.reverse {
             Reverse::Line { rest_ms, .. } if target != 0.0 && (target < 0.0) != self.backwards => {
                 if self.share == 0.0 && self.at_neutral_us >= 1000 * u32::from(rest_ms) {

@@ -4,6 +4,7 @@ use embedded_graphics::{pixelcolor::Rgb888, prelude::*, primitives::Rectangle};
 use r4_protocol::SafetyState;
 
 use super::glyph::mixed;
+use crate::within::Within;
 
 /// The middles of a letter's strokes, in pixels from its upper left corner.
 struct Letter {
@@ -87,7 +88,7 @@ where
     let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
     let colours = pixels.map(|(x, y)| {
         let distance = distance_to(word, x as f32 + 0.5 - left, y as f32 + 0.5 - top);
-        mixed(ink, paper, (HALF_STROKE - distance + 0.5).clamp(0.0, 1.0)).into()
+        mixed(ink, paper, (HALF_STROKE - distance + 0.5).within(0.0, 1.0)).into()
     });
     target.fill_contiguous(&area, colours)
 }
@@ -118,7 +119,7 @@ fn distance_to_segment((x, y): (f32, f32), from: (u8, u8), to: (u8, u8)) -> f32 
     let (from_x, from_y) = (f32::from(from.0), f32::from(from.1));
     let (along_x, along_y) = (f32::from(to.0) - from_x, f32::from(to.1) - from_y);
     let (x, y) = (x - from_x, y - from_y);
-    let along = ((x * along_x + y * along_y) / (along_x * along_x + along_y * along_y)).clamp(0.0, 1.0);
+    let along = ((x * along_x + y * along_y) / (along_x * along_x + along_y * along_y)).within(0.0, 1.0);
     let (x, y) = (x - along * along_x, y - along * along_y);
     libm::sqrtf(x * x + y * y)
 }

@@ -3,7 +3,11 @@
 use core::fmt::Write;
 
 use embedded_graphics::{
-    mono_font::iso_8859_1::{FONT_6X12, FONT_9X15, FONT_9X18_BOLD, FONT_10X20},
+    // Only a robot's name may have letters beyond ASCII, which double a font.
+    mono_font::{
+        ascii::{FONT_6X12, FONT_9X15, FONT_10X20},
+        iso_8859_1::FONT_9X18_BOLD,
+    },
     pixelcolor::Rgb888,
     prelude::*,
     primitives::Rectangle,
@@ -13,9 +17,11 @@ use r4_protocol::{Causes, Range, SafetyState, config::MAX_SUPPLIES};
 
 use super::{
     banner,
+    fixed::Fixed,
     glyph::Face,
     view::{Bar, Link, Supply, View},
 };
+use crate::within::Within;
 
 /// Of the picture, in pixels.
 pub const SIZE: Size = Size::new(480, 320);
@@ -228,14 +234,16 @@ where
             self.label(Point::new(SUPPLY_X, y + 12), TINY, NAME, |view| match view.supplies.get(index) {
                 Some(Supply { range_v, .. }) => {
                     let digits = digits(range_v);
-                    Label::new(PALE, format_args!("{:.digits$}-{:.digits$} V", range_v.min, range_v.max))
+                    let [min, max] = [range_v.min, range_v.max].map(|value| Fixed { value, digits });
+                    Label::new(PALE, format_args!("{min}-{max} V"))
                 }
                 None => Label::blank(),
             })?;
             self.label(Point::new(right_edge(VOLTS, FIGURE), y + 2), FIGURE, VOLTS, |view| {
                 let Some(Supply { volts, range_v, .. }) = view.supplies.get(index) else { return Label::blank() };
                 let digits = digits(range_v);
-                let label = Label::new(WHITE, format_args!("{volts:.digits$} V")).right(VOLTS);
+                let figure = Fixed { value: *volts, digits };
+                let label = Label::new(WHITE, format_args!("{figure} V")).right(VOLTS);
                 if range_v.contains(*volts) { label } else { label.on(RED) }
             })?;
         }
@@ -291,7 +299,10 @@ where
         if layout.figures {
             let x = left + layout.width + 4;
             self.label(Point::new(x, at.y), layout.face, VALUE, |view| match view.bars.get(index) {
-                Some(bar) => Label::new(if bar.moving { WHITE } else { PALE }, format_args!("{:+.2}", bar.value)),
+                Some(bar) => {
+                    let figure = Fixed { value: bar.value, digits: 2 };
+                    Label::new(if bar.moving { WHITE } else { PALE }, format_args!("{figure:+}"))
+                }
                 None => Label::blank(),
             })?;
         }
@@ -406,7 +417,7 @@ impl Columns {
     fn of(bar: &Bar, width: i32) -> Self {
         let middle = width / 2;
         // NaN becomes 0.
-        let length = libm::roundf(bar.value.clamp(-1.0, 1.0) * middle as f32) as i32;
+        let length = libm::roundf(bar.value.within(-1.0, 1.0) * middle as f32) as i32;
         Self { middle, edge: middle + length, colour: if bar.moving { BLUE } else { GREY } }
     }
 

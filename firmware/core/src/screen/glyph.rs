@@ -1,5 +1,6 @@
 //! Characters of any size from the bitmaps of the fonts, always with their background, so that each is one window.
 
+use crate::within::Within;
 use embedded_graphics::{
     mono_font::{MonoFont, MonoTextStyle},
     pixelcolor::{BinaryColor, Rgb888},
@@ -76,7 +77,7 @@ impl Bitmap {
         let (top, bottom) = middle(y, scale);
         let row = |y: i32| self.bit(left, y) + (self.bit(left + 1, y) - self.bit(left, y)) * right;
         let ink = row(top) + (row(top + 1) - row(top)) * bottom;
-        ((ink - CUT) * scale as f32 + 0.5).clamp(0.0, 1.0)
+        ((ink - CUT) * scale as f32 + 0.5).within(0.0, 1.0)
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod banner;
 mod draw;
+mod fixed;
 mod glyph;
 mod panel;
 mod source;

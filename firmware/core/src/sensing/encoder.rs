@@ -1,6 +1,7 @@
 //! Quadrature encoder: a 16-bit counter made 32-bit, and speed by counts and by time between counts.
 
 use super::filter::LowPass;
+use crate::within::Within;
 
 /// Position and speed of a shaft with a quadrature encoder.
 ///
@@ -59,7 +60,7 @@ impl Encoder {
             // Less than one count in all this time: the speed cannot be higher than one count over it.
             let still = self.periods_since_count == self.still_after_periods;
             let most = if still { 0.0 } else { 1.0 / (periods * self.period_s) };
-            self.filter.reset(self.filter.value().clamp(-most, most));
+            self.filter.reset(self.filter.value().within(-most, most));
         }
         (self.position, self.filter.value())
     }

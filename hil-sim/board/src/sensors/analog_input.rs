@@ -90,14 +90,20 @@ impl AnalogInput {
         if self.noise_rms_codes == 0.0 {
             return self.code_without_noise(volts);
         }
-        let exact = self.exact_code(volts);
-        let sample = |_| {
-            let noise: f64 = StandardNormal.sample(noise);
-            u64::from(quantized(exact + noise * self.noise_rms_codes))
-        };
+        let sample = |_| u64::from(quantized(self.sample(volts, noise)));
         let samples = u64::from(self.samples.max(1));
         let sum: u64 = (0..samples).map(sample).sum();
         ((sum + samples / 2) / samples) as u16
+    }
+
+    /// One sample before it is made a whole code within range.
+    pub(crate) fn sample(&self, volts: f64, noise: &mut Pcg64) -> f64 {
+        let exact = self.exact_code(volts);
+        if self.noise_rms_codes == 0.0 {
+            return exact;
+        }
+        let noise: f64 = StandardNormal.sample(noise);
+        exact + noise * self.noise_rms_codes
     }
 
     /// The same without noise.

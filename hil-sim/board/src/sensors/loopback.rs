@@ -4,16 +4,15 @@ use std::collections::VecDeque;
 
 use crate::i2c::I2cChip;
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
-
-/// Bits on the wire for one byte: start, eight data, stop.
-const BITS_PER_BYTE: u64 = 10;
+use crate::uart::{LineNoise, UartByte, ns_per_byte};
 
 /// A byte on the wire.
 #[derive(Clone, Copy, Debug)]
 struct OnWire {
     start_ns: u64,
     end_ns: u64,
-    byte: u8,
+    /// What arrives; `None` where noise hid it.
+    byte: Option<UartByte>,
 }
 
 /// What a read brought.
@@ -32,8 +31,9 @@ pub struct UartLoopback {
     capacity: usize,
     now_ns: u64,
     under_way: VecDeque<OnWire>,
-    received: VecDeque<u8>,
+    received: VecDeque<UartByte>,
     lost: u64,
+    noise: Option<LineNoise>,
     connected: bool,
     connected_since_ns: u64,
 }
@@ -44,12 +44,13 @@ impl UartLoopback {
     #[must_use]
     pub fn new(baud: u32, capacity: usize) -> Self {
         Self {
-            ns_per_byte: BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1)),
+            ns_per_byte: ns_per_byte(baud),
             capacity,
             now_ns: 0,
             under_way: VecDeque::new(),
             received: VecDeque::new(),
             lost: 0,
+            noise: None,
             connected: true,
             connected_since_ns: 0,
         }
@@ -61,9 +62,46 @@ impl UartLoopback {
         let mut start_ns = self.under_way.back().map_or(self.now_ns, |last| last.end_ns);
         for &byte in bytes {
             let end_ns = start_ns + self.ns_per_byte;
-            self.under_way.push_back(OnWire { start_ns, end_ns, byte });
+            self.put(start_ns, end_ns, byte);
             start_ns = end_ns;
         }
+    }
+
+    /// A byte from a sender with its own timing, whose stop bit ended at `at_ns`: at once it has arrived, too.
+    pub fn sent(&mut self, at_ns: u64, byte: u8) {
+        let start_ns = at_ns.saturating_sub(self.ns_per_byte);
+        let start_ns = self.under_way.back().map_or(start_ns, |last| start_ns.max(last.end_ns.min(at_ns)));
+        self.put(start_ns, at_ns, byte);
+    }
+
+    /// The next byte that has arrived up to and at `at_ns`, for a receiver with its own buffer: none is lost here.
+    pub fn take_arrived(&mut self, at_ns: u64) -> Option<UartByte> {
+        self.now_ns = self.now_ns.max(at_ns);
+        if let Some(byte) = self.received.pop_front() {
+            return Some(byte);
+        }
+        loop {
+            let next = self.under_way.pop_front_if(|next| next.end_ns <= self.now_ns)?;
+            if let Some(byte) = next.byte.filter(|_| self.was_connected(&next)) {
+                return Some(byte);
+            }
+        }
+    }
+
+    /// Disturbs what is sent from now on; `None` ends that.
+    pub fn disturb(&mut self, noise: Option<LineNoise>) {
+        self.noise = noise;
+    }
+
+    fn put(&mut self, start_ns: u64, end_ns: u64, value: u8) {
+        let sent = UartByte::clean(end_ns, value);
+        let byte = self.noise.as_mut().map_or(Some(sent), |noise| noise.pass(sent));
+        self.under_way.push_back(OnWire { start_ns, end_ns, byte });
+    }
+
+    /// From start to stop bit, as far as the cable was not plugged since.
+    fn was_connected(&self, byte: &OnWire) -> bool {
+        self.connected && byte.start_ns >= self.connected_since_ns
     }
 
     /// Takes what has arrived up to and at `at_ns`, oldest first, as much as `buffer` holds; the rest stays.
@@ -71,7 +109,7 @@ impl UartLoopback {
         self.advance(at_ns);
         let len = buffer.len().min(self.received.len());
         for (slot, byte) in buffer.iter_mut().zip(self.received.drain(..len)) {
-            *slot = byte;
+            *slot = byte.value;
         }
         Received { len, lost: std::mem::take(&mut self.lost) }
     }
@@ -94,11 +132,12 @@ impl UartLoopback {
     fn advance(&mut self, to_ns: u64) {
         self.now_ns = self.now_ns.max(to_ns);
         while let Some(next) = self.under_way.pop_front_if(|next| next.end_ns <= self.now_ns) {
-            if !self.connected || next.start_ns < self.connected_since_ns {
+            // A driver drops what has no stop bit.
+            let Some(byte) = next.byte.filter(|byte| !byte.framing_error && self.was_connected(&next)) else {
                 continue;
-            }
+            };
             if self.received.len() < self.capacity {
-                self.received.push_back(next.byte);
+                self.received.push_back(byte);
             } else {
                 self.lost += 1;
             }
@@ -391,6 +430,24 @@ mod tests {
     }
 
     const S: u64 = 1_000_000_000;
+
+    /// 8.68 us a byte at 1.152 Mbit/s; the cable was not there for all of the second byte.
+    #[test]
+    fn bytes_of_a_sender_with_its_own_timing_come_back_when_they_end() {
+        let mut uart = UartLoopback::new(1_152_000, 1);
+        uart.sent(10_000, b'a');
+        uart.sent(20_000, b'b');
+        uart.sent(40_000, b'c');
+        assert_eq!(uart.next_arrival_ns(), Some(10_000));
+        assert_eq!(uart.take_arrived(9_999), None);
+        uart.set_connected(12_000, false);
+        uart.set_connected(13_000, true);
+        assert_eq!(uart.take_arrived(50_000), Some(UartByte::clean(10_000, b'a')));
+        assert_eq!(uart.take_arrived(50_000), Some(UartByte::clean(40_000, b'c')));
+        uart.disturb(Some(LineNoise::new(1.0, 0.0, 1)));
+        uart.sent(60_000, b'd');
+        assert_eq!(uart.take_arrived(100_000), None, "no start bit");
+    }
 
     #[test]
     fn a_page_is_written_and_read_back() {

@@ -10,7 +10,7 @@
 //! | [`quadrature`] | edges in order with their time, glitches, chatter, lost edges; timer in encoder mode 3 with input filter | phase error of the disc, limits of an interrupt-driven decoder (they are the firmware's) |
 //! | [`switch`] | contact bounce, normally open or closed, pull resistor, cut and shorted wire | wetting current, wear, RC filters |
 //! | [`analog_input`] | divider tolerance, bend below the clamp, reference error, offset, noise, oversampling, open and short | settling of the sampling capacitor, non-linearity of the converter, cross-talk of channels |
-//! | [`loopback`] | UART bytes at their time, bounded receive FIFO, unplugged cable; 24C02 EEPROM with page writes and write time | framing and parity errors, baud mismatch; write-protect pin, wear, loss of power during a write |
+//! | [`loopback`] | UART bytes at their time, bounded receive FIFO, unplugged cable, noise; 24C02 EEPROM with page writes and write time | parity errors, baud mismatch; write-protect pin, wear, loss of power during a write |
 //! | [`dac_output`] | code to volts with gain and offset error, swing of the output buffer | settling, load, non-linearity |
 
 pub mod analog_input;
@@ -23,7 +23,7 @@ pub mod switch;
 use rand_pcg::{Pcg64, rand_core::Rng};
 
 /// A number drawn evenly from 0 up to, not including, 1.
-fn uniform(generator: &mut Pcg64) -> f64 {
+pub(crate) fn uniform(generator: &mut Pcg64) -> f64 {
     // the 53 bits that a double can hold
     (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }

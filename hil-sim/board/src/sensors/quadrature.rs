@@ -134,6 +134,12 @@ impl QuadratureSignal {
         self.count
     }
 
+    /// When a glitch begins or ends next, if one is to come.
+    #[must_use]
+    pub fn next_glitch_ns(&self) -> Option<u64> {
+        self.glitches.iter().map(Glitch::next_ns).min()
+    }
+
     /// What goes wrong at random from now on.
     pub fn set_noise(&mut self, noise: EdgeNoise) {
         self.noise = noise;

@@ -4,6 +4,7 @@ use std::{cell::RefCell, rc::Rc};
 
 use r4_boards::Robot;
 
+use super::wires::BoardChip;
 use crate::{
     chips::{
         mcp4728::{CHANNELS, Mcp4728, Setting},
@@ -81,6 +82,18 @@ impl Chips {
 
     pub(super) fn set_bridge_outputs_enabled(&self, at_ns: u64, enabled: bool) {
         self.osmc_pwm.iter().chain(&self.dhb_pwm).for_each(|chip| chip.borrow_mut().set_output_enable(at_ns, enabled));
+    }
+
+    /// Takes the supply of one chip away and returns it; false when the board does not have it.
+    pub(super) fn power_cycle(&self, chip: BoardChip, at_ns: u64) -> bool {
+        match chip {
+            BoardChip::OsmcPwm => self.osmc_pwm.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),
+            BoardChip::DhbPwm => self.dhb_pwm.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),
+            BoardChip::ServoPwm => self.servo_pwm.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),
+            BoardChip::BldcDac => self.bldc_dac.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),
+            BoardChip::Expander => self.expander.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),
+        }
+        .is_some()
     }
 
     pub(super) fn misuse(&self) -> Vec<Misuse> {

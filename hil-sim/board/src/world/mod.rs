@@ -5,9 +5,11 @@
 
 mod chips;
 mod drives;
+mod encoders;
 mod motor;
 mod pins;
 mod stepping;
+mod wires;
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -20,17 +22,23 @@ use r4_protocol::{
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
-    chips::{mcp4728::Mcp4728, mcp23017::PinState, pca9685::Pca9685},
+    chips::{
+        mcp4728::Mcp4728,
+        mcp23017::{Mcp23017, PinState},
+        pca9685::Pca9685,
+    },
     clock::Clock,
     i2c::I2cBus,
-    io::Controller,
     misuse::Misuse,
     sensors::hc_sr04::HcSr04,
 };
 use chips::Chips;
 use drives::{Bldc, Servo};
+pub use encoders::EncoderEdge;
 use motor::Motor;
-use pins::Pins;
+pub use pins::{AnalogSource, Pins, SwitchInput};
+pub use stepping::StepPulses;
+pub use wires::{BoardChip, Controller};
 
 /// The physical world around one board.
 pub struct World {
@@ -50,6 +58,8 @@ pub struct World {
     steppers: Vec<stepping::Axis>,
     rails: Vec<Rail>,
     pins: Pins,
+    /// The processor's counters of encoder edges; each is taken out while it is fed.
+    counters: [Option<encoders::Counter>; 4],
     noise: Pcg64,
 }
 
@@ -63,11 +73,11 @@ struct Rail {
 pub(crate) struct Processor(pub(crate) Rc<RefCell<World>>);
 
 impl World {
-    /// The world of `robot` at time 0, its noise drawn from `seed`.
+    /// The world of `robot` at time 0, its noise drawn from `seed`. It follows `clock`, which must be at 0.
     ///
     /// # Errors
     /// When a plant's file is not right.
-    pub(crate) fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
+    pub fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
         let chips = Chips::new(robot, &mut bus);
         let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
@@ -79,6 +89,8 @@ impl World {
             let Some(wiring) = motor.map(|motor| motor.bridge) else { continue };
             motors.push(Motor::new(simulated, wiring, rail, seed.wrapping_add(index.into()))?);
         }
+        let pins = Pins::new(robot, seed);
+        let counters = encoders::counters(&pins.encoders);
         Ok(Self {
             clock,
             now_ns: 0,
@@ -93,7 +105,8 @@ impl World {
             servos: drives::servos(robot),
             steppers: drives::steppers(robot),
             rails,
-            pins: Pins::new(robot, seed),
+            pins,
+            counters,
             noise: Pcg64::seed_from_u64(seed),
         })
     }
@@ -159,7 +172,7 @@ impl World {
         for axis in &mut self.steppers {
             // First the pulses up to now: a driver does not go back in time.
             axis.catch_up(self.now_ns);
-            axis.driver.supply(self.now_ns, powered);
+            axis.supply(self.now_ns, powered);
         }
     }
 
@@ -173,51 +186,8 @@ impl World {
         self.chips.pin(relay.bit) == PinState::Driven(!relay.active_low)
     }
 
-    /// The DISABLE line of the OSMC bridges.
-    pub(crate) fn set_osmc_disabled(&mut self, disabled: bool) {
-        self.catch_up();
-        self.osmc_disabled = disabled;
-        self.stale = true;
-        self.look_at_lines();
-    }
-
-    /// The output-enable line of the motor PWM chips, as the board wires it: high is off.
-    pub(crate) fn set_pwm_outputs_disabled(&mut self, disabled: bool) {
-        self.catch_up();
-        self.chips.set_bridge_outputs_enabled(self.clock.now_ns(), !disabled);
-        self.look_at_lines();
-    }
-
-    /// The line to an external watchdog, which every edge kicks.
-    pub(crate) fn set_heartbeat(&mut self, _high: bool) {
-        self.pins.kick(self.clock.now_ns());
-    }
-
-    /// The bus behind one of the processor's controllers.
-    pub(crate) fn bus_of(&mut self, controller: Controller) -> &mut I2cBus {
-        match controller {
-            Controller::Board => &mut self.bus,
-            Controller::External(connector) => self.pins.external_bus(connector, self.clock.now_ns()),
-        }
-    }
-
     pub(crate) fn uart_port(&mut self, connector: usize) -> &mut pins::UartPort {
         &mut self.pins.uarts[connector]
-    }
-
-    /// The processor is reset: its lines float until it drives them again, and what it counted is lost.
-    pub(crate) fn reset_processor(&mut self) {
-        self.catch_up();
-        // Pulled to where nothing moves.
-        self.set_osmc_disabled(true);
-        self.set_pwm_outputs_disabled(true);
-        self.steppers.iter_mut().for_each(stepping::Axis::reset);
-        self.pins.reset_processor();
-    }
-
-    pub(crate) fn set_stepper_enable(&mut self, high: bool) {
-        let now_ns = self.clock.now_ns();
-        self.steppers.iter_mut().for_each(|axis| axis.driver.enable(now_ns, high));
     }
 
     fn axis(&mut self, connector: u8) -> Option<&mut stepping::Axis> {
@@ -348,6 +318,12 @@ impl World {
     #[must_use]
     pub fn bldc_dac(&self) -> Option<&Rc<RefCell<Mcp4728>>> {
         self.chips.bldc_dac.as_ref()
+    }
+
+    /// The expander behind relays, directions and brakes.
+    #[must_use]
+    pub fn expander(&self) -> Option<&Rc<RefCell<Mcp23017>>> {
+        self.chips.expander.as_ref()
     }
 
     /// Everything done against a datasheet so far, in order of time.

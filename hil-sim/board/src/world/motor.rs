@@ -1,7 +1,7 @@
 //! Motors: a bridge, what turns behind it, and what measures that.
 
 use r4_boards::{SimulatedMotor, SimulatedSensor};
-use r4_plants::{Drive, Plant, PlantError, PlantSpec};
+use r4_plants::{Drive, Model, Plant, PlantError, PlantSpec};
 use r4_protocol::{
     ChannelId,
     config::{BridgeConfig, BridgeLines, DhbLines},
@@ -27,6 +27,8 @@ pub(super) struct Motor {
     pub(super) plant: Plant,
     pub(super) drive: Drive,
     pub(super) sensor: Option<SimulatedSensor>,
+    /// Of its current at a standstill, by the supply: rad/s^2 or m/s^2 per V.
+    acceleration_per_v: f64,
 }
 
 enum Bridge {
@@ -55,7 +57,13 @@ impl Motor {
             plant,
             drive: Drive::COAST,
             sensor: simulated.sensor,
+            acceleration_per_v: acceleration_per_v(spec.model()),
         })
+    }
+
+    /// What the motor reaches when it is reversed at full speed, rad/s^2 or m/s^2: its own voltage adds to the supply's.
+    pub(super) fn top_acceleration(&self, supply_v: f64) -> f64 {
+        2.0 * supply_v.max(0.0) * self.acceleration_per_v
     }
 
     /// Whether its PWM comes from the OSMC's chip; from the DHB's otherwise.
@@ -84,6 +92,20 @@ impl Motor {
         match &self.bridge {
             Bridge::Osmc { model, .. } => model.misuse(),
             Bridge::Dhb { model, .. } => model.misuse(),
+        }
+    }
+}
+
+/// Without friction and inductance, which both take from it.
+fn acceleration_per_v(model: &Model) -> f64 {
+    match model {
+        Model::DcGearMotor(motor) => {
+            motor.gear_ratio * motor.torque_constant_nm_per_a / (motor.resistance_ohm * motor.inertia_kg_m2)
+        }
+        Model::LinearActuator(actuator) => {
+            let turn_per_m = std::f64::consts::TAU / actuator.lead_m_per_rev;
+            let mass_kg = actuator.moving_mass_kg + actuator.rotor_inertia_kg_m2 * turn_per_m * turn_per_m;
+            turn_per_m * actuator.torque_constant_nm_per_a / (actuator.resistance_ohm * mass_kg)
         }
     }
 }

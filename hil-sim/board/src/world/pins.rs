@@ -3,14 +3,11 @@
 use std::{cell::RefCell, rc::Rc, task::Waker};
 
 use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
-use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, EchoState, Encoders, Ranging, SwitchInputs},
-    sensing::quadrature::Decoder,
-};
+use r4_firmware::platform::{AnalogInputs, AnalogOutputs, EchoState, Ranging, SwitchInputs};
 use r4_protocol::ChannelId;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Processor, World};
+use super::{Processor, Rail, World};
 use crate::{
     i2c::I2cBus,
     misuse::Misuse,
@@ -19,7 +16,7 @@ use crate::{
         dac_output::DacOutput,
         hc_sr04::HcSr04Array,
         loopback::{Eeprom24c02, UartLoopback},
-        quadrature::{HardwareCounter, QuadratureSignal, Transition},
+        quadrature::QuadratureSignal,
         switch::{BOUNCE_NS, Contact, Pull, Switch},
     },
 };
@@ -28,10 +25,6 @@ use crate::{
 const CODE_MAX: f64 = 65_535.0;
 /// The converter's reference, V.
 const REFERENCE_V: f64 = 3.3;
-/// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
-const ENCODER_FILTER_NS: u64 = 267;
-/// The first inputs are counted by timers, the others by interrupts.
-const ENCODERS_ON_TIMERS: usize = 3;
 /// Speed of the UART connectors.
 const UART_BAUD: u32 = 115_200;
 /// What the processor's driver keeps of received bytes until they are read.
@@ -48,13 +41,12 @@ pub struct Pins {
     pub(super) echoes: [Echo; HcSr04Array::MODULES],
     /// Encoder tracks, by connector.
     pub encoders: [QuadratureSignal; 4],
-    counters: [Counter; 4],
     /// Switches, by connector.
     pub switches: Vec<SwitchInput>,
     /// Divided inputs with what is at each, by input.
     pub analogs: [Option<AnalogSource>; 6],
     dac: DacOutput,
-    dac_codes: [u16; 2],
+    dac_v: [f64; 2],
     pub(crate) uarts: [UartPort; 2],
     pub(crate) external_buses: [I2cBus; 2],
     eeproms: [Rc<RefCell<Eeprom24c02>>; 2],
@@ -83,12 +75,6 @@ pub struct AnalogSource {
 pub(crate) struct UartPort {
     pub(crate) line: UartLoopback,
     pub(crate) reader: Option<Waker>,
-}
-
-/// What the processor makes of an encoder's tracks.
-enum Counter {
-    Timer(HardwareCounter),
-    Interrupts(Decoder),
 }
 
 /// What the processor's capture unit has of one echo line.
@@ -126,7 +112,6 @@ impl Pins {
             }
         }
         let encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
-        let counters = counters(&encoders);
         let switch = |spec: &SimulatedSwitch| {
             let seed = seed.wrapping_add(u64::from(spec.channel.index));
             SwitchInput { switch: Switch::new(Contact::NormallyOpen, Pull::Up, BOUNCE_NS, seed), spec: *spec }
@@ -141,11 +126,10 @@ impl Pins {
             rangers,
             echoes: [Echo::default(); HcSr04Array::MODULES],
             encoders,
-            counters,
             switches: truth.switches.iter().map(switch).collect(),
             analogs,
             dac: DacOutput::new(false),
-            dac_codes: [0; 2],
+            dac_v: [0.0; 2],
             uarts: [0, 1].map(|_| UartPort { line: UartLoopback::new(UART_BAUD, UART_BUFFER), reader: None }),
             external_buses,
             eeproms,
@@ -163,7 +147,13 @@ impl Pins {
     /// Voltage at one of the processor's analog outputs.
     #[must_use]
     pub fn dac_v(&self, output: usize) -> Option<f64> {
-        self.dac_codes.get(output).map(|code| self.dac.volts(*code))
+        self.dac_v.get(output).copied()
+    }
+
+    pub(super) fn set_dac_v(&mut self, output: usize, volts: f64) {
+        if let Some(place) = self.dac_v.get_mut(output) {
+            *place = volts;
+        }
     }
 
     /// The bus at one of the external I2C connectors, at `now_ns`.
@@ -174,8 +164,7 @@ impl Pins {
     }
 
     pub(super) fn reset_processor(&mut self) {
-        self.dac_codes = [0; 2];
-        self.counters = counters(&self.encoders);
+        self.dac_v = [0.0; 2];
     }
 
     /// An edge of the line to the external watchdog.
@@ -203,19 +192,6 @@ impl Pins {
     }
 }
 
-/// The processor's counters after a reset.
-fn counters(encoders: &[QuadratureSignal; 4]) -> [Counter; 4] {
-    std::array::from_fn(|index| {
-        let levels = encoders[index].levels();
-        if index < ENCODERS_ON_TIMERS {
-            return Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, levels));
-        }
-        let mut decoder = Decoder::new();
-        decoder.update(levels.a, levels.b);
-        Counter::Interrupts(decoder)
-    })
-}
-
 impl SwitchInput {
     /// The channel that reads it.
     #[must_use]
@@ -224,112 +200,81 @@ impl SwitchInput {
     }
 }
 
-impl World {
-    /// Lets encoder `index` follow its shaft to now.
-    fn turn_encoder(&mut self, index: usize) {
-        self.catch_up();
-        let counts = self.motors.iter().find_map(|motor| match motor.sensor {
-            Some(SimulatedSensor::Encoder { input, lines_per_turn }) if usize::from(input) == index => {
-                let turns = motor.plant.sensed_position() / std::f64::consts::TAU;
-                Some(turns * f64::from(lines_per_turn) * 4.0)
-            }
-            _ => None,
-        });
-        let (now_ns, pins) = (self.clock.now_ns(), &mut self.pins);
-        let (Some(signal), Some(counter)) = (pins.encoders.get_mut(index), pins.counters.get_mut(index)) else {
-            return;
-        };
-        let left_out = signal.advance(now_ns, counts.unwrap_or(0.0), |transition: Transition| match counter {
-            Counter::Timer(timer) => timer.take(transition),
-            Counter::Interrupts(decoder) => decoder.update(transition.levels.a, transition.levels.b),
-        });
-        if let Counter::Timer(timer) = counter {
-            timer.add(left_out);
-        }
+/// Lets a switch follow what actuates it, and reads it.
+pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
+    let now_ns = world.clock.now_ns();
+    let place = world.pins.switches.iter().position(|input| usize::from(input.spec.channel.index) == connector);
+    let Some(place) = place else { return true };
+    let SimulatedSwitch { axis, closed_below, .. } = world.pins.switches[place].spec;
+    if let Some(position) = axis.and_then(|axis| world.position(axis)) {
+        world.pins.switches[place].switch.set_actuated(now_ns, position < closed_below);
     }
-
-    /// Lets switch inputs follow what actuates them, and reads one.
-    fn switch_is_high(&mut self, index: u8) -> bool {
-        let now_ns = self.clock.now_ns();
-        let place = self.pins.switches.iter().position(|input| input.spec.channel.index == index);
-        let Some(place) = place else { return true };
-        let SimulatedSwitch { axis, closed_below, .. } = self.pins.switches[place].spec;
-        if let Some(position) = axis.and_then(|axis| self.position(axis)) {
-            self.pins.switches[place].switch.set_actuated(now_ns, position < closed_below);
-        }
-        self.pins.switches[place].switch.is_high(now_ns)
-    }
-
-    /// What the converter reads at input `index`.
-    fn analog_code(&mut self, index: u8) -> u16 {
-        self.catch_up();
-        let potentiometer = self.motors.iter().find_map(|motor| match motor.sensor {
-            Some(SimulatedSensor::Potentiometer { input, low, high, noise_rms_codes }) if input == index => {
-                let along = (motor.plant.sensed_position() - low.position_m) / (high.position_m - low.position_m);
-                let share = low.share() + along * (high.share() - low.share());
-                Some((share * CODE_MAX, noise_rms_codes))
-            }
-            _ => None,
-        });
-        if let Some((code, noise_rms_codes)) = potentiometer {
-            let noise: f64 = StandardNormal.sample(&mut self.noise);
-            return (code + noise * noise_rms_codes).round().clamp(0.0, CODE_MAX) as u16;
-        }
-        let rail_v = self.rails.iter().find(|rail| rail.spec.analog == index).map(|rail| rail.volts);
-        let Some(Some(source)) = self.pins.analogs.get(usize::from(index)) else { return 0 };
-        source.input.code(rail_v.unwrap_or(source.volts), &mut self.noise)
-    }
+    world.pins.switches[place].switch.is_high(now_ns)
 }
 
-impl Encoders for Processor {
-    fn count(&mut self, index: u8) -> u16 {
-        let mut world = self.0.borrow_mut();
-        let index = usize::from(index);
-        world.turn_encoder(index);
-        let now_ns = world.clock.now_ns();
-        match world.pins.counters.get_mut(index) {
-            Some(Counter::Timer(timer)) => timer.count(now_ns),
-            Some(Counter::Interrupts(decoder)) => decoder.count(),
-            None => 0,
+/// The converter's code without rounding for the potentiometer at `input`, if there is one: a sample.
+fn potentiometer(world: &mut World, input: usize) -> Option<f64> {
+    let (code, noise_rms_codes) = world.motors.iter().find_map(|motor| match motor.sensor {
+        Some(SimulatedSensor::Potentiometer { input: of, low, high, noise_rms_codes }) if usize::from(of) == input => {
+            let along = (motor.plant.sensed_position() - low.position_m) / (high.position_m - low.position_m);
+            let share = low.share() + along * (high.share() - low.share());
+            Some((share * CODE_MAX, noise_rms_codes))
         }
-    }
+        _ => None,
+    })?;
+    let noise: f64 = StandardNormal.sample(&mut world.noise);
+    Some(code + noise * noise_rms_codes)
+}
 
-    fn illegal(&mut self, index: u8) -> u32 {
-        match self.0.borrow().pins.counters.get(usize::from(index)) {
-            Some(Counter::Interrupts(decoder)) => decoder.illegal(),
-            _ => 0,
-        }
+/// What is divided at `input`, and the voltage there: that of a rail that is measured there.
+fn divided<'p>(rails: &[Rail], pins: &'p Pins, input: usize) -> Option<(&'p AnalogInput, f64)> {
+    let rail_v = rails.iter().find(|rail| usize::from(rail.spec.analog) == input).map(|rail| rail.volts);
+    let source = pins.analogs.get(input)?.as_ref()?;
+    Some((&source.input, rail_v.unwrap_or(source.volts)))
+}
+
+/// What the converter reads at an input.
+pub(super) fn analog_code(world: &mut World, input: usize) -> u16 {
+    world.catch_up();
+    if let Some(code) = potentiometer(world, input) {
+        return code.round().clamp(0.0, CODE_MAX) as u16;
     }
+    divided(&world.rails, &world.pins, input).map_or(0, |(source, volts)| source.code(volts, &mut world.noise))
+}
+
+/// One sample of the voltage at an input.
+pub(super) fn analog_v(world: &mut World, input: usize) -> f64 {
+    world.catch_up();
+    let code = potentiometer(world, input).or_else(|| {
+        divided(&world.rails, &world.pins, input).map(|(source, volts)| source.sample(volts, &mut world.noise))
+    });
+    code.map_or(0.0, |code| code.clamp(0.0, CODE_MAX) / CODE_MAX * REFERENCE_V)
 }
 
 impl AnalogInputs for Processor {
     fn code(&mut self, index: u8) -> u16 {
-        self.0.borrow_mut().analog_code(index)
+        self.0.borrow_mut().analog_code(index.into())
     }
 }
 
 impl SwitchInputs for Processor {
     fn is_high(&mut self, index: u8) -> bool {
-        self.0.borrow_mut().switch_is_high(index)
+        self.0.borrow_mut().switch_is_high(index.into())
     }
 }
 
 impl AnalogOutputs for Processor {
     fn set(&mut self, index: u8, code: u16) {
         let mut world = self.0.borrow_mut();
-        world.catch_up();
-        if let Some(place) = world.pins.dac_codes.get_mut(usize::from(index)) {
-            *place = code;
-        }
+        let volts = world.pins.dac.volts(code);
+        world.set_dac_v(index.into(), volts);
     }
 }
 
 /// Timer 2 of the processor: it captures the edges of the echoes at 1 MHz.
 impl Ranging for Processor {
     fn trigger(&mut self, index: u8, high: bool) {
-        let mut world = self.0.borrow_mut();
-        let now_ns = world.clock.now_ns();
-        world.pins.rangers.trigger(usize::from(index), now_ns, high);
+        self.0.borrow_mut().trigger(index.into(), high);
     }
 
     fn clear(&mut self, index: u8) {

@@ -15,6 +15,25 @@ const PULSE_TICKS: u32 = 40;
 /// Events that one axis has room for.
 const ROOM: usize = 512;
 
+/// Pulses at a driver's step input, by the level of its direction input then: what the processor sent, whatever the
+/// driver made of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepPulses {
+    /// With direction high.
+    pub forward: u64,
+    /// With direction low.
+    pub backward: u64,
+}
+
+/// A change of a line to the driver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wire {
+    Step(bool),
+    Direction(bool),
+    Enable(bool),
+    Supply(bool),
+}
+
 /// One axis: its timer's queue and its driver.
 pub(super) struct Axis {
     pub(super) channel: ChannelId,
@@ -26,6 +45,13 @@ pub(super) struct Axis {
     position: i32,
     enabled_when_high: bool,
     now_ns: u64,
+    pulses: StepPulses,
+    step_high: bool,
+    direction_high: bool,
+    /// Edges of a processor that drives the lines itself, in order of time.
+    wires: VecDeque<(u64, Wire)>,
+    /// Such a processor has told all edges up to here; the driver is not brought further.
+    told_ns: Option<u64>,
 }
 
 impl Axis {
@@ -35,17 +61,37 @@ impl Axis {
         // The board holds the enable line inactive until the processor drives it.
         driver.enable(0, !enabled_when_high);
         let queue = VecDeque::new();
-        Self { channel, driver, steps_per_turn, queue, positive: true, position: 0, enabled_when_high, now_ns: 0 }
+        Self {
+            channel,
+            driver,
+            steps_per_turn,
+            queue,
+            positive: true,
+            position: 0,
+            enabled_when_high,
+            now_ns: 0,
+            pulses: StepPulses::default(),
+            step_high: false,
+            direction_high: true,
+            wires: VecDeque::new(),
+            told_ns: None,
+        }
     }
 
     /// Carries out what is due by `now_ns`.
     pub(super) fn catch_up(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+        if let Some(told_ns) = self.told_ns {
+            self.follow_wires(now_ns.min(told_ns));
+            return;
+        }
         while let Some((at_ns, action)) = self.queue.pop_front_if(|(at_ns, _)| *at_ns <= now_ns) {
             match action {
                 StepAction::Pulse => {
                     self.driver.step(at_ns, true);
                     self.driver.step(at_ns + u64::from(PULSE_TICKS) * NS_PER_TICK, false);
                     self.position = self.position.wrapping_add(if self.positive { 1 } else { -1 });
+                    self.pulses.count(self.positive);
                 }
                 StepAction::Direction(positive) => {
                     self.positive = positive;
@@ -54,19 +100,101 @@ impl Axis {
             }
         }
         self.driver.advance(now_ns);
-        self.now_ns = now_ns;
     }
 
-    /// The timer forgets what was queued and counted.
+    /// Brings the driver to `to_ns`, edge by edge.
+    fn follow_wires(&mut self, to_ns: u64) {
+        while let Some((at_ns, wire)) = self.wires.pop_front_if(|(at_ns, _)| *at_ns <= to_ns) {
+            match wire {
+                Wire::Step(high) => {
+                    self.driver.step(at_ns, high);
+                    if high && !self.step_high {
+                        self.pulses.count(self.direction_high);
+                    }
+                    self.step_high = high;
+                }
+                Wire::Direction(high) => {
+                    self.driver.direction(at_ns, high);
+                    self.direction_high = high;
+                }
+                Wire::Enable(high) => self.driver.enable(at_ns, high),
+                Wire::Supply(on) => self.driver.supply(at_ns, on),
+            }
+        }
+        self.driver.advance(to_ns);
+    }
+
+    /// An edge, told up to now and not before what the driver has seen; edges of different lines in any order.
+    fn tell(&mut self, at_ns: u64, wire: Wire) {
+        self.told_ns.get_or_insert(self.now_ns);
+        let place = self.wires.partition_point(|(earlier_ns, _)| *earlier_ns <= at_ns);
+        self.wires.insert(place, (at_ns, wire));
+    }
+
+    /// The level of the step input from `at_ns` on.
+    pub(super) fn step_line(&mut self, at_ns: u64, high: bool) {
+        self.tell(at_ns, Wire::Step(high));
+    }
+
+    /// The level of the direction input from `at_ns` on.
+    pub(super) fn direction_line(&mut self, at_ns: u64, high: bool) {
+        self.tell(at_ns, Wire::Direction(high));
+    }
+
+    /// The level of the enable input from now, `now_ns`, on.
+    pub(super) fn enable(&mut self, now_ns: u64, high: bool) {
+        if self.told_ns.is_some() {
+            self.tell(now_ns, Wire::Enable(high));
+        } else {
+            self.driver.enable(now_ns, high);
+        }
+    }
+
+    /// Whether the motor's supply is there from now, `now_ns`, on.
+    pub(super) fn supply(&mut self, now_ns: u64, on: bool) {
+        if self.told_ns.is_some() {
+            self.tell(now_ns, Wire::Supply(on));
+        } else {
+            self.driver.supply(now_ns, on);
+        }
+    }
+
+    /// All edges up to `up_to_ns` have been told.
+    pub(super) fn settle(&mut self, up_to_ns: u64) {
+        self.told_ns = self.told_ns.max(Some(up_to_ns));
+        self.follow_wires(up_to_ns.min(self.now_ns));
+    }
+
+    pub(super) const fn pulses(&self) -> StepPulses {
+        self.pulses
+    }
+
+    /// The timer forgets what was queued and counted; lines float to where nothing moves.
     pub(super) fn reset(&mut self) {
         self.queue.clear();
         self.position = 0;
-        self.driver.enable(self.now_ns, !self.enabled_when_high);
+        let now_ns = self.now_ns;
+        if self.told_ns.is_some() {
+            self.tell(now_ns, Wire::Step(false));
+        }
+        self.enable(now_ns, !self.enabled_when_high);
     }
 
     /// Where the shaft really is, rad, from where it stood at time 0.
     pub(super) fn angle_rad(&self) -> f64 {
         self.driver.position() as f64 / f64::from(self.steps_per_turn) * std::f64::consts::TAU
+    }
+}
+
+impl StepPulses {
+    fn count(&mut self, forward: bool) {
+        *if forward { &mut self.forward } else { &mut self.backward } += 1;
+    }
+
+    /// Forward less backward.
+    #[must_use]
+    pub const fn net(self) -> i64 {
+        self.forward.wrapping_sub(self.backward) as i64
     }
 }
 

@@ -1,6 +1,8 @@
 //! A simulated bench with a host connected to it, for tests of the firmware on the board's chips.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+pub(crate) mod trip;
+
 use std::{
     cell::RefCell,
     future::{pending, poll_fn},
@@ -21,7 +23,7 @@ use r4_protocol::{
     frame::MAX_FRAME,
 };
 use r4_sim::{
-    Pace, SimBoard, Simulation,
+    Pace, SimBoard, Simulation, VirtualBoard,
     i2c::{Disturbance, Injection, Span, WireRecord},
     link::Port,
 };
@@ -70,7 +72,7 @@ impl Clock for HostClock {
 /// A connected host and the world on the other side.
 pub(crate) struct Bench<'b> {
     pub(crate) host: &'b Board<HostClock>,
-    pub(crate) board: Rc<SimBoard>,
+    pub(crate) board: Rc<dyn VirtualBoard>,
     pub(crate) clock: r4_sim::Clock,
 }
 
@@ -118,7 +120,7 @@ impl Bench<'_> {
 /// The board and the world, to watch and to break.
 #[derive(Clone)]
 pub(crate) struct Device {
-    pub(crate) board: Rc<SimBoard>,
+    pub(crate) board: Rc<dyn VirtualBoard>,
     pub(crate) clock: r4_sim::Clock,
 }
 
@@ -214,6 +216,14 @@ pub(crate) fn osmc_bench() -> Robot {
     r4_boards::load("osmc-bench").expect("built in")
 }
 
+/// How a board comes to be: the tests can be about one with another processor.
+pub(crate) type PowerUp<'p> = &'p dyn Fn(&mut Simulation, &Robot) -> Rc<dyn VirtualBoard>;
+
+/// The board that runs the firmware's own tasks.
+pub(crate) fn power_up(simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
+    Rc::new(SimBoard::start(simulation, robot, 1).expect("the robot has a world"))
+}
+
 /// Powers up `robot`, connects a host, runs `work`; at the end nothing may have been done against a datasheet.
 pub(crate) fn bench<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> T {
     let (result, misuse) = bench_with_misuse(robot, work);
@@ -223,8 +233,17 @@ pub(crate) fn bench<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -
 
 /// The same for tests that break something, and so expect misuse.
 pub(crate) fn bench_with_misuse<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> (T, Vec<String>) {
-    let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    bench_of(&power_up, Simulation::new(Pace::Free), robot, work)
+}
+
+/// The same for any board, in any simulation.
+pub(crate) fn bench_of<T>(
+    power_up: PowerUp<'_>,
+    mut simulation: Simulation,
+    robot: &Robot,
+    work: impl AsyncFnOnce(&Bench<'_>) -> T,
+) -> (T, Vec<String>) {
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let clock = simulation.clock();
     let host_clock = HostClock(clock.clone());
@@ -243,8 +262,18 @@ pub(crate) fn bench_left_alone<A, T>(
     work: impl AsyncFnOnce(&Bench<'_>) -> A,
     alone: impl AsyncFnOnce(&Device, A) -> T,
 ) -> T {
+    left_alone_of(&power_up, robot, work, alone)
+}
+
+/// The same for any board.
+pub(crate) fn left_alone_of<A, T>(
+    power_up: PowerUp<'_>,
+    robot: &Robot,
+    work: impl AsyncFnOnce(&Bench<'_>) -> A,
+    alone: impl AsyncFnOnce(&Device, A) -> T,
+) -> T {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let device = Device { board, clock: simulation.clock() };
     let left = RefCell::new(None);
@@ -305,6 +334,8 @@ pub(crate) struct RawHost {
     decoder: FrameDecoder,
     heard: Vec<ToHost>,
     next_seq: u16,
+    /// Damaged frames that were heard; none may be, unless a test takes them away.
+    pub(crate) bad_frames: usize,
 }
 
 impl RawHost {
@@ -363,7 +394,10 @@ impl RawHost {
         let Some(Ok(len)) = within(&self.clock, ns, self.port.rx.read(&mut buffer)).await else { return };
         for byte in &buffer[..len] {
             if let Some(message) = self.decoder.push(*byte) {
-                self.heard.push(message.expect("the board sends whole frames"));
+                match message {
+                    Ok(message) => self.heard.push(message),
+                    Err(_) => self.bad_frames += 1,
+                }
             }
         }
     }
@@ -376,11 +410,22 @@ pub(crate) fn frame(message: &ToDevice) -> Vec<u8> {
 
 /// Powers up `robot` and runs `work` with a host that speaks bytes.
 pub(crate) fn raw_bench<T>(robot: &Robot, work: impl AsyncFnOnce(&mut RawHost, &Device) -> T) -> T {
+    raw_bench_of(&power_up, robot, work)
+}
+
+/// The same for any board.
+pub(crate) fn raw_bench_of<T>(
+    power_up: PowerUp<'_>,
+    robot: &Robot,
+    work: impl AsyncFnOnce(&mut RawHost, &Device) -> T,
+) -> T {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
+    let board = power_up(&mut simulation, robot);
     let port = board.connect().expect("nobody is connected yet");
     let clock = simulation.clock();
     let device = Device { board, clock: clock.clone() };
-    let mut host = RawHost { port, clock, decoder: FrameDecoder::new(), heard: Vec::new(), next_seq: 0 };
-    simulation.block_on(work(&mut host, &device)).expect("time goes on")
+    let mut host = RawHost { port, clock, decoder: FrameDecoder::new(), heard: Vec::new(), next_seq: 0, bad_frames: 0 };
+    let result = simulation.block_on(work(&mut host, &device)).expect("time goes on");
+    assert_eq!(host.bad_frames, 0, "the board sends whole frames");
+    result
 }

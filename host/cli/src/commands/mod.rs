@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 pub(crate) mod config;
+pub(crate) mod debug;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod hold;
@@ -9,6 +10,7 @@ pub(crate) mod info;
 pub(crate) mod motion;
 pub(crate) mod raw;
 pub(crate) mod relay;
+pub(crate) mod scenario;
 pub(crate) mod state;
 pub(crate) mod watch;
 

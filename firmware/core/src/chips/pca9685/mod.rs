@@ -7,6 +7,7 @@ use embedded_hal_async::i2c::I2c;
 use registers as reg;
 
 use super::{ChipError, compare};
+use crate::within::Within;
 
 /// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). Differs by several percent from chip to chip.
 const OSCILLATOR_HZ: f32 = 25e6;
@@ -68,7 +69,7 @@ impl Pca9685 {
     pub fn with_oscillator(address: u8, frequency_hz: f32, oscillator_hz: f32) -> Self {
         // 3 is the hardware's minimum, 1526 Hz (datasheet 7.3.5).
         let prescale = libm::roundf(oscillator_hz / (STEPS * frequency_hz)) - 1.0;
-        Self { address, oscillator_hz, prescale: prescale.clamp(3.0, 255.0) as u8 }
+        Self { address, oscillator_hz, prescale: prescale.within(3.0, 255.0) as u8 }
     }
 
     /// Length of one PWM period.

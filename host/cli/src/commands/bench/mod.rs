@@ -1,20 +1,23 @@
-//! `r4 bench`: what the firmware promises, measured on simulated boards in virtual time.
+//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed.
 
 mod bus;
+#[cfg(feature = "emu")]
+mod firmware;
 mod safety;
+mod sim;
 
-use std::{cell::Cell, rc::Rc};
+use std::rc::Rc;
 
 use anyhow::{Context, anyhow, bail};
-use embedded_io_async::Write;
 use futures::future::join_all;
 use r4_boards::Robot;
 use r4_driver::{Board, with_board};
 use r4_protocol::{ChannelId, ChannelKind, Mode, Range, Setpoint};
-use r4_sim::{Pace, SimBoard, Simulation, link::Sender, stop::Outputs};
+use r4_sim::{Pace, SimBoard, Simulation, stop::Outputs};
 
 use crate::{
     args::{self, Args},
+    cable::{Cable, CableState},
     session::{HostClock, Target},
 };
 
@@ -28,55 +31,25 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     match what {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
         args::Bench::Safety { injections } => safety::run(args, *injections),
+        #[cfg(feature = "emu")]
+        args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
+        #[cfg(not(feature = "emu"))]
+        args::Bench::Firmware { .. } => bail!("{}", crate::session::WITHOUT_EMULATOR),
+        args::Bench::Sim => sim::run(args),
     }
 }
 
 /// The robot to measure and how it is named; it has every kind of output.
 fn robot(args: &Args) -> anyhow::Result<(Target, Robot)> {
-    let Target::Sim(name) = &args.board;
+    let Target::Sim(name) = &args.board else {
+        bail!("this measures simulated boards only: leave --board out, or write sim:{EVERYTHING}")
+    };
     let name = if name == DEFAULT { EVERYTHING } else { name };
     let robot = r4_boards::load(name)?;
     if let Some(missing) = Outputs::ALL.into_iter().find(|outputs| !outputs.are_on(&robot.config)) {
         bail!("{name} has nothing for `{missing}`: choose a robot with every kind of output, as sim:{EVERYTHING}");
     }
     Ok((Target::Sim(name.to_owned()), robot))
-}
-
-/// The cable from the host to the board.
-struct Cable {
-    sender: Sender,
-    clock: r4_sim::Clock,
-    state: Rc<CableState>,
-}
-
-/// A cable, to cut.
-#[derive(Default)]
-struct CableState {
-    cut: Cell<bool>,
-    /// When the last byte that was let through has arrived.
-    arrived_ns: Cell<u64>,
-}
-
-/// Nanoseconds of a byte on the simulated link: ten bits at 1 Mbit/s.
-const BYTE_NS: u64 = 10_000;
-
-impl embedded_io_async::ErrorType for Cable {
-    type Error = std::convert::Infallible;
-}
-
-impl Write for Cable {
-    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
-        if self.state.cut.get() {
-            return Ok(bytes.len());
-        }
-        let len = self.sender.write(bytes).await?;
-        self.state.arrived_ns.set(self.clock.now_ns().max(self.state.arrived_ns.get()) + len as u64 * BYTE_NS);
-        Ok(len)
-    }
-
-    async fn flush(&mut self) -> Result<(), Self::Error> {
-        self.sender.flush().await
-    }
 }
 
 /// A simulated board with a host connected to it.
@@ -93,8 +66,7 @@ fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> a
     let board = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
     let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
     let clock = simulation.clock();
-    let cable = Rc::<CableState>::default();
-    let tx = Cable { sender: port.tx, clock: clock.clone(), state: cable.clone() };
+    let (tx, cable) = Cable::new(port.tx, clock.clone());
     let session = with_board(port.rx, tx, HostClock(clock.clone()), async |host| {
         work(&Bench { host, board, clock, cable }).await
     });

@@ -1,0 +1,48 @@
+//! How long a stretch is: the wait for a pulse, and pulses of equal spacing.
+
+use super::{ERROR, IDLE, LONGEST, MOST, SHORTEST, until};
+use crate::platform::{StepAction, StepEvent};
+
+/// Number and length of the blank periods that begin a wait: all of it, or all but what one more period can be.
+pub(super) fn blank(wait: u32) -> (u32, u32) {
+    match wait {
+        ..=LONGEST => (1, wait.max(SHORTEST)),
+        _ if wait.is_multiple_of(IDLE) => (wait / IDLE, IDLE),
+        _ => ((wait - SHORTEST) / IDLE, IDLE),
+    }
+}
+
+/// Number and spacing of the pulses of a stretch that begins with one at `start`; `events` are those behind that one.
+pub(super) fn pulses<'e>(start: u32, events: impl Iterator<Item = &'e StepEvent>) -> (u32, u32) {
+    let (mut low, mut high) = (SHORTEST, LONGEST);
+    let mut best = None;
+    let mut turned = false;
+    for (event, count) in events.zip(1..) {
+        let after = until(event.at, start).max(0).cast_unsigned();
+        match event.action {
+            // Only the pulse behind it tells how long this period is to be.
+            StepAction::Direction(_) if best.is_none() => {
+                turned = true;
+                continue;
+            }
+            StepAction::Direction(_) => break,
+            StepAction::Pulse if best.is_none() && after > LONGEST => {
+                return (1, IDLE + (after - IDLE) % IDLE);
+            }
+            StepAction::Pulse if turned => return (1, after.max(SHORTEST)),
+            StepAction::Pulse => {}
+        }
+        low = low.max(after.saturating_sub(ERROR).div_ceil(count));
+        high = high.min((after + ERROR) / count);
+        let spacing = high.min(after / count);
+        if count == 1 {
+            best = Some((1, after.max(SHORTEST)));
+        } else if low <= spacing {
+            best = Some((count, spacing));
+        }
+        if low > high || count == MOST {
+            break;
+        }
+    }
+    best.unwrap_or((1, IDLE))
+}

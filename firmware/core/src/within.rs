@@ -1,0 +1,42 @@
+//! Numbers kept between two bounds.
+
+/// As `f32::clamp` and `f64::clamp`. Their panic prints the bounds, and brings all of the printing of floating-point numbers
+/// into the image, 14 KB.
+pub(crate) trait Within: Copy + PartialOrd {
+    /// The nearest to `self` of what lies between `low` and `high`, both included; NaN stays NaN.
+    ///
+    /// # Panics
+    /// If `low` is above `high`, or either is NaN.
+    fn within(self, low: Self, high: Self) -> Self {
+        assert!(low <= high);
+        if self < low {
+            low
+        } else if self > high {
+            high
+        } else {
+            self
+        }
+    }
+}
+
+impl Within for f32 {}
+impl Within for f64 {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_kept_as_the_standard_library_keeps_them() {
+        for value in [f32::NEG_INFINITY, -1.5, -1.0, -0.0, 0.0, 0.25, 1.0, 1.5, f32::INFINITY, f32::NAN] {
+            let expected = value.clamp(-1.0, 1.0);
+            assert_eq!(value.within(-1.0, 1.0).to_bits(), expected.to_bits(), "{value}");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "low <= high")]
+    fn a_bound_that_is_no_number_is_no_bound() {
+        let _ = 0.0f64.within(f64::NAN, 1.0);
+    }
+}

@@ -1,0 +1,545 @@
+//! From reset to running tasks.
+
+use core::{
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use cortex_m::peripheral::{NVIC, SYST};
+use embassy_executor::Executor;
+use embassy_futures::{block_on, join::join};
+use embassy_stm32::{
+    Peripherals, SharedData, bind_interrupts,
+    can::{self, CanConfigurator},
+    dma,
+    exti::{self, ExtiInput},
+    gpio::{Input, Level, Output, Pull, Speed},
+    i2c::{ErrorInterruptHandler, EventInterruptHandler, I2c},
+    interrupt::typelevel,
+    mode::{Async, Blocking},
+    pac, peripherals as stm32, rcc,
+    spi::{self, Spi},
+    time::Hertz,
+    usart::{self, UartTx},
+    usb,
+};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::{Duration, Instant, Timer};
+use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
+use r4_firmware::{
+    ResetCause, Shared,
+    control::{self, BoardIo},
+    link::serve,
+    passthrough::PassthroughIo,
+    safety::{SafetyPins, supervise},
+    screen::{self, ScreenPins},
+    storage::parameters::{Saved, load},
+};
+use r4_protocol::config::BoardConfig;
+use static_cell::{ConstStaticCell, StaticCell};
+
+use crate::{
+    analog, clocks,
+    encoders::{
+        self, Counters,
+        lines::{self, Lines},
+    },
+    executors,
+    flash::Bank2,
+    i2c::{Bounce, Bus, Timing, Wiring},
+    links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
+    peripherals::Processor,
+    pins::{self, pin},
+    ranging::{self, Rangers},
+    reset::{self, Start},
+    safety_pins::{self, Drive, Line},
+    steppers::{self, Generators},
+    switches::{self, Switches},
+    watchdog,
+};
+
+/// What the robot's file says, as `build.rs` packed it.
+static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard"));
+
+/// The screen's: 80 MHz / 4.
+const SCREEN_SPI: Hertz = Hertz(20_000_000);
+/// Before a link that failed is served again.
+const LINK_PAUSE: Duration = Duration::from_millis(10);
+/// Between a host's request to restart and the restart: the answer has left on every link by then.
+const FAREWELL: Duration = Duration::from_millis(20);
+/// How often the log looks for a trip.
+const LOG_PERIOD: Duration = Duration::from_millis(20);
+
+type Screen = ScreenPins<
+    ExclusiveDevice<Spi<'static, Blocking, spi::mode::Master>, Output<'static>, NoDelay>,
+    Output<'static>,
+    Output<'static>,
+    Output<'static>,
+>;
+
+type Board = Shared<CriticalSectionRawMutex>;
+
+/// What embassy shares between the cores; the Cortex-M4 is held in reset (option byte BCM4 = 0).
+#[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+// SAFETY: the section is in SRAM4, which is always clocked, and takes any data.
+#[unsafe(link_section = ".sram4.shared")]
+static EMBASSY: MaybeUninit<SharedData> = MaybeUninit::uninit();
+
+/// BDMA, which serves I2C4, reaches SRAM4 only. Start-up does not clear it.
+#[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+// SAFETY: as above.
+#[unsafe(link_section = ".sram4.i2c4")]
+static mut BOUNCE: MaybeUninit<Bounce> = MaybeUninit::uninit();
+
+/// The memory of I2C4's transfers. Once: panics the second time.
+fn bounce() -> &'static mut Bounce {
+    static TAKEN: ConstStaticCell<()> = ConstStaticCell::new(());
+    TAKEN.take();
+    #[allow(
+        unsafe_code,
+        reason = "memory that start-up does not clear cannot be a cell that knows whether it is taken"
+    )]
+    // SAFETY: nothing else refers to it, and this comes here once.
+    let place = unsafe {
+        let memory = &raw mut BOUNCE;
+        &mut *memory
+    };
+    place.write(Bounce::new())
+}
+
+bind_interrupts!(struct Irqs {
+    // In this order: the second undoes what the first does to lines that are not its own.
+    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, lines::Restore;
+    EXTI15_10 => lines::Edges;
+    TIM2 => steppers::OnClock;
+    I2C1_EV => EventInterruptHandler<stm32::I2C1>;
+    I2C1_ER => ErrorInterruptHandler<stm32::I2C1>;
+    I2C2_EV => EventInterruptHandler<stm32::I2C2>;
+    I2C2_ER => ErrorInterruptHandler<stm32::I2C2>;
+    I2C4_EV => EventInterruptHandler<stm32::I2C4>;
+    I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
+    // embassy's first: uart::OnLine puts right what it does to the receiver.
+    USART1 => usart::InterruptHandler<stm32::USART1>, uart::OnLine;
+    USART2 => usart::InterruptHandler<stm32::USART2>, uart::OnLine;
+    UART4 => usart::InterruptHandler<stm32::UART4>, uart::OnLine;
+    DMA1_STREAM0 => dma::InterruptHandler<stm32::DMA1_CH0>;
+    DMA1_STREAM1 => dma::InterruptHandler<stm32::DMA1_CH1>;
+    DMA1_STREAM2 => dma::InterruptHandler<stm32::DMA1_CH2>;
+    DMA1_STREAM3 => dma::InterruptHandler<stm32::DMA1_CH3>;
+    DMA1_STREAM4 => dma::InterruptHandler<stm32::DMA1_CH4>;
+    DMA1_STREAM5 => uart::OnRing;
+    DMA1_STREAM6 => dma::InterruptHandler<stm32::DMA1_CH6>;
+    DMA1_STREAM7 => uart::OnRing;
+    DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
+    DMA2_STREAM1 => uart::OnRing;
+    DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
+    FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
+    FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
+    OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
+    BDMA_CHANNEL0 => dma::InterruptHandler<stm32::BDMA_CH0>;
+    BDMA_CHANNEL1 => dma::InterruptHandler<stm32::BDMA_CH1>;
+});
+
+/// Whether the time driver runs; a log line before that has no time.
+static CLOCK_RUNS: AtomicBool = AtomicBool::new(false);
+
+defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::now().as_micros() } else { 0 });
+
+/// Boots, and runs the tasks for ever.
+pub(crate) fn run() -> ! {
+    safety_pins::claim();
+    watchdog::start_for_boot();
+    quiet();
+    let start = Start::take();
+    caches();
+    no_speculation();
+
+    let source = clocks::probe();
+    let mut config = embassy_stm32::Config::default();
+    config.rcc = clocks::config(source);
+    config.dma_interrupt_priority = executors::TRANSFERS;
+    config.bdma_interrupt_priority = executors::TRANSFERS;
+    executors::prioritise();
+    let p = embassy_stm32::init_primary(config, &EMBASSY);
+    CLOCK_RUNS.store(true, Ordering::Relaxed);
+    reset::note_clock(source == clocks::Source::Crystal);
+
+    defmt::info!("R4 {} for {}, image {}", r4_firmware::FIRMWARE_VERSION, env!("R4_ROBOT_NAME"), env!("R4_IMAGE_KIND"));
+    defmt::info!("start: {}, after a watchdog: {}", start, start.cause() == ResetCause::Watchdog);
+    match source {
+        clocks::Source::Crystal => defmt::info!("480 MHz from the crystal"),
+        clocks::Source::Internal => {
+            defmt::error!("the crystal does not start: 480 MHz from the internal oscillator, 1 % off");
+            safety_pins::blink(3);
+        }
+    }
+    let (shared, screen) = start_tasks(p, &start);
+    defmt::info!("tasks run");
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    EXECUTOR.init_with(Executor::new).run(|spawner| {
+        // It draws for as long as it takes, and nothing would notice that no screen is there.
+        if shared.config().screen {
+            spawner.spawn(screen_task(shared, screen).expect("one"));
+        }
+    })
+}
+
+/// The state that all tasks share, from what is built in and what was saved since.
+#[inline(never)]
+fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
+    // `build.rs` packed it with the same types, so it is there; without it there is nothing that could be driven.
+    let built_in: BoardConfig = match postcard::from_bytes(CONFIG) {
+        Ok(config) => config,
+        Err(_) => panic!("the configuration does not unpack"),
+    };
+    let loaded = block_on(load(flash, &built_in));
+    match loaded.saved {
+        Saved::Nothing => defmt::info!("no saved parameters"),
+        Saved::Changes => defmt::info!("{} saved parameters", loaded.changes.values.len()),
+        Saved::OtherRobot(robot) => defmt::warn!("saved parameters are for {=str}", robot),
+        Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
+        Saved::Damaged => defmt::error!("saved parameters are damaged"),
+    }
+    static SHARED: StaticCell<Board> = StaticCell::new();
+    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset))
+}
+
+/// Makes the drivers and starts all tasks but the screen's, which has the thread to itself.
+///
+/// Not part of [`run`], which never returns: what these take of the stack is free again for the tasks.
+#[inline(never)]
+fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
+    let mut flash = Bank2::new(p.FLASH);
+    let shared = board(&mut flash, start.cause());
+    let has_ranges = !shared.config().ranges.is_empty();
+
+    let output = |high: bool| if high { Level::High } else { Level::Low };
+    let safety = SafetyPins {
+        dead_man: Line::Watched(ExtiInput::new(pin!(p, dmh_sense as EXTI7), p.EXTI7, Pull::Down, Irqs)),
+        auxiliary_stop: Line::Polled(Input::new(pin!(p, estop_in), Pull::Down)),
+        osmc_disable: Drive::plain(Output::new(pin!(p, osmc_dis), output(true), Speed::Low)),
+        pwm_output_disable: Drive::plain(Output::new(pin!(p, pca_oe_n), output(true), Speed::Low)),
+        heartbeat: Drive::heartbeat(Output::new(pin!(p, heartbeat_out), output(false), Speed::Low)),
+        red: Drive::plain(Output::new(pin!(p, led_r), output(true), Speed::Low)),
+        green: Drive::plain(Output::new(pin!(p, led_g), output(true), Speed::Low)),
+        blue: Drive::plain(Output::new(pin!(p, led_b), output(true), Speed::Low)),
+    };
+    // Low for good: what is written to the DAC takes effect at once.
+    core::mem::forget(Output::new(pin!(p, dac_ldac_n), Level::Low, Speed::Low));
+
+    let board_bus = Bus::new(
+        I2c::new(
+            p.I2C2,
+            pin!(p, i2c_board_scl as I2C2_SCL),
+            pin!(p, i2c_board_sda as I2C2_SDA),
+            p.DMA1_CH0,
+            p.DMA1_CH1,
+            Irqs,
+            Timing::FAST.config(false),
+        ),
+        Wiring {
+            registers: pac::I2C2,
+            reset: rcc::enable_and_reset::<stm32::I2C2>,
+            scl: pins::I2C_BOARD_SCL,
+            sda: pins::I2C_BOARD_SDA,
+            timing: Timing::FAST,
+        },
+        None,
+    );
+    let connector_a = Bus::new(
+        I2c::new(
+            p.I2C1,
+            pin!(p, i2c_ext_scl as I2C1_SCL),
+            pin!(p, i2c_ext_sda as I2C1_SDA),
+            p.DMA1_CH2,
+            p.DMA1_CH3,
+            Irqs,
+            Timing::STANDARD.config(true),
+        ),
+        Wiring {
+            registers: pac::I2C1,
+            reset: rcc::enable_and_reset::<stm32::I2C1>,
+            scl: pins::I2C_EXT_SCL,
+            sda: pins::I2C_EXT_SDA,
+            timing: Timing::STANDARD,
+        },
+        None,
+    );
+    let connector_b = Bus::new(
+        I2c::new(
+            p.I2C4,
+            pin!(p, i2c_ext2_scl as I2C4_SCL),
+            pin!(p, i2c_ext2_sda as I2C4_SDA),
+            p.BDMA_CH0,
+            p.BDMA_CH1,
+            Irqs,
+            Timing::STANDARD.config(false),
+        ),
+        Wiring {
+            registers: pac::I2C4,
+            reset: rcc::enable_and_reset::<stm32::I2C4>,
+            scl: pins::I2C_EXT2_SCL,
+            sda: pins::I2C_EXT2_SDA,
+            timing: Timing::STANDARD,
+        },
+        Some(bounce()),
+    );
+
+    let host_tx =
+        UartTx::new(p.USART1, pin!(p, uart_dbg_tx as USART1_TX), p.DMA1_CH4, Irqs, uart::config(uart::HOST_BAUD));
+    let tx_a =
+        UartTx::new(p.USART2, pin!(p, uart_a_tx as USART2_TX), p.DMA1_CH6, Irqs, uart::config(uart::CONNECTOR_BAUD));
+    let tx_b =
+        UartTx::new(p.UART4, pin!(p, uart_b_tx as UART4_TX), p.DMA2_CH0, Irqs, uart::config(uart::CONNECTOR_BAUD));
+    let (Ok(host_tx), Ok(tx_a), Ok(tx_b)) = (host_tx, tx_a, tx_b) else { panic!("a baud rate cannot be made") };
+    let host_rx = uart::receive::<stm32::USART1>(&host_tx, pin!(p, uart_dbg_rx as USART1_RX), p.DMA1_CH5);
+    let rx_a = uart::receive::<stm32::USART2>(&tx_a, pin!(p, uart_a_rx as USART2_RX), p.DMA1_CH7);
+    let rx_b = uart::receive::<stm32::UART4>(&tx_b, pin!(p, uart_b_rx as UART4_RX), p.DMA2_CH1);
+    let raw = PassthroughIo { i2c: [connector_a, connector_b], uart_rx: [rx_a, rx_b], uart_tx: [tx_a, tx_b] };
+
+    static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();
+    let (can_rx, can_tx) = can_link::start(
+        CanConfigurator::new(p.FDCAN2, pin!(p, can_rx as FDCAN2_RX), pin!(p, can_tx as FDCAN2_TX), Irqs),
+        CAN_BUFFERS.init_with(can_link::Buffers::new),
+    );
+
+    static USB_OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
+    let driver = usb::Driver::new_fs(
+        p.USB_OTG_FS,
+        Irqs,
+        pin!(p, usb_dp as USB_OTG_FS_DP),
+        pin!(p, usb_dm as USB_OTG_FS_DM),
+        USB_OUT.take(),
+        usb_link::config(),
+    );
+    // First: an edge of an echo is told by the steppers' clock.
+    let steppers = Generators::new(
+        steppers::Parts {
+            clock: p.TIM2,
+            timers: (p.TIM12, p.TIM14, p.TIM15, p.TIM4),
+            steps: (
+                pin!(p, step0 as TIM12_CH1),
+                pin!(p, step1 as TIM14_CH1),
+                pin!(p, step2 as TIM15_CH1),
+                pin!(p, step3 as TIM4_CH2),
+            ),
+            directions: (pin!(p, dir0), pin!(p, dir1), pin!(p, dir2), pin!(p, dir3)),
+            enable: pin!(p, step_en),
+        },
+        executors::STEPS,
+    );
+    let lines = Lines::new(
+        lines::Pins {
+            track_a: pin!(p, enc3_a as EXTI10),
+            track_b: pin!(p, enc3_b as EXTI11),
+            echo2: pin!(p, us2_echo as EXTI14),
+            echo3: pin!(p, us3_echo as EXTI15),
+        },
+        executors::EDGES,
+    );
+    let encoders = Counters::new(
+        encoders::Parts {
+            timer0: p.TIM8,
+            tracks0: (pin!(p, enc0_a as TIM8_CH1), pin!(p, enc0_b as TIM8_CH2)),
+            timer1: p.TIM3,
+            tracks1: (pin!(p, enc1_a as TIM3_CH1), pin!(p, enc1_b as TIM3_CH2)),
+            timer2: p.TIM1,
+            tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
+        },
+        lines,
+    );
+    let rangers = Rangers::new(
+        ranging::Pins {
+            trigger0: pin!(p, us0_trig),
+            trigger1: pin!(p, us1_trig),
+            trigger2: pin!(p, us2_trig),
+            trigger3: pin!(p, us3_trig),
+            echo0: pin!(p, us0_echo as TIM2_CH4),
+            echo1: pin!(p, us1_echo as TIM2_CH3),
+        },
+        steppers.clock(),
+    );
+    static CODES: ConstStaticCell<[u16; analog::INPUTS]> = ConstStaticCell::new([0; analog::INPUTS]);
+    let inputs = analog::Inputs::new(
+        p.ADC1,
+        analog::Pins {
+            input0: pin!(p, ain0 as ADC1_INP4),
+            input1: pin!(p, ain1 as ADC1_INP8),
+            input2: pin!(p, ain2 as ADC1_INP9),
+            input3: pin!(p, ain3 as ADC1_INP5),
+            input4: pin!(p, ain4 as ADC1_INP13),
+            input5: pin!(p, ain5 as ADC1_INP12),
+        },
+        p.DMA2_CH2,
+        Irqs,
+        CODES.take(),
+    );
+    if let Err(error) = &inputs {
+        defmt::error!("the analog inputs do not work: {}", error);
+    }
+    let processor = Processor {
+        encoders,
+        switches: Switches::new(switches::Pins {
+            switch0: pin!(p, enc0_sw),
+            switch1: pin!(p, enc1_sw),
+            switch2: pin!(p, enc2_sw),
+            switch3: pin!(p, enc3_sw),
+        }),
+        steppers,
+        inputs: inputs.ok(),
+        outputs: analog::Outputs::new(p.DAC1, pin!(p, dac_l as DAC1_OUT1), pin!(p, dac_r as DAC1_OUT2)),
+    };
+
+    let mut spi_config = spi::Config::default();
+    spi_config.frequency = SCREEN_SPI;
+    let select = Output::new(pin!(p, tft_cs), Level::High, Speed::Low);
+    let spi =
+        Spi::new_blocking_txonly(p.SPI1, pin!(p, tft_sck as SPI1_SCK), pin!(p, tft_mosi as SPI1_MOSI), spi_config);
+    // A level of the chip select cannot fail.
+    let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
+    let screen = ScreenPins {
+        spi,
+        data_command: Output::new(pin!(p, tft_dc), Level::Low, Speed::Medium),
+        reset: Output::new(pin!(p, tft_rst), Level::High, Speed::Low),
+        backlight: Output::new(pin!(p, tft_bl), Level::Low, Speed::Low),
+    };
+
+    let executors = executors::start();
+    watchdog::tighten();
+    executors.supervisor.spawn(safety_task(shared, safety).expect("one"));
+    executors.control.spawn(control_task(shared, BoardIo { bus: board_bus, peripherals: processor }).expect("one"));
+    if has_ranges {
+        executors.control.spawn(ranging_task(shared, rangers).expect("one"));
+    }
+    executors.links.spawn(uart_task(shared, host_rx, host_tx).expect("one"));
+    executors.links.spawn(can_task(shared, can_rx, can_tx).expect("one"));
+    executors.usb.spawn(usb_task(shared, driver).expect("one"));
+    executors.links.spawn(passthrough_task(shared, raw).expect("one"));
+    executors.links.spawn(storage_task(shared, flash).expect("one"));
+    executors.links.spawn(log_task(shared).expect("one"));
+    executors.links.spawn(restart_task(shared).expect("one"));
+    (shared, screen)
+}
+
+#[embassy_executor::task]
+async fn safety_task(shared: &'static Board, pins: SafetyPins<Line, Drive>) -> ! {
+    supervise(shared, pins).await
+}
+
+#[embassy_executor::task]
+async fn control_task(shared: &'static Board, io: BoardIo<Bus, Processor>) -> ! {
+    control::run(shared, io).await
+}
+
+#[embassy_executor::task]
+async fn ranging_task(shared: &'static Board, hardware: Rangers) -> ! {
+    let config = shared.config();
+    let publish = |index, reading| shared.publish_range(index, reading);
+    r4_firmware::ranging::run(&config.ranges, config.air_temperature_c, hardware, publish).await
+}
+
+#[embassy_executor::task]
+async fn uart_task(shared: &'static Board, rx: uart::Receiver, tx: UartTx<'static, Async>) -> ! {
+    let (mut rx, mut tx) = (Receiver::Uart(rx), Sender::Uart(tx));
+    loop {
+        serve(shared, 0, &mut rx, &mut tx).await;
+        Timer::after(LINK_PAUSE).await;
+    }
+}
+
+#[embassy_executor::task]
+async fn can_task(shared: &'static Board, rx: can_link::Receiver, tx: can_link::Sender) -> ! {
+    let (mut rx, mut tx) = (Receiver::Can(rx), Sender::Can(tx));
+    loop {
+        serve(shared, 1, &mut rx, &mut tx).await;
+        Timer::after(LINK_PAUSE).await;
+    }
+}
+
+#[embassy_executor::task]
+async fn usb_task(shared: &'static Board, driver: usb_link::Driver) -> ! {
+    static MEMORY: StaticCell<usb_link::Memory> = StaticCell::new();
+    let (mut device, rx, tx) = usb_link::start(driver, MEMORY.init_with(usb_link::Memory::new));
+    let (mut rx, mut tx) = (Receiver::Usb(rx), Sender::Usb(tx));
+    let link = async {
+        loop {
+            if let Receiver::Usb(rx) = &mut rx {
+                rx.wait_connection().await;
+            }
+            defmt::info!("USB is connected");
+            serve(shared, 2, &mut rx, &mut tx).await;
+        }
+    };
+    join(device.run(), link).await.0
+}
+
+#[embassy_executor::task]
+async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, uart::Receiver, UartTx<'static, Async>>) -> ! {
+    shared.passthrough.run(io).await
+}
+
+#[embassy_executor::task]
+async fn storage_task(shared: &'static Board, flash: Bank2) -> ! {
+    r4_firmware::storage::run(&shared.storage, flash, env!("R4_ROBOT_NAME")).await
+}
+
+#[embassy_executor::task]
+async fn screen_task(shared: &'static Board, pins: Screen) -> ! {
+    screen::run(shared, pins).await
+}
+
+/// Trips, to the debugger's log.
+#[embassy_executor::task]
+async fn log_task(shared: &'static Board) -> ! {
+    let mut trips = shared.trips();
+    loop {
+        Timer::after(LOG_PERIOD).await;
+        if shared.trips() != trips {
+            trips = shared.trips();
+            defmt::warn!("trip {}: {}", trips, defmt::Display2Format(&shared.trip_causes()));
+        }
+    }
+}
+
+/// A restart that a host asked for; it is only taken while the board is not armed.
+#[embassy_executor::task]
+async fn restart_task(shared: &'static Board) -> ! {
+    shared.restart_requested().await;
+    defmt::info!("a host asked for a restart");
+    Timer::after(FAREWELL).await;
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Words with a bit for each of the 150 interrupts.
+const INTERRUPT_WORDS: usize = 5;
+
+/// Ends what a bootloader may have left: its tick, its interrupts, and that none are taken.
+fn quiet() {
+    #[allow(unsafe_code, reason = "no driver owns an interrupt yet")]
+    // SAFETY: each bit written turns an interrupt off or forgets that it was asked for; no driver and no critical section
+    // exists yet.
+    unsafe {
+        (*SYST::PTR).csr.write(0);
+        (*NVIC::PTR).icer.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        (*NVIC::PTR).icpr.iter().take(INTERRUPT_WORDS).for_each(|interrupts| interrupts.write(u32::MAX));
+        cortex_m::interrupt::enable();
+    }
+}
+
+/// Instructions are cached; data is not, so that DMA and the processor see the same. The Arduino bootloader may have left the
+/// data cache on.
+fn caches() {
+    let Some(mut core) = cortex_m::Peripherals::take() else { return };
+    if cortex_m::peripheral::SCB::dcache_enabled() {
+        core.SCB.disable_dcache(&mut core.CPUID);
+    }
+    core.SCB.enable_icache();
+}
+
+/// Turns the external memory's first bank off, which is on after reset: speculative reads of the processor at 0x6000_0000 would
+/// wait there for a memory that does not exist.
+fn no_speculation() {
+    pac::RCC.ahb3enr().modify(|w| w.set_fmcen(true));
+    let _ = pac::RCC.ahb3enr().read();
+    pac::FMC.bcr1().modify(|w| w.set_mbken(false));
+}

@@ -1,0 +1,80 @@
+//! The clock tree: 480 MHz from the 16 MHz crystal, or from the internal oscillator when the crystal does not start.
+
+use embassy_stm32::{
+    pac::RCC,
+    rcc::{
+        AHBPrescaler, APBPrescaler, Config, HSIPrescaler, Hse, HseMode, Hsi48Config, LsConfig, Pll, PllDiv, PllMul,
+        PllPreDiv, PllSource, SupplyConfig, Sysclk, VoltageScale, mux,
+    },
+    time::Hertz,
+};
+
+/// Reads of the ready flag before the crystal counts as dead. A read takes at least 10 cycles of the 64 MHz that the
+/// processor starts with, so this is 60 ms or more; crystals start in 2 ms (STM32H747 datasheet, table 45).
+const HSE_PATIENCE: u32 = 400_000;
+
+/// What the processor's clock is made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub(crate) enum Source {
+    /// The Giga's crystal.
+    Crystal,
+    /// The internal oscillator, 1 % at 25 °C: the crystal did not start.
+    Internal,
+}
+
+/// Starts the crystal and sees whether it runs. embassy would wait for it for ever.
+pub(crate) fn probe() -> Source {
+    RCC.cr().modify(|w| w.set_hsebyp(false));
+    RCC.cr().modify(|w| w.set_hseon(true));
+    for _ in 0..HSE_PATIENCE {
+        if RCC.cr().read().hserdy() {
+            return Source::Crystal;
+        }
+    }
+    RCC.cr().modify(|w| w.set_hseon(false));
+    Source::Internal
+}
+
+/// The same frequencies from either source: processor 480, AXI and AHB 240, APB 120, timers 240 MHz.
+///
+/// PLL1 makes the processor's clock and 80 MHz for FDCAN and SPI, PLL2 64 MHz for the ADC, which wants 16 MHz times a power of two, HSI48 the USB clock. The supply is
+/// the LDO: the Giga has no coil for the SMPS, and a wrong choice locks the debugger out until power is cut.
+pub(crate) fn config(source: Source) -> Config {
+    let (pll_source, prediv) = match source {
+        Source::Crystal => (PllSource::HSE, PllPreDiv::DIV2),
+        Source::Internal => (PllSource::HSI, PllPreDiv::DIV8),
+    };
+    let mut config = Config::default();
+    config.hse = (source == Source::Crystal).then_some(Hse { freq: Hertz(16_000_000), mode: HseMode::Oscillator });
+    config.hsi = Some(HSIPrescaler::DIV1);
+    // Nothing counts by the RTC. With a source for it the backup domain would be reset, and its records with it, wherever a
+    // bootloader has chosen another.
+    config.ls = LsConfig::off();
+    // The compensation cell of the fast outputs runs on it.
+    config.csi = true;
+    config.hsi48 = Some(Hsi48Config { sync_from_usb: true });
+    // 8 MHz into each PLL.
+    config.pll1 = Some(Pll {
+        source: pll_source,
+        prediv,
+        mul: PllMul::MUL120,
+        divp: Some(PllDiv::DIV2),
+        divq: Some(PllDiv::DIV12),
+        divr: None,
+    });
+    config.pll2 =
+        Some(Pll { source: pll_source, prediv, mul: PllMul::MUL96, divp: Some(PllDiv::DIV12), divq: None, divr: None });
+    config.sys = Sysclk::PLL1_P;
+    config.d1c_pre = AHBPrescaler::DIV1;
+    config.ahb_pre = AHBPrescaler::DIV2;
+    config.apb1_pre = APBPrescaler::DIV2;
+    config.apb2_pre = APBPrescaler::DIV2;
+    config.apb3_pre = APBPrescaler::DIV2;
+    config.apb4_pre = APBPrescaler::DIV2;
+    config.voltage_scale = VoltageScale::Scale0;
+    config.supply_config = SupplyConfig::LDO;
+    config.mux.adcsel = mux::Adcsel::PLL2_P;
+    config.mux.fdcansel = mux::Fdcansel::PLL1_Q;
+    config.mux.usbsel = mux::Usbsel::HSI48;
+    config
+}

@@ -1,0 +1,136 @@
+//! The interrupt of the external lines 10 to 15: the tracks of encoder 3, and the echoes of range sensors 2 and 3.
+//!
+//! embassy's input with interrupts masks a line until a task has looked at it, which would lose edges. So the handler is our
+//! own, [`Edges`], bound as `EXTI15_10`. It goes by the lines' levels and not by which of them is pending: it can be called for
+//! any reason and as often as anyone likes. Pending bits are cleared before the levels are read, so that an edge after the
+//! reading calls it again.
+//!
+//! embassy's handler of another vector (the dead-man's handle on line 7) masks and clears *all* lines that it finds pending,
+//! also these. [`Restore`] must be bound after it, in the same vector: it unmasks ours and lets the handler look at them.
+//!
+//! ```text
+//! bind_interrupts!(struct Irqs {
+//!     EXTI15_10 => encoders::lines::Edges;
+//!     EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, encoders::lines::Restore;
+//! });
+//! ```
+
+use core::cell::RefCell;
+
+use critical_section::Mutex;
+use embassy_stm32::{
+    Peri,
+    gpio::{Input, Pull},
+    interrupt::{self, InterruptExt, Priority, typelevel},
+    pac, peripherals,
+};
+use r4_firmware::sensing::quadrature::Decoder;
+
+use crate::ranging;
+
+/// Number of port I: all four lines are its pins 10, 11, 14 and 15.
+const PORT_I: u8 = 8;
+const TRACK_A: usize = 10;
+const TRACK_B: usize = 11;
+const ECHO_2: usize = 14;
+const ECHO_3: usize = 15;
+const OURS: [usize; 4] = [TRACK_A, TRACK_B, ECHO_2, ECHO_3];
+
+static DECODER: Mutex<RefCell<Decoder>> = Mutex::new(RefCell::new(Decoder::new()));
+
+/// The pins of the four lines.
+pub struct Pins {
+    /// `enc3_a`
+    pub track_a: Peri<'static, peripherals::PI10>,
+    /// `enc3_b`
+    pub track_b: Peri<'static, peripherals::PI11>,
+    /// `us2_echo`
+    pub echo2: Peri<'static, peripherals::PI14>,
+    /// `us3_echo`
+    pub echo3: Peri<'static, peripherals::PI15>,
+}
+
+/// The lines, with their interrupt on.
+pub struct Lines(#[expect(dead_code, reason = "holds the pins as they are")] [Input<'static>; 4]);
+
+impl Lines {
+    /// Turns the interrupt on, at `priority`: above everything that takes longer than edges are apart.
+    #[must_use]
+    pub fn new(pins: Pins, priority: Priority) -> Self {
+        let inputs = [
+            Input::new(pins.track_a, Pull::Up),
+            Input::new(pins.track_b, Pull::Up),
+            // An echo without a sensor must not look like one that does not end.
+            Input::new(pins.echo2, Pull::Down),
+            Input::new(pins.echo3, Pull::Down),
+        ];
+        critical_section::with(|cs| {
+            for line in OURS {
+                pac::SYSCFG.exticr(line / 4).modify(|w| w.set_exti(line % 4, PORT_I));
+                pac::EXTI.rtsr(0).modify(|w| w.set_line(line, true));
+                pac::EXTI.ftsr(0).modify(|w| w.set_line(line, true));
+            }
+            let (a, b) = tracks();
+            DECODER.borrow_ref_mut(cs).update(a, b);
+            unmask();
+        });
+        interrupt::EXTI15_10.set_priority(priority);
+        #[allow(unsafe_code, reason = "turns an interrupt on")]
+        // SAFETY: its handler shares state through critical sections only.
+        unsafe {
+            interrupt::EXTI15_10.enable();
+        }
+        // For edges since the levels were read.
+        interrupt::EXTI15_10.pend();
+        Self(inputs)
+    }
+
+    /// What encoder 3 has counted.
+    #[must_use]
+    pub fn encoder(&self) -> Decoder {
+        critical_section::with(|cs| *DECODER.borrow_ref(cs))
+    }
+}
+
+fn tracks() -> (bool, bool) {
+    let levels = pac::GPIOI.idr().read();
+    (levels.idr(TRACK_A).to_bits() != 0, levels.idr(TRACK_B).to_bits() != 0)
+}
+
+fn unmask() {
+    pac::EXTI.imr(0).modify(|w| OURS.into_iter().for_each(|line| w.set_line(line, true)));
+}
+
+/// Handler of `EXTI15_10`.
+pub struct Edges;
+
+impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
+    #[allow(unsafe_code, reason = "the trait's")]
+    unsafe fn on_interrupt() {
+        pac::EXTI.pr(0).write(|w| OURS.into_iter().for_each(|line| w.set_line(line, true)));
+        critical_section::with(|cs| {
+            let (a, b) = tracks();
+            DECODER.borrow_ref_mut(cs).update(a, b);
+            let levels = pac::GPIOI.idr().read();
+            ranging::on_level(cs, 2, levels.idr(ECHO_2).to_bits() != 0);
+            ranging::on_level(cs, 3, levels.idr(ECHO_3).to_bits() != 0);
+        });
+    }
+}
+
+/// Handler of `EXTI9_5` and any other vector in which embassy's handler is, to be bound after that.
+pub struct Restore;
+
+impl Restore {
+    fn restore() {
+        critical_section::with(|_| unmask());
+        interrupt::EXTI15_10.pend();
+    }
+}
+
+impl typelevel::Handler<typelevel::EXTI9_5> for Restore {
+    #[allow(unsafe_code, reason = "the trait's")]
+    unsafe fn on_interrupt() {
+        Self::restore();
+    }
+}

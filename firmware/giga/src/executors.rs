@@ -1,0 +1,106 @@
+//! Who interrupts whom: the one table of priorities, and the executors that run the tasks.
+//!
+//! Of 16 levels, 0 interrupts all others:
+//!
+//! | level | runs | why there |
+//! | --- | --- | --- |
+//! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
+//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart; a wait must end, and a released handle be seen, whatever task runs |
+//! | 2 | supervisor | must run when all else is late |
+//! | 3 | DMA, I2C2: the end of what the control loop waits for; CAN: three frames fill its memory, in 0.2 ms | only wakes and copies |
+//! | 4 | control, ranging | 1 kHz |
+//! | 6 | UARTs, I2C1, I2C4, USB | only wakes and copies |
+//! | 8 | links, passthrough, storage | as long as a request takes |
+//! | 10 | USB: its device and its link | waits for the block's own flags, without bound: the other links must not wait with it |
+//! | thread | screen | blocks for 230 ms |
+//!
+//! An interrupt executor needs a vector of its own: those of the SAIs, whose pins the carrier uses for other things.
+
+use embassy_executor::{InterruptExecutor, SendSpawner};
+use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+
+/// Of step pulses.
+pub(crate) const STEPS: Priority = Priority::P0;
+/// Interrupts of edges and of time. EXTI9_5 and EXTI15_10 must not interrupt each other: both change the lines' masks.
+pub(crate) const EDGES: Priority = Priority::P1;
+const SUPERVISOR: Priority = Priority::P2;
+/// Interrupts that end what control waits for. embassy sets those of DMA itself.
+pub(crate) const TRANSFERS: Priority = Priority::P3;
+const CONTROL: Priority = Priority::P4;
+/// Interrupts of what hosts talk through.
+const TALK: Priority = Priority::P6;
+const LINKS: Priority = Priority::P8;
+const USB: Priority = Priority::P10;
+
+static SUPERVISOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static CONTROL_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static LINK_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static USB_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+
+/// Where tasks can be started, by their urgency.
+pub(crate) struct Executors {
+    /// Only the supervisor.
+    pub(crate) supervisor: SendSpawner,
+    /// Control and ranging.
+    pub(crate) control: SendSpawner,
+    /// Everything that talks to hosts, and storage.
+    pub(crate) links: SendSpawner,
+    /// Only USB.
+    pub(crate) usb: SendSpawner,
+}
+
+/// Sets every priority. Before any driver enables its interrupt.
+pub(crate) fn prioritise() {
+    for (priority, interrupts) in [
+        (STEPS, &[interrupt::TIM2][..]),
+        (EDGES, &[interrupt::TIM5, interrupt::EXTI9_5, interrupt::EXTI15_10]),
+        (SUPERVISOR, &[interrupt::SAI1]),
+        (TRANSFERS, &[interrupt::I2C2_EV, interrupt::I2C2_ER, interrupt::FDCAN2_IT0, interrupt::FDCAN2_IT1]),
+        (CONTROL, &[interrupt::SAI2]),
+        (
+            TALK,
+            &[
+                interrupt::USART1,
+                interrupt::USART2,
+                interrupt::UART4,
+                interrupt::I2C1_EV,
+                interrupt::I2C1_ER,
+                interrupt::I2C4_EV,
+                interrupt::I2C4_ER,
+                interrupt::OTG_FS,
+                interrupt::FLASH,
+            ],
+        ),
+        (LINKS, &[interrupt::SAI3]),
+        (USB, &[interrupt::SAI4]),
+    ] {
+        interrupts.iter().for_each(|interrupt| interrupt.set_priority(priority));
+    }
+}
+
+/// Starts the interrupt executors. Once, after [`prioritise`].
+pub(crate) fn start() -> Executors {
+    Executors {
+        supervisor: SUPERVISOR_EXECUTOR.start(interrupt::SAI1),
+        control: CONTROL_EXECUTOR.start(interrupt::SAI2),
+        links: LINK_EXECUTOR.start(interrupt::SAI3),
+        usb: USB_EXECUTOR.start(interrupt::SAI4),
+    }
+}
+
+macro_rules! executor_interrupt {
+    ($vector:ident, $executor:ident) => {
+        #[allow(unsafe_code, reason = "an interrupt handler is called by its name")]
+        #[unsafe(no_mangle)]
+        extern "C" fn $vector() {
+            // SAFETY: this is the interrupt's handler and nothing else calls it; the interrupt is enabled by `start`, which
+            // makes the executor first.
+            unsafe { $executor.on_interrupt() }
+        }
+    };
+}
+
+executor_interrupt!(SAI1, SUPERVISOR_EXECUTOR);
+executor_interrupt!(SAI2, CONTROL_EXECUTOR);
+executor_interrupt!(SAI3, LINK_EXECUTOR);
+executor_interrupt!(SAI4, USB_EXECUTOR);

@@ -1,0 +1,294 @@
+//! The flash that keeps parameters and trips: the last four sectors of bank 2.
+//!
+//! While bank 2 is programmed or erased, bank 1 is read as ever, so code in bank 1 runs on; the end is waited for by asking
+//! now and then, and other tasks have the processor meanwhile. A read of bank 2 would stall the processor until then: all
+//! accesses go through one [`Bank2`], which has no operation under way when it reads.
+//!
+//! # A word that fails its error correction
+//! A word of 256 bits with two wrong bits, as a power cut while it is programmed may leave, sets DBECCERR and answers the
+//! read with a bus error (RM0399, 4.3 "Error code correction"), which on a Cortex-M7 is a precise BusFault. [`Bank2`] reads each
+//! word with FAULTMASK set and CCR.BFHFNMIGN set: with FAULTMASK the execution priority is -1 (ARMv7-M Architecture Reference
+//! Manual, B1.4.3), and at a priority below 0 that bit has data bus faults of loads ignored instead of locking up (B3.2.8).
+//! The load then gives anything and the processor goes on. DBECCERR, and CFSR.PRECISERR or IMPRECISERR, tell that it happened; both
+//! are cleared before and after. A synchronisation barrier before FAULTMASK is cleared has an error that comes late come
+//! inside. Nothing else runs meanwhile: that is 8 loads, less than 1 µs.
+//!
+//! One wrong bit is corrected (SNECCERR) and is no error.
+
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use cortex_m::{asm, peripheral::SCB};
+use embassy_stm32::{
+    Peri,
+    pac::{FLASH, flash},
+    peripherals,
+};
+use embassy_time::{Duration, Instant, Timer};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+
+/// First address of bank 2, and of what is kept there.
+const BANK: u32 = 0x0810_0000;
+const BASE: u32 = 0x0818_0000;
+const SECTOR_BYTES: u32 = 128 * 1024;
+const SECTORS: u32 = 4;
+const WORD_BYTES: usize = 32;
+/// Index of bank 2 in the register block, whose registers repeat at 0x100.
+const BANK_2: usize = 1;
+
+/// Keys of FLASH_KEYR2 (RM0399, 4.5.1).
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+
+/// Between two looks at an operation: a word takes 0.1 ms, a sector 1 s (data sheet).
+const WRITE_LOOK: Duration = Duration::from_micros(50);
+const ERASE_LOOK: Duration = Duration::from_millis(2);
+/// Ten times what the data sheet gives a word, and twice what it gives a sector at the slowest parallelism.
+const WRITE_WAIT: Duration = Duration::from_millis(10);
+const ERASE_WAIT: Duration = Duration::from_secs(8);
+
+/// Bits of SCB.CCR and SCB.CFSR.
+const BFHFNMIGN: u32 = 1 << 8;
+const BUS_FAULTS: u32 = 0xFF << 8;
+const PRECISERR: u32 = 1 << 9;
+const IMPRECISERR: u32 = 1 << 10;
+
+/// Why flash was not read or written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub enum FlashError {
+    /// Beyond the four sectors.
+    OutOfBounds,
+    /// Not whole words, or not whole sectors.
+    NotAligned,
+    /// A word fails its error correction.
+    Uncorrectable,
+    /// The sector is write-protected (WRPERR).
+    Protected,
+    /// The controller did not accept what it was given (PGSERR, STRBERR, INCERR), or stayed locked.
+    Sequence,
+    /// The operation failed (OPERR).
+    Operation,
+    /// It did not end.
+    Timeout,
+}
+
+impl NorFlashError for FlashError {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::OutOfBounds => NorFlashErrorKind::OutOfBounds,
+            Self::NotAligned => NorFlashErrorKind::NotAligned,
+            _ => NorFlashErrorKind::Other,
+        }
+    }
+}
+
+/// The four sectors, from address 0 on.
+pub struct Bank2 {
+    _flash: Peri<'static, peripherals::FLASH>,
+}
+
+impl Bank2 {
+    /// Takes the flash controller.
+    #[must_use]
+    pub fn new(flash: Peri<'static, peripherals::FLASH>) -> Self {
+        Self { _flash: flash }
+    }
+}
+
+/// Whether `from..to` is within the sectors, and both are multiples of `unit`.
+fn check(from: u32, to: u64, unit: u32) -> Result<(), FlashError> {
+    match () {
+        () if u64::from(from) > to || to > u64::from(SECTORS * SECTOR_BYTES) => Err(FlashError::OutOfBounds),
+        () if !from.is_multiple_of(unit) || !to.is_multiple_of(unit.into()) => Err(FlashError::NotAligned),
+        () => Ok(()),
+    }
+}
+
+fn bank() -> flash::Bank {
+    FLASH.bank(BANK_2)
+}
+
+/// Clears the flags of whatever was before.
+fn clear_flags() {
+    bank().ccr().write(|w| {
+        w.set_clr_eop(true);
+        w.set_clr_wrperr(true);
+        w.set_clr_pgserr(true);
+        w.set_clr_strberr(true);
+        w.set_clr_incerr(true);
+        w.set_clr_operr(true);
+        w.set_clr_rdperr(true);
+        w.set_clr_rdserr(true);
+        w.set_clr_sneccerr(true);
+        w.set_clr_dbeccerr(true);
+    });
+}
+
+/// Waits for what is under way, also from before this: a task that was dropped leaves it.
+async fn finished(look: Duration, limit: Duration) -> Result<(), FlashError> {
+    let end = Instant::now() + limit;
+    loop {
+        let status = bank().sr().read();
+        if !(status.bsy() || status.qw()) {
+            return Ok(());
+        }
+        if Instant::now() > end {
+            return Err(FlashError::Timeout);
+        }
+        Timer::after(look).await;
+    }
+}
+
+/// Unlocks the controller until this is dropped.
+struct Unlocked;
+
+impl Unlocked {
+    fn new() -> Result<Self, FlashError> {
+        if bank().cr().read().lock() {
+            // Nothing must come between the keys, or the controller locks until a reset.
+            critical_section::with(|_| KEYS.into_iter().for_each(|key| bank().keyr().write_value(key)));
+        }
+        if bank().cr().read().lock() { Err(FlashError::Sequence) } else { Ok(Self) }
+    }
+}
+
+impl Drop for Unlocked {
+    fn drop(&mut self) {
+        bank().cr().modify(|w| {
+            w.set_pg(false);
+            w.set_ser(false);
+            w.set_lock(true);
+        });
+    }
+}
+
+fn outcome() -> Result<(), FlashError> {
+    let status = bank().sr().read();
+    match () {
+        () if status.wrperr() => Err(FlashError::Protected),
+        () if status.pgserr() || status.strberr() || status.incerr() => Err(FlashError::Sequence),
+        () if status.operr() => Err(FlashError::Operation),
+        () => Ok(()),
+    }
+}
+
+/// RM0399, 4.3.9 "Single write sequence".
+async fn program(address: u32, word: &[u8; WORD_BYTES]) -> Result<(), FlashError> {
+    finished(ERASE_LOOK, ERASE_WAIT).await?;
+    clear_flags();
+    let unlocked = Unlocked::new()?;
+    bank().cr().modify(|w| w.set_pg(true));
+    asm::dsb();
+    let (parts, _) = word.as_chunks::<4>();
+    for (part, at) in parts.iter().zip((address..).step_by(4)) {
+        #[allow(unsafe_code, reason = "programming is writing to the address")]
+        // SAFETY: aligned, within the sectors that this driver owns, which hold no code.
+        unsafe {
+            core::ptr::with_exposed_provenance_mut::<u32>(at as usize).write_volatile(u32::from_le_bytes(*part));
+        }
+    }
+    asm::dsb();
+    finished(WRITE_LOOK, WRITE_WAIT).await?;
+    drop(unlocked);
+    outcome()
+}
+
+/// RM0399, 4.3.10 "Flash sector erase sequence".
+async fn erase(sector: u8) -> Result<(), FlashError> {
+    finished(ERASE_LOOK, ERASE_WAIT).await?;
+    clear_flags();
+    let unlocked = Unlocked::new()?;
+    bank().cr().modify(|w| {
+        w.set_ser(true);
+        w.set_snb(sector);
+    });
+    bank().cr().modify(|w| w.set_start(true));
+    asm::dsb();
+    finished(ERASE_LOOK, ERASE_WAIT).await?;
+    drop(unlocked);
+    outcome()
+}
+
+/// Reads a word; see the module about how.
+fn read_word(address: u32) -> Result<[u8; WORD_BYTES], FlashError> {
+    let mut word = [0; WORD_BYTES];
+    bank().ccr().write(|w| w.set_clr_dbeccerr(true));
+    #[allow(unsafe_code, reason = "survives a bus error")]
+    // SAFETY: aligned, within the sectors. CCR and CFSR are only changed here, by a task, in which nothing intervenes.
+    let faults = unsafe {
+        let scb = &*SCB::PTR;
+        core::arch::asm!("cpsid f", options(nostack, preserves_flags));
+        compiler_fence(Ordering::SeqCst);
+        scb.ccr.modify(|ccr| ccr | BFHFNMIGN);
+        scb.cfsr.write(BUS_FAULTS);
+        asm::dsb();
+        asm::isb();
+        let (parts, _) = word.as_chunks_mut::<4>();
+        for (part, at) in parts.iter_mut().zip((address..).step_by(4)) {
+            *part = core::ptr::with_exposed_provenance::<u32>(at as usize).read_volatile().to_le_bytes();
+        }
+        asm::dsb();
+        asm::isb();
+        let faults = scb.cfsr.read();
+        scb.cfsr.write(BUS_FAULTS);
+        scb.ccr.modify(|ccr| ccr & !BFHFNMIGN);
+        asm::dsb();
+        asm::isb();
+        compiler_fence(Ordering::SeqCst);
+        core::arch::asm!("cpsie f", options(nostack, preserves_flags));
+        faults
+    };
+    let uncorrectable = bank().sr().read().dbeccerr();
+    bank().ccr().write(|w| {
+        w.set_clr_dbeccerr(true);
+        w.set_clr_sneccerr(true);
+    });
+    if uncorrectable || faults & (PRECISERR | IMPRECISERR) != 0 { Err(FlashError::Uncorrectable) } else { Ok(word) }
+}
+
+impl ErrorType for Bank2 {
+    type Error = FlashError;
+}
+
+impl ReadNorFlash for Bank2 {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        check(offset, u64::from(offset) + bytes.len() as u64, 1)?;
+        finished(ERASE_LOOK, ERASE_WAIT).await?;
+        let mut done = 0;
+        while done < bytes.len() {
+            let at = offset as usize + done;
+            let skip = at % WORD_BYTES;
+            let word = read_word(BASE + (at - skip) as u32)?;
+            let count = (WORD_BYTES - skip).min(bytes.len() - done);
+            bytes[done..done + count].copy_from_slice(&word[skip..skip + count]);
+            done += count;
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        (SECTORS * SECTOR_BYTES) as usize
+    }
+}
+
+impl NorFlash for Bank2 {
+    const WRITE_SIZE: usize = WORD_BYTES;
+    const ERASE_SIZE: usize = SECTOR_BYTES as usize;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        check(from, to.into(), SECTOR_BYTES)?;
+        for sector in from / SECTOR_BYTES..to / SECTOR_BYTES {
+            erase((sector + (BASE - BANK) / SECTOR_BYTES) as u8).await?;
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        check(offset, u64::from(offset) + bytes.len() as u64, WORD_BYTES as u32)?;
+        let (words, _) = bytes.as_chunks::<WORD_BYTES>();
+        for (word, address) in words.iter().zip((BASE + offset..).step_by(WORD_BYTES)) {
+            program(address, word).await?;
+        }
+        Ok(())
+    }
+}

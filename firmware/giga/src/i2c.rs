@@ -1,0 +1,348 @@
+//! The I2C controllers: embassy's asynchronous driver, with an own deadline, and a way to free the bus.
+//!
+//! What embassy-stm32 0.6.0 does not do, and is done here:
+//!
+//! - A read that nobody acknowledges ends only by its timeout there. Here the NACK flag ends every transfer at once.
+//! - After a read the next start may be written while the stop is still going out, and clobbers it. Here a transfer ends when
+//!   the bus is free.
+//! - Giving a transfer up leaves the controller in the middle of it. Here the controller is switched off and on, which lets go
+//!   of both lines (RM0399, 50.4.6), whenever a transfer fails or is dropped.
+//! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] has them from the formulas of
+//!   RM0399, 50.4.5 and 50.4.9.
+
+use core::{
+    future::{Future, poll_fn},
+    task::Poll,
+};
+
+use embassy_futures::select::{Either3, select3};
+use embassy_stm32::{
+    i2c::{Config, Error, I2c, Master},
+    mode::Async,
+    pac::{gpio::vals::Moder, i2c::I2c as Registers},
+    time::Hertz,
+};
+use embassy_time::{Duration, Instant, Timer};
+use embedded_hal_async::i2c::{Error as I2cError, ErrorKind, ErrorType, I2c as I2cBus, NoAcknowledgeSource, Operation};
+use r4_firmware::platform;
+use r4_protocol::message::MAX_RAW;
+
+use crate::pins::Place;
+
+/// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
+const HALF_CLOCK: Duration = Duration::from_micros(5);
+/// As many clocks end any byte that a chip may be sending (UM10204, 3.1.16).
+const CLOCKS: u32 = 9;
+
+/// How a bus is timed, from a kernel clock of 120 MHz.
+#[derive(Clone, Copy)]
+pub(crate) struct Timing {
+    frequency: Hertz,
+    /// TIMINGR: PRESC, SCLDEL, SDADEL, SCLH, SCLL.
+    register: u32,
+    /// For one transfer.
+    deadline: Duration,
+    /// For the stop that ends it.
+    stop: Duration,
+}
+
+const fn timingr(presc: u32, scldel: u32, sdadel: u32, sclh: u32, scll: u32) -> u32 {
+    assert!(presc < 16 && scldel < 16 && sdadel < 16 && sclh < 256 && scll < 256);
+    presc << 28 | scldel << 20 | sdadel << 16 | sclh << 8 | scll
+}
+
+impl Timing {
+    /// 400 kHz in steps of 33.3 ns: low 1.47 us (at least 1.3), high 0.87 us (at least 0.6), and 0.13 us for the
+    /// synchronisation of both edges beside their rise; data set up 400 ns before the clock (rise 300 + 100), held for 267 ns
+    /// (225 to 307 with the analog filter).
+    ///
+    /// 1 ms is twice the longest transfer of the control loop.
+    pub(crate) const FAST: Self = Self {
+        frequency: Hertz(400_000),
+        register: timingr(3, 11, 8, 25, 43),
+        deadline: Duration::from_millis(1),
+        stop: Duration::from_micros(50),
+    };
+    /// 100 kHz in steps of 100 ns: low 5.1 us (at least 4.7), high 4.7 us (at least 4.0), set up 1.3 us (rise 1000 + 250 ns),
+    /// held for 0.5 us.
+    ///
+    /// The longest transfer, 64 bytes out and 64 in, takes 11.9 ms.
+    pub(crate) const STANDARD: Self = Self {
+        frequency: Hertz(100_000),
+        register: timingr(11, 12, 5, 46, 50),
+        deadline: Duration::from_millis(25),
+        stop: Duration::from_micros(200),
+    };
+
+    /// For embassy's driver. `pull_up` where neither the Giga nor the carrier has resistors: too weak for 400 kHz, enough
+    /// that an empty connector is idle.
+    pub(crate) fn config(self, pull_up: bool) -> Config {
+        let mut config = Config::default();
+        config.frequency = self.frequency;
+        // It waits for a free bus without letting go of the processor; here it has been free before it begins.
+        config.timeout = self.deadline;
+        config.scl_pullup = pull_up;
+        config.sda_pullup = pull_up;
+        config
+    }
+}
+
+/// A controller below embassy.
+#[derive(Clone, Copy)]
+pub(crate) struct Wiring {
+    /// Its registers.
+    pub(crate) registers: Registers,
+    /// Resets the controller and gives it its clock.
+    pub(crate) reset: fn(),
+    /// The clock line.
+    pub(crate) scl: Place,
+    /// The data line.
+    pub(crate) sda: Place,
+    /// How it is timed.
+    pub(crate) timing: Timing,
+}
+
+impl Wiring {
+    /// Writes what embassy's driver would write wrongly.
+    fn start(&self) {
+        self.registers.cr1().modify(|w| w.set_pe(false));
+        self.registers.timingr().write(|w| w.0 = self.timing.register);
+        self.registers.cr1().modify(|w| w.set_pe(true));
+    }
+
+    /// Lets go of both lines and forgets the transfer. PE must stay off for three cycles of its clock; reading it back takes
+    /// longer.
+    fn forget(&self) {
+        self.registers.cr1().modify(|w| w.set_pe(false));
+        let _ = (0..3).all(|_| self.registers.cr1().read().pe());
+        self.registers.cr1().modify(|w| w.set_pe(true));
+    }
+
+    /// Waits for the end of a stop. It is microseconds away, or the line is held.
+    fn is_free(&self) -> bool {
+        let until = Instant::now() + self.timing.stop;
+        while self.registers.isr().read().busy() {
+            if Instant::now() > until {
+                return false;
+            }
+        }
+        self.registers.icr().write(|w| w.set_stopcf(true));
+        true
+    }
+}
+
+/// Forgets the transfer when it is given up.
+struct Transfer(Wiring);
+
+impl Drop for Transfer {
+    fn drop(&mut self) {
+        self.0.forget();
+    }
+}
+
+/// A transfer that failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub(crate) enum BusError {
+    /// Nothing acknowledged the address, or a chip refused a byte.
+    NoAcknowledge,
+    /// No end in time: a line is held.
+    Held,
+    /// An edge where none may be.
+    Bus,
+    /// Another master, or a line that does not follow.
+    Arbitration,
+    /// The controller was not served in time.
+    Overrun,
+    /// More than the connector's buffer takes.
+    TooLong,
+}
+
+impl I2cError for BusError {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::NoAcknowledge => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
+            Self::Held | Self::TooLong => ErrorKind::Other,
+            Self::Bus => ErrorKind::Bus,
+            Self::Arbitration => ErrorKind::ArbitrationLoss,
+            Self::Overrun => ErrorKind::Overrun,
+        }
+    }
+}
+
+impl From<Error> for BusError {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Nack => Self::NoAcknowledge,
+            Error::Timeout => Self::Held,
+            Error::Arbitration => Self::Arbitration,
+            Error::Overrun => Self::Overrun,
+            Error::Bus | Error::Crc => Self::Bus,
+            Error::ZeroLengthTransfer => Self::TooLong,
+        }
+    }
+}
+
+/// Bytes that DMA reaches, where it does not reach what the tasks own: one transfer of the passthrough each way.
+pub(crate) struct Bounce {
+    out: [u8; MAX_RAW],
+    back: [u8; MAX_RAW],
+}
+
+impl Bounce {
+    /// Nothing in it.
+    pub(crate) const fn new() -> Self {
+        Self { out: [0; MAX_RAW], back: [0; MAX_RAW] }
+    }
+}
+
+/// A bus.
+pub(crate) struct Bus {
+    driver: I2c<'static, Async, Master>,
+    wiring: Wiring,
+    bounce: Option<&'static mut Bounce>,
+}
+
+impl Bus {
+    /// `driver` must be that of the `wiring`'s controller. With `bounce` every byte goes through it.
+    pub(crate) fn new(
+        driver: I2c<'static, Async, Master>,
+        wiring: Wiring,
+        bounce: Option<&'static mut Bounce>,
+    ) -> Self {
+        wiring.start();
+        Self { driver, wiring, bounce }
+    }
+}
+
+/// Carries a transfer out within its deadline, and leaves the controller idle whatever comes of it.
+async fn guarded(wiring: Wiring, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
+    if !wiring.is_free() {
+        return Err(BusError::Held);
+    }
+    // Dropped last of all: embassy's part ends its DMA first.
+    let guard = Transfer(wiring);
+    let registers = wiring.registers;
+    // embassy's handler wakes this task on a NACK; it is looked for first, before embassy clears it.
+    let refused = poll_fn(|_| if registers.isr().read().nackf() { Poll::Ready(()) } else { Poll::Pending });
+    let result = match select3(refused, transfer, Timer::after(wiring.timing.deadline)).await {
+        Either3::First(()) => Err(BusError::NoAcknowledge),
+        Either3::Second(done) => done.map_err(BusError::from),
+        Either3::Third(()) => Err(BusError::Held),
+    };
+    match result {
+        Ok(()) if wiring.is_free() => {
+            core::mem::forget(guard);
+            Ok(())
+        }
+        Ok(()) => Err(BusError::Held),
+        Err(BusError::NoAcknowledge) => {
+            // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
+            let _ = wiring.is_free();
+            Err(BusError::NoAcknowledge)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+impl ErrorType for Bus {
+    type Error = BusError;
+}
+
+impl I2cBus for Bus {
+    async fn read(&mut self, address: u8, read: &mut [u8]) -> Result<(), BusError> {
+        let Some(bounce) = &mut self.bounce else {
+            return guarded(self.wiring, self.driver.read(address, read)).await;
+        };
+        let back = bounce.back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
+        guarded(self.wiring, self.driver.read(address, back)).await?;
+        read.copy_from_slice(back);
+        Ok(())
+    }
+
+    async fn write(&mut self, address: u8, write: &[u8]) -> Result<(), BusError> {
+        let Some(bounce) = &mut self.bounce else {
+            return guarded(self.wiring, self.driver.write(address, write)).await;
+        };
+        let out = bounce.out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
+        out.copy_from_slice(write);
+        guarded(self.wiring, self.driver.write(address, out)).await
+    }
+
+    async fn write_read(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let Some(bounce) = &mut self.bounce else {
+            return guarded(self.wiring, self.driver.write_read(address, write, read)).await;
+        };
+        let Bounce { out, back } = bounce;
+        let out = out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
+        let back = back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
+        out.copy_from_slice(write);
+        guarded(self.wiring, self.driver.write_read(address, out, back)).await?;
+        read.copy_from_slice(back);
+        Ok(())
+    }
+
+    async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
+        match operations {
+            [Operation::Write(write)] => self.write(address, write).await,
+            [Operation::Read(read)] => self.read(address, read).await,
+            [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
+            // Nothing in the firmware asks for other shapes.
+            _ if self.bounce.is_some() => Err(BusError::TooLong),
+            _ => guarded(self.wiring, self.driver.transaction(address, operations)).await,
+        }
+    }
+}
+
+/// The lines while they are driven by hand. Given back to the controller when dropped, also in the middle.
+struct ByHand(Wiring);
+
+impl ByHand {
+    /// Both lines are open-drain already, for the controller.
+    fn take(wiring: Wiring) -> Self {
+        wiring.registers.cr1().modify(|w| w.set_pe(false));
+        let lines = Self(wiring);
+        lines.mode(Moder::OUTPUT);
+        lines
+    }
+
+    fn mode(&self, mode: Moder) {
+        for line in [self.0.scl, self.0.sda] {
+            line.set(true);
+            // Other tasks change their pins of the same port, some in interrupts.
+            critical_section::with(|_| {
+                line.registers().moder().modify(|w| w.set_moder(usize::from(line.number), mode));
+            });
+        }
+    }
+}
+
+impl Drop for ByHand {
+    fn drop(&mut self) {
+        self.mode(Moder::ALTERNATE);
+        (self.0.reset)();
+        self.0.start();
+    }
+}
+
+impl platform::Bus for Bus {
+    async fn recover(&mut self) {
+        let lines = ByHand::take(self.wiring);
+        let Wiring { scl, sda, .. } = self.wiring;
+        for _ in 0..CLOCKS {
+            scl.set(false);
+            Timer::after(HALF_CLOCK).await;
+            scl.set(true);
+            Timer::after(HALF_CLOCK).await;
+        }
+        // A stop: data rises while the clock is high.
+        scl.set(false);
+        Timer::after(HALF_CLOCK).await;
+        sda.set(false);
+        Timer::after(HALF_CLOCK).await;
+        scl.set(true);
+        Timer::after(HALF_CLOCK).await;
+        sda.set(true);
+        Timer::after(HALF_CLOCK).await;
+        drop(lines);
+    }
+}

@@ -1,0 +1,138 @@
+//! The link over CAN: FDCAN2 with classic frames, cut as `r4_protocol::can` says.
+
+use core::convert::Infallible;
+use core::num::{NonZeroU8, NonZeroU16};
+
+use embassy_stm32::can::{
+    BufferedCanReceiver, BufferedCanSender, CanConfigurator, Frame, RxBuf, TxBuf,
+    config::{GlobalFilter, NominalBitTiming, TxBufferMode},
+    filter::{Action, FilterType, StandardFilter, StandardFilterSlot},
+};
+use embassy_time::{Duration, Timer};
+use embedded_io_async::{ErrorType, Read, Write};
+use r4_protocol::can::{BITRATE, Direction, MAX_DATA, Node, cut};
+
+include!(concat!(env!("OUT_DIR"), "/node.rs"));
+
+/// Frames that wait to be read: 7 ms of a full bus.
+const RECEIVED: usize = 64;
+/// Frames that wait to be sent: one of the longest protocol frames.
+const WAITING: usize = 32;
+/// After an error of the bus: it lasts, and must not keep the processor.
+const PAUSE: Duration = Duration::from_millis(1);
+
+/// 80 MHz / 4 = 20 quanta a bit, sampled at 85 %, which lets the bus be as long as 1 Mbit/s allows; edges are followed by up
+/// to 3 quanta, for a board that runs on its internal oscillator.
+const TIMING: Option<NominalBitTiming> = match (NonZeroU16::new(4), NonZeroU8::new(16), NonZeroU8::new(3)) {
+    (Some(prescaler), Some(seg1), Some(seg2)) => {
+        Some(NominalBitTiming { prescaler, seg1, seg2, sync_jump_width: seg2 })
+    }
+    _ => None,
+};
+const KERNEL_HZ: u32 = 80_000_000;
+const _: () = assert!(KERNEL_HZ / 4 / (1 + 16 + 3) == BITRATE);
+
+/// Where frames wait.
+pub(crate) struct Buffers {
+    rx: RxBuf<RECEIVED>,
+    tx: TxBuf<WAITING>,
+}
+
+impl Buffers {
+    /// Nothing waits.
+    pub(crate) const fn new() -> Self {
+        Self { rx: RxBuf::new(), tx: TxBuf::new() }
+    }
+}
+
+/// Starts the controller, and gives the two halves of the link.
+pub(crate) fn start(mut can: CanConfigurator<'static>, buffers: &'static mut Buffers) -> (Receiver, Sender) {
+    // 0 would mean that the build script let a node through that there cannot be.
+    let node = Node::new(CAN_NODE).unwrap_or(const { Node::new(0).expect("in range") });
+    let mut config = can
+        .config()
+        // In the order of writing: frames of one identifier must not overtake each other.
+        .set_tx_buffer_mode(TxBufferMode::Fifo)
+        .set_global_filter(GlobalFilter::reject_all())
+        .set_automatic_bus_off_recovery(true);
+    if let Some(timing) = TIMING {
+        config = config.set_nominal_bit_timing(timing);
+    }
+    can.set_config(config);
+    let ours = standard(node.identifier(Direction::ToDevice));
+    let filter = StandardFilter { filter: FilterType::DedicatedDual(ours, ours), action: Action::StoreInFifo0 };
+    can.properties().set_standard_filter(StandardFilterSlot::_0, filter);
+    let can = can.into_normal_mode().buffered(&mut buffers.tx, &mut buffers.rx);
+    let (reader, writer) = (can.reader(), can.writer());
+    // The halves count as users of the controller, which is switched off when there are none.
+    core::mem::forget(can);
+    (
+        Receiver { frames: reader, data: [0; MAX_DATA], at: 0, end: 0 },
+        Sender { frames: writer, identifier: node.identifier(Direction::ToHost) },
+    )
+}
+
+fn standard(identifier: u16) -> embedded_can::StandardId {
+    // Every identifier of the protocol has 11 bits.
+    embedded_can::StandardId::new(identifier).unwrap_or(embedded_can::StandardId::MAX)
+}
+
+/// Bytes out of the frames to this board.
+pub(crate) struct Receiver {
+    frames: BufferedCanReceiver,
+    data: [u8; MAX_DATA],
+    at: usize,
+    end: usize,
+}
+
+impl ErrorType for Receiver {
+    type Error = Infallible;
+}
+
+impl Read for Receiver {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        while self.at == self.end {
+            match self.frames.receive().await {
+                Ok(envelope) => {
+                    let data = envelope.frame.data();
+                    let len = data.len().min(MAX_DATA);
+                    self.data[..len].copy_from_slice(&data[..len]);
+                    (self.at, self.end) = (0, len);
+                }
+                // Passive or off the bus: the controller comes back by itself.
+                Err(_) => Timer::after(PAUSE).await,
+            }
+        }
+        let len = buffer.len().min(self.end - self.at);
+        buffer[..len].copy_from_slice(&self.data[self.at..self.at + len]);
+        self.at += len;
+        Ok(len)
+    }
+}
+
+/// Frames to hosts.
+pub(crate) struct Sender {
+    frames: BufferedCanSender,
+    identifier: u16,
+}
+
+impl ErrorType for Sender {
+    type Error = Infallible;
+}
+
+impl Write for Sender {
+    /// Done when the frames wait for the bus. While nobody else is on it, nobody acknowledges, and they wait for ever.
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        for data in cut(bytes) {
+            // Neither the identifier nor the length is too long.
+            if let Ok(frame) = Frame::new_standard(self.identifier, data) {
+                self.frames.write(frame).await;
+            }
+        }
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}

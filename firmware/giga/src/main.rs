@@ -1,0 +1,46 @@
+//! The R4 firmware on the Arduino Giga R1, for the Cortex-M7 of its STM32H747.
+//!
+//! All that decides is in `r4-firmware`; here are the pins, clocks, interrupts and drivers that it is given.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | `boot` | from reset to running tasks, in order |
+//! | `executors` | who interrupts whom, in one table |
+//! | `clocks` | the clock tree, with and without crystal |
+//! | `pins` | the carrier's pins, from its file |
+//! | `safety_pins` | the lines that stop the board without a bus |
+//! | `watchdog` | IWDG1, fed by the supervisor alone |
+//! | `reset`, `panic` | why it started; what the last run left when it could not go on |
+//! | `i2c` | the three I2C buses, and freeing them |
+//! | `links` | byte links to hosts, and the UART connectors |
+//! | `peripherals` | counters, converters, pulses: what the control loop uses |
+//! | `encoders`, `steppers`, `ranging`, `analog`, `switches` | its parts |
+//! | `flash` | what keeps parameters and trips |
+#![no_std]
+#![no_main]
+
+mod analog;
+mod boot;
+mod clocks;
+mod encoders;
+mod executors;
+mod flash;
+mod i2c;
+mod links;
+mod panic;
+mod peripherals;
+mod pins;
+mod ranging;
+mod reset;
+mod safety_pins;
+mod steppers;
+mod switches;
+mod watchdog;
+
+use cortex_m_rt::entry;
+use defmt_rtt as _;
+
+#[entry]
+fn main() -> ! {
+    boot::run()
+}

@@ -1,0 +1,82 @@
+//! Everything of the processor that the control loop uses, in one.
+
+use r4_firmware::platform::{AnalogInputs, AnalogOutputs, Encoders, StepEvent, Steppers, SwitchInputs};
+
+use crate::{
+    analog::{Inputs, Outputs},
+    encoders::Counters,
+    steppers::Generators,
+    switches::Switches,
+};
+
+/// Counters, converters, switches and step generators.
+pub(crate) struct Processor {
+    pub(crate) encoders: Counters,
+    pub(crate) switches: Switches,
+    pub(crate) steppers: Generators,
+    /// `None` when the converter did not start: its inputs read 0 V, and supplies that are watched are out of range.
+    pub(crate) inputs: Option<Inputs>,
+    pub(crate) outputs: Outputs,
+}
+
+#[allow(unsafe_code, reason = "the inputs hold a plain pointer")]
+// SAFETY: it is to memory that DMA writes and one owner reads, from whichever priority; nothing else refers to it.
+unsafe impl Send for Inputs {}
+
+impl Encoders for Processor {
+    fn count(&mut self, index: u8) -> u16 {
+        self.encoders.count(index)
+    }
+
+    fn illegal(&mut self, index: u8) -> u32 {
+        self.encoders.illegal(index)
+    }
+}
+
+impl SwitchInputs for Processor {
+    fn is_high(&mut self, index: u8) -> bool {
+        self.switches.is_high(index)
+    }
+}
+
+impl AnalogInputs for Processor {
+    fn code(&mut self, index: u8) -> u16 {
+        self.inputs.as_mut().map_or(0, |inputs| inputs.code(index))
+    }
+}
+
+impl AnalogOutputs for Processor {
+    fn set(&mut self, index: u8, code: u16) {
+        self.outputs.set(index, code);
+    }
+}
+
+impl Steppers for Processor {
+    const TICK_HZ: u32 = Generators::TICK_HZ;
+    const PULSE_TICKS: u32 = Generators::PULSE_TICKS;
+    const DIRECTION_LATENCY_TICKS: u32 = Generators::DIRECTION_LATENCY_TICKS;
+
+    fn now(&mut self) -> u32 {
+        self.steppers.now()
+    }
+
+    fn enable(&mut self, high: bool) {
+        self.steppers.enable(high);
+    }
+
+    fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
+        self.steppers.queue(axis, events)
+    }
+
+    fn pending(&mut self, axis: u8) -> u32 {
+        self.steppers.pending(axis)
+    }
+
+    fn position(&mut self, axis: u8) -> i32 {
+        self.steppers.position(axis)
+    }
+
+    fn stop(&mut self, axis: u8) {
+        self.steppers.stop(axis);
+    }
+}

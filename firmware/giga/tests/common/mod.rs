@@ -1,0 +1,33 @@
+//! What every test begins with: outputs off, then the clocks as the firmware makes them.
+
+use core::{
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use defmt_rtt as _;
+use embassy_stm32::{Peripherals, SharedData};
+use embassy_time::Instant;
+
+use crate::{clocks, safety_pins};
+
+#[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+// SAFETY: the section is in SRAM4, which is always clocked, and takes any data.
+#[unsafe(link_section = ".sram4.shared")]
+static EMBASSY: MaybeUninit<SharedData> = MaybeUninit::uninit();
+
+/// Whether the time driver runs; a log line before that has no time.
+static CLOCK_RUNS: AtomicBool = AtomicBool::new(false);
+
+defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::now().as_micros() } else { 0 });
+
+/// Holds every bridge off, and starts the clocks. The watchdog stays off: a debugger halts the processor in a test.
+pub(crate) fn start() -> (Peripherals, clocks::Source) {
+    safety_pins::claim();
+    let source = clocks::probe();
+    let mut config = embassy_stm32::Config::default();
+    config.rcc = clocks::config(source);
+    let peripherals = embassy_stm32::init_primary(config, &EMBASSY);
+    CLOCK_RUNS.store(true, Ordering::Relaxed);
+    (peripherals, source)
+}

@@ -1,0 +1,258 @@
+//! What is around a board's processor, whatever runs on it: the world, stop lines, lights, flash and the link to the host.
+
+use std::{
+    cell::{Cell, RefCell, RefMut},
+    ops::Deref,
+    rc::Rc,
+};
+
+use r4_boards::Robot;
+use r4_firmware::ResetCause;
+use r4_plants::{Effect, Plant, PlantError, PlantSpec, effect::friction::CoulombFriction};
+use r4_protocol::ChannelId;
+
+use crate::{
+    clock::Clock,
+    executor::Simulation,
+    flash::Flash,
+    lines::Line,
+    link::{Cable, Port, serial},
+    uart::LineNoise,
+    world::World,
+};
+
+/// Bits per second of the link to the host, as on the board's UART connectors.
+const LINK_BAUD: u32 = 1_000_000;
+/// Friction that no motor overcomes, N m or N.
+const BLOCKED: f64 = 1e3;
+
+/// Why a board cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// Its file does not say what is true.
+    #[error("{file} has no [simulation] part, so there is no world to simulate: add one")]
+    NoSimulation {
+        /// Of the robot.
+        file: String,
+    },
+    /// A motor starts where it cannot be.
+    #[error("{file}: {channel} starts at {start}, beyond its end stop at {stop}: correct its start in [simulation]")]
+    StartBeyondStop {
+        /// Of the robot.
+        file: String,
+        /// Which motor.
+        channel: ChannelId,
+        /// rad or m
+        start: f64,
+        /// rad or m
+        stop: f64,
+    },
+    /// A plant's file is wrong.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+}
+
+/// A board in a [`Simulation`], for programs and tests that do not care what runs on its processor: the firmware's own
+/// tasks ([`SimBoard`](crate::SimBoard)) or an emulated chip.
+pub trait VirtualBoard: Deref<Target = Surroundings> {
+    /// Resets the processor, as a watchdog or a request to restart does: the world and the chips stay as they are, the
+    /// firmware starts anew. Hosts have to [`Surroundings::connect`] again.
+    fn restart(&self, simulation: &mut Simulation, cause: ResetCause);
+
+    /// Why the board has stopped for ever, if it has: an emulated processor met what its models do not have.
+    fn failure(&self) -> Option<String> {
+        None
+    }
+}
+
+/// The lights on the board.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lights {
+    /// Tripped.
+    pub red: bool,
+    /// Armed.
+    pub green: bool,
+    /// A host is connected.
+    pub blue: bool,
+}
+
+/// One of the lights on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Light {
+    /// [`Lights::red`].
+    Red,
+    /// [`Lights::green`].
+    Green,
+    /// [`Lights::blue`].
+    Blue,
+}
+
+/// See the module. Whoever makes a board around a processor holds one; hands out shared parts of it to the processor.
+pub struct Surroundings {
+    robot: Robot,
+    clock: Clock,
+    world: Rc<RefCell<World>>,
+    flash: Rc<RefCell<Flash>>,
+    dead_man: Rc<Line>,
+    auxiliary_stop: Rc<Line>,
+    lights: Rc<Cell<Lights>>,
+    host: RefCell<Option<Port>>,
+    cable: RefCell<Option<Cable>>,
+}
+
+impl Surroundings {
+    /// What is around a board for `robot`, on `clock`, which must be at 0: the dead-man's handle is held, no stop is
+    /// pressed, lights are off, no host is there.
+    ///
+    /// # Errors
+    /// When the robot's file does not describe a world to simulate.
+    pub fn new(clock: Clock, robot: &Robot, seed: u64, flash: Flash) -> Result<Self, SimError> {
+        if robot.simulation.is_empty() {
+            return Err(SimError::NoSimulation { file: robot.file.clone() });
+        }
+        let mut world = World::new(robot, clock.clone(), seed)?;
+        for motor in &robot.simulation.motors {
+            let stop = world.position(motor.channel).unwrap_or(motor.start);
+            if stop != motor.start {
+                let (file, channel, start) = (robot.file.clone(), motor.channel, motor.start);
+                return Err(SimError::StartBeyondStop { file, channel, start, stop });
+            }
+        }
+        Ok(Self {
+            robot: robot.clone(),
+            clock,
+            world: Rc::new(RefCell::new(world)),
+            flash: Rc::new(RefCell::new(flash)),
+            dead_man: Line::new(true),
+            auxiliary_stop: Line::new(true),
+            lights: Rc::default(),
+            host: RefCell::new(None),
+            cable: RefCell::new(None),
+        })
+    }
+
+    // For programs and tests.
+
+    /// The robot that it is.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The world, to look at and to break. Must not be kept over an `await`.
+    #[must_use]
+    pub fn world(&self) -> RefMut<'_, World> {
+        self.world.borrow_mut()
+    }
+
+    /// The processor's flash, to look at and to cut the power of. Must not be kept over an `await`.
+    #[must_use]
+    pub fn flash(&self) -> RefMut<'_, Flash> {
+        self.flash.borrow_mut()
+    }
+
+    /// The dead-man's handle: high while held.
+    #[must_use]
+    pub fn dead_man(&self) -> &Line {
+        &self.dead_man
+    }
+
+    /// The auxiliary stop: high while not pressed.
+    #[must_use]
+    pub fn auxiliary_stop(&self) -> &Line {
+        &self.auxiliary_stop
+    }
+
+    /// The lights on the board.
+    #[must_use]
+    pub fn lights(&self) -> Lights {
+        self.lights.get()
+    }
+
+    /// The host's end of the link; `None` after the first call since the board started.
+    pub fn connect(&self) -> Option<Port> {
+        self.host.take()
+    }
+
+    /// Disturbs what is sent on the link from now on, to the device and to the host; `None` is a quiet line. Ends with the
+    /// next start of the processor.
+    pub fn disturb_link(&self, to_device: Option<LineNoise>, to_host: Option<LineNoise>) {
+        if let Some(cable) = &*self.cable.borrow() {
+            cable.disturb_to_device(to_device);
+            cable.disturb_to_host(to_host);
+        }
+    }
+
+    /// Blocks what a motor drives, or gives it the physics of the robot's file again; at rest where it is.
+    ///
+    /// # Errors
+    /// When its plant cannot be blocked.
+    pub fn block_motor(&self, channel: ChannelId, blocked: bool) -> Result<(), PlantError> {
+        let Some(motor) = self.robot.simulation.motors.iter().find(|motor| motor.channel == channel) else {
+            return Ok(());
+        };
+        let mut spec = PlantSpec::from_toml(&motor.plant.name, &motor.plant.text)?;
+        if blocked {
+            let pushed = spec.push_effect(Effect::CoulombFriction(CoulombFriction { level: BLOCKED }));
+            pushed.map_err(|error| PlantError::Field { source_name: motor.plant.name.clone(), line: 0, error })?;
+        }
+        self.world().set_plant(channel, Plant::new(&spec, 1));
+        Ok(())
+    }
+
+    // For whoever makes a board of it.
+
+    /// The clock it follows.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// The world, to share with the processor.
+    #[must_use]
+    pub fn shared_world(&self) -> Rc<RefCell<World>> {
+        self.world.clone()
+    }
+
+    /// The flash, to share with the processor.
+    #[must_use]
+    pub fn shared_flash(&self) -> Rc<RefCell<Flash>> {
+        self.flash.clone()
+    }
+
+    /// The dead-man's line, to share with the processor.
+    #[must_use]
+    pub fn dead_man_line(&self) -> Rc<Line> {
+        self.dead_man.clone()
+    }
+
+    /// The auxiliary stop's line, to share with the processor.
+    #[must_use]
+    pub fn auxiliary_stop_line(&self) -> Rc<Line> {
+        self.auxiliary_stop.clone()
+    }
+
+    /// What the processor's line to a light does: it lights while low.
+    pub fn light_line(&self, light: Light) -> impl FnMut(bool) + use<> {
+        let lights = self.lights.clone();
+        move |high| {
+            let mut now = lights.get();
+            let place = match light {
+                Light::Red => &mut now.red,
+                Light::Green => &mut now.green,
+                Light::Blue => &mut now.blue,
+            };
+            *place = !high;
+            lights.set(now);
+        }
+    }
+
+    /// Lays a new link for a processor that starts: its end, of which the other waits for [`Surroundings::connect`].
+    #[must_use]
+    pub fn new_link(&self) -> Port {
+        let (host, device) = serial(&self.clock, LINK_BAUD);
+        self.cable.replace(Some(Cable::of(&device)));
+        self.host.replace(Some(host));
+        device
+    }
+}

@@ -1,0 +1,182 @@
+//! Encoder tracks: what is on their lines, and the processor's counters of the simulated firmware.
+
+use std::f64::consts::TAU;
+
+use r4_boards::SimulatedSensor;
+use r4_firmware::{platform::Encoders, sensing::quadrature::Decoder};
+
+use super::{Processor, World, motor::Motor};
+use crate::sensors::quadrature::{Channel, HardwareCounter, Levels, QuadratureSignal, Transition};
+
+/// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
+const ENCODER_FILTER_NS: u64 = 267;
+/// The first inputs are counted by timers, the others by interrupts.
+const ENCODERS_ON_TIMERS: usize = 3;
+/// Nobody has to look at a moving shaft more often than this: an edge may be told so late.
+const FLOOR_NS: u64 = 2_000;
+/// The same for a shaft at a standstill that is driven.
+const STANDSTILL_FLOOR_NS: u64 = 20_000;
+/// Whatever the shaft does, an edge of one that moves or is driven is told at most so late.
+const CEILING_NS: u64 = 50_000;
+/// An edge of a shaft at rest that nothing drives is told at most so late: what moves it is not the board.
+const REST_NS: u64 = 1_000_000;
+/// A shaft slower than this counts as one at a standstill, counts/s.
+const STANDSTILL: f64 = 1.0;
+
+/// A change of one track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EncoderEdge {
+    /// When.
+    pub at_ns: u64,
+    /// Which track.
+    pub track: Channel,
+    /// The level from then on.
+    pub high: bool,
+}
+
+/// What the processor makes of an encoder's tracks.
+pub(super) enum Counter {
+    Timer(HardwareCounter),
+    Interrupts(Decoder),
+}
+
+/// The processor's counters after a reset.
+pub(super) fn counters(encoders: &[QuadratureSignal; 4]) -> [Option<Counter>; 4] {
+    std::array::from_fn(|index| {
+        let levels = encoders[index].levels();
+        if index < ENCODERS_ON_TIMERS {
+            return Some(Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, levels)));
+        }
+        let mut decoder = Decoder::new();
+        decoder.update(levels.a, levels.b);
+        Some(Counter::Interrupts(decoder))
+    })
+}
+
+/// Counts in a turn of the encoder at input `index`, if this motor turns it.
+fn counts_per_turn(motor: &Motor, index: usize) -> Option<f64> {
+    match motor.sensor {
+        Some(SimulatedSensor::Encoder { input, lines_per_turn }) if usize::from(input) == index => {
+            Some(f64::from(lines_per_turn) * 4.0)
+        }
+        _ => None,
+    }
+}
+
+/// The earliest that a shaft can have gone `way` in the direction of `speed`, from there with `acceleration`, s.
+fn earliest_s(way: f64, speed: f64, acceleration: f64) -> f64 {
+    2.0 * way / (speed + (speed * speed + 2.0 * acceleration * way).sqrt())
+}
+
+impl World {
+    /// Levels of an encoder's tracks, as of the last [`World::take_encoder_edges`]; both low for an input the board does
+    /// not have.
+    #[must_use]
+    pub fn encoder_levels(&self, index: usize) -> Levels {
+        self.pins.encoders.get(index).map_or(Levels::default(), QuadratureSignal::levels)
+    }
+
+    /// Every edge of an encoder's tracks up to now that was not told before, in order of time.
+    ///
+    /// Between two calls a shaft is taken to turn evenly. Of more than 4096 counts the first are left out, in whole turns
+    /// of four, so that levels stay right: returned is how many, with their sign. A counter is exact that adds them, an
+    /// interrupt would have been lost anyway; 0 for whoever looks once a ms. After a lost edge both tracks change at once.
+    pub fn take_encoder_edges(&mut self, index: usize, mut sink: impl FnMut(EncoderEdge)) -> i64 {
+        let mut levels = self.encoder_levels(index);
+        self.turn(index, |Transition { at_ns, levels: now }| {
+            for (track, was, high) in [(Channel::A, levels.a, now.a), (Channel::B, levels.b, now.b)] {
+                if was != high {
+                    sink(EncoderEdge { at_ns, track, high });
+                }
+            }
+            levels = now;
+        })
+    }
+
+    /// When to look at an encoder's tracks next so that no edge is told much later than it happens: not before the
+    /// earliest moment at which the shaft can reach the next count, from its speed, the count's place and the highest
+    /// acceleration of its motor at this supply, taken twice. `u64::MAX` for an input without an encoder.
+    ///
+    /// So each edge is told at most 2 µs late while the shaft turns, 20 µs when it starts, 50 µs where a load or an end
+    /// stop jolts it. One at rest that nothing drives is looked at each ms, or when a PWM chip changes its outputs.
+    ///
+    /// Holds as long as nobody changes a line or a chip: ask again after that.
+    pub fn next_encoder_change_ns(&mut self, index: usize) -> u64 {
+        self.catch_up();
+        let now_ns = self.now_ns;
+        let Some(signal) = self.pins.encoders.get(index) else { return u64::MAX };
+        let glitch_ns = signal.next_glitch_ns().unwrap_or(u64::MAX).max(now_ns);
+        let Some((motor, per_turn)) = self.turned_by(index) else { return glitch_ns };
+        let position = motor.plant.sensed_position() / TAU * per_turn;
+        let speed = motor.plant.speed() / TAU * per_turn;
+        if position.floor() as i64 != signal.count() {
+            return now_ns;
+        }
+        let chips_ns = self.chips.next_change_ns().unwrap_or(u64::MAX).max(now_ns);
+        let stands = speed.abs() < STANDSTILL;
+        let after_ns = if stands && motor.drive.duty == 0.0 {
+            REST_NS
+        } else {
+            let top = motor.top_acceleration(self.rails[motor.rail].spec.emf_v);
+            let acceleration = 2.0 * top / TAU * per_turn;
+            let above = position - position.floor();
+            let up_s = earliest_s(1.0 - above, speed, acceleration);
+            let down_s = earliest_s(above, -speed, acceleration);
+            let floor_ns = if stands { STANDSTILL_FLOOR_NS } else { FLOOR_NS };
+            // A float that is no time at all, or none, is clipped too.
+            ((up_s.min(down_s) * 1e9) as u64).clamp(floor_ns, CEILING_NS)
+        };
+        now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + FLOOR_NS))
+    }
+
+    /// The motor that turns an encoder, and its counts in a turn.
+    fn turned_by(&self, index: usize) -> Option<(&Motor, f64)> {
+        self.motors.iter().find_map(|motor| counts_per_turn(motor, index).map(|per_turn| (motor, per_turn)))
+    }
+
+    /// Lets an encoder follow its shaft to now.
+    fn turn(&mut self, index: usize, sink: impl FnMut(Transition)) -> i64 {
+        self.catch_up();
+        let counts = self.turned_by(index).map_or(0.0, |(motor, per_turn)| {
+            let turns = motor.plant.sensed_position() / TAU;
+            turns * per_turn
+        });
+        let now_ns = self.clock.now_ns();
+        self.pins.encoders.get_mut(index).map_or(0, |signal| signal.advance(now_ns, counts, sink))
+    }
+
+    /// Lets the processor's counter take what an encoder's tracks have done.
+    fn count_encoder(&mut self, index: usize) {
+        // Out of the way of the world while it brings the edges.
+        let Some(mut counter) = self.counters.get_mut(index).and_then(Option::take) else { return };
+        let left_out = self.turn(index, |transition| match &mut counter {
+            Counter::Timer(timer) => timer.take(transition),
+            Counter::Interrupts(decoder) => decoder.update(transition.levels.a, transition.levels.b),
+        });
+        if let Counter::Timer(timer) = &mut counter {
+            timer.add(left_out);
+        }
+        self.counters[index] = Some(counter);
+    }
+}
+
+impl Encoders for Processor {
+    fn count(&mut self, index: u8) -> u16 {
+        let mut world = self.0.borrow_mut();
+        let index = usize::from(index);
+        world.count_encoder(index);
+        let now_ns = world.clock.now_ns();
+        match world.counters.get_mut(index) {
+            Some(Some(Counter::Timer(timer))) => timer.count(now_ns),
+            Some(Some(Counter::Interrupts(decoder))) => decoder.count(),
+            _ => 0,
+        }
+    }
+
+    fn illegal(&mut self, index: u8) -> u32 {
+        match self.0.borrow().counters.get(usize::from(index)) {
+            Some(Some(Counter::Interrupts(decoder))) => decoder.illegal(),
+            _ => 0,
+        }
+    }
+}

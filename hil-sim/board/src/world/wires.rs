@@ -1,0 +1,266 @@
+//! What the processor's pins are wired to, by connector: levels, volts and bytes, each with its time.
+//!
+//! For a processor that drives its pins itself, such as an emulated one. Where a call takes no time it is that of the
+//! world's clock. The simulated firmware's traits, in [`pins`](super::pins) and [`stepping`](super::stepping), are another
+//! way to the same things.
+
+use r4_protocol::ChannelId;
+
+use super::{StepPulses, World, pins, stepping};
+use crate::{
+    i2c::{I2cBus, Response},
+    sensors::hc_sr04::EchoEdge,
+    uart::UartByte,
+};
+
+/// Which of the processor's I2C controllers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Controller {
+    /// That of the board's own chips.
+    Board,
+    /// That of an external connector, 0 or 1.
+    External(usize),
+}
+
+/// A chip on the board's I2C bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardChip {
+    /// The PCA9685 behind the OSMC bridges.
+    OsmcPwm,
+    /// The PCA9685 behind the DHB bridges.
+    DhbPwm,
+    /// The PCA9685 behind the servos.
+    ServoPwm,
+    /// The MCP4728 behind the brushless drives.
+    BldcDac,
+    /// The MCP23017 behind relays, directions and brakes.
+    Expander,
+}
+
+/// Lines that stop outputs.
+impl World {
+    /// The DISABLE line of the OSMC bridges: high is off.
+    pub fn set_osmc_disabled(&mut self, high: bool) {
+        self.catch_up();
+        self.osmc_disabled = high;
+        self.stale = true;
+        self.look_at_lines();
+    }
+
+    /// The output-enable line of the motor PWM chips, as the board wires it: high is off.
+    pub fn set_pwm_outputs_disabled(&mut self, high: bool) {
+        self.catch_up();
+        self.chips.set_bridge_outputs_enabled(self.clock.now_ns(), !high);
+        self.look_at_lines();
+    }
+
+    /// An edge of the line to an external watchdog, which every edge kicks; see [`pins::Pins::longest_kick_ns`].
+    pub fn set_heartbeat(&mut self, _high: bool) {
+        self.pins.kick(self.clock.now_ns());
+    }
+
+    /// The LDAC line of the brushless drives' DAC; low where nobody drives it.
+    pub fn set_ldac(&mut self, high: bool) {
+        self.catch_up();
+        if let Some(chip) = &self.chips.bldc_dac {
+            chip.borrow_mut().set_ldac(self.clock.now_ns(), high);
+        }
+        self.look_at_lines();
+    }
+
+    /// The processor is reset: its lines float until it drives them again, to where nothing moves; what it counted is
+    /// lost. A transfer that it had under way on a bus stays as it is, without STOP. Trigger lines keep their level.
+    pub fn reset_processor(&mut self) {
+        self.catch_up();
+        self.set_osmc_disabled(true);
+        self.set_pwm_outputs_disabled(true);
+        self.set_ldac(false);
+        self.steppers.iter_mut().for_each(stepping::Axis::reset);
+        self.pins.reset_processor();
+        self.counters = super::encoders::counters(&self.pins.encoders);
+    }
+}
+
+/// Stepper drivers, by connector. A driver follows its lines edge by edge, with the times it is told; so nothing of it is
+/// known beyond what [`World::settle_steppers`] says to be complete. Lines of a connector without a driver go nowhere.
+impl World {
+    /// The step line of a connector has a level from `at_ns` on; its rising edge is a step.
+    pub fn step_line(&mut self, connector: usize, at_ns: u64, high: bool) {
+        if let Some(axis) = self.axis_at(connector) {
+            axis.step_line(at_ns, high);
+        }
+    }
+
+    /// The direction line of a connector has a level from `at_ns` on; high is forward.
+    pub fn direction_line(&mut self, connector: usize, at_ns: u64, high: bool) {
+        if let Some(axis) = self.axis_at(connector) {
+            axis.direction_line(at_ns, high);
+        }
+    }
+
+    /// The enable line of all drivers has a level from now on.
+    pub fn set_stepper_enable(&mut self, high: bool) {
+        let now_ns = self.clock.now_ns();
+        self.steppers.iter_mut().for_each(|axis| axis.enable(now_ns, high));
+    }
+
+    /// All edges of step and direction lines up to `up_to_ns` have been told, so drivers and motors go on to there. Edges
+    /// told later for an earlier time count as at `up_to_ns`.
+    ///
+    /// To be called before anybody looks at a stepper: whenever the clock is let go, with its time. Not needed, and not
+    /// to be called, by a processor that queues its steps.
+    pub fn settle_steppers(&mut self, up_to_ns: u64) {
+        self.catch_up();
+        self.steppers.iter_mut().for_each(|axis| axis.settle(up_to_ns));
+    }
+
+    /// How many pulses a stepper's driver has got; `None` for other channels.
+    pub fn step_pulses(&mut self, channel: ChannelId) -> Option<StepPulses> {
+        self.catch_up();
+        self.steppers.iter().find(|axis| axis.channel == channel).map(stepping::Axis::pulses)
+    }
+
+    fn axis_at(&mut self, connector: usize) -> Option<&mut stepping::Axis> {
+        self.steppers.iter_mut().find(|axis| usize::from(axis.channel.index) == connector)
+    }
+}
+
+/// Range sensors, switches and analog lines, by connector.
+impl World {
+    /// The trigger line of a range sensor has a level from now on.
+    pub fn trigger(&mut self, connector: usize, high: bool) {
+        self.pins.rangers.trigger(connector, self.clock.now_ns(), high);
+    }
+
+    /// The level of a range sensor's echo line.
+    pub fn echo_is_high(&mut self, connector: usize) -> bool {
+        let now_ns = self.clock.now_ns();
+        self.pins.rangers.modules.get_mut(connector).is_some_and(|module| module.echo_is_high(now_ns))
+    }
+
+    /// The edges of a range sensor's echo line up to now that were not told before, in order of time.
+    pub fn take_echo_edges(&mut self, connector: usize, sink: impl FnMut(EchoEdge)) {
+        let now_ns = self.clock.now_ns();
+        if let Some(module) = self.pins.rangers.modules.get_mut(connector) {
+            module.take_edges(now_ns).for_each(sink);
+        }
+    }
+
+    /// When a range sensor's echo line changes next, as far as is known: `u64::MAX` when nothing is to come. A trigger of
+    /// any sensor can change it: others hear its sound.
+    #[must_use]
+    pub fn next_echo_edge_ns(&self, connector: usize) -> u64 {
+        let module = self.pins.rangers.modules.get(connector);
+        module.and_then(|module| module.next_edge_ns()).unwrap_or(u64::MAX)
+    }
+
+    /// The level of a switch's line, which a resistor pulls high where there is none.
+    pub fn switch_is_high(&mut self, connector: usize) -> bool {
+        pins::switch_is_high(self, connector)
+    }
+
+    /// The voltage at an analog input of the processor, 0 to 3.3 V: as one sample of a converter without errors sees it,
+    /// so with the noise and the errors of the input. Noise is drawn at each call.
+    pub fn analog_v(&mut self, input: usize) -> f64 {
+        pins::analog_v(self, input)
+    }
+
+    /// What the processor's 16-bit converter reads at an analog input, as the simulated firmware gets it.
+    pub fn analog_code(&mut self, input: usize) -> u16 {
+        pins::analog_code(self, input)
+    }
+
+    /// The voltage that the processor's analog output drives from now on; 0 where it drives nothing.
+    pub fn set_dac_v(&mut self, output: usize, volts: f64) {
+        self.catch_up();
+        self.pins.set_dac_v(output, volts);
+    }
+}
+
+/// I2C controllers that make their own timing: as the bus's own [`start`](I2cBus::start) and so on, with the world following.
+/// Times are at most the clock's.
+impl World {
+    /// See [`I2cBus::start`].
+    pub fn i2c_start(&mut self, controller: Controller, at_ns: u64, address: u8, read: bool) -> Response {
+        self.on_bus(controller, |bus| bus.start(at_ns, address, read))
+    }
+
+    /// See [`I2cBus::write`].
+    pub fn i2c_write(&mut self, controller: Controller, at_ns: u64, byte: u8) -> Response {
+        self.on_bus(controller, |bus| bus.write(at_ns, byte))
+    }
+
+    /// See [`I2cBus::read`].
+    pub fn i2c_read(&mut self, controller: Controller, at_ns: u64) -> Option<u8> {
+        self.on_bus(controller, |bus| bus.read(at_ns))
+    }
+
+    /// See [`I2cBus::stop`].
+    pub fn i2c_stop(&mut self, controller: Controller, at_ns: u64) {
+        self.on_bus(controller, |bus| bus.stop(at_ns));
+    }
+
+    /// See [`I2cBus::clock_pulse`].
+    pub fn i2c_clock_pulse(&mut self, controller: Controller, at_ns: u64) {
+        self.on_bus(controller, |bus| bus.clock_pulse(at_ns));
+    }
+
+    /// See [`I2cBus::lines_are_free`]; now.
+    pub fn i2c_lines_are_free(&mut self, controller: Controller) -> bool {
+        let now_ns = self.clock.now_ns();
+        self.bus_of(controller).lines_are_free(now_ns)
+    }
+
+    /// The bus behind one of the processor's controllers.
+    ///
+    /// # Panics
+    /// For an external connector the board does not have.
+    pub fn bus_of(&mut self, controller: Controller) -> &mut I2cBus {
+        match controller {
+            Controller::Board => &mut self.bus,
+            Controller::External(connector) => self.pins.external_bus(connector, self.clock.now_ns()),
+        }
+    }
+
+    /// Everything on the bus at its time, and the expander's pins and the DAC's outputs with it; PWM chips change theirs at
+    /// the end of their cycle.
+    pub(crate) fn on_bus<T>(&mut self, controller: Controller, work: impl FnOnce(&mut I2cBus) -> T) -> T {
+        self.catch_up();
+        let result = work(self.bus_of(controller));
+        self.look_at_lines();
+        result
+    }
+}
+
+/// UART connectors, whose output is wired to their input until somebody unplugs that: [`pins::Pins::uart`].
+impl World {
+    /// A byte has left a connector: its stop bit ended at `at_ns`.
+    pub fn uart_sent(&mut self, connector: usize, at_ns: u64, byte: u8) {
+        if let Some(line) = self.pins.uart(connector) {
+            line.sent(at_ns, byte);
+        }
+    }
+
+    /// The next byte that has arrived at a connector up to now.
+    pub fn take_uart_arrived(&mut self, connector: usize) -> Option<UartByte> {
+        let now_ns = self.clock.now_ns();
+        self.pins.uart(connector)?.take_arrived(now_ns)
+    }
+
+    /// When the next byte arrives at a connector, `u64::MAX` when none is under way; also of one that is lost.
+    pub fn next_uart_arrival_ns(&mut self, connector: usize) -> u64 {
+        self.pins.uart(connector).and_then(|line| line.next_arrival_ns()).unwrap_or(u64::MAX)
+    }
+}
+
+/// Faults of single chips.
+impl World {
+    /// Lets the supply of one chip break in for a moment, while the bus and all others go on: its registers are as after
+    /// power-on, a transfer with it is not acknowledged further. False where the robot has no such chip.
+    pub fn brown_out(&mut self, chip: BoardChip) -> bool {
+        self.catch_up();
+        let known = self.chips.power_cycle(chip, self.clock.now_ns());
+        self.look_at_lines();
+        known
+    }
+}

@@ -1,0 +1,263 @@
+//! A debugger on the machine, by gdb's remote protocol. While gdb has it halted, virtual time stands still.
+//!
+//! Registers are those of the core with floating point and the masks. Memory is RAM and flash, read and written as it is,
+//! without clocks and without effects; peripherals are refused, for to read one can change it: `monitor read` does so on
+//! purpose. Of the system control space NVIC, SCB and floating point are read, which has no effect. Breakpoints, of which
+//! there are as many as one likes, are kept by the machine and not in flash. A step is one instruction, or the entry of an
+//! exception that is due. Neither breakpoints nor steps change what the program does or when.
+
+mod inferior;
+mod monitor;
+mod registers;
+mod wire;
+
+use std::{cell::Cell, net::TcpListener, rc::Rc, thread, time::Duration};
+
+use gdbstub::{
+    common::Signal,
+    conn::Connection as _,
+    stub::{
+        DisconnectReason, GdbStub, SingleThreadStopReason,
+        state_machine::GdbStubStateMachine::{self, CtrlCInterrupt, Disconnected, Idle, Running},
+    },
+};
+use r4_mcu::{
+    MachineError, Reason, Stopped,
+    cpu::{Core, Register},
+};
+
+use crate::watch::{Go, SharedMachine, Watcher, observed_at};
+use inferior::{Inferior, Resume};
+use wire::Wire;
+
+/// How often it is looked whether gdb has connected, in real time.
+const ACCEPT_EVERY: Duration = Duration::from_millis(20);
+
+/// Where a debugging session stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// Nobody has connected yet.
+    Waiting,
+    /// gdb is connected.
+    Attached,
+    /// gdb has gone; the machine runs freely.
+    Detached,
+    /// gdb wants all to end.
+    Killed,
+}
+
+/// Whoever started the server: tells a person, and knows whether that person wants to stop waiting.
+pub trait Starter {
+    /// Something to say.
+    fn say(&self, text: &str);
+
+    /// Waiting for gdb is to end, and the machine to run on.
+    fn interrupted(&self) -> bool {
+        false
+    }
+
+    /// gdb wants all to end.
+    fn killed(&self) {}
+}
+
+type Stub<C> = GdbStubStateMachine<'static, Inferior<C>, Wire>;
+
+/// Serves one gdb.
+pub struct Server<C: Core + 'static> {
+    listener: TcpListener,
+    attach_at_ns: u64,
+    starter: Box<dyn Starter>,
+    state: Rc<Cell<State>>,
+    inferior: Inferior<C>,
+    stub: Option<Stub<C>>,
+}
+
+impl<C: Core + 'static> Server<C> {
+    /// A server that halts the machine at the first instruction at or after `attach_at_ns`, and waits there for gdb.
+    pub fn new(
+        machine: SharedMachine<C>,
+        listener: TcpListener,
+        attach_at_ns: u64,
+        starter: impl Starter + 'static,
+    ) -> Self {
+        let inferior =
+            Inferior { machine, breakpoints: Vec::new(), resume: Resume::Continue, tracer: None, failure: None };
+        let state = Rc::new(Cell::new(State::Waiting));
+        Self { listener, attach_at_ns, starter: Box::new(starter), state, inferior, stub: None }
+    }
+
+    /// Where it stands, now and later.
+    pub fn state(&self) -> Rc<Cell<State>> {
+        self.state.clone()
+    }
+
+    /// Waits for gdb.
+    fn accept(&mut self) {
+        let address = self.listener.local_addr().map(|address| address.to_string()).unwrap_or_default();
+        let (now_ns, location) = {
+            let machine = self.inferior.machine.borrow();
+            (machine.now_ns(), machine.location())
+        };
+        self.starter.say(&format!("halted at {now_ns} ns, {location}; waits for gdb: target remote {address}"));
+        let connected = self.listener.set_nonblocking(true).and_then(|()| {
+            loop {
+                match self.listener.accept() {
+                    Ok((stream, _)) => return Wire::new(stream).map(Some),
+                    Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {
+                        if self.starter.interrupted() {
+                            return Ok(None);
+                        }
+                        thread::sleep(ACCEPT_EVERY);
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
+        });
+        match connected {
+            Ok(Some(wire)) => {
+                self.state.set(State::Attached);
+                let stub = GdbStub::new(wire).run_state_machine(&mut self.inferior);
+                self.keep(stub);
+            }
+            Ok(None) => self.state.set(State::Detached),
+            Err(error) => self.end(&error),
+        }
+    }
+
+    /// The connection goes on, or has failed.
+    fn keep<E: std::fmt::Display>(&mut self, stub: Result<Stub<C>, E>) {
+        match stub {
+            Ok(stub) => self.stub = Some(stub),
+            Err(error) => self.end(&error),
+        }
+    }
+
+    fn end(&mut self, error: &dyn std::fmt::Display) {
+        self.starter.say(&format!("gdb: {error}; the machine runs on"));
+        self.inferior.breakpoints.clear();
+        self.state.set(State::Detached);
+    }
+
+    /// Answers gdb until the machine is to run, or nobody is there any more.
+    fn talk(&mut self) {
+        while let Some(stub) = self.stub.take() {
+            match stub {
+                Idle(mut idle) => match idle.borrow_conn().wait() {
+                    Ok(Some(byte)) => {
+                        let next = idle.incoming_data(&mut self.inferior, byte);
+                        self.keep(next);
+                    }
+                    Ok(None) if self.starter.interrupted() => self.end(&"interrupted"),
+                    Ok(None) => self.stub = Some(Idle(idle)),
+                    Err(error) => self.end(&error),
+                },
+                Running(mut running) => match running.borrow_conn().look() {
+                    Ok(Some(byte)) => {
+                        let next = running.incoming_data(&mut self.inferior, byte);
+                        self.keep(next);
+                    }
+                    Ok(None) => {
+                        self.stub = Some(Running(running));
+                        return;
+                    }
+                    Err(error) => self.end(&error),
+                },
+                CtrlCInterrupt(interrupt) => {
+                    let reason = Some(SingleThreadStopReason::Signal(Signal::SIGINT));
+                    let next = interrupt.interrupt_handled(&mut self.inferior, reason);
+                    self.keep(next);
+                }
+                Disconnected(mut disconnected) => {
+                    // What was answered last.
+                    let _ = disconnected.borrow_conn().flush();
+                    self.inferior.breakpoints.clear();
+                    self.inferior.resume = Resume::Continue;
+                    if disconnected.get_reason() == DisconnectReason::Kill {
+                        self.state.set(State::Killed);
+                        self.starter.killed();
+                    } else {
+                        self.state.set(State::Detached);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Tells gdb why the machine has stopped, if it waits for that.
+    fn report(&mut self, reason: SingleThreadStopReason<u32>) {
+        match self.stub.take() {
+            Some(Running(running)) => {
+                let next = running.report_stop(&mut self.inferior, reason);
+                self.keep(next);
+            }
+            other => self.stub = other,
+        }
+    }
+
+    /// What of a stop gdb is to know.
+    fn reason(&self, stopped: Stopped) -> Option<SingleThreadStopReason<u32>> {
+        let at_breakpoint = |address: u32| self.inferior.breakpoints.contains(&address);
+        match stopped.reason {
+            Reason::Observed { address } => at_breakpoint(address).then_some(SingleThreadStopReason::HwBreak(())),
+            Reason::Breakpoint { .. } => Some(SingleThreadStopReason::Signal(Signal::SIGTRAP)),
+            Reason::Stepped => {
+                let pc = self.inferior.machine.borrow().core.get(Register::Pc);
+                match self.inferior.resume {
+                    Resume::Range(..) if at_breakpoint(pc) => Some(SingleThreadStopReason::HwBreak(())),
+                    Resume::Range(start, end) if (start..end).contains(&pc) => None,
+                    _ => Some(SingleThreadStopReason::DoneStep),
+                }
+            }
+            Reason::Time | Reason::Outside | Reason::Reset(_) => None,
+        }
+    }
+}
+
+impl<C: Core + 'static> Watcher<C> for Server<C> {
+    fn observed(&self, addresses: &mut Vec<u32>) {
+        addresses.extend(&self.inferior.breakpoints);
+    }
+
+    fn before(&mut self, machine: &SharedMachine<C>) -> Go {
+        if self.state.get() == State::Waiting {
+            if machine.borrow().now_ns() < self.attach_at_ns {
+                return Go::Until(self.attach_at_ns);
+            }
+            self.accept();
+        }
+        self.talk();
+        if self.stub.is_none() || self.inferior.resume == Resume::Continue { Go::Until(u64::MAX) } else { Go::Step }
+    }
+
+    fn after(&mut self, machine: &SharedMachine<C>, stopped: Stopped) {
+        if let Some(tracer) = &mut self.inferior.tracer {
+            tracer.collect(machine, observed_at(stopped));
+        }
+        if let Reason::Reset(cause) = stopped.reason {
+            self.starter.say(&format!("the chip was reset at {} ns: {cause:?}", stopped.at_ns));
+        }
+        if let Some(reason) = self.reason(stopped) {
+            self.report(reason);
+        }
+    }
+
+    fn failed(&mut self, machine: &SharedMachine<C>, error: &MachineError) {
+        if let Some(tracer) = &mut self.inferior.tracer {
+            tracer.collect(machine, None);
+        }
+        self.starter.say(&format!("the machine cannot go on: {error}"));
+        if self.state.get() == State::Waiting {
+            self.accept();
+        }
+        self.inferior.failure = Some(error.to_string());
+        self.report(SingleThreadStopReason::Signal(Signal::SIGABRT));
+        self.talk();
+        self.report(SingleThreadStopReason::Terminated(Signal::SIGABRT));
+    }
+}
+
+impl<C: Core + 'static> Drop for Server<C> {
+    fn drop(&mut self) {
+        self.report(SingleThreadStopReason::Exited(0));
+    }
+}

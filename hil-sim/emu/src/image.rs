@@ -1,0 +1,118 @@
+//! The firmware's image: where it is, and which it is.
+
+use std::{
+    env, fmt, fs, io,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use sha2::{Digest, Sha256};
+
+/// An ELF file as it would be flashed.
+#[derive(Clone)]
+pub struct Image {
+    path: PathBuf,
+    elf: Vec<u8>,
+}
+
+/// There is no image for a robot.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// None is where it is looked for.
+    #[error(
+        "there is no firmware for {robot}: {} does not exist. Build it with `cargo xtask firmware --robot {robot}`, or name \
+         an ELF file with R4_ELF",
+        .path.display()
+    )]
+    Missing {
+        /// Robot.
+        robot: String,
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// It cannot be read.
+    #[error("cannot read the firmware {}", .path.display())]
+    Unreadable {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl Image {
+    /// The image for a robot: `R4_ELF` where that is set, else `firmware/<robot>-bare.elf` in the target folder of the
+    /// program that asks, where `cargo xtask firmware` puts it.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn find(robot: &str) -> Result<Self, ImageError> {
+        if let Some(path) = env::var_os("R4_ELF") {
+            return Self::read(Path::new(&path));
+        }
+        let name = Path::new(robot).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let file = Path::new("firmware").join(format!("{name}-bare.elf"));
+        let exe = env::current_exe().unwrap_or_default();
+        // target/debug/r4, or target/debug/deps/<a test>.
+        let beside = exe.ancestors().skip(1).take(3).map(|folder| folder.join(&file));
+        let mut places = beside.chain([Path::new("target").join(&file)]);
+        match places.find(|path| path.is_file()) {
+            Some(path) => Self::read(&path),
+            None => Err(ImageError::Missing { robot: robot.to_owned(), path: Path::new("target").join(file) }),
+        }
+    }
+
+    /// The image in a file.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
+        let elf = fs::read(path).map_err(|source| ImageError::Unreadable { path: path.to_owned(), source })?;
+        Ok(Self { path: path.to_owned(), elf })
+    }
+
+    /// Its bytes.
+    #[must_use]
+    pub fn elf(&self) -> &[u8] {
+        &self.elf
+    }
+
+    /// Where it came from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where its first segment is stored in flash, which begins with the vector table: where the chip boots, or where a
+    /// bootloader jumps to. `None` for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
+    #[must_use]
+    pub fn start(&self) -> Option<u32> {
+        const LOAD: u32 = 1;
+        const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
+        let bytes = |at: usize, len: usize| self.elf.get(at..at + len);
+        let word = |at| Some(u32::from_le_bytes(bytes(at, 4)?.try_into().ok()?));
+        let half = |at| Some(usize::from(u16::from_le_bytes(bytes(at, 2)?.try_into().ok()?)));
+        if bytes(0, 6)? != b"\x7fELF\x01\x01" {
+            return None;
+        }
+        let (table, entry, count) = (word(0x1C)? as usize, half(0x2A)?, half(0x2C)?);
+        // Type, and where it is stored; a segment that is empty in the file is in RAM only.
+        let stored = |header: usize| {
+            let (kind, address, len) = (word(header)?, word(header + 12)?, word(header + 16)?);
+            (kind == LOAD && len > 0 && FLASH.contains(&address)).then_some(address)
+        };
+        (0..count).filter_map(|index| stored(table + index * entry)).min()
+    }
+
+    /// SHA-256 of the file, as `sha256sum` prints it.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        Sha256::digest(&self.elf).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl fmt::Debug for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Image").field("path", &self.path).field("bytes", &self.elf.len()).finish()
+    }
+}

@@ -1,0 +1,20 @@
+//! An emulated R4 board: the firmware's ELF on an emulated STM32H747, in the same simulated surroundings as `r4-sim`'s board.
+
+mod board;
+mod flash;
+pub mod gdb;
+mod image;
+pub mod log;
+pub mod measure;
+mod roles;
+pub mod tracing;
+mod vectors;
+mod watch;
+mod wiring;
+
+pub use board::{BoardSoc, EmuBoard, EmuError};
+pub use flash::Cells;
+pub use image::{Image, ImageError};
+pub use r4_mcu::Settings;
+pub use watch::{Go, SharedMachine, Watcher};
+pub use wiring::Wiring;

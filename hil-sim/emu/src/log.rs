@@ -1,0 +1,200 @@
+//! The firmware's log: what defmt writes to its RTT buffer in RAM, read as a debugger reads it and decoded from the ELF.
+//!
+//! RTT keeps a control block in RAM, at the symbol `_SEGGER_RTT`: 16 bytes of identification, the numbers of channels to and
+//! from the host, then for each channel its name, buffer, size, and the positions of writer and reader. The reader moves its
+//! own position. The firmware never waits for the reader: between two slices more can be written than the buffer
+//! holds, and what is lost then is reported as not decodable.
+
+use defmt_decoder::{DecodeError, Encoding, Table};
+use r4_mcu::{Chip as _, MachineError, Memory, Size, Stopped, cpu::Core};
+
+use crate::{
+    image::Image,
+    watch::{SharedMachine, Watcher},
+};
+
+/// Before a program has written its control block, something else is there.
+const IDENTIFICATION: &[u8; 16] = b"SEGGER RTT\0\0\0\0\0\0";
+/// The first channel to the host, in the control block: behind the identification and two counts.
+const UP_CHANNEL: u32 = 24;
+
+/// How much a record matters; in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// The least.
+    Trace,
+    /// For whoever develops it.
+    Debug,
+    /// What goes as it should.
+    Info,
+    /// What should not be.
+    Warn,
+    /// What fails.
+    Error,
+}
+
+impl Level {
+    /// As it is printed: five characters.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Trace => "TRACE",
+            Self::Debug => "DEBUG",
+            Self::Info => "INFO ",
+            Self::Warn => "WARN ",
+            Self::Error => "ERROR",
+        }
+    }
+}
+
+/// One record.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// Virtual time at which it was read: at the end of the slice of time, of at most 10 ms, in which it was written.
+    pub read_ns: u64,
+    /// The firmware's own time stamp, as its format says.
+    pub stamp: String,
+    /// `None` of what is printed without a level.
+    pub level: Option<Level>,
+    /// The text.
+    pub message: String,
+}
+
+/// Why a log cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The image has no log.
+    #[error("the image has no defmt log: no section .defmt, or no symbol _SEGGER_RTT")]
+    None,
+    /// The image's log is of another defmt.
+    #[error("the image's log cannot be decoded: {0}")]
+    Format(String),
+}
+
+/// Reads and decodes the log of a machine.
+pub struct Log<F> {
+    table: Table,
+    control_block: u32,
+    /// The beginning of a frame that is not complete.
+    rest: Vec<u8>,
+    sink: F,
+}
+
+impl<F: FnMut(Record)> Log<F> {
+    /// For an image; `sink` is given every record.
+    ///
+    /// # Errors
+    /// [`LogError`].
+    pub fn new(image: &Image, control_block: Option<u32>, sink: F) -> Result<Self, LogError> {
+        let table = Table::parse(image.elf()).map_err(|error| LogError::Format(error.to_string()))?;
+        let (Some(table), Some(control_block)) = (table, control_block) else { return Err(LogError::None) };
+        // Only frames of this encoding have an end that can be found again after a loss; it is defmt's default.
+        if !matches!(table.encoding(), Encoding::Rzcobs) {
+            return Err(LogError::Format("its encoding is raw, not rzCOBS".into()));
+        }
+        Ok(Self { table, control_block, rest: Vec::new(), sink })
+    }
+
+    /// Takes what was written since the last call.
+    pub fn poll(&mut self, memory: &Memory, now_ns: u64) {
+        let Some(bytes) = take(memory, self.control_block) else { return };
+        self.rest.extend(bytes);
+        let Some(end) = self.rest.iter().rposition(|byte| *byte == 0) else { return };
+        let frames: Vec<u8> = self.rest.drain(..=end).collect();
+        let mut decoder = self.table.new_stream_decoder();
+        decoder.received(&frames);
+        loop {
+            let record = match decoder.decode() {
+                Ok(frame) => Record {
+                    read_ns: now_ns,
+                    stamp: frame.display_timestamp().map(|stamp| stamp.to_string()).unwrap_or_default(),
+                    level: frame.level().map(|known| level(known.as_str())),
+                    message: frame.display_message().to_string(),
+                },
+                Err(DecodeError::UnexpectedEof) => break,
+                Err(DecodeError::Malformed) => Record {
+                    read_ns: now_ns,
+                    stamp: String::new(),
+                    level: Some(Level::Warn),
+                    message: "(a record that cannot be decoded: more was written than the buffer holds)".into(),
+                },
+            };
+            (self.sink)(record);
+        }
+    }
+}
+
+fn level(name: &str) -> Level {
+    match name {
+        "trace" => Level::Trace,
+        "debug" => Level::Debug,
+        "info" => Level::Info,
+        "warn" => Level::Warn,
+        _ => Level::Error,
+    }
+}
+
+/// What a program has written to its first channel since the last call; `None` while there is no channel.
+fn take(memory: &Memory, control_block: u32) -> Option<Vec<u8>> {
+    let mut identification = [0; 16];
+    memory.read_slice(control_block, &mut identification)?;
+    if &identification != IDENTIFICATION {
+        return None;
+    }
+    let word = |index: u32| memory.read(control_block + UP_CHANNEL + 4 * index, Size::Word);
+    let (buffer, size, written, read) = (word(1)?, word(2)?, word(3)?, word(4)?);
+    if written >= size || read >= size {
+        return None;
+    }
+    let part = |from: u32, to: u32| {
+        let mut bytes = vec![0; (to - from) as usize];
+        memory.read_slice(buffer + from, &mut bytes).map(|()| bytes)
+    };
+    let bytes = if read <= written { part(read, written)? } else { [part(read, size)?, part(0, written)?].concat() };
+    memory.write(control_block + UP_CHANNEL + 16, Size::Word, written)?;
+    Some(bytes)
+}
+
+impl<C: Core, F: FnMut(Record)> Watcher<C> for Log<F> {
+    fn after(&mut self, machine: &SharedMachine<C>, stopped: Stopped) {
+        self.poll(machine.borrow().chip.memory(), stopped.at_ns);
+    }
+
+    fn failed(&mut self, machine: &SharedMachine<C>, _: &MachineError) {
+        let machine = machine.borrow();
+        self.poll(machine.chip.memory(), machine.now_ns());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BLOCK: u32 = 0x2000_0000;
+    const BUFFER: u32 = 0x2000_0100;
+
+    fn memory(written: u32, read: u32) -> Memory {
+        let memory = Memory::new();
+        memory.write_slice(BLOCK, IDENTIFICATION).unwrap();
+        for (index, value) in [1, 0, 0, BUFFER, 8, written, read, 0].into_iter().enumerate() {
+            memory.write(BLOCK + 16 + 4 * index as u32, Size::Word, value).unwrap();
+        }
+        memory.write_slice(BUFFER, b"01234567").unwrap();
+        memory
+    }
+
+    #[test]
+    fn what_is_between_reader_and_writer_is_taken_once_also_around_the_end() {
+        let straight = memory(5, 2);
+        assert_eq!(take(&straight, BLOCK).as_deref(), Some(&b"234"[..]));
+        assert_eq!(take(&straight, BLOCK).as_deref(), Some(&b""[..]));
+        assert_eq!(straight.read(BLOCK + 40, Size::Word), Some(5), "the reader's position");
+        assert_eq!(take(&memory(2, 6), BLOCK).as_deref(), Some(&b"6701"[..]));
+    }
+
+    #[test]
+    fn before_the_program_has_made_its_control_block_there_is_nothing() {
+        assert_eq!(take(&Memory::new(), BLOCK), None);
+        assert_eq!(take(&memory(8, 0), BLOCK), None, "positions are below the size");
+    }
+}

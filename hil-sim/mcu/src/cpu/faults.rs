@@ -1,0 +1,126 @@
+//! Faults: their status registers, and which exception they raise (DDI0403E B1.5.14, B3.2.15 ff.).
+
+use std::fmt;
+
+use super::exceptions::number;
+
+/// What went wrong, as the status registers tell it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// Instruction fetch from where nothing may be executed: IACCVIOL.
+    FetchViolation,
+    /// Instruction fetch that the bus refused: IBUSERR.
+    FetchError,
+    /// Load that the bus refused: PRECISERR and BFAR.
+    Load {
+        /// The address.
+        address: u32,
+    },
+    /// Store that the bus refused: IMPRECISERR.
+    Store,
+    /// Exception entry could not save registers: STKERR.
+    Stacking,
+    /// Exception return could not restore them: UNSTKERR.
+    Unstacking,
+    /// UNDEFINSTR.
+    Undefined,
+    /// INVSTATE.
+    InvalidState,
+    /// INVPC.
+    InvalidReturn,
+    /// NOCP.
+    NoCoprocessor,
+    /// UNALIGNED.
+    Unaligned,
+}
+
+impl Cause {
+    /// The exception that is for it, unless that cannot be taken.
+    #[must_use]
+    pub const fn exception(self) -> u16 {
+        match self {
+            Self::FetchViolation => number::MEM_MANAGE,
+            Self::FetchError | Self::Load { .. } | Self::Store | Self::Stacking | Self::Unstacking => number::BUS_FAULT,
+            Self::Undefined | Self::InvalidState | Self::InvalidReturn | Self::NoCoprocessor | Self::Unaligned => {
+                number::USAGE_FAULT
+            }
+        }
+    }
+
+    /// Its bit in CFSR.
+    const fn bit(self) -> u32 {
+        match self {
+            Self::FetchViolation => 1 << 0,
+            Self::FetchError => 1 << 8,
+            Self::Load { .. } => 1 << 9,
+            Self::Store => 1 << 10,
+            Self::Unstacking => 1 << 11,
+            Self::Stacking => 1 << 12,
+            Self::Undefined => 1 << 16,
+            Self::InvalidState => 1 << 17,
+            Self::InvalidReturn => 1 << 18,
+            Self::NoCoprocessor => 1 << 19,
+            Self::Unaligned => 1 << 24,
+        }
+    }
+}
+
+const BFAR_VALID: u32 = 1 << 15;
+
+/// HFSR.VECTTBL.
+pub(super) const VECTOR_TABLE: u32 = 1 << 1;
+/// HFSR.FORCED.
+pub(super) const FORCED: u32 = 1 << 30;
+/// HFSR.DEBUGEVT.
+pub(super) const DEBUG_EVENT: u32 = 1 << 31;
+/// DFSR.BKPT.
+pub(super) const BREAKPOINT: u32 = 1 << 1;
+
+/// CFSR, HFSR, DFSR, MMFAR, BFAR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FaultStatus {
+    pub(super) configurable: u32,
+    pub(super) hard: u32,
+    pub(super) debug: u32,
+    pub(super) memory_address: u32,
+    pub(super) bus_address: u32,
+}
+
+impl FaultStatus {
+    /// Notes a cause.
+    pub fn note(&mut self, cause: Cause) {
+        self.configurable |= cause.bit();
+        if let Cause::Load { address } = cause {
+            self.bus_address = address;
+            self.configurable |= BFAR_VALID;
+        }
+    }
+}
+
+impl fmt::Display for FaultStatus {
+    /// The registers that are not zero; the address of a bus fault where it is valid.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let bus_address = if self.configurable & BFAR_VALID == 0 { 0 } else { self.bus_address };
+        let registers = [("CFSR", self.configurable), ("HFSR", self.hard), ("DFSR", self.debug), ("BFAR", bus_address)];
+        let mut separator = "";
+        for (name, value) in registers.into_iter().filter(|(_, value)| *value != 0) {
+            write!(f, "{separator}{name} {value:#010x}")?;
+            separator = ", ";
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refused_load_gives_its_address_and_a_refused_store_does_not() {
+        let mut status = FaultStatus::default();
+        status.note(Cause::Store);
+        assert_eq!((status.configurable, status.bus_address), (0x0000_0400, 0));
+        status.note(Cause::Load { address: 0x6000_0004 });
+        assert_eq!((status.configurable, status.bus_address), (0x0000_8600, 0x6000_0004));
+    }
+}

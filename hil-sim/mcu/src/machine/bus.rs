@@ -1,0 +1,251 @@
+//! What the core's accesses reach: the private peripheral bus, and the chip.
+
+use super::error::MachineError;
+use super::time::Instructions;
+use crate::chip::{AccessError, Chip};
+use crate::cpu::{Access, Cause, CoreBus, Limits, Masks, NoResult, Processor};
+use crate::memory::Region;
+use crate::peripheral::{Size, Unmodelled};
+
+/// The private peripheral bus begins here (DDI0403E B3.1).
+const PRIVATE: u32 = 0xE000_0000;
+
+/// Why a run ends in an error.
+pub(super) struct Unanswered {
+    pub(super) access: Access,
+    write: bool,
+    at_ns: u64,
+    cause: Unmodelled,
+}
+
+impl Unanswered {
+    pub(super) fn into_error(self, location: String) -> MachineError {
+        let Self { access: Access { address, size, .. }, write, at_ns, cause } = self;
+        MachineError::Unmodelled { address, size, write, at_ns, location, cause }
+    }
+}
+
+/// Tells the processor about interrupt lines.
+pub(super) fn take_irqs<S: Chip>(chip: &mut S, cpu: &mut Processor, irqs: &mut Vec<(u16, bool)>) {
+    chip.take_irqs(irqs);
+    for (irq, level) in irqs.drain(..) {
+        let exception = crate::cpu::number::IRQ0 + irq;
+        let was_pending = cpu.exceptions.is_pending(exception);
+        cpu.exceptions.set_line(irq, level);
+        if !was_pending && cpu.exceptions.is_pending(exception) && cpu.event_on_pend() {
+            cpu.event = true;
+        }
+    }
+}
+
+/// Tells the processor about its clock.
+pub(super) fn follow_clock<S: Chip>(chip: &S, cpu: &mut Processor, core_hz: &mut u64, now_ns: u64) {
+    if *core_hz != chip.core_hz() {
+        *core_hz = chip.core_hz();
+        cpu.set_core_hz(now_ns, *core_hz);
+    }
+}
+
+/// The bus, for one run of the core.
+pub(super) struct Bus<'a, S> {
+    chip: &'a mut S,
+    cpu: &'a mut Processor,
+    time: Instructions,
+    t_ns: u64,
+    /// The exception number: no instruction changes it within a run.
+    active: u16,
+    irqs: &'a mut Vec<(u16, bool)>,
+    core_hz: &'a mut u64,
+    mapping_version: &'a mut u32,
+    code_version: u32,
+    exceptions_version: u32,
+    /// Something is pending that only masks hold back.
+    pub(super) watch_masks: bool,
+    /// What is executed is the rest of a block, whatever happens meanwhile.
+    pub(super) rest_of_block: bool,
+    limit: u64,
+    pub(super) store_fault: bool,
+    pub(super) load_fault: Option<Cause>,
+    /// A load from here was refused before, and is not to be made again.
+    pub(super) ignored_load: Option<u32>,
+    pub(super) failure: Option<Unanswered>,
+}
+
+impl<'a, S: Chip> Bus<'a, S> {
+    #[expect(clippy::too_many_arguments, reason = "parts of the machine, lent apart from its core")]
+    pub(super) fn new(
+        chip: &'a mut S,
+        cpu: &'a mut Processor,
+        time: Instructions,
+        t_ns: u64,
+        active: u16,
+        irqs: &'a mut Vec<(u16, bool)>,
+        core_hz: &'a mut u64,
+        mapping_version: &'a mut u32,
+    ) -> Self {
+        let (code_version, exceptions_version) = (chip.memory().code_version(), cpu.exceptions.version());
+        let mut bus = Self {
+            chip,
+            cpu,
+            time,
+            t_ns,
+            active,
+            irqs,
+            core_hz,
+            mapping_version,
+            code_version,
+            exceptions_version,
+            watch_masks: false,
+            rest_of_block: false,
+            limit: 0,
+            store_fault: false,
+            load_fault: None,
+            ignored_load: None,
+            failure: None,
+        };
+        bus.limit = bus.instructions();
+        bus
+    }
+
+    /// Instructions of this run until something is to be done between instructions.
+    fn instructions(&self) -> u64 {
+        let requests = self.cpu.requests;
+        let newly_pending = self.exceptions_version != self.cpu.exceptions.version()
+            && self.cpu.exceptions.preempting(Masks::NONE).is_some();
+        let now = self.failure.is_some()
+            || self.store_fault
+            || newly_pending
+            || requests.reset
+            || requests.fpu
+            || self.chip.outside_waits()
+            || self.chip.wants_reset()
+            || self.code_version != self.chip.memory().code_version()
+            || *self.mapping_version != self.chip.memory().mapping_version();
+        if now {
+            return 0;
+        }
+        let next = self.t_ns.min(self.chip.next_event_ns()).min(self.cpu.systick.next_event_ns());
+        self.time.until(next)
+    }
+
+    /// After each access.
+    fn accessed(&mut self, now_ns: u64) {
+        take_irqs(self.chip, self.cpu, self.irqs);
+        follow_clock(self.chip, self.cpu, self.core_hz, now_ns);
+        self.limit = self.instructions();
+    }
+
+    /// Device memory by default (B3.1): unaligned accesses are faults there.
+    fn is_device(address: u32) -> bool {
+        matches!(address, 0x4000_0000..0x6000_0000 | 0xA000_0000..)
+    }
+
+    fn read_one(&mut self, address: u32, size: Size, now_ns: u64) -> Result<u32, AccessError> {
+        if address >= PRIVATE {
+            return Ok(self.cpu.read(address, size, now_ns, self.active)?);
+        }
+        self.chip.read(now_ns, address, size)
+    }
+
+    fn write_one(&mut self, address: u32, size: Size, value: u32, now_ns: u64) -> Result<(), AccessError> {
+        if address >= PRIVATE {
+            return Ok(self.cpu.write(address, size, value, now_ns)?);
+        }
+        self.chip.write(now_ns, address, size, value)
+    }
+
+    fn fail(&mut self, access: &Access, write: bool, at_ns: u64, cause: Unmodelled) {
+        self.failure.get_or_insert(Unanswered { access: *access, write, at_ns, cause });
+    }
+}
+
+impl<S: Chip> CoreBus for Bus<'_, S> {
+    fn read(&mut self, access: &Access) -> Result<u32, NoResult> {
+        if self.ignored_load.take() == Some(access.address) {
+            // What hardware gives here is unknown.
+            return Ok(0);
+        }
+        let Access { address, size, instructions, .. } = *access;
+        let now_ns = self.time.after_ns(instructions);
+        let unaligned = address & (size.bytes() - 1) != 0;
+        let result = if !unaligned {
+            self.read_one(address, size, now_ns)
+        } else if Self::is_device(address) {
+            self.load_fault = Some(Cause::Unaligned);
+            return Err(NoResult);
+        } else {
+            (0..size.bytes()).try_fold(0, |value, byte| {
+                let at = address.wrapping_add(byte);
+                Ok(value | self.read_one(at, Size::Byte, now_ns)? << (8 * byte))
+            })
+        };
+        self.accessed(now_ns);
+        match result {
+            Ok(value) => Ok(value),
+            Err(AccessError::Bus) => {
+                self.load_fault = Some(Cause::Load { address });
+                Err(NoResult)
+            }
+            Err(AccessError::Unmodelled(cause)) => {
+                self.fail(access, false, now_ns, cause);
+                self.limit = 0;
+                Err(NoResult)
+            }
+        }
+    }
+
+    fn write(&mut self, access: &Access, value: u32) {
+        if self.failure.is_some() {
+            return;
+        }
+        let Access { address, size, instructions, .. } = *access;
+        let now_ns = self.time.after_ns(instructions);
+        let unaligned = address & (size.bytes() - 1) != 0;
+        let result = if !unaligned {
+            self.write_one(address, size, value, now_ns)
+        } else if Self::is_device(address) {
+            let what = "an unaligned store to device memory".into();
+            Err(AccessError::Unmodelled(Unmodelled { peripheral: "core", what }))
+        } else {
+            let bytes = value.to_le_bytes();
+            (0..size.bytes()).try_for_each(|byte| {
+                self.write_one(address.wrapping_add(byte), Size::Byte, bytes[byte as usize].into(), now_ns)
+            })
+        };
+        match result {
+            Ok(()) => {}
+            Err(AccessError::Bus) => self.store_fault = true,
+            Err(AccessError::Unmodelled(cause)) => self.fail(access, true, now_ns, cause),
+        }
+        self.accessed(now_ns);
+    }
+
+    fn limits(&self) -> Limits {
+        // Up to the next block is at least one instruction.
+        let instructions = if self.rest_of_block { 1 } else { self.limit };
+        Limits { instructions, mask_changes: self.watch_masks }
+    }
+
+    fn reached(&mut self, instructions: u64) {
+        let now_ns = self.time.after_ns(instructions);
+        // A run that ends here anyway leaves what is due to the machine.
+        if now_ns < self.t_ns && self.failure.is_none() {
+            self.chip.advance(now_ns);
+            self.cpu.advance(now_ns);
+            self.accessed(now_ns);
+        }
+    }
+
+    fn event(&mut self) {
+        self.cpu.event = true;
+    }
+
+    fn remapped(&mut self) -> Option<&[Region]> {
+        let memory = self.chip.memory();
+        if *self.mapping_version == memory.mapping_version() {
+            return None;
+        }
+        *self.mapping_version = memory.mapping_version();
+        Some(memory.regions())
+    }
+}

@@ -1,0 +1,491 @@
+//! The machine: a core, the processor around it, the chip around that, and virtual time.
+//!
+//! Time passes in two ways. While the core executes, it passes with instructions, at [`Settings::instructions_per_second`];
+//! an access to a register happens at the moment of its instruction. While the core sleeps, it jumps to the next moment at
+//! which something happens. Interrupts are taken between blocks of instructions: a block ends at the first branch, and at
+//! instructions that change what may be taken (CPSIE, MSR, ISB), so that a program cannot tell by its own results; it
+//! can tell by the time, by the length of a block.
+//!
+//! Runs are deterministic, and do not depend on how they are cut into pieces by [`Machine::run_until`].
+
+mod bus;
+mod debugger;
+mod error;
+mod profile;
+mod symbols;
+mod time;
+mod trace;
+
+pub use error::{LoadError, MachineError, Reason, Settings, Stopped};
+pub use profile::{Moment, Profile, StackArea};
+pub use symbols::Symbols;
+pub use trace::{Change, Trace};
+
+use crate::chip::Chip;
+use crate::context::ResetCause;
+use crate::cpu::take::{Failure, Taker, active, masks};
+use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Register, Why};
+use bus::Bus;
+use time::Instructions;
+
+/// Times around the loop at one moment, before that is an error: far more than nested exceptions can need.
+const STANDSTILL: u32 = 10_000;
+
+/// How the core sleeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sleep {
+    /// WFI, or SLEEPONEXIT.
+    Interrupt,
+    /// WFE.
+    Event,
+}
+
+/// A core and a chip.
+pub struct Machine<C, S> {
+    /// The instruction set. Writing its registers between runs is a debugger's right.
+    pub core: C,
+    /// Peripherals and memories.
+    pub chip: S,
+    cpu: Processor,
+    settings: Settings,
+    time: Instructions,
+    sleep: Option<Sleep>,
+    core_hz: u64,
+    mapping_version: u32,
+    code_version: u32,
+    irqs: Vec<(u16, bool)>,
+    symbols: Symbols,
+    trace: Option<Trace>,
+    profile: Option<Box<Profile>>,
+    /// Exceptions taken and left since they were last asked for, where somebody asks for them.
+    changes: Option<Vec<Change>>,
+    /// One instruction, and no more.
+    stepping: bool,
+    /// The core stopped within a block: no interrupt is taken before its end, as if it had not stopped.
+    unfinished: bool,
+    just_reset: Option<ResetCause>,
+    observed: Vec<u32>,
+    /// An observed instruction that was told, and is to be executed.
+    told: Option<u32>,
+    /// A load that was refused, and whose error is ignored: it is about to be executed again.
+    ignored_load: Option<u32>,
+    runs: u64,
+}
+
+impl<C: Core, S: Chip> Machine<C, S> {
+    /// A machine at time 0 whose chip has just been powered; load a program, then [`Machine::reset`].
+    ///
+    /// # Errors
+    /// The backend's.
+    pub fn new(mut core: C, chip: S, settings: Settings) -> Result<Self, MachineError> {
+        core.map(chip.memory().regions())?;
+        let core_hz = chip.core_hz();
+        Ok(Self {
+            cpu: Processor::new(0, core_hz, chip.vector_table()),
+            settings,
+            time: Instructions::new(settings.instructions_per_second),
+            sleep: None,
+            core_hz,
+            mapping_version: chip.memory().mapping_version(),
+            code_version: chip.memory().code_version(),
+            irqs: Vec::new(),
+            symbols: Symbols::default(),
+            trace: None,
+            profile: None,
+            changes: None,
+            stepping: false,
+            unfinished: false,
+            just_reset: None,
+            observed: Vec::new(),
+            told: None,
+            ignored_load: None,
+            runs: 0,
+            core,
+            chip,
+        })
+    }
+
+    /// Writes an ELF's segments to the memories at their load addresses, and keeps its symbols.
+    ///
+    /// # Errors
+    /// What is not an ELF, or does not fit.
+    pub fn load_elf(&mut self, elf: &[u8]) -> Result<(), LoadError> {
+        self.symbols = symbols::load(elf, self.chip.memory())?;
+        Ok(())
+    }
+
+    /// Resets chip and processor, as `cause` does; the first instruction is that of the vector table's reset handler.
+    ///
+    /// # Errors
+    /// The backend's; a vector table that cannot be read.
+    pub fn reset(&mut self, cause: ResetCause) -> Result<(), MachineError> {
+        let now_ns = self.now_ns();
+        self.chip.reset(now_ns, cause);
+        self.core_hz = self.chip.core_hz();
+        let table = self.chip.vector_table();
+        self.cpu.reset(now_ns, self.core_hz, table);
+        self.sleep = None;
+        self.unfinished = false;
+        self.follow_memory()?;
+        let memory = self.chip.memory();
+        let word = |address| memory.read(address, crate::Size::Word);
+        let (Some(stack), Some(start)) = (word(table), word(table.wrapping_add(4))) else {
+            return Err(MachineError::LockUp {
+                at_ns: now_ns,
+                location: "reset".into(),
+                what: format!("no vector table at {table:#010x}"),
+            });
+        };
+        self.core.set(Register::Control, 0);
+        self.core.set(Register::Xpsr, 1 << 24);
+        for register in [Register::Primask, Register::Basepri, Register::Faultmask, Register::Fpscr, Register::Psp] {
+            self.core.set(register, 0);
+        }
+        // Unknown on hardware; the same in every run here.
+        (0..=12).for_each(|index| self.core.set(Register::R(index), 0));
+        (0..32).for_each(|index| self.core.set(Register::S(index), 0));
+        self.core.set(Register::Msp, stack & !3);
+        self.core.set(Register::Lr, u32::MAX);
+        self.core.set(Register::Pc, start & !1);
+        self.core.set_fpu(false);
+        self.core.clear_exclusive()?;
+        if let Some(profile) = &mut self.profile {
+            profile.restarted(self.chip.memory(), stack & !3);
+        }
+        Ok(())
+    }
+
+    /// Virtual time.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.time.now_ns()
+    }
+
+    /// Instructions executed since power-on: never a number of cycles.
+    #[must_use]
+    pub fn instructions(&self) -> u64 {
+        self.time.executed()
+    }
+
+    /// How often the core was started since power-on: each start costs the time of many instructions.
+    #[must_use]
+    pub fn runs(&self) -> u64 {
+        self.runs
+    }
+
+    /// The processor around the core: exceptions, fault status.
+    #[must_use]
+    pub fn processor(&self) -> &Processor {
+        &self.cpu
+    }
+
+    /// The loaded program's symbols.
+    #[must_use]
+    pub fn symbols(&self) -> &Symbols {
+        &self.symbols
+    }
+
+    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. The next run executes the one
+    /// that was told, also where others are observed meanwhile.
+    ///
+    /// # Errors
+    /// The backend's.
+    pub fn observe(&mut self, addresses: &[u32]) -> Result<(), MachineError> {
+        self.observed = addresses.to_vec();
+        self.told = self.told.filter(|told| addresses.contains(told));
+        Ok(self.core.observe(addresses)?)
+    }
+
+    /// Begins a trace of exceptions.
+    pub fn start_trace(&mut self) {
+        self.trace = Some(Trace::new());
+    }
+
+    /// The trace, where one was begun.
+    #[must_use]
+    pub fn trace(&self) -> Option<Trace> {
+        self.trace
+    }
+
+    /// Begins to count instructions and stack by exception, from a reset on; `mark` is an instruction whose executions are
+    /// noted if it is also observed. Replaces an earlier profile.
+    pub fn start_profile(&mut self, stack: StackArea, mark: Option<u32>) {
+        let sp = self.core.get(Register::Msp);
+        self.profile = Some(Box::new(Profile::new(stack, mark, self.chip.memory(), sp)));
+    }
+
+    /// The profile, where one was begun.
+    pub fn profile(&mut self) -> Option<&mut Profile> {
+        self.profile.as_deref_mut()
+    }
+
+    /// Runs to a moment, or until something else is to be told. It can end up to one block of instructions after it.
+    ///
+    /// # Errors
+    /// See [`MachineError`].
+    pub fn run_until(&mut self, t_ns: u64) -> Result<Stopped, MachineError> {
+        let mut standstill = (0, 0, 0);
+        loop {
+            if self.unfinished {
+                if let Some(reason) = self.execute(t_ns)? {
+                    return Ok(self.stopped(reason));
+                }
+                continue;
+            }
+            self.settle()?;
+            standstill = match (self.now_ns(), self.instructions()) {
+                (now_ns, executed) if (now_ns, executed) == (standstill.0, standstill.1) => {
+                    (now_ns, executed, standstill.2 + 1)
+                }
+                (now_ns, executed) => (now_ns, executed, 0),
+            };
+            if standstill.2 > STANDSTILL {
+                return Err(self.processor_error("neither time nor instructions pass: an event that never ends".into()));
+            }
+            if let Some(cause) = self.just_reset.take() {
+                return Ok(self.stopped(Reason::Reset(cause)));
+            }
+            if self.chip.outside_waits() {
+                return Ok(self.stopped(Reason::Outside));
+            }
+            if self.now_ns() >= t_ns {
+                return Ok(self.stopped(Reason::Time));
+            }
+            if let Some(sleep) = self.sleep {
+                if self.wakes(sleep) {
+                    self.sleep = None;
+                } else {
+                    self.time.jump(self.next_event_ns().clamp(self.now_ns(), t_ns));
+                    continue;
+                }
+            }
+            if self.cpu.exceptions.is_any_pending()
+                && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
+            {
+                self.take(|taker| taker.enter(exception).map(|()| false))?;
+                if self.stepping {
+                    return Ok(self.stopped(Reason::Stepped));
+                }
+            }
+            if let Some(reason) = self.execute(t_ns)? {
+                return Ok(self.stopped(reason));
+            }
+        }
+    }
+
+    fn stopped(&self, reason: Reason) -> Stopped {
+        Stopped { at_ns: self.now_ns(), reason }
+    }
+
+    fn next_event_ns(&self) -> u64 {
+        self.chip.next_event_ns().min(self.cpu.systick.next_event_ns())
+    }
+
+    /// Brings chip and timers to now, and carries out what that gives.
+    fn settle(&mut self) -> Result<(), MachineError> {
+        let now_ns = self.now_ns();
+        self.chip.advance(now_ns);
+        self.cpu.advance(now_ns);
+        bus::take_irqs(&mut self.chip, &mut self.cpu, &mut self.irqs);
+        bus::follow_clock(&self.chip, &mut self.cpu, &mut self.core_hz, now_ns);
+        self.follow_memory()?;
+        let requests = std::mem::take(&mut self.cpu.requests);
+        if requests.fpu {
+            self.core.set_fpu(self.cpu.fpu_enabled());
+        }
+        let cause = if requests.reset { Some(ResetCause::Software) } else { self.chip.take_reset() };
+        if let Some(cause) = cause {
+            self.reset(cause)?;
+            self.just_reset = Some(cause);
+        }
+        Ok(())
+    }
+
+    fn follow_memory(&mut self) -> Result<(), MachineError> {
+        let memory = self.chip.memory();
+        if self.mapping_version != memory.mapping_version() {
+            self.mapping_version = memory.mapping_version();
+            self.core.remap(memory.regions())?;
+        }
+        if self.code_version != memory.code_version() {
+            self.code_version = memory.code_version();
+            self.core.code_changed()?;
+        }
+        Ok(())
+    }
+
+    /// B1.5.17 and B1.5.18: what ends a sleep.
+    fn wakes(&mut self, sleep: Sleep) -> bool {
+        if sleep == Sleep::Event && self.cpu.event {
+            self.cpu.event = false;
+            return true;
+        }
+        if !self.cpu.exceptions.is_any_pending() {
+            return false;
+        }
+        let masks = masks(&self.core);
+        // WFI wakes for what only PRIMASK holds back; WFE for what is taken.
+        let unmasked = Masks { primask: masks.primask && sleep == Sleep::Event, ..masks };
+        self.cpu.exceptions.preempting(unmasked).is_some()
+    }
+
+    /// Executes for a while.
+    fn execute(&mut self, t_ns: u64) -> Result<Option<Reason>, MachineError> {
+        let pc = self.core.get(Register::Pc);
+        if self.told == Some(pc) || self.stepping {
+            self.told = None;
+        } else if self.observed.contains(&pc) {
+            return Ok(Some(self.observed(pc)));
+        }
+        let executing = active(&self.core);
+        let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
+        let mut bus = Bus::new(
+            &mut self.chip,
+            &mut self.cpu,
+            self.time,
+            t_ns,
+            executing,
+            &mut self.irqs,
+            &mut self.core_hz,
+            &mut self.mapping_version,
+        );
+        bus.watch_masks = masked;
+        bus.rest_of_block = std::mem::take(&mut self.unfinished);
+        bus.ignored_load = self.ignored_load.take();
+        self.runs += 1;
+        let run = if self.stepping { self.core.step(&mut bus) } else { self.core.run(&mut bus) };
+        let CoreStop { instructions, why } = run?;
+        let (store_fault, load_fault, failure) = (bus.store_fault, bus.load_fault.take(), bus.failure.take());
+        if let Some(failure) = failure {
+            let location = self.symbols.locate(failure.access.pc);
+            self.time.execute(failure.access.instructions.min(instructions));
+            return Err(failure.into_error(location));
+        }
+        self.time.execute(instructions);
+        if let Some(profile) = &mut self.profile {
+            profile.executed(executing, instructions);
+        }
+        self.unfinished = why == Why::Observed && self.core.is_within_block();
+        if store_fault && self.ignores_bus_errors() {
+            self.cpu.faults.note(Cause::Store);
+        } else if store_fault {
+            let pended = self.taker().pend_store_fault();
+            pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
+        }
+        match why {
+            Why::Limit if instructions == 0 => return Ok(None),
+            Why::Limit | Why::MaskChanged | Why::Yield => {}
+            Why::Wfi => self.go_to_sleep(Sleep::Interrupt)?,
+            Why::Wfe => self.go_to_sleep(Sleep::Event)?,
+            Why::Observed if self.stepping => {}
+            Why::Observed => {
+                let address = self.core.get(Register::Pc);
+                return Ok(Some(self.observed(address)));
+            }
+            Why::Breakpoint(operand) if self.settings.stop_at_breakpoints => {
+                return Ok(Some(Reason::Breakpoint { operand }));
+            }
+            Why::Breakpoint(_) => self.take(|taker| taker.breakpoint().map(|()| false))?,
+            Why::Svc => self.take(|taker| taker.supervisor_call().map(|()| false))?,
+            Why::ExceptionReturn(exc_return) => self.take(|taker| taker.leave(exc_return))?,
+            Why::Fault(fault) => {
+                let cause = match (fault, load_fault) {
+                    (Fault::Load, Some(Cause::Load { address })) if self.ignores_bus_errors() => {
+                        self.cpu.faults.note(Cause::Load { address });
+                        self.ignored_load = Some(address);
+                        return Ok(None);
+                    }
+                    (Fault::Load, cause) => cause.unwrap_or(Cause::Unaligned),
+                    (Fault::Fetch, _) => self.fetch_fault()?,
+                    (Fault::Undefined, _) => Cause::Undefined,
+                    (Fault::NoCoprocessor, _) => Cause::NoCoprocessor,
+                    (Fault::InvalidState, _) => Cause::InvalidState,
+                    (Fault::Unaligned, _) => Cause::Unaligned,
+                };
+                self.take(|taker| taker.fault(cause).map(|()| false))?;
+            }
+        }
+        Ok(self.stepping.then_some(Reason::Stepped))
+    }
+
+    /// An observed instruction is next.
+    fn observed(&mut self, address: u32) -> Reason {
+        self.told = Some(address);
+        if let Some(profile) = &mut self.profile {
+            profile.observed(address, self.time.now_ns(), active(&self.core));
+        }
+        Reason::Observed { address }
+    }
+
+    /// Execution from where code cannot be: an error of the program, or a restriction of this machine.
+    fn fetch_fault(&self) -> Result<Cause, MachineError> {
+        let pc = self.core.get(Register::Pc);
+        if let Some((region, _)) = self.chip.memory().locate(pc)
+            && region.direct().read
+        {
+            return Err(self.processor_error(format!("execution from {:?} at {pc:#010x} is not modelled", region.bank)));
+        }
+        // Peripherals, external devices and the system area are never executed from (B3.1).
+        let never = matches!(pc, 0x4000_0000..0x6000_0000 | 0xA000_0000..);
+        Ok(if never { Cause::FetchViolation } else { Cause::FetchError })
+    }
+
+    fn go_to_sleep(&mut self, sleep: Sleep) -> Result<(), MachineError> {
+        if self.cpu.sleep_deep() {
+            return Err(self.processor_error("SLEEPDEEP: stop and standby modes are not modelled".into()));
+        }
+        self.sleep = Some(sleep);
+        Ok(())
+    }
+
+    /// CCR.BFHFNMIGN: handlers of negative priority, and code under FAULTMASK, ignore bus errors of data accesses.
+    fn ignores_bus_errors(&self) -> bool {
+        self.cpu.ignores_bus_faults() && self.cpu.exceptions.execution_priority(masks(&self.core)) < 0
+    }
+
+    fn processor_error(&self, what: String) -> MachineError {
+        let location = self.symbols.locate(self.core.get(Register::Pc));
+        MachineError::Processor { at_ns: self.now_ns(), location, what }
+    }
+
+    fn taker(&mut self) -> Taker<'_, C> {
+        Taker { core: &mut self.core, cpu: &mut self.cpu, memory: self.chip.memory() }
+    }
+
+    /// Takes or leaves exceptions; `true` from `how` is to sleep.
+    fn take(&mut self, how: impl FnOnce(&mut Taker<'_, C>) -> Result<bool, Failure>) -> Result<(), MachineError> {
+        let (from, before) = (self.core.get(Register::Pc), active(&self.core));
+        let sp = self.core.get(Register::Msp);
+        if let Some(profile) = &mut self.profile {
+            profile.leaves_off(self.chip.memory(), before, sp);
+        }
+        match how(&mut self.taker()) {
+            Ok(sleep) => {
+                let (at_ns, to, after) = (self.time.now_ns(), self.core.get(Register::Pc), active(&self.core));
+                if let Some(profile) = &mut self.profile {
+                    profile.goes_on(after, sp, self.core.get(Register::Msp));
+                }
+                if let Some(trace) = &mut self.trace {
+                    trace.exception(at_ns, from, to, after);
+                }
+                if let Some(changes) = &mut self.changes {
+                    changes.push(Change { at_ns, from, to, before, after });
+                }
+                if sleep {
+                    self.go_to_sleep(Sleep::Interrupt)?;
+                }
+                Ok(())
+            }
+            Err(failure) => Err(self.failed(failure, from)),
+        }
+    }
+
+    fn failed(&self, failure: Failure, pc: u32) -> MachineError {
+        match failure {
+            Failure::LockUp(what) => {
+                MachineError::LockUp { at_ns: self.now_ns(), location: self.symbols.locate(pc), what }
+            }
+            Failure::Core(error) => error.into(),
+        }
+    }
+}

@@ -1,0 +1,323 @@
+//! The memories of the chip: RAM and flash, with host memory that a [`Core`](crate::cpu::Core) accesses by pointer.
+//!
+//! Contents are cells behind a shared reference: the core, DMA models, the flash model and debuggers all reach them, one
+//! at a time (the emulator has one thread). Values are little-endian, as the processor's.
+//!
+//! What the core may do by itself is said by a [`Region`]: everything else — a store to flash, any access to the part of
+//! flash that is modelled access by access, any access to a memory without clock — goes to
+//! [`Chip::read`](crate::Chip::read) and [`Chip::write`](crate::Chip::write).
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use crate::peripheral::Size;
+
+/// The memories, RM0399 2.3 (memory map) and 2.4 (embedded SRAM).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Bank {
+    /// Instruction TCM, only the core and MDMA reach it.
+    Itcm,
+    /// Flash bank 1, sectors 0 to 7.
+    Flash1,
+    /// Flash bank 2, sectors 0 to 3.
+    Flash2,
+    /// Flash bank 2, sectors 4 to 7: every access goes to the chip, where errors of its code (ECC) are modelled.
+    Storage,
+    /// Data TCM, only the core and MDMA reach it.
+    Dtcm,
+    /// AXI SRAM, domain 1.
+    Axi,
+    /// SRAM1, domain 2.
+    Sram1,
+    /// SRAM2, domain 2.
+    Sram2,
+    /// SRAM3, domain 2.
+    Sram3,
+    /// SRAM4, domain 3.
+    Sram4,
+    /// Backup SRAM.
+    Backup,
+}
+
+impl Bank {
+    /// Every memory, in order of address.
+    pub const ALL: [Self; 11] = [
+        Self::Itcm,
+        Self::Flash1,
+        Self::Flash2,
+        Self::Storage,
+        Self::Dtcm,
+        Self::Axi,
+        Self::Sram1,
+        Self::Sram2,
+        Self::Sram3,
+        Self::Sram4,
+        Self::Backup,
+    ];
+
+    /// First address, and bytes.
+    #[must_use]
+    pub const fn span(self) -> (u32, u32) {
+        const K: u32 = 1024;
+        match self {
+            Self::Itcm => (0x0000_0000, 64 * K),
+            Self::Flash1 => (0x0800_0000, 1024 * K),
+            Self::Flash2 => (0x0810_0000, 512 * K),
+            Self::Storage => (0x0818_0000, 512 * K),
+            Self::Dtcm => (0x2000_0000, 128 * K),
+            Self::Axi => (0x2400_0000, 512 * K),
+            Self::Sram1 => (0x3000_0000, 128 * K),
+            Self::Sram2 => (0x3002_0000, 128 * K),
+            Self::Sram3 => (0x3004_0000, 32 * K),
+            Self::Sram4 => (0x3800_0000, 64 * K),
+            Self::Backup => (0x3880_0000, 4 * K),
+        }
+    }
+
+    /// Flash, erased to ones; the others are filled with [`Memory::POWER_ON`].
+    #[must_use]
+    pub const fn is_flash(self) -> bool {
+        matches!(self, Self::Flash1 | Self::Flash2 | Self::Storage)
+    }
+
+    /// DMA1, DMA2 and BDMA reach it (RM0399 2.1, the bus matrix): not the TCMs. BDMA reaches domain 3 only.
+    #[must_use]
+    pub const fn on_bus(self) -> bool {
+        !matches!(self, Self::Itcm | Self::Dtcm)
+    }
+}
+
+/// The address after the last memory: peripherals follow.
+const END: u32 = {
+    let (base, len) = Bank::Backup.span();
+    base + len
+};
+
+/// What the core does with a memory by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Direct {
+    /// Loads.
+    pub read: bool,
+    /// Stores.
+    pub write: bool,
+    /// Fetches of instructions. RAM other than ITCM is not executed from: a model's restriction, for speed.
+    pub execute: bool,
+}
+
+/// A memory.
+#[derive(Clone, Debug)]
+pub struct Region {
+    /// Which.
+    pub bank: Bank,
+    /// First address.
+    pub base: u32,
+    bytes: Rc<[Cell<u8>]>,
+    enabled: Cell<bool>,
+}
+
+impl Region {
+    /// Bytes.
+    #[must_use]
+    pub fn len(&self) -> u32 {
+        self.bytes.len() as u32
+    }
+
+    /// Never: no memory has no bytes.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// The contents, shared: a core that maps them keeps the reference.
+    #[must_use]
+    pub fn bytes(&self) -> &Rc<[Cell<u8>]> {
+        &self.bytes
+    }
+
+    /// What the core does with it by itself at present: nothing while its clock is off.
+    #[must_use]
+    pub fn direct(&self) -> Direct {
+        let on = self.enabled.get() && self.bank != Bank::Storage;
+        let execute = on && matches!(self.bank, Bank::Itcm | Bank::Flash1 | Bank::Flash2);
+        Direct { read: on, write: on && !self.bank.is_flash(), execute }
+    }
+}
+
+/// All memories of the chip.
+#[derive(Clone, Debug)]
+pub struct Memory {
+    regions: Vec<Region>,
+    mapping: Cell<u32>,
+    code: Cell<u32>,
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Memory {
+    /// What RAM holds at power-on: not zero, so that a program that forgets to initialise is seen; and an address that
+    /// faults, when it is used as one.
+    pub const POWER_ON: u32 = 0xDEAD_0BAD;
+
+    /// Erased flash, RAM with [`Memory::POWER_ON`]; every memory enabled.
+    #[must_use]
+    pub fn new() -> Self {
+        let region = |bank: Bank| {
+            let (base, len) = bank.span();
+            let fill = if bank.is_flash() { [0xFF; 4] } else { Self::POWER_ON.to_le_bytes() };
+            let bytes = fill.into_iter().cycle().take(len as usize).map(Cell::new).collect();
+            Region { bank, base, bytes, enabled: Cell::new(true) }
+        };
+        Self { regions: Bank::ALL.into_iter().map(region).collect(), mapping: Cell::new(0), code: Cell::new(0) }
+    }
+
+    /// Every memory, in order of address.
+    #[must_use]
+    pub fn regions(&self) -> &[Region] {
+        &self.regions
+    }
+
+    /// One memory.
+    #[must_use]
+    pub fn region(&self, bank: Bank) -> &Region {
+        // The discriminants are the positions in `Bank::ALL`, in which order the regions were made.
+        &self.regions[bank as usize]
+    }
+
+    /// Which memory holds an address, and the offset there.
+    #[must_use]
+    pub fn locate(&self, address: u32) -> Option<(&Region, u32)> {
+        if address >= END {
+            return None;
+        }
+        let after = self.regions.partition_point(|region| region.base <= address);
+        let region = self.regions.get(after.checked_sub(1)?)?;
+        let offset = address - region.base;
+        (offset < region.len()).then_some((region, offset))
+    }
+
+    /// Turns a memory on or off, as its clock does (RM0399: SRAM1 to 3 of domain 2 and the backup SRAM have enable bits).
+    /// The contents stay.
+    pub fn set_enabled(&self, bank: Bank, on: bool) {
+        if self.region(bank).enabled.replace(on) != on {
+            self.mapping.set(self.mapping.get().wrapping_add(1));
+        }
+    }
+
+    /// The clock of a memory is on.
+    #[must_use]
+    pub fn is_enabled(&self, bank: Bank) -> bool {
+        self.region(bank).enabled.get()
+    }
+
+    /// Changes whenever [`Region::direct`] of some region does.
+    #[must_use]
+    pub fn mapping_version(&self) -> u32 {
+        self.mapping.get()
+    }
+
+    /// Changes whenever flash that can be executed was written by this type's functions.
+    #[must_use]
+    pub fn code_version(&self) -> u32 {
+        self.code.get()
+    }
+
+    /// Reads a value; `None` where no memory is, or not all of it. Clocks do not matter here.
+    #[must_use]
+    pub fn read(&self, address: u32, size: Size) -> Option<u32> {
+        let mut value = [0; 4];
+        self.read_slice(address, &mut value[..size.bytes() as usize])?;
+        Some(u32::from_le_bytes(value))
+    }
+
+    /// Writes a value, as [`Memory::read`] reads it.
+    pub fn write(&self, address: u32, size: Size, value: u32) -> Option<()> {
+        self.write_slice(address, &value.to_le_bytes()[..size.bytes() as usize])
+    }
+
+    /// Reads bytes of one memory; `None`, and nothing read, where it does not hold all of them.
+    pub fn read_slice(&self, address: u32, into: &mut [u8]) -> Option<()> {
+        let cells = self.cells(address, into.len())?.1;
+        into.iter_mut().zip(cells).for_each(|(byte, cell)| *byte = cell.get());
+        Some(())
+    }
+
+    /// Writes bytes of one memory, flash too (the flash model and loaders do); `None`, and nothing written, where it does
+    /// not hold all of them.
+    pub fn write_slice(&self, address: u32, bytes: &[u8]) -> Option<()> {
+        let (region, cells) = self.cells(address, bytes.len())?;
+        cells.iter().zip(bytes).for_each(|(cell, byte)| cell.set(*byte));
+        if region.direct().execute {
+            self.code.set(self.code.get().wrapping_add(1));
+        }
+        Some(())
+    }
+
+    fn cells(&self, address: u32, len: usize) -> Option<(&Region, &[Cell<u8>])> {
+        let (region, offset) = self.locate(address)?;
+        let start = offset as usize;
+        Some((region, region.bytes.get(start..start.checked_add(len)?)?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn banks_are_in_order_of_address_and_do_not_overlap() {
+        let memory = Memory::new();
+        for (index, pair) in memory.regions().windows(2).enumerate() {
+            assert!(pair[0].base + pair[0].len() <= pair[1].base);
+            assert_eq!(pair[0].bank as usize, index);
+        }
+        for bank in Bank::ALL {
+            assert_eq!(memory.region(bank).bank, bank);
+        }
+    }
+
+    #[test]
+    fn values_are_little_endian_and_do_not_leave_a_memory() {
+        let memory = Memory::new();
+        memory.write(0x2000_0000, Size::Word, 0x1122_3344).unwrap();
+        assert_eq!(memory.read(0x2000_0000, Size::Byte), Some(0x44));
+        assert_eq!(memory.read(0x2000_0001, Size::Half), Some(0x2233));
+        assert_eq!(memory.read(0x2001_FFFF, Size::Byte), Some(Memory::POWER_ON >> 24));
+        assert_eq!(memory.read(0x2001_FFFE, Size::Word), None);
+        assert_eq!(memory.read(0x2002_0000, Size::Byte), None);
+        // SRAM1 and SRAM2 touch, and are two memories nevertheless: each has its own clock.
+        assert_eq!(memory.read(0x3001_FFFE, Size::Word), None);
+        assert_eq!(memory.write(0x4000_0000, Size::Word, 0), None);
+        assert_eq!(memory.locate(0xFFFF_FFFF).map(|(region, _)| region.bank), None);
+    }
+
+    #[test]
+    fn a_memory_without_clock_keeps_its_contents_and_is_not_direct() {
+        let memory = Memory::new();
+        memory.write(0x3000_0010, Size::Word, 7).unwrap();
+        let before = memory.mapping_version();
+        memory.set_enabled(Bank::Sram1, false);
+        assert_ne!(memory.mapping_version(), before);
+        let off = Direct { read: false, write: false, execute: false };
+        assert_eq!(memory.region(Bank::Sram1).direct(), off);
+        assert_eq!(memory.region(Bank::Sram2).direct(), Direct { read: true, write: true, execute: false });
+        assert_eq!(memory.read(0x3000_0010, Size::Word), Some(7));
+        let unchanged = memory.mapping_version();
+        memory.set_enabled(Bank::Sram1, false);
+        assert_eq!(memory.mapping_version(), unchanged);
+    }
+
+    #[test]
+    fn only_writes_of_code_count_as_such() {
+        let memory = Memory::new();
+        let before = memory.code_version();
+        memory.write(0x2400_0000, Size::Word, 0).unwrap();
+        memory.write(0x0818_0000, Size::Word, 0).unwrap();
+        assert_eq!(memory.code_version(), before);
+        memory.write(0x0800_0000, Size::Word, 0).unwrap();
+        assert_ne!(memory.code_version(), before);
+    }
+}

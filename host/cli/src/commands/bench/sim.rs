@@ -1,0 +1,253 @@
+//! `r4 bench sim`: how much faster than real time virtual boards run on one core, and what memory they take.
+
+use std::{fs, rc::Rc};
+
+use anyhow::{Context, anyhow, bail};
+use futures::future::join_all;
+use r4_boards::Robot;
+use r4_driver::{Board, with_board};
+use r4_protocol::{Mode, Range, SafetyState, Setpoint};
+use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard};
+use serde::Serialize;
+
+use crate::{args::Args, output, session::HostClock, table};
+
+/// A bench of two motors, and a vehicle of four driven wheels.
+const BENCH: &str = "osmc-bench";
+const FOUR_WHEELS: &str = "openscout";
+/// Of a board of four wheels in firmware and physics, on one core.
+const SIM_FACTOR: f64 = 200.0;
+/// Of an emulated board on one core.
+const EMU_FACTOR: f64 = 5.0;
+/// Of each simulated board, MiB: 2 MB.
+const MEMORY_MIB: f64 = 2e6 / 1024.0 / 1024.0;
+/// How many boards one process runs beside each other.
+const FLEET: [usize; 3] = [1, 10, 100];
+/// Everything takes a new set point so often.
+const COMMAND_S: f64 = 0.1;
+/// All channels are told so often.
+const TELEMETRY_MS: u16 = 10;
+/// From arming until outputs follow.
+const POWER_UP_S: f64 = 0.1;
+/// Time of the processor that a measurement takes at least, s: it is not one of start-up and noise.
+const LONG_ENOUGH_S: f64 = 2.0;
+/// Virtual time of one round.
+const ROUND_S: f64 = 0.5;
+
+#[derive(Serialize)]
+struct Row {
+    what: String,
+    robots: usize,
+    /// The control period: each step of firmware and world.
+    step_s: f64,
+    /// Virtual seconds, of each board, in one second that a core gives to this program.
+    real_time_factor: f64,
+    /// The same, of all boards together.
+    boards_real_time_factor: f64,
+    /// Of each board, the session of its host included; the program is not in it.
+    memory_mib: f64,
+    limits: Vec<Limit>,
+    held: bool,
+}
+
+/// A promise about a row.
+#[derive(Serialize)]
+struct Limit {
+    what: &'static str,
+    limit: f64,
+    held: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    rows: Vec<Row>,
+    held: bool,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
+    let mut rows = Vec::new();
+    for robot in [BENCH, FOUR_WHEELS] {
+        for boards in FLEET {
+            rows.push(simulated(args.seed, robot, boards)?);
+        }
+    }
+    #[cfg(feature = "emu")]
+    for robot in [BENCH, FOUR_WHEELS] {
+        rows.extend(emulated(args.seed, robot)?);
+    }
+    let held = rows.iter().all(|row| row.held);
+    let report = Report { rows, held };
+    if args.json {
+        output::json(&report)?;
+    } else {
+        print(&report)?;
+    }
+    Ok(held)
+}
+
+fn simulated(seed: u64, name: &str, boards: usize) -> anyhow::Result<Row> {
+    let robot = r4_boards::load(name)?;
+    let start = |simulation: &mut Simulation, number: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
+        Ok(Rc::new(SimBoard::start(simulation, &robot, seed.wrapping_add(number as u64))?))
+    };
+    let Measured { factor, memory_mib } = measure(boards, start)?;
+    let mut limits = Vec::new();
+    if name == FOUR_WHEELS && boards == 1 {
+        limits.push(Limit { what: "x real time, at least", limit: SIM_FACTOR, held: factor >= SIM_FACTOR });
+    }
+    // A single board's is the noise of the allocator.
+    if boards == FLEET[FLEET.len() - 1] {
+        limits.push(Limit { what: "MiB a board, at most", limit: MEMORY_MIB, held: memory_mib <= MEMORY_MIB });
+    }
+    Ok(row(format!("sim:{name}"), &robot, boards, factor, memory_mib, limits))
+}
+
+/// `None` where there is no image for the robot.
+#[cfg(feature = "emu")]
+fn emulated(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
+    let image = match r4_emu::Image::find(name) {
+        Ok(image) => image,
+        Err(error) => {
+            eprintln!("r4: emu:{name} is left out: {error}");
+            return Ok(None);
+        }
+    };
+    let robot = r4_boards::load(name)?;
+    let start = |simulation: &mut Simulation, _: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
+        let core = r4_unicorn::UnicornCore::new().context("the emulated processor does not start")?;
+        Ok(Rc::new(r4_emu::EmuBoard::start(simulation, &robot, seed, &image, core, None, r4_emu::Settings::default())?))
+    };
+    let Measured { factor, memory_mib } = measure(1, start)?;
+    let limit = Limit { what: "x real time, at least", limit: EMU_FACTOR, held: factor >= EMU_FACTOR };
+    Ok(Some(row(format!("emu:{name}"), &robot, 1, factor, memory_mib, vec![limit])))
+}
+
+fn row(what: String, robot: &Robot, boards: usize, factor: f64, memory_mib: f64, limits: Vec<Limit>) -> Row {
+    let held = limits.iter().all(|limit| limit.held);
+    Row {
+        what,
+        robots: boards,
+        step_s: f64::from(robot.config.control_period_us) * 1e-6,
+        real_time_factor: factor,
+        boards_real_time_factor: factor * boards as f64,
+        memory_mib,
+        limits,
+        held,
+    }
+}
+
+struct Measured {
+    /// Of the simulation with all its boards.
+    factor: f64,
+    memory_mib: f64,
+}
+
+/// Runs boards side by side in one simulation, each armed and moved by a host of its own.
+fn measure(
+    boards: usize,
+    start: impl Fn(&mut Simulation, usize) -> anyhow::Result<Rc<dyn VirtualBoard>>,
+) -> anyhow::Result<Measured> {
+    let mut simulation = Simulation::new(Pace::Free);
+    let before_kib = resident_kib()?;
+    let started = (0..boards).map(|number| start(&mut simulation, number)).collect::<anyhow::Result<Vec<_>>>()?;
+    let clock = simulation.clock();
+    let sessions = join_all(started.iter().map(async |board| {
+        let port = board.connect().ok_or_else(|| anyhow!("the board is already connected"))?;
+        let clock = HostClock(clock.clone());
+        with_board(port.rx, port.tx, clock, async |host| session(host).await).await.context("no session")?
+    }));
+    let sessions = simulation.block_on(sessions);
+    if let Some(failure) = started.iter().find_map(|board| board.failure()) {
+        bail!("a board stopped: {failure}");
+    }
+    let measured = sessions.ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
+    let measured = measured.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let memory_kib = resident_kib()?.saturating_sub(before_kib);
+    // What is freed would be taken by the next measurement without becoming resident.
+    std::mem::forget((simulation, started));
+    // All run at the same pace; the last to end has seen all others at work.
+    let factor = measured.into_iter().fold(f64::INFINITY, f64::min);
+    Ok(Measured { factor, memory_mib: memory_kib as f64 / 1024.0 / boards as f64 })
+}
+
+/// Arms, keeps everything moving, and says how much faster than the wall that went.
+async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
+    host.arm().await?;
+    for channel in host.channels() {
+        host.subscribe(channel.id, TELEMETRY_MS).await?;
+    }
+    host.sleep_s(POWER_UP_S).await;
+    let moving: Vec<_> = host
+        .channels()
+        .iter()
+        .filter_map(|channel| channel.mode(Mode::Duty).map(|mode| (channel.id, mode.range)))
+        .collect();
+    let (begin, begin_s) = (processor_s()?, host.now_s());
+    let mut forth = true;
+    while processor_s()? - begin < LONG_ENOUGH_S {
+        let until_s = host.now_s() + ROUND_S;
+        while host.now_s() < until_s {
+            forth = !forth;
+            // There and back in so short a time, nothing comes to an end stop.
+            for (channel, Range { min, max }) in &moving {
+                let value = min + (max - min) * if forth { 0.6 } else { 0.4 };
+                host.set(*channel, Setpoint { mode: Mode::Duty, value }).await?;
+            }
+            host.sleep_s(COMMAND_S).await;
+        }
+    }
+    let (state, causes) = host.safety();
+    anyhow::ensure!(state == SafetyState::Armed, "{state} by {causes} in the middle");
+    Ok((host.now_s() - begin_s) / (processor_s()? - begin))
+}
+
+/// Time that this thread has had a core to itself, s: what others do on the machine does not count.
+fn processor_s() -> anyhow::Result<f64> {
+    let statistics = fs::read_to_string("/proc/thread-self/schedstat").context("time is told by Linux only")?;
+    let ns = statistics.split(' ').next().and_then(|first| first.parse::<u64>().ok());
+    Ok(ns.ok_or_else(|| anyhow!("no time in schedstat"))? as f64 * 1e-9)
+}
+
+/// Memory of this process that is in RAM.
+fn resident_kib() -> anyhow::Result<u64> {
+    let status = fs::read_to_string("/proc/self/status").context("memory is told by Linux only")?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    line.and_then(|rest| rest.trim().strip_suffix("kB")?.trim().parse().ok()).ok_or_else(|| anyhow!("no VmRSS"))
+}
+
+fn print(report: &Report) -> anyhow::Result<()> {
+    let header = ["board", "boards", "step", "x real time", "all boards", "MiB a board", "promised", ""];
+    let mut table = table::new(&header, 1..6);
+    for row in &report.rows {
+        let limits: Vec<_> = row.limits.iter().map(|limit| format!("{} {:.2}", limit.what, limit.limit)).collect();
+        let verdict = match (row.limits.is_empty(), row.held) {
+            (true, _) => "",
+            (false, true) => "ok",
+            (false, false) => "not held",
+        };
+        table.add_row([
+            row.what.clone(),
+            row.robots.to_string(),
+            format!("{:.0} us", row.step_s * 1e6),
+            format!("{:.1}", row.real_time_factor),
+            format!("{:.0}", row.boards_real_time_factor),
+            format!("{:.2}", row.memory_mib),
+            limits.join(", "),
+            verdict.into(),
+        ]);
+    }
+    output::line("boards armed, all bridges turning round every 100 ms, telemetry at 100 Hz; one thread")?;
+    Ok(output::line(table)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_known() {
+        let before = resident_kib().unwrap();
+        let much = vec![1_u8; 64 << 20];
+        assert!(resident_kib().unwrap() > before + 60 * 1024, "{}", much.len());
+    }
+}

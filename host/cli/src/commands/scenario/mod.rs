@@ -1,0 +1,155 @@
+//! `r4 scenario`: a file says what is done to a virtual board and when; what came of it is printed, or compared between a
+//! simulated and an emulated board.
+
+mod compare;
+mod file;
+mod play;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use r4_sim::Pace;
+use serde::Serialize;
+
+use crate::{
+    args::{self, Args},
+    output,
+    session::{self, Target},
+    table,
+};
+use compare::{Difference, differences};
+use file::Scenario;
+use play::Outcome;
+
+#[derive(Serialize)]
+struct Played<'a> {
+    scenario: String,
+    board: String,
+    #[serde(flatten)]
+    outcome: &'a Outcome,
+}
+
+#[derive(Serialize)]
+struct Compared {
+    rows: Vec<ComparedRow>,
+}
+
+#[derive(Serialize)]
+struct ComparedRow {
+    scenario: String,
+    robot: String,
+    looks: usize,
+    trips: usize,
+    /// Of all looks: the difference as a share of what is allowed.
+    worst_share: f64,
+    differences: Vec<Difference>,
+}
+
+pub(crate) fn run(args: &Args, scenario: &args::Scenario) -> anyhow::Result<bool> {
+    if scenario.compare { compare(args, &scenario.files) } else { play(args, &scenario.files) }
+}
+
+/// Plays each file on `--board`, or on a simulated board of its own robot where nothing is said.
+fn play(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
+    for path in files {
+        let scenario = Scenario::read(path)?;
+        let args = Args { board: args.board.with_robot(&scenario.robot), ..args.clone() };
+        let outcome = outcome(&args, &scenario, path)?;
+        if args.json {
+            let (scenario, board) = (name(path), args.board.to_string());
+            output::json(&Played { scenario, board, outcome: &outcome })?;
+            continue;
+        }
+        output::line(format_args!("{} on {}", name(path), args.board))?;
+        let mut rows = table::new(&["s", "channel", "position", "speed", "state"], 0..1);
+        for look in &outcome.looks {
+            for motion in &look.motions {
+                rows.add_row([
+                    format!("{:.3}", look.at_s),
+                    motion.channel.clone(),
+                    format!("{:.5} {}", motion.position, motion.unit),
+                    format!("{:.4} {}/s", motion.speed, motion.unit),
+                    look.state.clone(),
+                ]);
+            }
+        }
+        output::line(rows)?;
+        for trip in &outcome.trips {
+            output::line(format_args!("tripped: {}", trip.join(", ")))?;
+        }
+        for refused in &outcome.refused {
+            output::line(format_args!("refused: {refused}"))?;
+        }
+    }
+    Ok(true)
+}
+
+/// Plays each file on both kinds of virtual board and lists what differs.
+fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
+    let mut rows = Vec::new();
+    for path in files {
+        let scenario = Scenario::read(path)?;
+        let on = |board: Target| outcome(&Args { board, ..args.clone() }, &scenario, path);
+        let simulated = on(Target::Sim(scenario.robot.clone()))?;
+        let emulated = on(Target::Emu(scenario.robot.clone()))?;
+        let compared = differences(&simulated, &emulated);
+        rows.push(ComparedRow {
+            scenario: name(path),
+            robot: scenario.robot,
+            looks: simulated.looks.len(),
+            trips: simulated.trips.len(),
+            worst_share: compared.worst_share,
+            differences: compared.list,
+        });
+    }
+    let agree = rows.iter().all(|row| row.differences.is_empty());
+    if args.json {
+        output::json(&Compared { rows })?;
+        return Ok(agree);
+    }
+    let mut shown =
+        table::new(&["scenario", "robot", "looks", "trips", "worst, share of allowed", "differences"], 2..6);
+    for row in &rows {
+        shown.add_row([
+            row.scenario.clone(),
+            row.robot.clone(),
+            row.looks.to_string(),
+            row.trips.to_string(),
+            format!("{:.2}", row.worst_share),
+            row.differences.len().to_string(),
+        ]);
+    }
+    output::line(shown)?;
+    for row in &rows {
+        for difference in &row.differences {
+            output::line(format_args!("{}: {difference}", row.scenario))?;
+        }
+    }
+    Ok(agree)
+}
+
+/// Plays one file on `--board`.
+#[cfg(feature = "emu")]
+pub(crate) fn play_one(args: &Args, path: &Path) -> anyhow::Result<bool> {
+    play(args, &[path.to_owned()])
+}
+
+fn outcome(args: &Args, scenario: &Scenario, path: &Path) -> anyhow::Result<Outcome> {
+    if scenario.steps.is_empty() {
+        bail!("{} has no steps", path.display());
+    }
+    let (outcome, _) = session::run(args, Pace::Free, async |session| play::play(session, scenario).await)?;
+    Ok(outcome)
+}
+
+fn name(path: &Path) -> String {
+    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+impl Scenario {
+    fn read(path: &Path) -> anyhow::Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        toml::from_str(&text)
+            .with_context(|| format!("{} is no scenario; docs/scenarios.md says how one is written", path.display()))
+    }
+}

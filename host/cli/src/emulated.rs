@@ -1,0 +1,125 @@
+//! `--board emu:`: the firmware's ELF on the emulated processor.
+
+use std::{
+    cell::Cell,
+    fs::File,
+    io::{self, BufWriter, Write},
+    net::{Ipv4Addr, SocketAddr, TcpListener},
+    path::Path,
+    rc::Rc,
+};
+
+use anyhow::Context;
+use r4_boards::Robot;
+use r4_emu::{
+    EmuBoard, Image, Settings,
+    gdb::{Server, Starter, State},
+    log::{Level, Log, Record},
+    tracing::{Tracer, Wanted, resolve},
+};
+use r4_sim::{Simulation, VirtualBoard, flash::Flash};
+use r4_unicorn::UnicornCore;
+
+use crate::{
+    args::{Args, Command, Debug, LogLevel},
+    session,
+};
+
+/// Where gdb is served unless something else is said: the port that debuggers on probes use.
+const GDB: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 3333);
+
+/// Powers up an emulated board and says on stderr which image it runs.
+pub(crate) fn start(
+    args: &Args,
+    simulation: &mut Simulation,
+    robot: &Robot,
+    flash: Option<Flash>,
+) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    Ok(Rc::new(start_debugged(args, simulation, robot, flash)?.0))
+}
+
+/// A board, and where a debugging session with gdb stands, if there is one.
+type Debugged = (EmuBoard<UnicornCore>, Option<Rc<Cell<State>>>);
+
+/// The same, and where a debugging session with gdb stands, if `args` are for one.
+pub(crate) fn start_debugged(
+    args: &Args,
+    simulation: &mut Simulation,
+    robot: &Robot,
+    flash: Option<Flash>,
+) -> anyhow::Result<Debugged> {
+    let image = Image::find(args.board.robot())?;
+    eprintln!("r4: runs {}, SHA-256 {}", image.path().display(), image.digest());
+    let core = UnicornCore::new().context("the emulated processor does not start")?;
+    let gdb = match &args.command {
+        Command::Debug(debug) => debug.gdb.or(debug.until.map(|_| GDB)),
+        _ => None,
+    };
+    let settings = Settings { stop_at_breakpoints: gdb.is_some(), ..Settings::default() };
+    let board = EmuBoard::start(simulation, robot, args.seed, &image, core, flash, settings)?;
+    if let Some(level) = args.log {
+        let control_block = board.machine().symbols().address("_SEGGER_RTT");
+        board.watch(Log::new(&image, control_block, move |record| print(level, &record))?);
+    }
+    let Command::Debug(debug) = &args.command else { return Ok((board, None)) };
+    if let Some(path) = &debug.trace {
+        board.watch(tracer(&board, path, &debug.symbol)?);
+    }
+    let state = gdb.map(|address| serve(&board, address, debug)).transpose()?;
+    Ok((board, state))
+}
+
+fn serve(board: &EmuBoard<UnicornCore>, address: SocketAddr, debug: &Debug) -> anyhow::Result<Rc<Cell<State>>> {
+    let listener = TcpListener::bind(address).with_context(|| format!("cannot serve gdb at {address}"))?;
+    let attach_at_ns = debug.until.unwrap_or_else(|| debug.attach_at.map_or(0, |seconds| (seconds * 1e9) as u64));
+    let server = Server::new(board.shared_machine(), listener, attach_at_ns, Person);
+    let state = server.state();
+    board.watch(server);
+    Ok(state)
+}
+
+fn tracer(board: &EmuBoard<UnicornCore>, path: &Path, symbols: &[String]) -> anyhow::Result<Tracer<Box<dyn Write>>> {
+    let calls = symbols.iter().map(|name| resolve(board.machine().symbols(), name));
+    let calls = calls.collect::<Result<Vec<_>, _>>()?;
+    let out: Box<dyn Write> = if path == Path::new("-") {
+        Box::new(BufWriter::new(io::stdout()))
+    } else {
+        let file = File::create(path).with_context(|| format!("cannot write the trace {}", path.display()))?;
+        Box::new(BufWriter::new(file))
+    };
+    let only_calls = !calls.is_empty();
+    Ok(Tracer::new(&board.shared_machine(), out, Wanted { calls, only_calls }))
+}
+
+/// Whoever typed the command.
+struct Person;
+
+impl Starter for Person {
+    fn say(&self, text: &str) {
+        eprintln!("r4: {text}");
+    }
+
+    fn interrupted(&self) -> bool {
+        session::is_interrupted()
+    }
+
+    fn killed(&self) {
+        session::interrupt();
+    }
+}
+
+fn print(from: LogLevel, record: &Record) {
+    let level = record.level.map(|level| match level {
+        Level::Trace => LogLevel::Trace,
+        Level::Debug => LogLevel::Debug,
+        Level::Info => LogLevel::Info,
+        Level::Warn => LogLevel::Warn,
+        Level::Error => LogLevel::Error,
+    });
+    // What has no level is always meant to be seen.
+    if level.is_none_or(|level| level >= from) {
+        let name = record.level.map_or("", Level::name);
+        let read_s = record.read_ns as f64 * 1e-9;
+        eprintln!("{read_s:>11.6} s  {name:5} {:>10}  {}", record.stamp, record.message);
+    }
+}

@@ -1,0 +1,48 @@
+//! The program on emulated boards: what a user sees of the firmware's own image.
+
+use std::{fs, path::Path, process::Command};
+
+use serde_json::Value;
+
+/// Runs `r4` and gives what it printed as JSON; it must succeed.
+fn r4(arguments: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_r4")).args(arguments).arg("--json").output().expect("r4 starts");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "r4 {}: {errors}", arguments.join(" "));
+    // Which file it ran is said where a log keeps it.
+    assert!(errors.contains("SHA-256"), "{errors}");
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+/// Every scenario: positions within a count and a period of motion, trips and refusals the same.
+#[test]
+fn simulated_and_emulated_boards_agree_in_every_scenario() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenarios");
+    let files: Vec<_> = fs::read_dir(folder)
+        .expect("the folder of scenarios")
+        .map(|entry| entry.expect("an entry").path().to_str().expect("a name in Unicode").to_owned())
+        .collect();
+    assert!(files.len() >= 5, "{files:?}");
+    let mut arguments = vec!["scenario", "--compare"];
+    arguments.extend(files.iter().map(String::as_str));
+    let compared = r4(&arguments);
+    let rows = compared["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), files.len());
+    for row in rows {
+        assert_eq!(row["differences"], Value::Array(Vec::new()), "{row}");
+        assert!(row["looks"].as_u64() >= Some(3), "{row}");
+    }
+}
+
+/// The demo's table, from the real image: each set point within what the evaluation counts as reached.
+#[test]
+fn the_demo_reaches_every_set_point() {
+    let out = tempfile::tempdir().expect("a folder");
+    let demo = r4(&["demo", "--board", "emu:osmc-bench", "--out", out.path().to_str().expect("a name in Unicode")]);
+    let rows = demo["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 9);
+    for row in rows {
+        // Degrees and millimetres; the loops settle within 0.15 of either.
+        assert!(row["error_ours"].as_f64().is_some_and(|error| error.abs() < 0.15), "{row}");
+    }
+}

@@ -1,0 +1,128 @@
+//! The bytes that go into flash, out of an ELF file: what tools that know no ELF are given.
+
+/// The flash after an erase; between segments nothing is programmed.
+const ERASED: u8 = 0xFF;
+/// A flash word of the STM32H7: what is programmed at once (RM0399, 4.3.8).
+const WORD: usize = 32;
+/// No image of this processor is larger than its flash, so that a damaged file cannot ask for gigabytes.
+const LARGEST: usize = 2 * 1024 * 1024;
+
+/// A flash image without holes.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Binary {
+    /// Address of the first byte.
+    pub(crate) start: u32,
+    /// As many as whole flash words have.
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl Binary {
+    /// From the segments that are loaded, at the addresses they are loaded to (System V ABI, chapter 5). Data with an initial
+    /// value is where start-up copies it from, not where the program sees it.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub(crate) fn of(elf: &[u8]) -> Result<Self, String> {
+        let mut segments = segments(elf).ok_or("no ELF file of 32 bits, or one that is cut off")?;
+        segments.sort_by_key(|segment| segment.address);
+        let (Some(first), Some(last)) = (segments.first(), segments.last()) else {
+            return Err("nothing in it is loaded into flash".into());
+        };
+        let start = first.address;
+        let length = (last.address - start) as usize + last.bytes.len();
+        if length > LARGEST {
+            return Err(format!("its segments lie {length} bytes apart, more than there is flash"));
+        }
+        let mut bytes = vec![ERASED; length.next_multiple_of(WORD)];
+        let mut free = 0;
+        for Segment { address, bytes: content } in segments {
+            let from = (address - start) as usize;
+            if from < free {
+                return Err(format!("two of its segments overlap at {address:#010x}"));
+            }
+            free = from + content.len();
+            bytes[from..free].copy_from_slice(content);
+        }
+        Ok(Self { start, bytes })
+    }
+
+    /// The initial stack pointer: the first word of the vector table (ARMv7-M ARM, B1.5.3).
+    pub(crate) fn stack_pointer(&self) -> Option<u32> {
+        self.bytes.first_chunk().map(|word| u32::from_le_bytes(*word))
+    }
+}
+
+struct Segment<'e> {
+    address: u32,
+    bytes: &'e [u8],
+}
+
+/// The loaded segments that have content; `None` when it is no little-endian ELF file of 32 bits.
+fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
+    const LOAD: u32 = 1;
+    let word = |at: usize| Some(u32::from_le_bytes(elf.get(at..at.checked_add(4)?)?.try_into().ok()?));
+    let half = |at: usize| Some(usize::from(u16::from_le_bytes(elf.get(at..at + 2)?.try_into().ok()?)));
+    if elf.get(..6)? != b"\x7fELF\x01\x01" {
+        return None;
+    }
+    let (table, entry, count) = (word(0x1C)? as usize, half(0x2A)?, half(0x2C)?);
+    let mut segments = Vec::new();
+    for header in (0..count).map(|index| table + index * entry) {
+        let (kind, offset, address, size) = (word(header)?, word(header + 4)?, word(header + 12)?, word(header + 16)?);
+        if kind == LOAD && size > 0 {
+            let offset = offset as usize;
+            segments.push(Segment { address, bytes: elf.get(offset..offset.checked_add(size as usize)?)? });
+        }
+    }
+    Some(segments)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An ELF file with such segments: kind, physical address, content. Virtual addresses are elsewhere.
+    fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+        let mut elf = vec![0; 52];
+        elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
+        elf[0x1C] = 52;
+        elf[0x2A] = 32;
+        elf[0x2C] = segments.len() as u8;
+        let mut offset = 52 + 32 * segments.len() as u32;
+        for (kind, address, content) in segments {
+            let size = content.len() as u32;
+            for value in [*kind, offset, 0x2400_0000, *address, size, size, 0, 4] {
+                elf.extend(value.to_le_bytes());
+            }
+            offset += size;
+        }
+        segments.iter().for_each(|(_, _, content)| elf.extend(*content));
+        elf
+    }
+
+    #[test]
+    fn segments_are_put_where_they_are_loaded_and_gaps_stay_erased() {
+        // Out of order; the stack's segment has no content, the last is no loaded one.
+        let file =
+            elf(&[(1, 0x0804_0006, &[5, 6]), (1, 0x0804_0000, &[1, 2, 3, 0x24]), (1, 0x2400_0000, &[]), (4, 7, &[9])]);
+        let mut expected = vec![0xFF; 32];
+        expected[..8].copy_from_slice(&[1, 2, 3, 0x24, 0xFF, 0xFF, 5, 6]);
+        let binary = Binary::of(&file).expect("good");
+        assert_eq!(binary, Binary { start: 0x0804_0000, bytes: expected });
+        assert_eq!(binary.stack_pointer(), Some(0x2403_0201));
+    }
+
+    #[test]
+    fn what_cannot_be_flashed_is_refused() {
+        for (file, why) in [
+            (elf(&[]), "nothing"),
+            (elf(&[(1, 0x0800_0000, &[1; 8]), (1, 0x0800_0004, &[2; 8])]), "overlap at 0x08000004"),
+            (elf(&[(1, 0x0800_0000, &[1]), (1, 0x2400_0000, &[2])]), "apart"),
+            (elf(&[(1, 0x0800_0000, &[1; 8])])[..90].to_vec(), "cut off"),
+            (b"\x7fELF\x02\x01".to_vec(), "32 bits"),
+        ] {
+            let problem = Binary::of(&file).expect_err(why);
+            assert!(problem.contains(why), "{problem}");
+        }
+    }
+}

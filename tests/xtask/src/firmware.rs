@@ -1,0 +1,198 @@
+//! `cargo xtask firmware`: the image for the Giga, as an ELF with what debuggers and emulators need.
+
+use std::{
+    env, fmt, fs,
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+};
+
+use sha2::{Digest, Sha256};
+
+use crate::{
+    image::{Image, Sizes},
+    toolchain::{self, TARGET},
+};
+
+/// What to build.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Firmware {
+    /// A built-in robot, or the path of its file.
+    robot: String,
+    /// `bare` or `hosted`.
+    image: String,
+}
+
+impl Firmware {
+    /// The image of one kind for one robot.
+    pub(crate) fn new(robot: &str, image: &str) -> Self {
+        Self { robot: robot.into(), image: image.into() }
+    }
+
+    /// Reads the words after `firmware`.
+    ///
+    /// # Errors
+    /// The word that means nothing.
+    pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
+        let mut firmware = Self { robot: "osmc-bench".into(), image: "bare".into() };
+        let mut words = words.iter();
+        while let Some(word) = words.next() {
+            let mut value = || words.next().ok_or_else(|| format!("`{word}` needs a value"));
+            match *word {
+                "--robot" => firmware.robot = (*value()?).into(),
+                "--image" => match *value()? {
+                    image @ ("bare" | "hosted") => firmware.image = image.into(),
+                    other => return Err(format!("an image is `bare` or `hosted`, not `{other}`")),
+                },
+                other => return Err(format!("`firmware` takes no `{other}`")),
+            }
+        }
+        Ok(firmware)
+    }
+
+    /// Builds it, copies it to where others look for it, and says what it is.
+    pub(crate) fn run(&self, root: &Path) -> ExitCode {
+        match self.build(root) {
+            Ok(report) => {
+                println!("{report}");
+                ExitCode::SUCCESS
+            }
+            Err(problem) => {
+                eprintln!("error: {problem}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+
+    /// Builds it.
+    ///
+    /// # Errors
+    /// What a person has to do.
+    pub(crate) fn build(&self, root: &Path) -> Result<Built, String> {
+        toolchain::complete(root)?;
+        let target = target_folder(root)?;
+        // Its own workspace, with its own configuration of cargo.
+        let folder = root.join("firmware/giga");
+        // Sources of dependencies are there after that.
+        run(Command::new(toolchain::cargo()).args(["fetch", "--quiet", "--locked"]).current_dir(&folder))?;
+        run(Command::new(toolchain::cargo())
+            .args(["build", "--release", "--locked", "--config", &short_paths(root), "--target-dir"])
+            .arg(target.join("giga"))
+            .env("R4_ROBOT", self.robot_for_build()?)
+            .env("R4_IMAGE", &self.image)
+            .current_dir(&folder))?;
+        let built = target.join("giga").join(TARGET).join("release/r4-giga");
+        let elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
+        let image = Image::read(&elf).ok_or_else(|| format!("{} is no ELF file of 32 bits", built.display()))?;
+        let path = self.elf(root)?;
+        fs::create_dir_all(path.parent().unwrap_or(root))
+            .and_then(|()| fs::write(&path, &elf))
+            .map_err(|error| format!("{}: {error}", path.display()))?;
+        let digest = Sha256::digest(&elf).iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Built { path, digest, image })
+    }
+
+    /// Where [`Self::build`] puts it.
+    ///
+    /// # Errors
+    /// There is no current folder.
+    pub(crate) fn elf(&self, root: &Path) -> Result<PathBuf, String> {
+        Ok(target_folder(root)?.join("firmware").join(format!("{}-{}.elf", self.name(), self.image)))
+    }
+
+    /// Whether it is for behind the Arduino bootloader.
+    pub(crate) fn is_hosted(&self) -> bool {
+        self.image == "hosted"
+    }
+
+    /// A file's path holds wherever the build script runs.
+    fn robot_for_build(&self) -> Result<PathBuf, String> {
+        if self.robot.ends_with(".toml") {
+            return fs::canonicalize(&self.robot).map_err(|error| format!("{}: {error}", self.robot));
+        }
+        Ok(PathBuf::from(&self.robot))
+    }
+
+    fn name(&self) -> String {
+        let file = Path::new(&self.robot).file_name().unwrap_or_default().to_string_lossy();
+        file.strip_suffix(".toml").unwrap_or(&file).to_owned()
+    }
+}
+
+/// An image that was built.
+pub(crate) struct Built {
+    /// The ELF file, where others look for it.
+    pub(crate) path: PathBuf,
+    /// SHA-256 of the file.
+    digest: String,
+    /// What it takes.
+    pub(crate) image: Image,
+}
+
+impl fmt::Display for Built {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Sizes { text, data, bss } = self.image.sizes;
+        writeln!(f, "{}\n  text {text}, data {data}, bss {bss} bytes", self.path.display())?;
+        write!(f, "  SHA-256 {}", self.digest)
+    }
+}
+
+fn run(command: &mut Command) -> Result<(), String> {
+    let status = command.status().map_err(|error| format!("cargo cannot be started: {error}"))?;
+    if status.success() { Ok(()) } else { Err("the firmware does not build, see above".into()) }
+}
+
+/// For cargo: a panic's location has the name of a file, which takes flash. Without the folders of this machine it takes 6 KB
+/// less, and the image is the same on every machine.
+fn short_paths(root: &Path) -> String {
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
+    let registries = fs::read_dir(home.join("registry/src")).into_iter().flatten().flatten().map(|entry| entry.path());
+    let library = toolchain::sysroot(root).map(|sysroot| (sysroot.join("lib/rustlib/src/rust"), "rust/"));
+    let here = fs::canonicalize(root).ok();
+    let folders = registries.chain(here).map(|folder| (folder, "")).chain(library);
+    let flags = folders.map(|(folder, name)| format!("--remap-path-prefix={}/={name}", folder.display()));
+    config(flags)
+}
+
+/// Adds to what the configuration of `firmware/giga` has.
+fn config(flags: impl Iterator<Item = String>) -> String {
+    // A string of Rust is one of TOML.
+    format!("target.{TARGET}.rustflags={:?}", flags.collect::<Vec<_>>())
+}
+
+/// The folder that cargo builds into, whole.
+pub(crate) fn target_folder(root: &Path) -> Result<PathBuf, String> {
+    let target = env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+    std::path::absolute(&target).map_err(|error| format!("{}: {error}", target.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(line: &str) -> Result<Firmware, String> {
+        Firmware::parse(&line.split_whitespace().collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn command_lines_are_understood() {
+        let firmware = |robot: &str, image: &str| Firmware { robot: robot.into(), image: image.into() };
+        assert_eq!(of(""), Ok(firmware("osmc-bench", "bare")));
+        assert_eq!(of("--image hosted --robot a/b.toml"), Ok(firmware("a/b.toml", "hosted")));
+        assert_eq!(of("--robot a/b.toml").expect("good").name(), "b");
+        assert_eq!(of("--robot openscout").expect("good").name(), "openscout");
+    }
+
+    #[test]
+    fn flags_are_one_word_each() {
+        let flags = ["--remap-path-prefix=/a b/=".to_owned(), "-g".into()].into_iter();
+        assert_eq!(config(flags), format!(r#"target.{TARGET}.rustflags=["--remap-path-prefix=/a b/=", "-g"]"#));
+    }
+
+    #[test]
+    fn others_are_refused_by_the_word_that_is_wrong() {
+        for (line, word) in [("--image flash", "flash"), ("--robot", "needs a value"), ("now", "now")] {
+            assert!(of(line).expect_err(line).contains(word), "{line}");
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! `cargo xtask size`: what the image for the Giga takes of the processor, against what it may take.
+
+use std::{
+    fmt,
+    path::Path,
+    process::{Command, ExitCode, Stdio},
+};
+
+use serde_json::{Value, json};
+
+use crate::{
+    firmware::Firmware,
+    image::{Image, Symbol},
+    toolchain,
+};
+
+/// Two of the eight sectors of bank 1.
+const FLASH_BUDGET: u32 = 256 * 1024;
+/// Of the 512 KiB of AXI SRAM and 64 KiB of SRAM4, without the stack's 128 KiB.
+const RAM_BUDGET: u32 = 128 * 1024;
+/// The largest symbols that are listed.
+const BIGGEST: usize = 10;
+
+/// What to measure, and how to say it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Size {
+    robot: String,
+    json: bool,
+}
+
+impl Size {
+    /// Reads the words after `size`.
+    ///
+    /// # Errors
+    /// The word that means nothing.
+    pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
+        let mut size = Self { robot: "osmc-bench".into(), json: false };
+        let mut words = words.iter();
+        while let Some(word) = words.next() {
+            match *word {
+                "--robot" => size.robot = (*words.next().ok_or("`--robot` needs a value")?).into(),
+                "--json" => size.json = true,
+                other => return Err(format!("`size` takes no `{other}`")),
+            }
+        }
+        Ok(size)
+    }
+
+    /// Builds the image, measures it and says what was found. Fails when it is over a budget.
+    pub(crate) fn run(&self, root: &Path) -> ExitCode {
+        let report = match self.report(root) {
+            Ok(report) => report,
+            Err(problem) => {
+                eprintln!("error: {problem}");
+                return ExitCode::FAILURE;
+            }
+        };
+        if self.json {
+            println!("{:#}", report.json());
+        } else {
+            println!("{report}");
+        }
+        if report.fits() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    }
+
+    fn report(&self, root: &Path) -> Result<Report, String> {
+        let built = Firmware::new(&self.robot, "bare").build(root)?;
+        let measured = measured(root, &built.path);
+        if measured.is_none() {
+            eprintln!("stacks and instructions are not measured: `r4 bench firmware` is not available, see above");
+        }
+        Ok(Report { robot: self.robot.clone(), image: built.image, measured })
+    }
+}
+
+/// What only running the image shows, as `r4 bench firmware` tells it.
+#[derive(Clone, Debug, PartialEq)]
+struct Measured {
+    /// `[{"executor", "reserved", "used"}]`, in bytes.
+    stacks: Value,
+    /// `{"median", "max"}`, over the ticks of the control loop.
+    control_tick_instructions: Value,
+}
+
+impl Measured {
+    fn read(json: &[u8]) -> Option<Self> {
+        let mut json: Value = serde_json::from_slice(json).ok()?;
+        let mut field = |name| json.get_mut(name).map(Value::take).filter(|value| !value.is_null());
+        Some(Self { stacks: field("stacks")?, control_tick_instructions: field("control_tick_instructions")? })
+    }
+}
+
+/// Runs the image on the emulated processor; `None` when there is no emulator, or it fails, which it says itself.
+fn measured(root: &Path, elf: &Path) -> Option<Measured> {
+    let output = Command::new(toolchain::cargo())
+        .args(["run", "--quiet", "--release", "--package", "r4", "--features", "emu", "--"])
+        .args(["bench", "firmware", "--json", "--elf"])
+        .arg(elf)
+        .current_dir(root)
+        .stderr(Stdio::inherit())
+        .output()
+        .ok()?;
+    output.status.success().then(|| Measured::read(&output.stdout)).flatten()
+}
+
+/// What was found.
+struct Report {
+    robot: String,
+    image: Image,
+    measured: Option<Measured>,
+}
+
+impl Report {
+    fn fits(&self) -> bool {
+        self.image.sizes.flash() <= FLASH_BUDGET && self.image.sizes.ram() <= RAM_BUDGET
+    }
+
+    fn biggest(&self) -> &[Symbol] {
+        &self.image.symbols[..self.image.symbols.len().min(BIGGEST)]
+    }
+
+    fn json(&self) -> Value {
+        let biggest =
+            |symbol: &Symbol| json!({ "name": symbol.name, "bytes": symbol.bytes, "memory": symbol.memory.name() });
+        let (stacks, instructions) = match self.measured.clone() {
+            Some(Measured { stacks, control_tick_instructions }) => (stacks, control_tick_instructions),
+            None => (json!([]), Value::Null),
+        };
+        json!({
+            "robot": self.robot,
+            "flash_bytes": self.image.sizes.flash(),
+            "flash_budget_bytes": FLASH_BUDGET,
+            "ram_bytes": self.image.sizes.ram(),
+            "ram_budget_bytes": RAM_BUDGET,
+            "stacks": stacks,
+            "control_tick_instructions": instructions,
+            "biggest": self.biggest().iter().map(biggest).collect::<Vec<_>>(),
+        })
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sizes = self.image.sizes;
+        writeln!(f, "the image for {}, in bytes", self.robot)?;
+        for (memory, bytes, budget) in [("flash", sizes.flash(), FLASH_BUDGET), ("RAM", sizes.ram(), RAM_BUDGET)] {
+            let rest = match budget.checked_sub(bytes) {
+                Some(free) => format!("{free} free"),
+                None => format!("{} TOO MANY", bytes - budget),
+            };
+            writeln!(f, "  {memory:<5} {bytes:>7} of {budget:>7}, {rest}")?;
+        }
+        writeln!(f, "the biggest")?;
+        for Symbol { name, bytes, memory } in self.biggest() {
+            writeln!(f, "  {bytes:>7} {:<13} {name}", memory.name())?;
+        }
+        match &self.measured {
+            Some(Measured { stacks, control_tick_instructions }) => {
+                writeln!(f, "stacks, in bytes")?;
+                for stack in stacks.as_array().into_iter().flatten() {
+                    let field = |name: &str| stack.get(name).map(Value::to_string).unwrap_or_default();
+                    writeln!(f, "  {:>7} of {:>7} {}", field("used"), field("reserved"), field("executor"))?;
+                }
+                write!(f, "instructions of a control tick: {control_tick_instructions}")
+            }
+            None => write!(f, "stacks and the instructions of a control tick were not measured"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::image::{Memory, Sizes};
+
+    use super::*;
+
+    fn report(text: u32, bss: u32, measured: Option<Measured>) -> Report {
+        let symbol = |index: u32| Symbol { name: format!("f{index}"), bytes: 100 - index, memory: Memory::Flash };
+        let image = Image { sizes: Sizes { text, data: 1000, bss }, symbols: (0..12).map(symbol).collect() };
+        Report { robot: "osmc-bench".into(), image, measured }
+    }
+
+    #[test]
+    fn command_lines_are_understood() {
+        let of = |line: &str| Size::parse(&line.split_whitespace().collect::<Vec<_>>());
+        assert_eq!(of(""), Ok(Size { robot: "osmc-bench".into(), json: false }));
+        assert_eq!(of("--json --robot openscout"), Ok(Size { robot: "openscout".into(), json: true }));
+        for (line, word) in [("--image bare", "--image"), ("--robot", "needs a value")] {
+            assert!(of(line).expect_err(line).contains(word), "{line}");
+        }
+    }
+
+    /// Data counts in both memories, and the last byte of a budget may be used.
+    #[test]
+    fn budgets_are_kept_to_the_byte() {
+        let (flash, ram) = (FLASH_BUDGET - 1000, RAM_BUDGET - 1000);
+        for (text, bss, fits) in [(flash, ram, true), (flash + 1, ram, false), (flash, ram + 1, false)] {
+            assert_eq!(report(text, bss, None).fits(), fits, "{text} {bss}");
+        }
+        assert!(report(flash + 24, 0, None).to_string().contains("262168 of  262144, 24 TOO MANY"));
+    }
+
+    #[test]
+    fn the_object_has_the_fields_of_the_contract() {
+        let json = report(2000, 300, None).json();
+        assert_eq!((&json["flash_bytes"], &json["ram_bytes"]), (&json!(3000), &json!(1300)));
+        assert_eq!((&json["stacks"], &json["control_tick_instructions"]), (&json!([]), &Value::Null));
+        assert_eq!(json["biggest"].as_array().map(Vec::len), Some(BIGGEST));
+        assert_eq!(json["biggest"][0], json!({ "name": "f0", "bytes": 100, "memory": "flash" }));
+    }
+
+    #[test]
+    fn what_the_emulator_measured_is_taken_over() {
+        let told = json!({
+            "robot": "osmc-bench",
+            "stacks": [{ "executor": "control", "reserved": 131_072, "used": 9000 }],
+            "control_tick_instructions": { "median": 12_000, "max": 15_000 },
+        });
+        let measured = Measured::read(told.to_string().as_bytes()).expect("all fields are there");
+        let report = report(2000, 300, Some(measured));
+        let json = report.json();
+        assert_eq!(json["stacks"], told["stacks"]);
+        assert_eq!(json["control_tick_instructions"], told["control_tick_instructions"]);
+        assert!(report.to_string().contains("9000 of  131072 \"control\""));
+    }
+
+    #[test]
+    fn half_of_a_measurement_is_none() {
+        for told in ["", "{}", r#"{"stacks": []}"#, r#"{"stacks": [], "control_tick_instructions": null}"#] {
+            assert_eq!(Measured::read(told.as_bytes()), None, "{told}");
+        }
+    }
+}
