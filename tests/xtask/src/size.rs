@@ -65,7 +65,7 @@ impl Size {
 
     fn report(&self, root: &Path) -> Result<Report, String> {
         let built = Firmware::new(&self.robot, "bare").build(root)?;
-        let measured = measured(root, &built.path);
+        let measured = measured(root, &self.robot, &built.path);
         if measured.is_none() {
             eprintln!("stacks and instructions are not measured: `r4 bench firmware` is not available, see above");
         }
@@ -91,11 +91,11 @@ impl Measured {
 }
 
 /// Runs the image on the emulated processor; `None` when there is no emulator, or it fails, which it says itself.
-fn measured(root: &Path, elf: &Path) -> Option<Measured> {
+fn measured(root: &Path, robot: &str, elf: &Path) -> Option<Measured> {
     let output = Command::new(toolchain::cargo())
         .args(["run", "--quiet", "--release", "--package", "r4", "--features", "emu", "--"])
-        .args(["bench", "firmware", "--json", "--elf"])
-        .arg(elf)
+        .args(["bench", "firmware", "--json", "--board", &format!("emu:{robot}")])
+        .env("R4_ELF", elf)
         .current_dir(root)
         .stderr(Stdio::inherit())
         .output()
