@@ -135,7 +135,6 @@ pub(crate) struct Scenario {
     pub(crate) files: Vec<PathBuf>,
 }
 
-#[cfg_attr(not(feature = "emu"), expect(dead_code, reason = "there is nothing to debug"))]
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("how").required(true).multiple(true).args(["gdb", "trace", "until"]))]
 pub(crate) struct Debug {

@@ -249,8 +249,8 @@ pub(crate) fn run<T>(
 }
 
 #[cfg(not(feature = "emu"))]
-pub(crate) const WITHOUT_EMULATOR: &str =
-    "this program was built without the emulator: build it with `--features emu` (it needs cmake, libclang and a C compiler)";
+pub(crate) const WITHOUT_EMULATOR: &str = "this program was built without the emulator: build it with `--features emu` \
+                                            (it needs cmake, libclang and a C compiler)";
 
 /// Powers up the virtual board that `args` name.
 fn start(

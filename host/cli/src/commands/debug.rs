@@ -8,9 +8,7 @@ use crate::session::Target;
 
 #[cfg(not(feature = "emu"))]
 pub(crate) fn run(_: &Args, _: &Debug) -> anyhow::Result<bool> {
-    bail!(
-        "this program was built without the emulator: build it with `--features emu` (it needs cmake and a C compiler)"
-    )
+    bail!(crate::session::WITHOUT_EMULATOR)
 }
 
 #[cfg(feature = "emu")]

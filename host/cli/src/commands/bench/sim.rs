@@ -18,6 +18,7 @@ const FOUR_WHEELS: &str = "openscout";
 /// Of a board of four wheels in firmware and physics, on one core.
 const SIM_FACTOR: f64 = 200.0;
 /// Of an emulated board on one core.
+#[cfg(feature = "emu")]
 const EMU_FACTOR: f64 = 5.0;
 /// Of each simulated board, MiB: 2 MB.
 const MEMORY_MIB: f64 = 2e6 / 1024.0 / 1024.0;
