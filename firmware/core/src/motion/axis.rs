@@ -154,6 +154,7 @@ pub struct Axis {
     now: u64,
     raw: i32,
     position: i64,
+    /// Pulses are to be made: those the hardware had at the last look, or told since.
     pending: bool,
     path: Path,
     path_start: u64,
@@ -431,6 +432,7 @@ impl Axis {
     /// Tells the hardware the pulses of `from..told_to`.
     fn queue(&mut self, from: u64, hw: &mut impl Steppers) -> Result<(), Fault> {
         let (index, inverted, path_start) = (self.index, self.config.inverted, self.path_start);
+        let pending = &mut self.pending;
         let mut events: Vec<StepEvent, 32> = Vec::new();
         let mut taken = Ok(());
         let mut flush = |events: &mut Vec<StepEvent, 32>| {
@@ -447,6 +449,7 @@ impl Axis {
                 flush(&mut events);
             }
             let _ = events.push(event);
+            *pending = true;
         });
         flush(&mut events);
         taken

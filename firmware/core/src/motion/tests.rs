@@ -216,6 +216,20 @@ fn a_position_is_reached_in_the_time_of_its_path_and_kept() {
 }
 
 #[test]
+fn a_move_told_all_at_once_is_under_way_until_its_last_pulse() {
+    // Out and back by a step of 1.8 degrees within the first call's 2.5 periods: 0.7 ms to a step.
+    let mut rig = Rig::new(StepperConfig { steps_per_turn: 200, acceleration: 57e3, jerk: 0.0, ..config() });
+    for target in [-1.8f32, 0.0] {
+        rig.command(Command::Position(target.to_radians()));
+        let first = rig.period(0, None).expect("no fault");
+        assert!(first.moving && !first.settled, "{first:?}");
+        rig.rest();
+        assert_eq!(rig.board.sum(0), libm::roundf(target / 1.8) as i64);
+        assert!(rig.axis.status().settled);
+    }
+}
+
+#[test]
 fn an_inverted_axis_turns_the_other_way_and_counts_the_same() {
     let mut rig = Rig::new(StepperConfig { inverted: true, ..config() });
     rig.command(Command::Position(3.0));
