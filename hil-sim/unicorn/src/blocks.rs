@@ -10,15 +10,12 @@ pub(crate) type Code<'a> = &'a [Cell<u8>];
 pub(crate) struct Block {
     /// Its first instruction.
     pub(crate) address: u32,
+    /// The first floating-point instruction; [`Block::NOWHERE`] is none.
+    float: u32,
     /// Bytes: a block does not leave its page of 4 KiB.
     bytes: u16,
     /// Instructions.
     pub(crate) instructions: u16,
-    /// The first floating-point instruction, bytes after the first one; [`Block::NOWHERE`] is none.
-    float: u16,
-    /// There is more to it than a number of instructions: one of the flags below, or floating point that was not allowed
-    /// when it was first met.
-    pub(crate) special: bool,
     /// SEV is among them.
     pub(crate) event: bool,
     /// The exclusive monitor may be set by it: LDREX and the like are among them.
@@ -31,16 +28,15 @@ impl Block {
     /// No block: of no bytes.
     pub(crate) const NONE: Self = Self {
         address: u32::MAX,
+        float: Self::NOWHERE,
         bytes: 0,
         instructions: 0,
-        float: Self::NOWHERE,
-        special: false,
         event: false,
         claims: false,
         releases: false,
     };
 
-    const NOWHERE: u16 = u16::MAX;
+    const NOWHERE: u32 = u32::MAX;
 
     /// Bytes.
     pub(crate) fn bytes(&self) -> u32 {
@@ -49,7 +45,7 @@ impl Block {
 
     /// The first floating-point instruction.
     pub(crate) fn float(&self) -> Option<u32> {
-        (self.float != Self::NOWHERE).then_some(self.address.wrapping_add(self.float.into()))
+        (self.float != Self::NOWHERE).then_some(self.float)
     }
 
     /// The address after it.
@@ -68,7 +64,7 @@ impl Block {
             // Coprocessors 10 and 11 are the floating-point unit (DDI0403E A5.3.18, A6).
             let coprocessor = first & 0xEC00 == 0xEC00 && second.is_some_and(|half| matches!(half >> 8 & 15, 10 | 11));
             if coprocessor && block.float == Self::NOWHERE {
-                block.float = at as u16;
+                block.float = address + at as u32;
             }
             // IT, whose mask is not zero (A5.2.5): what follows may be skipped.
             conditional |= first & 0xFF00 == 0xBF00 && first & 0xF != 0;
@@ -79,13 +75,7 @@ impl Block {
             }
             at += if is_wide(first) { 4 } else { 2 };
         }
-        block.special = block.event || block.claims || block.releases;
         block
-    }
-
-    /// Special if it holds floating point: for where that is not allowed.
-    pub(crate) fn without_float(self) -> Self {
-        Self { special: self.special || self.float != Self::NOWHERE, ..self }
     }
 }
 
@@ -144,25 +134,15 @@ impl Cache {
         self.blocks.fill(Block::NONE);
     }
 
-    /// The block, if it is known.
-    #[inline]
-    pub(crate) fn known(&self, address: u32, bytes: u32) -> Option<Block> {
-        let block = self.blocks[Self::slot(address, bytes)];
-        (block.address == address && block.bytes() == bytes).then_some(block)
-    }
-
     /// The block, decoded by `decode` where it is not known.
-    pub(crate) fn get(&mut self, address: u32, bytes: u32, decode: impl FnOnce() -> Block) -> Block {
-        self.known(address, bytes).unwrap_or_else(|| {
-            let block = decode();
-            self.blocks[Self::slot(address, bytes)] = block;
-            block
-        })
-    }
-
-    /// Also by the length: parts of one block lie apart.
-    fn slot(address: u32, bytes: u32) -> usize {
-        address.wrapping_add(bytes) as usize / 2 % Self::LEN
+    #[inline]
+    pub(crate) fn get(&mut self, address: u32, bytes: u32, decode: impl FnOnce() -> Block) -> &Block {
+        // Also by the length: parts of one block lie apart.
+        let slot = &mut self.blocks[address.wrapping_add(bytes) as usize / 2 % Self::LEN];
+        if slot.address != address || slot.bytes() != bytes {
+            *slot = decode();
+        }
+        slot
     }
 }
 

@@ -210,11 +210,7 @@ impl Core for UnicornCore {
     }
 
     fn set_fpu(&mut self, on: bool) {
-        let state = self.engine.get_data_mut();
-        if std::mem::replace(&mut state.fpu, on) != on {
-            // What is special about a block changes with it.
-            state.cache.clear();
-        }
+        self.engine.get_data_mut().fpu = on;
     }
 
     fn clear_exclusive(&mut self) -> Result<(), CoreError> {

@@ -2,7 +2,6 @@
 
 use r4_mcu::Size;
 use r4_mcu::cpu::{Access, NoResult, Why};
-use unicorn_engine::hook::{sys, uc_engine, uc_hook};
 use unicorn_engine::{HookType, MemType, Prot, RegisterARM, TlbEntry, TlbType, UcHookId, Unicorn, uc_error};
 
 use crate::blocks::Block;
@@ -17,7 +16,8 @@ pub(crate) const CACHED_FROM: u32 = 0x0001_0000;
 
 /// Installs the hooks that are for every address.
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
-    install_block(engine)?;
+    // 1 > 0: everywhere.
+    engine.add_block_hook(1, 0, |engine, address, bytes| block(engine, address as u32, bytes))?;
     engine.ctl_set_tlb_type(TlbType::VIRTUAL)?;
     engine.add_tlb_hook(1, 0, translate)?;
     engine.add_intr_hook(|engine, number| {
@@ -55,107 +55,59 @@ pub(crate) fn install_access(engine: &mut Unicorn<'_, State>, base: u64, len: u6
     Ok([load, store])
 }
 
-/// Installs [`block`]: without the wrapper of Unicorn's crate, which costs as much again, three million times a second.
-#[allow(unsafe_code, reason = "Unicorn's own interface")]
-fn install_block(engine: &mut Engine) -> Result<(), uc_error> {
-    let state: *mut State = engine.get_data_mut();
-    let mut hook: uc_hook = 0;
-    // SAFETY: the engine is open. The state lives on the heap, in the engine, for as long as hooks are called, and `block`
-    // is what Unicorn calls for this kind of hook. 1 > 0: everywhere. It is never removed.
-    unsafe {
-        sys::uc_hook_add(engine.get_handle(), &raw mut hook, HookType::BLOCK.0 as i32, block as _, state.cast(), 1, 0)
-    }
-    .into()
-}
-
 /// Asks for the limits again.
 pub(crate) fn refresh_limits(engine: &mut Unicorn<'_, State>) {
-    let handle = engine.get_handle();
-    engine.get_data_mut().refresh_limits(handle);
-}
-
-impl State {
-    fn refresh_limits(&mut self, engine: *mut uc_engine) {
-        self.limits = self.bus().limits();
-        if self.limits.mask_changes {
-            self.masks = masks(engine);
-        }
-        self.attention_at = if self.limits.mask_changes { 0 } else { self.limits.instructions };
+    let limits = engine.get_data_mut().bus().limits();
+    if limits.mask_changes {
+        let masks = masks(engine);
+        engine.get_data_mut().masks = masks;
     }
+    engine.get_data_mut().limits = limits;
 }
 
-/// PRIMASK, BASEPRI, FAULTMASK.
-#[allow(unsafe_code, reason = "Unicorn's own interface")]
-fn masks(engine: *mut uc_engine) -> [u32; 3] {
-    [RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::FAULTMASK].map(|register| {
-        let mut value = 0_u64;
-        // SAFETY: the engine is open: it calls hooks, or its owner asks. These registers have 32 bits, and exist in the only
-        // processor this crate creates.
-        let _ = unsafe { sys::uc_reg_read(engine, register as i32, (&raw mut value).cast()) };
-        value as u32
-    })
+fn masks(engine: &Unicorn<'_, State>) -> [u32; 3] {
+    // None of these reads can fail: the registers exist in the only processor this crate creates.
+    [RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::FAULTMASK]
+        .map(|register| engine.reg_read(register).unwrap_or(0) as u32)
 }
 
 /// Ends the run as soon as Unicorn can: at the next block, or before the instruction of a code hook.
 pub(crate) fn stop(engine: &mut Unicorn<'_, State>) {
-    let handle = engine.get_handle();
-    stop_engine(handle, engine.get_data_mut());
-}
-
-#[allow(unsafe_code, reason = "Unicorn's own interface")]
-fn stop_engine(engine: *mut uc_engine, state: &mut State) {
-    // SAFETY: the engine is open: it calls hooks.
-    if let Err(error) = Result::from(unsafe { sys::uc_emu_stop(engine) }) {
-        state.error.get_or_insert(crate::core::failed("stop", error));
+    if let Err(error) = engine.emu_stop() {
+        engine.get_data_mut().error.get_or_insert(crate::core::failed("stop", error));
     }
 }
 
 /// A block is about to be executed.
-#[allow(unsafe_code, reason = "called by Unicorn")]
-extern "C" fn block(engine: *mut uc_engine, address: u64, bytes: u32, state: *mut State) {
-    // SAFETY: `install_block` gave it; nobody uses the state while Unicorn executes but hooks, which are called one at a
-    // time.
-    let state = unsafe { &mut *state };
-    let address = address as u32;
-    if state.executed < state.attention_at
-        && let Some(block) = state.cache.known(address, bytes)
-        && !state.block.special
-        && !block.special
-    {
-        state.block = block;
-        state.executed += u64::from(block.instructions);
+fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
+    if address == STUB {
         return;
     }
-    if address != STUB {
-        block_with_care(engine, address, bytes, state);
-    }
-}
-
-/// The same where there is something to look at.
-fn block_with_care(engine: *mut uc_engine, address: u32, bytes: u32, state: &mut State) {
+    let state = engine.get_data_mut();
     // The block before was executed to its end.
     if state.block.releases {
         state.claimed = false;
     }
     let reached = state.executed >= state.limits.instructions;
-    if state.limits.mask_changes && masks(engine) != state.masks {
-        state.why = Some(Why::MaskChanged);
-        return stop_engine(engine, state);
+    if state.limits.mask_changes {
+        let before = state.masks;
+        if masks(engine) != before {
+            engine.get_data_mut().why = Some(Why::MaskChanged);
+            return stop(engine);
+        }
     }
-    if reached && limit_stands(engine, state) {
-        state.why = Some(Why::Limit);
-        return stop_engine(engine, state);
+    if reached && limit_stands(engine) {
+        engine.get_data_mut().why = Some(Why::Limit);
+        return stop(engine);
     }
-    let (cache, code, fpu) = (&mut state.cache, &state.code, state.fpu);
-    let decode = || {
-        let block = Block::decode(address, slice(code, address, address.wrapping_add(bytes)));
-        if fpu { block } else { block.without_float() }
-    };
-    let block = if address >= CACHED_FROM { cache.get(address, bytes, decode) } else { decode() };
+    let state = engine.get_data_mut();
+    let (cache, code) = (&mut state.cache, &state.code);
+    let decode = || Block::decode(address, slice(code, address, address.wrapping_add(bytes)));
+    let block = if address >= CACHED_FROM { *cache.get(address, bytes, decode) } else { decode() };
     if !state.fpu && block.float().is_some() && state.float_at != block.float() {
         state.float_at = block.float();
         state.why = Some(Why::Limit);
-        return stop_engine(engine, state);
+        return stop(engine);
     }
     state.block = block;
     state.executed += u64::from(block.instructions);
@@ -167,10 +119,11 @@ fn block_with_care(engine: *mut uc_engine, address: u32, bytes: u32, state: &mut
 
 /// The limit is reached: whether it is still so once what is due is done, which spares stopping and starting again.
 #[cold]
-fn limit_stands(engine: *mut uc_engine, state: &mut State) -> bool {
-    let executed = state.executed;
-    state.bus().reached(executed);
-    state.refresh_limits(engine);
+fn limit_stands(engine: &mut Unicorn<'_, State>) -> bool {
+    let executed = engine.get_data().executed;
+    engine.get_data_mut().bus().reached(executed);
+    refresh_limits(engine);
+    let state = engine.get_data();
     state.executed >= state.limits.instructions
 }
 

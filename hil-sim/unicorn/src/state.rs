@@ -42,8 +42,6 @@ pub(crate) struct State {
     /// Instructions of this run, up to the end of `block`.
     pub(crate) executed: u64,
     pub(crate) limits: Limits,
-    /// From so many instructions on each block is begun with care.
-    pub(crate) attention_at: u64,
     /// PRIMASK, BASEPRI, FAULTMASK when `limits` were asked for.
     pub(crate) masks: [u32; 3],
     /// A hook wants to stop, and why.
@@ -74,7 +72,6 @@ impl State {
             block: Block::NONE,
             executed: 0,
             limits: Limits { instructions: 0, mask_changes: false },
-            attention_at: 0,
             masks: [0; 3],
             why: None,
             stop_at: 0,
