@@ -305,13 +305,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         view: SafetyView,
         motors: &[usize],
     ) -> Result<bool, OutputFault> {
+        // The motors' supply has just been closed: drivers need it before their inputs move.
+        let powered = Instant::now() >= self.powered_at;
         for index in motors.iter().copied() {
             let motor = &mut self.motors[index];
             if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
                 motor.command(setpoint);
             }
-            if Instant::now() < self.powered_at {
-                // The motors' supply has just been closed: drivers need it before their inputs move.
+            if !powered {
                 continue;
             }
             let (duty, causes) = motor.step();
