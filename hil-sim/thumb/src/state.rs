@@ -2,7 +2,7 @@
 
 use r4_mcu::cpu::{CoreBus, CoreError, Limits, Register};
 
-use crate::float;
+use crate::float::{self, Float};
 use crate::memory::Memory;
 use crate::operation::{COUNT, LR, SP};
 
@@ -120,7 +120,7 @@ impl State {
             basepri: 0,
             faultmask: 0,
             control: 0,
-            float: float::Registers { s: [0; 32], fpscr: 0 },
+            float: float::Registers::default(),
             fpu: false,
             exclusive: None,
             memory: Memory::new(),
@@ -230,22 +230,39 @@ impl State {
             Register::Basepri => self.basepri = value & 0xFF,
             Register::Faultmask => self.faultmask = value & 1,
             Register::Control => self.set_control(value),
-            Register::Fpscr => self.float.fpscr = value,
+            Register::Fpscr => self.float.set_fpscr(value),
             Register::S(index) => self.float.s[usize::from(index.min(31))] = value,
         }
     }
 }
 
-impl float::CoreRegisters for State {
-    fn get(&self, n: u8) -> u32 {
-        self.r[usize::from(n) % COUNT]
+/// The core registers, lent to a floating-point instruction.
+struct Lent<'a> {
+    r: &'a mut [u32; COUNT],
+    flags: &'a mut Flags,
+}
+
+impl float::CoreRegisters for Lent<'_> {
+    fn get(&self, register: u8) -> u32 {
+        self.r[usize::from(register) % COUNT]
     }
 
-    fn set(&mut self, n: u8, value: u32) {
-        self.r[usize::from(n) % COUNT] = value;
+    fn set(&mut self, register: u8, value: u32) {
+        self.r[usize::from(register) % COUNT] = value;
+    }
+
+    fn nzcv(&self) -> u32 {
+        self.flags.nzcv() << 28
     }
 
     fn set_nzcv(&mut self, flags: u32) {
-        self.flags.set_nzcv(flags);
+        self.flags.set_nzcv(flags >> 28);
+    }
+}
+
+impl State {
+    /// Executes a floating-point instruction other than loads and stores.
+    pub(crate) fn execute_float(&mut self, float: &Float) {
+        float.execute(&mut self.float, &mut Lent { r: &mut self.r, flags: &mut self.flags });
     }
 }

@@ -246,7 +246,7 @@ fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) 
         engine.get_data_mut().bus().write(&access, (value >> (part * 32)) as u32);
     }
     let unaligned = address & (bytes - 1) != 0;
-    engine.get_data_mut().window.repeated = if unaligned { (address, address + bytes) } else { (0, 0) };
+    engine.get_data_mut().window.repeated = if unaligned { (address, address.saturating_add(bytes)) } else { (0, 0) };
     refresh_limits(engine);
     clear_it_state(engine);
 }

@@ -9,9 +9,6 @@ use super::{Context, Stop};
 use crate::operation::{COUNT, LOADED, Width};
 use crate::state::{FLOAT_ACTIVE, State};
 
-/// Words of the longest list.
-const LONGEST: usize = 32;
-
 fn word(cells: &[Cell<u8>; 4]) -> u32 {
     u32::from_le_bytes([cells[0].get(), cells[1].get(), cells[2].get(), cells[3].get()])
 }
@@ -328,9 +325,7 @@ impl State {
         let float = context.floats[number as usize];
         self.control |= FLOAT_ACTIVE;
         let Some(transfer) = float.transfer() else {
-            let mut registers = self.float;
-            float.execute(&mut registers, self);
-            self.float = registers;
+            self.execute_float(&float);
             return Ok(());
         };
         let base = if transfer.base == 15 {
@@ -338,19 +333,19 @@ impl State {
         } else {
             self.r[usize::from(transfer.base) % COUNT]
         };
-        let address = base.wrapping_add(transfer.offset as u32);
-        let (first, count) = (usize::from(transfer.first), usize::from(transfer.count));
-        if transfer.is_load {
-            let mut words = [0; LONGEST];
-            let words = &mut words[..count];
-            self.load_words(address, words, index, context, bus)?;
-            self.float.s[first..first + count].copy_from_slice(words);
+        let address = base.wrapping_add(i32::from(transfer.offset) as u32);
+        let (first, words) = (usize::from(transfer.first), usize::from(transfer.words));
+        // The decoder lets no list leave the registers.
+        let list = first..(first + words).min(self.float.s.len());
+        let mut values = self.float.s;
+        if transfer.load {
+            self.load_words(address, &mut values[list], index, context, bus)?;
+            self.float.s = values;
         } else {
-            let all = self.float.s;
-            self.store_words(address, &all[first..first + count], index, context, bus)?;
+            self.store_words(address, &values[list], index, context, bus)?;
         }
         if transfer.write_back != 0 {
-            self.r[usize::from(transfer.base) % COUNT] = base.wrapping_add(transfer.write_back as u32);
+            self.r[usize::from(transfer.base) % COUNT] = base.wrapping_add(i32::from(transfer.write_back) as u32);
         }
         Ok(())
     }
