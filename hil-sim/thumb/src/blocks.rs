@@ -14,7 +14,7 @@ pub(crate) struct Block {
     pub(crate) end: u32,
     pub(crate) first: u32,
     pub(crate) len: u16,
-    pub(crate) instructions: u8,
+    pub(crate) instructions: u16,
     /// ITSTATE after it.
     pub(crate) it: u8,
     /// Some of its instructions are observed.
@@ -34,7 +34,8 @@ struct Store {
     floats: Vec<Float>,
 }
 
-/// All blocks. A table has those used last, whatever else is known is behind it.
+/// All blocks. A table has those used last: nothing in them is observed, and they do not end within an IT block. Whatever
+/// else is known is behind it.
 pub(crate) struct Blocks {
     table: Box<[Block; Self::LEN]>,
     known: HashMap<u32, Block>,
@@ -86,7 +87,10 @@ impl Blocks {
                 block
             }
         };
-        self.table[address as usize / 2 % Self::LEN] = block;
+        // What needs a look before or after it is not found at once.
+        if !block.observed && block.it == 0 {
+            self.table[address as usize / 2 % Self::LEN] = block;
+        }
         Some(block)
     }
 

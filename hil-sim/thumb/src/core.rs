@@ -5,7 +5,7 @@ use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Register, Why};
 
 use crate::blocks::{Block, Blocks};
 use crate::decode::What;
-use crate::execute::{Context, Stop, execute};
+use crate::execute::execute;
 use crate::state::State;
 
 /// A Cortex-M7 by an interpreter.
@@ -74,61 +74,25 @@ impl ThumbCore {
         if *it == 0 { self.blocks.find(pc, &what) } else { self.blocks.add(pc, &what) }
     }
 
-    /// Executes a block, or the first operations of it; `None` is to its end.
-    #[inline(always)]
-    fn execute(&mut self, block: &Block, ops: Option<u16>, bus: &mut dyn CoreBus) -> Option<Why> {
-        let all = self.blocks.ops(block);
-        let some = match ops {
-            Some(count) => &all[..usize::from(count).min(all.len())],
-            None => all,
-        };
-        let context = Context {
-            address: block.address,
-            end: block.end,
-            positions: self.blocks.positions(block),
-            floats: self.blocks.floats(),
-        };
-        match execute(&mut self.state, some, &context, bus) {
-            Ok(pc) => {
-                self.state.pc = pc;
-                self.state.it = block.it;
-                self.state.executed += u64::from(block.instructions);
-                None
-            }
-            Err(Stop::Before { index, why }) => {
-                let position = context.positions[index];
-                self.state.pc = block.address.wrapping_add(2 * u32::from(position.halfword));
-                self.state.it = position.it;
-                self.state.executed += u64::from(position.instruction);
-                Some(why)
-            }
-            Err(Stop::After { pc, why }) => {
-                self.state.pc = pc;
-                self.state.it = block.it;
-                self.state.executed += u64::from(block.instructions);
-                Some(why)
-            }
-        }
-    }
-
     /// A block with observed instructions.
     #[cold]
     fn execute_observed(&mut self, block: &Block, is_first: bool, bus: &mut dyn CoreBus) -> Option<Why> {
         let Some((ops, address)) = self.blocks.observed(block, self.state.it, is_first) else {
-            return self.execute(block, None, bus);
+            return execute(&mut self.state, &self.blocks, *block, false, bus);
         };
         if address == block.address {
             return Some(Why::Observed);
         }
         // What is before it is not the end of the block, and does not branch.
-        let before = Block { end: address, instructions: self.instructions_before(block, address), it: 0, ..*block };
-        let why = self.execute(&before, Some(ops), bus);
+        let instructions = self.instructions_before(block, address);
+        let before = Block { end: address, len: ops, instructions, it: 0, ..*block };
+        let why = execute(&mut self.state, &self.blocks, before, false, bus);
         self.within = why.is_none();
         Some(why.unwrap_or(Why::Observed))
     }
 
     /// Instructions of a block before one of them.
-    fn instructions_before(&self, block: &Block, address: u32) -> u8 {
+    fn instructions_before(&self, block: &Block, address: u32) -> u16 {
         let (mut at, mut count) = (block.address, 0);
         while at != address {
             let Some(first) = self.state.memory.fetch(at) else { break };
@@ -169,7 +133,8 @@ impl ThumbCore {
             let why = if block.observed {
                 self.execute_observed(&block, is_first, bus)
             } else {
-                self.execute(&block, None, bus)
+                let chain = block.it == 0 && self.state.it == 0;
+                execute(&mut self.state, &self.blocks, block, chain, bus)
             };
             if let Some(why) = why {
                 return why;
@@ -192,7 +157,7 @@ impl ThumbCore {
         let (Some(block), Some(whole)) = (decode(self, true), decode(self, false)) else {
             return Why::Fault(Fault::Fetch);
         };
-        let why = self.execute(&block, None, bus);
+        let why = execute(&mut self.state, &self.blocks, block, false, bus);
         self.within = why.is_none() && block.instructions < whole.instructions;
         why.unwrap_or(Why::Observed)
     }

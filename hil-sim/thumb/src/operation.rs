@@ -659,6 +659,25 @@ pub(crate) enum Op {
     Branch {
         target: u32,
     },
+    /// The usual conditions by themselves: EQ, NE, CS, CC, LT, GE.
+    BranchEqual {
+        target: u32,
+    },
+    BranchNotEqual {
+        target: u32,
+    },
+    BranchCarry {
+        target: u32,
+    },
+    BranchNoCarry {
+        target: u32,
+    },
+    BranchLess {
+        target: u32,
+    },
+    BranchNotLess {
+        target: u32,
+    },
     BranchIf {
         condition: Condition,
         target: u32,

@@ -16,9 +16,9 @@ const LINE: u32 = 128;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Position {
     /// Instructions of the block before its own.
-    pub(crate) instruction: u8,
+    pub(crate) instruction: u16,
     /// Halfwords from the beginning of the block to its own.
-    pub(crate) halfword: u8,
+    pub(crate) halfword: u16,
     /// ITSTATE of its own.
     pub(crate) it: u8,
 }
@@ -31,7 +31,7 @@ pub(crate) struct Decoded {
     pub(crate) positions: Vec<Position>,
     /// Address after the last instruction.
     pub(crate) end: u32,
-    pub(crate) instructions: u8,
+    pub(crate) instructions: u16,
     /// ITSTATE after it.
     pub(crate) it: u8,
     /// Operations before those instructions outside of IT blocks that are observed.
@@ -104,7 +104,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             block.observed.push(stop);
         }
         let position =
-            Position { instruction: block.instructions, halfword: (at.wrapping_sub(address) / 2) as u8, it: block.it };
+            Position { instruction: block.instructions, halfword: (at.wrapping_sub(address) / 2) as u16, it: block.it };
         let unconditional = !within || first & 0xFF00 == 0xBE00;
         let condition = if unconditional { ALWAYS } else { (block.it >> 4).min(ALWAYS) };
         // Merge with the condition before, where it is the same and flags are.
@@ -229,6 +229,19 @@ enum Single {
     Ldrh,
     Ldrb,
     Ldrsh,
+}
+
+/// A conditional branch.
+fn branch_if(condition: Condition, target: u32) -> Op {
+    match condition {
+        0 => Op::BranchEqual { target },
+        1 => Op::BranchNotEqual { target },
+        2 => Op::BranchCarry { target },
+        3 => Op::BranchNoCarry { target },
+        10 => Op::BranchNotLess { target },
+        11 => Op::BranchLess { target },
+        _ => Op::BranchIf { condition, target },
+    }
 }
 
 impl Instruction<'_> {

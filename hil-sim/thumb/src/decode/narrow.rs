@@ -1,6 +1,6 @@
 //! Instructions of 16 bits (DDI0403E A5.2).
 
-use super::{Instruction, Single, Then, bits, data, index, signed};
+use super::{Instruction, Single, Then, bits, branch_if, data, index, signed};
 use crate::operation::{Index, LOADED, LR, NONE, Op, SCRATCH, SP, ZERO};
 
 /// A low register.
@@ -34,7 +34,7 @@ impl Instruction<'_> {
                 15 => self.end(Op::Svc),
                 condition => {
                     let target = self.pc().wrapping_add(signed(value, 8) << 1);
-                    self.end(Op::BranchIf { condition: condition as u8, target })
+                    self.end(branch_if(condition as u8, target))
                 }
             },
             // B; the rest of this range is wide.

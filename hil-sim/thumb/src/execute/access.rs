@@ -3,9 +3,9 @@
 use std::cell::Cell;
 
 use r4_mcu::Size;
-use r4_mcu::cpu::{Access, CoreBus, Fault, NoResult, Why};
+use r4_mcu::cpu::{Access, CoreBus, Fault, NoResult};
 
-use super::{Context, Stop};
+use super::Context;
 use crate::operation::{COUNT, LOADED, Width};
 use crate::state::{FLOAT_ACTIVE, State};
 
@@ -19,19 +19,10 @@ fn set_word(cells: &[Cell<u8>; 4], value: u32) {
     }
 }
 
-fn fault(index: usize, fault: Fault) -> Stop {
-    Stop::Before { index, why: Why::Fault(fault) }
-}
-
 impl State {
     fn access(&self, address: u32, size: Size, index: usize, context: &Context<'_>) -> Access {
-        let position = context.positions[index];
-        Access {
-            address,
-            size,
-            pc: context.address.wrapping_add(2 * u32::from(position.halfword)),
-            instructions: self.executed + u64::from(position.instruction),
-        }
+        let instructions = self.executed + u64::from(context.position(index).instruction);
+        Access { address, size, pc: context.pc(index), instructions }
     }
 
     /// After an access.
@@ -125,9 +116,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Fault> {
         if address & 3 != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         if let Some(cells) = self.memory.load_words(address, words.len()) {
             for (value, cells) in words.iter_mut().zip(cells.as_chunks().0) {
@@ -147,12 +138,12 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Fault> {
         for (offset, value) in (0..).step_by(4).zip(words) {
             let address = address.wrapping_add(offset);
             *value = match self.memory.load::<4>(address) {
                 Some(bytes) => u32::from_le_bytes(bytes),
-                None => self.load_by_bus(address, Size::Word, index, context, bus).ok_or(fault(index, Fault::Load))?,
+                None => self.load_by_bus(address, Size::Word, index, context, bus).ok_or(Fault::Load)?,
             };
         }
         Ok(())
@@ -167,9 +158,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Fault> {
         if address & 3 != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         if let Some(cells) = self.memory.store_words(address, words.len()) {
             for (value, cells) in words.iter().zip(cells.as_chunks().0) {
@@ -207,9 +198,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Fault> {
         if address & 3 != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         let count = list.count_ones() as usize;
         let mut left = list;
@@ -238,9 +229,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Fault> {
         if address & 3 != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         let count = list.count_ones() as usize;
         let mut left = list;
@@ -268,9 +259,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<u32, Stop> {
+    ) -> Result<u32, Fault> {
         if address & (width.bytes() - 1) != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         let value = match width {
             Width::Byte => self.load_byte(address, index, context, bus),
@@ -281,7 +272,7 @@ impl State {
                 Some(words[0])
             }
         };
-        let value = value.ok_or(fault(index, Fault::Load))?;
+        let value = value.ok_or(Fault::Load)?;
         self.exclusive = Some(address);
         Ok(value)
     }
@@ -295,9 +286,9 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<bool, Stop> {
+    ) -> Result<bool, Fault> {
         if address & (width.bytes() - 1) != 0 {
-            return Err(fault(index, Fault::Unaligned));
+            return Err(Fault::Unaligned);
         }
         if self.exclusive.take() != Some(address) {
             return Ok(true);
@@ -321,8 +312,8 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) -> Result<(), Stop> {
-        let float = context.floats[number as usize];
+    ) -> Result<(), Fault> {
+        let float = context.blocks.floats()[number as usize];
         if self.control & FLOAT_ACTIVE == 0 {
             // A new floating-point context begins with FPDSCR in FPSCR (B1.5.7), of which the machine has the reset value only.
             self.control |= FLOAT_ACTIVE;
@@ -333,7 +324,7 @@ impl State {
             return Ok(());
         };
         let base = if transfer.base == 15 {
-            self.access(0, Size::Word, index, context).pc.wrapping_add(4) & !3
+            context.pc(index).wrapping_add(4) & !3
         } else {
             self.r[usize::from(transfer.base) % COUNT]
         };
