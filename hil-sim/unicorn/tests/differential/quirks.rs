@@ -7,7 +7,7 @@
 //!   for the second one.
 //! - CPS and MSR of FAULTMASK at priority -1 (HardFault): the translator sets it.
 
-use r4_mcu::cpu::{CoreStop, Fault, Register, Why};
+use r4_mcu::cpu::{Access, CoreStop, Fault, Register, Why};
 
 use crate::case::Case;
 use crate::machine::Outcome;
@@ -16,6 +16,8 @@ use crate::machine::Outcome;
 const IT: u32 = 0x0600_FC00;
 /// EPSR.T in xPSR.
 const THUMB: u32 = 1 << 24;
+/// APSR.Q in xPSR.
+const SATURATED: u32 = 1 << 27;
 /// FPSCR.RMode.
 const ROUNDING: u32 = 3 << 22;
 
@@ -36,6 +38,8 @@ const QUIRKS: &[Quirk] = &[
     ("an even address without code", even_address),
     ("EXC_RETURN of no kind", exception_return),
     ("SEV that is skipped", event),
+    ("Q of two products", two_products),
+    ("a byte after an unaligned store", swallowed),
     ("count of an access before floating point that is not allowed", count),
 ];
 
@@ -126,7 +130,9 @@ fn skipped(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     };
     // An MSR, too, begins a block with what follows it.
     let begins = case.templates.iter().any(|bits| bits.starts_with("11110 0111"));
-    let applies = case.is_conditional && (theirs.stop.as_ref().is_ok_and(later) || begins);
+    // Or it ends with a branch, which is not allowed in such a block.
+    let undefined = [why(theirs), why(ours)].map(|why| why == Some(Why::Fault(Fault::Undefined))) == [true, false];
+    let applies = case.is_conditional && (theirs.stop.as_ref().is_ok_and(later) || begins || undefined);
     dropped(applies, ours, theirs)
 }
 
@@ -173,6 +179,24 @@ fn event(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
         theirs.events = ours.events;
     }
     applies
+}
+
+/// SMLAD says whether the whole sum overflows (A7.7.134); the translator, whether that of the products does.
+fn two_products(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
+    let ours = ours.register(Register::Xpsr);
+    let is_smlad = |(first, second): (u16, u16)| first & 0xFFF0 == 0xFB20 && second & 0x00E0 == 0;
+    let applies = theirs.register(Register::Xpsr) == ours | SATURATED && case.words().any(is_smlad);
+    if applies {
+        theirs.set_register(Register::Xpsr, ours);
+    }
+    applies
+}
+
+/// The translator repeats an unaligned store byte by byte, for which the core takes the next store of a byte there, too.
+fn swallowed(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
+    let unaligned =
+        |(kind, access, _): &(char, Access, u32)| *kind == 'w' && access.address & (access.size.bytes() - 1) != 0;
+    dropped(theirs.accesses.len() < ours.accesses.len() && theirs.accesses.iter().any(unaligned), ours, theirs)
 }
 
 /// The core runs such a block a second time, and counts from there on.
