@@ -56,37 +56,28 @@ impl ThumbCore {
         None
     }
 
-    /// The block at PC.
-    #[inline(always)]
-    fn block(&mut self) -> Option<Block> {
-        let pc = self.state.pc;
-        match self.blocks.get(pc) {
-            Some(block) if self.state.it == 0 => Some(*block),
-            _ => self.find(pc),
-        }
-    }
-
+    /// Decodes what is at PC, if need be: the block's number. `None` where nothing can be fetched.
     #[cold]
-    fn find(&mut self, pc: u32) -> Option<Block> {
-        let State { memory, it, changeable, .. } = &mut self.state;
-        *changeable |= memory.is_changeable_code(pc);
+    fn find(&mut self) -> Option<u32> {
+        let State { memory, it, changeable, pc, .. } = &mut self.state;
+        *changeable |= memory.is_changeable_code(*pc);
         let what = What { memory, observed: &self.observed, it: *it, one: false };
-        if *it == 0 { self.blocks.find(pc, &what) } else { self.blocks.add(pc, &what) }
+        if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
     }
 
     /// A block with observed instructions.
     #[cold]
     fn execute_observed(&mut self, block: &Block, is_first: bool, bus: &mut dyn CoreBus) -> Option<Why> {
         let Some((ops, address)) = self.blocks.observed(block, self.state.it, is_first) else {
-            return execute(&mut self.state, &self.blocks, *block, false, bus);
+            return execute(&mut self.state, &self.blocks, block, false, bus);
         };
         if address == block.address {
             return Some(Why::Observed);
         }
         // What is before it is not the end of the block, and does not branch.
         let instructions = self.instructions_before(block, address);
-        let before = Block { end: address, len: ops, instructions, it: 0, ..*block };
-        let why = execute(&mut self.state, &self.blocks, before, false, bus);
+        let before = block.beginning(address, ops, instructions);
+        let why = execute(&mut self.state, &self.blocks, &before, false, bus);
         self.within = why.is_none();
         Some(why.unwrap_or(Why::Observed))
     }
@@ -129,8 +120,13 @@ impl ThumbCore {
             if !self.state.thumb {
                 return Why::Fault(Fault::InvalidState);
             }
-            let Some(block) = self.block() else { return Why::Fault(Fault::Fetch) };
+            let known = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
+            let number = known.or_else(|| self.find());
+            let Some(block) = number.and_then(|number| self.blocks.by_number(number)) else {
+                return Why::Fault(Fault::Fetch);
+            };
             let why = if block.observed {
+                let block = block.clone();
                 self.execute_observed(&block, is_first, bus)
             } else {
                 let chain = block.it == 0 && self.state.it == 0;
@@ -154,11 +150,14 @@ impl ThumbCore {
         let (pc, it) = (self.state.pc, self.state.it);
         let decode =
             |core: &mut Self, one| core.blocks.add(pc, &What { memory: &core.state.memory, observed: &[], it, one });
-        let (Some(block), Some(whole)) = (decode(self, true), decode(self, false)) else {
+        let numbers = (decode(self, true), decode(self, false));
+        let by_number = |number: Option<u32>| number.and_then(|number| self.blocks.by_number(number));
+        let (Some(block), Some(whole)) = (by_number(numbers.0), by_number(numbers.1)) else {
             return Why::Fault(Fault::Fetch);
         };
+        let part = block.instructions < whole.instructions;
         let why = execute(&mut self.state, &self.blocks, block, false, bus);
-        self.within = why.is_none() && block.instructions < whole.instructions;
+        self.within = why.is_none() && part;
         why.unwrap_or(Why::Observed)
     }
 }

@@ -17,13 +17,13 @@ use crate::state::State;
 #[derive(Clone, Copy)]
 pub(crate) struct Context<'a> {
     pub(crate) blocks: &'a Blocks,
-    pub(crate) block: Block,
+    pub(crate) block: &'a Block,
 }
 
 impl Context<'_> {
     /// Where an operation is from.
     pub(crate) fn position(&self, index: usize) -> Position {
-        self.blocks.positions(&self.block)[index]
+        self.blocks.positions(self.block)[index]
     }
 
     /// The address of an operation's instruction.
@@ -87,12 +87,12 @@ fn stop_after(state: &mut State, context: &Context<'_>, pc: u32, why: Why) -> Op
 pub(crate) fn execute(
     state: &mut State,
     blocks: &Blocks,
-    block: Block,
+    block: &Block,
     chain: bool,
     bus: &mut dyn CoreBus,
 ) -> Option<Why> {
     let mut context = Context { blocks, block };
-    let mut ops = blocks.ops(&block);
+    let mut ops = blocks.ops(block);
     let mut index;
     macro_rules! r {
         ($index:expr) => {
@@ -495,8 +495,8 @@ pub(crate) fn execute(
         if !chain || state.executed >= state.attention_at || !state.thumb {
             return None;
         }
-        let block = blocks.get(next)?;
-        context.block = *block;
+        let block = blocks.follow(context.block, next)?;
+        context.block = block;
         ops = blocks.ops(block);
     }
 }
