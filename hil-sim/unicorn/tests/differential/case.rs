@@ -170,7 +170,7 @@ fn target(random: &mut Random) -> u32 {
         0 => CODE + 0x100 * random.below(0x100),
         1 => random.of(&[0xFFFF_FFF1, 0xFFFF_FFF9, 0xFFFF_FFFD, 0xFFFF_FFED, 0xFFFF_FFE9]),
         2 => DATA | 1,
-        _ => CODE + 0x40 + 2 * random.below(0x1000) | 1,
+        _ => (CODE + 0x40 + 2 * random.below(0x1000)) | 1,
     }
 }
 

@@ -149,11 +149,11 @@ fn left_behind(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
 /// InvalidState and Fetch are both true of it; which is first, the architecture leaves open. A step to where nothing can be
 /// executed may end with that already.
 fn even_address(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
-    let applies = match (why(ours), why(theirs)) {
-        (Some(Why::Fault(Fault::InvalidState)), Some(Why::Fault(Fault::Fetch))) => true,
-        (Some(Why::Observed), Some(Why::Fault(Fault::Fetch | Fault::InvalidState))) => true,
-        _ => false,
-    };
+    let applies = matches!(
+        (why(ours), why(theirs)),
+        (Some(Why::Fault(Fault::InvalidState)), Some(Why::Fault(Fault::Fetch)))
+            | (Some(Why::Observed), Some(Why::Fault(Fault::Fetch | Fault::InvalidState)))
+    );
     if applies {
         theirs.stop.clone_from(&ours.stop);
     }

@@ -22,7 +22,7 @@ impl Random {
 
     /// Below a number.
     pub(crate) fn below(&mut self, end: u32) -> u32 {
-        (u64::from(self.word()) * u64::from(end) >> 32) as u32
+        ((u64::from(self.word()) * u64::from(end)) >> 32) as u32
     }
 
     /// True so many times of a hundred.
