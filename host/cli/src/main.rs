@@ -3,7 +3,6 @@
 mod args;
 mod cable;
 mod commands;
-#[cfg(feature = "emu")]
 mod emulated;
 mod output;
 mod quantity;

@@ -150,13 +150,11 @@ const INTERRUPT_POLL_US: u64 = 10_000;
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Somebody has pressed Ctrl-C, or [`interrupt`] was called.
-#[cfg(feature = "emu")]
 pub(crate) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
 /// Does what Ctrl-C does.
-#[cfg(feature = "emu")]
 pub(crate) fn interrupt() {
     INTERRUPTED.store(true, Ordering::Relaxed);
 }
@@ -248,10 +246,6 @@ pub(crate) fn run<T>(
     Ok((value, elapsed))
 }
 
-#[cfg(not(feature = "emu"))]
-pub(crate) const WITHOUT_EMULATOR: &str = "this program was built without the emulator: build it with `--features emu` \
-                                            (it needs cmake, libclang and a C compiler)";
-
 /// Powers up the virtual board that `args` name.
 fn start(
     args: &Args,
@@ -264,10 +258,7 @@ fn start(
             Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, args.seed, flash)?),
             None => Rc::new(SimBoard::start(simulation, robot, args.seed)?),
         }),
-        #[cfg(feature = "emu")]
         Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
-        #[cfg(not(feature = "emu"))]
-        Target::Emu(_) => bail!("{WITHOUT_EMULATOR}"),
     }
 }
 

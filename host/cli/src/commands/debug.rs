@@ -3,15 +3,8 @@
 use anyhow::bail;
 
 use crate::args::{Args, Debug};
-#[cfg(feature = "emu")]
 use crate::session::Target;
 
-#[cfg(not(feature = "emu"))]
-pub(crate) fn run(_: &Args, _: &Debug) -> anyhow::Result<bool> {
-    bail!(crate::session::WITHOUT_EMULATOR)
-}
-
-#[cfg(feature = "emu")]
 pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     let Target::Emu(_) = &args.board else {
         bail!("only an emulated board runs the firmware's image: name one, as in --board emu:{}", args.board.robot());
@@ -23,7 +16,6 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
 }
 
 /// A board that no host is connected to.
-#[cfg(feature = "emu")]
 fn alone(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     use r4_emu::gdb::State;
     use r4_sim::{Pace, Simulation, VirtualBoard as _};

@@ -1,7 +1,6 @@
 //! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed.
 
 mod bus;
-#[cfg(feature = "emu")]
 mod firmware;
 mod safety;
 mod sim;
@@ -31,10 +30,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     match what {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
         args::Bench::Safety { injections } => safety::run(args, *injections),
-        #[cfg(feature = "emu")]
         args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
-        #[cfg(not(feature = "emu"))]
-        args::Bench::Firmware { .. } => bail!("{}", crate::session::WITHOUT_EMULATOR),
         args::Bench::Sim => sim::run(args),
     }
 }

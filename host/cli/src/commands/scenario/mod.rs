@@ -129,7 +129,6 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
 }
 
 /// Plays one file on `--board`.
-#[cfg(feature = "emu")]
 pub(crate) fn play_one(args: &Args, path: &Path) -> anyhow::Result<bool> {
     play(args, &[path.to_owned()])
 }

@@ -16,7 +16,7 @@ use r4_emu::{
     measure::{Share, Spread, Stack, instructions, jitter_us},
 };
 use r4_sim::{Pace, Simulation, VirtualBoard};
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
@@ -145,7 +145,7 @@ pub(super) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
 fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Result<Measured> {
     let robot = r4_boards::load(robot)?;
     let mut simulation = Simulation::new(Pace::Free);
-    let core = UnicornCore::new().context("the emulated processor does not start")?;
+    let core = ThumbCore::new();
     let board = Rc::new(EmuBoard::start(&mut simulation, &robot, seed, image, core, None, Settings::default())?);
     board.start_measuring()?;
     let port = board.connect().ok_or_else(|| anyhow!("the emulated board is already connected"))?;

@@ -1,5 +1,5 @@
 //! How fast a board is emulated, and what it does meanwhile:
-//! `cargo run --release -p r4-emu --example speed -- openscout 3 [thumb|unicorn] [registers]`.
+//! `cargo run --release -p r4-unicorn --example speed -- openscout 3 [thumb|unicorn] [registers]`.
 //!
 //! Connects, arms, drives every motor at constant duty for some virtual seconds, and prints simulated against real time, what
 //! was done in each virtual second, and a digest of all exceptions with their times: two versions of the emulator that give
