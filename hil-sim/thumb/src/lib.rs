@@ -18,5 +18,7 @@ mod float;
 mod memory;
 mod operation;
 mod state;
+#[cfg(test)]
+mod tests;
 
 pub use core::ThumbCore;

@@ -52,7 +52,7 @@ impl Memory {
             let direct = region.direct();
             *mapped = Mapped { base: region.base, bytes: Rc::clone(region.bytes()), writable: direct.write };
             let first = region.base >> 16;
-            for piece in first..=first + (region.len() - 1 >> 16) {
+            for piece in first..=first + ((region.len() - 1) >> 16) {
                 let piece = (piece & 0xFFFF) as usize;
                 for (allowed, table) in [
                     (direct.read, &mut self.loads),

@@ -678,6 +678,19 @@ pub(crate) enum Op {
     BranchNotLess {
         target: u32,
     },
+    /// A comparison and the branch after it, which are two instructions.
+    CmpValueBranch {
+        n: Index,
+        value: u8,
+        condition: Condition,
+        target: u32,
+    },
+    CmpBranch {
+        n: Index,
+        m: Index,
+        condition: Condition,
+        target: u32,
+    },
     BranchIf {
         condition: Condition,
         target: u32,
@@ -744,3 +757,6 @@ pub(crate) enum Op {
     /// No instruction of the floating-point unit.
     FloatUndefined,
 }
+
+/// Small, as there are many, and they are read one after the other.
+const _: () = assert!(size_of::<Op>() == 8);

@@ -64,6 +64,8 @@ struct Instruction<'a> {
     address: u32,
     /// Within an IT block: narrow instructions do not set flags (A5.2).
     conditional: bool,
+    /// It may be made one with the instruction before it: that is always executed, and nobody stops between them.
+    joins: bool,
 }
 
 /// ITSTATE after one more instruction (A7.3.3).
@@ -116,8 +118,9 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             open = Some((condition, block.ops.len()));
         }
         let start = block.ops.len();
+        let joins = what.observed.is_empty() && !within && block.positions.last().is_some_and(|before| before.it == 0);
         let mut instruction =
-            Instruction { ops: &mut block.ops, floats, memory: what.memory, address: at, conditional: within };
+            Instruction { ops: &mut block.ops, floats, memory: what.memory, address: at, conditional: within, joins };
         let (then, it) = match first {
             // IT (A7.7.38); not within another.
             0xBF00..=0xBFFF if first & 0xF != 0 && !within => (Then::Next, first as u8),
@@ -231,20 +234,31 @@ enum Single {
     Ldrsh,
 }
 
-/// A conditional branch.
-fn branch_if(condition: Condition, target: u32) -> Op {
-    match condition {
-        0 => Op::BranchEqual { target },
-        1 => Op::BranchNotEqual { target },
-        2 => Op::BranchCarry { target },
-        3 => Op::BranchNoCarry { target },
-        10 => Op::BranchNotLess { target },
-        11 => Op::BranchLess { target },
-        _ => Op::BranchIf { condition, target },
-    }
-}
-
 impl Instruction<'_> {
+    /// A conditional branch, together with the comparison before it.
+    fn branch_if(&mut self, condition: Condition, target: u32) -> Then {
+        let joined = match self.ops.last() {
+            Some(&Op::CmpValue { n, value }) if value < 256 => {
+                Some(Op::CmpValueBranch { n, value: value as u8, condition, target })
+            }
+            Some(&Op::Cmp { n, m }) => Some(Op::CmpBranch { n, m, condition, target }),
+            _ => None,
+        };
+        if let Some(op) = joined.filter(|_| self.joins) {
+            self.ops.pop();
+            return self.end(op);
+        }
+        self.end(match condition {
+            0 => Op::BranchEqual { target },
+            1 => Op::BranchNotEqual { target },
+            2 => Op::BranchCarry { target },
+            3 => Op::BranchNoCarry { target },
+            10 => Op::BranchNotLess { target },
+            11 => Op::BranchLess { target },
+            _ => Op::BranchIf { condition, target },
+        })
+    }
+
     fn push(&mut self, op: Op) -> Then {
         self.ops.push(op);
         Then::Next

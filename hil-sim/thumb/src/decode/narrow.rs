@@ -1,6 +1,6 @@
 //! Instructions of 16 bits (DDI0403E A5.2).
 
-use super::{Instruction, Single, Then, bits, branch_if, data, index, signed};
+use super::{Instruction, Single, Then, bits, data, index, signed};
 use crate::operation::{Index, LOADED, LR, NONE, Op, SCRATCH, SP, ZERO};
 
 /// A low register.
@@ -34,7 +34,7 @@ impl Instruction<'_> {
                 15 => self.end(Op::Svc),
                 condition => {
                     let target = self.pc().wrapping_add(signed(value, 8) << 1);
-                    self.end(branch_if(condition as u8, target))
+                    self.branch_if(condition as u8, target)
                 }
             },
             // B; the rest of this range is wide.
@@ -185,7 +185,7 @@ impl Instruction<'_> {
                 2 => Op::Uxth { d, m },
                 _ => Op::Uxtb { d, m },
             }),
-            4 | 5 => match code & 0xFF | bits(code, 8, 1) as u16 * (1 << LR) {
+            4 | 5 => match code & 0xFF | (bits(code, 8, 1) as u16) << LR {
                 0 => self.undefined(),
                 list => self.push(Op::Push { list }),
             },
@@ -196,7 +196,7 @@ impl Instruction<'_> {
                 3 => self.push(Op::Revsh { d, m }),
                 _ => self.undefined(),
             },
-            12 | 13 => match code & 0xFF | bits(code, 8, 1) as u16 * (1 << LOADED) {
+            12 | 13 => match code & 0xFF | (bits(code, 8, 1) as u16) << LOADED {
                 0 => self.undefined(),
                 list if list >> LOADED == 0 => self.push(Op::Pop { list }),
                 list => {

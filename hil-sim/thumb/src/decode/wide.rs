@@ -1,6 +1,6 @@
 //! Instructions of 32 bits (DDI0403E A5.3): which group, branches and control.
 
-use super::{Instruction, Then, bits, branch_if, index, signed};
+use super::{Instruction, Then, bits, index, signed};
 use crate::operation::Op;
 
 impl Instruction<'_> {
@@ -46,7 +46,7 @@ impl Instruction<'_> {
             (false, false) if bits(first, 7, 3) != 7 => {
                 let offset = signed(sign << 20 | j2 << 19 | j1 << 18 | bits(first, 0, 6) << 12 | low, 21);
                 let target = self.pc().wrapping_add(offset);
-                self.end(branch_if(bits(first, 6, 4) as u8, target))
+                self.branch_if(bits(first, 6, 4) as u8, target)
             }
             (false, false) => self.control(first, second),
         }

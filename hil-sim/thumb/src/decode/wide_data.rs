@@ -271,3 +271,20 @@ impl Instruction<'_> {
 fn bits_of(n: u32) -> u32 {
     n << 12
 }
+
+#[cfg(test)]
+mod tests {
+    use super::expanded;
+
+    #[test]
+    fn constants_are_expanded_as_the_manual_says() {
+        // A5.3.2, table A5-11.
+        assert_eq!(expanded(0x0AB), (0xAB, None));
+        assert_eq!(expanded(0x1AB), (0x00AB_00AB, None));
+        assert_eq!(expanded(0x2AB), (0xAB00_AB00, None));
+        assert_eq!(expanded(0x3AB), (0xABAB_ABAB, None));
+        // Rotated by 8: 1bcdefgh at the top; by 31: at the bottom, one to the left.
+        assert_eq!(expanded(0x42B), (0xAB00_0000, Some(true)));
+        assert_eq!(expanded(0xFAB), (0x156, Some(false)));
+    }
+}

@@ -3,9 +3,10 @@
 use std::cell::Cell;
 
 use r4_mcu::Size;
-use r4_mcu::cpu::{Access, CoreBus, Fault, NoResult};
+use r4_mcu::cpu::{Access, CoreBus, Fault};
 
 use super::Context;
+use crate::float::Transfer;
 use crate::operation::{COUNT, LOADED, Width};
 use crate::state::{FLOAT_ACTIVE, State};
 
@@ -50,10 +51,7 @@ impl State {
         let access = self.access(address, size, index, context);
         let result = bus.read(&access);
         self.accessed(bus);
-        match result {
-            Ok(value) => Some(value),
-            Err(NoResult) => None,
-        }
+        result.ok()
     }
 
     /// A store that is not direct, or to code.
@@ -305,6 +303,31 @@ impl State {
         Ok(false)
     }
 
+    /// Loads or stores one S or D register.
+    #[inline(always)]
+    fn transfer(
+        &mut self,
+        transfer: &Transfer,
+        address: u32,
+        index: usize,
+        context: &Context<'_>,
+        bus: &mut dyn CoreBus,
+    ) -> Result<(), Fault> {
+        let (first, second) = (usize::from(transfer.first & 31), usize::from(transfer.first.wrapping_add(1) & 31));
+        let is_double = transfer.words == 2;
+        if transfer.load {
+            let mut words = [0; 2];
+            self.load_words(address, &mut words[..usize::from(transfer.words)], index, context, bus)?;
+            self.float.s[first] = words[0];
+            if is_double {
+                self.float.s[second] = words[1];
+            }
+            return Ok(());
+        }
+        let words = [self.float.s[first], self.float.s[second]];
+        self.store_words(address, &words[..usize::from(transfer.words)], index, context, bus)
+    }
+
     /// A floating-point instruction, while they are allowed.
     pub(super) fn float(
         &mut self,
@@ -329,15 +352,21 @@ impl State {
             self.r[usize::from(transfer.base) % COUNT]
         };
         let address = base.wrapping_add(i32::from(transfer.offset) as u32);
+        // One register without more: most are that.
+        if let (1 | 2, 0) = (transfer.words, transfer.write_back) {
+            return self.transfer(&transfer, address, index, context, bus);
+        }
         let (first, words) = (usize::from(transfer.first), usize::from(transfer.words));
         // The decoder lets no list leave the registers.
         let list = first..(first + words).min(self.float.s.len());
-        let mut values = self.float.s;
+        let mut values = [0; 32];
+        let values = &mut values[..list.len()];
         if transfer.load {
-            self.load_words(address, &mut values[list], index, context, bus)?;
-            self.float.s = values;
+            self.load_words(address, values, index, context, bus)?;
+            self.float.s[list].copy_from_slice(values);
         } else {
-            self.store_words(address, &values[list], index, context, bus)?;
+            values.copy_from_slice(&self.float.s[list]);
+            self.store_words(address, values, index, context, bus)?;
         }
         if transfer.write_back != 0 {
             self.r[usize::from(transfer.base) % COUNT] = base.wrapping_add(i32::from(transfer.write_back) as u32);

@@ -275,14 +275,14 @@ pub(crate) fn execute(
                     }
 
                     Op::Ubfx { d, n, lsb, width } => {
-                        r!(d) = r!(n) >> (lsb & 31) & (u32::MAX >> (32 - u32::from(width) & 31))
+                        r!(d) = r!(n) >> (lsb & 31) & (u32::MAX >> ((32 - u32::from(width)) & 31))
                     }
                     Op::Sbfx { d, n, lsb, width } => {
-                        let unused = 32 - u32::from(width) & 31;
+                        let unused = (32 - u32::from(width)) & 31;
                         r!(d) = ((r!(n) >> (lsb & 31) << unused) as i32 >> unused) as u32;
                     }
                     Op::Bfi { d, n, lsb, width } => {
-                        let mask = (u32::MAX >> (32 - u32::from(width) & 31)) << (lsb & 31);
+                        let mask = (u32::MAX >> ((32 - u32::from(width)) & 31)) << (lsb & 31);
                         r!(d) = r!(d) & !mask | r!(n) << (lsb & 31) & mask;
                     }
                     Op::Uxtb { d, m } => r!(d) = r!(m) & 0xFF,
@@ -423,6 +423,14 @@ pub(crate) fn execute(
                             context.block.end
                         };
                     }
+                    Op::CmpValueBranch { n, value, condition, target } => {
+                        add(state, r!(n), !u32::from(value), true);
+                        break 'block if state.flags.holds(condition) { target } else { context.block.end };
+                    }
+                    Op::CmpBranch { n, m, condition, target } => {
+                        add(state, r!(n), !r!(m), true);
+                        break 'block if state.flags.holds(condition) { target } else { context.block.end };
+                    }
                     Op::BranchIf { condition, target } => {
                         break 'block if state.flags.holds(condition) { target } else { context.block.end };
                     }
@@ -498,5 +506,29 @@ pub(crate) fn execute(
         let block = blocks.follow(context.block, next)?;
         context.block = block;
         ops = blocks.ops(block);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::shift_by;
+
+    /// One place after the other (DDI0403E A2.2.1).
+    fn by_ones(kind: u8, value: u32, by: u32) -> (u32, Option<bool>) {
+        (0..by & 0xFF).fold((value, None), |(value, _), _| match kind {
+            0 => (value << 1, Some(value >> 31 != 0)),
+            1 => (value >> 1, Some(value & 1 != 0)),
+            2 => ((value as i32 >> 1) as u32, Some(value & 1 != 0)),
+            _ => (value.rotate_right(1), Some(value & 1 != 0)),
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn a_shift_is_as_many_shifts_by_one(kind in 0_u8..4, value: u32, by in 0_u32..0x1FF) {
+            prop_assert_eq!(shift_by(kind, value, by), by_ones(kind, value, by));
+        }
     }
 }

@@ -65,7 +65,7 @@ impl State {
 
     /// SSAT: to so many bits, 1 to 32.
     pub(super) fn signed_saturated(&mut self, value: i32, bits: u8) -> i32 {
-        let highest = i32::MAX >> (32 - u32::from(bits) & 31);
+        let highest = i32::MAX >> ((32 - u32::from(bits)) & 31);
         let (value, saturated) = clamp(value, !highest, highest);
         self.q |= saturated;
         value
