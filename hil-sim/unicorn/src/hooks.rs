@@ -209,7 +209,7 @@ fn load(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> bool {
         let access = access(engine, address.wrapping_add(offset), size);
         match engine.get_data_mut().bus().read(&access) {
             Ok(value) => {
-                let at = (access.address - base) as usize;
+                let at = access.address.wrapping_sub(base) as usize;
                 window[at..at + size.bytes() as usize].copy_from_slice(&value.to_le_bytes()[..size.bytes() as usize]);
             }
             Err(NoResult) => return false,

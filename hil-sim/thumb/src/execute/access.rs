@@ -337,7 +337,11 @@ impl State {
         bus: &mut dyn CoreBus,
     ) -> Result<(), Fault> {
         let float = context.blocks.floats()[number as usize];
-        self.control |= FLOAT_ACTIVE;
+        if self.control & FLOAT_ACTIVE == 0 {
+            // A new floating-point context begins with FPDSCR in FPSCR (B1.5.7), of which the machine has the reset value only.
+            self.control |= FLOAT_ACTIVE;
+            self.float.set_fpscr(0);
+        }
         let Some(transfer) = float.transfer() else {
             self.execute_float(&float);
             return Ok(());

@@ -51,18 +51,13 @@ impl State {
                     self.ge = (value >> 16 & 15) as u8;
                 }
             }
+            _ if !self.is_privileged() => {}
             number::CONTROL => {
-                // FPCA is the program's own, the others are for privileged code, and the stack for thread mode.
-                let mut allowed = FLOAT_ACTIVE;
-                if self.is_privileged() {
-                    allowed |= UNPRIVILEGED;
-                    if self.exception == 0 {
-                        allowed |= PROCESS_STACK;
-                    }
-                }
+                // The stack is chosen in thread mode only.
+                let stack = if self.exception == 0 { PROCESS_STACK } else { 0 };
+                let allowed = UNPRIVILEGED | FLOAT_ACTIVE | stack;
                 self.set_control(self.control & !allowed | value & allowed);
             }
-            _ if !self.is_privileged() => {}
             number::MSP => self.set_stack(false, value),
             number::PSP => self.set_stack(true, value),
             number::PRIMASK => self.primask = value & 1,

@@ -6,7 +6,7 @@
 //! An ordinary result has an exponent neither of the lowest two nor the highest: so it is no NaN, nor infinite, nor
 //! underflown, and no operand was NaN or infinite, but a divisor. A sum of zero is exact. A denormal operand matters with FZ only.
 
-use super::format::{DOUBLE, Format, SINGLE};
+use super::format::{DOUBLE, Format, SINGLE, convert};
 use super::integer::{self, Fixed};
 use super::status::{FZ, IXC, RMODE, Rounding};
 use super::{arithmetic, compare};
@@ -163,14 +163,37 @@ pub(super) fn compare<F: Native>(a: u64, b: u64, signalling: bool, fpscr: &mut u
 #[inline]
 pub(super) fn to_integer<F: Native>(bits: u64, signed: bool, rounding: Rounding, fpscr: &mut u32) -> u32 {
     let value: f64 = F::of(bits).into();
-    if rounding == Rounding::Zero && *fpscr & (FZ | IXC) == IXC {
+    if rounding == Rounding::Zero && *fpscr & FZ == 0 {
         const LIMIT: f64 = 2_147_483_648.0;
-        if signed && value.abs() < LIMIT {
-            return value as i32 as u32;
-        }
-        if !signed && (0.0..2.0 * LIMIT).contains(&value) {
-            return value as u32;
+        let whole = if signed { f64::from(value as i32) } else { f64::from(value as u32) };
+        let fits = if signed { value.abs() < LIMIT } else { (0.0..2.0 * LIMIT).contains(&value) };
+        if fits && (whole == value || *fpscr & IXC != 0) {
+            return whole as i64 as u32;
         }
     }
     integer::to_fixed(F::FORMAT, bits, Fixed { signed, bits: 32, fraction: 0 }, rounding, fpscr) as u32
+}
+
+/// FPSingleToDouble, which is exact.
+#[inline]
+pub(super) fn to_double(bits: u64, fpscr: &mut u32) -> u64 {
+    let value = <f32 as Native>::of(bits);
+    if value.is_ordinary() { f64::from(value).to_bits() } else { convert(SINGLE, DOUBLE, bits, fpscr) }
+}
+
+/// FPDoubleToSingle.
+#[inline]
+pub(super) fn to_single(bits: u64, fpscr: &mut u32) -> u64 {
+    let single = <f64 as Native>::of(bits) as f32;
+    if applies(*fpscr) && single.is_ordinary() { single.bits() } else { convert(DOUBLE, SINGLE, bits, fpscr) }
+}
+
+/// FPMaxNum and FPMinNum.
+#[inline]
+pub(super) fn extreme<F: Native>(a: u64, b: u64, largest: bool, fpscr: &mut u32) -> u64 {
+    let (first, second) = (F::of(a), F::of(b));
+    if first.is_ordinary() && second.is_ordinary() {
+        return if (first > second) == largest { a } else { b };
+    }
+    compare::extreme(F::FORMAT, a, b, largest, fpscr)
 }

@@ -305,8 +305,8 @@ impl Registers {
             Three::FusedSubtract => fast::fused::<F>(old, negate(a), b, fpscr),
             Three::NegatedFusedSubtract => fast::fused::<F>(negate(old), a, b, fpscr),
             Three::NegatedFusedAdd => fast::fused::<F>(negate(old), negate(a), b, fpscr),
-            Three::Maximum => compare::extreme(F::FORMAT, a, b, true, fpscr),
-            Three::Minimum => compare::extreme(F::FORMAT, a, b, false, fpscr),
+            Three::Maximum => fast::extreme::<F>(a, b, true, fpscr),
+            Three::Minimum => fast::extreme::<F>(a, b, false, fpscr),
         };
         self.set_float(double, d, result);
     }
@@ -424,11 +424,11 @@ impl Float {
             }
             Self::FromFixed { .. } | Self::ToFixed { .. } => registers.convert_fixed(*self),
             Self::ToDouble { d, m } => {
-                let bits = format::convert(SINGLE, DOUBLE, registers.float(false, m), &mut registers.fpscr);
+                let bits = fast::to_double(registers.float(false, m), &mut registers.fpscr);
                 registers.set_float(true, d, bits);
             }
             Self::ToSingle { d, m } => {
-                let bits = format::convert(DOUBLE, SINGLE, registers.float(true, m), &mut registers.fpscr);
+                let bits = fast::to_single(registers.float(true, m), &mut registers.fpscr);
                 registers.set_float(false, d, bits);
             }
             Self::FromHalf { double, top, d, m } => {

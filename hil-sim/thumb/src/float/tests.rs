@@ -109,11 +109,17 @@ proptest! {
                     to_fixed(DOUBLE, x, fixed, Rounding::Zero, exact) as u32
                 );
                 prop_assert_eq!(
+                    fast::extreme::<f64>(x, y, signed, quick),
+                    compare::extreme(DOUBLE, x, y, signed, exact)
+                );
+                prop_assert_eq!(
                     fast::compare::<f64>(x, y, signed, quick),
                     compare::compare(DOUBLE, x, y, signed, exact)
                 );
             }
+            prop_assert_eq!(fast::to_single(x, quick), convert(DOUBLE, SINGLE, x, exact));
             let (x, y, z) = (x >> 32, y >> 32, z >> 32);
+            prop_assert_eq!(fast::to_double(x, quick), convert(SINGLE, DOUBLE, x, exact));
             prop_assert_eq!(fast::add::<f32>(x, y, quick), arithmetic::add(SINGLE, x, y, exact));
             prop_assert_eq!(fast::subtract::<f32>(x, y, quick), arithmetic::subtract(SINGLE, x, y, exact));
             prop_assert_eq!(fast::multiply::<f32>(x, y, quick), arithmetic::multiply(SINGLE, x, y, exact));
