@@ -47,7 +47,7 @@ pub(crate) fn dispatch<M: RawMutex>(
             let device_us = now.as_micros();
             Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes })
         }
-        ToDevice::Heartbeat { .. } => Outcome::Nothing,
+        ToDevice::Heartbeat { .. } | ToDevice::Cycle(_) => Outcome::Nothing,
         ToDevice::Request { seq, request } if takes_time(&request) && shared.has_session(link) => {
             Outcome::Later { seq, request }
         }

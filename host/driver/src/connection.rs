@@ -111,6 +111,8 @@ impl State {
                 self.safety = Some((telemetry.state, telemetry.causes));
                 self.streams.push(&telemetry);
             }
+            // Nobody asks for one yet.
+            ToHost::Cycle(_) => {}
         }
     }
 
