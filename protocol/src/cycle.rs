@@ -85,7 +85,7 @@ pub fn steps(value: f32, scale: f32) -> Option<i16> {
     let steps = value / scale;
     // Not for NaN either.
     let fits = steps > -32_767.5 && steps < 32_767.5;
-    fits.then(|| (if steps < 0.0 { steps - 0.5 } else { steps + 0.5 }) as i16)
+    fits.then_some((if steps < 0.0 { steps - 0.5 } else { steps + 0.5 }) as i16)
 }
 
 /// Set points, all for one moment. They are followed until another comes, or the time-to-live of the binding has passed since
