@@ -153,24 +153,26 @@ fn a_lost_delimiter_costs_one_more_frame() {
     });
 }
 
+/// What a motor of the bench takes.
+fn range_of(motor: usize, mode: Mode) -> Range {
+    let motor = osmc_bench().config.motors[motor];
+    let control = motor.control.expect("a measured motor");
+    match mode {
+        Mode::Position => control.position,
+        Mode::Speed => Range::symmetric(control.speed_max),
+        Mode::Duty => Range::symmetric(motor.duty_max),
+        other => unreachable!("no motor has the mode {other}"),
+    }
+}
+
 #[test]
 fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
-    let range = |channel: usize, mode| {
-        let motor = osmc_bench().config.motors[channel];
-        let control = motor.control.expect("a measured motor");
-        match mode {
-            Mode::Position => control.position,
-            Mode::Speed => Range::symmetric(control.speed_max),
-            Mode::Duty => Range::symmetric(motor.duty_max),
-            other => unreachable!("no motor has the mode {other}"),
-        }
-    };
     raw_bench(&osmc_bench(), async |host, device| {
         host.hello().await;
         host.ask(Request::Arm).await.unwrap();
         for (index, channel) in [(0, ROTARY), (1, LINEAR)] {
             for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
-                let range = range(index, mode);
+                let range = range_of(index, mode);
                 for asked in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                     let refused = host.ask(set(device, channel, mode, asked)).await;
                     assert_eq!(refused, Err(Refusal::NotFinite { channel }), "{mode} {asked}");
@@ -564,6 +566,87 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
     let noise = prop::collection::vec(any::<u8>(), 0..300);
     let piece = prop_oneof![3 => whole, 1 => beat, 1 => cycle, 2 => damaged, 2 => noise];
     prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
+}
+
+/// Whether the bench takes `set` for the channels of [`bind`], and what they follow then.
+fn followed(mode: Option<Mode>, set: [i16; 4]) -> Option<[Option<Setpoint>; 2]> {
+    let of = |motor: usize, bound: CycleChannel| {
+        if set[motor] == NOTHING {
+            return Some(None);
+        }
+        let mode = mode.unwrap_or(bound.mode);
+        let value = f32::from(set[motor]) * bound.scale(mode)?;
+        range_of(motor, mode).contains(value).then_some(Some(Setpoint { mode, value }))
+    };
+    Some([of(0, of_cycle(ROTARY, Mode::Speed))?, of(1, of_cycle(LINEAR, Mode::Position))?])
+}
+
+/// Mode, age in µs, set points.
+type AnyCycle = (Option<Mode>, Option<i64>, [i16; 4]);
+
+fn any_cycle() -> impl Strategy<Value = AnyCycle> {
+    let modes = vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+    let mode = proptest::option::of(proptest::sample::select(modes));
+    let steps = || prop_oneof![3 => -50..50_i16, 2 => any::<i16>(), 1 => Just(NOTHING)];
+    // Looking at both motors takes some 10 ms of the time to live.
+    let age_us = prop_oneof![3 => -30_000..30_000_i64, 1 => 51_000..1_000_000_i64, 1 => -1_000_000..-52_000_i64];
+    (mode, proptest::option::of(age_us), [steps(), steps(), steps(), steps()])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, cases: 48, ..ProptestConfig::default() })]
+
+    /// Whatever is in a cycle, the motors follow what single commands could have told them, or what they followed before.
+    #[test]
+    fn any_cycle_is_followed_as_single_commands_are_or_not_at_all(cycles in prop::collection::vec(any_cycle(), 1..12)) {
+        raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
+            let session = host.hello().await.session;
+            host.ask(bind(50)).await.unwrap();
+            host.listen(1000).await;
+            host.hello().await;
+            host.ask(bind(50)).await.unwrap();
+            host.ask(Request::Clear).await.unwrap();
+            host.ask(Request::Arm).await.unwrap();
+            for (seq, (mode, age_us, set)) in cycles.iter().copied().enumerate() {
+                let sent_us = age_us.map(|age_us| now_us(device).checked_add_signed(-age_us).unwrap());
+                let state = turn(host, Cycle::new(seq as u8, mode, sent_us, set)).await;
+                let expected = match (age_us, followed(mode, set)) {
+                    (Some(age_us), _) if age_us.abs() > 50_000 => CycleOutcome::Stale,
+                    (_, None) => CycleOutcome::Refused,
+                    (_, Some(_)) => CycleOutcome::Taken,
+                };
+                assert_eq!(state.outcome(), expected, "{mode:?} {age_us:?} {set:?}");
+                let told = [setpoint_of(host, ROTARY).await, setpoint_of(host, LINEAR).await];
+                if expected == CycleOutcome::Taken {
+                    for (told, followed) in told.iter().zip(followed(mode, set).unwrap()) {
+                        assert!(followed.is_none_or(|followed| *told == followed), "{told:?}, not {followed:?}");
+                    }
+                }
+                for (motor, told) in told.iter().enumerate() {
+                    assert!(range_of(motor, told.mode).contains(told.value), "{told:?}");
+                }
+                host.send(&ToDevice::Heartbeat { session: session + 1, host_us: 0 }).await;
+                host.listen(1).await;
+            }
+            assert_eq!(host.hello().await.causes, Causes::NONE);
+        });
+    }
+}
+
+/// What a motor follows, by its telemetry.
+async fn setpoint_of(host: &mut RawHost, channel: ChannelId) -> Setpoint {
+    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.unwrap();
+    let heard = host.listen(2).await;
+    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.unwrap();
+    host.listen(1).await;
+    let last = heard.into_iter().rev().find_map(|message| match message {
+        ToHost::Telemetry(Telemetry { samples, .. }) => match samples[..] {
+            [Sample::Motor { setpoint, .. }] => Some(setpoint),
+            _ => None,
+        },
+        _ => None,
+    });
+    last.expect("a sample each millisecond")
 }
 
 proptest! {
