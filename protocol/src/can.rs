@@ -35,7 +35,6 @@ use heapless::Vec;
 use crate::{
     cycle::{CYCLE_CHANNELS, CYCLE_FRAME, Cycle, whole},
     frame::{MAX_FRAME, encode_frame},
-    message::ToDevice,
 };
 
 /// Most data bytes of a classic frame.
@@ -49,6 +48,9 @@ pub const SETPOINTS: usize = 2 * CYCLE_CHANNELS;
 
 /// Bits in a second. As fast as classic CAN goes: at most 40 m of bus.
 pub const BITRATE: u32 = 1_000_000;
+
+/// Position of `ToDevice::Cycle` among its variants.
+const CYCLE_VARIANT: u8 = 2;
 
 const SETPOINT_BASE: u16 = 0x100;
 const BASE: u16 = 0x200;
@@ -272,7 +274,8 @@ impl Inbound {
     }
 
     fn begin_cycle(&mut self, setpoints: [u8; SETPOINTS]) {
-        let cycle = ToDevice::Cycle(Cycle::new(self.seq, None, None, whole(setpoints)));
+        // As `ToDevice::Cycle` is encoded; by its number, because boards have no other use for the encoder of all requests.
+        let cycle = (CYCLE_VARIANT, Cycle::new(self.seq, None, None, whole(setpoints)));
         self.seq = self.seq.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
         // Every cycle has this length.
@@ -297,7 +300,7 @@ mod tests {
     use crate::{
         cycle::NOTHING,
         frame::{FrameDecoder, FrameError},
-        message::Request,
+        message::{Request, ToDevice},
     };
 
     const NODE: Node = Node(5);
