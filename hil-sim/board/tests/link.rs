@@ -635,9 +635,9 @@ proptest! {
 
 /// What a motor follows, by its telemetry.
 async fn setpoint_of(host: &mut RawHost, channel: ChannelId) -> Setpoint {
-    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.unwrap();
+    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
     let heard = host.listen(2).await;
-    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.unwrap();
+    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.expect("a channel");
     host.listen(1).await;
     let last = heard.into_iter().rev().find_map(|message| match message {
         ToHost::Telemetry(Telemetry { samples, .. }) => match samples[..] {
