@@ -253,6 +253,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
+        shared.end_leases(Instant::now());
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
