@@ -8,9 +8,11 @@ pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
 pub(crate) mod motion;
+pub(crate) mod ports;
 pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod scenario;
+pub(crate) mod serve;
 pub(crate) mod state;
 pub(crate) mod watch;
 
