@@ -180,6 +180,11 @@ pub(crate) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
+/// Does what Ctrl-C does.
+#[cfg(feature = "emu")]
+pub(crate) fn interrupt() {
+    INTERRUPTED.store(true, Ordering::Relaxed);
+}
 
 /// Lets Ctrl-C end what runs in good order.
 pub(crate) fn catch_interrupts() {
