@@ -16,7 +16,7 @@ use anyhow::{Context, anyhow, bail};
 use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_links::{Address, BadAddress, RealClock};
+use r4_links::{Address, BadAddress, Event, RealClock, Restart, is_of_link, with_reconnect};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
@@ -274,9 +274,7 @@ fn run_on<T>(
     address: &Address,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
-    if args.flash.is_some() || args.pace.is_some() {
-        eprintln!("r4: --flash and --pace are for simulated boards: {} has its own flash and real time", args.board);
-    }
+    warn_of_virtual_options(args);
     catch_interrupts();
     let begin = Instant::now();
     let value = r4_links::block_on(async {
@@ -290,6 +288,67 @@ fn run_on<T>(
     })?;
     let wall_s = begin.elapsed().as_secs_f64();
     Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
+}
+
+/// The same for `work` that only looks: on a board at the other end of a link it is run again each time that a lost link is
+/// back, and stderr says so. Of what ends by itself after `seconds` a link that is not back by then is the error.
+pub(crate) fn keep<T>(
+    args: &Args,
+    default_pace: Pace,
+    seconds: Option<f64>,
+    mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let Target::Link(address) = &args.board else { return Ok(run(args, default_pace, work)?.0) };
+    warn_of_virtual_options(args);
+    catch_interrupts();
+    let clock = HostClock::Real(RealClock);
+    let end_us = seconds.map_or(u64::MAX, |seconds| clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64);
+    let mut lost = None;
+    let connected = with_reconnect(
+        address,
+        clock.clone(),
+        async |board| work(&Session { board, surroundings: None, target: &args.board }).await,
+        |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
+        |event| {
+            eprintln!("r4: {}", told(&event));
+            lost = if let Event::Lost { why } = event { Some(why) } else { None };
+        },
+    );
+    let ended = r4_links::block_on(async {
+        let (interrupt, end) = (pin!(interrupted(&clock)), pin!(clock.sleep_until(end_us)));
+        match select(pin!(connected), select(interrupt, end)).await {
+            Either::Left((result, _)) => Some(result),
+            // Nothing was armed.
+            Either::Right((Either::Left(_), _)) => Some(Err(Interrupted.into())),
+            Either::Right((Either::Right(_), _)) => None,
+        }
+    });
+    ended
+        .unwrap_or_else(|| Err(lost.map_or_else(|| anyhow!("no answer"), Into::into)))
+        .with_context(|| args.board.to_string())
+}
+
+/// What is over in time has this long to say so itself.
+const GRACE_S: f64 = 1.0;
+
+fn told(event: &Event) -> String {
+    match event {
+        Event::Lost { why } => format!("{why}; trying again"),
+        Event::Back { after, restart } => {
+            let what = match restart {
+                None => "the board ran on meanwhile",
+                Some(Restart::Watchdog) => "device reset: watchdog",
+                Some(Restart::Power) => "device reset: power, button or new firmware",
+            };
+            format!("the link is back after {:.1} s; {what}", after.as_secs_f64())
+        }
+    }
+}
+
+fn warn_of_virtual_options(args: &Args) {
+    if args.flash.is_some() || args.pace.is_some() {
+        eprintln!("r4: --flash and --pace are for simulated boards: {} has its own flash and real time", args.board);
+    }
 }
 
 /// Powers up the virtual board that `args` name, with the flash in its file.
@@ -333,17 +392,19 @@ fn start(
     }
 }
 
+/// Until Ctrl-C.
+async fn interrupted(clock: &HostClock) {
+    while !is_interrupted() {
+        clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
+    }
+}
+
 async fn unless_interrupted<T>(
     session: &Session<'_>,
     clock: HostClock,
     work: impl Future<Output = anyhow::Result<T>>,
 ) -> anyhow::Result<T> {
-    let interrupt = async {
-        while !INTERRUPTED.load(Ordering::Relaxed) {
-            clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
-        }
-    };
-    match select(pin!(work), pin!(interrupt)).await {
+    match select(pin!(work), pin!(interrupted(&clock))).await {
         Either::Left((result, _)) => result,
         Either::Right(((), _)) => {
             session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;

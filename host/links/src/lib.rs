@@ -25,6 +25,7 @@ mod descriptor;
 mod open;
 pub mod ports;
 pub mod pty;
+mod reconnect;
 mod serial;
 pub mod slcan;
 
@@ -33,3 +34,4 @@ pub use async_io::block_on;
 pub use clock::RealClock;
 pub use descriptor::Descriptor;
 pub use open::{Link, OpenError, Receiver, Transmitter, open, tcp};
+pub use reconnect::{Event, Restart, is_of_link, with_reconnect};
