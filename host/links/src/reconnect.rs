@@ -10,8 +10,9 @@ use crate::{Address, OpenError, open, ports};
 
 /// How often a lost link is tried again.
 const RETRY_EVERY: Duration = Duration::from_millis(100);
-/// A board's clock that is this far behind where it should be began anew, µs: far more than clocks drift or frames wait.
-const BEGAN_ANEW_US: u64 = 1_000_000;
+/// A board's clock that is this far behind where it should be began anew, µs: more than frames wait, and clocks drift in
+/// minutes.
+const BEGAN_ANEW_US: u64 = 100_000;
 
 /// What became of a link.
 #[derive(Clone, Debug, PartialEq)]

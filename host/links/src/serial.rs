@@ -10,8 +10,9 @@ use std::{
 };
 
 use rustix::{
-    fs::{Mode, OFlags, open},
-    termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
+    fs::{FlockOperation, Mode, OFlags, flock, open},
+    io::Errno,
+    termios::{OptionalActions, QueueSelector, ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr},
 };
 
 use crate::Descriptor;
@@ -20,8 +21,13 @@ use crate::Descriptor;
 /// alone. What was received before is thrown away.
 pub(crate) fn open_port(path: &Path, baud: u32) -> io::Result<Descriptor> {
     let port = open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty())?;
-    // A second program would take bytes away from this one.
-    rustix::termios::ioctl_tiocexcl(&port)?;
+    // A second program would take bytes away from this one. The lock is for programs that ask, the other is for those that
+    // do not; but the superuser may open what is exclusive.
+    flock(&port, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
+        Errno::WOULDBLOCK => io::ErrorKind::ResourceBusy.into(),
+        error => io::Error::from(error),
+    })?;
+    ioctl_tiocexcl(&port)?;
     make_raw(&port, baud)?;
     tcflush(&port, QueueSelector::IFlush)?;
     Descriptor::new(port)
