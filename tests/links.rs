@@ -17,7 +17,8 @@ use std::{
 };
 
 use program::*;
-use r4_links::pty::Pty;
+use r4_links::{Address, blocking, pty::Pty};
+use r4_protocol::{ChannelId, ChannelKind, Sample};
 use rand_pcg::{
     Pcg32,
     rand_core::{Rng, SeedableRng},
@@ -362,4 +363,29 @@ fn python_can_understands_what_we_send_and_we_what_it_sends() {
     assert_eq!(object(&seen.out)["robot"], Value::from("openscout"));
     let seen = r4(&["--board", &board, "speed", "dhb0", "1rad/s", "--for", "0.3"]);
     assert_eq!(seen.code, Some(0), "{seen:?}");
+}
+
+#[test]
+fn a_program_that_waits_drives_a_board() {
+    let served = Served::new("osmc-bench", "--pty");
+    let address: Address = served.board.parse().expect("an address");
+    let board = blocking::Board::connect(&address).expect("connects");
+    let motor = ChannelId::new(ChannelKind::Osmc, 0);
+    let position = |sample: &Sample| matches!(sample, Sample::Motor { channel, .. } if *channel == motor);
+    let mut samples = board.samples(&[motor], 10).expect("subscribes");
+    assert!(position(&samples.next().expect("a sample").expect("the link lasts").1));
+    board.arm().expect("arms");
+    // Another thread is not held up by one that waits for a motor.
+    let moved = thread::scope(|scope| {
+        let moving = scope.spawn(|| board.move_to(motor, 3.0, 10.0));
+        samples.by_ref().take(20).for_each(|sample| assert!(sample.is_ok()));
+        board.stop().expect("stops");
+        moving.join().expect("no panic")
+    });
+    assert!(matches!(moved, Err(r4_driver::Error::Stopped { .. })), "{moved:?}");
+    assert_eq!(board.call(|board| Box::pin(board.faults())).map(|faults| faults.len()), Ok(1));
+    drop(board);
+    assert!(samples.find(Result::is_err).is_none(), "they end with the session");
+    // The session was closed: another one is there at once.
+    assert_eq!(served.r4(&["disarm"]).code, Some(0));
 }

@@ -20,6 +20,7 @@
 //! ```
 
 mod address;
+pub mod blocking;
 mod clock;
 mod descriptor;
 mod open;
