@@ -2,7 +2,13 @@
 
 mod program;
 
-use std::{fmt::Write as _, fs, path::PathBuf, process::Stdio, time::Instant};
+use std::{
+    fmt::Write as _,
+    fs,
+    path::PathBuf,
+    process::{Command, Stdio},
+    time::Instant,
+};
 
 use program::*;
 use r4_log::Log;

@@ -3,9 +3,10 @@
 mod program;
 
 use std::{
-    fs::{File, OpenOptions},
+    fs::{self, File, OpenOptions},
     io::{Read, Write},
-    os::unix::fs::OpenOptionsExt,
+    net::TcpStream,
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
     process::{Command, Stdio},
     sync::{
@@ -37,7 +38,11 @@ struct Served {
 
 impl Served {
     fn new(robot: &str, how: &str) -> Self {
-        let mut server = start(command(&["sim", "serve", robot, how]));
+        Self::with(&["sim", "serve", robot, how])
+    }
+
+    fn with(arguments: &[&str]) -> Self {
+        let mut server = start(command(arguments));
         let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
         let place = object(&first);
         let (kind, at) = place.as_object().and_then(|place| place.iter().next()).expect("one field");
@@ -74,7 +79,7 @@ const VERBS: [&[&str]; 18] = [
     &["move", "osmc0", "5deg"],
     &["speed", "stepper0", "2rad/s", "--for", "0.4"],
     &["duty", "osmc1", "0.1", "--for", "0.1"],
-    &["home", "stepper1", "--speed=-8rad/s"],
+    &["home", "stepper1", "--speed=-1.9rad/s"],
     &["step", "stepper0", "20"],
     &["servo", "servo0", "10deg", "--for", "0.1"],
     &["relay", "relay1", "on", "--for", "0.1"],
@@ -366,10 +371,40 @@ fn python_can_understands_what_we_send_and_we_what_it_sends() {
 }
 
 #[test]
+fn without_the_key_nothing_is_told() {
+    let folder = TempDir::new().expect("a folder");
+    let key = |name: &str, digits: &str| {
+        let file = folder.path().join(name);
+        fs::write(&file, digits.repeat(32)).expect("written");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("for the owner alone");
+        path(&file).to_owned()
+    };
+    let (ours, theirs) = (key("ours", "5a"), key("theirs", "5b"));
+    // Every address of this machine, as a robot in a laboratory would have it.
+    let served = Served::with(&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0", "--public", "--key", &ours]);
+    let served = Served { board: served.board.replace("0.0.0.0", "127.0.0.1"), ..served };
+    served.good(&["--key", &ours, "move", "osmc0", "5deg"]);
+    for arguments in [&["--key", &theirs, "info"][..], &["info"]] {
+        let refused = served.r4(arguments);
+        assert!(refused.code == Some(1) && refused.out.is_empty(), "{refused:?}");
+    }
+    // Not a byte but the server's nonce, whatever is said.
+    let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
+    stranger.write_all(&[0; 32]).expect("written");
+    let mut heard = Vec::new();
+    // A reset is as good as an end.
+    let _ = stranger.read_to_end(&mut heard);
+    assert_eq!(heard.len(), 16);
+    fs::set_permissions(&ours, fs::Permissions::from_mode(0o644)).expect("for everybody");
+    let refused = served.r4(&["--key", &ours, "info"]);
+    assert!(refused.err.contains("chmod 600"), "{refused:?}");
+}
+
+#[test]
 fn a_program_that_waits_drives_a_board() {
     let served = Served::new("osmc-bench", "--pty");
     let address: Address = served.board.parse().expect("an address");
-    let board = blocking::Board::connect(&address).expect("connects");
+    let board = blocking::Board::connect(&address, None).expect("connects");
     let motor = ChannelId::new(ChannelKind::Osmc, 0);
     let position = |sample: &Sample| matches!(sample, Sample::Motor { channel, .. } if *channel == motor);
     let mut samples = board.samples(&[motor], 10).expect("subscribes");

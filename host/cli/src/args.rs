@@ -31,6 +31,9 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
+    /// File with the key of a board that is served with one at tcp:
+    #[arg(long, global = true, env = "R4_KEY", value_name = "FILE")]
+    pub(crate) key: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
@@ -160,6 +163,9 @@ pub(crate) struct Serve {
     /// The board's number on the CAN bus
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "slcan")]
     pub(crate) node: u8,
+    /// Let other machines connect to --tcp; needs --key
+    #[arg(long, requires_all = ["tcp", "key"])]
+    pub(crate) public: bool,
 }
 
 fn virtual_board(text: &str) -> Result<Target, String> {

@@ -16,7 +16,7 @@ use anyhow::{Context, anyhow, bail};
 use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
-use r4_links::{Address, BadAddress, Event, RealClock, Restart, is_of_link, with_reconnect};
+use r4_links::{Address, BadAddress, Event, Key, RealClock, Restart, is_of_link, with_reconnect};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
@@ -268,6 +268,11 @@ pub(crate) fn run<T>(
     Ok((value, elapsed))
 }
 
+/// The key that `args` name.
+pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
+    Ok(args.key.as_deref().map(Key::read).transpose()?)
+}
+
 /// The same on a board at the other end of a link.
 fn run_on<T>(
     args: &Args,
@@ -278,7 +283,7 @@ fn run_on<T>(
     catch_interrupts();
     let begin = Instant::now();
     let value = r4_links::block_on(async {
-        let link = r4_links::open(address).await?;
+        let link = r4_links::open(address, key(args)?.as_ref()).await?;
         let clock = HostClock::Real(RealClock);
         let connected = with_board(link.rx, link.tx, clock.clone(), async |connected| {
             let session = Session { board: connected, surroundings: None, target: &args.board };
@@ -304,8 +309,10 @@ pub(crate) fn keep<T>(
     let clock = HostClock::Real(RealClock);
     let end_us = seconds.map_or(u64::MAX, |seconds| clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64);
     let mut lost = None;
+    let key = key(args)?;
     let connected = with_reconnect(
         address,
+        key.as_ref(),
         clock.clone(),
         async |board| work(&Session { board, surroundings: None, target: &args.board }).await,
         |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),

@@ -6,7 +6,7 @@
 //! use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let board = Board::connect(&"serial:auto".parse::<Address>()?)?;
+//! let board = Board::connect(&"serial:auto".parse::<Address>()?, None)?;
 //! let motor = ChannelId::new(ChannelKind::Osmc, 0);
 //! board.arm()?;
 //! let motion = board.move_to(motor, 1.57, 5.0)?;
@@ -31,7 +31,7 @@ use futures::{
 use r4_driver::{Error, Motion, with_board};
 use r4_protocol::{ChannelId, ChannelInfo, DeviceInfo, Sample, Setpoint, Telemetry};
 
-use crate::{Address, OpenError, RealClock, block_on, open};
+use crate::{Address, Key, OpenError, RealClock, block_on, open};
 
 type Inner = r4_driver::Board<RealClock>;
 type Job = Box<dyn for<'b> FnOnce(&'b Inner) -> LocalBoxFuture<'b, ()> + Send>;
@@ -66,12 +66,13 @@ impl Board {
     ///
     /// # Errors
     /// [`ConnectError`]
-    pub fn connect(address: &Address) -> Result<Self, ConnectError> {
+    pub fn connect(address: &Address, key: Option<&Key>) -> Result<Self, ConnectError> {
         let (jobs, queue) = unbounded();
         let (told, outcome) = mpsc::channel();
-        let address = address.clone();
-        let thread =
-            thread::Builder::new().name("r4-board".into()).spawn(move || block_on(run(&address, queue, told)))?;
+        let (address, key) = (address.clone(), key.cloned());
+        let thread = thread::Builder::new()
+            .name("r4-board".into())
+            .spawn(move || block_on(run(&address, key.as_ref(), queue, told)))?;
         // Without an answer the thread is gone, which it cannot be without one but by a panic.
         let outcome = outcome.recv().unwrap_or(Err(ConnectError::Board(gone())));
         let (info, channels) = outcome?;
@@ -240,8 +241,8 @@ fn gone() -> Error {
 
 type Opened = Result<(DeviceInfo, Vec<ChannelInfo>), ConnectError>;
 
-async fn run(address: &Address, mut queue: UnboundedReceiver<Job>, told: mpsc::Sender<Opened>) {
-    let link = match open(address).await {
+async fn run(address: &Address, key: Option<&Key>, mut queue: UnboundedReceiver<Job>, told: mpsc::Sender<Opened>) {
+    let link = match open(address, key).await {
         Ok(link) => link,
         Err(error) => {
             let _ = told.send(Err(error.into()));

@@ -10,7 +10,7 @@
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let address: Address = "serial:/dev/ttyACM0".parse()?;
 //! let robot = block_on(async {
-//!     let link = open(&address).await?;
+//!     let link = open(&address, None).await?;
 //!     let robot = r4_driver::with_board(link.rx, link.tx, RealClock, async |board| board.info().robot.clone()).await?;
 //!     Ok::<_, Box<dyn std::error::Error>>(robot)
 //! })?;
@@ -27,6 +27,7 @@ mod open;
 pub mod ports;
 pub mod pty;
 mod reconnect;
+pub mod secure;
 mod serial;
 pub mod slcan;
 
@@ -36,3 +37,4 @@ pub use clock::RealClock;
 pub use descriptor::Descriptor;
 pub use open::{Link, OpenError, Receiver, Transmitter, open, tcp};
 pub use reconnect::{Event, Restart, is_of_link, with_reconnect};
+pub use secure::Key;

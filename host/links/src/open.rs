@@ -13,7 +13,7 @@ use embedded_io_async::{ErrorType, Read, Write};
 use futures::future::{Either, select};
 use r4_protocol::can::{Direction, Node};
 
-use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, ports, serial, slcan};
+use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, Key, ports, secure, serial, slcan};
 
 /// A connection that is not answered within this time is given up.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -34,6 +34,8 @@ pub enum Receiver {
     Bytes(Descriptor),
     /// From an adapter, in frames.
     Slcan(slcan::Receiver),
+    /// In records that only the holder of the key can make.
+    Secure(secure::Receiver),
 }
 
 /// What goes to a board.
@@ -43,6 +45,8 @@ pub enum Transmitter {
     Bytes(Descriptor),
     /// Through an adapter, in frames.
     Slcan(slcan::Transmitter),
+    /// In records that only the holder of the key can make.
+    Secure(secure::Transmitter),
 }
 
 /// Why there is no link.
@@ -69,6 +73,14 @@ pub enum OpenError {
     /// Nobody answers there.
     #[error("{0} does not answer: is the board served there, and the port open?")]
     NoAnswer(String),
+    /// The other end does not have the key, or asks for none.
+    #[error("{what}: {reason}")]
+    Distrust {
+        /// Where.
+        what: String,
+        /// How that was noticed.
+        reason: String,
+    },
     /// Anything else that the operating system says.
     #[error("cannot open {what}: {source}")]
     System {
@@ -83,11 +95,12 @@ fn names(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(" and ")
 }
 
-/// Opens a link.
+/// Opens a link. A board that is served with a key is reached with the same `key`; other links need none, and a TCP port on
+/// which a key is not asked for is none that this one was meant for.
 ///
 /// # Errors
 /// [`OpenError`], which says what can be done.
-pub async fn open(address: &Address) -> Result<Link, OpenError> {
+pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenError> {
     match address {
         Address::Serial { path, baud } => {
             let path = path.clone().map_or_else(only_board, Ok)?;
@@ -96,6 +109,11 @@ pub async fn open(address: &Address) -> Result<Link, OpenError> {
         }
         Address::Tcp { host, port } => {
             let socket = connect(host, *port).await?;
+            if let Some(key) = key {
+                return greet(socket, key)
+                    .await
+                    .map_err(|error| OpenError::Distrust { what: address.to_string(), reason: error.to_string() });
+            }
             Ok(Link { rx: Receiver::Bytes(socket.clone()), tx: Transmitter::Bytes(socket) })
         }
         Address::Can { interface: CanInterface::Slcan(path), node } => {
@@ -149,6 +167,20 @@ async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
     })
 }
 
+/// Both ends prove to have the key, in time.
+async fn greet(socket: Descriptor, key: &Key) -> io::Result<Link> {
+    match select(std::pin::pin!(secure::client(socket, key)), Timer::after(CONNECT_TIMEOUT)).await {
+        Either::Left((greeted, _)) => {
+            let (rx, tx) = greeted?;
+            Ok(Link { rx: Receiver::Secure(rx), tx: Transmitter::Secure(tx) })
+        }
+        Either::Right(_) => Err(io::Error::new(
+            io::ErrorKind::TimedOut,
+            "it does not ask for a key: leave --key out, or start the server with it",
+        )),
+    }
+}
+
 async fn connect_to(address: SocketAddr) -> io::Result<Descriptor> {
     let stream = async_io::Async::<TcpStream>::connect(address).await?;
     tcp(stream.into_inner()?)
@@ -172,6 +204,7 @@ impl Read for Receiver {
         match self {
             Self::Bytes(descriptor) => descriptor.read(buffer).await,
             Self::Slcan(frames) => frames.read(buffer).await,
+            Self::Secure(records) => records.read(buffer).await,
         }
     }
 }
@@ -185,6 +218,7 @@ impl Write for Transmitter {
         match self {
             Self::Bytes(descriptor) => descriptor.write(bytes).await,
             Self::Slcan(frames) => frames.write(bytes).await,
+            Self::Secure(records) => records.write(bytes).await,
         }
     }
 

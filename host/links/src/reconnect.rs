@@ -6,7 +6,7 @@ use async_io::Timer;
 use r4_driver::{Board, Clock, Error, with_board};
 use r4_protocol::Cause;
 
-use crate::{Address, OpenError, open, ports};
+use crate::{Address, Key, OpenError, open, ports};
 
 /// How often a lost link is tried again.
 const RETRY_EVERY: Duration = Duration::from_millis(100);
@@ -50,6 +50,7 @@ pub enum Restart {
 /// When the board is not there to begin with, and whatever else `work` ends with.
 pub async fn with_reconnect<C, T, E>(
     address: &Address,
+    key: Option<&Key>,
     clock: C,
     mut work: impl AsyncFnMut(&Board<C>) -> Result<T, E>,
     is_lost: impl Fn(&E) -> Option<Error>,
@@ -66,7 +67,7 @@ where
     let mut lost: Option<(Instant, u64)> = None;
     let mut at = address.clone();
     loop {
-        let link = match open(&at).await {
+        let link = match open(&at, key).await {
             Ok(link) => link,
             Err(error) if lost.is_none() => return Err(error.into()),
             Err(_) => {

@@ -18,7 +18,7 @@ use anyhow::{Context, anyhow, bail};
 use async_io::{Async, Timer};
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Receiver, Transmitter, pty::Pty, slcan};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, pty::Pty, secure, slcan};
 use r4_protocol::can::{Direction, Node};
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -37,6 +37,8 @@ const NO_TIME: u32 = u32::MAX;
 const HURRY: Duration = Duration::from_millis(20);
 /// How often Ctrl-C is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// A client proves to have the key within this time. Another one waits so long.
+const GREETING: Duration = Duration::from_secs(2);
 /// Bytes for a client that does not read, before they are dropped.
 const OUTBOX: usize = 16 * 1024;
 
@@ -54,7 +56,7 @@ enum Place {
     /// One client, or none, all the time.
     Port(Pty, Receiver, Transmitter),
     /// Clients come and go.
-    Listener(Async<TcpListener>),
+    Listener(Async<TcpListener>, Option<Key>),
 }
 
 pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
@@ -69,7 +71,7 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     }
     session::catch_interrupts();
     let links = Links::default();
-    let place = place(serve, &links)?;
+    let place = place(&args, serve, &links)?;
     let served = r4_links::block_on(Served::new(&mut simulation, board.clone())?.run(place));
     if let Some(file) = file {
         file.write(&board.flash())?;
@@ -103,7 +105,7 @@ impl Drop for Links {
 }
 
 /// Makes what the board is served on, and says where that is.
-fn place(serve: &Serve, links: &Links) -> anyhow::Result<Place> {
+fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     let terminal = |link: &Option<PathBuf>| -> anyhow::Result<(Pty, PathBuf)> {
         let pty = Pty::open().context("cannot make a pseudo-terminal")?;
         let path = link.clone().unwrap_or_else(|| pty.path().to_owned());
@@ -127,19 +129,32 @@ fn place(serve: &Serve, links: &Links) -> anyhow::Result<Place> {
         return Ok(Place::Port(pty, Receiver::Slcan(rx), Transmitter::Slcan(tx)));
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
-    if !address.ip().is_loopback() {
+    if !address.ip().is_loopback() && !(serve.public && args.key.is_some()) {
         bail!(
-            "{address} can be reached from other machines: whoever reaches it moves the robot. Serve it on 127.0.0.1"
+            "{address} can be reached from other machines, and whoever reaches it moves the robot: serve it on 127.0.0.1, or \
+             with --public and a --key that only those have who may"
         );
     }
     let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
     let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
     output::json(&Where::Tcp(at.to_string()))?;
-    Ok(Place::Listener(listener))
+    Ok(Place::Listener(listener, session::key(args)?))
 }
 
 fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
     (Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor.clone()))
+}
+
+/// A client's link, once it has proved to have the key, if there is one: in time, or it is left.
+async fn greeted(descriptor: Descriptor, key: Option<&Key>) -> Option<(Receiver, Transmitter)> {
+    let Some(key) = key else { return Some(bytes(&descriptor)) };
+    match select(pin!(secure::server(descriptor, key)), Timer::after(GREETING)).await {
+        Either::Left((Ok((rx, tx)), _)) => Some((Receiver::Secure(rx), Transmitter::Secure(tx))),
+        Either::Left((Err(_), _)) | Either::Right(_) => {
+            eprintln!("r4: a client without the key was turned away");
+            None
+        }
+    }
 }
 
 /// What the board has sent and no client has taken.
@@ -186,18 +201,18 @@ impl<'s> Served<'s> {
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
         match place {
             Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
-            Place::Listener(listener) => self.with_clients(&listener).await,
+            Place::Listener(listener, key) => self.with_clients(&listener, key.as_ref()).await,
         }
     }
 
     /// One client after the other.
-    async fn with_clients(&mut self, listener: &Async<TcpListener>) -> anyhow::Result<()> {
+    async fn with_clients(&mut self, listener: &Async<TcpListener>, key: Option<&Key>) -> anyhow::Result<()> {
         loop {
             let (stream, _) = self.meanwhile(listener.accept()).await?.context("cannot accept a client")?;
             let descriptor = r4_links::tcp(stream.into_inner()?)?;
             // Of what the board has said to nobody.
             self.outbox.bytes.borrow_mut().clear();
-            let (mut rx, mut tx) = bytes(&descriptor);
+            let Some((mut rx, mut tx)) = self.meanwhile(greeted(descriptor, key)).await? else { continue };
             match self.with_client(&mut rx, &mut tx).await {
                 Err(error) if error.is::<Gone>() => {}
                 other => return other,
