@@ -6,7 +6,10 @@ use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
-    commands::config::{Name, Scope},
+    commands::{
+        bridge::Bridge,
+        config::{Name, Scope},
+    },
     quantity::Quantity,
     session::Target,
 };
@@ -122,6 +125,11 @@ pub(crate) enum Command {
     Scenario(Scenario),
     /// Run the firmware's image on an emulated board under a debugger or with a trace
     Debug(Debug),
+    /// A board for hosts that speak another protocol
+    Bridge {
+        #[command(subcommand)]
+        what: Bridge,
+    },
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to

@@ -44,6 +44,7 @@ fn main() -> ExitCode {
         Command::Watch(watch) => commands::watch::run(&args, watch),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
+        Command::Bridge { what } => commands::bridge::run(&args, what),
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),

@@ -23,6 +23,7 @@ mod address;
 pub mod blocking;
 mod clock;
 mod descriptor;
+pub mod legacy;
 mod open;
 pub mod ports;
 pub mod pty;
