@@ -6,7 +6,10 @@ use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
-    commands::config::{Name, Scope},
+    commands::{
+        bridge::Bridge,
+        config::{Name, Scope},
+    },
     quantity::Quantity,
     session::Target,
 };
@@ -18,7 +21,8 @@ use crate::{
 #[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
-    /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml
+    /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
+    /// serial:/dev/ttyACM0[@BAUD], serial:auto, tcp:HOST:PORT, can:slcan:/dev/ttyACM1[#NODE]
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
@@ -30,6 +34,9 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
+    /// File with the key of a board that is served with one at tcp:
+    #[arg(long, global = true, env = "R4_KEY", value_name = "FILE")]
+    pub(crate) key: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
@@ -118,11 +125,62 @@ pub(crate) enum Command {
     Scenario(Scenario),
     /// Run the firmware's image on an emulated board under a debugger or with a trace
     Debug(Debug),
+    /// A board for hosts that speak another protocol
+    Bridge {
+        #[command(subcommand)]
+        what: Bridge,
+    },
+    /// Serial ports, and which of them are boards
+    Ports,
+    /// Make a virtual board that other programs connect to
+    Sim {
+        #[command(subcommand)]
+        what: Sim,
+    },
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
         what: Bench,
     },
+}
+
+/// What is made of a virtual board.
+#[derive(Clone, Debug, Subcommand)]
+pub(crate) enum Sim {
+    /// Serve it in real time, until Ctrl-C; the first line on stdout says where
+    Serve(Serve),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+#[command(group = ArgGroup::new("where").required(true).args(["pty", "tcp", "slcan"]))]
+pub(crate) struct Serve {
+    /// A robot's name or file, on the emulated board with `emu:` before it
+    #[arg(value_name = "ROBOT", value_parser = virtual_board)]
+    pub(crate) robot: Target,
+    /// On a pseudo-terminal, as a serial port; with a link to it at this path
+    #[arg(long, num_args = 0..=1, require_equals = true, value_name = "LINK")]
+    #[expect(clippy::option_option, reason = "not given, given without a path, given with one")]
+    pub(crate) pty: Option<Option<PathBuf>>,
+    /// At this address, for one client at a time; port 0 is any that is free
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0", value_name = "ADDRESS")]
+    pub(crate) tcp: Option<SocketAddr>,
+    /// Behind a CAN adapter that speaks slcan on a pseudo-terminal; with a link to it at this path
+    #[arg(long, num_args = 0..=1, require_equals = true, value_name = "LINK")]
+    #[expect(clippy::option_option, reason = "not given, given without a path, given with one")]
+    pub(crate) slcan: Option<Option<PathBuf>>,
+    /// The board's number on the CAN bus
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "slcan")]
+    pub(crate) node: u8,
+    /// Let other machines connect to --tcp; needs --key
+    #[arg(long, requires_all = ["tcp", "key"])]
+    pub(crate) public: bool,
+}
+
+fn virtual_board(text: &str) -> Result<Target, String> {
+    match text.split_once(':') {
+        Some(("sim" | "emu", _)) => text.parse(),
+        _ => Ok(Target::Sim(text.to_owned())),
+    }
 }
 
 #[derive(Clone, Debug, clap::Args)]

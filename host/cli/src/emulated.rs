@@ -48,7 +48,7 @@ pub(crate) fn start_debugged(
     robot: &Robot,
     flash: Option<Flash>,
 ) -> anyhow::Result<Debugged> {
-    let image = Image::find(args.board.robot())?;
+    let image = Image::find(args.board.robot()?)?;
     eprintln!("r4: runs {}, SHA-256 {}", image.path().display(), image.digest());
     let core = ThumbCore::new();
     let gdb = match &args.command {

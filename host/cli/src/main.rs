@@ -43,6 +43,9 @@ fn main() -> ExitCode {
         Command::Watch(watch) => commands::watch::run(&args, watch),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
+        Command::Bridge { what } => commands::bridge::run(&args, what),
+        Command::Ports => commands::ports::run(&args),
+        Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {
@@ -51,7 +54,9 @@ fn main() -> ExitCode {
         // Whoever reads the output has seen enough.
         Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
         // Watching ends when the person who watches says so.
-        Err(error) if error.is::<Interrupted>() && matches!(args.command, Command::Watch(_)) => ExitCode::SUCCESS,
+        Err(error) if error.is::<Interrupted>() && matches!(args.command, Command::Watch(_) | Command::Sim { .. }) => {
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             eprintln!("r4: {error:#}");
             if error.is::<Interrupted>() { ExitCode::from(130) } else { ExitCode::FAILURE }

@@ -7,7 +7,10 @@ use crate::session::Target;
 
 pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     let Target::Emu(_) = &args.board else {
-        bail!("only an emulated board runs the firmware's image: name one, as in --board emu:{}", args.board.robot());
+        bail!(
+            "only an emulated board runs the firmware's image: name one, as in --board emu:{}",
+            args.board.robot().unwrap_or("osmc-bench")
+        );
     };
     match &debug.scenario {
         Some(path) => super::scenario::play_one(args, path),
@@ -27,7 +30,7 @@ fn alone(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     /// How often it is looked whether to end, ns.
     const LOOK_EVERY_NS: u64 = 10_000_000;
 
-    let robot = r4_boards::load(args.board.robot())?;
+    let robot = r4_boards::load(args.board.robot()?)?;
     let mut simulation = Simulation::new(args.pace.unwrap_or(Pace::Free));
     session::catch_interrupts();
     let (board, state) = emulated::start_debugged(args, &mut simulation, &robot, None)?;

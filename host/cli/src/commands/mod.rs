@@ -1,6 +1,7 @@
 //! One module per verb, or per few verbs that are one thing.
 
 pub(crate) mod bench;
+pub(crate) mod bridge;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
@@ -8,9 +9,11 @@ pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
 pub(crate) mod motion;
+pub(crate) mod ports;
 pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod scenario;
+pub(crate) mod serve;
 pub(crate) mod state;
 pub(crate) mod watch;
 

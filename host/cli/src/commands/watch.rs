@@ -113,7 +113,8 @@ impl Watched {
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
-    session::run(args, Pace::RealTime(1.0), async |session| {
+    let mut end_s = None;
+    session::keep(args, Pace::RealTime(1.0), watch.seconds, async |session| {
         let board = session.board;
         let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
             [] => board.channels().to_vec(),
@@ -130,7 +131,9 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         for channel in channels {
             board.subscribe(channel, period_ms).await?;
         }
-        let end_us = watch.seconds.map(|seconds| board.device_us() + (seconds * 1e6) as u64);
+        end_s = end_s.or(watch.seconds.map(|seconds| board.now_s() + seconds));
+        // By the board's clock, which stamps the lines.
+        let end_us = end_s.map(|end_s| board.device_us() + ((end_s - board.now_s()) * 1e6) as u64);
         let mut since_header = HEADER_EVERY;
         loop {
             let frame = telemetry.next().await?;

@@ -63,7 +63,7 @@ fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> a
     let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
     let clock = simulation.clock();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
-    let session = with_board(port.rx, tx, HostClock(clock.clone()), async |host| {
+    let session = with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| {
         work(&Bench { host, board, clock, cable }).await
     });
     simulation.block_on(session).ok_or_else(|| anyhow!("the simulation came to a standstill"))?.context("no session")?

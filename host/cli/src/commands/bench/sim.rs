@@ -151,7 +151,7 @@ fn measure(
     let clock = simulation.clock();
     let sessions = join_all(started.iter().map(async |board| {
         let port = board.connect().ok_or_else(|| anyhow!("the board is already connected"))?;
-        let clock = HostClock(clock.clone());
+        let clock = HostClock::Virtual(clock.clone());
         with_board(port.rx, port.tx, clock, async |host| session(host).await).await.context("no session")?
     }));
     let sessions = simulation.block_on(sessions);
