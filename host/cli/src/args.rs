@@ -131,6 +131,10 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bench,
     },
+    /// Print a script with which a shell completes verbs and options
+    Completions(crate::commands::completions::Completions),
+    /// Print the manual page of the program or of a verb, or write all of them
+    Man(crate::commands::man::Manual),
 }
 
 /// What is made of a virtual board.

@@ -47,6 +47,8 @@ fn main() -> ExitCode {
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
+        Command::Completions(completions) => commands::completions::run(completions),
+        Command::Man(manual) => commands::man::run(manual),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

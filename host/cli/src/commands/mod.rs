@@ -1,12 +1,14 @@
 //! One module per verb, or per few verbs that are one thing.
 
 pub(crate) mod bench;
+pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
+pub(crate) mod man;
 pub(crate) mod motion;
 pub(crate) mod ports;
 pub(crate) mod raw;
