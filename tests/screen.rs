@@ -1,12 +1,27 @@
-//! What shells and `man` get.
+//! What a user sees of `r4` on a whole terminal, and how the terminal is left; and what shells and `man` get.
+#![cfg(unix)]
 
 use std::{
     collections::BTreeSet,
-    fs,
-    process::{Command, Stdio},
+    fs::{self, File},
+    io::{BufRead, BufReader, Read, Write},
+    os::fd::OwnedFd,
+    path::Path,
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{Receiver, RecvTimeoutError, channel},
+    thread,
+    time::{Duration, Instant},
 };
 
+use rustix::{
+    fs::{Mode, OFlags},
+    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
+    termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize},
+};
 use tempfile::TempDir;
+
+/// Who has waited so long waits for ever.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// `r4`, away from the user's settings.
 fn r4(args: &[&str]) -> Command {
@@ -15,12 +30,317 @@ fn r4(args: &[&str]) -> Command {
     command
 }
 
+// A terminal.
+
+/// What a terminal shows of the bytes it got: as much of one as the program uses.
+struct Grid {
+    cells: Vec<Vec<char>>,
+    row: usize,
+    column: usize,
+    is_alternate: bool,
+    is_cursor_hidden: bool,
+    /// What has come of a sequence that is not over.
+    begun: Vec<u8>,
+}
+
+impl Grid {
+    fn new() -> Self {
+        Self { cells: Vec::new(), row: 0, column: 0, is_alternate: false, is_cursor_hidden: false, begun: Vec::new() }
+    }
+
+    fn take(&mut self, byte: u8) {
+        self.begun.push(byte);
+        match self.begun.as_slice() {
+            [0x1b] | [0x1b, b'['] => return,
+            [0x1b, b'[', parameters @ .., last] => {
+                if !(0x40..=0x7e).contains(last) {
+                    return;
+                }
+                let (parameters, last) = (String::from_utf8_lossy(parameters).into_owned(), *last);
+                self.control(&parameters, last);
+            }
+            [0x1b, ..] => {}
+            text => match std::str::from_utf8(text) {
+                Ok(text) => {
+                    let text = text.to_owned();
+                    text.chars().for_each(|c| self.print(c));
+                }
+                Err(error) if error.error_len().is_none() => return,
+                Err(error) => panic!("the program printed what is no text: {error}"),
+            },
+        }
+        self.begun.clear();
+    }
+
+    fn control(&mut self, parameters: &str, last: u8) {
+        match (parameters, last) {
+            (place, b'H') => {
+                let mut numbers = place.split(';').map(|number| number.parse().unwrap_or(1).max(1usize) - 1);
+                (self.row, self.column) = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
+            }
+            ("2", b'J') => self.cells.clear(),
+            ("?1049", b'h' | b'l') => {
+                self.is_alternate = last == b'h';
+                self.cells.clear();
+            }
+            ("?25", b'h' | b'l') => self.is_cursor_hidden = last == b'l',
+            // Colours, and other modes.
+            (_, b'm' | b'h' | b'l') => {}
+            other => panic!("a sequence that this terminal does not know: {other:?}"),
+        }
+    }
+
+    fn print(&mut self, c: char) {
+        match c {
+            '\r' => self.column = 0,
+            '\n' => self.row += 1,
+            c => {
+                self.cells.resize_with((self.row + 1).max(self.cells.len()), Vec::new);
+                let row = &mut self.cells[self.row];
+                row.resize((self.column + 1).max(row.len()), ' ');
+                row[self.column] = c;
+                self.column += 1;
+            }
+        }
+    }
+
+    fn text(&self) -> String {
+        self.cells.iter().map(|row| row.iter().collect::<String>().trim_end().to_owned() + "\n").collect()
+    }
+}
+
+/// `r4` on a terminal of its own.
+struct OnTerminal {
+    child: Child,
+    keys: File,
+    /// The program's end, kept open to look at how it was left.
+    end: OwnedFd,
+    bytes: Receiver<Vec<u8>>,
+    grid: Grid,
+    begin: Instant,
+}
+
+impl OnTerminal {
+    fn start(args: &[&str]) -> Self {
+        let keys =
+            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a terminal does this");
+        grantpt(&keys).expect("a terminal does this");
+        unlockpt(&keys).expect("a terminal does this");
+        let path = ptsname(&keys, Vec::new()).expect("a terminal does this");
+        let end = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())
+            .expect("a terminal does this");
+        tcsetwinsize(&keys, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 })
+            .expect("a terminal does this");
+        // With the terminal as its own: otherwise it would look for the size at that of whoever runs the tests.
+        let mut command = Command::new("setsid");
+        command.args(["--ctty", "--wait", env!("CARGO_BIN_EXE_r4")]).args(args).env("TERM", "xterm-256color");
+        command.env_remove("R4_BOARD").env_remove("R4_FLASH").env_remove("NO_COLOR");
+        let side = || Stdio::from(end.try_clone().expect("a terminal does this"));
+        let child =
+            command.stdin(side()).stdout(side()).stderr(side()).spawn().expect("setsid, of util-linux, starts r4");
+        let keys = File::from(keys);
+        let mut printed = keys.try_clone().expect("a terminal does this");
+        let (sender, bytes) = channel();
+        thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(len @ 1..) = printed.read(&mut buffer) {
+                if sender.send(buffer[..len].to_vec()).is_err() {
+                    break;
+                }
+            }
+        });
+        Self { child, keys, end, bytes, grid: Grid::new(), begin: Instant::now() }
+    }
+
+    /// Takes what is printed within `patience`; false when nothing is.
+    fn look(&mut self, patience: Duration) -> bool {
+        assert!(self.begin.elapsed() < PATIENCE, "waited too long; the screen is\n{}", self.grid.text());
+        match self.bytes.recv_timeout(patience) {
+            Ok(bytes) => bytes.into_iter().for_each(|byte| self.grid.take(byte)),
+            Err(RecvTimeoutError::Timeout) => return false,
+            Err(RecvTimeoutError::Disconnected) => panic!("nobody holds the terminal"),
+        }
+        true
+    }
+
+    /// Until the screen is as it should be.
+    fn until(&mut self, is_so: impl Fn(&str) -> bool) -> String {
+        loop {
+            let text = self.grid.text();
+            if is_so(&text) {
+                return text;
+            }
+            self.look(Duration::from_secs(1));
+        }
+    }
+
+    fn until_shows(&mut self, what: &str) -> String {
+        self.until(|text| text.contains(what))
+    }
+
+    fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).expect("a terminal does this");
+    }
+
+    fn resize(&self, columns: u16, rows: u16) {
+        tcsetwinsize(&self.keys, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 })
+            .expect("a terminal does this");
+    }
+
+    /// How it ends, and whether the terminal is as it was before.
+    fn ends(&mut self) -> (ExitStatus, bool) {
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("a child can be asked") {
+                break status;
+            }
+            self.look(Duration::from_millis(10));
+        };
+        while self.look(Duration::from_millis(100)) {}
+        let modes = tcgetattr(&self.end).expect("a terminal does this").local_modes;
+        let is_cooked = modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG);
+        (status, is_cooked && !self.grid.is_alternate && !self.grid.is_cursor_hidden)
+    }
+
+    /// Fails unless it ends with this code and leaves the terminal as it was.
+    fn ends_well(&mut self, code: i32) {
+        let (status, is_restored) = self.ends();
+        assert_eq!(status.code(), Some(code), "{}", self.grid.text());
+        assert!(is_restored, "the terminal was left in disorder");
+    }
+}
+
+impl Drop for OnTerminal {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The badge of the state, alone: `ARMED` is a part of `DISARMED`.
+fn state(text: &str) -> &str {
+    text.lines().nth(1).and_then(|line| line.split_whitespace().next()).unwrap_or_default()
+}
+
+// monitor
+
+#[test]
+fn monitor_arms_stops_and_clears_by_keys() {
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    let text =
+        screen.until(|text| state(text) == "DISARMED" && text.contains("12.60 V") && text.contains("round trip 0."));
+    for there in ["openscout", "dhb3", "dead-man held", "q quit"] {
+        assert!(text.contains(there), "{there} is not on\n{text}");
+    }
+    assert!(screen.grid.is_alternate && screen.grid.is_cursor_hidden);
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED" && text.contains("arm: done"));
+    screen.press(" ");
+    screen.until(|text| state(text) == "TRIPPED" && text.contains("host stop"));
+    screen.press("a");
+    screen.until_shows("arm: the board has tripped");
+    screen.press("c");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED");
+    screen.press("d");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("\x1b[B\x1b[B");
+    screen.until_shows("\u{25b8} dhb2");
+    screen.press("\x1b[A");
+    screen.until_shows("\u{25b8} dhb1");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn monitor_uses_a_larger_screen() {
+    let mut screen = OnTerminal::start(&["--board", "sim:every-interface", "monitor"]);
+    let text = screen.until_shows("osmc0");
+    assert!(!text.contains("-30 s"), "no room for a graph on\n{text}");
+    screen.resize(120, 40);
+    screen.until(|text| text.contains("-30 s") && text.lines().count() >= 39 && text.contains("last 15 s"));
+    // And back.
+    screen.resize(80, 24);
+    screen.until(|text| !text.contains("-30 s") && text.lines().count() <= 24 && text.contains("last 5 s"));
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn ctrl_c_and_signals_give_the_terminal_back() {
+    // Ctrl-C is a key here.
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    screen.until_shows("dhb0");
+    screen.press("\x03");
+    screen.ends_well(0);
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    screen.until_shows("dhb0");
+    let killed = Command::new("kill").args(["-TERM", &screen.child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    screen.ends_well(0);
+}
+
+/// A board that is served, on `--pty` or `--slcan` at this path.
+fn serve(how: &str, link: &Path) -> Child {
+    let mut server = r4(&["sim", "serve", "openscout", &format!("{how}={}", link.display())])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("r4 starts");
+    let mut line = String::new();
+    BufReader::new(server.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+    assert!(line.contains(&how[2..]), "{line}");
+    server
+}
+
+#[test]
+fn monitor_shows_that_a_serial_link_is_lost_and_connects_again() {
+    loses_and_finds("--pty", "serial:");
+}
+
+#[test]
+fn monitor_shows_that_a_can_link_is_lost_and_connects_again() {
+    loses_and_finds("--slcan", "can:slcan:");
+}
+
+fn loses_and_finds(how: &str, link_kind: &str) {
+    let folder = TempDir::new().expect("a folder");
+    let link = folder.path().join("board");
+    let mut server = serve(how, &link);
+    let mut screen = OnTerminal::start(&["--board", &format!("{link_kind}{}", link.display()), "monitor"]);
+    screen.until(|text| state(text) == "DISARMED" && text.contains("12.60 V"));
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED");
+    server.kill().expect("it runs");
+    server.wait().expect("it ran");
+    let text = screen.until(|text| state(text) == "NO" && text.contains("LOST"));
+    assert!(text.contains("last heard of armed"), "{text}");
+    let mut server = serve(how, &link);
+    screen.until(|text| state(text) == "DISARMED" && text.contains("connected again"));
+    screen.press("q");
+    screen.ends_well(0);
+    server.kill().expect("it runs");
+    server.wait().expect("it ran");
+}
+
 /// Exit code, stdout and stderr of a run without a terminal.
 fn seen(args: &[&str]) -> (Option<i32>, String, String) {
     let output = r4(args).output().expect("r4 starts");
     let text = |bytes| String::from_utf8(bytes).expect("text");
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
+
+#[test]
+fn without_a_terminal_there_is_a_message() {
+    for (verb, word) in [("monitor", "r4 watch")] {
+        let (code, out, err) = seen(&["--board", "sim:openscout", verb]);
+        assert_eq!((code, out.as_str()), (Some(1), ""), "{err}");
+        assert!(err.contains("needs a terminal") && err.contains(word), "{err}");
+        let (code, _, err) = seen(&["--board", "sim:openscout", "--json", verb]);
+        assert!(code == Some(1) && err.contains("no JSON"), "{err}");
+    }
+}
+
+// completions, man
 
 /// The verbs, as the help lists them.
 fn verbs() -> BTreeSet<String> {
@@ -34,7 +354,7 @@ fn verbs() -> BTreeSet<String> {
 #[test]
 fn every_shell_can_complete_every_verb() {
     let verbs = verbs();
-    assert!(verbs.len() > 20 && verbs.contains("watch"), "{verbs:?}");
+    assert!(verbs.len() > 20 && verbs.contains("monitor"), "{verbs:?}");
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let (code, script, err) = seen(&["completions", shell]);
         assert_eq!((code, err.as_str()), (Some(0), ""));
@@ -54,7 +374,7 @@ fn bash_completes() {
     let file = folder.path().join("r4.bash");
     fs::write(&file, script).unwrap();
     let ask = format!(
-        "source {} && COMP_WORDS=(r4 de) COMP_CWORD=1 && _r4 r4 de r4 && echo ${{COMPREPLY[@]}}",
+        "source {} && COMP_WORDS=(r4 mo) COMP_CWORD=1 && _r4 r4 mo r4 && echo ${{COMPREPLY[@]}}",
         file.display()
     );
     let output = Command::new("bash").args(["--norc", "-c", &ask]).output();
@@ -62,7 +382,7 @@ fn bash_completes() {
         eprintln!("not run: there is no bash");
         return;
     };
-    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "demo debug", "{output:?}");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "move monitor", "{output:?}");
 }
 
 #[test]

@@ -103,6 +103,8 @@ pub(crate) enum Command {
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
+    /// Watch everything on a screen, arm, disarm, clear and stop by keys
+    Monitor(crate::commands::monitor::Monitor),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),

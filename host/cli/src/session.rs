@@ -181,7 +181,6 @@ pub(crate) fn is_interrupted() -> bool {
 }
 
 /// Does what Ctrl-C does.
-#[cfg(feature = "emu")]
 pub(crate) fn interrupt() {
     INTERRUPTED.store(true, Ordering::Relaxed);
 }

@@ -9,6 +9,7 @@ pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
 pub(crate) mod man;
+pub(crate) mod monitor;
 pub(crate) mod motion;
 pub(crate) mod ports;
 pub(crate) mod raw;
