@@ -22,6 +22,8 @@ use tempfile::TempDir;
 
 /// Who has waited so long waits for ever.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// A key that is held repeats so often.
+const REPEAT: Duration = Duration::from_millis(33);
 
 /// `r4`, away from the user's settings.
 fn r4(args: &[&str]) -> Command {
@@ -182,6 +184,22 @@ impl OnTerminal {
         self.keys.write_all(keys.as_bytes()).expect("a terminal does this");
     }
 
+    /// Holds a key as a keyboard does, until the screen is as it should be.
+    fn hold(&mut self, key: &str, is_so: impl Fn(&str) -> bool) -> String {
+        let mut due = Instant::now();
+        loop {
+            let text = self.grid.text();
+            if is_so(&text) {
+                return text;
+            }
+            if Instant::now() >= due {
+                self.press(key);
+                due = Instant::now() + REPEAT;
+            }
+            self.look(due.saturating_duration_since(Instant::now()));
+        }
+    }
+
     fn resize(&self, columns: u16, rows: u16) {
         tcsetwinsize(&self.keys, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 })
             .expect("a terminal does this");
@@ -278,6 +296,11 @@ fn ctrl_c_and_signals_give_the_terminal_back() {
     let killed = Command::new("kill").args(["-TERM", &screen.child.id().to_string()]).status().unwrap();
     assert!(killed.success());
     screen.ends_well(0);
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "drive"]);
+    screen.until_shows("dhb0");
+    screen.press("\x03");
+    screen.ends_well(130);
+    screen.until_shows("interrupted; the board is disarmed");
 }
 
 /// A board that is served, on `--pty` or `--slcan` at this path.
@@ -322,6 +345,72 @@ fn loses_and_finds(how: &str, link_kind: &str) {
     server.wait().expect("it ran");
 }
 
+// drive
+
+/// Set point and speed of a wheel, deg/s.
+fn wheel(text: &str, channel: &str) -> Option<(f64, f64)> {
+    let line = text.lines().find(|line| line.contains(channel))?;
+    let words: Vec<&str> = line.split_whitespace().collect();
+    Some((words.get(2)?.parse().ok()?, words.get(4)?.parse().ok()?))
+}
+
+#[test]
+fn drive_turns_wheels_while_space_is_held() {
+    drives("sim:openscout");
+}
+
+#[test]
+fn drive_turns_wheels_of_a_board_on_a_can_bus() {
+    let folder = TempDir::new().unwrap();
+    let link = folder.path().join("board");
+    let mut server = serve("--slcan", &link);
+    drives(&format!("can:slcan:{}", link.display()));
+    server.kill().unwrap();
+    server.wait().unwrap();
+}
+
+fn drives(board: &str) {
+    let mut screen = OnTerminal::start(&["--board", board, "drive"]);
+    screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
+    screen.press("\r");
+    screen.until(|text| state(text) == "ARMED");
+    // Two steps forwards, one to the left; and the dead-man key only once.
+    screen.press("wwa ");
+    let text = screen.until(|text| text.contains("40 % forwards") && text.contains("20 % left"));
+    assert!(text.contains("released"), "{text}");
+    let told = |text: &str| wheel(text, "dhb0").zip(wheel(text, "dhb1"));
+    let text = screen.hold(" ", |text| {
+        told(text).is_some_and(|(left, right)| right.1 > 100.0 && left.1 > 50.0 && right.0 > left.0 && left.0 > 0.0)
+    });
+    assert!(text.contains("HELD"), "{text}");
+    // Let go.
+    let text = screen.until(|text| text.contains("released"));
+    assert_eq!(told(&text).map(|(left, right)| (left.0, right.0)), Some((0.0, 0.0)));
+    let still = |speed: f64| speed.abs() < 5.0;
+    screen.until(|text| told(text).is_some_and(|(left, right)| still(left.1) && still(right.1)));
+    assert_eq!(state(&screen.grid.text()), "ARMED");
+    screen.press("\x1b");
+    screen.until(|text| state(text) == "TRIPPED" && text.contains("host stop"));
+    screen.press("c");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn drive_ends_with_the_link() {
+    let folder = TempDir::new().unwrap();
+    let link = folder.path().join("board");
+    let mut server = serve("--pty", &link);
+    // Found by the robot's name, which the board tells.
+    let mut screen = OnTerminal::start(&["--board", &format!("serial:{}", link.display()), "drive"]);
+    screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
+    server.kill().unwrap();
+    server.wait().unwrap();
+    screen.ends_well(1);
+    screen.until_shows("r4: ");
+}
+
 /// Exit code, stdout and stderr of a run without a terminal.
 fn seen(args: &[&str]) -> (Option<i32>, String, String) {
     let output = r4(args).output().expect("r4 starts");
@@ -330,8 +419,29 @@ fn seen(args: &[&str]) -> (Option<i32>, String, String) {
 }
 
 #[test]
+fn what_cannot_be_driven_is_told_before_the_screen() {
+    for (args, word) in [
+        (["--board", "sim:osmc-bench", "drive", ""].as_slice(), "not known of this robot"),
+        (&["--board", "sim:openpodcar", "drive", ""], "front wheels"),
+        (&["--board", "sim:openscout", "drive", "--left=dhb0,dhb2", "--right=dhb0"], "named twice"),
+        (&["--board", "sim:openscout", "drive", "--left=supply0", "--right=dhb0"], "cannot be commanded"),
+        (&["--board", "sim:openscout", "drive", "--speed=1000rpm"], "takes a speed"),
+        (&["--board", "sim:openscout", "drive", "--speed=-1rpm"], "above 0"),
+        (&["--board", "sim:openscout", "drive", "--speed=90deg"], "takes as speed"),
+        (&["--board", "sim:openscout", "drive", "--gamepad"], "gamepad"),
+    ] {
+        let args: Vec<&str> = args.iter().copied().filter(|arg| !arg.is_empty()).collect();
+        let mut screen = OnTerminal::start(&args);
+        screen.ends_well(1);
+        let text = screen.until_shows("r4: ");
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(text.contains(word), "{args:?}: {text}");
+    }
+}
+
+#[test]
 fn without_a_terminal_there_is_a_message() {
-    for (verb, word) in [("monitor", "r4 watch")] {
+    for (verb, word) in [("monitor", "r4 watch"), ("drive", "r4 speed")] {
         let (code, out, err) = seen(&["--board", "sim:openscout", verb]);
         assert_eq!((code, out.as_str()), (Some(1), ""), "{err}");
         assert!(err.contains("needs a terminal") && err.contains(word), "{err}");

@@ -105,6 +105,8 @@ pub(crate) enum Command {
     Watch(Watch),
     /// Watch everything on a screen, arm, disarm, clear and stop by keys
     Monitor(crate::commands::monitor::Monitor),
+    /// Drive a robot with wheels on two sides by keys, as long as the dead-man key is held
+    Drive(crate::commands::drive::Drive),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),

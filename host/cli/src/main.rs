@@ -44,6 +44,7 @@ fn main() -> ExitCode {
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
         Command::Monitor(monitor) => commands::monitor::run(&args, monitor),
+        Command::Drive(drive) => commands::drive::run(&args, drive),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Ports => commands::ports::run(&args),

@@ -5,6 +5,7 @@ pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
+pub(crate) mod drive;
 pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;

@@ -26,6 +26,10 @@ impl<'b, N: 'b> Commands<'b, N> {
         self.waiting.push(request.map(|result| (name, result)).boxed_local());
     }
 
+    pub(crate) fn len(&self) -> usize {
+        self.waiting.len()
+    }
+
     /// The next that ends before `time` does.
     pub(crate) async fn until(&mut self, time: impl Future<Output = ()>) -> Option<(N, Result<(), Error>)> {
         let ended = async {
