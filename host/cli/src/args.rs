@@ -109,6 +109,10 @@ pub(crate) enum Command {
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
+    /// Watch everything on a screen, arm, disarm, clear and stop by keys
+    Monitor(crate::commands::monitor::Monitor),
+    /// Drive a robot with wheels on two sides by keys, as long as the dead-man key is held
+    Drive(crate::commands::drive::Drive),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),
@@ -142,6 +146,10 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bench,
     },
+    /// Print a script with which a shell completes verbs and options
+    Completions(crate::commands::completions::Completions),
+    /// Print the manual page of the program or of a verb, or write all of them
+    Man(crate::commands::man::Manual),
 }
 
 /// What is made of a virtual board.

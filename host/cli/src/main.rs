@@ -7,6 +7,7 @@ mod emulated;
 mod output;
 mod quantity;
 mod report;
+mod screen;
 mod session;
 mod table;
 
@@ -41,12 +42,16 @@ fn main() -> ExitCode {
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Monitor(monitor) => commands::monitor::run(&args, monitor),
+        Command::Drive(drive) => commands::drive::run(&args, drive),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Bridge { what } => commands::bridge::run(&args, what),
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
+        Command::Completions(completions) => commands::completions::run(completions),
+        Command::Man(manual) => commands::man::run(manual),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,
@@ -54,7 +59,10 @@ fn main() -> ExitCode {
         // Whoever reads the output has seen enough.
         Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
         // Watching ends when the person who watches says so.
-        Err(error) if error.is::<Interrupted>() && matches!(args.command, Command::Watch(_) | Command::Sim { .. }) => {
+        Err(error)
+            if error.is::<Interrupted>()
+                && matches!(args.command, Command::Watch(_) | Command::Monitor(_) | Command::Sim { .. }) =>
+        {
             ExitCode::SUCCESS
         }
         Err(error) => {

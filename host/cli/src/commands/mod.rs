@@ -2,12 +2,16 @@
 
 pub(crate) mod bench;
 pub(crate) mod bridge;
+pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
+pub(crate) mod drive;
 pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
+pub(crate) mod man;
+pub(crate) mod monitor;
 pub(crate) mod motion;
 pub(crate) mod ports;
 pub(crate) mod raw;

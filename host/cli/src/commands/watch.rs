@@ -192,8 +192,13 @@ fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     line
 }
 
+/// A sample's value in SI, if it has one.
+pub(super) fn number(info: &ChannelInfo, sample: &Sample) -> Option<f64> {
+    Value::new(info, sample).value
+}
+
 /// A sample as columns of text: value or what is wrong with it, speed, duty.
-fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
+pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     let value = Value::new(info, sample);
     let number = match *sample {
         Sample::Reading { quality, .. } if quality != Quality::Good => fault(quality).to_owned(),
