@@ -7,6 +7,7 @@ mod commands;
 mod emulated;
 mod output;
 mod quantity;
+mod record;
 mod report;
 mod session;
 mod table;
@@ -45,11 +46,17 @@ fn main() -> ExitCode {
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Bridge { what } => commands::bridge::run(&args, what),
+        Command::Log(log) => commands::log::run(&args, log),
+        Command::Report(report) => commands::report::run(&args, report),
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
     };
     match result {
+        Ok(_) if args.record.is_some() && !record::is_recorded() => {
+            eprintln!("r4: nothing was recorded: this command opens no session with a board");
+            ExitCode::FAILURE
+        }
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         // Whoever reads the output has seen enough.

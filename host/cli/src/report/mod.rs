@@ -281,6 +281,7 @@ mod tests {
             firmware: "0.1.0".into(),
             protocol_version: 1,
             channels: vec![motor],
+            seed: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..ticks {
@@ -343,6 +344,7 @@ mod tests {
             firmware: "0.1.0".into(),
             protocol_version: 3,
             channels: vec![range.clone(), encoder.clone()],
+            seed: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..200_i16 {

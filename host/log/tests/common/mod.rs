@@ -57,6 +57,7 @@ pub(crate) fn header() -> Header {
             channel(ENCODER, Unit::Rad, Range::symmetric(f32::MAX), 0.01, &[]),
             channel(RANGE, Unit::M, Range::new(0.02, 4.0), 0.0, &[]),
         ],
+        seed: Some(7),
     }
 }
 
