@@ -72,7 +72,11 @@ impl Header {
             firmware: field("firmware")?.clone(),
             protocol_version,
             channels: channels.ok_or(BadHeader::Field { key: "channels" })?,
-            seed: metadata.get("seed").map(|seed| seed.parse()).transpose().map_err(|_| BadHeader::Field { key: "seed" })?,
+            seed: metadata
+                .get("seed")
+                .map(|seed| seed.parse())
+                .transpose()
+                .map_err(|_| BadHeader::Field { key: "seed" })?,
         })
     }
 }

@@ -295,7 +295,11 @@ impl Log {
             return Err(LogError::Empty);
         }
         if !bytes.starts_with(MAGIC) {
-            return Err(if MAGIC.starts_with(bytes) { LogError::CutShort { length: bytes.len() } } else { LogError::NotMcap });
+            return Err(if MAGIC.starts_with(bytes) {
+                LogError::CutShort { length: bytes.len() }
+            } else {
+                LogError::NotMcap
+            });
         }
         let mut reader = Reader::default();
         for record in Records::new(bytes, MAGIC.len()) {
@@ -551,7 +555,11 @@ impl Reader {
     fn command(&mut self, time_s: f64, device_us: u64, data: &[u8]) -> Option<()> {
         let message: CommandMessage = serde_json::from_slice(data).ok()?;
         let (channel, mode) = (message.channel.parse().ok()?, mode_from(message.setpoint_mode)?);
-        self.commands.push(LoggedCommand { time_s, channel, setpoint: Logged { mode, value: number(message.setpoint) } });
+        self.commands.push(LoggedCommand {
+            time_s,
+            channel,
+            setpoint: Logged { mode, value: number(message.setpoint) },
+        });
         let setpoint = Setpoint { mode, value: message.setpoint.unwrap_or(f32::NAN) };
         let request = Request::Set { channel, setpoint, sent_us: device_us, ttl_ms: 0 };
         self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request });

@@ -163,9 +163,7 @@ impl RequestMessage {
                 write: written()?.as_slice().try_into().ok()?,
                 read: self.read?,
             },
-            "uart-write" => {
-                Request::UartWrite { port: self.port?, bytes: written()?.as_slice().try_into().ok()? }
-            }
+            "uart-write" => Request::UartWrite { port: self.port?, bytes: written()?.as_slice().try_into().ok()? },
             "uart-read" => Request::UartRead { port: self.port? },
             _ => return None,
         })

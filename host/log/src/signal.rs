@@ -99,11 +99,11 @@ impl Log {
             let mut add = |field: &str, kind, samples: Samples| push(&mut all, format!("{id}.{field}"), kind, samples);
             if let Some(series) = self.motor(id) {
                 let linear = series.is_linear();
-                let (position, speed) = if linear { ("position_m", "speed_m_s") } else { ("position_rad", "speed_rad_s") };
+                let (position, speed) =
+                    if linear { ("position_m", "speed_m_s") } else { ("position_rad", "speed_rad_s") };
                 for mode in MODES {
-                    let setpoint = |sample: &MotorSample| {
-                        single(sample.setpoint.value).filter(|_| sample.setpoint.mode == mode)
-                    };
+                    let setpoint =
+                        |sample: &MotorSample| single(sample.setpoint.value).filter(|_| sample.setpoint.mode == mode);
                     let samples = of(&series.samples, |sample| (sample.time_s, setpoint(sample)));
                     add(&setpoint_field("setpoint", mode, linear), Kind::Held, samples);
                 }

@@ -85,12 +85,11 @@ impl<'a> Info<'a> {
             state: change.state.to_string(),
             causes: change.causes.iter().map(|cause| cause.to_string()).collect(),
         });
-        let refusals =
-            log.refusals.iter().map(|refused| Refusal {
-                time_s: refused.time_s,
-                request: &refused.request,
-                reason: &refused.reason,
-            });
+        let refusals = log.refusals.iter().map(|refused| Refusal {
+            time_s: refused.time_s,
+            request: &refused.request,
+            reason: &refused.reason,
+        });
         let header = &log.header;
         Self {
             log: path,
@@ -125,10 +124,14 @@ impl<'a> Info<'a> {
         let seed = self.seed.map_or_else(String::new, |seed| format!(", seed {seed}"));
         output::line(format_args!("board     {}{seed}", self.board))?;
         output::line(format_args!("firmware  {}, protocol {}", self.firmware, self.protocol))?;
-        let start = self.start_s.map_or_else(String::new, |start_s| format!(", from {start_s:.3} s of the board's clock"));
+        let start =
+            self.start_s.map_or_else(String::new, |start_s| format!(", from {start_s:.3} s of the board's clock"));
         output::line(format_args!("time      {:.3} s{start}", self.duration_s))?;
         let requests: Vec<String> = self.requests.iter().map(|(name, count)| format!("{count} {name}")).collect();
-        output::line(format_args!("requests  {}", if requests.is_empty() { "none".into() } else { requests.join(", ") }))?;
+        output::line(format_args!(
+            "requests  {}",
+            if requests.is_empty() { "none".into() } else { requests.join(", ") }
+        ))?;
         for State { time_s, state, causes } in &self.states {
             output::line(format_args!("{:<10}{time_s:.3} s  {}", state, causes.join(", ")).to_string().trim_end())?;
         }

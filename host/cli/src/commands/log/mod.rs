@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Subcommand;
 use serde::Serialize;
 
@@ -53,8 +53,8 @@ pub(crate) fn run(args: &Args, log: &Log) -> anyhow::Result<bool> {
 /// Reads a log and tells on stderr what of it could not be read.
 pub(super) fn read(path: &Path) -> anyhow::Result<r4_log::Log> {
     let log = match r4_log::Log::read(path) {
-        // This one names the file.
-        Err(error @ r4_log::LogError::Io { .. }) => return Err(error.into()),
+        // This one names the file, and its source with it.
+        Err(error @ r4_log::LogError::Io { .. }) => bail!("{error}"),
         read => read.with_context(|| path.display().to_string())?,
     };
     for warning in &log.warnings {

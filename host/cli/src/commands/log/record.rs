@@ -5,6 +5,7 @@ use std::{path::PathBuf, pin::pin, time::Duration};
 use anyhow::Context;
 use futures::future::{Either, select};
 use indicatif::{ProgressBar, ProgressStyle};
+use r4_driver::Clock as _;
 use r4_protocol::ChannelId;
 use r4_sim::Pace;
 
@@ -36,17 +37,19 @@ fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
-/// How often it is looked whether the time is over, s.
-const LOOK_EVERY_S: f64 = 0.05;
+/// How often it is looked whether the recording has failed, us.
+const LOOK_EVERY_US: u64 = 50_000;
 
 pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
     let path = record.out.clone().or_else(|| args.record.clone()).map_or_else(free_name, Ok)?;
     let progress = ProgressBar::new_spinner().with_style(
-        ProgressStyle::with_template("{spinner} {elapsed} recording, {msg}").unwrap_or(ProgressStyle::default_spinner()),
+        ProgressStyle::with_template("{spinner} {elapsed} recording, {msg}")
+            .unwrap_or(ProgressStyle::default_spinner()),
     );
     progress.enable_steady_tick(Duration::from_millis(200));
     let recorded = Args { record: Some(path.clone()), ..args.clone() };
-    let session = session::run(&recorded, Pace::RealTime(1.0), async |session| follow(session, record, &progress).await);
+    let session =
+        session::run(&recorded, Pace::RealTime(1.0), async |session| follow(session, record, &progress).await);
     progress.finish_and_clear();
     match session {
         // Recording ends when the person who records says so.
@@ -84,11 +87,13 @@ async fn follow(session: &Session<'_>, record: &Record, progress: &ProgressBar) 
     for channel in channels {
         board.subscribe(channel, period_ms).await?;
     }
-    let end_s = record.seconds.map(|seconds| board.now_s() + seconds);
-    while end_s.is_none_or(|end_s| board.now_s() < end_s) {
-        let left_s = end_s.map_or(LOOK_EVERY_S, |end_s| (end_s - board.now_s()).min(LOOK_EVERY_S));
+    let clock = &session.clock;
+    let end_us = record.seconds.map(|seconds| clock.now_us() + (seconds * 1e6) as u64);
+    while end_us.is_none_or(|end_us| clock.now_us() < end_us) {
+        let look_us = clock.now_us() + LOOK_EVERY_US;
+        let until_us = end_us.map_or(look_us, |end_us| end_us.min(look_us));
         // The end of the link ends the stream; the frames themselves are the tap's.
-        if let Either::Left((frame, _)) = select(pin!(telemetry.next()), pin!(board.sleep_s(left_s))).await {
+        if let Either::Left((frame, _)) = select(pin!(telemetry.next()), pin!(clock.sleep_until(until_us))).await {
             frame?;
         }
         if let Some(tap) = &session.tap {

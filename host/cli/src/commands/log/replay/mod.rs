@@ -11,7 +11,7 @@ use futures::{
     poll,
     stream::FuturesUnordered,
 };
-use r4_driver::{Board, Clock};
+use r4_driver::{Board, Clock as _};
 use r4_log::{Difference, Log, compare};
 use r4_protocol::{Request, Unit};
 use r4_sim::Pace;
@@ -36,9 +36,10 @@ pub(crate) struct Replay {
     /// may be given several times [default: anything]
     #[arg(long, value_name = "SIGNAL=LIMIT")]
     pub(crate) within: Vec<Within>,
-    /// How many samples of a signal with a limit may be in one of the runs only, in each
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    pub(crate) one_sided: usize,
+    /// How many samples of a signal with a limit may be in one of the runs only, in each [default: 0, or 2 where the clocks
+    /// of the two are not the same]
+    #[arg(long, value_name = "N")]
+    pub(crate) one_sided: Option<usize>,
     /// Every signal must be the same to the last bit, as it is for a log of the same simulated board and seed
     #[arg(long, conflicts_with = "within")]
     pub(crate) exact: bool,
@@ -134,8 +135,10 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     }
     played.with_context(|| format!("cannot replay {}", replay.file.display()))?;
     let again = Log::from_bytes(&bytes)?;
-    let differences = compare(&log, &again, shift_s(&log, &again));
-    let report = judge(replay, &log, &plan, differences, (args.board.to_string(), seed))?;
+    let shift_s = shift_s(&log, &again);
+    let one_sided = replay.one_sided.unwrap_or(if shift_s == 0.0 { 0 } else { AT_THE_ENDS });
+    let differences = compare(&log, &again, shift_s);
+    let report = judge(replay, &log, &plan, differences, one_sided, (args.board.to_string(), seed))?;
     if args.json {
         output::json(&report)?;
     } else {
@@ -143,6 +146,9 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     }
     Ok(report.met)
 }
+
+/// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
+const AT_THE_ENDS: usize = 2;
 
 /// Sends every request at its time, and leaves when the recorded session ended.
 async fn play(session: &Session<'_>, plan: &Plan) -> anyhow::Result<()> {
@@ -236,6 +242,7 @@ fn judge(
     log: &Log,
     plan: &Plan,
     differences: Vec<Difference>,
+    one_sided: usize,
     (board, seed): (String, u64),
 ) -> anyhow::Result<Report> {
     for within in &replay.within {
@@ -251,7 +258,7 @@ fn judge(
         .map(|difference| {
             let limits = replay.within.iter().filter(|within| within.covers(&difference.name));
             let limit = limits.map(|within| within.limit).min_by(f64::total_cmp);
-            let sides = difference.one_sided.iter().all(|&samples| samples <= replay.one_sided);
+            let sides = difference.one_sided.iter().all(|&samples| samples <= one_sided);
             let near = |limit| difference.max.map_or(difference.unequal == 0, |max| max <= limit);
             let met = match limit {
                 Some(limit) => Some(near(limit) && sides),
@@ -303,7 +310,11 @@ fn print(report: &Report) -> anyhow::Result<()> {
         for row in report.signals.iter().filter(shown) {
             let verdict = match (row.met, row.limit) {
                 (Some(true), _) => "ok".into(),
-                (Some(false), Some(limit)) => format!("over {limit}"),
+                (Some(false), Some(limit)) if row.max.is_some_and(|max| max > limit) => {
+                    format!("over {}", short(Some(limit)))
+                }
+                (Some(false), Some(_)) if row.unequal > 0 && row.max.is_none() => "not the same".into(),
+                (Some(false), Some(_)) => "missing".into(),
                 (Some(false), None) => "not the same".into(),
                 (None, _) => String::new(),
             };
