@@ -298,10 +298,12 @@ fn a_served_board_is_recorded_until_ctrl_c() {
     let at: Value = serde_json::from_str(&first).unwrap_or_else(|error| panic!("{error}: {first}"));
     let board = format!("tcp:{}", at["tcp"].as_str().unwrap_or_else(|| panic!("{first}")));
     let record = ["log", "record", "--board", &board, "--out", "served.mcap", "--json"];
-    let recording = command(&folder, &record).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("r4 starts");
+    let mut recording =
+        command(&folder, &record).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("r4 starts");
     // It is under way once there is something in its file, which the first chunk's head is.
     let file = folder.path().join("served.mcap");
     while fs::metadata(&file).map_or(0, |file| file.len()) == 0 {
+        assert!(matches!(recording.try_wait(), Ok(None)), "it ended by itself");
         std::thread::yield_now();
     }
     let interrupt = Command::new("kill").args(["-INT", &recording.id().to_string()]).status();

@@ -1,5 +1,6 @@
 //! A small run to test with.
 #![allow(clippy::unwrap_used, reason = "test code")]
+#![allow(dead_code, reason = "not every test needs everything")]
 
 use std::io::Cursor;
 

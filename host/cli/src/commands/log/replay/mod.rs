@@ -306,29 +306,26 @@ fn print(report: &Report) -> anyhow::Result<()> {
     }
     let shown = |row: &&Row| row.unequal > 0 || row.one_sided != [0, 0] || row.limit.is_some();
     if report.signals.iter().any(|row| shown(&row)) {
-        let mut table = table::new(&["signal", "max", "RMS", "only log", "only replay", ""], 1..5);
+        let mut table = table::new(&["signal", "max", "RMS", "one-sided", ""], 1..4);
         for row in report.signals.iter().filter(shown) {
             let verdict = match (row.met, row.limit) {
-                (Some(true), _) => "ok".into(),
-                (Some(false), Some(limit)) if row.max.is_some_and(|max| max > limit) => {
-                    format!("over {}", short(Some(limit)))
-                }
-                (Some(false), Some(_)) if row.unequal > 0 && row.max.is_none() => "not the same".into(),
-                (Some(false), Some(_)) => "missing".into(),
-                (Some(false), None) => "not the same".into(),
-                (None, _) => String::new(),
+                (None, _) => "",
+                (Some(true), _) => "ok",
+                (Some(false), Some(limit)) if row.max.is_some_and(|max| max > limit) => "over",
+                (Some(false), Some(_)) if row.max.is_some() => "missing",
+                (Some(false), _) => "differs",
             };
             let words = || if row.unequal > 0 { format!("{} differ", row.unequal) } else { "-".into() };
             table.add_row([
                 row.signal.clone(),
                 row.max.map_or_else(words, |max| short(Some(max))),
                 short(row.rms),
-                row.one_sided[0].to_string(),
-                row.one_sided[1].to_string(),
-                verdict,
+                format!("{} / {}", row.one_sided[0], row.one_sided[1]),
+                verdict.into(),
             ]);
         }
         output::line(table)?;
+        output::line("differences in the signals' units; one-sided: samples only in the log / only in the replay")?;
     }
     let same = report.signals.iter().filter(|row| row.unequal == 0 && row.one_sided == [0, 0]).count();
     let all = report.signals.len();
