@@ -143,6 +143,13 @@ fn info_tells_what_was_done_and_what_is_missing() {
     let again = r4(&folder, &["log", "record", "osmc0", "--for", "0.1", "--pace", "max", "--json"]);
     assert_eq!(json(&again)["log"], "r4-2.mcap");
 
+    // More than the link carries.
+    let much = ["log", "record", "--board", "sim:every-interface", "--rate", "1000"];
+    let much = r4(&folder, &[&much[..], &["--for", "0.5", "--pace", "max", "--json"]].concat());
+    let missing = json(&much)["missing"].as_u64().expect("a number");
+    assert!(missing > 1000 && code(&much) == Some(1), "{missing}");
+    assert!(stderr(&much).contains(&format!("{missing} samples did not arrive")), "{}", stderr(&much));
+
     let refused = r4(&folder, &["clear", "--record", "clear.mcap"]);
     let refused_code = code(&refused);
     let info = json(&r4(&folder, &["log", "info", "clear.mcap", "--json"]));

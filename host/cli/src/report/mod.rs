@@ -239,9 +239,10 @@ fn request_table(log: &Log) -> Option<Table> {
     let mut rows: Vec<(f64, String, String)> = asked.chain(refused).collect();
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let left_out = rows.len().saturating_sub(MOST_REQUESTS);
+    let columns = if log.refusals.is_empty() { 2 } else { 3 };
     let cells = rows.into_iter().take(MOST_REQUESTS).map(|(time_s, request, reason)| {
         let time = Cell::Number { value: time_s - start_s, decimals: 3 };
-        vec![time, Cell::Text(request), Cell::Text(reason)]
+        [time, Cell::Text(request), Cell::Text(reason)].into_iter().take(columns).collect()
     });
     let column = |title: &str, unit: Option<&str>, align| Column {
         title: title.to_owned(),
@@ -251,11 +252,14 @@ fn request_table(log: &Log) -> Option<Table> {
     let table = Table {
         caption: "Requests".to_owned(),
         note: (left_out > 0).then(|| format!("{left_out} more are not shown.")),
-        columns: vec![
+        columns: [
             column("Time", Some("s"), Align::Right),
             column("Request", None, Align::Left),
             column("Refused because", None, Align::Left),
-        ],
+        ]
+        .into_iter()
+        .take(columns)
+        .collect(),
         rows: cells.collect(),
     };
     (!table.rows.is_empty()).then_some(table)
