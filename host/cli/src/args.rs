@@ -8,6 +8,7 @@ use r4_protocol::{ChannelId, message::MAX_RAW};
 use crate::{
     commands::{
         bridge::Bridge,
+        self,
         config::{Name, Scope},
     },
     quantity::Quantity,
@@ -54,6 +55,9 @@ pub(crate) struct Args {
         value_name = "LEVEL"
     )]
     pub(crate) log: Option<LogLevel>,
+    /// Record what the command does to this log: telemetry, requests and states, as `log` reads them
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -134,6 +138,11 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bridge,
     },
+    /// Record runs, look at them, and play them again on a simulated board
+    #[command(subcommand)]
+    Log(commands::log::Log),
+    /// Make an HTML page of a log: set points, plots, states
+    Report(commands::report::Report),
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to
@@ -437,7 +446,7 @@ pub(crate) struct Watch {
     pub(crate) seconds: Option<f64>,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     match text.trim_end_matches('s').parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
         _ => Err("a number of seconds above 0 and at most 1000000".into()),

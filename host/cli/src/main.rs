@@ -6,6 +6,7 @@ mod commands;
 mod emulated;
 mod output;
 mod quantity;
+mod record;
 mod report;
 mod screen;
 mod session;
@@ -47,6 +48,8 @@ fn main() -> ExitCode {
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
         Command::Bridge { what } => commands::bridge::run(&args, what),
+        Command::Log(log) => commands::log::run(&args, log),
+        Command::Report(report) => commands::report::run(&args, report),
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
@@ -54,6 +57,10 @@ fn main() -> ExitCode {
         Command::Man(manual) => commands::man::run(manual),
     };
     match result {
+        Ok(_) if args.record.is_some() && !record::is_recorded() => {
+            eprintln!("r4: nothing was recorded: this command opens no session with a board");
+            ExitCode::FAILURE
+        }
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         // Whoever reads the output has seen enough.

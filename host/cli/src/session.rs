@@ -22,6 +22,7 @@ use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 use crate::{
     args::Args,
     cable::{Cable, CableState},
+    record::{Listened, Recording, SharedTap},
 };
 
 /// What `--board` names.
@@ -122,6 +123,10 @@ pub(crate) struct Session<'s> {
     /// `None` at the end of a link.
     surroundings: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
     target: &'s Target,
+    /// What the driver's time is.
+    pub(crate) clock: HostClock,
+    /// What is recorded of this session.
+    pub(crate) tap: Option<SharedTap>,
 }
 
 impl Session<'_> {
@@ -231,7 +236,7 @@ impl FlashFile {
     }
 }
 
-/// Connects to the board that `args` name and runs `work` in a session with it.
+/// Connects to the board that `args` name and runs `work` in a session with it, which is recorded where `--record` says.
 ///
 /// Ctrl-C disarms, closes the session and is an error.
 pub(crate) fn run<T>(
@@ -239,8 +244,24 @@ pub(crate) fn run<T>(
     default_pace: Pace,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
+    match Recording::open(args)? {
+        Some(recording) => {
+            let result = run_with(args, default_pace, Some(recording.tap()), work);
+            recording.close(result)
+        }
+        None => run_with(args, default_pace, None, work),
+    }
+}
+
+/// The same, recorded by `tap`.
+pub(crate) fn run_with<T>(
+    args: &Args,
+    default_pace: Pace,
+    tap: Option<SharedTap>,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<(T, Elapsed)> {
     if let Target::Link(address) = &args.board {
-        return run_on(args, address, work);
+        return run_on(args, address, tap, work);
     }
     let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
     let (board, file) = power_up(args, &mut simulation)?;
@@ -250,8 +271,10 @@ pub(crate) fn run<T>(
     let begin = Instant::now();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
     let host_clock = HostClock::Virtual(clock.clone());
-    let host = with_board(port.rx, tx, host_clock.clone(), async |connected| {
-        let session = Session { board: connected, surroundings: Some((board.clone(), cable)), target: &args.board };
+    let (rx, tx) = (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
+    let host = with_board(rx, tx, host_clock.clone(), async |connected| {
+        let surroundings = Some((board.clone(), cable));
+        let session = Session { board: connected, surroundings, target: &args.board, clock: host_clock.clone(), tap };
         unless_interrupted(&session, host_clock, work(&session)).await
     });
     let result = simulation.block_on(host);
@@ -276,6 +299,7 @@ pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
 fn run_on<T>(
     args: &Args,
     address: &Address,
+    tap: Option<SharedTap>,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
     warn_of_virtual_options(args);
@@ -284,8 +308,10 @@ fn run_on<T>(
     let value = r4_links::block_on(async {
         let link = r4_links::open(address, key(args)?.as_ref()).await?;
         let clock = HostClock::Real(RealClock);
-        let connected = with_board(link.rx, link.tx, clock.clone(), async |connected| {
-            let session = Session { board: connected, surroundings: None, target: &args.board };
+        let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
+        let connected = with_board(rx, tx, clock.clone(), async |connected| {
+            let session =
+                Session { board: connected, surroundings: None, target: &args.board, clock: clock.clone(), tap };
             unless_interrupted(&session, clock, work(&session)).await
         });
         connected.await.with_context(|| format!("cannot connect to {}", args.board))?
