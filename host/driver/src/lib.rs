@@ -39,6 +39,7 @@ mod board;
 mod connection;
 mod error;
 mod telemetry;
+pub mod tune;
 
 pub use board::{Board, Motion, Until};
 pub use connection::with_board;
