@@ -103,6 +103,8 @@ pub(crate) enum Command {
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
+    /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
+    Tune(crate::commands::tune::Tune),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),

@@ -41,6 +41,7 @@ fn main() -> ExitCode {
         Command::Faults { index } => commands::faults::run(&args, *index),
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
+        Command::Tune(tune) => commands::tune::run(&args, tune),
         Command::Watch(watch) => commands::watch::run(&args, watch),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),

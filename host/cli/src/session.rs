@@ -1,6 +1,7 @@
 //! From `--board` to a session with that board.
 
 use std::{
+    cell::Cell,
     fs,
     future::Future,
     io,
@@ -17,6 +18,7 @@ use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
 use r4_links::{Address, BadAddress, RealClock};
+use r4_protocol::{ChannelId, Mode, config::PidGains};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
@@ -119,6 +121,8 @@ impl Clock for HostClock {
 /// A connected board, and what only the program knows about it.
 pub(crate) struct Session<'s> {
     pub(crate) board: &'s Board<HostClock>,
+    /// Gains that the board gets back when the work is done, however that ends.
+    gains_at_end: Cell<Option<(ChannelId, Mode, PidGains)>>,
     /// `None` at the end of a link.
     surroundings: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
     target: &'s Target,
@@ -126,7 +130,7 @@ pub(crate) struct Session<'s> {
 
 impl Session<'_> {
     /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
-    pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
+    pub(crate) fn true_position(&self, channel: ChannelId) -> Option<f64> {
         self.surroundings.as_ref()?.0.world().position(channel)
     }
 
@@ -138,6 +142,12 @@ impl Session<'_> {
     /// The cable to a virtual board, to cut.
     pub(crate) fn cable(&self) -> Result<&CableState, NotVirtual> {
         self.surroundings.as_ref().map(|(_, cable)| &**cable).ok_or_else(|| NotVirtual(self.target.clone()))
+    }
+
+    /// Has the board given these gains of one loop when the work is done, also when it fails or is interrupted; `None` takes
+    /// that back.
+    pub(crate) fn gains_at_end(&self, gains: Option<(ChannelId, Mode, PidGains)>) {
+        self.gains_at_end.set(gains);
     }
 
     /// Arms, runs `work`, and disarms whatever came of it.
@@ -252,7 +262,12 @@ pub(crate) fn run<T>(
     let (tx, cable) = Cable::new(port.tx, clock.clone());
     let host_clock = HostClock::Virtual(clock.clone());
     let host = with_board(port.rx, tx, host_clock.clone(), async |connected| {
-        let session = Session { board: connected, surroundings: Some((board.clone(), cable)), target: &args.board };
+        let session = Session {
+            board: connected,
+            gains_at_end: Cell::new(None),
+            surroundings: Some((board.clone(), cable)),
+            target: &args.board,
+        };
         unless_interrupted(&session, host_clock, work(&session)).await
     });
     let result = simulation.block_on(host);
@@ -283,7 +298,8 @@ fn run_on<T>(
         let link = r4_links::open(address).await?;
         let clock = HostClock::Real(RealClock);
         let connected = with_board(link.rx, link.tx, clock.clone(), async |connected| {
-            let session = Session { board: connected, surroundings: None, target: &args.board };
+            let session =
+                Session { board: connected, gains_at_end: Cell::new(None), surroundings: None, target: &args.board };
             unless_interrupted(&session, clock, work(&session)).await
         });
         connected.await.with_context(|| format!("cannot connect to {}", args.board))?
@@ -343,11 +359,16 @@ async fn unless_interrupted<T>(
             clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
         }
     };
-    match select(pin!(work), pin!(interrupt)).await {
+    let result = match select(pin!(work), pin!(interrupt)).await {
         Either::Left((result, _)) => result,
         Either::Right(((), _)) => {
             session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;
             Err(Interrupted.into())
         }
-    }
+    };
+    let Some((channel, mode, gains)) = session.gains_at_end.take() else { return result };
+    let put_back = session.board.set_gains(channel, mode, gains).await;
+    let value = result?;
+    put_back.with_context(|| format!("{channel} has other gains than it began with: restart the board"))?;
+    Ok(value)
 }

@@ -14,6 +14,7 @@ pub(crate) mod relay;
 pub(crate) mod scenario;
 pub(crate) mod serve;
 pub(crate) mod state;
+pub(crate) mod tune;
 pub(crate) mod watch;
 
 use anyhow::bail;
