@@ -1,4 +1,4 @@
-//! `r4 tune`, as the program runs it.
+//! `r4 tune` and `r4 calibrate`, as the program runs them.
 
 use std::{
     fs,
@@ -187,4 +187,22 @@ fn the_page_stands_alone() {
         assert!(page.contains(expected), "{expected}");
     }
     assert!(!page.contains("src=") && !page.contains("<script"));
+}
+
+#[test]
+fn calibration_is_kept_and_asked_for() {
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let with = ["--flash", &flash, "calibrate", "encoder", "osmc0", "--drive", "2turns"];
+    // As the board believes two turns, and as somebody says half of it.
+    let found = json(&[&with[..], &["--answers", ",360deg", "--save"]].concat());
+    assert_eq!(found["saved"], true, "{found}");
+    let counts = kept.parameter("sim:osmc-bench", "osmc0.counts_per_turn");
+    assert!((counts - 4800.0).abs() <= 6.0, "{found}");
+    assert_eq!(found["parameters"][0]["to"].as_f64(), Some(counts));
+    let with = &with[2..];
+    assert!(complaint(with).contains("nothing was answered"), "stdin is empty");
+    assert!(complaint(&[with, &["--answers", ",90V"]].concat()).contains("715deg"));
+    assert!(complaint(&[with, &["--answers", ""]].concat()).contains("--answers has none"));
+    assert!(complaint(&["calibrate", "encoder", "osmc0", "--save"]).contains("--flash"));
 }

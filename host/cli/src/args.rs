@@ -105,6 +105,8 @@ pub(crate) enum Command {
     Watch(Watch),
     /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
     Tune(crate::commands::tune::Tune),
+    /// Measure what the board must know of its encoders, potentiometers, servos and wheels
+    Calibrate(crate::commands::calibrate::Calibrate),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),

@@ -37,6 +37,7 @@ fn main() -> ExitCode {
         Command::Servo(servo) => commands::hold::servo(&args, servo),
         Command::Bldc(bldc) => commands::hold::bldc(&args, bldc),
         Command::Dac(dac) => commands::hold::dac(&args, dac),
+        Command::Calibrate(calibrate) => commands::calibrate::run(&args, calibrate),
         Command::Config(config) => commands::config::run(&args, config),
         Command::Faults { index } => commands::faults::run(&args, *index),
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),

@@ -1,6 +1,7 @@
 //! One module per verb, or per few verbs that are one thing.
 
 pub(crate) mod bench;
+pub(crate) mod calibrate;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
