@@ -7,8 +7,8 @@ use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
     commands::{
-        bridge::Bridge,
         self,
+        bridge::Bridge,
         config::{Name, Scope},
     },
     quantity::Quantity,
@@ -117,6 +117,10 @@ pub(crate) enum Command {
     Monitor(crate::commands::monitor::Monitor),
     /// Drive a robot with wheels on two sides by keys, as long as the dead-man key is held
     Drive(crate::commands::drive::Drive),
+    /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
+    Tune(crate::commands::tune::Tune),
+    /// Measure what the board must know of its encoders, potentiometers, servos and wheels
+    Calibrate(crate::commands::calibrate::Calibrate),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),

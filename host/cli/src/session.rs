@@ -1,6 +1,7 @@
 //! From `--board` to a session with that board.
 
 use std::{
+    cell::Cell,
     fs,
     future::Future,
     io,
@@ -17,6 +18,7 @@ use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
 use r4_links::{Address, BadAddress, Event, Key, RealClock, Restart, is_of_link, with_reconnect};
+use r4_protocol::{ChannelId, Mode, config::PidGains};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
@@ -120,6 +122,8 @@ impl Clock for HostClock {
 /// A connected board, and what only the program knows about it.
 pub(crate) struct Session<'s> {
     pub(crate) board: &'s Board<HostClock>,
+    /// Gains that the board gets back when the work is done, however that ends.
+    gains_at_end: Cell<Option<(ChannelId, Mode, PidGains)>>,
     /// `None` at the end of a link.
     surroundings: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
     target: &'s Target,
@@ -131,7 +135,7 @@ pub(crate) struct Session<'s> {
 
 impl Session<'_> {
     /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
-    pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
+    pub(crate) fn true_position(&self, channel: ChannelId) -> Option<f64> {
         self.surroundings.as_ref()?.0.world().position(channel)
     }
 
@@ -143,6 +147,12 @@ impl Session<'_> {
     /// The cable to a virtual board, to cut.
     pub(crate) fn cable(&self) -> Result<&CableState, NotVirtual> {
         self.surroundings.as_ref().map(|(_, cable)| &**cable).ok_or_else(|| NotVirtual(self.target.clone()))
+    }
+
+    /// Has the board given these gains of one loop when the work is done, also when it fails or is interrupted; `None` takes
+    /// that back.
+    pub(crate) fn gains_at_end(&self, gains: Option<(ChannelId, Mode, PidGains)>) {
+        self.gains_at_end.set(gains);
     }
 
     /// Arms, runs `work`, and disarms whatever came of it.
@@ -274,7 +284,14 @@ pub(crate) fn run_with<T>(
     let (rx, tx) = (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
     let host = with_board(rx, tx, host_clock.clone(), async |connected| {
         let surroundings = Some((board.clone(), cable));
-        let session = Session { board: connected, surroundings, target: &args.board, clock: host_clock.clone(), tap };
+        let session = Session {
+            board: connected,
+            gains_at_end: Cell::new(None),
+            surroundings,
+            target: &args.board,
+            clock: host_clock.clone(),
+            tap,
+        };
         unless_interrupted(&session, host_clock, work(&session)).await
     });
     let result = simulation.block_on(host);
@@ -310,8 +327,14 @@ fn run_on<T>(
         let clock = HostClock::Real(RealClock);
         let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
         let connected = with_board(rx, tx, clock.clone(), async |connected| {
-            let session =
-                Session { board: connected, surroundings: None, target: &args.board, clock: clock.clone(), tap };
+            let session = Session {
+                board: connected,
+                gains_at_end: Cell::new(None),
+                surroundings: None,
+                target: &args.board,
+                clock: clock.clone(),
+                tap,
+            };
             unless_interrupted(&session, clock, work(&session)).await
         });
         connected.await.with_context(|| format!("cannot connect to {}", args.board))?
@@ -328,7 +351,10 @@ pub(crate) fn keep<T>(
     seconds: Option<f64>,
     mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let Target::Link(address) = &args.board else { return Ok(run(args, default_pace, work)?.0) };
+    // A recording is of one session.
+    let (Target::Link(address), None) = (&args.board, &args.record) else {
+        return Ok(run(args, default_pace, work)?.0);
+    };
     warn_of_virtual_options(args);
     catch_interrupts();
     let clock = HostClock::Real(RealClock);
@@ -339,7 +365,17 @@ pub(crate) fn keep<T>(
         address,
         key.as_ref(),
         clock.clone(),
-        async |board| work(&Session { board, surroundings: None, target: &args.board }).await,
+        async |board| {
+            let session = Session {
+                board,
+                gains_at_end: Cell::new(None),
+                surroundings: None,
+                target: &args.board,
+                clock: clock.clone(),
+                tap: None,
+            };
+            work(&session).await
+        },
         |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
         |event| {
             eprintln!("r4: {}", told(&event));
@@ -429,11 +465,16 @@ async fn unless_interrupted<T>(
     clock: HostClock,
     work: impl Future<Output = anyhow::Result<T>>,
 ) -> anyhow::Result<T> {
-    match select(pin!(work), pin!(interrupted(&clock))).await {
+    let result = match select(pin!(work), pin!(interrupted(&clock))).await {
         Either::Left((result, _)) => result,
         Either::Right(((), _)) => {
             session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;
             Err(Interrupted.into())
         }
-    }
+    };
+    let Some((channel, mode, gains)) = session.gains_at_end.take() else { return result };
+    let put_back = session.board.set_gains(channel, mode, gains).await;
+    let value = result?;
+    put_back.with_context(|| format!("{channel} has other gains than it began with: restart the board"))?;
+    Ok(value)
 }

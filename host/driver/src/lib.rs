@@ -65,6 +65,7 @@ mod connection;
 mod cycles;
 mod error;
 mod streams;
+pub mod tune;
 
 pub use board::{Board, Motion, Until};
 pub use connection::with_board;

@@ -70,12 +70,27 @@ pub(crate) enum Cell {
     },
 }
 
+/// Lines against one time axis that are to be compared.
+#[derive(Clone, Debug)]
+pub(crate) struct Overlay {
+    /// What the vertical axis is, with its unit.
+    pub(crate) title: String,
+    /// Names and points (s, value): first the set point, then up to three others.
+    pub(crate) lines: Vec<(String, Vec<(f64, f64)>)>,
+}
+
 /// The page for `log`, headed `title`, with `tables` above the plots.
 #[must_use]
 pub(crate) fn html(log: &Log, title: &str, tables: &[Table]) -> String {
+    page(log, title, tables, &[])
+}
+
+/// The same with `overlays` between the tables and the plots of the log.
+#[must_use]
+pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> String {
     let mut body = String::new();
     // writing to a string does not fail
-    let _ = write_body(&mut body, log, title, tables);
+    let _ = write_body(&mut body, log, title, tables, overlays);
     // escaped text holds no "<!--", so nothing that was put in is taken for a place
     PAGE.replace("<!--title-->", &escaped(title))
         .replace("<!--style-->", STYLE.trim_end())
@@ -98,10 +113,13 @@ fn escaped(text: &str) -> String {
     html
 }
 
-fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
+fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> std::fmt::Result {
     write_head(body, log, title, tables)?;
     for table in tables {
         write_table(body, table)?;
+    }
+    for overlay in overlays {
+        write_figure(body, &channel::overlay_figure(overlay))?;
     }
     if log.states.len() > 1 {
         write_table(body, &state_table(log))?;

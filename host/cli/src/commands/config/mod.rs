@@ -142,7 +142,7 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
 }
 
 /// A simulated board has a flash of its own only while it runs.
-fn check_keeps(args: &Args) -> anyhow::Result<()> {
+pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     ensure!(
         args.flash.is_some() || matches!(args.board, Target::Link(_)),
         "{} keeps nothing from one command to the next: name a file for its flash with --flash FILE or R4_FLASH",
@@ -174,7 +174,7 @@ fn outlook(saved: bool) -> &'static str {
 }
 
 /// On a simulated board a change that is not saved ends with the command.
-fn warn_unsaved(args: &Args, saved: bool) {
+pub(super) fn warn_unsaved(args: &Args, saved: bool) {
     if !saved && matches!(args.board, Target::Sim(_) | Target::Emu(_)) {
         eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
     }
