@@ -7,8 +7,8 @@ use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
     commands::{
-        bridge::Bridge,
         self,
+        bridge::Bridge,
         config::{Name, Scope},
     },
     quantity::Quantity,

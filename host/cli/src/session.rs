@@ -329,7 +329,10 @@ pub(crate) fn keep<T>(
     seconds: Option<f64>,
     mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let Target::Link(address) = &args.board else { return Ok(run(args, default_pace, work)?.0) };
+    // A log holds one session: what is recorded ends with its link.
+    let (Target::Link(address), None) = (&args.board, &args.record) else {
+        return Ok(run(args, default_pace, work)?.0);
+    };
     warn_of_virtual_options(args);
     catch_interrupts();
     let clock = HostClock::Real(RealClock);
@@ -340,7 +343,10 @@ pub(crate) fn keep<T>(
         address,
         key.as_ref(),
         clock.clone(),
-        async |board| work(&Session { board, surroundings: None, target: &args.board }).await,
+        async |board| {
+            let session = Session { board, surroundings: None, target: &args.board, clock: clock.clone(), tap: None };
+            work(&session).await
+        },
         |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
         |event| {
             eprintln!("r4: {}", told(&event));
