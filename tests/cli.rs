@@ -869,8 +869,8 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["--board", "osmc-bench", "info"], &["osmc-bench", "sim:osmc-bench"]),
         (&["--board", "", "info"], &["sim:osmc-bench"]),
         (&["--board", "sim:", "info"], &["sim:osmc-bench"]),
-        (&["--board", "serial:/dev/ttyACM0", "info"], &["serial:/dev/ttyACM0", "this version", "sim:osmc-bench"]),
-        (&["--board", "can:can0", "info"], &["this version", "sim:osmc-bench"]),
+        (&["--board", "usb:1", "info"], &["usb:1", "serial:", "sim:osmc-bench"]),
+        (&["--board", "can:can0", "info"], &["can:can0", "can:slcan:"]),
         (&["--board", &no_file, "info"], &["none.toml", "cannot be read"]),
         // Which channel.
         (&["move", "osmc9", "90deg"], &["osmc9", "`r4 info`"]),

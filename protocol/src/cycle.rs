@@ -32,6 +32,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    Setpoint,
     channel::{ChannelId, Mode},
     state::{Causes, SafetyState},
 };
@@ -72,12 +73,26 @@ impl CycleChannel {
         }
     }
 
+    /// What `steps` of a cycle mean for it: in the cycle's `mode`, or in its own. `None` for [`NOTHING`].
+    ///
+    /// # Errors
+    /// [`Unscaled`] in a mode that no cycle carries.
+    pub fn setpoint(&self, mode: Option<Mode>, steps: i16) -> Result<Option<Setpoint>, Unscaled> {
+        let mode = mode.unwrap_or(self.mode);
+        let scale = self.scale(mode).ok_or(Unscaled)?;
+        Ok((steps != NOTHING).then(|| Setpoint { mode, value: f32::from(steps) * scale }))
+    }
+
     /// Whether both scales are finite and above 0.
     #[must_use]
     pub fn is_scaled(&self) -> bool {
         [self.position_scale, self.speed_scale].into_iter().all(|scale| scale.is_finite() && scale > 0.0)
     }
 }
+
+/// No cycle carries set points of this mode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unscaled;
 
 /// The number of steps nearest to `value`, or `None` when that is not within ±32767.
 #[must_use]

@@ -26,7 +26,7 @@ pub mod parameter;
 pub mod state;
 
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
-pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState};
+pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unscaled};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use message::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,

@@ -95,9 +95,8 @@ impl Bound {
     ) -> Result<Vec<(Place, Setpoint), CYCLE_CHANNELS>, Refused> {
         let all_in = cycle.mode().map_err(|_| Refused)?;
         let mut setpoints = Vec::new();
-        for ((channel, place), steps) in self.channels.iter().zip(cycle.set()).filter(|(_, steps)| *steps != NOTHING) {
-            let mode = all_in.unwrap_or(channel.mode);
-            let setpoint = Setpoint { mode, value: f32::from(steps) * channel.scale(mode).ok_or(Refused)? };
+        for ((channel, place), steps) in self.channels.iter().zip(cycle.set()) {
+            let Some(setpoint) = channel.setpoint(all_in, steps).map_err(|_| Refused)? else { continue };
             check_setpoint(channel.channel, &modes_of(shared.config(), *place), setpoint).map_err(|_| Refused)?;
             setpoints.push((*place, setpoint)).map_err(|_| Refused)?;
         }

@@ -36,7 +36,7 @@ pub(crate) struct Args {
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
     /// File with the key of a board that is served with one at tcp:
-    #[arg(long, global = true, env = "R4_KEY", value_name = "FILE")]
+    #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
     pub(crate) key: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
@@ -193,7 +193,7 @@ pub(crate) struct Serve {
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "slcan")]
     pub(crate) node: u8,
     /// Let other machines connect to --tcp; needs --key
-    #[arg(long, requires_all = ["tcp", "key"])]
+    #[arg(long, requires_all = ["tcp", "key_file"])]
     pub(crate) public: bool,
 }
 

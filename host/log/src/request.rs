@@ -79,6 +79,7 @@ pub fn request_name(request: &Request) -> &'static str {
         Request::I2cTransfer { .. } => "i2c",
         Request::UartWrite { .. } => "uart-write",
         Request::UartRead { .. } => "uart-read",
+        Request::Bind { .. } => "bind",
     }
 }
 
@@ -101,7 +102,9 @@ impl RequestMessage {
     pub(crate) fn new(request: &Request) -> Option<Self> {
         let mut message = Self { request: request_name(request).to_owned(), ..Self::default() };
         match request {
-            Request::Set { .. }
+            // The set points of its cycles are recorded as such.
+            Request::Bind { .. }
+            | Request::Set { .. }
             | Request::Hello { .. }
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }

@@ -5,7 +5,9 @@ use std::{
     io::{Seek, Write},
 };
 
-use r4_protocol::{ChannelInfo, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION};
+use r4_protocol::{
+    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION,
+};
 
 use crate::{Header, RecordError, Recorder};
 
@@ -34,6 +36,8 @@ pub struct Tap<W: Write + Seek> {
     channels: Vec<ChannelInfo>,
     /// Requests without an answer, and when each was sent.
     waiting: BTreeMap<u16, (u64, Request)>,
+    /// What cycles set, and how long that holds, ms.
+    bound: (Vec<CycleChannel>, u16),
     clock: Option<Offset>,
     samples: u64,
     bad_frames: u64,
@@ -62,6 +66,7 @@ impl<W: Write + Seek> Tap<W> {
             info: None,
             channels: Vec::new(),
             waiting: BTreeMap::new(),
+            bound: (Vec::new(), 0),
             clock: None,
             samples: 0,
             bad_frames: 0,
@@ -150,7 +155,18 @@ impl<W: Write + Seek> Tap<W> {
     }
 
     fn host_says(&mut self, now_us: u64, message: ToDevice) -> Result<(), RecordError> {
-        let ToDevice::Request { seq, request } = message else { return Ok(()) };
+        let (seq, request) = match message {
+            ToDevice::Request { seq, request } => (seq, request),
+            ToDevice::Cycle(cycle) => return self.cycle(now_us, cycle),
+            ToDevice::Heartbeat { .. } => return Ok(()),
+        };
+        // Sent again because the answer did not come.
+        if self.waiting.get(&seq).is_some_and(|(_, waiting)| *waiting == request) {
+            return Ok(());
+        }
+        if let Request::Bind { channels, ttl_ms } = &request {
+            self.bound = (channels.to_vec(), *ttl_ms);
+        }
         let begin_us = *self.begin_us.get_or_insert(now_us);
         let device_us = match request {
             // What the board compares with its clock.
@@ -168,6 +184,20 @@ impl<W: Write + Seek> Tap<W> {
         }
         self.waiting.insert(seq, (now_us, request));
         recorded
+    }
+
+    /// Set points like any others.
+    fn cycle(&mut self, now_us: u64, cycle: Cycle) -> Result<(), RecordError> {
+        let sent_us = self.device_us(now_us);
+        let (Some(begin_us), Ok(mode)) = (self.begin_us, cycle.mode()) else { return Ok(()) };
+        let (channels, ttl_ms) = self.bound.clone();
+        for (channel, steps) in channels.iter().zip(cycle.set()) {
+            if let (Ok(Some(setpoint)), Some(recorder)) = (channel.setpoint(mode, steps), self.recorder()) {
+                let request = Request::Set { channel: channel.channel, setpoint, sent_us, ttl_ms };
+                recorder.request(sent_us, Some(now_us.saturating_sub(begin_us)), &request)?;
+            }
+        }
+        Ok(())
     }
 
     fn board_says(&mut self, now_us: u64, message: ToHost) -> Result<(), RecordError> {
@@ -196,6 +226,8 @@ impl<W: Write + Seek> Tap<W> {
                 self.clock_seen(host_us, device_us, now_us);
                 self.recorder().map_or(Ok(()), |recorder| recorder.state(device_us, state, causes))
             }
+            // What it measures is in telemetry, too.
+            ToHost::Cycle(_) => Ok(()),
             ToHost::Telemetry(telemetry) => {
                 let Some(recorder) = self.recorder() else { return Ok(()) };
                 recorder.telemetry(&telemetry)?;

@@ -129,7 +129,8 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
         return Ok(Place::Port(pty, Receiver::Slcan(rx), Transmitter::Slcan(tx)));
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
-    if !address.ip().is_loopback() && !(serve.public && args.key.is_some()) {
+    let only_for_some = serve.public && args.key.is_some();
+    if !address.ip().is_loopback() && !only_for_some {
         bail!(
             "{address} can be reached from other machines, and whoever reaches it moves the robot: serve it on 127.0.0.1, or \
              with --public and a --key that only those have who may"

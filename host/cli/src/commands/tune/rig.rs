@@ -92,6 +92,7 @@ impl<'b> Rig<'b> {
             firmware: board.info().firmware.to_string(),
             protocol_version: r4_protocol::VERSION,
             channels: vec![info.clone()],
+            seed: None,
         };
         let recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
         let telemetry = board.telemetry();

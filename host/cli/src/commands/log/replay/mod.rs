@@ -220,6 +220,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::UartRead { port } => board.uart_read(*port).await.map(|_| ()),
             // The driver's own, when a session is opened and closed, and questions that are not recorded.
             Request::Hello { .. }
+            | Request::Bind { .. }
             | Request::Bye
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }
