@@ -78,9 +78,12 @@ impl CycleChannel {
     /// # Errors
     /// [`Unscaled`] in a mode that no cycle carries.
     pub fn setpoint(&self, mode: Option<Mode>, steps: i16) -> Result<Option<Setpoint>, Unscaled> {
+        if steps == NOTHING {
+            return Ok(None);
+        }
         let mode = mode.unwrap_or(self.mode);
         let scale = self.scale(mode).ok_or(Unscaled)?;
-        Ok((steps != NOTHING).then(|| Setpoint { mode, value: f32::from(steps) * scale }))
+        Ok(Some(Setpoint { mode, value: f32::from(steps) * scale }))
     }
 
     /// Whether both scales are finite and above 0.
