@@ -83,7 +83,7 @@ const VERBS: [&[&str]; 18] = [
     &["step", "stepper0", "20"],
     &["servo", "servo0", "10deg", "--for", "0.1"],
     &["relay", "relay1", "on", "--for", "0.1"],
-    &["bldc", "bldc0", "0.2", "--for", "0.1"],
+    &["bldc", "bldc0", "0.1", "--for", "0.8"],
     &["dac", "dac0", "1V", "--for", "0.1"],
     &["watch", "osmc0", "--for", "0.3", "--json"],
     &["config", "show", "osmc0"],
@@ -173,6 +173,11 @@ enum Fault {
     Stalls,
 }
 
+/// One write in so many is touched: of the three attempts that a request has, all fail once in some 10 000.
+const RARELY: u32 = 40;
+/// Bytes of a frame, about.
+const BYTES: u32 = 30;
+
 /// A line with a fault between a served board and whoever opens `board`.
 struct Proxy {
     board: String,
@@ -259,17 +264,20 @@ impl Line {
         let fault = self.fault;
         match fault {
             Fault::SingleBytes => bytes.iter().map(|byte| vec![*byte]).collect(),
-            Fault::Garbage if self.one_in(10) => {
+            Fault::Garbage if self.one_in(RARELY) => {
                 let garbage = (0..40).map(|_| self.random.next_u32() as u8).collect();
                 vec![garbage, bytes.to_vec()]
             }
-            Fault::Dropped => vec![bytes.iter().copied().filter(|_| !self.one_in(400)).collect()],
+            Fault::Dropped => vec![bytes.iter().copied().filter(|_| !self.one_in(RARELY * BYTES)).collect()],
             Fault::Repeated => {
                 vec![
-                    bytes.iter().flat_map(|byte| if self.one_in(400) { vec![*byte; 2] } else { vec![*byte] }).collect(),
+                    bytes
+                        .iter()
+                        .flat_map(|byte| if self.one_in(RARELY * BYTES) { vec![*byte; 2] } else { vec![*byte] })
+                        .collect(),
                 ]
             }
-            Fault::Cut if self.one_in(15) => vec![bytes[..bytes.len() / 2].to_vec()],
+            Fault::Cut if self.one_in(RARELY) => vec![bytes[..bytes.len() / 2].to_vec()],
             Fault::Stalls if self.stalled.elapsed() > Duration::from_secs(1) => {
                 // The line's own time, not the test's.
                 thread::sleep(Duration::from_millis(300));
