@@ -870,7 +870,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["--board", "", "info"], &["sim:osmc-bench"]),
         (&["--board", "sim:", "info"], &["sim:osmc-bench"]),
         (&["--board", "usb:1", "info"], &["usb:1", "serial:", "sim:osmc-bench"]),
-        (&["--board", "can:can0", "info"], &["can:can0", "can:slcan:"]),
+        (&["--board", "can:slcan", "info"], &["can:slcan", "can:can0", "can:slcan:"]),
         (&["--board", &no_file, "info"], &["none.toml", "cannot be read"]),
         // Which channel.
         (&["move", "osmc9", "90deg"], &["osmc9", "`r4 info`"]),

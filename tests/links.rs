@@ -113,7 +113,7 @@ fn what_is_not_there_is_named() {
     all_refused([
         (&["--board", "serial:/dev/nothing-here", "info"][..], &["/dev/nothing-here does not exist", "r4 ports"][..]),
         (&["--board", "tcp:127.0.0.1:9", "info"], &["127.0.0.1:9 does not answer"]),
-        (&["--board", "can:can", "info"], &["can:slcan:"]),
+        (&["--board", "can:no-such-can", "info"], &["no CAN interface no-such-can", "ip link", "can:slcan:"]),
         (&["--board", "serial:/dev/null", "scenario", "a.toml"], &["a.toml"]),
         (&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0"], &["from other machines"]),
         (&["sim", "serve", "osmc-bench"], &["--pty"]),

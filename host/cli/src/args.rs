@@ -23,7 +23,7 @@ use crate::{
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
-    /// serial:/dev/ttyACM0[@BAUD], serial:auto, tcp:HOST:PORT, can:slcan:/dev/ttyACM1[#NODE]
+    /// serial:/dev/ttyACM0[@BAUD], serial:auto, tcp:HOST:PORT, can:can0[#NODE], can:slcan:/dev/ttyACM1[#NODE]
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
@@ -173,7 +173,8 @@ pub(crate) enum Sim {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-#[command(group = ArgGroup::new("where").required(true).args(["pty", "tcp", "slcan"]))]
+#[command(group = ArgGroup::new("where").required(true).args(["pty", "tcp", "slcan", "can"]))]
+#[command(group = ArgGroup::new("bus").args(["slcan", "can"]))]
 pub(crate) struct Serve {
     /// A robot's name or file, on the emulated board with `emu:` before it
     #[arg(value_name = "ROBOT", value_parser = virtual_board)]
@@ -189,8 +190,11 @@ pub(crate) struct Serve {
     #[arg(long, num_args = 0..=1, require_equals = true, value_name = "LINK")]
     #[expect(clippy::option_option, reason = "not given, given without a path, given with one")]
     pub(crate) slcan: Option<Option<PathBuf>>,
+    /// On a CAN interface of Linux, as in vcan0
+    #[arg(long, value_name = "INTERFACE")]
+    pub(crate) can: Option<String>,
     /// The board's number on the CAN bus
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "slcan")]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "bus")]
     pub(crate) node: u8,
     /// Let other machines connect to --tcp; needs --key
     #[arg(long, requires_all = ["tcp", "key_file"])]

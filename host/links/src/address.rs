@@ -1,4 +1,5 @@
-//! How links are named: `serial:/dev/ttyACM0`, `tcp:localhost:4444`, `can:slcan:/dev/ttyACM1#5`.
+//! How links are named: `serial:/dev/ttyACM0`, `tcp:localhost:4444`, `can:can0`,
+//! `can:slcan:/dev/ttyACM1#5`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
@@ -36,6 +37,8 @@ pub enum Address {
 /// How a CAN bus is reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CanInterface {
+    /// By an interface of Linux, as in `can0`.
+    Socket(String),
     /// By an adapter of the CANable type, which speaks slcan on a serial port.
     Slcan(PathBuf),
 }
@@ -44,7 +47,9 @@ pub enum CanInterface {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadAddress {
     /// Not one of the kinds.
-    #[error("`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT or can:slcan:/dev/ttyACM0[#NODE]")]
+    #[error(
+        "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[#NODE]"
+    )]
     Kind(String),
     /// What follows `@` is no rate.
     #[error("`{0}`: after @ comes a rate in bits per second, as in serial:/dev/ttyUSB0@1000000")]
@@ -53,7 +58,7 @@ pub enum BadAddress {
     #[error("`{0}`: tcp: needs a host and a port, as in tcp:localhost:4444 or tcp:[::1]:4444")]
     Port(String),
     /// A number that no board can have.
-    #[error("`{0}`: a board on a bus has a number from 0 to {last}, as in can:slcan:/dev/ttyACM0#5", last = Node::COUNT - 1)]
+    #[error("`{0}`: a board on a bus has a number from 0 to {last}, as in can:can0#5", last = Node::COUNT - 1)]
     Node(String),
 }
 
@@ -82,18 +87,28 @@ impl FromStr for Address {
                 }
             }
             Some(("can", rest)) => {
-                let rest =
-                    rest.strip_prefix("slcan:").filter(|rest| !rest.is_empty()).ok_or(BadAddress::Kind(whole()))?;
-                let (path, node) = match rest.rsplit_once('#') {
-                    Some((path, node)) => (path, node.parse().ok()),
+                let (name, node) = match rest.rsplit_once('#') {
+                    Some((name, node)) => (name, node.parse().ok()),
                     None => (rest, Some(0)),
                 };
+                let interface = match name.strip_prefix("slcan:") {
+                    Some(path) if !path.is_empty() => CanInterface::Slcan(path.into()),
+                    None if is_interface(name) => CanInterface::Socket(name.to_owned()),
+                    _ => return Err(BadAddress::Kind(whole())),
+                };
                 let node = node.and_then(Node::new).ok_or(BadAddress::Node(whole()))?;
-                Ok(Self::Can { interface: CanInterface::Slcan(path.into()), node })
+                Ok(Self::Can { interface, node })
             }
             _ => Err(BadAddress::Kind(whole())),
         }
     }
+}
+
+/// Whether the kernel could have an interface of this name (`dev_valid_name` in its net/core/dev.c). The word for adapters
+/// alone lacks their port.
+fn is_interface(name: &str) -> bool {
+    let good = |char: char| char != '/' && char != ':' && !char.is_whitespace();
+    (1..16).contains(&name.len()) && ![".", "..", "slcan"].contains(&name) && name.chars().all(good)
 }
 
 impl fmt::Display for Address {
@@ -106,6 +121,7 @@ impl fmt::Display for Address {
             }
             Self::Tcp { host, port } if host.contains(':') => write!(f, "tcp:[{host}]:{port}"),
             Self::Tcp { host, port } => write!(f, "tcp:{host}:{port}"),
+            Self::Can { interface: CanInterface::Socket(name), node } => write!(f, "can:{name}#{}", node.number()),
             Self::Can { interface: CanInterface::Slcan(path), node } => {
                 write!(f, "can:slcan:{}#{}", path.display(), node.number())
             }
@@ -127,12 +143,16 @@ mod tests {
             "tcp:localhost:4444",
             "tcp:[::1]:4444",
             "can:slcan:/dev/ttyACM1#5",
+            "can:can0#127",
         ] {
             let address: Address = text.parse().expect(text);
             assert_eq!(address.to_string(), text);
         }
         let node_0: Address = "can:slcan:/dev/ttyACM1".parse().expect("node 0");
         assert_eq!(node_0.to_string(), "can:slcan:/dev/ttyACM1#0");
+        let socket =
+            Address::Can { interface: CanInterface::Socket("vcan0".into()), node: Node::new(0).expect("in range") };
+        assert_eq!("can:vcan0".parse(), Ok(socket));
     }
 
     #[test]
@@ -146,6 +166,12 @@ mod tests {
             ("tcp::80", BadAddress::Port("tcp::80".into())),
             ("tcp:host:0", BadAddress::Port("tcp:host:0".into())),
             ("can:slcan:", BadAddress::Kind("can:slcan:".into())),
+            ("can:slcan", BadAddress::Kind("can:slcan".into())),
+            ("can:", BadAddress::Kind("can:".into())),
+            ("can:#1", BadAddress::Kind("can:#1".into())),
+            ("can:/dev/can0", BadAddress::Kind("can:/dev/can0".into())),
+            ("can:a-name-of-16-bytes", BadAddress::Kind("can:a-name-of-16-bytes".into())),
+            ("can:can0#five", BadAddress::Node("can:can0#five".into())),
             ("can:slcan:/dev/x#128", BadAddress::Node("can:slcan:/dev/x#128".into())),
         ] {
             assert_eq!(text.parse::<Address>(), Err(error), "{text}");

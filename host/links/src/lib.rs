@@ -21,6 +21,9 @@
 
 mod address;
 pub mod blocking;
+pub mod bus;
+#[cfg(target_os = "linux")]
+pub mod can;
 mod clock;
 mod descriptor;
 pub mod legacy;

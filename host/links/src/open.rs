@@ -11,9 +11,10 @@ use std::{
 use async_io::Timer;
 use embedded_io_async::{ErrorType, Read, Write};
 use futures::future::{Either, select};
-use r4_protocol::can::{Direction, Node};
 
 use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, Key, ports, secure, serial, slcan};
+#[cfg(target_os = "linux")]
+use crate::{bus, can};
 
 /// A connection that is not answered within this time is given up.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -34,6 +35,9 @@ pub enum Receiver {
     Bytes(Descriptor),
     /// From an adapter, in frames.
     Slcan(slcan::Receiver),
+    /// From an interface of Linux, in frames.
+    #[cfg(target_os = "linux")]
+    Can(can::Receiver),
     /// In records that only the holder of the key can make.
     Secure(secure::Receiver),
 }
@@ -45,6 +49,9 @@ pub enum Transmitter {
     Bytes(Descriptor),
     /// Through an adapter, in frames.
     Slcan(slcan::Transmitter),
+    /// Through an interface of Linux, in frames.
+    #[cfg(target_os = "linux")]
+    Can(can::Transmitter),
     /// In records that only the holder of the key can make.
     Secure(secure::Transmitter),
 }
@@ -81,6 +88,14 @@ pub enum OpenError {
         /// How that was noticed.
         reason: String,
     },
+    /// Linux knows why there is no CAN.
+    #[cfg(target_os = "linux")]
+    #[error(transparent)]
+    Can(#[from] can::CanError),
+    /// Interfaces for CAN are Linux's.
+    #[cfg(not(target_os = "linux"))]
+    #[error("{0}: only Linux has interfaces for CAN; use an adapter with slcan, as in can:slcan:/dev/ttyACM0")]
+    NotLinux(Address),
     /// Anything else that the operating system says.
     #[error("cannot open {what}: {source}")]
     System {
@@ -123,6 +138,13 @@ pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenErro
                 .map_err(|source| OpenError::System { what: path.display().to_string(), source })?;
             Ok(Link { rx: Receiver::Slcan(rx), tx: Transmitter::Slcan(tx) })
         }
+        #[cfg(target_os = "linux")]
+        Address::Can { interface: CanInterface::Socket(interface), node } => {
+            let (rx, tx) = can::open(interface, bus::End::Host(*node))?;
+            Ok(Link { rx: Receiver::Can(rx), tx: Transmitter::Can(tx) })
+        }
+        #[cfg(not(target_os = "linux"))]
+        Address::Can { interface: CanInterface::Socket(_), .. } => Err(OpenError::NotLinux(address.clone())),
     }
 }
 
@@ -204,6 +226,8 @@ impl Read for Receiver {
         match self {
             Self::Bytes(descriptor) => descriptor.read(buffer).await,
             Self::Slcan(frames) => frames.read(buffer).await,
+            #[cfg(target_os = "linux")]
+            Self::Can(frames) => frames.read(buffer).await,
             Self::Secure(records) => records.read(buffer).await,
         }
     }
@@ -218,6 +242,8 @@ impl Write for Transmitter {
         match self {
             Self::Bytes(descriptor) => descriptor.write(bytes).await,
             Self::Slcan(frames) => frames.write(bytes).await,
+            #[cfg(target_os = "linux")]
+            Self::Can(frames) => frames.write(bytes).await,
             Self::Secure(records) => records.write(bytes).await,
         }
     }
@@ -225,9 +251,4 @@ impl Write for Transmitter {
     async fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
-}
-
-/// The identifiers that a host listens to and sends with.
-pub(crate) fn identifiers(node: Node) -> (u16, u16) {
-    (node.identifier(Direction::ToHost), node.identifier(Direction::ToDevice))
 }

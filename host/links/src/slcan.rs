@@ -12,7 +12,10 @@ use std::io;
 use embedded_io_async::{ErrorType, Read, Write};
 use r4_protocol::can::{MAX_DATA, Node, cut};
 
-use crate::{Descriptor, open::identifiers};
+use crate::{
+    Descriptor,
+    bus::{Assembly, End},
+};
 
 /// Longest line that is a frame: `t`, identifier, length, data.
 const LONGEST: usize = 1 + 3 + 1 + 2 * MAX_DATA;
@@ -115,14 +118,12 @@ impl Parser {
     }
 }
 
-/// A board's bytes, out of the frames with one identifier.
+/// Bytes, out of the frames for one end.
 #[derive(Debug)]
 pub struct Receiver {
     port: Descriptor,
     parser: Parser,
-    identifier: u16,
-    /// Received and not read yet.
-    waiting: Vec<u8>,
+    assembly: Assembly,
 }
 
 /// Bytes into frames with one identifier.
@@ -134,18 +135,17 @@ pub struct Transmitter {
 
 /// Opens the bus of an adapter, for a host of the board `node`.
 pub(crate) async fn host(mut port: Descriptor, node: Node) -> io::Result<(Receiver, Transmitter)> {
-    let (listen, send) = identifiers(node);
     // Ends what another program may have left half said, closes the bus, which is no error when it is closed, chooses the
     // rate and opens.
     port.write_all(b"\r\rC\rS8\rO\r").await?;
-    Ok(ends(port, listen, send))
+    Ok(ends(port, End::Host(node)))
 }
 
-/// Both directions on a port, whichever side of the adapter it is.
+/// Both directions on a port that is an adapter, or pretends to be one.
 #[must_use]
-pub fn ends(port: Descriptor, listen: u16, send: u16) -> (Receiver, Transmitter) {
-    let receiver = Receiver { port: port.clone(), parser: Parser::default(), identifier: listen, waiting: Vec::new() };
-    (receiver, Transmitter { port, identifier: send })
+pub fn ends(port: Descriptor, end: End) -> (Receiver, Transmitter) {
+    let receiver = Receiver { port: port.clone(), parser: Parser::default(), assembly: Assembly::new(end) };
+    (receiver, Transmitter { port, identifier: end.sends_with() })
 }
 
 impl ErrorType for Receiver {
@@ -154,24 +154,22 @@ impl ErrorType for Receiver {
 
 impl Read for Receiver {
     async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        while self.waiting.is_empty() {
+        loop {
+            let len = self.assembly.read(buffer);
+            if len > 0 || buffer.is_empty() {
+                return Ok(len);
+            }
             let mut text = [0; 512];
             let len = self.port.read(&mut text).await?;
             if len == 0 {
                 return Ok(0);
             }
             for byte in &text[..len] {
-                if let Some(Line::Frame(frame)) = self.parser.push(*byte)
-                    && frame.identifier == self.identifier
-                {
-                    self.waiting.extend_from_slice(frame.data());
+                if let Some(Line::Frame(frame)) = self.parser.push(*byte) {
+                    self.assembly.take(frame.identifier, frame.data());
                 }
             }
         }
-        let len = buffer.len().min(self.waiting.len());
-        buffer[..len].copy_from_slice(&self.waiting[..len]);
-        self.waiting.drain(..len);
-        Ok(len)
     }
 }
 

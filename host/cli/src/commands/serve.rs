@@ -18,8 +18,8 @@ use anyhow::{Context, anyhow, bail};
 use async_io::{Async, Timer};
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, pty::Pty, secure, slcan};
-use r4_protocol::can::{Direction, Node};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, pty::Pty, secure, slcan};
+use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
 use serde::Serialize;
@@ -49,12 +49,14 @@ enum Where {
     Pty(PathBuf),
     Tcp(String),
     Slcan(PathBuf),
+    #[cfg(target_os = "linux")]
+    Can(String),
 }
 
 /// What the board is connected to.
 enum Place {
     /// One client, or none, all the time.
-    Port(Pty, Receiver, Transmitter),
+    Port(Option<Pty>, Receiver, Transmitter),
     /// Clients come and go.
     Listener(Async<TcpListener>, Option<Key>),
 }
@@ -114,19 +116,24 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
         }
         Ok((pty, path))
     };
+    let end = || {
+        let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1));
+        node.map(End::Board)
+    };
     if let Some(link) = &serve.pty {
         let (pty, path) = terminal(link)?;
         output::json(&Where::Pty(path))?;
         let (rx, tx) = bytes(&pty.descriptor);
-        return Ok(Place::Port(pty, rx, tx));
+        return Ok(Place::Port(Some(pty), rx, tx));
     }
     if let Some(link) = &serve.slcan {
         let (pty, path) = terminal(link)?;
         output::json(&Where::Slcan(path))?;
-        let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1))?;
-        let (listen, send) = (node.identifier(Direction::ToDevice), node.identifier(Direction::ToHost));
-        let (rx, tx) = slcan::ends(pty.descriptor.clone(), listen, send);
-        return Ok(Place::Port(pty, Receiver::Slcan(rx), Transmitter::Slcan(tx)));
+        let (rx, tx) = slcan::ends(pty.descriptor.clone(), end()?);
+        return Ok(Place::Port(Some(pty), Receiver::Slcan(rx), Transmitter::Slcan(tx)));
+    }
+    if let Some(interface) = &serve.can {
+        return bus(interface, end()?);
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
     let only_for_some = serve.public && args.key.is_some();
@@ -140,6 +147,18 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
     output::json(&Where::Tcp(at.to_string()))?;
     Ok(Place::Listener(listener, session::key(args)?))
+}
+
+#[cfg(target_os = "linux")]
+fn bus(interface: &str, end: End) -> anyhow::Result<Place> {
+    let (rx, tx) = r4_links::can::open(interface, end)?;
+    output::json(&Where::Can(interface.to_owned()))?;
+    Ok(Place::Port(None, Receiver::Can(rx), Transmitter::Can(tx)))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn bus(interface: &str, _: End) -> anyhow::Result<Place> {
+    bail!("{interface}: only Linux has interfaces for CAN; serve the board with --slcan")
 }
 
 fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
@@ -240,7 +259,8 @@ impl<'s> Served<'s> {
             match len {
                 Ok(len) if len > 0 => self.receive(&buffer[..len])?,
                 // A client that is gone.
-                Ok(_) | Err(_) => return Err(Gone.into()),
+                Ok(_) => return Err(Gone(None).into()),
+                Err(error) => return Err(Gone(Some(error)).into()),
             }
         }
     }
@@ -306,7 +326,7 @@ impl<'s> Served<'s> {
 /// A client is gone.
 #[derive(Debug, thiserror::Error)]
 #[error("the client is gone")]
-struct Gone;
+struct Gone(#[source] Option<io::Error>);
 
 /// Connects to a board that has started: tasks in the simulation take what it sends, and note that it wants to restart.
 fn connect(
