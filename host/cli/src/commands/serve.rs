@@ -18,7 +18,7 @@ use anyhow::{Context, anyhow, bail};
 use async_io::{Async, Timer};
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, pty::Pty, secure, slcan};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, monotonic_ns, pty::Pty, secure, slcan};
 use r4_protocol::can::{Direction, Node};
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -42,13 +42,30 @@ const GREETING: Duration = Duration::from_secs(2);
 /// Bytes for a client that does not read, before they are dropped.
 const OUTBOX: usize = 16 * 1024;
 
-/// Where the board is, on the first line.
+/// Where the board is.
 #[derive(Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Where {
     Pty(PathBuf),
     Tcp(String),
     Slcan(PathBuf),
+}
+
+/// The first line.
+#[derive(Serialize)]
+struct FirstLine {
+    #[serde(flatten)]
+    place: Where,
+    /// What CLOCK_MONOTONIC shows at virtual time 0, when a simulated board's clock starts: so whoever talks to the board can
+    /// tell how well it knows that clock.
+    epoch_ns: u64,
+}
+
+/// A later line: from a moment of virtual time on the epoch is another, because time was left out.
+#[derive(Serialize)]
+struct Shifted {
+    epoch_ns: u64,
+    from_ns: u64,
 }
 
 /// What the board is connected to.
@@ -71,8 +88,10 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     }
     session::catch_interrupts();
     let links = Links::default();
-    let place = place(&args, serve, &links)?;
-    let served = r4_links::block_on(Served::new(&mut simulation, board.clone())?.run(place));
+    let (place, address) = place(&args, serve, &links)?;
+    let served = Served::new(&mut simulation, board.clone())?;
+    output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(served.origin) })?;
+    let served = r4_links::block_on(served.run(place));
     if let Some(file) = file {
         file.write(&board.flash())?;
     }
@@ -104,8 +123,8 @@ impl Drop for Links {
     }
 }
 
-/// Makes what the board is served on, and says where that is.
-fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
+/// Makes what the board is served on, and where that is.
+fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<(Place, Where)> {
     let terminal = |link: &Option<PathBuf>| -> anyhow::Result<(Pty, PathBuf)> {
         let pty = Pty::open().context("cannot make a pseudo-terminal")?;
         let path = link.clone().unwrap_or_else(|| pty.path().to_owned());
@@ -116,17 +135,15 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     };
     if let Some(link) = &serve.pty {
         let (pty, path) = terminal(link)?;
-        output::json(&Where::Pty(path))?;
         let (rx, tx) = bytes(&pty.descriptor);
-        return Ok(Place::Port(pty, rx, tx));
+        return Ok((Place::Port(pty, rx, tx), Where::Pty(path)));
     }
     if let Some(link) = &serve.slcan {
         let (pty, path) = terminal(link)?;
-        output::json(&Where::Slcan(path))?;
         let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1))?;
         let (listen, send) = (node.identifier(Direction::ToDevice), node.identifier(Direction::ToHost));
         let (rx, tx) = slcan::ends(pty.descriptor.clone(), listen, send);
-        return Ok(Place::Port(pty, Receiver::Slcan(rx), Transmitter::Slcan(tx)));
+        return Ok((Place::Port(pty, Receiver::Slcan(rx), Transmitter::Slcan(tx)), Where::Slcan(path)));
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
     let only_for_some = serve.public && args.key.is_some();
@@ -138,8 +155,7 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     }
     let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
     let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
-    output::json(&Where::Tcp(at.to_string()))?;
-    Ok(Place::Listener(listener, session::key(args)?))
+    Ok((Place::Listener(listener, session::key(args)?), Where::Tcp(at.to_string())))
 }
 
 fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
@@ -284,6 +300,9 @@ impl<'s> Served<'s> {
                 "r4: this machine was busy for {} ms; the board's time stood still meanwhile",
                 too_much.as_millis()
             );
+            // Only for who listens.
+            let from_ns = self.simulation.clock().now_ns();
+            let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
         }
         let clock = self.simulation.clock();
         let to_ns = begin.saturating_duration_since(self.origin).as_nanos() as u64;
