@@ -45,8 +45,9 @@ impl Served {
         let mut server = start(command(arguments));
         let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
         let place = object(&first);
-        let (kind, at) = place.as_object().and_then(|place| place.iter().next()).expect("one field");
-        let at = at.as_str().expect("text").to_owned();
+        let fields = place.as_object().expect("an object");
+        let (kind, at) = fields.iter().find_map(|(kind, at)| Some((kind, at.as_str()?))).expect("a place");
+        let at = at.to_owned();
         let board = match kind.as_str() {
             "pty" => format!("serial:{at}"),
             "slcan" => format!("can:slcan:{at}"),

@@ -265,8 +265,30 @@ pub(crate) enum Bench {
         #[arg(long, default_value = "10", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: f64,
     },
+    /// Bytes, round trips, rate and clock error of a link to a board; a simulated board, sim:openscout unless `--board` says,
+    /// is served on a pseudo-terminal for it
+    Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct BenchLink {
+    /// How long round trips are made, and then as many cycles as go
+    #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: f64,
+    /// Cycles under way at once, where as many as go are sent
+    #[arg(long, default_value_t = 32, value_parser = window, value_name = "CYCLES")]
+    pub(crate) window: usize,
+    /// Arm a board at the end of a link, with motors at rest; otherwise it refuses set points, and answers all the same. A
+    /// virtual board is armed in any case
+    #[arg(long)]
+    pub(crate) arm: bool,
+}
+
+fn window(text: &str) -> Result<usize, String> {
+    let window = text.parse().ok().filter(|window| (1..=128).contains(window));
+    window.ok_or_else(|| format!("`{text}` is no number of cycles from 1 to 128"))
 }
 
 #[derive(Clone, Debug, clap::Args)]

@@ -37,7 +37,7 @@ pub mod slcan;
 
 pub use address::{Address, BadAddress, CanInterface, DEFAULT_BAUD};
 pub use async_io::block_on;
-pub use clock::RealClock;
+pub use clock::{RealClock, monotonic_ns};
 pub use descriptor::Descriptor;
 pub use open::{Link, OpenError, Receiver, Transmitter, open, tcp};
 pub use reconnect::{Event, Restart, is_of_link, with_reconnect};

@@ -18,7 +18,7 @@ use anyhow::{Context, anyhow, bail};
 use async_io::{Async, Timer};
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, pty::Pty, secure, slcan};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, pty::Pty, secure, slcan};
 use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -42,7 +42,7 @@ const GREETING: Duration = Duration::from_secs(2);
 /// Bytes for a client that does not read, before they are dropped.
 const OUTBOX: usize = 16 * 1024;
 
-/// Where the board is, on the first line.
+/// Where the board is.
 #[derive(Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Where {
@@ -51,6 +51,23 @@ enum Where {
     Slcan(PathBuf),
     #[cfg(target_os = "linux")]
     Can(String),
+}
+
+/// The first line.
+#[derive(Serialize)]
+struct FirstLine {
+    #[serde(flatten)]
+    place: Where,
+    /// What CLOCK_MONOTONIC shows at virtual time 0, when a simulated board's clock starts: so whoever talks to the board can
+    /// tell how well it knows that clock.
+    epoch_ns: u64,
+}
+
+/// A later line: from a moment of virtual time on the epoch is another, because time was left out.
+#[derive(Serialize)]
+struct Shifted {
+    epoch_ns: u64,
+    from_ns: u64,
 }
 
 /// What the board is connected to.
@@ -73,8 +90,10 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     }
     session::catch_interrupts();
     let links = Links::default();
-    let place = place(&args, serve, &links)?;
-    let served = r4_links::block_on(Served::new(&mut simulation, board.clone())?.run(place));
+    let (place, address) = place(&args, serve, &links)?;
+    let served = Served::new(&mut simulation, board.clone())?;
+    output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(served.origin) })?;
+    let served = r4_links::block_on(served.run(place));
     if let Some(file) = file {
         file.write(&board.flash())?;
     }
@@ -106,8 +125,8 @@ impl Drop for Links {
     }
 }
 
-/// Makes what the board is served on, and says where that is.
-fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
+/// Makes what the board is served on, and where that is.
+fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<(Place, Where)> {
     let terminal = |link: &Option<PathBuf>| -> anyhow::Result<(Pty, PathBuf)> {
         let pty = Pty::open().context("cannot make a pseudo-terminal")?;
         let path = link.clone().unwrap_or_else(|| pty.path().to_owned());
@@ -122,15 +141,13 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     };
     if let Some(link) = &serve.pty {
         let (pty, path) = terminal(link)?;
-        output::json(&Where::Pty(path))?;
         let (rx, tx) = bytes(&pty.descriptor);
-        return Ok(Place::Port(Some(pty), rx, tx));
+        return Ok((Place::Port(Some(pty), rx, tx), Where::Pty(path)));
     }
     if let Some(link) = &serve.slcan {
         let (pty, path) = terminal(link)?;
-        output::json(&Where::Slcan(path))?;
         let (rx, tx) = slcan::ends(pty.descriptor.clone(), end()?);
-        return Ok(Place::Port(Some(pty), Receiver::Slcan(rx), Transmitter::Slcan(tx)));
+        return Ok((Place::Port(Some(pty), Receiver::Slcan(rx), Transmitter::Slcan(tx)), Where::Slcan(path)));
     }
     if let Some(interface) = &serve.can {
         return bus(interface, end()?);
@@ -145,19 +162,17 @@ fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<Place> {
     }
     let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
     let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
-    output::json(&Where::Tcp(at.to_string()))?;
-    Ok(Place::Listener(listener, session::key(args)?))
+    Ok((Place::Listener(listener, session::key(args)?), Where::Tcp(at.to_string())))
 }
 
 #[cfg(target_os = "linux")]
-fn bus(interface: &str, end: End) -> anyhow::Result<Place> {
+fn bus(interface: &str, end: End) -> anyhow::Result<(Place, Where)> {
     let (rx, tx) = r4_links::can::open(interface, end)?;
-    output::json(&Where::Can(interface.to_owned()))?;
-    Ok(Place::Port(None, Receiver::Can(rx), Transmitter::Can(tx)))
+    Ok((Place::Port(None, Receiver::Can(rx), Transmitter::Can(tx)), Where::Can(interface.to_owned())))
 }
 
 #[cfg(not(target_os = "linux"))]
-fn bus(interface: &str, _: End) -> anyhow::Result<Place> {
+fn bus(interface: &str, _: End) -> anyhow::Result<(Place, Where)> {
     bail!("{interface}: only Linux has interfaces for CAN; serve the board with --slcan")
 }
 
@@ -304,6 +319,9 @@ impl<'s> Served<'s> {
                 "r4: this machine was busy for {} ms; the board's time stood still meanwhile",
                 too_much.as_millis()
             );
+            // Only for who listens.
+            let from_ns = self.simulation.clock().now_ns();
+            let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
         }
         let clock = self.simulation.clock();
         let to_ns = begin.saturating_duration_since(self.origin).as_nanos() as u64;

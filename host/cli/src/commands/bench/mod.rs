@@ -1,7 +1,9 @@
-//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed.
+//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed
+//! and for links.
 
 mod bus;
 mod firmware;
+mod link;
 mod safety;
 mod sim;
 
@@ -31,6 +33,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
         args::Bench::Safety { injections } => safety::run(args, *injections),
         args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
+        args::Bench::Link(link) => link::run(args, link),
         args::Bench::Sim => sim::run(args),
     }
 }
