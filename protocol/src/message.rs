@@ -468,6 +468,7 @@ impl fmt::Display for Refusal {
             Self::OutOfRange { channel, asked, range } => {
                 write!(f, "{channel} takes {} to {}, not {asked}", range.min, range.max)
             }
+            Self::NotArmed { state: SafetyState::Tripped } => f.write_str("the board has tripped: clear it first"),
             Self::NotArmed { state } => write!(f, "the board is {state}: arm it first"),
             Self::CausesPresent { causes } => {
                 write!(f, "still present: {causes}")?;
