@@ -13,7 +13,7 @@ const SESSION: &str = include_str!("../../../protocol/tests/golden/v3-session.tx
 /// Bytes of the rows that begin with `who`.
 fn rows(table: &str, who: &str) -> Vec<Vec<u8>> {
     let rows = table.lines().filter(|line| line.starts_with(who)).filter_map(|line| line.rsplit(' ').next());
-    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect())
+    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hex")).collect())
         .collect()
 }
 
@@ -24,7 +24,7 @@ fn mismatch() -> Refusal {
 fn nothing_moved(device: &Device) {
     let robot = osmc_bench();
     for (motor, simulated) in robot.config.motors.iter().zip(&robot.simulation.motors) {
-        let position = device.board.world().position(motor.id).unwrap();
+        let position = device.board.world().position(motor.id).expect("the bench has it");
         assert!(position == simulated.start && device.duty(motor.id) == 0.0, "{} at {position}", motor.id);
     }
 }

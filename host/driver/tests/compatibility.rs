@@ -17,7 +17,7 @@ const SESSION: &str = include_str!("../../../protocol/tests/golden/v3-session.tx
 /// Bytes of the rows that begin with `who`.
 fn rows(table: &str, who: &str) -> Vec<Vec<u8>> {
     let rows = table.lines().filter(|line| line.starts_with(who)).filter_map(|line| line.rsplit(' ').next());
-    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect())
+    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hex")).collect())
         .collect()
 }
 
@@ -48,7 +48,7 @@ fn told(says: Vec<Vec<u8>>) -> Error {
         error = with_board(board, tx, clock, async |_: &Board<_>| ()).await.err();
         Ok(())
     })
-    .unwrap();
+    .expect("time goes on");
     error.expect("no session")
 }
 

@@ -15,8 +15,8 @@ const MS: u64 = 1_000_000;
 const STARTED_NS: u64 = 5 * MS;
 /// Twice the link timeout: longer than any board of these moves for a host that has gone.
 const GONE_NS: u64 = 400 * MS;
-/// What is under way, and a few ticks of control.
-const QUIET_NS: u64 = 5 * MS;
+/// What is under way, a few ticks of control, and the start of a board whose chips take their time.
+const QUIET_NS: u64 = 50 * MS;
 
 /// A motor and an actuator.
 pub(crate) fn osmc_bench() -> &'static Robot {

@@ -1,2 +1,4 @@
 #![no_main]
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| _ = r4_fuzz::files::robot(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    r4_fuzz::files::robot(bytes);
+});
