@@ -1,159 +1,24 @@
 //! What a user does with `r4`, done to the program itself.
 
+mod program;
+
 use std::{
     fmt::Write as _,
     fs,
-    io::{BufRead, BufReader, Read},
-    path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-    sync::mpsc::{Receiver, RecvTimeoutError, channel},
-    thread,
-    time::{Duration, Instant},
+    path::PathBuf,
+    process::{Command, Stdio},
+    time::Instant,
 };
 
+use program::*;
 use r4_log::Log;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-/// A run that is not over by then hangs. The longest takes a second.
-const PATIENCE: Duration = Duration::from_secs(30);
 /// What the demo promises, and what a move is held to here.
 const WITHIN_DEG: f64 = 1.0;
 const WITHIN_MM: f64 = 0.2;
-
-// The program under test.
-
-/// A started `r4`; stopped when dropped.
-struct Running {
-    child: Child,
-    begin: Instant,
-    out: Option<Receiver<String>>,
-    err: Receiver<String>,
-}
-
-/// What a user sees of a run.
-#[derive(Debug)]
-struct Seen {
-    /// `None` when a signal ended it.
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
-
-/// `r4` with these arguments, away from the sources and from the user's settings.
-fn command(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
-    command
-        .args(args)
-        .current_dir(env!("CARGO_TARGET_TMPDIR"))
-        .env_remove("R4_BOARD")
-        .env_remove("R4_FLASH")
-        .stdin(Stdio::null());
-    command
-}
-
-fn start(mut command: Command) -> Running {
-    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("r4 starts");
-    let out = child.stdout.take().map(lines);
-    let err = child.stderr.take().map(lines).expect("piped");
-    Running { child, begin: Instant::now(), out, err }
-}
-
-/// Lines as they come, read in a thread: the pipe is closed when the receiver is dropped.
-fn lines(pipe: impl Read + Send + 'static) -> Receiver<String> {
-    let (sender, receiver) = channel();
-    thread::spawn(move || {
-        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-            if sender.send(line).is_err() {
-                break;
-            }
-        }
-    });
-    receiver
-}
-
-/// The next line, or `None` at the end.
-fn next(from: &Receiver<String>, begin: Instant) -> Option<String> {
-    match from.recv_timeout(PATIENCE.saturating_sub(begin.elapsed())) {
-        Ok(line) => Some(line),
-        Err(RecvTimeoutError::Disconnected) => None,
-        Err(RecvTimeoutError::Timeout) => panic!("r4 is still running after {PATIENCE:?}"),
-    }
-}
-
-fn rest(from: &Receiver<String>, begin: Instant) -> String {
-    std::iter::from_fn(|| next(from, begin)).fold(String::new(), |all, line| all + &line + "\n")
-}
-
-impl Running {
-    fn finish(mut self) -> Seen {
-        let out = self.out.take().map(|out| rest(&out, self.begin)).unwrap_or_default();
-        let err = rest(&self.err, self.begin);
-        let code = self.child.wait().expect("it has ended").code();
-        Seen { code, out, err }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // After `finish` there is nothing left to kill.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn r4(args: &[&str]) -> Seen {
-    start(command(args)).finish()
-}
-
-/// A run that must succeed and say nothing on stderr.
-fn good(args: &[&str]) -> String {
-    let seen = r4(args);
-    assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
-    seen.out
-}
-
-/// The one JSON object on stdout of a run that must succeed.
-fn good_json(args: &[&str]) -> Value {
-    object(&good(args))
-}
-
-fn object(text: &str) -> Value {
-    let value: Value = serde_json::from_str(text).unwrap_or_else(|why| panic!("{why}: {text}"));
-    assert!(value.is_object(), "{text}");
-    value
-}
-
-/// What is wrong with how bad input was received, if anything.
-fn complaint(args: &[&str], says: &[&str]) -> Option<String> {
-    let seen = r4(args);
-    let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
-    let refused = matches!(seen.code, Some(1 | 2)) && seen.out.is_empty();
-    (!told || !refused).then(|| format!("{args:?} should say {says:?}: {seen:#?}\n"))
-}
-
-/// Each is refused: exit code 1 or 2, a message on stderr with all of these words, nothing on stdout.
-fn all_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
-    let complaints: String = cases.into_iter().filter_map(|(args, says)| complaint(args, says)).collect();
-    assert!(complaints.is_empty(), "{complaints}");
-}
-
-fn number(value: &Value, field: &str) -> f64 {
-    value[field].as_f64().unwrap_or_else(|| panic!("`{field}` is a number in {value}"))
-}
-
-fn text<'v>(value: &'v Value, field: &str) -> &'v str {
-    value[field].as_str().unwrap_or_else(|| panic!("`{field}` is text in {value}"))
-}
-
-fn array<'v>(value: &'v Value, field: &str) -> &'v [Value] {
-    value[field].as_array().unwrap_or_else(|| panic!("`{field}` is a list in {value}"))
-}
-
-fn path(path: &Path) -> &str {
-    path.to_str().expect("a temporary path is UTF-8")
-}
 
 // A robot of the user's own: the files of osmc-bench in a folder, to be changed.
 
@@ -1004,8 +869,8 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["--board", "osmc-bench", "info"], &["osmc-bench", "sim:osmc-bench"]),
         (&["--board", "", "info"], &["sim:osmc-bench"]),
         (&["--board", "sim:", "info"], &["sim:osmc-bench"]),
-        (&["--board", "serial:/dev/ttyACM0", "info"], &["serial:/dev/ttyACM0", "this version", "sim:osmc-bench"]),
-        (&["--board", "can:can0", "info"], &["this version", "sim:osmc-bench"]),
+        (&["--board", "usb:1", "info"], &["usb:1", "serial:", "sim:osmc-bench"]),
+        (&["--board", "can:slcan", "info"], &["can:slcan", "can:can0", "can:slcan:"]),
         (&["--board", &no_file, "info"], &["none.toml", "cannot be read"]),
         // Which channel.
         (&["move", "osmc9", "90deg"], &["osmc9", "`r4 info`"]),

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`channel`] | names, units and abilities of a board's channels |
 //! | [`message`] | requests, replies, refusals, telemetry, heartbeats |
+//! | [`cycle`] | set points for four channels and what these do, in 64 bytes |
 //! | [`state`] | safety states and trip causes |
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
@@ -18,12 +19,14 @@
 pub mod can;
 pub mod channel;
 pub mod config;
+pub mod cycle;
 pub mod frame;
 pub mod message;
 pub mod parameter;
 pub mod state;
 
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
+pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unscaled};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use message::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
@@ -33,7 +36,7 @@ pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
@@ -54,6 +57,7 @@ pub const SCHEMA_HASH: u64 = {
         config::MAX_MOTORS,
         config::MAX_SUPPLIES,
         Cause::ALL.len(),
+        cycle::CYCLE_CHANNELS,
     ];
     let mut place = 0;
     while place < capacities.len() {

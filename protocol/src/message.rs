@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     channel::{ChannelId, ChannelInfo, Mode, Range},
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
+    cycle::{CYCLE_CHANNELS, Cycle, CycleChannel, CycleState},
     parameter::ParameterKey,
     state::{Causes, SafetyState},
 };
@@ -35,6 +36,8 @@ pub enum ToDevice {
         /// The host's clock, echoed back.
         host_us: u64,
     },
+    /// Set points for the channels of [`Request::Bind`]. Answered by exactly one [`ToHost::Cycle`] with the same `seq`.
+    Cycle(Cycle),
 }
 
 /// Board to host.
@@ -60,6 +63,8 @@ pub enum ToHost {
     },
     /// Samples of subscribed channels.
     Telemetry(Telemetry),
+    /// The answer to a cycle.
+    Cycle(CycleState),
 }
 
 /// What a host can ask.
@@ -173,6 +178,13 @@ pub enum Request {
     UartRead {
         /// 0 or 1.
         port: u8,
+    },
+    /// Says what [`ToDevice::Cycle`] over this link means from now on, until the session ends. No channels end it.
+    Bind {
+        /// In the order of the cycle's numbers.
+        channels: Vec<CycleChannel, CYCLE_CHANNELS>,
+        /// How long after it was decided a set point may be carried out, and is followed if no other comes.
+        ttl_ms: u16,
     },
 }
 
@@ -306,6 +318,10 @@ pub struct DeviceStats {
     pub refused: u32,
     /// Telemetry frames dropped because the link was full.
     pub telemetry_dropped: u32,
+    /// Cycles that were not taken.
+    pub cycles_refused: u32,
+    /// Set points of cycles that grew too old while they were followed: their channels were stopped.
+    pub setpoints_expired: u32,
 }
 
 /// Why a request was not carried out. Nothing was changed.
@@ -420,6 +436,11 @@ pub enum Refusal {
     /// Arming while something is done that must not be while outputs move: parameters are being saved, or the board is
     /// about to restart.
     Busy,
+    /// A channel bound twice, or with a scale that is not finite and above 0.
+    BadBinding {
+        /// As asked.
+        channel: ChannelId,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -447,6 +468,7 @@ impl fmt::Display for Refusal {
             Self::OutOfRange { channel, asked, range } => {
                 write!(f, "{channel} takes {} to {}, not {asked}", range.min, range.max)
             }
+            Self::NotArmed { state: SafetyState::Tripped } => f.write_str("the board has tripped: clear it first"),
             Self::NotArmed { state } => write!(f, "the board is {state}: arm it first"),
             Self::CausesPresent { causes } => {
                 write!(f, "still present: {causes}")?;
@@ -485,6 +507,9 @@ impl fmt::Display for Refusal {
                 f.write_str("the transfer did not end in time: check that nothing holds the line, and the baud rate")
             }
             Self::Busy => f.write_str("the board is saving, or about to restart: try again in a moment"),
+            Self::BadBinding { channel } => {
+                write!(f, "{channel} is in the cycle twice, or has a scale that is not finite and above 0")
+            }
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }
     }

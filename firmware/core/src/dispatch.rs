@@ -16,6 +16,7 @@ use r4_protocol::{
 use crate::{
     FIRMWARE_VERSION,
     control::motor,
+    cycle::Bound,
     ranging,
     safety::Event,
     shared::Shared,
@@ -33,13 +34,22 @@ pub(crate) enum Outcome {
     Later { seq: u16, request: Request },
 }
 
+/// What the host of one link has asked for, until its session ends.
+#[derive(Default)]
+pub(crate) struct Host {
+    pub(crate) subscriptions: Subscriptions,
+    bound: Bound,
+}
+
+impl Host {
+    fn clear(&mut self) {
+        self.subscriptions.clear();
+        self.bound.clear();
+    }
+}
+
 /// Answers `message`, which came over `link`.
-pub(crate) fn dispatch<M: RawMutex>(
-    shared: &Shared<M>,
-    link: u8,
-    subscriptions: &mut Subscriptions,
-    message: ToDevice,
-) -> Outcome {
+pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
     let now = Instant::now();
     match message {
         ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
@@ -48,11 +58,12 @@ pub(crate) fn dispatch<M: RawMutex>(
             Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes })
         }
         ToDevice::Heartbeat { .. } => Outcome::Nothing,
+        ToDevice::Cycle(cycle) => Outcome::Answer(host.bound.answer(shared, link, cycle, now)),
         ToDevice::Request { seq, request } if takes_time(&request) && shared.has_session(link) => {
             Outcome::Later { seq, request }
         }
         ToDevice::Request { seq, request } => {
-            Outcome::Answer(response(shared, seq, answer(shared, link, subscriptions, request, now)))
+            Outcome::Answer(response(shared, seq, answer(shared, link, host, request, now)))
         }
     }
 }
@@ -117,7 +128,7 @@ fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<P
 fn answer<M: RawMutex>(
     shared: &Shared<M>,
     link: u8,
-    subscriptions: &mut Subscriptions,
+    host: &mut Host,
     request: Request,
     now: Instant,
 ) -> Result<Reply, Refusal> {
@@ -127,13 +138,13 @@ fn answer<M: RawMutex>(
                 return Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH });
             }
             let session = shared.open_session(link, now)?;
-            subscriptions.clear();
+            host.clear();
             return Ok(Reply::Hello(device_info(shared, session, now)));
         }
         // Ending nothing is no error, and a stop is taken from anyone.
         Request::Bye => {
             shared.close_session(link);
-            subscriptions.clear();
+            host.clear();
             return Ok(Reply::Done);
         }
         Request::Stop => {
@@ -175,7 +186,7 @@ fn answer<M: RawMutex>(
         }
         Request::Subscribe { channel, period_ms } => {
             place(shared, channel)?;
-            subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
+            host.subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
         }
         Request::DescribeParameter { index } => {
             return describe_parameter(shared, usize::from(index)).map(Reply::Parameter);
@@ -193,17 +204,18 @@ fn answer<M: RawMutex>(
         Request::Restart => {
             shared.restart()?;
         }
+        Request::Bind { channels, ttl_ms } => host.bound.bind(shared, &channels, ttl_ms)?,
         // Not answered here: [`dispatch`] passes them on.
         _ => return Err(Refusal::TransferFailed),
     }
     Ok(Reply::Done)
 }
 
-fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<Place, Refusal> {
+pub(crate) fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<Place, Refusal> {
     shared.config().place(channel).ok_or(Refusal::UnknownChannel { channel })
 }
 
-fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
+pub(crate) fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
     let Setpoint { mode, value: asked } = setpoint;
     if !asked.is_finite() {
         return Err(Refusal::NotFinite { channel });
@@ -284,7 +296,7 @@ fn resolution(config: &BoardConfig, place: Place) -> f32 {
 }
 
 /// What an output can be commanded to do: a motor's own quantity first; nothing for the relay in the motors' supply.
-fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_MODES> {
+pub(crate) fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_MODES> {
     let mode = |mode, unit, range| ModeInfo { mode, unit, range };
     match place {
         Place::Motor(index) => motor_modes(&config.motors[index]),

@@ -21,6 +21,7 @@
 
 pub mod chips;
 pub mod control;
+mod cycle;
 mod dispatch;
 pub mod link;
 pub mod motion;

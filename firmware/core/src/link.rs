@@ -10,9 +10,8 @@ use embedded_io_async::{Read, Write};
 use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
 use crate::{
-    dispatch::{Outcome, carry_out, dispatch},
+    dispatch::{Host, Outcome, carry_out, dispatch},
     shared::Shared,
-    telemetry::Subscriptions,
 };
 
 /// Answers waiting for the transmitter; a host that asks faster than its link carries is held back by the link itself.
@@ -33,9 +32,9 @@ pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u
     }
     let answers: Channel<NoopRawMutex, ToHost, ANSWERS> = Channel::new();
     let waiting: Waiting = Channel::new();
-    let subscriptions: Mutex<NoopRawMutex, _> = Mutex::new(core::cell::RefCell::new(Subscriptions::default()));
-    let receive = receive(shared, number, rx, &answers, &waiting, &subscriptions);
-    let transmit = transmit(shared, tx, &answers, &subscriptions);
+    let host: SharedHost = Mutex::new(core::cell::RefCell::new(Host::default()));
+    let receive = receive(shared, number, rx, &answers, &waiting, &host);
+    let transmit = transmit(shared, tx, &answers, &host);
     let work = async {
         loop {
             let (seq, request) = waiting.receive().await;
@@ -48,7 +47,7 @@ pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u
 
 type Waiting = Channel<NoopRawMutex, (u16, Request), WAITING>;
 
-type SharedSubscriptions = Mutex<NoopRawMutex, core::cell::RefCell<Subscriptions>>;
+type SharedHost = Mutex<NoopRawMutex, core::cell::RefCell<Host>>;
 
 async fn receive<M: RawMutex, R: Read>(
     shared: &Shared<M>,
@@ -56,7 +55,7 @@ async fn receive<M: RawMutex, R: Read>(
     mut rx: R,
     answers: &Channel<NoopRawMutex, ToHost, ANSWERS>,
     waiting: &Waiting,
-    subscriptions: &SharedSubscriptions,
+    host: &SharedHost,
 ) {
     let mut decoder = FrameDecoder::new();
     let mut buffer = [0; 64];
@@ -68,7 +67,7 @@ async fn receive<M: RawMutex, R: Read>(
                 Err(_) => stats.bad_frames = stats.bad_frames.wrapping_add(1),
             });
             let Ok(message) = frame else { continue };
-            match subscriptions.lock(|s| dispatch(shared, number, &mut s.borrow_mut(), message)) {
+            match host.lock(|host| dispatch(shared, number, &mut host.borrow_mut(), message)) {
                 Outcome::Nothing => {}
                 Outcome::Answer(answer) => answers.send(answer).await,
                 // Heartbeats must not wait for flash or for a bus.
@@ -86,7 +85,7 @@ async fn transmit<M: RawMutex, W: Write>(
     shared: &Shared<M>,
     mut tx: W,
     answers: &Channel<NoopRawMutex, ToHost, ANSWERS>,
-    subscriptions: &SharedSubscriptions,
+    host: &SharedHost,
 ) {
     let mut buffer = [0; MAX_FRAME];
     // Ends whatever half a frame the host may still hold from before.
@@ -94,10 +93,12 @@ async fn transmit<M: RawMutex, W: Write>(
         return;
     }
     loop {
-        let due = subscriptions.lock(|s| s.borrow().next_due());
+        let due = host.lock(|host| host.borrow().subscriptions.next_due());
         let message = match select(answers.receive(), Timer::at(due)).await {
             Either::First(answer) => Some(answer),
-            Either::Second(()) => subscriptions.lock(|s| s.borrow_mut().telemetry(shared)).map(ToHost::Telemetry),
+            Either::Second(()) => {
+                host.lock(|host| host.borrow_mut().subscriptions.telemetry(shared)).map(ToHost::Telemetry)
+            }
         };
         // Every message fits: a test encodes the largest of each kind.
         let Some(Ok(frame)) = message.map(|message| encode_frame(&message, &mut buffer)) else { continue };

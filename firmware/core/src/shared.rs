@@ -7,6 +7,7 @@ use embassy_sync::{
     signal::Signal,
 };
 use embassy_time::{Duration, Instant};
+use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, DeviceStats, Mode, Quality, Refusal, SafetyState, Setpoint,
     config::{
@@ -16,6 +17,7 @@ use r4_protocol::{
 };
 
 use crate::{
+    cycle::at_rest,
     passthrough::Passthrough,
     ranging,
     safety::{Event, Safety},
@@ -122,6 +124,17 @@ struct Session {
     last_heartbeat: Instant,
 }
 
+/// A set point of a cycle: followed for so long, unless another comes.
+#[derive(Clone, Copy, Debug)]
+struct Lease {
+    place: Place,
+    mode: Mode,
+    until: Instant,
+}
+
+/// Channels that cycles can move.
+const LEASES: usize = MAX_MOTORS + MAX_BLDCS + STEPPERS;
+
 struct State {
     safety: Safety,
     epoch: u16,
@@ -135,6 +148,8 @@ struct State {
     next_session: u16,
     /// With the arming they were given in.
     commands: [Option<(u16, Setpoint)>; OUTPUTS],
+    /// One for each channel at most.
+    leases: Vec<Lease, LEASES>,
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
@@ -199,6 +214,7 @@ impl<M: RawMutex> Shared<M> {
                 session: None,
                 next_session: FIRST_SESSION,
                 commands: [None; OUTPUTS],
+                leases: Vec::new(),
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
                 // Silent from now on, and not from the beginning of time.
@@ -316,6 +332,18 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.commands[slot].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
 
+    /// Commands the channels to rest whose cycles have stopped coming.
+    pub(crate) fn end_leases(&self, now: Instant) {
+        self.with(|s| {
+            while let Some(place) = s.leases.iter().position(|lease| lease.until < now) {
+                let Lease { place, mode, .. } = s.leases.swap_remove(place);
+                // Leases are of the present arming.
+                let _ = s.command(place, at_rest(mode));
+                s.stats.setpoints_expired = s.stats.setpoints_expired.wrapping_add(1);
+            }
+        });
+    }
+
     /// New gains of the position and of the speed loop.
     pub(crate) fn take_gains(&self, motor: usize) -> [Option<PidGains>; 2] {
         self.with(|s| core::mem::take(&mut s.gains[motor]))
@@ -413,12 +441,18 @@ impl<M: RawMutex> Shared<M> {
 
     /// Stores a command for the control loop's next period; a later one replaces it.
     pub(crate) fn command(&self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
-        self.with(|s| match s.safety {
-            Safety::Armed => {
-                s.commands[command_slot(output, setpoint.mode)] = Some((s.epoch, setpoint));
-                Ok(())
+        self.with(|s| s.command(output, setpoint))
+    }
+
+    /// Stores the commands of a cycle, each as [`Shared::command`] does, to be followed until then if no other comes.
+    pub(crate) fn lease(&self, setpoints: &[(Place, Setpoint)], until: Instant) -> Result<(), Refusal> {
+        self.with(|s| {
+            for (place, setpoint) in setpoints {
+                s.command(*place, *setpoint)?;
+                // There is room for every channel, and the command has ended the lease it had.
+                let _ = s.leases.push(Lease { place: *place, mode: setpoint.mode, until });
             }
-            _ => Err(Refusal::NotArmed { state: s.safety.state() }),
+            Ok(())
         })
     }
 
@@ -511,6 +545,16 @@ const FIRST_SESSION: u16 = 1;
 const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
 impl State {
+    /// Ends the lease of the channel, too: the newest command counts.
+    fn command(&mut self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
+        if self.safety != Safety::Armed {
+            return Err(Refusal::NotArmed { state: self.safety.state() });
+        }
+        self.leases.retain(|lease| lease.place != output);
+        self.commands[command_slot(output, setpoint.mode)] = Some((self.epoch, setpoint));
+        Ok(())
+    }
+
     /// Returns whether the state changed.
     fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
         let arms = event == Event::Arm && self.safety == Safety::Disarmed && self.present.is_empty();
@@ -527,6 +571,7 @@ impl State {
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];
+            self.leases.clear();
         }
         if next.state() == SafetyState::Tripped {
             self.trip_causes = next.causes();

@@ -120,9 +120,10 @@ impl Wiring {
 
     /// Waits for the end of a stop. It is microseconds away, or the line is held.
     fn is_free(&self) -> bool {
-        let until = Instant::now() + self.timing.stop;
+        let mut until = None;
         while self.registers.isr().read().busy() {
-            if Instant::now() > until {
+            let now = Instant::now();
+            if now > *until.get_or_insert(now + self.timing.stop) {
                 return false;
             }
         }

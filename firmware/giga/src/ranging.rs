@@ -108,14 +108,14 @@ pub(crate) fn on_capture(cs: CriticalSection<'_>) {
         if flags.ccif(channel) {
             // Reading the capture clears its flag: an edge after the reading calls again.
             let at = pac::TIM2.ccr(channel).read();
-            ECHOES.borrow_ref_mut(cs)[index].level(levels()[index], at);
+            ECHOES.borrow_ref_mut(cs)[index].level(levels()[index], || at);
         }
     }
 }
 
 /// From the interrupt of the echo's line: its level is `high`.
 pub(crate) fn on_level(cs: CriticalSection<'_>, index: usize, high: bool) {
-    ECHOES.borrow_ref_mut(cs)[index].level(high, pac::TIM2.cnt().read());
+    ECHOES.borrow_ref_mut(cs)[index].level(high, || pac::TIM2.cnt().read());
 }
 
 impl Ranging for Rangers {

@@ -1,6 +1,6 @@
 //! One simulated board: the firmware's tasks on the world's lines.
 
-use std::{cell::RefCell, ops::Deref, rc::Rc};
+use std::{cell::RefCell, ops::Deref, pin::Pin, rc::Rc};
 
 use embassy_futures::block_on;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
@@ -51,6 +51,11 @@ impl VirtualBoard for SimBoard {
         self.world().reset_processor();
         self.boot(simulation, cause);
     }
+
+    fn restart_requested(&self) -> Pin<Box<dyn Future<Output = ()> + '_>> {
+        let shared = self.shared.borrow().clone();
+        Box::pin(async move { shared.restart_requested().await })
+    }
 }
 
 impl SimBoard {
@@ -78,12 +83,6 @@ impl SimBoard {
         };
         board.boot(simulation, ResetCause::Normal);
         Ok(board)
-    }
-
-    /// Ready when a host has asked for a restart.
-    pub async fn restart_requested(&self) {
-        let shared = self.shared.borrow().clone();
-        shared.restart_requested().await;
     }
 
     /// Starts the firmware, as the board's binary does.

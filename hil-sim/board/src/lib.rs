@@ -44,4 +44,5 @@ pub mod world;
 pub use board::SimBoard;
 pub use clock::{Clock, GiveWay, Sleep};
 pub use executor::{Pace, Simulation, TaskId};
+pub use r4_firmware::ResetCause;
 pub use surroundings::{Light, Lights, SimError, Surroundings, VirtualBoard};

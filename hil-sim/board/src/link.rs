@@ -92,6 +92,13 @@ impl Cable {
         Self { to_device: device.rx.0.clone(), to_host: device.tx.0.clone() }
     }
 
+    /// Bytes take the time of this rate from now on, bits per second.
+    pub fn set_baud(&self, baud: u32) {
+        for pipe in [&self.to_device, &self.to_host] {
+            pipe.borrow_mut().ns_per_byte = ns_per_byte(baud);
+        }
+    }
+
     /// Disturbs what is sent to the device from now on; `None` ends that.
     pub fn disturb_to_device(&self, noise: Option<LineNoise>) {
         self.to_device.borrow_mut().noise = noise;

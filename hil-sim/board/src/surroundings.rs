@@ -2,7 +2,9 @@
 
 use std::{
     cell::{Cell, RefCell, RefMut},
+    future::pending,
     ops::Deref,
+    pin::Pin,
     rc::Rc,
 };
 
@@ -59,6 +61,12 @@ pub trait VirtualBoard: Deref<Target = Surroundings> {
     /// firmware starts anew. Hosts have to [`Surroundings::connect`] again.
     fn restart(&self, simulation: &mut Simulation, cause: ResetCause);
 
+    /// Ready when a host has asked for a restart that somebody else has to make: see [`VirtualBoard::restart`]. An emulated
+    /// processor resets itself.
+    fn restart_requested(&self) -> Pin<Box<dyn Future<Output = ()> + '_>> {
+        Box::pin(pending())
+    }
+
     /// Why the board has stopped for ever, if it has: an emulated processor met what its models do not have.
     fn failure(&self) -> Option<String> {
         None
@@ -98,6 +106,7 @@ pub struct Surroundings {
     lights: Rc<Cell<Lights>>,
     host: RefCell<Option<Port>>,
     cable: RefCell<Option<Cable>>,
+    link_baud: Cell<u32>,
 }
 
 impl Surroundings {
@@ -128,6 +137,7 @@ impl Surroundings {
             lights: Rc::default(),
             host: RefCell::new(None),
             cable: RefCell::new(None),
+            link_baud: Cell::new(LINK_BAUD),
         })
     }
 
@@ -172,6 +182,15 @@ impl Surroundings {
     /// The host's end of the link; `None` after the first call since the board started.
     pub fn connect(&self) -> Option<Port> {
         self.host.take()
+    }
+
+    /// Bits per second of the link from now on, 1 Mbit/s before: that of a simulated board can be as fast as USB, or of no
+    /// time at all, where an emulated one's is the UART that its firmware has set up.
+    pub fn set_link_baud(&self, baud: u32) {
+        self.link_baud.set(baud);
+        if let Some(cable) = &*self.cable.borrow() {
+            cable.set_baud(baud);
+        }
     }
 
     /// Disturbs what is sent on the link from now on, to the device and to the host; `None` is a quiet line. Ends with the
@@ -250,7 +269,7 @@ impl Surroundings {
     /// Lays a new link for a processor that starts: its end, of which the other waits for [`Surroundings::connect`].
     #[must_use]
     pub fn new_link(&self) -> Port {
-        let (host, device) = serial(&self.clock, LINK_BAUD);
+        let (host, device) = serial(&self.clock, self.link_baud.get());
         self.cable.replace(Some(Cable::of(&device)));
         self.host.replace(Some(host));
         device

@@ -3,13 +3,17 @@
 
 mod harness;
 
-use harness::{Device, LINEAR, MS, ROTARY, RawHost, SUPPLY_24, bench, frame, osmc_bench, raw_bench};
-use proptest::prelude::*;
-use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Setpoint,
-    ToDevice, ToHost, VERSION, config::PidGains, frame::MAX_FRAME,
+use harness::{
+    Device, LINEAR, MS, ROTARY, RawHost, SUPPLY_24, bench, frame, osmc_bench, power_up, raw_bench, raw_bench_of,
 };
-use r4_sim::uart::LineNoise;
+use proptest::prelude::*;
+use r4_boards::Robot;
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Mode, Range,
+    Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, VERSION,
+    config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
+};
+use r4_sim::{Simulation, uart::LineNoise};
 
 const NO_MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 3);
 const GAINS: PidGains = PidGains { kp: 1.0, ki: 0.0, kd: 0.0 };
@@ -149,24 +153,26 @@ fn a_lost_delimiter_costs_one_more_frame() {
     });
 }
 
+/// What a motor of the bench takes.
+fn range_of(motor: usize, mode: Mode) -> Range {
+    let motor = osmc_bench().config.motors[motor];
+    let control = motor.control.expect("a measured motor");
+    match mode {
+        Mode::Position => control.position,
+        Mode::Speed => Range::symmetric(control.speed_max),
+        Mode::Duty => Range::symmetric(motor.duty_max),
+        other => unreachable!("no motor has the mode {other}"),
+    }
+}
+
 #[test]
 fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
-    let range = |channel: usize, mode| {
-        let motor = osmc_bench().config.motors[channel];
-        let control = motor.control.expect("a measured motor");
-        match mode {
-            Mode::Position => control.position,
-            Mode::Speed => Range::symmetric(control.speed_max),
-            Mode::Duty => Range::symmetric(motor.duty_max),
-            other => unreachable!("no motor has the mode {other}"),
-        }
-    };
     raw_bench(&osmc_bench(), async |host, device| {
         host.hello().await;
         host.ask(Request::Arm).await.unwrap();
         for (index, channel) in [(0, ROTARY), (1, LINEAR)] {
             for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
-                let range = range(index, mode);
+                let range = range_of(index, mode);
                 for asked in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                     let refused = host.ask(set(device, channel, mode, asked)).await;
                     assert_eq!(refused, Err(Refusal::NotFinite { channel }), "{mode} {asked}");
@@ -278,6 +284,247 @@ fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
     });
 }
 
+/// What the cycles of these tests mean: the bench's rotary motor by its speed, 1 mrad/s a step, its actuator by its position,
+/// 1 um a step.
+fn bind(ttl_ms: u16) -> Request {
+    let channels = [of_cycle(ROTARY, Mode::Speed), of_cycle(LINEAR, Mode::Position)];
+    Request::Bind { channels: channels.into_iter().collect(), ttl_ms }
+}
+
+fn of_cycle(channel: ChannelId, mode: Mode) -> CycleChannel {
+    CycleChannel { channel, mode, position_scale: if channel == LINEAR { 1e-6 } else { 1e-3 }, speed_scale: 1e-3 }
+}
+
+/// Set points for the two channels of [`bind`].
+fn steps(rotary: i16, linear: i16) -> [i16; 4] {
+    [rotary, linear, 1234, 5678]
+}
+
+/// Sends `cycle` and gives its answer; panics when there is none, or another message.
+async fn turn(host: &mut RawHost, cycle: Cycle) -> CycleState {
+    host.send(&ToDevice::Cycle(cycle)).await;
+    match host.listen(2).await[..] {
+        [ToHost::Cycle(state)] if state.seq == cycle.seq => state,
+        ref other => panic!("{other:?} to {cycle:?}"),
+    }
+}
+
+fn now_us(device: &Device) -> u64 {
+    device.clock.now_ns() / 1000
+}
+
+#[test]
+fn a_cycle_moves_what_is_bound_and_tells_what_it_does() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(bind(50)).await.unwrap();
+        host.ask(Request::Arm).await.unwrap();
+        let start_us = device.board.world().position(LINEAR).unwrap() * 1e6;
+        let mut last = None;
+        // 1.5 s: 2 rad/s, and 20 mm from where the rod is.
+        for turn_number in 0..150_u64 {
+            let target = start_us as i16 + 10_000;
+            let cycle = Cycle::new(turn_number as u8, None, Some(now_us(device)), steps(2000, target));
+            let state = turn(host, cycle).await;
+            assert_eq!((state.outcome(), state.state()), (CycleOutcome::Taken, Ok(SafetyState::Armed)));
+            assert_eq!(state.causes(), Causes::NONE);
+            let age_us = now_us(device) - state.device_us(now_us(device));
+            assert!(age_us <= 2000, "the board's clock is the simulation's: {age_us} us");
+            if turn_number % 5 == 0 {
+                let session = 1;
+                host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
+            }
+            host.listen(8).await;
+            last = Some(state);
+        }
+        let [rotary, linear, unbound, last] = last.unwrap().motors();
+        assert!((1900..2100).contains(&rotary.speed), "{rotary:?}");
+        let resolution = std::f64::consts::TAU / 2400.0;
+        let position = device.board.world().position(ROTARY).unwrap();
+        assert!((f64::from(rotary.position) * resolution - position).abs() < 0.1, "{rotary:?} at {position} rad");
+        assert!((f64::from(rotary.duty) / 32_767.0 - device.duty(ROTARY)).abs() < 0.05, "{rotary:?}");
+        assert!(f64::from(linear.position) - start_us > 5_000.0, "{linear:?} from {start_us} um");
+        assert_eq!([unbound, last], [CycleMotor::NONE; 2]);
+        assert_eq!(host.stats().await.cycles_refused, 0);
+    });
+}
+
+#[test]
+fn a_cycle_is_refused_whole_and_always_answered() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        let cycle = |seq, rotary, linear| Cycle::new(seq, None, Some(now_us(device)), steps(rotary, linear));
+        let mut refused = 0;
+        let mut expect = async |host: &mut RawHost, what: &str, cycle, outcome| {
+            let state = turn(host, cycle).await;
+            assert_eq!(state.outcome(), outcome, "{what}");
+            refused += u32::from(outcome != CycleOutcome::Taken);
+            if outcome != CycleOutcome::Taken {
+                // A period has passed, in which it would have moved.
+                nothing_moved(device);
+            }
+            state
+        };
+        // Nothing is taken before the board has started.
+        host.listen(100).await;
+        let unbound = expect(host, "no session", cycle(1, 100, 0), CycleOutcome::Unbound).await;
+        assert_eq!(unbound.motors(), [CycleMotor::NONE; 4]);
+        host.hello().await;
+        expect(host, "nothing bound", cycle(2, 100, 0), CycleOutcome::Unbound).await;
+        host.ask(bind(50)).await.unwrap();
+        let disarmed = expect(host, "not armed", cycle(3, 100, 0), CycleOutcome::Refused).await;
+        assert_eq!(disarmed.state(), Ok(SafetyState::Disarmed));
+        expect(host, "only asked", cycle(4, NOTHING, NOTHING), CycleOutcome::Taken).await;
+        host.ask(Request::Arm).await.unwrap();
+        host.listen(60).await;
+
+        // 5.001 rad/s where 5 is the most, and 1 um below the rod's range: the other set point is good each time.
+        expect(host, "too fast", cycle(5, 5001, 50_00), CycleOutcome::Refused).await;
+        expect(host, "too short", cycle(6, 100, -1), CycleOutcome::Refused).await;
+        for mode in [Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home] {
+            let other = Cycle::new(7, Some(mode), Some(now_us(device)), steps(100, NOTHING));
+            expect(host, "a mode no cycle has", other, CycleOutcome::Refused).await;
+        }
+        for (age_us, outcome) in [(51_000, CycleOutcome::Stale), (-52_000, CycleOutcome::Stale)] {
+            let sent_us = now_us(device).checked_add_signed(-age_us).unwrap();
+            expect(host, "old, or dated ahead", Cycle::new(8, None, Some(sent_us), steps(100, NOTHING)), outcome).await;
+        }
+        let stats = host.stats().await;
+        assert_eq!((stats.cycles_refused, stats.refused), (refused, 0));
+
+        // Not because nothing could move: in either of the other modes, and without a date.
+        let duty = Cycle::new(9, Some(Mode::Duty), Some(now_us(device)), steps(20_000, NOTHING));
+        assert_eq!(turn(host, duty).await.outcome(), CycleOutcome::Taken);
+        host.listen(20).await;
+        assert!(device.duty(ROTARY) > 0.3 && device.duty(LINEAR) == 0.0);
+        let undated = Cycle::new(10, Some(Mode::Position), None, steps(-1000, NOTHING));
+        assert_eq!(turn(host, undated).await.outcome(), CycleOutcome::Taken);
+        // The end of the session ends the binding.
+        host.hello().await;
+        assert_eq!(turn(host, cycle(11, 0, 0)).await.outcome(), CycleOutcome::Unbound);
+    });
+}
+
+#[test]
+fn what_no_cycle_can_move_is_not_bound() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        let bind =
+            |channels: &[CycleChannel]| Request::Bind { channels: channels.iter().copied().collect(), ttl_ms: 50 };
+        assert_eq!(host.ask(bind(&[])).await, Err(Refusal::NoSession));
+        host.hello().await;
+        let relay = ChannelId::new(ChannelKind::Relay, 1);
+        let wrong = |channel, mode| Refusal::WrongMode { channel, mode };
+        let bad = Refusal::BadBinding { channel: ROTARY };
+        let good = of_cycle(ROTARY, Mode::Speed);
+        let no_motor = of_cycle(NO_MOTOR, Mode::Duty);
+        let cases = [
+            (vec![good, no_motor], Refusal::UnknownChannel { channel: NO_MOTOR }),
+            (vec![of_cycle(relay, Mode::Switch)], wrong(relay, Mode::Switch)),
+            (vec![of_cycle(SUPPLY_24, Mode::Duty)], wrong(SUPPLY_24, Mode::Duty)),
+            (vec![of_cycle(ROTARY, Mode::Home)], wrong(ROTARY, Mode::Home)),
+            (vec![of_cycle(ROTARY, Mode::Voltage)], wrong(ROTARY, Mode::Voltage)),
+            (vec![good, of_cycle(ROTARY, Mode::Duty)], bad),
+            (vec![CycleChannel { speed_scale: 0.0, ..good }], bad),
+            (vec![CycleChannel { speed_scale: f32::NAN, ..good }], bad),
+            (vec![CycleChannel { position_scale: f32::INFINITY, ..good }], bad),
+            (vec![CycleChannel { position_scale: -1.0, ..good }], bad),
+        ];
+        for (channels, refusal) in cases {
+            assert_eq!(host.ask(bind(&channels)).await, Err(refusal), "{channels:?}");
+            assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Unbound);
+        }
+        assert_eq!(host.ask(bind(&[good])).await, Ok(Reply::Done));
+        assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Taken);
+        assert_eq!(host.ask(bind(&[])).await, Ok(Reply::Done));
+        assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Unbound);
+    });
+}
+
+/// Of two channels whose cycles stop coming, the one that has had a single command since goes on.
+#[test]
+fn the_set_points_of_cycles_that_stop_coming_end() {
+    const TTL_MS: u64 = 50;
+    for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
+        raw_bench(&osmc_bench(), async |host, device| {
+            let session = host.hello().await.session;
+            let heartbeat = ToDevice::Heartbeat { session, host_us: 0 };
+            let channels = [of_cycle(ROTARY, mode), of_cycle(LINEAR, Mode::Duty)];
+            let bind = Request::Bind { channels: channels.into_iter().collect(), ttl_ms: TTL_MS as u16 };
+            host.ask(bind).await.unwrap();
+            host.ask(Request::Arm).await.unwrap();
+            host.ask(Request::Subscribe { channel: ROTARY, period_ms: 1 }).await.unwrap();
+            let mut sent_us = 0;
+            for turn in 0..50 {
+                sent_us = now_us(device);
+                let rotary = if mode == Mode::Duty { 26_000 } else { 3000 };
+                host.send(&ToDevice::Cycle(Cycle::new(turn, None, Some(sent_us), steps(rotary, 10_000)))).await;
+                host.send(&heartbeat).await;
+                host.listen(if turn == 49 { 1 } else { 20 }).await;
+            }
+            let speed = device.board.world().speed(ROTARY).unwrap();
+            assert!(speed > 0.5, "{mode}: it must run before it can stop: {speed} rad/s");
+            host.ask(set(device, LINEAR, Mode::Duty, 0.3)).await.unwrap();
+            host.send(&heartbeat).await;
+
+            let at_rest = Setpoint { mode: if mode == Mode::Duty { mode } else { Mode::Speed }, value: 0.0 };
+            let stopped_us = host.listen(100).await.into_iter().find_map(|message| match message {
+                ToHost::Telemetry(Telemetry { device_us, samples, .. }) => match samples[..] {
+                    [Sample::Motor { setpoint, .. }] if setpoint == at_rest => Some(device_us),
+                    _ => None,
+                },
+                _ => None,
+            });
+            // Looked at each millisecond, as is what telemetry tells.
+            let after_us = stopped_us.expect("it stops") - sent_us;
+            assert!((TTL_MS * 1000..TTL_MS * 1000 + 3000).contains(&after_us), "{mode}: after {after_us} us");
+            for _ in 0..15 {
+                host.send(&heartbeat).await;
+                host.listen(100).await;
+            }
+            let speed = device.board.world().speed(ROTARY).unwrap();
+            assert!(speed.abs() < 0.05, "{mode}: {speed} rad/s");
+            assert!(device.duty(LINEAR) > 0.2, "a single command holds");
+            assert_eq!(host.stats().await.setpoints_expired, 1);
+            host.ask(Request::Subscribe { channel: ROTARY, period_ms: 0 }).await.unwrap();
+            host.listen(10).await;
+            let state = turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await;
+            assert_eq!(state.state(), Ok(SafetyState::Armed), "cycles that stop coming are no trip");
+        });
+    }
+}
+
+/// The board's clock in a cycle has 32 bits, which wrap after 71 minutes.
+#[test]
+fn cycles_go_on_when_the_32_bits_of_their_clock_wrap() {
+    const WRAP_US: u64 = 1 << 32;
+    // Time has been counting before the board is there: it is on for a second when they wrap.
+    let late = |simulation: &mut Simulation, robot: &Robot| {
+        let clock = simulation.clock();
+        simulation.block_on(clock.sleep((WRAP_US - 1_000_000) * 1000)).expect("time goes on");
+        power_up(simulation, robot)
+    };
+    raw_bench_of(&late, &osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(bind(50)).await.unwrap();
+        // Nobody is heard meanwhile, which trips; cycles that only ask are answered all the same.
+        host.listen((WRAP_US - 20_000 - now_us(device)) / 1000).await;
+        let mut outcomes = Vec::new();
+        for seq in 250..=260_u32 {
+            let sent_us = now_us(device);
+            let state = turn(host, Cycle::new(seq as u8, None, Some(sent_us), [NOTHING; 4])).await;
+            let device_us = state.device_us(now_us(device));
+            assert!((sent_us..sent_us + 2000).contains(&device_us), "{device_us}, sent at {sent_us}");
+            outcomes.push((sent_us < WRAP_US, state.outcome()));
+            host.listen(3).await;
+        }
+        assert!(outcomes.iter().any(|(before, _)| *before) && outcomes.iter().any(|(before, _)| !before));
+        assert!(outcomes.iter().all(|(_, outcome)| *outcome == CycleOutcome::Taken), "{outcomes:?}");
+        let sent_us = now_us(device) - 60_000;
+        assert!(sent_us < WRAP_US && now_us(device) > WRAP_US);
+        let old = turn(host, Cycle::new(1, None, Some(sent_us), [NOTHING; 4])).await;
+        assert_eq!(old.outcome(), CycleOutcome::Stale, "also over the wrap");
+    });
+}
+
 /// Whole frames, pieces of frames and noise, but never a whole request to arm.
 fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
     let message = prop_oneof![
@@ -297,6 +544,7 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
             sent_us,
             ttl_ms,
         }),
+        Just(bind(50)),
         any::<[f32; 3]>().prop_map(|[kp, ki, kd]| Request::SetGains {
             channel: ROTARY,
             mode: Mode::Speed,
@@ -306,6 +554,8 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
     let whole = (any::<u16>(), message).prop_map(|(seq, request)| frame(&ToDevice::Request { seq, request }));
     let beat =
         (any::<u16>(), any::<u64>()).prop_map(|(session, host_us)| frame(&ToDevice::Heartbeat { session, host_us }));
+    let cycle = (any::<u8>(), any::<Option<u64>>(), any::<[i16; 4]>())
+        .prop_map(|(seq, sent_us, set)| frame(&ToDevice::Cycle(Cycle::new(seq, None, sent_us, set))));
     // COBS makes the damage visible to the CRC, never invisible: a flipped bit gives no other valid frame.
     let damaged = (any::<u16>(), any::<prop::sample::Index>(), 0..8u8).prop_map(|(seq, place, bit)| {
         let mut arm = frame(&ToDevice::Request { seq, request: Request::Arm });
@@ -314,8 +564,89 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
         arm
     });
     let noise = prop::collection::vec(any::<u8>(), 0..300);
-    let piece = prop_oneof![3 => whole, 1 => beat, 2 => damaged, 2 => noise];
+    let piece = prop_oneof![3 => whole, 1 => beat, 1 => cycle, 2 => damaged, 2 => noise];
     prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
+}
+
+/// Whether the bench takes `set` for the channels of [`bind`], and what they follow then.
+fn followed(mode: Option<Mode>, set: [i16; 4]) -> Option<[Option<Setpoint>; 2]> {
+    let of = |motor: usize, bound: CycleChannel| {
+        if set[motor] == NOTHING {
+            return Some(None);
+        }
+        let mode = mode.unwrap_or(bound.mode);
+        let value = f32::from(set[motor]) * bound.scale(mode)?;
+        range_of(motor, mode).contains(value).then_some(Some(Setpoint { mode, value }))
+    };
+    Some([of(0, of_cycle(ROTARY, Mode::Speed))?, of(1, of_cycle(LINEAR, Mode::Position))?])
+}
+
+/// Mode, age in µs, set points.
+type AnyCycle = (Option<Mode>, Option<i64>, [i16; 4]);
+
+fn any_cycle() -> impl Strategy<Value = AnyCycle> {
+    let modes = vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+    let mode = proptest::option::of(proptest::sample::select(modes));
+    let steps = || prop_oneof![3 => -50..50_i16, 2 => any::<i16>(), 1 => Just(NOTHING)];
+    // Looking at both motors takes some 10 ms of the time to live.
+    let age_us = prop_oneof![3 => -30_000..30_000_i64, 1 => 51_000..1_000_000_i64, 1 => -1_000_000..-52_000_i64];
+    (mode, proptest::option::of(age_us), [steps(), steps(), steps(), steps()])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, cases: 48, ..ProptestConfig::default() })]
+
+    /// Whatever is in a cycle, the motors follow what single commands could have told them, or what they followed before.
+    #[test]
+    fn any_cycle_is_followed_as_single_commands_are_or_not_at_all(cycles in prop::collection::vec(any_cycle(), 1..12)) {
+        raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
+            let session = host.hello().await.session;
+            host.ask(bind(50)).await.unwrap();
+            host.listen(1000).await;
+            host.hello().await;
+            host.ask(bind(50)).await.unwrap();
+            host.ask(Request::Clear).await.unwrap();
+            host.ask(Request::Arm).await.unwrap();
+            for (seq, (mode, age_us, set)) in cycles.iter().copied().enumerate() {
+                let sent_us = age_us.map(|age_us| now_us(device).checked_add_signed(-age_us).unwrap());
+                let state = turn(host, Cycle::new(seq as u8, mode, sent_us, set)).await;
+                let expected = match (age_us, followed(mode, set)) {
+                    (Some(age_us), _) if age_us.abs() > 50_000 => CycleOutcome::Stale,
+                    (_, None) => CycleOutcome::Refused,
+                    (_, Some(_)) => CycleOutcome::Taken,
+                };
+                assert_eq!(state.outcome(), expected, "{mode:?} {age_us:?} {set:?}");
+                let told = [setpoint_of(host, ROTARY).await, setpoint_of(host, LINEAR).await];
+                if expected == CycleOutcome::Taken {
+                    for (told, followed) in told.iter().zip(followed(mode, set).unwrap()) {
+                        assert!(followed.is_none_or(|followed| *told == followed), "{told:?}, not {followed:?}");
+                    }
+                }
+                for (motor, told) in told.iter().enumerate() {
+                    assert!(range_of(motor, told.mode).contains(told.value), "{told:?}");
+                }
+                host.send(&ToDevice::Heartbeat { session: session + 1, host_us: 0 }).await;
+                host.listen(1).await;
+            }
+            assert_eq!(host.hello().await.causes, Causes::NONE);
+        });
+    }
+}
+
+/// What a motor follows, by its telemetry.
+async fn setpoint_of(host: &mut RawHost, channel: ChannelId) -> Setpoint {
+    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
+    let heard = host.listen(2).await;
+    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.expect("a channel");
+    host.listen(1).await;
+    let last = heard.into_iter().rev().find_map(|message| match message {
+        ToHost::Telemetry(Telemetry { samples, .. }) => match samples[..] {
+            [Sample::Motor { setpoint, .. }] => Some(setpoint),
+            _ => None,
+        },
+        _ => None,
+    });
+    last.expect("a sample each millisecond")
 }
 
 proptest! {

@@ -1,12 +1,13 @@
 //! How many instructions a second this PC executes: `cargo run --release -p r4-unicorn --example bench`.
 //!
-//! Three loops of hand-assembled code, each for some time: nothing but arithmetic in long blocks, the mix of a program (loads,
+//! On both cores, three loops of hand-assembled code, each for some time: nothing but arithmetic in long blocks, the mix of a program (loads,
 //! stores, a call, short blocks), and reading of a register in a loop, where every access goes through the bus.
 
 use std::time::Instant;
 
 use r4_mcu::cpu::{Access, Core, CoreBus, CoreError, Limits, NoResult, Register};
 use r4_mcu::{Memory, Region};
+use r4_thumb::ThumbCore;
 use r4_unicorn::UnicornCore;
 
 const CODE: u32 = 0x0800_0000;
@@ -38,6 +39,13 @@ impl CoreBus for Bus {
 }
 
 fn main() -> Result<(), CoreError> {
+    println!("unicorn");
+    measure(UnicornCore::new)?;
+    println!("thumb");
+    measure(|| Ok(ThumbCore::new()))
+}
+
+fn measure<C: Core>(create: impl Fn() -> Result<C, CoreError>) -> Result<(), CoreError> {
     // Sixteen additions and a branch.
     let mut arithmetic = vec![0x1840_u16; 16];
     arithmetic.push(0xE7EE);
@@ -46,12 +54,12 @@ fn main() -> Result<(), CoreError> {
     // 0: ldr r2,[r3]; lsls r2,r2,#1; bpl 0
     let polling = vec![0x681A, 0x0052, 0xD5FC];
     for (name, code, instructions) in
-        [("arithmetic", arithmetic, 2_000_000_000), ("program", program, 400_000_000), ("polling", polling, 6_000_000)]
+        [("arithmetic", arithmetic, 1_000_000_000), ("program", program, 400_000_000), ("polling", polling, 6_000_000)]
     {
         let memory = Memory::new();
         let bytes: Vec<u8> = code.iter().flat_map(|half: &u16| half.to_le_bytes()).collect();
         memory.write_slice(CODE, &bytes).ok_or_else(|| CoreError("no flash".into()))?;
-        let mut core = UnicornCore::new()?;
+        let mut core = create()?;
         core.map(memory.regions())?;
         for (register, value) in [
             (Register::R(0), 0x2000_0000),

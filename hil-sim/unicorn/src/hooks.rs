@@ -162,7 +162,7 @@ fn load(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> bool {
         let access = access(engine, address.wrapping_add(offset), size);
         match engine.get_data_mut().bus().read(&access) {
             Ok(value) => {
-                let at = (access.address - base) as usize;
+                let at = access.address.wrapping_sub(base) as usize;
                 window[at..at + size.bytes() as usize].copy_from_slice(&value.to_le_bytes()[..size.bytes() as usize]);
             }
             Err(NoResult) => return false,
@@ -199,7 +199,7 @@ fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) 
         engine.get_data_mut().bus().write(&access, (value >> (part * 32)) as u32);
     }
     let unaligned = address & (bytes - 1) != 0;
-    engine.get_data_mut().window.repeated = if unaligned { (address, address + bytes) } else { (0, 0) };
+    engine.get_data_mut().window.repeated = if unaligned { (address, address.saturating_add(bytes)) } else { (0, 0) };
     refresh_limits(engine);
     clear_it_state(engine);
 }

@@ -1,5 +1,5 @@
-//! The probe (hil-sim/probe) on this backend, and on qemu where there is one: every check passes, and both agree word for
-//! word.
+//! The probe (hil-sim/probe) on every backend, and on qemu where there is one: every check passes, and all agree word
+//! for word.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
-use common::{machine, run_semihosted};
+use common::{Tested, for_every_core, machine, run_semihosted};
 use r4_mcu::{ResetCause, Settings, Size};
 
 #[path = "../../probe/src/arithmetic.rs"]
@@ -41,8 +41,8 @@ fn build(features: &[&str]) -> PathBuf {
     target.join("thumbv7em-none-eabihf/release/r4-probe")
 }
 
-fn on_unicorn() -> (String, u64, u64) {
-    let mut machine = machine(Settings { stop_at_breakpoints: true, ..Settings::default() });
+fn on<C: Tested>() -> (String, u64, u64) {
+    let mut machine = machine::<C>(Settings { stop_at_breakpoints: true, ..Settings::default() });
     machine.load_elf(&probe("R4_PROBE_ELF", &[])).unwrap();
     machine.reset(ResetCause::PowerOn).unwrap();
     machine.start_trace();
@@ -57,20 +57,18 @@ fn on_unicorn() -> (String, u64, u64) {
     (text, machine.trace().unwrap().hash(), machine.instructions())
 }
 
-#[test]
-fn every_check_passes_and_a_second_run_does_the_same() {
-    let (text, hash, instructions) = on_unicorn();
-    let again = on_unicorn();
+fn every_check_passes_and_a_second_run_does_the_same<C: Tested>() {
+    let (text, hash, instructions) = on::<C>();
+    let again = on::<C>();
     assert_eq!((&text, hash, instructions), (&again.0, again.1, again.2));
 }
 
-#[test]
-fn qemu_agrees_word_for_word() {
+fn qemu_agrees_word_for_word<C: Tested>() {
     if Command::new("qemu-system-arm").arg("--version").output().is_err() {
         println!("there is no qemu-system-arm here: nothing compared");
         return;
     }
-    let elf = Path::new(env!("CARGO_TARGET_TMPDIR")).join("probe-an500.elf");
+    let elf = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("probe-an500-{}.elf", std::process::id()));
     fs::write(&elf, probe("R4_PROBE_AN500_ELF", &["an500"])).unwrap();
     // Its time by instructions, 64 ns each, so that a busy PC does not matter: without, SysTick runs in real time.
     let output = Command::new("qemu-system-arm")
@@ -81,7 +79,7 @@ fn qemu_agrees_word_for_word() {
         .output()
         .unwrap();
     let theirs = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    let (ours, ..) = on_unicorn();
+    let (ours, ..) = on::<C>();
     for (ours, theirs) in ours.lines().zip(theirs.lines()) {
         assert_eq!(ours, theirs);
     }
@@ -94,3 +92,5 @@ fn the_probe_expects_what_a_pc_computes() {
     assert_eq!(arithmetic::single_digest(10_000), 0xF1A5_E73E);
     assert_eq!(arithmetic::integer_digest(10_000), 0xF493_F723);
 }
+
+for_every_core!(every_check_passes_and_a_second_run_does_the_same, qemu_agrees_word_for_word,);

@@ -6,7 +6,11 @@ use clap::{ArgGroup, Parser, Subcommand};
 use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
-    commands::config::{Name, Scope},
+    commands::{
+        self,
+        bridge::Bridge,
+        config::{Name, Scope},
+    },
     quantity::Quantity,
     session::Target,
 };
@@ -18,7 +22,8 @@ use crate::{
 #[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
-    /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml
+    /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
+    /// serial:/dev/ttyACM0[@BAUD], serial:auto, tcp:HOST:PORT, can:can0[#NODE], can:slcan:/dev/ttyACM1[#NODE]
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
@@ -30,6 +35,9 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
+    /// File with the key of a board that is served with one at tcp:
+    #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
+    pub(crate) key: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
@@ -47,6 +55,9 @@ pub(crate) struct Args {
         value_name = "LEVEL"
     )]
     pub(crate) log: Option<LogLevel>,
+    /// Record what the command does to this log: telemetry, requests and states, as `log` reads them
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -102,6 +113,14 @@ pub(crate) enum Command {
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
+    /// Watch everything on a screen, arm, disarm, clear and stop by keys
+    Monitor(crate::commands::monitor::Monitor),
+    /// Drive a robot with wheels on two sides by keys, as long as the dead-man key is held
+    Drive(crate::commands::drive::Drive),
+    /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
+    Tune(crate::commands::tune::Tune),
+    /// Measure what the board must know of its encoders, potentiometers, servos and wheels
+    Calibrate(crate::commands::calibrate::Calibrate),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),
@@ -118,11 +137,75 @@ pub(crate) enum Command {
     Scenario(Scenario),
     /// Run the firmware's image on an emulated board under a debugger or with a trace
     Debug(Debug),
+    /// A board for hosts that speak another protocol
+    Bridge {
+        #[command(subcommand)]
+        what: Bridge,
+    },
+    /// Record runs, look at them, and play them again on a simulated board
+    #[command(subcommand)]
+    Log(commands::log::Log),
+    /// Make an HTML page of a log: set points, plots, states
+    Report(commands::report::Report),
+    /// Serial ports, and which of them are boards
+    Ports,
+    /// Make a virtual board that other programs connect to
+    Sim {
+        #[command(subcommand)]
+        what: Sim,
+    },
     /// Measure on simulated boards what the firmware promises
     Bench {
         #[command(subcommand)]
         what: Bench,
     },
+    /// Print a script with which a shell completes verbs and options
+    Completions(crate::commands::completions::Completions),
+    /// Print the manual page of the program or of a verb, or write all of them
+    Man(crate::commands::man::Manual),
+}
+
+/// What is made of a virtual board.
+#[derive(Clone, Debug, Subcommand)]
+pub(crate) enum Sim {
+    /// Serve it in real time, until Ctrl-C; the first line on stdout says where
+    Serve(Serve),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+#[command(group = ArgGroup::new("where").required(true).args(["pty", "tcp", "slcan", "can"]))]
+#[command(group = ArgGroup::new("bus").args(["slcan", "can"]))]
+pub(crate) struct Serve {
+    /// A robot's name or file, on the emulated board with `emu:` before it
+    #[arg(value_name = "ROBOT", value_parser = virtual_board)]
+    pub(crate) robot: Target,
+    /// On a pseudo-terminal, as a serial port; with a link to it at this path
+    #[arg(long, num_args = 0..=1, require_equals = true, value_name = "LINK")]
+    #[expect(clippy::option_option, reason = "not given, given without a path, given with one")]
+    pub(crate) pty: Option<Option<PathBuf>>,
+    /// At this address, for one client at a time; port 0 is any that is free
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0", value_name = "ADDRESS")]
+    pub(crate) tcp: Option<SocketAddr>,
+    /// Behind a CAN adapter that speaks slcan on a pseudo-terminal; with a link to it at this path
+    #[arg(long, num_args = 0..=1, require_equals = true, value_name = "LINK")]
+    #[expect(clippy::option_option, reason = "not given, given without a path, given with one")]
+    pub(crate) slcan: Option<Option<PathBuf>>,
+    /// On a CAN interface of Linux, as in vcan0
+    #[arg(long, value_name = "INTERFACE")]
+    pub(crate) can: Option<String>,
+    /// The board's number on the CAN bus
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..128), requires = "bus")]
+    pub(crate) node: u8,
+    /// Let other machines connect to --tcp; needs --key
+    #[arg(long, requires_all = ["tcp", "key_file"])]
+    pub(crate) public: bool,
+}
+
+fn virtual_board(text: &str) -> Result<Target, String> {
+    match text.split_once(':') {
+        Some(("sim" | "emu", _)) => text.parse(),
+        _ => Ok(Target::Sim(text.to_owned())),
+    }
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -182,8 +265,30 @@ pub(crate) enum Bench {
         #[arg(long, default_value = "10", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: f64,
     },
+    /// Bytes, round trips, rate and clock error of a link to a board; a simulated board, sim:openscout unless `--board` says,
+    /// is served on a pseudo-terminal for it
+    Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct BenchLink {
+    /// How long round trips are made, and then as many cycles as go
+    #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: f64,
+    /// Cycles under way at once, where as many as go are sent
+    #[arg(long, default_value_t = 32, value_parser = window, value_name = "CYCLES")]
+    pub(crate) window: usize,
+    /// Arm a board at the end of a link, with motors at rest; otherwise it refuses set points, and answers all the same. A
+    /// virtual board is armed in any case
+    #[arg(long)]
+    pub(crate) arm: bool,
+}
+
+fn window(text: &str) -> Result<usize, String> {
+    let window = text.parse().ok().filter(|window| (1..=128).contains(window));
+    window.ok_or_else(|| format!("`{text}` is no number of cycles from 1 to 128"))
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -371,7 +476,7 @@ pub(crate) struct Watch {
     pub(crate) seconds: Option<f64>,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     match text.trim_end_matches('s').parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
         _ => Err("a number of seconds above 0 and at most 1000000".into()),

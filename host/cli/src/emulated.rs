@@ -18,7 +18,7 @@ use r4_emu::{
     tracing::{Tracer, Wanted, resolve},
 };
 use r4_sim::{Simulation, VirtualBoard, flash::Flash};
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 
 use crate::{
     args::{Args, Command, Debug, LogLevel},
@@ -39,7 +39,7 @@ pub(crate) fn start(
 }
 
 /// A board, and where a debugging session with gdb stands, if there is one.
-type Debugged = (EmuBoard<UnicornCore>, Option<Rc<Cell<State>>>);
+type Debugged = (EmuBoard<ThumbCore>, Option<Rc<Cell<State>>>);
 
 /// The same, and where a debugging session with gdb stands, if `args` are for one.
 pub(crate) fn start_debugged(
@@ -48,9 +48,9 @@ pub(crate) fn start_debugged(
     robot: &Robot,
     flash: Option<Flash>,
 ) -> anyhow::Result<Debugged> {
-    let image = Image::find(args.board.robot())?;
+    let image = Image::find(args.board.robot()?)?;
     eprintln!("r4: runs {}, SHA-256 {}", image.path().display(), image.digest());
-    let core = UnicornCore::new().context("the emulated processor does not start")?;
+    let core = ThumbCore::new();
     let gdb = match &args.command {
         Command::Debug(debug) => debug.gdb.or(debug.until.map(|_| GDB)),
         _ => None,
@@ -69,7 +69,7 @@ pub(crate) fn start_debugged(
     Ok((board, state))
 }
 
-fn serve(board: &EmuBoard<UnicornCore>, address: SocketAddr, debug: &Debug) -> anyhow::Result<Rc<Cell<State>>> {
+fn serve(board: &EmuBoard<ThumbCore>, address: SocketAddr, debug: &Debug) -> anyhow::Result<Rc<Cell<State>>> {
     let listener = TcpListener::bind(address).with_context(|| format!("cannot serve gdb at {address}"))?;
     let attach_at_ns = debug.until.unwrap_or_else(|| debug.attach_at.map_or(0, |seconds| (seconds * 1e9) as u64));
     let server = Server::new(board.shared_machine(), listener, attach_at_ns, Person);
@@ -78,7 +78,7 @@ fn serve(board: &EmuBoard<UnicornCore>, address: SocketAddr, debug: &Debug) -> a
     Ok(state)
 }
 
-fn tracer(board: &EmuBoard<UnicornCore>, path: &Path, symbols: &[String]) -> anyhow::Result<Tracer<Box<dyn Write>>> {
+fn tracer(board: &EmuBoard<ThumbCore>, path: &Path, symbols: &[String]) -> anyhow::Result<Tracer<Box<dyn Write>>> {
     let calls = symbols.iter().map(|name| resolve(board.machine().symbols(), name));
     let calls = calls.collect::<Result<Vec<_>, _>>()?;
     let out: Box<dyn Write> = if path == Path::new("-") {

@@ -3,11 +3,12 @@
 mod args;
 mod cable;
 mod commands;
-#[cfg(feature = "emu")]
 mod emulated;
 mod output;
 mod quantity;
+mod record;
 mod report;
+mod screen;
 mod session;
 mod table;
 
@@ -37,22 +38,42 @@ fn main() -> ExitCode {
         Command::Servo(servo) => commands::hold::servo(&args, servo),
         Command::Bldc(bldc) => commands::hold::bldc(&args, bldc),
         Command::Dac(dac) => commands::hold::dac(&args, dac),
+        Command::Calibrate(calibrate) => commands::calibrate::run(&args, calibrate),
         Command::Config(config) => commands::config::run(&args, config),
         Command::Faults { index } => commands::faults::run(&args, *index),
         Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
         Command::Uart(uart) => commands::raw::uart(&args, uart),
+        Command::Tune(tune) => commands::tune::run(&args, tune),
         Command::Watch(watch) => commands::watch::run(&args, watch),
+        Command::Monitor(monitor) => commands::monitor::run(&args, monitor),
+        Command::Drive(drive) => commands::drive::run(&args, drive),
         Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
         Command::Debug(debug) => commands::debug::run(&args, debug),
+        Command::Bridge { what } => commands::bridge::run(&args, what),
+        Command::Log(log) => commands::log::run(&args, log),
+        Command::Report(report) => commands::report::run(&args, report),
+        Command::Ports => commands::ports::run(&args),
+        Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),
+        Command::Completions(completions) => commands::completions::run(completions),
+        Command::Man(manual) => commands::man::run(manual),
     };
     match result {
+        Ok(_) if args.record.is_some() && !record::is_recorded() => {
+            eprintln!("r4: nothing was recorded: this command opens no session with a board");
+            ExitCode::FAILURE
+        }
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         // Whoever reads the output has seen enough.
         Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
         // Watching ends when the person who watches says so.
-        Err(error) if error.is::<Interrupted>() && matches!(args.command, Command::Watch(_)) => ExitCode::SUCCESS,
+        Err(error)
+            if error.is::<Interrupted>()
+                && matches!(args.command, Command::Watch(_) | Command::Monitor(_) | Command::Sim { .. }) =>
+        {
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             eprintln!("r4: {error:#}");
             if error.is::<Interrupted>() { ExitCode::from(130) } else { ExitCode::FAILURE }

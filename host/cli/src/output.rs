@@ -24,6 +24,11 @@ pub(crate) fn line(text: impl Display) -> Result<(), OutputError> {
     Ok(writeln!(io::stdout().lock(), "{text}")?)
 }
 
+/// Prints what is a text of its own, with its ends of lines.
+pub(crate) fn bytes(text: &[u8]) -> Result<(), OutputError> {
+    Ok(io::stdout().lock().write_all(text)?)
+}
+
 /// Prints `value` as the one JSON object of a command.
 pub(crate) fn json(value: &impl Serialize) -> anyhow::Result<()> {
     Ok(line(serde_json::to_string(value)?)?)

@@ -1,6 +1,7 @@
 //! From `--board` to a session with that board.
 
 use std::{
+    cell::Cell,
     fs,
     future::Future,
     io,
@@ -13,13 +14,17 @@ use std::{
 };
 
 use anyhow::{Context, anyhow, bail};
+use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
+use r4_links::{Address, BadAddress, Event, Key, RealClock, Restart, is_of_link, with_reconnect};
+use r4_protocol::{ChannelId, Mode, config::PidGains};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
     args::Args,
     cable::{Cable, CableState},
+    record::{Listened, Recording, SharedTap},
 };
 
 /// What `--board` names.
@@ -29,23 +34,33 @@ pub(crate) enum Target {
     Sim(String),
     /// An emulated processor that runs the firmware's ELF, in the same simulated surroundings.
     Emu(String),
+    /// A board at the other end of a link: a real one, or one that [`r4 sim serve`](crate::commands::sim) serves.
+    Link(Address),
 }
 
 impl Target {
-    /// The same kind of board for another robot.
-    pub(crate) fn with_robot(&self, robot: &str) -> Self {
+    /// The same kind of board for another robot; a link leads to the board that it leads to.
+    pub(crate) fn with_robot(&self, robot: &str) -> anyhow::Result<Self> {
         match self {
-            Self::Sim(_) => Self::Sim(robot.to_owned()),
-            Self::Emu(_) => Self::Emu(robot.to_owned()),
+            Self::Sim(_) => Ok(Self::Sim(robot.to_owned())),
+            Self::Emu(_) => Ok(Self::Emu(robot.to_owned())),
+            Self::Link(_) => Err(NotVirtual(self.clone()).into()),
         }
     }
 
-    /// The robot's name or file.
-    pub(crate) fn robot(&self) -> &str {
-        let (Self::Sim(robot) | Self::Emu(robot)) = self;
-        robot
+    /// The robot's name or file, of a virtual board.
+    pub(crate) fn robot(&self) -> Result<&str, NotVirtual> {
+        match self {
+            Self::Sim(robot) | Self::Emu(robot) => Ok(robot),
+            Self::Link(_) => Err(NotVirtual(self.clone())),
+        }
     }
 }
+
+/// What was asked for needs a board whose world can be looked at and changed.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{0} is a board at the other end of a link: this needs a simulated one, as in --board sim:osmc-bench")]
+pub(crate) struct NotVirtual(Target);
 
 impl FromStr for Target {
     type Err = String;
@@ -55,12 +70,13 @@ impl FromStr for Target {
             Some(("sim", robot)) if !robot.is_empty() => Ok(Self::Sim(robot.to_owned())),
             Some(("emu", robot)) if !robot.is_empty() => Ok(Self::Emu(robot.to_owned())),
             Some(("serial" | "can" | "tcp", _)) => {
-                Err(format!("`{text}`: this version only has simulated and emulated boards, as in sim:osmc-bench"))
+                text.parse().map(Self::Link).map_err(|error: BadAddress| error.to_string())
             }
             _ => {
                 let known: Vec<_> = r4_boards::names().map(|name| format!("sim:{name}")).collect();
                 Err(format!(
-                    "`{text}` names no board: write sim: and a robot's name or file; built in: {}",
+                    "`{text}` names no board: write sim: and a robot's name or file, or serial:, tcp: or can: and where it is; \
+                     built in: {}",
                     known.join(" ")
                 ))
             }
@@ -73,45 +89,70 @@ impl std::fmt::Display for Target {
         match self {
             Self::Sim(robot) => write!(f, "sim:{robot}"),
             Self::Emu(robot) => write!(f, "emu:{robot}"),
+            Self::Link(address) => address.fmt(f),
         }
     }
 }
 
 /// The time a session runs on.
 #[derive(Clone)]
-pub(crate) struct HostClock(pub(crate) r4_sim::Clock);
+pub(crate) enum HostClock {
+    /// Of a simulation.
+    Virtual(r4_sim::Clock),
+    /// Of this machine.
+    Real(RealClock),
+}
 
 impl Clock for HostClock {
     fn now_us(&self) -> u64 {
-        self.0.now_ns() / 1000
+        match self {
+            Self::Virtual(clock) => clock.now_ns() / 1000,
+            Self::Real(clock) => clock.now_us(),
+        }
     }
 
     fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()> {
-        self.0.sleep_until(at_us.saturating_mul(1000))
+        match self {
+            Self::Virtual(clock) => Either::Left(clock.sleep_until(at_us.saturating_mul(1000))),
+            Self::Real(clock) => Either::Right(clock.sleep_until(at_us)),
+        }
     }
 }
 
 /// A connected board, and what only the program knows about it.
 pub(crate) struct Session<'s> {
     pub(crate) board: &'s Board<HostClock>,
-    surroundings: Rc<dyn VirtualBoard>,
-    cable: Rc<CableState>,
+    /// Gains that the board gets back when the work is done, however that ends.
+    gains_at_end: Cell<Option<(ChannelId, Mode, PidGains)>>,
+    /// `None` at the end of a link.
+    surroundings: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
+    target: &'s Target,
+    /// What the driver's time is.
+    pub(crate) clock: HostClock,
+    /// What is recorded of this session.
+    pub(crate) tap: Option<SharedTap>,
 }
 
 impl Session<'_> {
     /// Where a motor's output really is, rad or m, if anything can tell: a simulator can.
-    pub(crate) fn true_position(&self, channel: r4_protocol::ChannelId) -> Option<f64> {
-        self.surroundings.world().position(channel)
+    pub(crate) fn true_position(&self, channel: ChannelId) -> Option<f64> {
+        self.surroundings.as_ref()?.0.world().position(channel)
     }
 
     /// The board with its surroundings, to look at and to break.
-    pub(crate) fn virtual_board(&self) -> &dyn VirtualBoard {
-        &*self.surroundings
+    pub(crate) fn virtual_board(&self) -> Result<&dyn VirtualBoard, NotVirtual> {
+        self.surroundings.as_ref().map(|(board, _)| &**board).ok_or_else(|| NotVirtual(self.target.clone()))
     }
 
-    /// The cable to the board, to cut.
-    pub(crate) fn cable(&self) -> &CableState {
-        &self.cable
+    /// The cable to a virtual board, to cut.
+    pub(crate) fn cable(&self) -> Result<&CableState, NotVirtual> {
+        self.surroundings.as_ref().map(|(_, cable)| &**cable).ok_or_else(|| NotVirtual(self.target.clone()))
+    }
+
+    /// Has the board given these gains of one loop when the work is done, also when it fails or is interrupted; `None` takes
+    /// that back.
+    pub(crate) fn gains_at_end(&self, gains: Option<(ChannelId, Mode, PidGains)>) {
+        self.gains_at_end.set(gains);
     }
 
     /// Arms, runs `work`, and disarms whatever came of it.
@@ -150,13 +191,11 @@ const INTERRUPT_POLL_US: u64 = 10_000;
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Somebody has pressed Ctrl-C, or [`interrupt`] was called.
-#[cfg(feature = "emu")]
 pub(crate) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
 /// Does what Ctrl-C does.
-#[cfg(feature = "emu")]
 pub(crate) fn interrupt() {
     INTERRUPTED.store(true, Ordering::Relaxed);
 }
@@ -168,7 +207,7 @@ pub(crate) fn catch_interrupts() {
 }
 
 /// The file with a simulated board's flash.
-struct FlashFile {
+pub(crate) struct FlashFile {
     path: PathBuf,
     /// What was in it; nothing before there was a file.
     before: Vec<u8>,
@@ -195,7 +234,7 @@ impl FlashFile {
     }
 
     /// Writes what `flash` holds now: all of it, or nothing.
-    fn write(&self, flash: &Flash) -> anyhow::Result<()> {
+    pub(crate) fn write(&self, flash: &Flash) -> anyhow::Result<()> {
         let now = flash.to_bytes();
         if now == self.before {
             return Ok(());
@@ -207,7 +246,7 @@ impl FlashFile {
     }
 }
 
-/// Connects to the board that `args` name and runs `work` in a session with it.
+/// Connects to the board that `args` name and runs `work` in a session with it, which is recorded where `--record` says.
 ///
 /// Ctrl-C disarms, closes the session and is an error.
 pub(crate) fn run<T>(
@@ -215,25 +254,45 @@ pub(crate) fn run<T>(
     default_pace: Pace,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<(T, Elapsed)> {
-    let robot: Robot = r4_boards::load(args.board.robot())?;
-    let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
-    let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
-    let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
-    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
-        eprintln!(
-            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{}",
-            args.board.robot()
-        );
+    match Recording::open(args)? {
+        Some(recording) => {
+            let result = run_with(args, default_pace, Some(recording.tap()), work);
+            recording.close(result)
+        }
+        None => run_with(args, default_pace, None, work),
     }
-    let board = start(args, &mut simulation, &robot, flash)?;
+}
+
+/// The same, recorded by `tap`.
+pub(crate) fn run_with<T>(
+    args: &Args,
+    default_pace: Pace,
+    tap: Option<SharedTap>,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<(T, Elapsed)> {
+    if let Target::Link(address) = &args.board {
+        return run_on(args, address, tap, work);
+    }
+    let mut simulation = Simulation::new(args.pace.unwrap_or(default_pace));
+    let (board, file) = power_up(args, &mut simulation)?;
     let clock = simulation.clock();
     let Some(port) = board.connect() else { bail!("the simulated board is already connected") };
     catch_interrupts();
     let begin = Instant::now();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
-    let host = with_board(port.rx, tx, HostClock(clock.clone()), async |connected| {
-        let session = Session { board: connected, surroundings: board.clone(), cable };
-        unless_interrupted(&session, HostClock(clock.clone()), work(&session)).await
+    let host_clock = HostClock::Virtual(clock.clone());
+    let (rx, tx) = (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
+    let host = with_board(rx, tx, host_clock.clone(), async |connected| {
+        let surroundings = Some((board.clone(), cable));
+        let session = Session {
+            board: connected,
+            gains_at_end: Cell::new(None),
+            surroundings,
+            target: &args.board,
+            clock: host_clock.clone(),
+            tap,
+        };
+        unless_interrupted(&session, host_clock, work(&session)).await
     });
     let result = simulation.block_on(host);
     if let Some(failure) = board.failure() {
@@ -248,9 +307,134 @@ pub(crate) fn run<T>(
     Ok((value, elapsed))
 }
 
-#[cfg(not(feature = "emu"))]
-pub(crate) const WITHOUT_EMULATOR: &str = "this program was built without the emulator: build it with `--features emu` \
-                                            (it needs cmake, libclang and a C compiler)";
+/// The key that `args` name.
+pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
+    Ok(args.key.as_deref().map(Key::read).transpose()?)
+}
+
+/// The same on a board at the other end of a link.
+fn run_on<T>(
+    args: &Args,
+    address: &Address,
+    tap: Option<SharedTap>,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<(T, Elapsed)> {
+    warn_of_virtual_options(args);
+    catch_interrupts();
+    let begin = Instant::now();
+    let value = r4_links::block_on(async {
+        let link = r4_links::open(address, key(args)?.as_ref()).await?;
+        let clock = HostClock::Real(RealClock);
+        let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
+        let connected = with_board(rx, tx, clock.clone(), async |connected| {
+            let session = Session {
+                board: connected,
+                gains_at_end: Cell::new(None),
+                surroundings: None,
+                target: &args.board,
+                clock: clock.clone(),
+                tap,
+            };
+            unless_interrupted(&session, clock, work(&session)).await
+        });
+        connected.await.with_context(|| format!("cannot connect to {}", args.board))?
+    })?;
+    let wall_s = begin.elapsed().as_secs_f64();
+    Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
+}
+
+/// The same for `work` that only looks: on a board at the other end of a link it is run again each time that a lost link is
+/// back, and stderr says so. Of what ends by itself after `seconds` a link that is not back by then is the error.
+pub(crate) fn keep<T>(
+    args: &Args,
+    default_pace: Pace,
+    seconds: Option<f64>,
+    mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    // A recording is of one session.
+    let (Target::Link(address), None) = (&args.board, &args.record) else {
+        return Ok(run(args, default_pace, work)?.0);
+    };
+    warn_of_virtual_options(args);
+    catch_interrupts();
+    let clock = HostClock::Real(RealClock);
+    let end_us = seconds.map_or(u64::MAX, |seconds| clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64);
+    let mut lost = None;
+    let key = key(args)?;
+    let connected = with_reconnect(
+        address,
+        key.as_ref(),
+        clock.clone(),
+        async |board| {
+            let session = Session {
+                board,
+                gains_at_end: Cell::new(None),
+                surroundings: None,
+                target: &args.board,
+                clock: clock.clone(),
+                tap: None,
+            };
+            work(&session).await
+        },
+        |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
+        |event| {
+            eprintln!("r4: {}", told(&event));
+            lost = if let Event::Lost { why } = event { Some(why) } else { None };
+        },
+    );
+    let ended = r4_links::block_on(async {
+        let (interrupt, end) = (pin!(interrupted(&clock)), pin!(clock.sleep_until(end_us)));
+        match select(pin!(connected), select(interrupt, end)).await {
+            Either::Left((result, _)) => Some(result),
+            // Nothing was armed.
+            Either::Right((Either::Left(_), _)) => Some(Err(Interrupted.into())),
+            Either::Right((Either::Right(_), _)) => None,
+        }
+    });
+    ended
+        .unwrap_or_else(|| Err(lost.map_or_else(|| anyhow!("no answer"), Into::into)))
+        .with_context(|| args.board.to_string())
+}
+
+/// What is over in time has this long to say so itself.
+const GRACE_S: f64 = 1.0;
+
+fn told(event: &Event) -> String {
+    match event {
+        Event::Lost { why } => format!("{why}; trying again"),
+        Event::Back { after, restart } => {
+            let what = match restart {
+                None => "the board ran on meanwhile",
+                Some(Restart::Watchdog) => "device reset: watchdog",
+                Some(Restart::Power) => "device reset: power, button or new firmware",
+            };
+            format!("the link is back after {:.1} s; {what}", after.as_secs_f64())
+        }
+    }
+}
+
+fn warn_of_virtual_options(args: &Args) {
+    if args.flash.is_some() || args.pace.is_some() {
+        eprintln!("r4: --flash and --pace are for simulated boards: {} has its own flash and real time", args.board);
+    }
+}
+
+/// Powers up the virtual board that `args` name, with the flash in its file.
+pub(crate) fn power_up(
+    args: &Args,
+    simulation: &mut Simulation,
+) -> anyhow::Result<(Rc<dyn VirtualBoard>, Option<FlashFile>)> {
+    let name = args.board.robot()?;
+    let robot: Robot = r4_boards::load(name)?;
+    let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
+    let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
+        eprintln!(
+            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{name}"
+        );
+    }
+    Ok((start(args, simulation, &robot, flash)?, file))
+}
 
 /// Powers up the virtual board that `args` name.
 fn start(
@@ -264,10 +448,15 @@ fn start(
             Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, args.seed, flash)?),
             None => Rc::new(SimBoard::start(simulation, robot, args.seed)?),
         }),
-        #[cfg(feature = "emu")]
         Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
-        #[cfg(not(feature = "emu"))]
-        Target::Emu(_) => bail!("{WITHOUT_EMULATOR}"),
+        Target::Link(_) => Err(NotVirtual(args.board.clone()).into()),
+    }
+}
+
+/// Until Ctrl-C.
+async fn interrupted(clock: &HostClock) {
+    while !is_interrupted() {
+        clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
     }
 }
 
@@ -276,16 +465,16 @@ async fn unless_interrupted<T>(
     clock: HostClock,
     work: impl Future<Output = anyhow::Result<T>>,
 ) -> anyhow::Result<T> {
-    let interrupt = async {
-        while !INTERRUPTED.load(Ordering::Relaxed) {
-            clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
-        }
-    };
-    match futures::future::select(pin!(work), pin!(interrupt)).await {
-        futures::future::Either::Left((result, _)) => result,
-        futures::future::Either::Right(((), _)) => {
+    let result = match select(pin!(work), pin!(interrupted(&clock))).await {
+        Either::Left((result, _)) => result,
+        Either::Right(((), _)) => {
             session.board.disarm().await.context("interrupted; could not disarm, the board stops by itself")?;
             Err(Interrupted.into())
         }
-    }
+    };
+    let Some((channel, mode, gains)) = session.gains_at_end.take() else { return result };
+    let put_back = session.board.set_gains(channel, mode, gains).await;
+    let value = result?;
+    put_back.with_context(|| format!("{channel} has other gains than it began with: restart the board"))?;
+    Ok(value)
 }

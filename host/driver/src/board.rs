@@ -22,29 +22,32 @@ use r4_protocol::{
 use crate::{
     Clock, Error,
     connection::State,
-    telemetry::{TelemetryStream, lock},
+    streams::{SampleStream, SentStream, TelemetryStream, lock},
 };
 
 /// A request without an answer after this long has failed.
 const REQUEST_TIMEOUT_MS: u32 = 500;
 /// The same for what waits for the board's flash, of which a sector takes 2 s to erase: the board gives up after 10 s.
 const FLASH_TIMEOUT_MS: u32 = 11_000;
-/// A board that does not answer so many times is not there.
-const HELLO_ATTEMPTS: u32 = 3;
+/// A request that may be repeated is, when there is no answer after this long; as often as its time allows.
+const REPEAT_AFTER_MS: u32 = 150;
+/// How long a hello waits for its answer, again and again: a board that has just come back is found soon, and one on a slow
+/// link at all. One that answers none of them is not there.
+const HELLO_TIMEOUTS_MS: [u32; 5] = [100, 200, 400, 500, 500];
 /// Set points older than this on arrival are refused by the board.
 const SETPOINT_TTL_MS: u16 = 100;
 
 /// A board with an open session. Made by [`crate::with_board`].
 pub struct Board<C> {
-    wire: Wire<C>,
+    pub(crate) wire: Wire<C>,
     info: DeviceInfo,
     channels: Vec<ChannelInfo>,
 }
 
 /// Requests and their answers.
 pub(crate) struct Wire<C> {
-    clock: C,
-    state: Arc<Mutex<State>>,
+    pub(crate) clock: C,
+    pub(crate) state: Arc<Mutex<State>>,
     outgoing: mpsc::UnboundedSender<ToDevice>,
     next_seq: AtomicU16,
 }
@@ -108,18 +111,19 @@ impl<C: Clock> Board<C> {
 
     /// Says hello until it is answered: the first bytes on a fresh link are often lost or glued to others.
     async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
-        let mut attempts = HELLO_ATTEMPTS;
-        loop {
+        let mut waited_ms = 0;
+        for after_ms in HELLO_TIMEOUTS_MS {
             let sent_us = wire.clock.now_us();
             let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
-            attempts -= 1;
-            match wire.request("hello", hello).await {
+            // Not the same one again: each opens a session of its own, and the last one counts.
+            match wire.request_within("hello", hello, after_ms).await {
                 Ok(Reply::Hello(info)) => return Ok((info, sent_us)),
                 Ok(_) => return Err(Error::WrongReply { request: "hello" }),
-                Err(Error::TimedOut { .. }) if attempts > 0 => {}
+                Err(Error::TimedOut { after_ms, .. }) => waited_ms += after_ms,
                 Err(error) => return Err(error),
             }
         }
+        Err(Error::TimedOut { request: "hello", after_ms: waited_ms })
     }
 
     /// Ends the session. Whether the answer arrives changes nothing: without heartbeats the board ends it too.
@@ -163,7 +167,21 @@ impl<C: Clock> Board<C> {
     /// The board's clock now, µs, as far as heartbeats tell.
     #[must_use]
     pub fn device_us(&self) -> u64 {
-        lock(&self.wire.state).device_us(self.wire.clock.now_us())
+        lock(&self.wire.state).clock.device_us(self.wire.clock.now_us())
+    }
+
+    /// The driver's clock when the board's showed `device_us`, both in µs, as far as heartbeats tell.
+    #[must_use]
+    pub fn host_us(&self, device_us: u64) -> u64 {
+        lock(&self.wire.state).clock.host_us(device_us)
+    }
+
+    /// How wrong [`Board::device_us`] and [`Board::host_us`] may be now, µs. Half the shortest round trip is in it: that one
+    /// way takes longer than the other cannot be seen.
+    #[must_use]
+    pub fn clock_uncertainty_us(&self) -> f64 {
+        // The answer to the hello was the first round trip.
+        lock(&self.wire.state).clock.uncertainty_us(self.wire.clock.now_us()).unwrap_or(f64::INFINITY)
     }
 
     /// Seconds on the driver's clock.
@@ -231,13 +249,42 @@ impl<C: Clock> Board<C> {
     /// # Errors
     /// [`Refusal::TooManySubscriptions`], besides what befalls any request.
     pub async fn subscribe(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
-        self.wire.done("subscribe", Request::Subscribe { channel, period_ms }).await
+        self.wire.done("subscribe", Request::Subscribe { channel, period_ms }).await?;
+        let subscriptions = &mut lock(&self.wire.state).subscriptions;
+        subscriptions.retain(|(other, _)| *other != channel);
+        if period_ms > 0 {
+            subscriptions.push((channel, period_ms));
+        }
+        Ok(())
+    }
+
+    /// What is subscribed to, and every how many ms: to be asked for again on a new connection.
+    #[must_use]
+    pub fn subscriptions(&self) -> Vec<(ChannelId, u16)> {
+        lock(&self.wire.state).subscriptions.clone()
+    }
+
+    /// Subscribes to `channel` every `period_ms`, as [`Board::subscribe`] does, and gives its samples from now on. The period is
+    /// the channel's: the last one asked for holds for all who read it.
+    ///
+    /// # Errors
+    /// As [`Board::subscribe`].
+    pub async fn samples(&self, channel: ChannelId, period_ms: u16) -> Result<SampleStream, Error> {
+        let samples = lock(&self.wire.state).samples.open(channel);
+        self.subscribe(channel, period_ms).await?;
+        Ok(samples)
+    }
+
+    /// Every message but heartbeats, when it leaves from now on: for a record of what was asked.
+    #[must_use]
+    pub fn sent(&self) -> SentStream {
+        lock(&self.wire.state).sent.open()
     }
 
     /// All telemetry from now on.
     #[must_use]
     pub fn telemetry(&self) -> TelemetryStream {
-        lock(&self.wire.state).streams.open()
+        lock(&self.wire.state).telemetry.open()
     }
 
     /// What the board has counted.
@@ -497,6 +544,22 @@ fn timeout_ms(request: &Request) -> u32 {
     }
 }
 
+/// Whether doing it twice is doing it once, so that it may be sent again when no answer comes. Not what moves, arms, clears or
+/// reaches an external device, and not what waits for flash, of which a board does one after another.
+fn may_be_repeated(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::Describe { .. }
+            | Request::Stats
+            | Request::Subscribe { .. }
+            | Request::Bind { .. }
+            | Request::DescribeParameter { .. }
+            | Request::Disarm
+            | Request::Stop
+            | Request::Bye
+    )
+}
+
 impl<C: Clock> Wire<C> {
     pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
         // Not from 0: an answer to a host before us, still under way, must not pass for one to us.
@@ -504,7 +567,7 @@ impl<C: Clock> Wire<C> {
         Self { clock, state, outgoing, next_seq }
     }
 
-    async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
+    pub(crate) async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
         match self.request(name, request).await? {
             Reply::Done => Ok(()),
             _ => Err(Error::WrongReply { request: name }),
@@ -518,9 +581,21 @@ impl<C: Clock> Wire<C> {
         }
     }
 
-    async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
+    /// Sends a request whose answer nobody waits for.
+    pub(crate) fn tell(&self, request: Request) {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
-        let (sender, answer) = oneshot::channel();
+        // After the end of the link there is nobody to tell.
+        let _ = self.outgoing.unbounded_send(ToDevice::Request { seq, request });
+    }
+
+    async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
+        let after_ms = timeout_ms(&request);
+        self.request_within(name, request, after_ms).await
+    }
+
+    async fn request_within(&self, name: &'static str, request: Request, after_ms: u32) -> Result<Reply, Error> {
+        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
+        let (sender, mut answer) = oneshot::channel();
         {
             let mut state = lock(&self.state);
             if let Some(end) = &state.end {
@@ -530,18 +605,26 @@ impl<C: Clock> Wire<C> {
         }
         // Also when this future is dropped, nobody waits any more.
         let _waiting = Waiting { state: &self.state, seq };
-        let after_ms = timeout_ms(&request);
         let timed_out = Error::TimedOut { request: name, after_ms };
-        if self.outgoing.unbounded_send(ToDevice::Request { seq, request }).is_err() {
-            return Err(lock(&self.state).end.clone().unwrap_or(timed_out));
+        let ended = || lock(&self.state).end.clone().unwrap_or(timed_out.clone());
+        let repeat_ms = if may_be_repeated(&request) { REPEAT_AFTER_MS } else { after_ms };
+        let begin_us = self.clock.now_us();
+        let mut waited_ms = 0;
+        while waited_ms < after_ms {
+            // With the same number: whichever answer comes first is taken, and the other is passed over.
+            if self.outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }).is_err() {
+                return Err(ended());
+            }
+            waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
+            let until_us = begin_us + u64::from(waited_ms) * 1000;
+            match select(&mut answer, pin!(self.clock.sleep_until(until_us))).await {
+                Either::Left((Ok(result), _)) => return Ok(result?),
+                // The link ended, which dropped the sender.
+                Either::Left((Err(_), _)) => return Err(ended()),
+                Either::Right(((), _)) => {}
+            }
         }
-        let until_us = self.clock.now_us() + u64::from(after_ms) * 1000;
-        match select(answer, pin!(self.clock.sleep_until(until_us))).await {
-            Either::Left((Ok(result), _)) => Ok(result?),
-            // The link ended, which dropped the sender.
-            Either::Left((Err(_), _)) => Err(lock(&self.state).end.clone().unwrap_or(timed_out)),
-            Either::Right(((), _)) => Err(timed_out),
-        }
+        Err(timed_out)
     }
 }
 

@@ -4,6 +4,7 @@ use std::{
     collections::HashMap,
     pin::pin,
     sync::{Arc, Mutex},
+    task::Poll,
 };
 
 use embedded_io_async::{Read, Write};
@@ -13,13 +14,16 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, DeviceInfo, FrameDecoder, Refusal, Reply, SafetyState, ToDevice, ToHost, encode_frame, frame::MAX_FRAME,
+    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, Refusal, Reply, Request, SafetyState, Telemetry,
+    ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
 };
 
 use crate::{
     Board, Clock, Error,
     board::Wire,
-    telemetry::{Streams, lock},
+    clock_map::ClockMap,
+    cycles::{self, CycleQueue},
+    streams::{SampleStreams, Sent, Streams, lock},
 };
 
 /// A heartbeat is sent this many times within the board's link timeout.
@@ -31,30 +35,19 @@ const SILENT_TIMEOUTS: u64 = 5;
 #[derive(Default)]
 pub(crate) struct State {
     pub(crate) pending: HashMap<u16, oneshot::Sender<Result<Reply, Refusal>>>,
-    pub(crate) streams: Streams,
+    pub(crate) telemetry: Streams<Telemetry>,
     pub(crate) safety: Option<(SafetyState, Causes)>,
     pub(crate) end: Option<Error>,
     pub(crate) bad_frames: u64,
+    pub(crate) clock: ClockMap,
+    pub(crate) cycles: CycleQueue,
+    pub(crate) samples: SampleStreams,
+    pub(crate) sent: Streams<Sent>,
+    /// What the board has been asked for, and every how many ms.
+    pub(crate) subscriptions: Vec<(ChannelId, u16)>,
+    /// What the board takes cycles for, as it was last told.
+    bound: heapless::Vec<CycleChannel, CYCLE_CHANNELS>,
     session: Option<Session>,
-    offset: Option<Offset>,
-}
-
-/// Board clock minus host clock, as one round trip showed it.
-#[derive(Clone, Copy)]
-struct Offset {
-    us: i64,
-    round_trip_us: u64,
-    seen_us: u64,
-}
-
-/// Two crystals drift apart by no more than this share, of which an old offset is worth less.
-const DRIFT: f64 = 200e-6;
-
-impl Offset {
-    /// How wrong it may be by now, µs.
-    fn uncertainty_us(&self, now_us: u64) -> f64 {
-        self.round_trip_us as f64 / 2.0 + now_us.saturating_sub(self.seen_us) as f64 * DRIFT
-    }
 }
 
 #[derive(Clone, Copy)]
@@ -65,24 +58,9 @@ struct Session {
 }
 
 impl State {
-    /// The board's clock when the host's shows `host_us`.
-    pub(crate) fn device_us(&self, host_us: u64) -> u64 {
-        host_us.saturating_add_signed(self.offset.map_or(0, |offset| offset.us))
-    }
-
-    /// Takes the board's clock as read between `sent_us` and `now_us` of ours.
-    fn clock_seen(&mut self, sent_us: u64, device_us: u64, now_us: u64) {
-        let round_trip_us = now_us.saturating_sub(sent_us);
-        let middle_us = sent_us + round_trip_us / 2;
-        let new = Offset { us: device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us, seen_us: now_us };
-        if self.offset.is_none_or(|old| new.uncertainty_us(now_us) <= old.uncertainty_us(now_us)) {
-            self.offset = Some(new);
-        }
-    }
-
     /// Takes the session that the board opened, and returns the heartbeat that keeps it.
     pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) -> ToDevice {
-        self.clock_seen(sent_us, info.device_us, now_us);
+        self.clock.seen(sent_us, info.device_us, now_us);
         self.safety = Some((info.state, info.causes));
         self.session = Some(Session {
             id: info.session,
@@ -101,7 +79,7 @@ impl State {
                 }
             }
             ToHost::Heartbeat { host_us, device_us, state, causes } => {
-                self.clock_seen(host_us, device_us, now_us);
+                self.clock.seen(host_us, device_us, now_us);
                 self.safety = Some((state, causes));
                 if let Some(session) = &mut self.session {
                     session.last_heard_us = now_us;
@@ -109,9 +87,33 @@ impl State {
             }
             ToHost::Telemetry(telemetry) => {
                 self.safety = Some((telemetry.state, telemetry.causes));
-                self.streams.push(&telemetry);
+                self.telemetry.push(&telemetry);
+                self.samples.push(&telemetry, self.clock.host_us(telemetry.device_us));
+            }
+            ToHost::Cycle(told) => {
+                if let Ok(state) = told.state() {
+                    self.safety = Some((state, told.causes()));
+                }
+                self.cycles.answered(told, now_us, self.clock.device_us(now_us));
             }
         }
+    }
+
+    /// Tells those who listen what leaves now.
+    fn sent(&mut self, message: &ToDevice, now_us: u64) {
+        if let ToDevice::Request { request: Request::Bind { channels, .. }, .. } = message {
+            self.bound.clone_from(channels);
+        }
+        if !self.sent.is_open() {
+            return;
+        }
+        let setpoints = match message {
+            ToDevice::Request { request: Request::Set { channel, setpoint, .. }, .. } => vec![(*channel, *setpoint)],
+            ToDevice::Cycle(cycle) => cycles::setpoints(cycle, &self.bound),
+            ToDevice::Heartbeat { .. } => return,
+            ToDevice::Request { .. } => Vec::new(),
+        };
+        self.sent.push(&Sent { device_us: self.clock.device_us(now_us), message: message.clone(), setpoints });
     }
 
     /// Ends everything that waits, with the first reason there was.
@@ -119,7 +121,10 @@ impl State {
         let error = self.end.get_or_insert(error).clone();
         // Dropping the senders wakes the requests, which then look at `end`.
         self.pending.clear();
-        self.streams.end(&error);
+        self.telemetry.end(&error);
+        self.samples.end(&error);
+        self.sent.end(&error);
+        self.cycles.wake_user();
         error
     }
 }
@@ -219,6 +224,8 @@ async fn transmit<C: Clock, W: Write>(
     }
     let mut buffer = [0; MAX_FRAME];
     let mut next_heartbeat_us = 0;
+    // In turn, so that neither requests nor cycles can starve the other.
+    let mut cycles_first = false;
     loop {
         let session = lock(state).session;
         let message = match session {
@@ -228,10 +235,27 @@ async fn transmit<C: Clock, W: Write>(
                 next_heartbeat_us = host_us + session.timeout_us / HEARTBEATS_PER_TIMEOUT;
                 Some(ToDevice::Heartbeat { session: session.id, host_us })
             }
-            Some(_) => match select(messages.next(), pin!(clock.sleep_until(next_heartbeat_us))).await {
-                Either::Left((message, _)) => message,
-                Either::Right(((), _)) => continue,
-            },
+            Some(_) => {
+                cycles_first = !cycles_first;
+                let next = std::future::poll_fn(|context| {
+                    let cycle = |context: &mut _| {
+                        let now_us = clock.now_us();
+                        lock(state).cycles.poll_send(context, now_us).map(Some)
+                    };
+                    if cycles_first && let Poll::Ready(cycle) = cycle(context) {
+                        return Poll::Ready(cycle);
+                    }
+                    match messages.poll_next_unpin(context) {
+                        Poll::Ready(message) => Poll::Ready(message),
+                        Poll::Pending if cycles_first => Poll::Pending,
+                        Poll::Pending => cycle(context),
+                    }
+                });
+                match select(pin!(next), pin!(clock.sleep_until(next_heartbeat_us))).await {
+                    Either::Left((message, _)) => message,
+                    Either::Right(((), _)) => continue,
+                }
+            }
             None => messages.next().await,
         };
         let Some(message) = message else {
@@ -239,6 +263,8 @@ async fn transmit<C: Clock, W: Write>(
             return std::future::pending().await;
         };
         let Ok(frame) = encode_frame(&message, &mut buffer) else { continue };
+        let now_us = clock.now_us();
+        lock(state).sent(&message, now_us);
         if let Err(error) = tx.write_all(frame).await {
             return failed(error);
         }

@@ -63,6 +63,17 @@ pub enum Error {
         /// How many it keeps.
         most_bytes: usize,
     },
+    /// A stream of cycles is open, and a board has one.
+    #[error("another stream of set points is open: drop that first")]
+    StreamOpen,
+    /// Set points for another number of channels than the stream has, or channels for more than a stream can have.
+    #[error("{asked} channels, where a stream of set points has {expected}")]
+    CycleLength {
+        /// As asked.
+        asked: usize,
+        /// What the stream has, or most that one can have.
+        expected: usize,
+    },
     /// A motor did not reach its set point in time.
     #[error("{channel} was not settled after {after_s:.1} s: at {position:.4} {unit}, asked for {target:.4} {unit}")]
     NotSettled {

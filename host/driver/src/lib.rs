@@ -2,9 +2,9 @@
 //!
 //! [`with_board`] opens a session on a link, keeps its heartbeat, runs what you give it and closes the session again:
 //!
-//! ```no_run
-//! # async fn example<R, W, C>(rx: R, tx: W, clock: C) -> Result<(), r4_driver::Error>
-//! # where R: embedded_io_async::Read, W: embedded_io_async::Write, C: r4_driver::Clock {
+//! ```
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # bench::simulated_link(async |rx, tx, clock| {
 //! use r4_driver::with_board;
 //!
 //! let osmc0 = "osmc0".parse().expect("a channel name");
@@ -15,13 +15,14 @@
 //!     board.disarm().await
 //! })
 //! .await?
-//! # }
+//! # }).unwrap();
 //! ```
 //!
 //! What a board keeps over a restart, and what it remembers of its trips:
 //!
-//! ```no_run
-//! # async fn example<C: r4_driver::Clock>(board: &r4_driver::Board<C>) -> Result<(), r4_driver::Error> {
+//! ```
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # bench::simulated(async |board| {
 //! let key = "osmc0.position_kp".parse().expect("a parameter");
 //! board.set_parameter(key, 4.0).await?;
 //! board.save_parameters().await?;
@@ -29,21 +30,48 @@
 //!     println!("trip {}: {}", fault.number, fault.causes);
 //! }
 //! # Ok(())
-//! # }
+//! # }).unwrap();
 //! ```
+//!
+//! Telemetry of one channel, and errors that say who said no:
+//!
+//! ```
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # bench::simulated(async |board| {
+//! use r4_driver::Error;
+//! use r4_protocol::{Mode, Refusal, Setpoint};
+//!
+//! let osmc0 = "osmc0".parse().expect("a channel name");
+//! let mut samples = board.samples(osmc0, 10).await?;
+//! let first = samples.next().await?;
+//! let second = samples.next().await?;
+//! assert_eq!(second.device_us - first.device_us, 10_000);
+//! assert_eq!(second.position(board.channel(osmc0)?), Some(0.0));
+//!
+//! let refused = board.set(osmc0, Setpoint { mode: Mode::Speed, value: 1.0 }).await;
+//! assert!(matches!(refused, Err(Error::Refused(Refusal::NotArmed { .. }))));
+//! # Ok(())
+//! # }).unwrap();
+//! ```
+//!
+//! Set points at a high rate go through [`Board::stream`].
 //!
 //! Nothing here knows what the link is or whether time is real: bytes come and go through `embedded-io-async`, time
 //! through [`Clock`]. So the same code drives a board and a simulated one.
 
 mod board;
+mod clock_map;
 mod connection;
+mod cycles;
 mod error;
-mod telemetry;
+mod streams;
+pub mod tune;
 
 pub use board::{Board, Motion, Until};
 pub use connection::with_board;
+pub use cycles::{CycleCounters, CycleMotion, CycleReport, Cycles};
 pub use error::Error;
-pub use telemetry::TelemetryStream;
+pub use streams::{ChannelSample, SampleStream, Sent, SentStream, Stream, TelemetryStream};
 
 /// Where the driver takes its time from.
 pub trait Clock: Clone {

@@ -12,7 +12,8 @@ pub(crate) const RECORD_NAME: &str = "r4.run";
 pub(crate) const FORMAT: &str = "1";
 
 const UNITS: [Unit; 7] = [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool];
-const MODES: [Mode; 7] =
+/// Every mode there is.
+pub(crate) const MODES: [Mode; 7] =
     [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
 
 /// Which board was recorded, and what its channels are.
@@ -28,6 +29,8 @@ pub struct Header {
     pub protocol_version: u16,
     /// The board's description of itself; only channels listed here can be recorded.
     pub channels: Vec<ChannelInfo>,
+    /// Seed of a virtual board's noise; `None` for a real board, and in the first logs of this format.
+    pub seed: Option<u64>,
 }
 
 /// Why a metadata record is no [`Header`].
@@ -40,14 +43,16 @@ pub(crate) enum BadHeader {
 impl Header {
     pub(crate) fn to_metadata(&self) -> Result<BTreeMap<String, String>, serde_json::Error> {
         let channels: Vec<ChannelRecord> = self.channels.iter().map(ChannelRecord::from).collect();
-        Ok(BTreeMap::from([
+        let mut metadata = BTreeMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("robot".to_owned(), self.robot.clone()),
             ("board".to_owned(), self.board.clone()),
             ("firmware".to_owned(), self.firmware.clone()),
             ("protocol_version".to_owned(), self.protocol_version.to_string()),
             ("channels".to_owned(), serde_json::to_string(&channels)?),
-        ]))
+        ]);
+        metadata.extend(self.seed.map(|seed| ("seed".to_owned(), seed.to_string())));
+        Ok(metadata)
     }
 
     pub(crate) fn from_metadata(metadata: &BTreeMap<String, String>) -> Result<Self, BadHeader> {
@@ -67,6 +72,11 @@ impl Header {
             firmware: field("firmware")?.clone(),
             protocol_version,
             channels: channels.ok_or(BadHeader::Field { key: "channels" })?,
+            seed: metadata
+                .get("seed")
+                .map(|seed| seed.parse())
+                .transpose()
+                .map_err(|_| BadHeader::Field { key: "seed" })?,
         })
     }
 }

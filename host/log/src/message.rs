@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 pub(crate) const STATE_TOPIC: &str = "/state";
 /// Topic of [`CommandMessage`].
 pub(crate) const COMMAND_TOPIC: &str = "/command";
+/// Topic of [`crate::request::RequestMessage`].
+pub(crate) const REQUEST_TOPIC: &str = "/request";
+/// Topic of [`crate::request::RefusalMessage`].
+pub(crate) const REFUSAL_TOPIC: &str = "/refusal";
 
 /// `None` for what JSON cannot hold.
 pub(crate) fn finite(value: f32) -> Option<f32> {
@@ -120,6 +124,9 @@ pub(crate) struct CommandMessage<'a> {
     pub(crate) setpoint_mode: &'a str,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) setpoint: Option<f32>,
+    /// Not in the first logs of this format.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) sent_us: Option<u64>,
 }
 
 pub(crate) fn state_name(state: SafetyState) -> &'static str {
@@ -169,7 +176,7 @@ pub(crate) struct Schema {
 }
 
 /// `fields`: name, JSON type, meaning.
-fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
+pub(crate) fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
     let properties: Vec<String> = fields
         .iter()
         .map(|(field, kind, meaning)| {
@@ -185,8 +192,13 @@ fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
 pub(crate) const ROTARY_MOTOR: &str = "r4.RotaryMotor";
 pub(crate) const LINEAR_MOTOR: &str = "r4.LinearMotor";
 pub(crate) const ENCODER: &str = "r4.Encoder";
+pub(crate) const REQUEST: &str = "r4.Request";
+pub(crate) const REFUSAL: &str = "r4.Refusal";
 /// Ends the names of the schemas of inputs that can fail.
 pub(crate) const READING: &str = "Reading";
+
+pub(crate) const SENT_US: (&str, &str, &str) =
+    ("sent_us", "integer", "When it was sent: since the host said hello, by its clock, us");
 
 const SETPOINT_MODE: &str = "What the set point is: position, speed, duty, switch, voltage, brake or home";
 
@@ -214,6 +226,11 @@ pub(crate) fn motor_schema(linear: bool) -> Schema {
             ("homed", "boolean", "Whether the position is known, and not only counted from where power came on"),
         ],
     )
+}
+
+/// The field of a channel that has one number in `unit`.
+pub(crate) fn scalar_field(unit: Unit) -> &'static str {
+    scalar(unit).1.0
 }
 
 /// Name of the schema, and the field.
@@ -272,6 +289,7 @@ pub(crate) fn command_schema() -> Schema {
             ("channel", "string", "Channel commanded"),
             ("setpoint_mode", "string", SETPOINT_MODE),
             ("setpoint", "number", "Set point, SI, share of the supply, or 0 or 1, by setpoint_mode"),
+            SENT_US,
         ],
     )
 }

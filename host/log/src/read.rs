@@ -10,15 +10,16 @@ use mcap::{
     MAGIC,
     records::{Channel, MessageHeader, Metadata, Record, SchemaHeader, op},
 };
-use r4_protocol::{Causes, ChannelId, ChannelInfo, Mode, Quality, SafetyState};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, Mode, Quality, Request, SafetyState, Setpoint};
 
 use crate::{
     container::{self, Chunk, RawRecord, Records},
     header::{self, BadHeader, Header, mode_from},
     message::{
-        COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, LINEAR_MOTOR, MotorMessage, READING, ROTARY_MOTOR,
-        STATE_TOPIC, ScalarMessage, StateMessage, is_linear, quality_from, state_from,
+        COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, LINEAR_MOTOR, MotorMessage, READING, REFUSAL_TOPIC,
+        REQUEST_TOPIC, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage, StateMessage, is_linear, quality_from, state_from,
     },
+    request::{Described, RefusalMessage, RequestMessage},
 };
 
 /// Why a file could not be read as a recorded run.
@@ -32,6 +33,9 @@ pub enum LogError {
         /// What the operating system says.
         source: io::Error,
     },
+    /// There is nothing in the file.
+    #[error("the file is empty: the recording never began, or the copy failed; record or copy it again")]
+    Empty,
     /// Not an MCAP file, or nothing is left of it.
     #[error("this is not an MCAP file: give a log that `r4` recorded")]
     NotMcap,
@@ -215,6 +219,34 @@ pub struct LoggedCommand {
     pub setpoint: Logged,
 }
 
+/// A request that the host sent: a set point, or anything else that is not only a question.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedRequest {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// The host's clock, µs since it said hello; `None` in the first logs of this format.
+    pub sent_us: Option<u64>,
+    /// What. A set point's `sent_us` is `time_s`.
+    pub request: Request,
+}
+
+impl std::fmt::Display for LoggedRequest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        Described(&self.request).fmt(f)
+    }
+}
+
+/// A request that the board refused.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedRefusal {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// What was asked, as in `set osmc0 position 1.5`.
+    pub request: String,
+    /// Why it was refused.
+    pub reason: String,
+}
+
 /// A recorded run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
@@ -232,6 +264,11 @@ pub struct Log {
     pub states: Vec<StateChange>,
     /// Commands sent, in order of time.
     pub commands: Vec<LoggedCommand>,
+    /// Everything the host asked for, those commands included, in the order in which it was sent; the first logs of this
+    /// format hold nothing but the commands.
+    pub requests: Vec<LoggedRequest>,
+    /// What was refused, in order of time.
+    pub refusals: Vec<LoggedRefusal>,
     /// What could not be read; empty for a sound file.
     pub warnings: Vec<Warning>,
 }
@@ -254,8 +291,15 @@ impl Log {
     /// # Errors
     /// A [`LogError`] when the file is no log, or ends before its header.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
+        if bytes.is_empty() {
+            return Err(LogError::Empty);
+        }
         if !bytes.starts_with(MAGIC) {
-            return Err(LogError::NotMcap);
+            return Err(if MAGIC.starts_with(bytes) {
+                LogError::CutShort { length: bytes.len() }
+            } else {
+                LogError::NotMcap
+            });
         }
         let mut reader = Reader::default();
         for record in Records::new(bytes, MAGIC.len()) {
@@ -306,7 +350,8 @@ impl Log {
         let scalars = self.scalars.iter().flat_map(|series| series.samples.iter().map(|(time_s, _)| *time_s));
         let states = self.states.iter().map(|change| change.time_s);
         let commands = self.commands.iter().map(|command| command.time_s);
-        let times = motors.chain(encoders).chain(readings).chain(scalars).chain(states).chain(commands);
+        let requests = self.requests.iter().map(|request| request.time_s);
+        let times = motors.chain(encoders).chain(readings).chain(scalars).chain(states).chain(commands).chain(requests);
         times.fold(None, |span, time_s| match span {
             None => Some((time_s, time_s)),
             Some((first, last)) => Some((time_s.min(first), time_s.max(last))),
@@ -329,6 +374,8 @@ enum Content {
     Scalar(ChannelId),
     State,
     Command,
+    Request,
+    Refusal,
 }
 
 struct Topic {
@@ -350,6 +397,8 @@ struct Reader {
     scalars: BTreeMap<ChannelId, Vec<(f64, f64)>>,
     states: Vec<StateChange>,
     commands: Vec<LoggedCommand>,
+    requests: Vec<LoggedRequest>,
+    refusals: Vec<LoggedRefusal>,
     warnings: Vec<Warning>,
     data_ended: bool,
     cut_short: bool,
@@ -412,6 +461,8 @@ impl Reader {
         let content = match name.as_str() {
             STATE_TOPIC => Some(Content::State),
             COMMAND_TOPIC => Some(Content::Command),
+            REQUEST_TOPIC => Some(Content::Request),
+            REFUSAL_TOPIC => Some(Content::Refusal),
             _ => name.strip_prefix('/').and_then(|name| name.parse().ok()).map(of_channel),
         };
         // the same channel is repeated in the summary, and may be in every chunk
@@ -430,7 +481,9 @@ impl Reader {
             Content::Reading(id) => self.reading(id, time_s, data),
             Content::Scalar(id) => self.scalar(id, time_s, data),
             Content::State => self.state(time_s, data),
-            Content::Command => self.command(time_s, data),
+            Content::Command => self.command(time_s, header.log_time / 1000, data),
+            Content::Request => self.request(time_s, data),
+            Content::Refusal => self.refusal(time_s, data),
         };
         if taken.is_none()
             && let Some(topic) = self.topics.get_mut(&header.channel_id)
@@ -499,10 +552,29 @@ impl Reader {
         Some(())
     }
 
-    fn command(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+    fn command(&mut self, time_s: f64, device_us: u64, data: &[u8]) -> Option<()> {
         let message: CommandMessage = serde_json::from_slice(data).ok()?;
-        let setpoint = Logged { mode: mode_from(message.setpoint_mode)?, value: number(message.setpoint) };
-        self.commands.push(LoggedCommand { time_s, channel: message.channel.parse().ok()?, setpoint });
+        let (channel, mode) = (message.channel.parse().ok()?, mode_from(message.setpoint_mode)?);
+        self.commands.push(LoggedCommand {
+            time_s,
+            channel,
+            setpoint: Logged { mode, value: number(message.setpoint) },
+        });
+        let setpoint = Setpoint { mode, value: message.setpoint.unwrap_or(f32::NAN) };
+        let request = Request::Set { channel, setpoint, sent_us: device_us, ttl_ms: 0 };
+        self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request });
+        Some(())
+    }
+
+    fn request(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: RequestMessage = serde_json::from_slice(data).ok()?;
+        self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request: message.request()? });
+        Some(())
+    }
+
+    fn refusal(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+        let RefusalMessage { request, reason } = serde_json::from_slice(data).ok()?;
+        self.refusals.push(LoggedRefusal { time_s, request, reason });
         Some(())
     }
 
@@ -538,8 +610,16 @@ impl Reader {
         }
         self.states.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         self.commands.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        let (states, commands, warnings) = (self.states, self.commands, self.warnings);
-        Ok(Log { header, motors, encoders, readings, scalars, states, commands, warnings })
+        // By the clock that told when each was sent; where that is not known, by the board's. Stable: the file's order
+        // decides between equals.
+        if self.requests.iter().all(|request| request.sent_us.is_some()) {
+            self.requests.sort_by_key(|request| request.sent_us);
+        } else {
+            self.requests.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        }
+        self.refusals.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        let Self { states, commands, requests, refusals, warnings, .. } = self;
+        Ok(Log { header, motors, encoders, readings, scalars, states, commands, requests, refusals, warnings })
     }
 }
 

@@ -9,15 +9,16 @@ use mcap::{
     WriteOptions, Writer,
     records::{MessageHeader, Metadata},
 };
-use r4_protocol::{Causes, ChannelId, ChannelInfo, SafetyState, Sample, Setpoint, Telemetry};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, Refusal, Request, SafetyState, Sample, Setpoint, Telemetry};
 use serde::Serialize;
 
 use crate::{
     header::{self, Header, mode_name},
     message::{
-        self, COMMAND_TOPIC, CommandMessage, EncoderMessage, MotorMessage, STATE_TOPIC, ScalarMessage, Schema,
-        StateMessage, finite, is_linear, quality_name, state_name,
+        self, COMMAND_TOPIC, CommandMessage, EncoderMessage, MotorMessage, REFUSAL_TOPIC, REQUEST_TOPIC, STATE_TOPIC,
+        ScalarMessage, Schema, StateMessage, finite, is_linear, quality_name, state_name,
     },
+    request::{self, RequestMessage},
 };
 
 /// A chunk is the most that is lost in other readers when the recording program dies; 256 KiB are about 0.4 s of four
@@ -42,6 +43,9 @@ pub enum RecordError {
     /// The file could not be written.
     #[error("cannot write the log ({0}): check the free space and the permissions of its folder")]
     Write(#[from] mcap::McapError),
+    /// The recording has ended with an earlier error.
+    #[error("the recording has ended")]
+    Ended,
     /// A message could not be turned into JSON.
     #[error("cannot encode a message of the log ({0}): report this as a defect")]
     Encode(#[from] serde_json::Error),
@@ -139,10 +143,43 @@ impl<W: Write + Seek> Recorder<W> {
     /// # Errors
     /// See [`RecordError`].
     pub fn command(&mut self, device_us: u64, channel: ChannelId, setpoint: Setpoint) -> Result<(), RecordError> {
+        self.set(device_us, None, channel, setpoint)
+    }
+
+    /// Records a request that the host sent, with when that was on its own clock: µs since it said hello. What only asks
+    /// who the board is and what it remembers is not recorded.
+    ///
+    /// # Errors
+    /// See [`RecordError`].
+    pub fn request(&mut self, device_us: u64, sent_us: Option<u64>, request: &Request) -> Result<(), RecordError> {
+        if let Request::Set { channel, setpoint, .. } = *request {
+            return self.set(device_us, sent_us, channel, setpoint);
+        }
+        let Some(mut message) = RequestMessage::new(request) else { return Ok(()) };
+        message.sent_us = sent_us;
+        self.write(device_us, REQUEST_TOPIC, request::request_schema, &message)
+    }
+
+    /// Records that the board refused a request.
+    ///
+    /// # Errors
+    /// See [`RecordError`].
+    pub fn refusal(&mut self, device_us: u64, request: &Request, reason: &Refusal) -> Result<(), RecordError> {
+        self.write(device_us, REFUSAL_TOPIC, request::refusal_schema, &request::refusal(request, reason))
+    }
+
+    fn set(
+        &mut self,
+        device_us: u64,
+        sent_us: Option<u64>,
+        channel: ChannelId,
+        setpoint: Setpoint,
+    ) -> Result<(), RecordError> {
         let message = CommandMessage {
             channel: &channel.to_string(),
             setpoint_mode: mode_name(setpoint.mode),
             setpoint: finite(setpoint.value),
+            sent_us,
         };
         self.write(device_us, COMMAND_TOPIC, message::command_schema, &message)
     }

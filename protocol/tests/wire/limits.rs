@@ -4,6 +4,7 @@ use proptest::{prop_assert, proptest};
 use r4_protocol::{
     ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, Request, ToDevice, ToHost, Unit,
     channel::MAX_MODES,
+    cycle::{CYCLE_FRAME, CYCLE_STATE_FRAME},
     encode_frame,
     frame::{MAX_FRAME, MAX_MESSAGE, MessageTooLong},
     message::MAX_SAMPLES,
@@ -28,6 +29,7 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
         ("i2c", payload(&request(samples::largest_request())).len(), LONGEST_TO_DEVICE),
         ("uart", payload(&request(uart)).len(), 71),
         ("set", payload(&request(samples::largest_set())).len(), 25),
+        ("bind", payload(&request(samples::largest_bind())).len(), 53),
         ("heartbeat", payload(&heartbeat).len(), 14),
         ("hello", payload(&reply(samples::largest_welcome())).len(), 77),
         ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 66),
@@ -46,6 +48,27 @@ proptest! {
     fn no_message_is_longer_than_the_longest(to_device in strategies::to_device(), to_host in strategies::to_host()) {
         prop_assert!(payload(&to_device).len() <= LONGEST_TO_DEVICE);
         prop_assert!(payload(&to_host).len() <= LONGEST_TO_HOST);
+    }
+}
+
+/// What is promised of a cycle of four motors: 64 bytes for both frames, checksums, COBS and delimiters included. There is no
+/// byte to spare: a field more, or one that takes more bytes for some values, breaks it.
+#[test]
+fn both_frames_of_a_cycle_are_64_bytes_whatever_is_in_them() {
+    for (name, cycle) in samples::cycles() {
+        assert_eq!(frame(&ToDevice::Cycle(cycle)).len(), CYCLE_FRAME, "{name}");
+    }
+    for (name, state) in samples::cycle_states() {
+        assert_eq!(frame(&ToHost::Cycle(state)).len(), CYCLE_STATE_FRAME, "{name}");
+    }
+    const { assert!(CYCLE_FRAME + CYCLE_STATE_FRAME <= 64) };
+}
+
+proptest! {
+    #[test]
+    fn no_cycle_is_longer_than_another(cycle in strategies::cycle(), state in strategies::cycle_state()) {
+        prop_assert!(frame(&ToDevice::Cycle(cycle)).len() == CYCLE_FRAME);
+        prop_assert!(frame(&ToHost::Cycle(state)).len() == CYCLE_STATE_FRAME);
     }
 }
 
@@ -112,7 +135,7 @@ fn a_frame_too_short_for_a_checksum_is_malformed() {
 /// Undamaged, but longer, shorter or other than this version's messages.
 #[test]
 fn a_message_of_another_version_is_not_a_message() {
-    let unknown_variant = 2u8;
+    let unknown_variant = 3u8;
     assert_eq!(receive::<ToDevice>(&frame(&unknown_variant)), [Err(FrameError::NotAMessage)]);
     let heartbeat = ToDevice::Heartbeat { session: 7, host_us: 1 };
     assert_eq!(receive::<ToDevice>(&frame(&(heartbeat, 0u8))), [Err(FrameError::NotAMessage)], "a field more");

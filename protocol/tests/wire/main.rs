@@ -8,11 +8,13 @@
 //! | `strategies` | any message, for property tests |
 //! | `limits` | every message fits a frame; the decoder's buffer ends where it should |
 //! | `damage` | cut, flipped, random bytes |
+//! | `many` | ten million damaged frames |
 
 mod coverage;
 mod damage;
 mod golden;
 mod limits;
+mod many;
 mod samples;
 mod strategies;
 

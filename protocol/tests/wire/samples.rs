@@ -1,10 +1,12 @@
 //! Hand-written messages: at least one for every enum variant that can travel, and those with extreme values.
 
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode,
-    ModeInfo, MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request,
-    SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit,
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo,
+    ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost,
+    Unit,
     config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
+    cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},
 };
 
@@ -35,6 +37,7 @@ pub(crate) fn to_device() -> Vec<(&'static str, ToDevice)> {
         ("heartbeat-zero", ToDevice::Heartbeat { session: 0, host_us: 0 }),
         ("heartbeat-largest", ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX }),
     ]);
+    rows.extend(cycles().map(|(name, cycle)| (name, ToDevice::Cycle(cycle))));
     rows
 }
 
@@ -46,13 +49,51 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
         .chain(refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
         .chain(later_replies().into_iter().map(|(name, reply)| (name, Ok(reply))))
         .chain(later_refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
+        .chain([("refused-bad-binding", Err(Refusal::BadBinding { channel: OSMC0 }))])
         .zip(1..)
         .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
         .collect();
     rows.push(("response-largest", ToHost::Response { seq: u16::MAX, result: Ok(largest_reply()) }));
     rows.extend(heartbeats());
     rows.extend(telemetry().map(|(name, telemetry)| (name, ToHost::Telemetry(telemetry))));
+    rows.extend(cycle_states().map(|(name, state)| (name, ToHost::Cycle(state))));
     rows
+}
+
+/// Set points of cycles.
+pub(crate) fn cycles() -> [(&'static str, Cycle); 5] {
+    [
+        ("cycle", Cycle::new(1, None, Some(1_000_000), [100, -100, 0, NOTHING])),
+        ("cycle-zero", Cycle::new(0, Some(Mode::Position), Some(0), [0; CYCLE_CHANNELS])),
+        ("cycle-undated", Cycle::new(7, None, None, [1, 2, 3, 4])),
+        ("cycle-speed", Cycle::new(128, Some(Mode::Speed), Some(1 << 32), [i16::MAX; CYCLE_CHANNELS])),
+        ("cycle-largest", Cycle::new(u8::MAX, None, Some(u64::MAX), [-1; CYCLE_CHANNELS])),
+    ]
+}
+
+/// Answers to cycles.
+pub(crate) fn cycle_states() -> [(&'static str, CycleState); 5] {
+    let motor = |position, speed, duty, settled| CycleMotor { position, speed, duty, settled };
+    let armed = (SafetyState::Armed, Causes::NONE);
+    let tripped = (SafetyState::Tripped, Causes::from_bits(u16::MAX));
+    let two = [motor(-63, 100, -200, true), motor(1000, 0, 0, false), CycleMotor::NONE, CycleMotor::NONE];
+    let largest = [motor(-1, -1, -1, true); CYCLE_CHANNELS];
+    let none = [CycleMotor::NONE; CYCLE_CHANNELS];
+    let zero = [motor(0, 0, 0, false); CYCLE_CHANNELS];
+    [
+        ("cycle-taken", CycleState::new(1, CycleOutcome::Taken, 2_000_000, armed, two)),
+        ("cycle-refused", CycleState::new(2, CycleOutcome::Refused, 2_000_000, tripped, two)),
+        ("cycle-stale", CycleState::new(0, CycleOutcome::Stale, 0, (SafetyState::Disarmed, Causes::NONE), zero)),
+        ("cycle-unbound", CycleState::new(3, CycleOutcome::Unbound, 2_000_000, armed, none)),
+        ("cycle-state-largest", CycleState::new(u8::MAX, CycleOutcome::Unbound, u64::MAX, tripped, largest)),
+    ]
+}
+
+/// The binding with the most bytes.
+pub(crate) fn largest_bind() -> Request {
+    let channel =
+        CycleChannel { channel: LAST, mode: Mode::Home, position_scale: f32::MAX, speed_scale: f32::MIN_POSITIVE };
+    Request::Bind { channels: [channel; CYCLE_CHANNELS].into_iter().collect(), ttl_ms: u16::MAX }
 }
 
 /// The request with the most bytes.
@@ -199,6 +240,14 @@ fn requests() -> Vec<(&'static str, Request)> {
         let key = ParameterKey { channel: Some(OSMC0), parameter };
         (parameter.name(), Request::SetParameter { key, value: 0.5 })
     }));
+    // Since version 4.
+    let wheel = CycleChannel { channel: OSMC0, mode: Mode::Speed, position_scale: 0.002, speed_scale: 0.001 };
+    let rod = CycleChannel { channel: ACTUATOR1, mode: Mode::Position, position_scale: 1e-6, speed_scale: 1e-6 };
+    requests.extend([
+        ("bind", Request::Bind { channels: [wheel, rod].into_iter().collect(), ttl_ms: 50 }),
+        ("bind-none", Request::Bind { channels: heapless::Vec::new(), ttl_ms: 0 }),
+        ("bind-largest", largest_bind()),
+    ]);
     requests
 }
 
@@ -221,6 +270,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
         bad_frames: 6,
         refused: 7,
         telemetry_dropped: 8,
+        cycles_refused: 9,
+        setpoints_expired: 10,
     };
     vec![
         (
@@ -279,6 +330,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
                 bad_frames: u32::MAX,
                 refused: u32::MAX,
                 telemetry_dropped: u32::MAX,
+                cycles_refused: u32::MAX,
+                setpoints_expired: u32::MAX,
             }),
         ),
         ("done", Reply::Done),

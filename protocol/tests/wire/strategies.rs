@@ -10,11 +10,12 @@ use proptest::{
     test_runner::TestRunner,
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ModeInfo,
-    MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState,
-    Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit,
+    Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
+    DeviceStats, FaultInfo, FaultSnapshot, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo, ParameterKey,
+    Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
+    cycle::CYCLE_CHANNELS,
     message::{MAX_FIRMWARE, MAX_RAW, MAX_SAMPLES},
 };
 
@@ -25,8 +26,30 @@ pub(crate) fn to_device() -> BoxedStrategy<ToDevice> {
     prop_oneof![
         6 => (u16s(), request()).prop_map(|(seq, request)| ToDevice::Request { seq, request }),
         1 => (u16s(), u64s()).prop_map(|(session, host_us)| ToDevice::Heartbeat { session, host_us }),
+        1 => cycle().prop_map(ToDevice::Cycle),
     ]
     .boxed()
+}
+
+/// Any set points of a cycle.
+pub(crate) fn cycle() -> impl Strategy<Value = Cycle> {
+    let set = any::<[i16; CYCLE_CHANNELS]>();
+    (any::<u8>(), proptest::option::of(mode()), proptest::option::of(u64s()), set)
+        .prop_map(|(seq, mode, sent_us, set)| Cycle::new(seq, mode, sent_us, set))
+}
+
+/// Any answer to a cycle.
+pub(crate) fn cycle_state() -> impl Strategy<Value = CycleState> {
+    use CycleOutcome::{Refused, Stale, Taken, Unbound};
+    let motor = any::<(i32, i16, i16, bool)>().prop_map(|(position, speed, duty, settled)| CycleMotor {
+        position,
+        speed,
+        duty,
+        settled,
+    });
+    let motors = [motor.clone(), motor.clone(), motor.clone(), motor];
+    (any::<u8>(), select(vec![Taken, Refused, Stale, Unbound]), u64s(), (state(), causes()), motors)
+        .prop_map(|(seq, outcome, device_us, safety, motors)| CycleState::new(seq, outcome, device_us, safety, motors))
 }
 
 /// Any message to a host.
@@ -41,6 +64,7 @@ pub(crate) fn to_host() -> BoxedStrategy<ToHost> {
             causes
         }),
         2 => telemetry().prop_map(ToHost::Telemetry),
+        1 => cycle_state().prop_map(ToHost::Cycle),
     ]
     .boxed()
 }
@@ -83,8 +107,19 @@ fn service_request() -> BoxedStrategy<Request> {
         }),
         (any::<u8>(), raw()).prop_map(|(port, bytes)| Request::UartWrite { port, bytes }),
         any::<u8>().prop_map(|port| Request::UartRead { port }),
+        (vec(cycle_channel(), 0..=CYCLE_CHANNELS), u16s())
+            .prop_map(|(channels, ttl_ms)| Request::Bind { channels: channels.into_iter().collect(), ttl_ms }),
     ]
     .boxed()
+}
+
+fn cycle_channel() -> impl Strategy<Value = CycleChannel> {
+    (channel(), mode(), f32s(), f32s()).prop_map(|(channel, mode, position_scale, speed_scale)| CycleChannel {
+        channel,
+        mode,
+        position_scale,
+        speed_scale,
+    })
 }
 
 fn reply() -> BoxedStrategy<Reply> {
@@ -127,6 +162,7 @@ fn refusal() -> BoxedStrategy<Refusal> {
             Refusal::Busy
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
+        channel().prop_map(|channel| Refusal::BadBinding { channel }),
     ]
     .boxed()
 }
@@ -155,8 +191,8 @@ fn channel_info() -> impl Strategy<Value = ChannelInfo> {
 }
 
 fn stats() -> impl Strategy<Value = DeviceStats> {
-    [u32s(), u32s(), u32s(), u32s(), u32s(), u32s(), u32s(), u32s()].prop_map(
-        |[ticks, late_ticks, worst_tick_us, bus_retries, frames, bad_frames, refused, telemetry_dropped]| DeviceStats {
+    std::array::from_fn::<_, 10, _>(|_| u32s()).prop_map(
+        |[
             ticks,
             late_ticks,
             worst_tick_us,
@@ -165,6 +201,19 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             bad_frames,
             refused,
             telemetry_dropped,
+            cycles_refused,
+            setpoints_expired,
+        ]| DeviceStats {
+            ticks,
+            late_ticks,
+            worst_tick_us,
+            bus_retries,
+            frames,
+            bad_frames,
+            refused,
+            telemetry_dropped,
+            cycles_refused,
+            setpoints_expired,
         },
     )
 }

@@ -136,6 +136,20 @@ impl Image {
     }
 }
 
+/// How long the section of this name is; `None` when there is none, or the file is none.
+pub(crate) fn section_bytes(elf: &[u8], name: &str) -> Option<u32> {
+    if elf.get(..6)? != b"\x7fELF\x01\x01" {
+        return None;
+    }
+    let (table, count) = (word(elf, 0x20)? as usize, half(elf, 0x30)?);
+    let names = section(elf, table + half(elf, 0x32)? * HEADER)?.offset;
+    (0..count).find_map(|index| {
+        let at = table + index * HEADER;
+        let found = elf.get(names + word(elf, at)? as usize..)?.split(|byte| *byte == 0).next()?;
+        if found == name.as_bytes() { Some(section(elf, at)?.size) } else { None }
+    })
+}
+
 fn section(elf: &[u8], at: usize) -> Option<Section> {
     Some(Section {
         kind: word(elf, at + 4)?,
@@ -187,6 +201,8 @@ mod tests {
         elf[0x20] = elf.len() as u8;
         elf[0x21] = (elf.len() >> 8) as u8;
         elf[0x30] = sections.len() as u8;
+        elf[0x32] = 6;
+        let table = elf.len();
         for (kind, flags, offset, size) in sections {
             let mut header = [0; HEADER];
             for (at, value) in [(4, kind), (8, flags), (16, offset as u32), (20, size as u32), (24, 6)] {
@@ -194,6 +210,9 @@ mod tests {
             }
             elf.extend(header);
         }
+        // Sections have no names but the first two.
+        elf[table] = 1;
+        elf[table + HEADER] = 51;
         elf
     }
 
@@ -203,6 +222,14 @@ mod tests {
         assert_eq!((text, data, bss), (100, 20, 3000));
         let sizes = Sizes { text, data, bss };
         assert_eq!((sizes.flash(), sizes.ram()), (120, 3020));
+    }
+
+    #[test]
+    fn sections_are_found_by_name() {
+        let elf = file();
+        let of = |name| section_bytes(&elf, name);
+        assert_eq!((of("POOL"), of("VERSION"), of(".text")), (Some(100), Some(20), None));
+        assert_eq!(section_bytes(&elf[..elf.len() - 20], ".text"), None, "cut off");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash`, `binary` | `cargo xtask flash`: the image written into the board |
 //! | `size` | `cargo xtask size`: what that image takes, and whether it may |
+//! | `protocol` | `cargo xtask size --protocol`: what frames take, encoded and decoded |
 //! | `image` | what an ELF file takes in flash and RAM |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
@@ -15,6 +16,7 @@ mod binary;
 mod firmware;
 mod flash;
 mod image;
+mod protocol;
 mod size;
 mod summary;
 mod test;
@@ -40,7 +42,9 @@ usage: cargo xtask <task>
                 or by dfu-util over USB (--dfu: the hosted image; press reset twice before).
                 --dry-run prints the commands
   size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
-                [--robot NAME|FILE.toml] (default osmc-bench), [--json]";
+                [--robot NAME|FILE.toml] (default osmc-bench), [--json]
+  size --protocol
+                what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -53,6 +57,7 @@ enum Task {
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
+    Protocol { json: bool },
 }
 
 fn main() -> ExitCode {
@@ -67,6 +72,7 @@ fn main() -> ExitCode {
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
+        Ok(Task::Protocol { json }) => protocol::run(&root(), json),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -82,6 +88,8 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
+        ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
+        ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
@@ -108,6 +116,8 @@ mod tests {
         assert_eq!(of("test"), Ok(Task::Test { fast: false }));
         assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
         assert_eq!(of("probe"), Ok(Task::Probe));
+        assert_eq!(of("size --protocol"), Ok(Task::Protocol { json: false }));
+        assert_eq!(of("size --protocol --json"), Ok(Task::Protocol { json: true }));
         assert_eq!(of("--help"), Ok(Task::Help));
         assert_eq!(of("test --help"), Ok(Task::Help));
     }

@@ -93,7 +93,7 @@ impl Measured {
 /// Runs the image on the emulated processor; `None` when there is no emulator, or it fails, which it says itself.
 fn measured(root: &Path, robot: &str, elf: &Path) -> Option<Measured> {
     let output = Command::new(toolchain::cargo())
-        .args(["run", "--quiet", "--release", "--package", "r4", "--features", "emu", "--"])
+        .args(["run", "--quiet", "--release", "--package", "r4", "--"])
         .args(["bench", "firmware", "--json", "--board", &format!("emu:{robot}")])
         .env("R4_ELF", elf)
         .current_dir(root)

@@ -50,20 +50,14 @@ const IMAGES: [(&str, &str); 4] =
     [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
 
 /// Cheapest first: what fails most often is seen soonest.
-const STEPS: [Step; 11] = [
+const STEPS: [Step; 10] = [
     Step { name: "toolchain", run: Run::Toolchain, slow: false },
     Step { name: "format", run: cargo(".", &["fmt", "--all", "--check"]), slow: false },
     Step { name: "format, giga", run: cargo("firmware/giga", &["fmt", "--check"]), slow: false },
     Step { name: "format, probe", run: cargo("hil-sim/probe", &["fmt", "--check"]), slow: false },
     Step {
         name: "lints",
-        run: cargo(".", &["clippy", "--workspace", "--all-targets", "--features", "r4/emu", "--", "-D", "warnings"]),
-        slow: false,
-    },
-    // As the program is built without the emulator: by default.
-    Step {
-        name: "lints, default",
-        run: cargo(".", &["clippy", "-p", "r4", "--all-targets", "--", "-D", "warnings"]),
+        run: cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]),
         slow: false,
     },
     Step {
@@ -99,7 +93,7 @@ const STEPS: [Step; 11] = [
         name: "tests",
         run: Run::Cargo {
             folder: ".",
-            arguments: &["test", "--workspace", "--features", "r4/emu"],
+            arguments: &["test", "--workspace"],
             // The same cases each time: what turns red is the change. Other cases are for who works on the code.
             environment: &[("PROPTEST_RNG_SEED", "1")],
         },
@@ -213,7 +207,7 @@ mod tests {
         assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), 6, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), 5, "{summary}");
     }
 
     #[test]

@@ -77,8 +77,8 @@ pub(crate) fn complete(root: &Path) -> Result<(), String> {
     }
 }
 
-/// What the emulated processor is built with, besides a C compiler: cmake, and libclang for the bindings. Where this is
-/// run as root on a Debian, as CI does, what is missing is installed.
+/// What Unicorn is built with, against which the emulated processor is tested: besides a C compiler cmake, and libclang for
+/// the bindings. Where this is run as root on a Debian, as CI does, what is missing is installed.
 ///
 /// # Errors
 /// What a person has to install.
@@ -98,7 +98,7 @@ pub(crate) fn emulator(root: &Path) -> Result<(), String> {
         // Whether it worked is seen by looking again.
         let _ = Command::new("apt-get").args(arguments).status();
     }
-    let advice = "the emulated board needs cmake and libclang, and apt-get could not install them, see above. Install them \
+    let advice = "the tests of the emulated processor need cmake and libclang, and apt-get could not install them, see above. Install them \
                   with what installs software on this machine, as in `sudo apt-get install cmake libclang-dev`, or say \
                   with LIBCLANG_PATH where libclang is";
     if is_there() { Ok(()) } else { Err(advice.into()) }

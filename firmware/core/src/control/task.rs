@@ -253,6 +253,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
+        shared.end_leases(Instant::now());
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
@@ -305,13 +306,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         view: SafetyView,
         motors: &[usize],
     ) -> Result<bool, OutputFault> {
+        // The motors' supply has just been closed: drivers need it before their inputs move.
+        let powered = Instant::now() >= self.powered_at;
         for index in motors.iter().copied() {
             let motor = &mut self.motors[index];
             if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
                 motor.command(setpoint);
             }
-            if Instant::now() < self.powered_at {
-                // The motors' supply has just been closed: drivers need it before their inputs move.
+            if !powered {
                 continue;
             }
             let (duty, causes) = motor.step();

@@ -22,11 +22,12 @@ impl Echo {
         Self { high, cleared: now, rose: None, width: None }
     }
 
-    /// The line is `high` since `at`. If it was before, nothing happened.
-    pub fn level(&mut self, high: bool, at: u32) {
+    /// The line is `high` since `at`, which is asked for only then: if it was before, nothing happened.
+    pub fn level(&mut self, high: bool, at: impl FnOnce() -> u32) {
         if high == self.high {
             return;
         }
+        let at = at();
         self.high = high;
         match (high, self.rose) {
             (true, None) => self.rose = Some(at),
@@ -69,9 +70,9 @@ mod tests {
             for (gap, edge) in gaps.iter().zip(&mut edges) {
                 at = at.wrapping_add(*gap);
                 level = !level;
-                echo.level(level, at);
+                echo.level(level, || at);
                 // Told again, as by an interrupt that comes for another line.
-                echo.level(level, at.wrapping_add(1));
+                echo.level(level, || at.wrapping_add(1));
                 *edge = at;
             }
             let now = at.wrapping_add(last);

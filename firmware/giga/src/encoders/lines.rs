@@ -70,7 +70,7 @@ impl Lines {
                 pac::EXTI.rtsr(0).modify(|w| w.set_line(line, true));
                 pac::EXTI.ftsr(0).modify(|w| w.set_line(line, true));
             }
-            let (a, b) = tracks();
+            let (a, b) = tracks(pac::GPIOI.idr().read());
             DECODER.borrow_ref_mut(cs).update(a, b);
             unmask();
         });
@@ -92,8 +92,7 @@ impl Lines {
     }
 }
 
-fn tracks() -> (bool, bool) {
-    let levels = pac::GPIOI.idr().read();
+fn tracks(levels: pac::gpio::regs::Idr) -> (bool, bool) {
     (levels.idr(TRACK_A).to_bits() != 0, levels.idr(TRACK_B).to_bits() != 0)
 }
 
@@ -109,9 +108,9 @@ impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
     unsafe fn on_interrupt() {
         pac::EXTI.pr(0).write(|w| OURS.into_iter().for_each(|line| w.set_line(line, true)));
         critical_section::with(|cs| {
-            let (a, b) = tracks();
-            DECODER.borrow_ref_mut(cs).update(a, b);
             let levels = pac::GPIOI.idr().read();
+            let (a, b) = tracks(levels);
+            DECODER.borrow_ref_mut(cs).update(a, b);
             ranging::on_level(cs, 2, levels.idr(ECHO_2).to_bits() != 0);
             ranging::on_level(cs, 3, levels.idr(ECHO_3).to_bits() != 0);
         });

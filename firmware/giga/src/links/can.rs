@@ -1,4 +1,4 @@
-//! The link over CAN: FDCAN2 with classic frames, cut as `r4_protocol::can` says.
+//! The link over CAN: FDCAN2 with classic frames, cut as `r4_protocol::can` says, and its short way for set points.
 
 use core::convert::Infallible;
 use core::num::{NonZeroU8, NonZeroU16};
@@ -9,8 +9,9 @@ use embassy_stm32::can::{
     filter::{Action, FilterType, StandardFilter, StandardFilterSlot},
 };
 use embassy_time::{Duration, Timer};
+use embedded_can::Id;
 use embedded_io_async::{ErrorType, Read, Write};
-use r4_protocol::can::{BITRATE, Direction, MAX_DATA, Node, cut};
+use r4_protocol::can::{BITRATE, Direction, Inbound, Node, NotTaken, cut};
 
 include!(concat!(env!("OUT_DIR"), "/node.rs"));
 
@@ -59,15 +60,15 @@ pub(crate) fn start(mut can: CanConfigurator<'static>, buffers: &'static mut Buf
         config = config.set_nominal_bit_timing(timing);
     }
     can.set_config(config);
-    let ours = standard(node.identifier(Direction::ToDevice));
-    let filter = StandardFilter { filter: FilterType::DedicatedDual(ours, ours), action: Action::StoreInFifo0 };
+    let (stream, setpoints) = (standard(node.identifier(Direction::ToDevice)), standard(node.setpoint_identifier()));
+    let filter = StandardFilter { filter: FilterType::DedicatedDual(stream, setpoints), action: Action::StoreInFifo0 };
     can.properties().set_standard_filter(StandardFilterSlot::_0, filter);
     let can = can.into_normal_mode().buffered(&mut buffers.tx, &mut buffers.rx);
     let (reader, writer) = (can.reader(), can.writer());
     // The halves count as users of the controller, which is switched off when there are none.
     core::mem::forget(can);
     (
-        Receiver { frames: reader, data: [0; MAX_DATA], at: 0, end: 0 },
+        Receiver { frames: reader, inbound: Inbound::new(node), waiting: None },
         Sender { frames: writer, identifier: node.identifier(Direction::ToHost) },
     )
 }
@@ -80,9 +81,35 @@ fn standard(identifier: u16) -> embedded_can::StandardId {
 /// Bytes out of the frames to this board.
 pub(crate) struct Receiver {
     frames: BufferedCanReceiver,
-    data: [u8; MAX_DATA],
-    at: usize,
-    end: usize,
+    inbound: Inbound,
+    /// One that has to wait until the bytes before it are read.
+    waiting: Option<Frame>,
+}
+
+impl Receiver {
+    /// Takes `frame`, or keeps it; false when it is kept.
+    fn take(&mut self, frame: Frame) -> bool {
+        let Id::Standard(id) = *frame.id() else { return true };
+        let full = self.inbound.take(id.as_raw(), frame.data()) == Err(NotTaken::Full);
+        if full {
+            self.waiting = Some(frame);
+        }
+        !full
+    }
+
+    /// Takes what has come: of set points that were not read in time the newest is followed, and not one after another.
+    fn take_waiting(&mut self) {
+        if let Some(frame) = self.waiting.take()
+            && !self.take(frame)
+        {
+            return;
+        }
+        while let Ok(Ok(envelope)) = self.frames.try_receive() {
+            if !self.take(envelope.frame) {
+                return;
+            }
+        }
+    }
 }
 
 impl ErrorType for Receiver {
@@ -91,22 +118,20 @@ impl ErrorType for Receiver {
 
 impl Read for Receiver {
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        while self.at == self.end {
+        loop {
+            self.take_waiting();
+            match self.inbound.read(buffer) {
+                0 if buffer.is_empty() => return Ok(0),
+                0 => {}
+                len => return Ok(len),
+            }
             match self.frames.receive().await {
-                Ok(envelope) => {
-                    let data = envelope.frame.data();
-                    let len = data.len().min(MAX_DATA);
-                    self.data[..len].copy_from_slice(&data[..len]);
-                    (self.at, self.end) = (0, len);
-                }
+                // There was nothing to read: it is taken.
+                Ok(envelope) => drop(self.take(envelope.frame)),
                 // Passive or off the bus: the controller comes back by itself.
                 Err(_) => Timer::after(PAUSE).await,
             }
         }
-        let len = buffer.len().min(self.end - self.at);
-        buffer[..len].copy_from_slice(&self.data[self.at..self.at + len]);
-        self.at += len;
-        Ok(len)
     }
 }
 

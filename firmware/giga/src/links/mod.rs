@@ -35,6 +35,7 @@ impl embedded_io_async::Error for Gone {
 }
 
 /// Bytes from a host.
+#[expect(clippy::large_enum_variant, reason = "each lies in its task's memory; there is no heap to box one in")]
 pub(crate) enum Receiver {
     Uart(uart::Receiver),
     Can(can::Receiver),

@@ -12,12 +12,15 @@ use crate::sensors::quadrature::{Channel, HardwareCounter, Levels, QuadratureSig
 const ENCODER_FILTER_NS: u64 = 267;
 /// The first inputs are counted by timers, the others by interrupts.
 const ENCODERS_ON_TIMERS: usize = 3;
-/// Nobody has to look at a moving shaft more often than this: an edge may be told so late.
-const FLOOR_NS: u64 = 2_000;
-/// The same for a shaft at a standstill that is driven.
-const STANDSTILL_FLOOR_NS: u64 = 20_000;
+/// An edge may be told later than it happens, for which nobody has to look at the shaft as often: by this share of the time
+/// between two edges at its speed, so that no two are told at once,
+const LATE_SHARE: f64 = 0.05;
+/// at least this much,
+const LATE_LEAST_NS: u64 = 2_000;
+/// and at most this much, also for a shaft at a standstill that is driven.
+const LATE_MOST_NS: u64 = 20_000;
 /// Whatever the shaft does, an edge of one that moves or is driven is told at most so late.
-const CEILING_NS: u64 = 50_000;
+const CEILING_NS: u64 = 100_000;
 /// An edge of a shaft at rest that nothing drives is told at most so late: what moves it is not the board.
 const REST_NS: u64 = 1_000_000;
 /// A shaft slower than this counts as one at a standstill, counts/s.
@@ -97,8 +100,8 @@ impl World {
     /// earliest moment at which the shaft can reach the next count, from its speed, the count's place and the highest
     /// acceleration of its motor at this supply, taken twice. `u64::MAX` for an input without an encoder.
     ///
-    /// So each edge is told at most 2 µs late while the shaft turns, 20 µs when it starts, 50 µs where a load or an end
-    /// stop jolts it. One at rest that nothing drives is looked at each ms, or when a PWM chip changes its outputs.
+    /// So each edge is told at most 20 µs late, and at most a twentieth of the time to the next while the shaft turns evenly,
+    /// 100 µs where a load or an end stop jolts it. One at rest that nothing drives is looked at each ms, or when a PWM chip changes its outputs.
     ///
     /// Holds as long as nobody changes a line or a chip: ask again after that.
     pub fn next_encoder_change_ns(&mut self, index: usize) -> u64 {
@@ -122,11 +125,11 @@ impl World {
             let above = position - position.floor();
             let up_s = earliest_s(1.0 - above, speed, acceleration);
             let down_s = earliest_s(above, -speed, acceleration);
-            let floor_ns = if stands { STANDSTILL_FLOOR_NS } else { FLOOR_NS };
-            // A float that is no time at all, or none, is clipped too.
-            ((up_s.min(down_s) * 1e9) as u64).clamp(floor_ns, CEILING_NS)
+            // Floats that are no time at all, or none, are clipped too.
+            let late_ns = ((LATE_SHARE / speed.abs() * 1e9) as u64).clamp(LATE_LEAST_NS, LATE_MOST_NS);
+            ((up_s.min(down_s) * 1e9) as u64).saturating_add(late_ns).min(CEILING_NS)
         };
-        now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + FLOOR_NS))
+        now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + LATE_LEAST_NS))
     }
 
     /// The motor that turns an encoder, and its counts in a turn.

@@ -5,7 +5,7 @@
 use r4_emu::{EmuBoard, Image};
 use r4_mcu::Settings;
 use r4_sim::{Clock, Simulation, VirtualBoard as _};
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 
 /// The robot whose image the tests debug.
 const ROBOT: &str = "osmc-bench";
@@ -14,7 +14,7 @@ const ROBOT: &str = "osmc-bench";
 pub(crate) struct Debugged {
     pub(crate) simulation: Simulation,
     pub(crate) clock: Clock,
-    pub(crate) board: EmuBoard<UnicornCore>,
+    pub(crate) board: EmuBoard<ThumbCore>,
     pub(crate) image: Image,
 }
 
@@ -24,7 +24,7 @@ impl Debugged {
         let image = Image::find(ROBOT).unwrap_or_else(|error| panic!("{error}"));
         let mut simulation = Simulation::default();
         let robot = r4_boards::load(ROBOT).expect("it is built in");
-        let core = UnicornCore::new().expect("the processor starts");
+        let core = ThumbCore::new();
         let settings = Settings::default();
         let board = EmuBoard::start(&mut simulation, &robot, 1, &image, core, None, settings).expect("it starts");
         Self { clock: simulation.clock(), simulation, board, image }

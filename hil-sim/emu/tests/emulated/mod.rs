@@ -14,10 +14,10 @@ use r4_boards::Robot;
 use r4_emu::{EmuBoard, Image};
 use r4_mcu::{Chip, Settings, soc::Soc};
 use r4_sim::{Pace, Simulation, VirtualBoard, flash::Flash};
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 
 /// The board under test.
-pub(crate) type Board = EmuBoard<UnicornCore>;
+pub(crate) type Board = EmuBoard<ThumbCore>;
 
 /// From power-on until the supervisor runs, more than any start takes, ms: clocks, the expander's and PWM chips' set-up.
 pub(crate) const BOOT_MS: u64 = 100;
@@ -95,7 +95,7 @@ impl Setup {
 
     /// See [`harness::PowerUp`].
     pub(crate) fn power_up(&self, simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
-        let core = UnicornCore::new().expect("a core");
+        let core = ThumbCore::new();
         let kept = self.kept.borrow_mut().take();
         let started = EmuBoard::start(simulation, robot, self.seed, &self.image, core, kept, Settings::default());
         let board = Rc::new(started.unwrap_or_else(|error| panic!("{error}")));

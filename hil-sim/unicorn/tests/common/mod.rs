@@ -3,9 +3,40 @@
 #![allow(dead_code, clippy::unwrap_used, reason = "each test file uses a part; failing is a test's way to speak")]
 
 use r4_mcu::chip::{AccessError, Chip};
-use r4_mcu::cpu::Register;
+use r4_mcu::cpu::{Core, Register};
 use r4_mcu::{Bank, Machine, Memory, Reason, ResetCause, Settings, Size, Unmodelled};
+use r4_thumb::ThumbCore;
 use r4_unicorn::UnicornCore;
+
+/// A core under test.
+pub(crate) trait Tested: Core + Sized {
+    fn create() -> Self;
+}
+
+impl Tested for UnicornCore {
+    fn create() -> Self {
+        Self::new().unwrap()
+    }
+}
+
+impl Tested for ThumbCore {
+    fn create() -> Self {
+        Self::new()
+    }
+}
+
+/// Makes each of these functions, which are for any [`Tested`], a test of every core.
+macro_rules! for_every_core {
+    ($($test:ident,)*) => {
+        mod unicorn {
+            $(#[test] fn $test() { super::$test::<r4_unicorn::UnicornCore>(); })*
+        }
+        mod thumb {
+            $(#[test] fn $test() { super::$test::<r4_thumb::ThumbCore>(); })*
+        }
+    };
+}
+pub(crate) use for_every_core;
 
 /// First address of the chip's only peripheral.
 pub(crate) const PERIPHERAL: u32 = 0x4000_0000;
@@ -126,12 +157,12 @@ impl Chip for TestChip {
 }
 
 /// A machine with nothing loaded.
-pub(crate) fn machine(settings: Settings) -> Machine<UnicornCore, TestChip> {
-    Machine::new(UnicornCore::new().unwrap(), TestChip::new(), settings).unwrap()
+pub(crate) fn machine<C: Tested>(settings: Settings) -> Machine<C, TestChip> {
+    Machine::new(C::create(), TestChip::new(), settings).unwrap()
 }
 
 /// Runs a program that speaks by semihosting to its end: what it wrote, and whether it called that a success.
-pub(crate) fn run_semihosted(machine: &mut Machine<UnicornCore, TestChip>, until_ns: u64) -> (String, bool) {
+pub(crate) fn run_semihosted<C: Core>(machine: &mut Machine<C, TestChip>, until_ns: u64) -> (String, bool) {
     let mut text = Vec::new();
     loop {
         let stopped =
@@ -153,5 +184,3 @@ pub(crate) fn run_semihosted(machine: &mut Machine<UnicornCore, TestChip>, until
         machine.core.set(Register::Pc, pc + 2);
     }
 }
-
-use r4_mcu::cpu::Core as _;

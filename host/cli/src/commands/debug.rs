@@ -3,18 +3,14 @@
 use anyhow::bail;
 
 use crate::args::{Args, Debug};
-#[cfg(feature = "emu")]
 use crate::session::Target;
 
-#[cfg(not(feature = "emu"))]
-pub(crate) fn run(_: &Args, _: &Debug) -> anyhow::Result<bool> {
-    bail!(crate::session::WITHOUT_EMULATOR)
-}
-
-#[cfg(feature = "emu")]
 pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     let Target::Emu(_) = &args.board else {
-        bail!("only an emulated board runs the firmware's image: name one, as in --board emu:{}", args.board.robot());
+        bail!(
+            "only an emulated board runs the firmware's image: name one, as in --board emu:{}",
+            args.board.robot().unwrap_or("osmc-bench")
+        );
     };
     match &debug.scenario {
         Some(path) => super::scenario::play_one(args, path),
@@ -23,7 +19,6 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
 }
 
 /// A board that no host is connected to.
-#[cfg(feature = "emu")]
 fn alone(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     use r4_emu::gdb::State;
     use r4_sim::{Pace, Simulation, VirtualBoard as _};
@@ -35,7 +30,7 @@ fn alone(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     /// How often it is looked whether to end, ns.
     const LOOK_EVERY_NS: u64 = 10_000_000;
 
-    let robot = r4_boards::load(args.board.robot())?;
+    let robot = r4_boards::load(args.board.robot()?)?;
     let mut simulation = Simulation::new(args.pace.unwrap_or(Pace::Free));
     session::catch_interrupts();
     let (board, state) = emulated::start_debugged(args, &mut simulation, &robot, None)?;

@@ -127,6 +127,7 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
         firmware: board.info().firmware.to_string(),
         protocol_version: r4_protocol::VERSION,
         channels: board.channels().to_vec(),
+        seed: args.board.robot().ok().map(|_| args.seed),
     };
     let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
     let mut telemetry = board.telemetry();

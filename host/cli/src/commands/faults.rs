@@ -10,7 +10,8 @@ use crate::{
     args::Args,
     output,
     quantity::{Quantity, human},
-    session, table,
+    session::{self, Target},
+    table,
 };
 
 #[derive(Serialize)]
@@ -97,7 +98,7 @@ fn history(args: &Args) -> anyhow::Result<bool> {
     }
     if faults.is_empty() {
         output::line(format_args!("{} remembers no trip", args.board))?;
-        if args.flash.is_none() {
+        if args.flash.is_none() && !matches!(args.board, Target::Link(_)) {
             eprintln!("r4: a simulated board remembers nothing from one command to the next without --flash FILE");
         }
         return Ok(true);

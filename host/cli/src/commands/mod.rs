@@ -1,17 +1,28 @@
 //! One module per verb, or per few verbs that are one thing.
 
 pub(crate) mod bench;
+pub(crate) mod bridge;
+pub(crate) mod calibrate;
+pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
+pub(crate) mod drive;
 pub(crate) mod faults;
 pub(crate) mod hold;
 pub(crate) mod info;
+pub(crate) mod log;
+pub(crate) mod man;
+pub(crate) mod monitor;
 pub(crate) mod motion;
+pub(crate) mod ports;
 pub(crate) mod raw;
 pub(crate) mod relay;
+pub(crate) mod report;
 pub(crate) mod scenario;
+pub(crate) mod serve;
 pub(crate) mod state;
+pub(crate) mod tune;
 pub(crate) mod watch;
 
 use anyhow::bail;

@@ -113,7 +113,8 @@ impl Watched {
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
-    session::run(args, Pace::RealTime(1.0), async |session| {
+    let mut end_s = None;
+    session::keep(args, Pace::RealTime(1.0), watch.seconds, async |session| {
         let board = session.board;
         let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
             [] => board.channels().to_vec(),
@@ -130,7 +131,9 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         for channel in channels {
             board.subscribe(channel, period_ms).await?;
         }
-        let end_us = watch.seconds.map(|seconds| board.device_us() + (seconds * 1e6) as u64);
+        end_s = end_s.or(watch.seconds.map(|seconds| board.now_s() + seconds));
+        // By the board's clock, which stamps the lines.
+        let end_us = end_s.map(|end_s| board.device_us() + ((end_s - board.now_s()) * 1e6) as u64);
         let mut since_header = HEADER_EVERY;
         loop {
             let frame = telemetry.next().await?;
@@ -189,8 +192,13 @@ fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     line
 }
 
+/// A sample's value in SI, if it has one.
+pub(super) fn number(info: &ChannelInfo, sample: &Sample) -> Option<f64> {
+    Value::new(info, sample).value
+}
+
 /// A sample as columns of text: value or what is wrong with it, speed, duty.
-fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
+pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     let value = Value::new(info, sample);
     let number = match *sample {
         Sample::Reading { quality, .. } if quality != Quality::Good => fault(quality).to_owned(),

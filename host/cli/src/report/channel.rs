@@ -4,6 +4,7 @@ use r4_log::{EncoderSample, EncoderSeries, Log, MotorSample, MotorSeries, Readin
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Unit};
 
 use super::{
+    Overlay,
     plot::{Band, Figure, Line, Panel, color, number},
     series::{Point, as_steps, extent, framed, with_gaps, without_repeats},
 };
@@ -11,6 +12,36 @@ use super::{
 /// Quarters of a pixel: measured lines lie on top of the wider set point, so that both are seen where they agree.
 const MEASURED: u32 = 6;
 const SETPOINT: u32 = 13;
+
+/// The figure of lines laid over each other: of `overlay`'s first a set point, of the others what is compared.
+pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
+    let colors = [color::ORANGE, color::BLUE, color::GREEN, color::PURPLE];
+    let lines: Vec<Line> = overlay
+        .lines
+        .iter()
+        .zip(colors)
+        .enumerate()
+        .map(|(index, ((label, points), color))| {
+            let (width, points) = if index == 0 { (SETPOINT, as_steps(points)) } else { (MEASURED, points.clone()) };
+            Line { label: label.clone(), color, width, points }
+        })
+        .collect();
+    let times = || lines.iter().flat_map(|line| line.points.iter().map(|point| point.0));
+    let duration_s = times().fold(f64::MIN_POSITIVE, f64::max);
+    let range = framed(values(&lines).unwrap_or((0.0, 1.0)), f64::MIN_POSITIVE);
+    let title = overlay.title.clone();
+    let names: Vec<_> = lines.iter().map(|line| line.label.as_str()).collect();
+    let description = format!("{title} against time: {}", names.join(", "));
+    let panel = Panel { title, note: String::new(), height: 260, range, lines, guides: None };
+    Figure {
+        description,
+        duration_s,
+        time: "Time since the step (s)",
+        bands: vec![],
+        trips_s: vec![],
+        panels: vec![panel],
+    }
+}
 
 /// In what people read angles and lengths.
 struct Human {
@@ -176,7 +207,8 @@ impl Clock {
                 }
             }
         }
-        Figure { description, duration_s: self.duration_s, bands, trips_s, panels }
+        let time = "Time since the start of the log (s)";
+        Figure { description, duration_s: self.duration_s, time, bands, trips_s, panels }
     }
 }
 

@@ -9,6 +9,7 @@ mod series;
 use std::fmt::Write as _;
 
 use r4_log::Log;
+use r4_protocol::Request;
 
 use plot::{Figure, number};
 
@@ -69,12 +70,27 @@ pub(crate) enum Cell {
     },
 }
 
+/// Lines against one time axis that are to be compared.
+#[derive(Clone, Debug)]
+pub(crate) struct Overlay {
+    /// What the vertical axis is, with its unit.
+    pub(crate) title: String,
+    /// Names and points (s, value): first the set point, then up to three others.
+    pub(crate) lines: Vec<(String, Vec<(f64, f64)>)>,
+}
+
 /// The page for `log`, headed `title`, with `tables` above the plots.
 #[must_use]
 pub(crate) fn html(log: &Log, title: &str, tables: &[Table]) -> String {
+    page(log, title, tables, &[])
+}
+
+/// The same with `overlays` between the tables and the plots of the log.
+#[must_use]
+pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> String {
     let mut body = String::new();
     // writing to a string does not fail
-    let _ = write_body(&mut body, log, title, tables);
+    let _ = write_body(&mut body, log, title, tables, overlays);
     // escaped text holds no "<!--", so nothing that was put in is taken for a place
     PAGE.replace("<!--title-->", &escaped(title))
         .replace("<!--style-->", STYLE.trim_end())
@@ -97,13 +113,19 @@ fn escaped(text: &str) -> String {
     html
 }
 
-fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
+fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> std::fmt::Result {
     write_head(body, log, title, tables)?;
     for table in tables {
         write_table(body, table)?;
     }
+    for overlay in overlays {
+        write_figure(body, &channel::overlay_figure(overlay))?;
+    }
     if log.states.len() > 1 {
         write_table(body, &state_table(log))?;
+    }
+    if let Some(table) = request_table(log) {
+        write_table(body, &table)?;
     }
     if log.motors.len() > 1 {
         body.push_str("<nav><span>Plots</span>");
@@ -152,6 +174,7 @@ fn write_head(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> st
         ("Protocol", header.protocol_version.to_string()),
         ("Duration", format!("{} s", number(log.duration_s(), 3))),
     ];
+    facts.extend(header.seed.map(|seed| ("Seed", seed.to_string())));
     if let Some((start_s, _)) = log.time_span_s() {
         facts.push(("Board's clock at the start", format!("{} s", number(start_s, 3))));
     }
@@ -221,6 +244,45 @@ fn write_table(body: &mut String, table: &Table) -> std::fmt::Result {
     Ok(())
 }
 
+/// More rows than this tell a reader nothing.
+const MOST_REQUESTS: usize = 100;
+
+/// What the host asked for and what was refused; not the set points, which are plotted, and not who listens to what.
+fn request_table(log: &Log) -> Option<Table> {
+    let start_s = log.time_span_s().map_or(0.0, |(start_s, _)| start_s);
+    let quiet = |request: &Request| matches!(request, Request::Set { .. } | Request::Subscribe { .. } | Request::Stats);
+    let asked = log.requests.iter().filter(|logged| !quiet(&logged.request));
+    let asked = asked.map(|logged| (logged.time_s, logged.to_string(), String::new()));
+    let refused = log.refusals.iter().map(|refused| (refused.time_s, refused.request.clone(), refused.reason.clone()));
+    let mut rows: Vec<(f64, String, String)> = asked.chain(refused).collect();
+    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let left_out = rows.len().saturating_sub(MOST_REQUESTS);
+    let columns = if log.refusals.is_empty() { 2 } else { 3 };
+    let cells = rows.into_iter().take(MOST_REQUESTS).map(|(time_s, request, reason)| {
+        let time = Cell::Number { value: time_s - start_s, decimals: 3 };
+        [time, Cell::Text(request), Cell::Text(reason)].into_iter().take(columns).collect()
+    });
+    let column = |title: &str, unit: Option<&str>, align| Column {
+        title: title.to_owned(),
+        unit: unit.map(str::to_owned),
+        align,
+    };
+    let table = Table {
+        caption: "Requests".to_owned(),
+        note: (left_out > 0).then(|| format!("{left_out} more are not shown.")),
+        columns: [
+            column("Time", Some("s"), Align::Right),
+            column("Request", None, Align::Left),
+            column("Refused because", None, Align::Left),
+        ]
+        .into_iter()
+        .take(columns)
+        .collect(),
+        rows: cells.collect(),
+    };
+    (!table.rows.is_empty()).then_some(table)
+}
+
 fn state_table(log: &Log) -> Table {
     let start_s = log.time_span_s().map_or(0.0, |(start_s, _)| start_s);
     let rows = log.states.iter().map(|change| {
@@ -281,6 +343,7 @@ mod tests {
             firmware: "0.1.0".into(),
             protocol_version: 1,
             channels: vec![motor],
+            seed: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..ticks {
@@ -343,6 +406,7 @@ mod tests {
             firmware: "0.1.0".into(),
             protocol_version: 3,
             channels: vec![range.clone(), encoder.clone()],
+            seed: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..200_i16 {

@@ -85,6 +85,8 @@ pub(super) struct Figure {
     pub(super) description: String,
     /// The time axis goes from 0 to here.
     pub(super) duration_s: f64,
+    /// Below that axis.
+    pub(super) time: &'static str,
     /// Above the panels; may be empty.
     pub(super) bands: Vec<Band>,
     /// Moments marked in every panel.
@@ -166,14 +168,7 @@ impl Figure {
             }
         }
         if last {
-            text(
-                area,
-                ((LEFT + WIDTH - RIGHT) / 2, end + 34),
-                HPos::Center,
-                "Time since the start of the log (s)",
-                color::INK,
-                false,
-            )?;
+            text(area, ((LEFT + WIDTH - RIGHT) / 2, end + 34), HPos::Center, self.time, color::INK, false)?;
         }
         // one label per 25 px
         let (values, decimals) = ticks(low, high, (panel.height / 25).unsigned_abs().max(2));

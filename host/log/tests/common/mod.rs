@@ -1,5 +1,6 @@
 //! A small run to test with.
 #![allow(clippy::unwrap_used, reason = "test code")]
+#![allow(dead_code, reason = "not every test needs everything")]
 
 use std::io::Cursor;
 
@@ -57,6 +58,7 @@ pub(crate) fn header() -> Header {
             channel(ENCODER, Unit::Rad, Range::symmetric(f32::MAX), 0.01, &[]),
             channel(RANGE, Unit::M, Range::new(0.02, 4.0), 0.0, &[]),
         ],
+        seed: Some(7),
     }
 }
 

@@ -1,8 +1,9 @@
-//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed.
+//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed
+//! and for links.
 
 mod bus;
-#[cfg(feature = "emu")]
 mod firmware;
+mod link;
 mod safety;
 mod sim;
 
@@ -31,10 +32,8 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     match what {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
         args::Bench::Safety { injections } => safety::run(args, *injections),
-        #[cfg(feature = "emu")]
         args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
-        #[cfg(not(feature = "emu"))]
-        args::Bench::Firmware { .. } => bail!("{}", crate::session::WITHOUT_EMULATOR),
+        args::Bench::Link(link) => link::run(args, link),
         args::Bench::Sim => sim::run(args),
     }
 }
@@ -67,7 +66,7 @@ fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> a
     let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
     let clock = simulation.clock();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
-    let session = with_board(port.rx, tx, HostClock(clock.clone()), async |host| {
+    let session = with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| {
         work(&Bench { host, board, clock, cable }).await
     });
     simulation.block_on(session).ok_or_else(|| anyhow!("the simulation came to a standstill"))?.context("no session")?

@@ -18,7 +18,6 @@ const FOUR_WHEELS: &str = "openscout";
 /// Of a board of four wheels in firmware and physics, on one core.
 const SIM_FACTOR: f64 = 200.0;
 /// Of an emulated board on one core.
-#[cfg(feature = "emu")]
 const EMU_FACTOR: f64 = 5.0;
 /// Of each simulated board, MiB: 2 MB.
 const MEMORY_MIB: f64 = 2e6 / 1024.0 / 1024.0;
@@ -72,7 +71,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
             rows.push(simulated(args.seed, robot, boards)?);
         }
     }
-    #[cfg(feature = "emu")]
     for robot in [BENCH, FOUR_WHEELS] {
         rows.extend(emulated(args.seed, robot)?);
     }
@@ -104,7 +102,6 @@ fn simulated(seed: u64, name: &str, boards: usize) -> anyhow::Result<Row> {
 }
 
 /// `None` where there is no image for the robot.
-#[cfg(feature = "emu")]
 fn emulated(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
     let image = match r4_emu::Image::find(name) {
         Ok(image) => image,
@@ -115,7 +112,7 @@ fn emulated(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
     };
     let robot = r4_boards::load(name)?;
     let start = |simulation: &mut Simulation, _: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
-        let core = r4_unicorn::UnicornCore::new().context("the emulated processor does not start")?;
+        let core = r4_thumb::ThumbCore::new();
         Ok(Rc::new(r4_emu::EmuBoard::start(simulation, &robot, seed, &image, core, None, r4_emu::Settings::default())?))
     };
     let Measured { factor, memory_mib } = measure(1, start)?;
@@ -154,7 +151,7 @@ fn measure(
     let clock = simulation.clock();
     let sessions = join_all(started.iter().map(async |board| {
         let port = board.connect().ok_or_else(|| anyhow!("the board is already connected"))?;
-        let clock = HostClock(clock.clone());
+        let clock = HostClock::Virtual(clock.clone());
         with_board(port.rx, port.tx, clock, async |host| session(host).await).await.context("no session")?
     }));
     let sessions = simulation.block_on(sessions);

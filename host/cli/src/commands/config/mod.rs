@@ -142,10 +142,9 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
 }
 
 /// A simulated board has a flash of its own only while it runs.
-fn check_keeps(args: &Args) -> anyhow::Result<()> {
-    let (Target::Sim(_) | Target::Emu(_)) = args.board;
+pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     ensure!(
-        args.flash.is_some(),
+        args.flash.is_some() || matches!(args.board, Target::Link(_)),
         "{} keeps nothing from one command to the next: name a file for its flash with --flash FILE or R4_FLASH",
         args.board
     );
@@ -175,9 +174,8 @@ fn outlook(saved: bool) -> &'static str {
 }
 
 /// On a simulated board a change that is not saved ends with the command.
-fn warn_unsaved(args: &Args, saved: bool) {
-    let (Target::Sim(_) | Target::Emu(_)) = args.board;
-    if !saved {
+pub(super) fn warn_unsaved(args: &Args, saved: bool) {
+    if !saved && matches!(args.board, Target::Sim(_) | Target::Emu(_)) {
         eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
     }
 }

@@ -53,7 +53,7 @@ pub(crate) fn run(args: &Args, scenario: &args::Scenario) -> anyhow::Result<bool
 fn play(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     for path in files {
         let scenario = Scenario::read(path)?;
-        let args = Args { board: args.board.with_robot(&scenario.robot), ..args.clone() };
+        let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
         let outcome = outcome(&args, &scenario, path)?;
         if args.json {
             let (scenario, board) = (name(path), args.board.to_string());
@@ -129,7 +129,6 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
 }
 
 /// Plays one file on `--board`.
-#[cfg(feature = "emu")]
 pub(crate) fn play_one(args: &Args, path: &Path) -> anyhow::Result<bool> {
     play(args, &[path.to_owned()])
 }

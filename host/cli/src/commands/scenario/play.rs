@@ -1,16 +1,22 @@
 //! Plays a scenario on a virtual board.
 
 use anyhow::Context;
-use r4_driver::Error;
+use r4_driver::{Board, Error};
 use r4_protocol::{
     Setpoint,
     config::{BoardConfig, Feedback, Place},
 };
-use r4_sim::i2c::{Disturbance, Injection, Span};
+use r4_sim::{
+    VirtualBoard,
+    i2c::{Disturbance, Injection, Span},
+};
 use serde::Serialize;
 
 use super::file::{Action, Scenario, Step};
-use crate::session::Session;
+use crate::{
+    cable::CableState,
+    session::{HostClock, Session},
+};
 
 /// What came of a scenario.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -48,11 +54,12 @@ pub(super) struct Motion {
 const POTENTIOMETER_CODES: f64 = 10.0;
 
 pub(super) async fn play(session: &Session<'_>, scenario: &Scenario) -> anyhow::Result<Outcome> {
+    let (around, cable) = (session.virtual_board()?, session.cable()?);
     let mut outcome = Outcome::default();
     let begin_s = session.board.now_s();
     for step in &scenario.steps {
         session.board.sleep_s(begin_s + step.at_s - session.board.now_s()).await;
-        match act(session, step, &mut outcome).await {
+        match act(session.board, around, cable, step, &mut outcome).await {
             Ok(()) => {}
             // Part of the outcome: a scenario may well ask for what is not allowed.
             Err(error @ (Error::Refused { .. } | Error::Stopped { .. } | Error::TimedOut { .. })) => {
@@ -68,29 +75,34 @@ pub(super) async fn play(session: &Session<'_>, scenario: &Scenario) -> anyhow::
     Ok(outcome)
 }
 
-async fn act(session: &Session<'_>, step: &Step, outcome: &mut Outcome) -> Result<(), Error> {
-    let board = session.board;
+async fn act(
+    board: &Board<HostClock>,
+    around: &dyn VirtualBoard,
+    cable: &CableState,
+    step: &Step,
+    outcome: &mut Outcome,
+) -> Result<(), Error> {
     match step.action {
-        Action::Look => outcome.looks.push(look(session, step.at_s)),
+        Action::Look => outcome.looks.push(look(board, around, step.at_s)),
         Action::Arm => board.arm().await?,
         Action::Disarm => board.disarm().await?,
         Action::Stop => board.stop().await?,
         Action::Clear => board.clear().await?,
         Action::Set { channel, mode, value } => board.set(channel, Setpoint { mode, value }).await?,
-        Action::DeadMan { held } => session.virtual_board().dead_man().set(held),
-        Action::AuxiliaryStop { pressed } => session.virtual_board().auxiliary_stop().set(!pressed),
+        Action::DeadMan { held } => around.dead_man().set(held),
+        Action::AuxiliaryStop { pressed } => around.auxiliary_stop().set(!pressed),
         Action::Distance { range, distance_m } => {
-            if let Some(sensor) = session.virtual_board().world().range_sensor(range) {
+            if let Some(sensor) = around.world().range_sensor(range) {
                 sensor.set_distance_m(distance_m);
             }
         }
-        Action::Supply { channel, emf_v } => session.virtual_board().world().set_emf(channel, emf_v),
+        Action::Supply { channel, emf_v } => around.world().set_emf(channel, emf_v),
         Action::Block { channel, blocked } => {
             // The robot's file has been read with this plant before.
-            let _ = session.virtual_board().block_motor(channel, blocked);
+            let _ = around.block_motor(channel, blocked);
         }
         Action::BusNack { address, transfers } => inject(
-            session,
+            around,
             Injection {
                 disturbance: Disturbance::AddressNack,
                 span: Span::Transfers { count: transfers },
@@ -98,28 +110,28 @@ async fn act(session: &Session<'_>, step: &Step, outcome: &mut Outcome) -> Resul
             },
         ),
         Action::BusStuck { for_s, persistent } => {
-            let from_ns = session.virtual_board().world().clock().now_ns();
+            let from_ns = around.world().clock().now_ns();
             let span = Span::Time { from_ns, until_ns: from_ns + (for_s * 1e9) as u64 };
-            inject(session, Injection { disturbance: Disturbance::StuckLow { persistent }, span, address: None });
+            inject(around, Injection { disturbance: Disturbance::StuckLow { persistent }, span, address: None });
         }
         Action::LoseEdges { encoder, count } => {
-            let mut world = session.virtual_board().world();
+            let mut world = around.world();
             if let Some(signal) = world.pins().encoders.get_mut(usize::from(encoder)) {
                 signal.lose_edges(count);
             }
         }
-        Action::HostCable { cut } => session.cable().cut.set(cut),
+        Action::HostCable { cut } => cable.cut.set(cut),
     }
     Ok(())
 }
 
-fn inject(session: &Session<'_>, injection: Injection) {
-    session.virtual_board().world().bus.inject(injection);
+fn inject(around: &dyn VirtualBoard, injection: Injection) {
+    around.world().bus.inject(injection);
 }
 
-fn look(session: &Session<'_>, at_s: f64) -> Look {
-    let config = &session.virtual_board().robot().config;
-    let mut world = session.virtual_board().world();
+fn look(board: &Board<HostClock>, around: &dyn VirtualBoard, at_s: f64) -> Look {
+    let config = &around.robot().config;
+    let mut world = around.world();
     let motions = config.channels().filter_map(|(channel, place)| {
         let (resolution, unit) = resolution(config, place)?;
         Some(Motion {
@@ -131,7 +143,7 @@ fn look(session: &Session<'_>, at_s: f64) -> Look {
             period_s: f64::from(config.control_period_us) * 1e-6,
         })
     });
-    Look { at_s, motions: motions.collect(), state: session.board.safety().0.to_string() }
+    Look { at_s, motions: motions.collect(), state: board.safety().0.to_string() }
 }
 
 /// What the sensor of an output resolves, or its smallest command, and the unit of both; `None` for what does not move.

@@ -11,7 +11,7 @@ use r4_protocol::{
     config::PidGains,
 };
 use r4_sim::Clock;
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 use rand_pcg::{Pcg64, rand_core::Rng};
 use serde::Serialize;
 
@@ -47,7 +47,7 @@ pub(super) struct Requests {
 /// A board, and a host that torments it.
 pub(super) struct Tormentor<'b> {
     pub(super) host: &'b Board<HostClock>,
-    pub(super) board: &'b EmuBoard<UnicornCore>,
+    pub(super) board: &'b EmuBoard<ThumbCore>,
     pub(super) clock: Clock,
     requests: Cell<Requests>,
     /// One of those that send is arming the board again.
@@ -57,7 +57,7 @@ pub(super) struct Tormentor<'b> {
 }
 
 impl<'b> Tormentor<'b> {
-    pub(super) fn new(host: &'b Board<HostClock>, board: &'b EmuBoard<UnicornCore>, clock: Clock) -> Self {
+    pub(super) fn new(host: &'b Board<HostClock>, board: &'b EmuBoard<ThumbCore>, clock: Clock) -> Self {
         Self { host, board, clock, requests: Cell::default(), arming: Cell::default(), trips: Cell::default() }
     }
 

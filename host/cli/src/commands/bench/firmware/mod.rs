@@ -16,7 +16,7 @@ use r4_emu::{
     measure::{Share, Spread, Stack, instructions, jitter_us},
 };
 use r4_sim::{Pace, Simulation, VirtualBoard};
-use r4_unicorn::UnicornCore;
+use r4_thumb::ThumbCore;
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
@@ -129,10 +129,12 @@ pub(super) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
     let target = match &args.board {
         Target::Emu(_) => args.board.clone(),
         Target::Sim(name) if name == DEFAULT => Target::Emu(name.clone()),
-        Target::Sim(_) => bail!("this measures emulated boards only: leave --board out, or write emu:{DEFAULT}"),
+        Target::Sim(_) | Target::Link(_) => {
+            bail!("this measures emulated boards only: leave --board out, or write emu:{DEFAULT}")
+        }
     };
-    let image = Image::find(target.robot())?;
-    let measured = measure(args.seed, target.robot(), &image, seconds)?;
+    let image = Image::find(target.robot()?)?;
+    let measured = measure(args.seed, target.robot()?, &image, seconds)?;
     let report = report(args, &target, &image, seconds, measured);
     if args.json {
         output::json(&report)?;
@@ -145,7 +147,7 @@ pub(super) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
 fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Result<Measured> {
     let robot = r4_boards::load(robot)?;
     let mut simulation = Simulation::new(Pace::Free);
-    let core = UnicornCore::new().context("the emulated processor does not start")?;
+    let core = ThumbCore::new();
     let board = Rc::new(EmuBoard::start(&mut simulation, &robot, seed, image, core, None, Settings::default())?);
     board.start_measuring()?;
     let port = board.connect().ok_or_else(|| anyhow!("the emulated board is already connected"))?;
@@ -154,7 +156,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
     let progress = ProgressBar::new_spinner();
     progress.set_style(ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner()));
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
-    let session = with_board(port.rx, tx, HostClock(clock.clone()), async |host| {
+    let session = with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| {
         let tormentor = Tormentor::new(host, &board, clock.clone());
         progress.set_message("everything at random");
         tormentor.mix(&mut Pcg64::new(seed.into(), 1), seconds).await?;

@@ -1,5 +1,5 @@
 //! How fast a board is emulated, and what it does meanwhile:
-//! `cargo run --release -p r4-emu --example speed -- openscout 3 [registers]`.
+//! `cargo run --release -p r4-unicorn --example speed -- openscout 3 [thumb|unicorn] [registers]`.
 //!
 //! Connects, arms, drives every motor at constant duty for some virtual seconds, and prints simulated against real time, what
 //! was done in each virtual second, and a digest of all exceptions with their times: two versions of the emulator that give
@@ -9,8 +9,10 @@ use std::{cell::RefCell, env, error::Error, rc::Rc, time::Instant};
 
 use r4_driver::with_board;
 use r4_emu::{EmuBoard, Image};
+use r4_mcu::cpu::Core;
 use r4_protocol::{ChannelKind, Mode, Setpoint};
 use r4_sim::{Simulation, VirtualBoard};
+use r4_thumb::ThumbCore;
 use r4_unicorn::UnicornCore;
 
 /// The session's time is the simulation's.
@@ -38,12 +40,19 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut args = env::args().skip(1);
     let name = args.next().unwrap_or_else(|| "openscout".into());
     let seconds: f64 = args.next().map_or(Ok(3.0), |text| text.parse())?;
-    let registers = args.next().is_some_and(|word| word == "registers");
+    let words: Vec<String> = args.collect();
+    let registers = words.iter().any(|word| word == "registers");
+    if words.iter().any(|word| word == "thumb") {
+        measure(&name, seconds, registers, ThumbCore::new())
+    } else {
+        measure(&name, seconds, registers, UnicornCore::new()?)
+    }
+}
 
-    let robot = r4_boards::load(&name)?;
-    let image = Image::find(&name)?;
+fn measure<C: Core + 'static>(name: &str, seconds: f64, registers: bool, core: C) -> Result<(), Box<dyn Error>> {
+    let robot = r4_boards::load(name)?;
+    let image = Image::find(name)?;
     let mut simulation = Simulation::default();
-    let core = UnicornCore::new()?;
     let board = Rc::new(EmuBoard::start(&mut simulation, &robot, 1, &image, core, None, Default::default())?);
     board.machine().start_trace();
     if registers {

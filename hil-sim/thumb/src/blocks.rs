@@ -1,0 +1,194 @@
+//! Blocks that were decoded, by address.
+
+use std::cell::Cell;
+use std::collections::HashMap;
+
+use crate::decode::{self, Position, What};
+use crate::float::Float;
+use crate::operation::Op;
+
+/// A block: where it is, and where its operations are.
+#[derive(Clone, Debug)]
+pub(crate) struct Block {
+    pub(crate) address: u32,
+    /// After its last instruction.
+    pub(crate) end: u32,
+    first: u32,
+    len: u16,
+    pub(crate) instructions: u16,
+    /// ITSTATE after it.
+    pub(crate) it: u8,
+    /// Some of its instructions are observed.
+    pub(crate) observed: bool,
+    /// The number of the block that begins at `end`, once that was met.
+    after: Cell<u32>,
+    /// An address that was branched to last, and the number of the block there.
+    branched: Cell<(u32, u32)>,
+}
+
+impl Block {
+    /// What is before an instruction outside of IT blocks.
+    pub(crate) fn beginning(&self, end: u32, len: u16, instructions: u16) -> Self {
+        let (after, branched) = (Cell::new(NONE), Cell::new((NONE, NONE)));
+        Self { end, len, instructions, it: 0, after, branched, ..*self }
+    }
+}
+
+/// No block.
+const NONE: u32 = u32::MAX;
+
+/// Operations of many blocks, one after the other.
+#[derive(Default)]
+struct Store {
+    ops: Vec<Op>,
+    positions: Vec<Position>,
+    floats: Vec<Float>,
+}
+
+/// All blocks. A table has those used last by address: nothing in them is observed, and they do not end within an IT block.
+/// Whatever else is known is behind it. A block knows which others followed it.
+pub(crate) struct Blocks {
+    blocks: Vec<Block>,
+    table: Box<[u32; Self::LEN]>,
+    known: HashMap<u32, u32>,
+    /// Operations before which observed instructions are, and those instructions, of blocks that have some: by
+    /// address and ITSTATE at it.
+    observed: HashMap<(u32, u8), Vec<(u16, u32)>>,
+    store: Store,
+}
+
+impl Blocks {
+    const LEN: usize = 1 << 16;
+    /// Operations that are kept at most, before all are forgotten: code that changes is decoded again and again.
+    const MANY: usize = 1 << 22;
+
+    pub(crate) fn new() -> Self {
+        Self {
+            blocks: Vec::new(),
+            table: Box::new([NONE; Self::LEN]),
+            known: HashMap::new(),
+            observed: HashMap::new(),
+            store: Store::default(),
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        if self.blocks.is_empty() {
+            return;
+        }
+        self.blocks.clear();
+        self.table.fill(NONE);
+        self.known.clear();
+        self.observed.clear();
+        self.store.ops.clear();
+        self.store.positions.clear();
+        self.store.floats.clear();
+    }
+
+    /// The number of the block at an address, if it was used lately.
+    #[inline(always)]
+    pub(crate) fn number(&self, address: u32) -> Option<u32> {
+        let number = self.table[address as usize / 2 % Self::LEN];
+        let block = self.blocks.get(number as usize)?;
+        (block.address == address).then_some(number)
+    }
+
+    /// The block at `address`, which follows `before`, if both are known.
+    #[inline(always)]
+    pub(crate) fn follow(&self, before: &Block, address: u32) -> Option<&Block> {
+        let number = if address == before.end {
+            before.after.get()
+        } else {
+            let (to, number) = before.branched.get();
+            if to == address { number } else { NONE }
+        };
+        match self.blocks.get(number as usize) {
+            Some(block) => Some(block),
+            None => self.join(before, address),
+        }
+    }
+
+    #[inline(never)]
+    fn join(&self, before: &Block, address: u32) -> Option<&Block> {
+        let number = self.number(address)?;
+        if address == before.end {
+            before.after.set(number);
+        } else {
+            before.branched.set((address, number));
+        }
+        self.by_number(number)
+    }
+
+    /// The block at an address, decoded if need be; `None` where nothing can be fetched.
+    #[cold]
+    pub(crate) fn find(&mut self, address: u32, what: &What<'_>) -> Option<u32> {
+        let number = match self.known.get(&address) {
+            Some(number) => *number,
+            None => {
+                self.make_room();
+                let number = self.add(address, what)?;
+                self.known.insert(address, number);
+                number
+            }
+        };
+        let block = self.blocks.get(number as usize)?;
+        // What needs a look before or after it is not found at once.
+        if !block.observed && block.it == 0 {
+            self.table[address as usize / 2 % Self::LEN] = number;
+        }
+        Some(number)
+    }
+
+    /// Forgets everything, if it is much.
+    pub(crate) fn make_room(&mut self) {
+        if self.store.ops.len() > Self::MANY {
+            self.clear();
+        }
+    }
+
+    /// Decodes a block, which is not found again but by its number.
+    pub(crate) fn add(&mut self, address: u32, what: &What<'_>) -> Option<u32> {
+        let decoded = decode::block(address, what, &mut self.store.floats)?;
+        let first = self.store.ops.len() as u32;
+        let len = decoded.ops.len() as u16;
+        self.store.ops.extend(decoded.ops);
+        self.store.positions.extend(decoded.positions);
+        let observed = !decoded.observed.is_empty();
+        if observed {
+            self.observed.insert((address, what.it), decoded.observed);
+        }
+        let (end, instructions, it) = (decoded.end, decoded.instructions, decoded.it);
+        let number = self.blocks.len() as u32;
+        let (after, branched) = (Cell::new(NONE), Cell::new((NONE, NONE)));
+        self.blocks.push(Block { address, end, first, len, instructions, it, observed, after, branched });
+        Some(number)
+    }
+
+    /// Operations before the first observed instruction of a block, and its address; not that at the beginning, if that
+    /// is to be executed.
+    pub(crate) fn observed(&self, block: &Block, it: u8, executes_first: bool) -> Option<(u16, u32)> {
+        let stops = self.observed.get(&(block.address, it))?;
+        stops.iter().find(|(_, address)| !(executes_first && *address == block.address)).copied()
+    }
+
+    /// A block by its number.
+    pub(crate) fn by_number(&self, number: u32) -> Option<&Block> {
+        self.blocks.get(number as usize)
+    }
+
+    #[inline(always)]
+    pub(crate) fn ops(&self, block: &Block) -> &[Op] {
+        let first = block.first as usize;
+        self.store.ops.get(first..first + usize::from(block.len)).unwrap_or(&[])
+    }
+
+    #[inline(always)]
+    pub(crate) fn positions(&self, block: &Block) -> &[Position] {
+        let first = block.first as usize;
+        self.store.positions.get(first..first + usize::from(block.len)).unwrap_or(&[])
+    }
+
+    pub(crate) fn floats(&self) -> &[Float] {
+        &self.store.floats
+    }
+}

@@ -1,0 +1,218 @@
+//! [`ThumbCore`].
+
+use r4_mcu::Region;
+use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Register, Why};
+
+use crate::blocks::{Block, Blocks};
+use crate::decode::What;
+use crate::execute::execute;
+use crate::state::State;
+
+/// A Cortex-M7 by an interpreter.
+pub struct ThumbCore {
+    state: State,
+    blocks: Blocks,
+    observed: Vec<u32>,
+    /// The last run stopped within a block.
+    within: bool,
+}
+
+impl Default for ThumbCore {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl ThumbCore {
+    /// A processor without memory: [`Core::map`] comes next.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { state: State::new(), blocks: Blocks::new(), observed: Vec::new(), within: false }
+    }
+
+    fn forget(&mut self) {
+        self.blocks.clear();
+        self.state.stale = false;
+        self.state.changeable = false;
+    }
+
+    /// What is not looked at before every block: `Some` ends the run.
+    #[cold]
+    fn attention(&mut self, bus: &mut dyn CoreBus) -> Option<Why> {
+        if self.state.stale {
+            self.forget();
+            self.state.refresh_limits(bus);
+        }
+        if self.state.limits.mask_changes && self.state.masks() != self.state.masks {
+            return Some(Why::MaskChanged);
+        }
+        if self.state.executed >= self.state.limits.instructions {
+            bus.reached(self.state.executed);
+            self.state.refresh_limits(bus);
+            if self.state.executed >= self.state.limits.instructions {
+                return Some(Why::Limit);
+            }
+        }
+        None
+    }
+
+    /// Decodes what is at PC, if need be: the block's number. `None` where nothing can be fetched.
+    #[cold]
+    fn find(&mut self) -> Option<u32> {
+        let State { memory, it, changeable, pc, .. } = &mut self.state;
+        *changeable |= memory.is_changeable_code(*pc);
+        let what = What { memory, observed: &self.observed, it: *it, one: false };
+        if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
+    }
+
+    /// A block with observed instructions.
+    #[cold]
+    fn execute_observed(&mut self, block: &Block, is_first: bool, bus: &mut dyn CoreBus) -> Option<Why> {
+        let Some((ops, address)) = self.blocks.observed(block, self.state.it, is_first) else {
+            return execute(&mut self.state, &self.blocks, block, false, bus);
+        };
+        if address == block.address {
+            return Some(Why::Observed);
+        }
+        // What is before it is not the end of the block, and does not branch.
+        let instructions = self.instructions_before(block, address);
+        let before = block.beginning(address, ops, instructions);
+        let why = execute(&mut self.state, &self.blocks, &before, false, bus);
+        self.within = why.is_none();
+        Some(why.unwrap_or(Why::Observed))
+    }
+
+    /// Instructions of a block before one of them.
+    fn instructions_before(&self, block: &Block, address: u32) -> u16 {
+        let (mut at, mut count) = (block.address, 0);
+        while at != address {
+            let Some(first) = self.state.memory.fetch(at) else { break };
+            at = at.wrapping_add(if crate::decode::is_wide(first) { 4 } else { 2 });
+            count += 1;
+        }
+        count
+    }
+
+    fn begin(&mut self, bus: &mut dyn CoreBus) {
+        self.within = false;
+        self.state.executed = 0;
+        self.state.error = None;
+        self.blocks.make_room();
+        self.state.refresh_limits(bus);
+    }
+
+    fn finish(&mut self, why: Why) -> Result<CoreStop, CoreError> {
+        match self.state.error.take() {
+            Some(error) => Err(error),
+            None => Ok(CoreStop { instructions: self.state.executed, why }),
+        }
+    }
+
+    /// Up to what ends the run.
+    fn until_stop(&mut self, bus: &mut dyn CoreBus) -> Why {
+        let mut is_first = true;
+        loop {
+            if self.state.executed >= self.state.attention_at
+                && let Some(why) = self.attention(bus)
+            {
+                return why;
+            }
+            if !self.state.thumb {
+                return Why::Fault(Fault::InvalidState);
+            }
+            let known = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
+            let number = known.or_else(|| self.find());
+            let Some(block) = number.and_then(|number| self.blocks.by_number(number)) else {
+                return Why::Fault(Fault::Fetch);
+            };
+            let why = if block.observed {
+                let block = block.clone();
+                self.execute_observed(&block, is_first, bus)
+            } else {
+                let chain = block.it == 0 && self.state.it == 0;
+                execute(&mut self.state, &self.blocks, block, chain, bus)
+            };
+            if let Some(why) = why {
+                return why;
+            }
+            is_first = false;
+        }
+    }
+
+    /// One instruction.
+    fn one(&mut self, bus: &mut dyn CoreBus) -> Why {
+        if let Some(why) = self.attention(bus) {
+            return why;
+        }
+        if !self.state.thumb {
+            return Why::Fault(Fault::InvalidState);
+        }
+        let (pc, it) = (self.state.pc, self.state.it);
+        let decode =
+            |core: &mut Self, one| core.blocks.add(pc, &What { memory: &core.state.memory, observed: &[], it, one });
+        let numbers = (decode(self, true), decode(self, false));
+        let by_number = |number: Option<u32>| number.and_then(|number| self.blocks.by_number(number));
+        let (Some(block), Some(whole)) = (by_number(numbers.0), by_number(numbers.1)) else {
+            return Why::Fault(Fault::Fetch);
+        };
+        let part = block.instructions < whole.instructions;
+        let why = execute(&mut self.state, &self.blocks, block, false, bus);
+        self.within = why.is_none() && part;
+        why.unwrap_or(Why::Observed)
+    }
+}
+
+impl Core for ThumbCore {
+    fn map(&mut self, regions: &[Region]) -> Result<(), CoreError> {
+        self.remap(regions)
+    }
+
+    fn remap(&mut self, regions: &[Region]) -> Result<(), CoreError> {
+        self.forget();
+        self.state.memory.map(regions)
+    }
+
+    fn code_changed(&mut self) -> Result<(), CoreError> {
+        self.forget();
+        Ok(())
+    }
+
+    fn get(&self, register: Register) -> u32 {
+        self.state.get(register)
+    }
+
+    fn set(&mut self, register: Register, value: u32) {
+        self.state.set(register, value);
+    }
+
+    fn set_fpu(&mut self, on: bool) {
+        self.state.fpu = on;
+    }
+
+    fn clear_exclusive(&mut self) -> Result<(), CoreError> {
+        self.state.exclusive = None;
+        Ok(())
+    }
+
+    fn observe(&mut self, addresses: &[u32]) -> Result<(), CoreError> {
+        self.observed = addresses.to_vec();
+        self.forget();
+        Ok(())
+    }
+
+    fn run(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
+        self.begin(bus);
+        let why = self.until_stop(bus);
+        self.finish(why)
+    }
+
+    fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError> {
+        self.begin(bus);
+        let why = self.one(bus);
+        self.finish(why)
+    }
+
+    fn is_within_block(&self) -> bool {
+        self.within
+    }
+}

@@ -1,0 +1,625 @@
+//! `r4 bench link`: what a link to a board carries, measured over that link in real time.
+//!
+//! A simulated or emulated board is served on a pseudo-terminal by `r4 sim serve` in another process: bytes take the way that
+//! they take to any other program.
+
+use std::{
+    cell::{Cell, RefCell},
+    env,
+    fmt::Display,
+    fs,
+    io::{BufRead, BufReader},
+    pin::pin,
+    process::{Child, Command, Stdio},
+    rc::Rc,
+    sync::{Arc, Mutex, PoisonError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, anyhow, bail};
+use embedded_io_async::{ErrorType, Read, Write};
+use futures::future::{Either, select};
+use r4_driver::{Board, Clock, CycleReport, Cycles, Error, with_board};
+use r4_links::{Address, RealClock, monotonic_ns};
+use r4_protocol::{
+    ChannelId, CycleOutcome, FrameDecoder, Mode, ToDevice, ToHost, cycle::CYCLE_CHANNELS, frame::MAX_FRAME,
+};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use super::DEFAULT;
+use crate::{
+    args::{self, Args},
+    output,
+    session::{self, Target},
+    table,
+};
+
+/// Has four motors, as a cycle has.
+const FOUR_MOTORS: &str = "openscout";
+/// Of a cycle, for both frames together.
+const BYTES: usize = 64;
+/// Of a round trip over a pseudo-terminal, µs: half of them are shorter.
+const ROUND_TRIP_US: f64 = 100.0;
+/// In a second, without loss.
+const CYCLES_PER_S: f64 = 10_000.0;
+/// Of the board's clock in terms of ours, µs: 99 % are better.
+const CLOCK_ERROR_US: f64 = 200.0;
+/// Round trips before those that count: the map of the clocks wants some heartbeats, and caches are cold.
+const WARM_UP: Duration = Duration::from_millis(500);
+/// Round trips whose bytes are counted.
+const COUNTED: usize = 256;
+/// Set points of a stream are followed for this long.
+const TTL_MS: u16 = 100;
+/// Cycles that are not answered this long after the last was sent are lost.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+#[derive(Serialize)]
+struct Report {
+    link: String,
+    /// Of both frames, on the wire, at most.
+    cycle_bytes: usize,
+    rtt_us_p50: f64,
+    rtt_us_p99: f64,
+    rtt_us_p999: f64,
+    rtt_us_max: f64,
+    /// Round trips, one after the other.
+    round_trips: usize,
+    cycles_per_s: f64,
+    /// Cycles that came to it, with `window` under way.
+    cycles: u64,
+    window: usize,
+    seconds: f64,
+    /// Of all cycles of both kinds.
+    lost: u64,
+    /// Whether set points were followed; otherwise they were refused, and answered all the same.
+    armed: bool,
+    /// Answers that say that set points were not followed.
+    not_followed: u64,
+    /// Of the time of each answer, mapped to our clock, against the truth; `None` where only the board knows that.
+    clock_error_us_p99: Option<f64>,
+    /// How wrong the driver thinks that it may be, at worst.
+    clock_uncertainty_us: f64,
+    /// How often a served board's time stood still meanwhile, because the machine was busy elsewhere.
+    clock_shifts: usize,
+    machine: String,
+    processors: usize,
+    kernel: String,
+    limits: Vec<Limit>,
+    held: bool,
+}
+
+/// A promise.
+#[derive(Serialize)]
+struct Limit {
+    what: &'static str,
+    measured: String,
+    promised: String,
+    held: bool,
+}
+
+impl Limit {
+    fn new(what: &'static str, measured: impl Display, promised: impl Display, held: bool) -> Self {
+        Self { what, measured: measured.to_string(), promised: promised.to_string(), held }
+    }
+}
+
+pub(super) fn run(args: &Args, bench: &args::BenchLink) -> anyhow::Result<bool> {
+    session::catch_interrupts();
+    let mut served = None;
+    let (link, address) = match &args.board {
+        Target::Link(address) => (address.to_string(), address.clone()),
+        Target::Sim(name) | Target::Emu(name) => {
+            let name = if name == DEFAULT { FOUR_MOTORS } else { name };
+            let target = args.board.with_robot(name)?;
+            let server = Served::start(&target, args.seed)?;
+            let address = server.address.clone();
+            served = Some(server);
+            (format!("{target} over a pseudo-terminal"), address)
+        }
+    };
+    // What stands at the end of somebody else's link might begin to move.
+    let arm = bench.arm || served.is_some();
+    let measured = r4_links::block_on(measure(args, &address, bench, arm))?;
+    // An emulated board's clock starts when its firmware does, and nobody outside sees that.
+    let epochs = served.as_ref().filter(|_| matches!(args.board, Target::Sim(_))).map(|served| served.epochs());
+    let report = measured.report(link, bench, epochs.as_deref());
+    let held = report.held;
+    if args.json {
+        output::json(&report)?;
+    } else {
+        print(&report)?;
+    }
+    Ok(held)
+}
+
+/// A line of `r4 sim serve`: the first has a place, later ones tell from when on the epoch is another.
+#[derive(Deserialize)]
+struct Line {
+    pty: Option<String>,
+    epoch_ns: u64,
+    #[serde(default)]
+    from_ns: u64,
+}
+
+/// From this moment of its clock on, the board's time 0 was at `epoch_ns` of CLOCK_MONOTONIC.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Epoch {
+    from_us: u64,
+    epoch_ns: u64,
+}
+
+impl Epoch {
+    fn of(line: &Line) -> Self {
+        Self { from_us: line.from_ns / 1000, epoch_ns: line.epoch_ns }
+    }
+}
+
+/// A board that another process serves until this is dropped.
+struct Served {
+    child: Child,
+    address: Address,
+    epochs: Arc<Mutex<Vec<Epoch>>>,
+}
+
+impl Served {
+    fn start(board: &Target, seed: u64) -> anyhow::Result<Self> {
+        let name = match board {
+            Target::Sim(name) => name.clone(),
+            Target::Emu(_) | Target::Link(_) => board.to_string(),
+        };
+        let program = env::current_exe().context("cannot find this program to serve the board")?;
+        let mut child = Command::new(program)
+            .args(["sim", "serve", &name, "--pty", "--seed", &seed.to_string()])
+            .env_remove("R4_BOARD")
+            .env_remove("R4_FLASH")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .context("cannot start `r4 sim serve`")?;
+        let out = child.stdout.take();
+        // From here on dropping it ends the server.
+        let address = Address::Serial { path: None, baud: r4_links::DEFAULT_BAUD };
+        let mut served = Self { child, address, epochs: Arc::default() };
+        let mut lines = BufReader::new(out.context("no pipe to the server")?).lines();
+        let first = lines.next().ok_or_else(|| anyhow!("`r4 sim serve {name}` ended at once"))??;
+        let line: Line = serde_json::from_str(&first).with_context(|| format!("`r4 sim serve` says {first}"))?;
+        let path = line.pty.as_ref().ok_or_else(|| anyhow!("`r4 sim serve` names no pseudo-terminal: {first}"))?;
+        served.address = Address::Serial { path: Some(path.into()), baud: r4_links::DEFAULT_BAUD };
+        let epochs = served.epochs.clone();
+        lock(&epochs).push(Epoch::of(&line));
+        thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                if let Ok(line) = serde_json::from_str(&line) {
+                    lock(&epochs).push(Epoch::of(&line));
+                }
+            }
+        });
+        Ok(served)
+    }
+
+    fn epochs(&self) -> Vec<Epoch> {
+        lock(&self.epochs).clone()
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        // One that has ended by itself is none to end.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Lengths of frames in one direction, as they pass.
+#[derive(Default)]
+struct Scale {
+    on: Cell<bool>,
+    frame: RefCell<Vec<u8>>,
+    /// Of those that carry a cycle, at most.
+    longest: Cell<usize>,
+}
+
+impl Scale {
+    fn weigh<T: DeserializeOwned>(&self, bytes: &[u8], is_cycle: fn(&T) -> bool) {
+        if !self.on.get() {
+            return;
+        }
+        let mut frame = self.frame.borrow_mut();
+        for byte in bytes {
+            frame.push(*byte);
+            if *byte != 0 {
+                // A frame that never ends is none.
+                frame.truncate(2 * MAX_FRAME);
+                continue;
+            }
+            let mut decoder = FrameDecoder::new();
+            let message = frame.iter().find_map(|byte| decoder.push::<T>(*byte));
+            if message.is_some_and(|message| message.is_ok_and(|message| is_cycle(&message))) {
+                self.longest.set(self.longest.get().max(frame.len()));
+            }
+            frame.clear();
+        }
+    }
+}
+
+/// A link whose frames are weighed.
+struct Weighed<L> {
+    link: L,
+    scale: Rc<Scale>,
+}
+
+impl<L: ErrorType> ErrorType for Weighed<L> {
+    type Error = L::Error;
+}
+
+impl<L: Read> Read for Weighed<L> {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
+        let len = self.link.read(buffer).await?;
+        self.scale.weigh(&buffer[..len], |message| matches!(message, ToHost::Cycle(_)));
+        Ok(len)
+    }
+}
+
+impl<L: Write> Write for Weighed<L> {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
+        let len = self.link.write(bytes).await?;
+        self.scale.weigh(&bytes[..len], |message| matches!(message, ToDevice::Cycle(_)));
+        Ok(len)
+    }
+
+    async fn flush(&mut self) -> Result<(), L::Error> {
+        self.link.flush().await
+    }
+}
+
+/// When the board answered: on its clock, and on ours as the driver thought then.
+#[derive(Clone, Copy, Debug)]
+struct Stamp {
+    device_us: u64,
+    host_us: u64,
+}
+
+#[derive(Default)]
+struct Measured {
+    cycle_bytes: usize,
+    /// µs
+    round_trips: Vec<f64>,
+    stamps: Vec<Stamp>,
+    cycles: u64,
+    seconds: f64,
+    lost: u64,
+    armed: bool,
+    not_followed: u64,
+    clock_uncertainty_us: f64,
+}
+
+async fn measure(args: &Args, address: &Address, bench: &args::BenchLink, arm: bool) -> anyhow::Result<Measured> {
+    let link = r4_links::open(address, session::key(args)?.as_ref()).await?;
+    let (down, up) = (Rc::<Scale>::default(), Rc::<Scale>::default());
+    let rx = Weighed { link: link.rx, scale: up.clone() };
+    let tx = Weighed { link: link.tx, scale: down.clone() };
+    let connected = with_board(rx, tx, RealClock, async |board| {
+        if arm {
+            board.arm().await.context("cannot arm")?;
+        }
+        let measured = on_board(board, bench, arm, [&down, &up]).await;
+        if !arm {
+            return measured;
+        }
+        let disarmed = board.disarm().await;
+        let measured = measured?;
+        disarmed.context("cannot disarm; closing the session makes the board stop by itself")?;
+        Ok(measured)
+    });
+    connected.await.with_context(|| format!("cannot connect to {address}"))?
+}
+
+/// Motors and what makes them rest: up to four.
+fn motors(board: &Board<RealClock>) -> Vec<(ChannelId, Mode)> {
+    let resting = |mode: Mode, info: &r4_protocol::ChannelInfo| {
+        info.mode(mode).filter(|taken| taken.range.contains(0.0)).map(|_| (info.id, mode))
+    };
+    let channels = board.channels().iter();
+    let motors = channels.filter_map(|info| resting(Mode::Duty, info).or_else(|| resting(Mode::Speed, info)));
+    motors.take(CYCLE_CHANNELS).collect()
+}
+
+async fn on_board(
+    board: &Board<RealClock>,
+    bench: &args::BenchLink,
+    armed: bool,
+    scales: [&Scale; 2],
+) -> anyhow::Result<Measured> {
+    let motors = motors(board);
+    if motors.is_empty() {
+        bail!("this board has no motor to send cycles to");
+    }
+    let rest = vec![0.0; motors.len()];
+    let mut cycles = board.stream(&motors, TTL_MS).await?;
+    let mut measured = Measured { armed, ..Measured::default() };
+
+    for scale in scales {
+        scale.on.set(true);
+    }
+    for _ in 0..COUNTED {
+        measured.one_cycle(board, &mut cycles, &rest).await?;
+    }
+    for scale in scales {
+        scale.on.set(false);
+    }
+    measured.cycle_bytes = scales.into_iter().map(|scale| scale.longest.get()).sum();
+
+    let span = Duration::from_secs_f64(bench.seconds);
+    for span in [WARM_UP.min(span), span] {
+        (measured.round_trips, measured.stamps) = (Vec::new(), Vec::new());
+        let begin = Instant::now();
+        while begin.elapsed() < span {
+            measured.one_cycle(board, &mut cycles, &rest).await?;
+        }
+    }
+    let before = cycles.counters();
+    let clock = RealClock;
+    let end_us = clock.now_us() + (span + PATIENCE).as_micros() as u64;
+    let outcome = {
+        let sustained = pin!(measured.sustain(board, &mut cycles, &rest, span, bench.window));
+        match select(sustained, pin!(clock.sleep_until(end_us))).await {
+            Either::Left((result, _)) => Some(result),
+            Either::Right(_) => None,
+        }
+    };
+    outcome.transpose()?;
+    let after = cycles.counters();
+    // All have been waited for.
+    measured.lost += (after.sent - before.sent) - (after.answered - before.answered) + (after.dropped - before.dropped);
+    Ok(measured)
+}
+
+impl Measured {
+    async fn one_cycle(
+        &mut self,
+        board: &Board<RealClock>,
+        cycles: &mut Cycles<'_, RealClock>,
+        rest: &[f64],
+    ) -> anyhow::Result<()> {
+        if session::is_interrupted() {
+            return Err(session::Interrupted.into());
+        }
+        let begin = Instant::now();
+        match cycles.cycle(rest).await {
+            Ok(report) => {
+                self.round_trips.push(begin.elapsed().as_nanos() as f64 * 1e-3);
+                self.taken(board, &report);
+                Ok(())
+            }
+            Err(Error::TimedOut { .. }) => {
+                self.lost += 1;
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// As many cycles as go, with so many under way.
+    async fn sustain(
+        &mut self,
+        board: &Board<RealClock>,
+        cycles: &mut Cycles<'_, RealClock>,
+        rest: &[f64],
+        span: Duration,
+        window: usize,
+    ) -> anyhow::Result<()> {
+        let counters = cycles.counters();
+        // As the driver counts them.
+        let mut planned = counters.sent + counters.replaced;
+        let mut answered = planned;
+        let begin = Instant::now();
+        loop {
+            let more = begin.elapsed() < span;
+            while more && planned - answered < window as u64 {
+                cycles.send(rest).await?;
+                planned += 1;
+            }
+            if answered == planned {
+                return Ok(());
+            }
+            let report = cycles.next().await?;
+            // Those passed over are lost, which the driver counts.
+            answered = report.number + 1;
+            self.cycles += 1;
+            self.seconds = begin.elapsed().as_secs_f64();
+            self.taken(board, &report);
+            if session::is_interrupted() {
+                return Err(session::Interrupted.into());
+            }
+        }
+    }
+
+    fn taken(&mut self, board: &Board<RealClock>, report: &CycleReport) {
+        self.not_followed += u64::from(report.outcome != CycleOutcome::Taken);
+        self.clock_uncertainty_us = self.clock_uncertainty_us.max(board.clock_uncertainty_us());
+        self.stamps.push(Stamp { device_us: report.device_us, host_us: board.host_us(report.device_us) });
+    }
+
+    fn report(mut self, link: String, bench: &args::BenchLink, epochs: Option<&[Epoch]>) -> Report {
+        self.round_trips.sort_by(f64::total_cmp);
+        let round_trip = |share| quantile(&self.round_trips, share);
+        let [p50, p99, p999, max] = [0.5, 0.99, 0.999, 1.0].map(round_trip);
+        let cycles_per_s = self.cycles as f64 / self.seconds.max(1e-9);
+        let clock_error = epochs.map(|epochs| {
+            let mut errors: Vec<f64> = self.stamps.iter().map(|stamp| stamp.error_us(epochs)).collect();
+            errors.sort_by(f64::total_cmp);
+            quantile(&errors, 0.99)
+        });
+        let uncertainty = self.clock_uncertainty_us;
+        let clock = match clock_error {
+            Some(error) => Limit::new(
+                "clock error, p99",
+                format!("{error:.0} us"),
+                format!("<= {CLOCK_ERROR_US} us"),
+                error <= CLOCK_ERROR_US,
+            ),
+            None => Limit::new(
+                "clock error, as the driver thinks",
+                format!("{uncertainty:.0} us"),
+                format!("<= {CLOCK_ERROR_US} us"),
+                uncertainty <= CLOCK_ERROR_US,
+            ),
+        };
+        let limits = vec![
+            Limit::new(
+                "bytes of a cycle",
+                self.cycle_bytes,
+                format!("<= {BYTES}"),
+                (1..=BYTES).contains(&self.cycle_bytes),
+            ),
+            Limit::new(
+                "round trip, p50",
+                format!("{p50:.1} us"),
+                format!("<= {ROUND_TRIP_US} us"),
+                p50 <= ROUND_TRIP_US,
+            ),
+            Limit::new(
+                "cycles a second",
+                format!("{cycles_per_s:.0}"),
+                format!(">= {CYCLES_PER_S}"),
+                cycles_per_s >= CYCLES_PER_S,
+            ),
+            Limit::new("lost", self.lost, 0, self.lost == 0),
+            clock,
+        ];
+        Report {
+            link,
+            cycle_bytes: self.cycle_bytes,
+            rtt_us_p50: p50,
+            rtt_us_p99: p99,
+            rtt_us_p999: p999,
+            rtt_us_max: max,
+            round_trips: self.round_trips.len(),
+            cycles_per_s,
+            cycles: self.cycles,
+            window: bench.window,
+            seconds: self.seconds,
+            lost: self.lost,
+            armed: self.armed,
+            not_followed: self.not_followed,
+            clock_error_us_p99: clock_error,
+            clock_uncertainty_us: uncertainty,
+            clock_shifts: epochs.map_or(0, |epochs| epochs.len() - 1),
+            machine: machine(),
+            processors: thread::available_parallelism().map_or(1, Into::into),
+            kernel: read("/proc/sys/kernel/osrelease"),
+            held: limits.iter().all(|limit| limit.held),
+            limits,
+        }
+    }
+}
+
+impl Stamp {
+    /// Of our time against the truth, µs. Times before the first epoch are of none.
+    fn error_us(self, epochs: &[Epoch]) -> f64 {
+        let epoch = epochs.iter().rfind(|epoch| epoch.from_us <= self.device_us);
+        let Some(epoch) = epoch else { return f64::INFINITY };
+        let true_ns = epoch.epoch_ns + self.device_us * 1000;
+        let told_ns = monotonic_ns(RealClock.instant(self.host_us));
+        (told_ns as f64 - true_ns as f64).abs() * 1e-3
+    }
+}
+
+/// Of sorted numbers the one below which this share of them is; NaN of none.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let rank = (sorted.len() as f64 * share).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+}
+
+fn read(path: &str) -> String {
+    fs::read_to_string(path).map_or_else(|_| "unknown".into(), |text| text.trim().to_owned())
+}
+
+/// The processor's name.
+fn machine() -> String {
+    let told = read("/proc/cpuinfo");
+    let name = told.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    name.map_or_else(|| env::consts::ARCH.into(), |(_, name)| name.trim().to_owned())
+}
+
+fn print(report: &Report) -> anyhow::Result<()> {
+    output::line(format_args!("{}, {}", report.link, if report.armed { "armed" } else { "disarmed" }))?;
+    output::line(format_args!("{}, {} processors, Linux {}", report.machine, report.processors, report.kernel))?;
+    let mut table = table::new(&["what", "measured", "promised", ""], 1..3);
+    for limit in &report.limits {
+        let verdict = if limit.held { "ok" } else { "not held" };
+        table.add_row([limit.what, &limit.measured, &limit.promised, verdict]);
+    }
+    output::line(table)?;
+    output::line(format_args!(
+        "{} round trips, one after the other: p99 {:.1} us, p99.9 {:.1} us, longest {:.1} us",
+        report.round_trips, report.rtt_us_p99, report.rtt_us_p999, report.rtt_us_max
+    ))?;
+    output::line(format_args!(
+        "{} cycles in {:.1} s, {} under way at once; set points not followed: {}",
+        report.cycles, report.seconds, report.window, report.not_followed
+    ))?;
+    if report.clock_shifts > 0 {
+        output::line(format_args!(
+            "the machine was busy elsewhere: the board's time stood still {} times",
+            report.clock_shifts
+        ))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_of_what_was_measured() {
+        let sorted: Vec<f64> = (1..=1000).map(f64::from).collect();
+        let of = |share| quantile(&sorted, share);
+        assert_eq!([of(0.5), of(0.99), of(0.999), of(1.0)], [500.0, 990.0, 999.0, 1000.0]);
+        assert_eq!(quantile(&[7.0], 0.5), 7.0);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    fn an_error_is_told_by_the_epoch_of_its_time() {
+        let host_us = 1_000_000;
+        let zero_ns = monotonic_ns(RealClock.instant(0));
+        // The board started 0.4 s after our clock, and its time stood still for 5 ms before 0.5 s of its clock.
+        let epochs = [
+            Epoch { from_us: 0, epoch_ns: zero_ns + 400_000_000 },
+            Epoch { from_us: 500_000, epoch_ns: zero_ns + 405_000_000 },
+        ];
+        let error = |device_us| Stamp { device_us, host_us }.error_us(&epochs);
+        // Between the two looks at the clock this thread may have waited.
+        assert!(error(595_000) < 100_000.0, "{}", error(595_000));
+        assert!((error(495_000) - error(595_000)).abs() > 50_000.0);
+        assert_eq!(Stamp { device_us: 1, host_us }.error_us(&epochs[1..]), f64::INFINITY);
+    }
+
+    /// Frames are weighed with their delimiters, also when they come in parts; others are not.
+    #[test]
+    fn frames_of_cycles_are_weighed() {
+        let mut buffer = [0; MAX_FRAME];
+        let cycle = ToDevice::Cycle(r4_protocol::Cycle::new(1, None, Some(2), [0; CYCLE_CHANNELS]));
+        let frame = r4_protocol::encode_frame(&cycle, &mut buffer).unwrap().to_vec();
+        let heartbeat = ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX };
+        let other = r4_protocol::encode_frame(&heartbeat, &mut buffer).unwrap().to_vec();
+        let scale = Scale::default();
+        let weigh = |bytes: &[u8]| scale.weigh(bytes, |message| matches!(message, ToDevice::Cycle(_)));
+        weigh(&frame);
+        assert_eq!(scale.longest.get(), 0, "it is not switched on");
+        scale.on.set(true);
+        weigh(&other);
+        assert_eq!(scale.longest.get(), 0);
+        weigh(&frame[..5]);
+        weigh(&frame[5..]);
+        weigh(&other);
+        assert_eq!((scale.longest.get(), frame.len()), (19, 19));
+    }
+}

@@ -1,0 +1,80 @@
+//! The oscillator behind the servos' pulses.
+
+use anyhow::{Context, bail, ensure};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Parameter, Setpoint};
+
+use super::{Change, Found, Parameters, ask::Answers};
+use crate::session::Session;
+
+/// Steps of a PWM cycle (PCA9685 datasheet, 7.3.3).
+const STEPS: f64 = 4096.0;
+/// A servo that turns has arrived by then, s.
+const MOVE_S: f64 = 2.0;
+/// No oscillator is further off; more is a wrong measurement.
+const MOST_OFF: f64 = 0.2;
+
+/// What was measured.
+enum Measured {
+    /// s
+    Pulse(f64),
+    Hz(f64),
+}
+
+/// From a pulse or the frequency of pulses that was measured.
+pub(super) async fn oscillator(
+    session: &Session<'_>,
+    answers: &mut Answers,
+    channel: ChannelId,
+) -> anyhow::Result<Found> {
+    let board = session.board;
+    let info = board.channel(channel)?;
+    ensure!(channel.kind == ChannelKind::Servo, "{channel} is no servo");
+    let parameters = Parameters::of(board).await?;
+    let oscillator = parameters.get(None, Parameter::ServoOscillatorHz).context("the board has no servo chip")?;
+    let of = |parameter| parameters.need(channel, parameter, "is no servo").map(|info| f64::from(info.active));
+    let (pulse_s, angle) = (of(Parameter::PulseHigh)?, of(Parameter::AngleHigh)?);
+    let assumed_hz = f64::from(oscillator.active);
+    // 7.3.5; the chip is told this, whatever its oscillator really does.
+    let prescale = (assumed_hz / (STEPS * f64::from(info.rate_hz))).round();
+    let step_s = prescale / assumed_hz;
+    let steps = (pulse_s / step_s).round();
+    let setpoint = Setpoint { mode: Mode::Position, value: angle as f32 };
+    let measured = session
+        .armed(async || {
+            board.hold(channel, setpoint, MOVE_S).await?;
+            let question = format!(
+                "{channel} gets pulses that should be {:.1} us long, {:.2} times a second. What do you measure, as in \
+                 1985us or 50.8Hz?",
+                steps * step_s * 1e6,
+                1.0 / (STEPS * step_s)
+            );
+            read(&answers.ask(session, &question).await?)
+        })
+        .await?;
+    let true_hz = match measured {
+        Measured::Pulse(seconds) => steps * prescale / seconds,
+        Measured::Hz(hz) => STEPS * prescale * hz,
+    };
+    let off = true_hz / assumed_hz - 1.0;
+    if off.is_nan() || off.abs() > MOST_OFF {
+        bail!(
+            "that would be an oscillator of {:.2} MHz, {:+.0} % from what is assumed: measure again",
+            true_hz * 1e-6,
+            off * 100.0
+        );
+    }
+    let note = format!("the oscillator runs at {:.3} MHz, {:+.2} % from what was assumed", true_hz * 1e-6, off * 100.0);
+    Ok(Found { changes: vec![Change::new(oscillator, true_hz.round())], toml: None, note })
+}
+
+fn read(answer: &str) -> anyhow::Result<Measured> {
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
+    let measured = if let Some(text) = answer.strip_suffix("us") {
+        number(text).map(|us| Measured::Pulse(us * 1e-6))
+    } else if let Some(text) = answer.strip_suffix("ms") {
+        number(text).map(|ms| Measured::Pulse(ms * 1e-3))
+    } else {
+        answer.strip_suffix("Hz").and_then(number).map(Measured::Hz)
+    };
+    measured.with_context(|| format!("`{answer}` is not what was asked for: write it as in 1985us, 1.985ms or 50.8Hz"))
+}

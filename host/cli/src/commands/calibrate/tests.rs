@@ -1,0 +1,157 @@
+//! Robots whose parameters are wrong on purpose; the simulated world is the truth, read as a person would measure it.
+
+use std::fs;
+
+use clap::Parser;
+use r4_sim::chips::Line;
+use tempfile::TempDir;
+
+use super::*;
+use crate::args::Command;
+
+const BENCH: &str = include_str!("../../../../../boards/osmc-bench.toml");
+const EVERYTHING: &str = include_str!("../../../../../boards/every-interface.toml");
+
+/// `robot` with this replaced, which must be there once.
+fn wrong(robot: &str, changes: &[(&str, &str)]) -> String {
+    changes.iter().fold(robot.to_owned(), |robot, (is, becomes)| {
+        assert_eq!(robot.matches(is).count(), 1, "{is}");
+        robot.replace(is, becomes)
+    })
+}
+
+/// What `typed` finds on a board of this robot, with `known` for who measures.
+fn calibrate(
+    robot: &str,
+    typed: &[&str],
+    known: impl FnMut(&Session<'_>) -> String + 'static,
+) -> anyhow::Result<Found> {
+    let folder = TempDir::new()?;
+    let file = folder.path().join("robot.toml");
+    fs::write(&file, robot)?;
+    let board = format!("sim:{}", file.display());
+    let args = Args::try_parse_from([&["r4", "--board", &board, "calibrate"], typed].concat())?;
+    let Command::Calibrate(calibrate) = &args.command else { panic!("{typed:?}") };
+    let mut answers = Answers::Known(Box::new(known));
+    Ok(session::run(&args, Pace::Free, async |session| work(session, calibrate, &mut answers).await)?.0)
+}
+
+fn channel(name: &str) -> ChannelId {
+    name.parse().expect("a channel")
+}
+
+fn truth(session: &Session<'_>, of: &str) -> f64 {
+    session.true_position(channel(of)).expect("it is simulated")
+}
+
+#[test]
+fn an_encoders_scale_is_recovered() {
+    // 600 lines are 2400 counts.
+    for assumed in ["1800", "2500", "2400"] {
+        let robot = wrong(BENCH, &[("counts_per_turn = 2400", &format!("counts_per_turn = {assumed}"))]);
+        let mut begin = None;
+        let found = calibrate(&robot, &["encoder", "osmc0", "--drive", "1000deg"], move |session| {
+            let at = truth(session, "osmc0");
+            format!("{}rad", at - *begin.get_or_insert(at))
+        });
+        let found = found.expect("calibrated");
+        // Two counts of some 6700, and the shaft creeps while it is measured.
+        assert!((f64::from(found.changes[0].to) - 2400.0).abs() <= 3.0, "{assumed}: {found:?}");
+    }
+}
+
+#[test]
+fn a_shaft_that_nobody_turned_is_noticed() {
+    for (typed, says) in [
+        (&["encoder", "osmc0"][..], "not seen to move"),
+        (&["encoder", "actuator1"], "has no encoder"),
+        (&["encoder", "osmc0", "--turns", "0"], "other than 0"),
+        (&["encoder", "osmc0", "--drive", "10mm"], "takes an angle"),
+        (&["potentiometer", "osmc0"], "has no potentiometer"),
+        (&["potentiometer", "actuator1"], "not what was asked for"),
+        (&["servo", "osmc0"], "no servo"),
+        (&["wheel", "osmc0", "osmc0"], "both sides"),
+        (&["wheel", "actuator1"], "no motor with an encoder"),
+    ] {
+        let error = calibrate(BENCH, typed, |_| String::new()).expect_err(says);
+        assert!(format!("{error:#}").contains(says), "{typed:?}: {error:#}");
+    }
+}
+
+#[test]
+fn a_potentiometers_points_are_recovered() {
+    let robot = wrong(
+        BENCH,
+        &[
+            ("low = { code_16bit = 1858, position_m = 0.0 }", "low = { code_16bit = 1300, position_m = 0.0 }"),
+            ("high = { code_16bit = 63357, position_m = 0.1 }", "high = { code_16bit = 64500, position_m = 0.1 }"),
+        ],
+    );
+    let measure = |session: &Session<'_>| format!("{}m", truth(session, "actuator1"));
+    let found = calibrate(&robot, &["potentiometer", "actuator1", "--drive"], measure).expect("calibrated");
+    let codes: Vec<_> = found.changes.iter().map(|change| (change.key.as_str(), change.to)).collect();
+    // 0.02 mm: a count of the simulated 10-bit codes' rounding, the noise, and what the rod creeps.
+    for ((key, code), (name, is)) in
+        codes.iter().zip([("actuator1.pot_low_code", 1858.0), ("actuator1.pot_high_code", 63357.0)])
+    {
+        assert!(*key == name && (code - is).abs() <= 13.0, "{found:?}");
+    }
+    let twice = calibrate(&robot, &["potentiometer", "actuator1", "--drive"], |_| "50mm".into());
+    assert!(twice.expect_err("too near").to_string().contains("too near"));
+}
+
+#[test]
+fn a_servo_chips_oscillator_is_recovered() {
+    // Believed 25 MHz; truly what the line says.
+    for hz in ["26.1e6", "24.2e6"] {
+        let robot = wrong(EVERYTHING, &[("oscillator_hz = 25.6e6 # as if it had been measured\n", "")]);
+        let robot = robot + "\n[simulation]\nservo_oscillator_hz = " + hz + "\n";
+        for by_pulse in [false, true] {
+            let scope = move |session: &Session<'_>| {
+                let board = session.virtual_board().expect("simulated");
+                let world = board.world();
+                let chip = world.servo_pwm().expect("there are servos").borrow();
+                let period_s = chip.pwm_period_ns() as f64 * 1e-9;
+                let Line::Pwm { on, off } = chip.line(0) else { panic!("no pulses") };
+                let pulse_us = f64::from(off - on) / 4096.0 * period_s * 1e6;
+                if by_pulse { format!("{pulse_us:.2}us") } else { format!("{:.4}Hz", 1.0 / period_s) }
+            };
+            let found = calibrate(&robot, &["servo", "servo0"], scope).expect("calibrated");
+            let is: f32 = hz.parse().expect("a number");
+            // What is typed has four digits after the point of 50 Hz, two after that of 2000 us.
+            assert!((found.changes[0].to / is - 1.0).abs() < 1e-5, "{found:?}");
+        }
+    }
+    let wild = calibrate(EVERYTHING, &["servo", "servo0"], |_| "20ms".into()).expect_err("measured wrongly");
+    assert!(wild.to_string().contains("measure again"), "{wild}");
+}
+
+#[test]
+fn wheels_are_told_for_the_robots_file() {
+    const RADIUS_M: f64 = 0.0575;
+    const TRACK_M: f64 = 0.31;
+    let wheels = ["dhb0", "dhb1", "dhb2", "dhb3"];
+    let (mut asked, mut begin) = (0, [0.0; 4]);
+    // A robot that rolls without slip, measured with a ruler and a protractor.
+    let measure = move |session: &Session<'_>| {
+        let now = wheels.map(|wheel| truth(session, wheel));
+        let turned: Vec<f64> = now.iter().zip(begin).map(|(now, begin)| now - begin).collect();
+        begin = now;
+        let (left, right) = ((turned[0] + turned[2]) / 2.0, (turned[1] + turned[3]) / 2.0);
+        asked += 1;
+        match asked {
+            2 => format!("{:.4}m", RADIUS_M * (left + right) / 2.0),
+            4 => format!("{:.3}deg", (RADIUS_M * (right - left) / TRACK_M).to_degrees()),
+            _ => String::new(),
+        }
+    };
+    let robot = include_str!("../../../../../boards/openscout.toml");
+    let found = calibrate(robot, &["wheel", "dhb0,dhb2", "dhb1,dhb3"], measure).expect("calibrated");
+    let toml: toml::Table = found.toml.expect("for the file").parse().expect("TOML");
+    let drive = &toml["drive"]["skid-steer"];
+    let number = |name: &str| drive[name].as_float().expect("a number");
+    // The ruler has 0.1 mm of 0.7 m.
+    assert!((number("wheel_radius_m") - RADIUS_M).abs() < 5e-5, "{drive}");
+    assert!((number("track_m") - TRACK_M).abs() < 5e-4, "{drive}");
+    assert_eq!(drive["left"].as_array().expect("channels").len(), 2);
+}

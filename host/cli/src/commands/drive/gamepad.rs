@@ -1,0 +1,72 @@
+//! Gamepads, in programs that are built with them.
+
+use super::hands::Hand;
+
+#[cfg(feature = "gamepad")]
+pub(super) use with::Gamepad;
+#[cfg(not(feature = "gamepad"))]
+pub(super) use without::Gamepad;
+
+#[cfg(feature = "gamepad")]
+mod with {
+    use anyhow::anyhow;
+    use gilrs::{Axis, Button, GamepadId, Gilrs};
+
+    use super::Hand;
+
+    /// A gamepad: its left stick, and the right shoulder button as dead-man key.
+    pub(in super::super) struct Gamepad {
+        gilrs: Gilrs,
+        /// Whose button was held last.
+        id: Option<GamepadId>,
+    }
+
+    impl Gamepad {
+        pub(in super::super) fn open() -> anyhow::Result<Self> {
+            let gilrs = Gilrs::new().map_err(|error| anyhow!("no gamepad can be read: {error}"))?;
+            if gilrs.gamepads().next().is_none() {
+                return Err(anyhow!("there is no gamepad: connect one, and see that you may read /dev/input"));
+            }
+            Ok(Self { gilrs, id: None })
+        }
+
+        /// What it shows now. One that is gone shows nothing, and its button is released.
+        pub(in super::super) fn hand(&mut self) -> Hand {
+            while self.gilrs.next_event().is_some() {}
+            let mut held =
+                self.gilrs.gamepads().filter(|(_, pad)| pad.is_connected() && pad.is_pressed(Button::RightTrigger));
+            let held = held.next().map(|(id, _)| id);
+            self.id = held.or(self.id);
+            let Some(pad) = self.id.and_then(|id| self.gilrs.connected_gamepad(id)) else { return Hand::default() };
+            Hand {
+                forwards: f64::from(pad.value(Axis::LeftStickY)),
+                // Its right is positive.
+                turn: -f64::from(pad.value(Axis::LeftStickX)),
+                is_held: held.is_some(),
+            }
+        }
+    }
+}
+
+#[cfg(not(feature = "gamepad"))]
+mod without {
+    use anyhow::bail;
+
+    use super::Hand;
+
+    /// There is none.
+    pub(in super::super) enum Gamepad {}
+
+    impl Gamepad {
+        pub(in super::super) fn open() -> anyhow::Result<Self> {
+            bail!(
+                "this program was built without gamepads: build it with `--features gamepad` (it needs pkg-config and \
+                 libudev), or leave --gamepad out and drive by keys"
+            )
+        }
+
+        pub(in super::super) fn hand(&mut self) -> Hand {
+            match *self {}
+        }
+    }
+}

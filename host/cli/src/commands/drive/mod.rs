@@ -1,0 +1,347 @@
+//! `r4 drive`
+
+mod draw;
+mod gamepad;
+mod hands;
+
+use std::{
+    cell::RefCell,
+    pin::pin,
+    time::{Duration, Instant},
+};
+
+use anyhow::bail;
+use crossterm::event::{KeyCode, KeyEvent};
+use futures::future::{Either, select};
+use r4_boards::Drive as Geometry;
+use r4_driver::Error;
+use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Unit};
+use r4_sim::Pace;
+
+use super::{setpoint, speed_unit};
+use crate::{
+    args::Args,
+    quantity::Quantity,
+    screen::{self, Commands, Screen},
+    session::{self, Session, Target},
+};
+
+use draw::{State, Wheel, draw};
+use gamepad::Gamepad;
+use hands::{DeadMan, Hand, Stick, mix};
+
+/// Wheels turn only while the space key is held, by its repeats; 0.3 s after the last one they are told to stand still. Tap
+/// the other keys to choose speed and turn, then hold space. `docs/program.md` has the details.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Drive {
+    /// Motors of the left wheels, as in dhb0,dhb2 [default: those of the robot, where its file is known]
+    #[arg(long, value_delimiter = ',', value_name = "CHANNEL,..", requires = "right")]
+    pub(crate) left: Vec<ChannelId>,
+    /// Motors of the right wheels
+    #[arg(long, value_delimiter = ',', value_name = "CHANNEL,..", requires = "left")]
+    pub(crate) right: Vec<ChannelId>,
+    /// Highest speed of the wheels, as in 60rpm, or 30% of the supply without control of the speed [default: the
+    /// robot's, or half of what its motors take]
+    #[arg(long, allow_hyphen_values = true)]
+    pub(crate) speed: Option<Quantity>,
+    /// Taps of a key from standing still to the highest speed
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(i8).range(1..=50))]
+    pub(crate) steps: i8,
+    /// Drive by the left stick of a gamepad too, while its right shoulder button is held
+    #[arg(long)]
+    pub(crate) gamepad: bool,
+}
+
+/// Set points are sent so often, s.
+const SEND_EVERY_S: f64 = 0.02;
+/// How often is drawn.
+const DRAW_EVERY: Duration = Duration::from_millis(50);
+/// How often wheels are looked at, ms.
+const LOOK_EVERY_MS: u16 = 50;
+/// A board that says nothing for so long is told to be silent, s: two link timeouts of 200 ms.
+const SILENT_S: f64 = 0.4;
+/// Unanswered set points for each wheel, above which only those that are new are sent: 0.2 s of them.
+const MOST_WAITING: usize = 10;
+/// Share of the supply where nothing else is known: enough to move, slow enough to walk beside.
+const CAREFUL_DUTY: f64 = 0.3;
+/// What a full turn on the spot takes of the highest speed where nothing else is known.
+const TURN_SHARE: f64 = 0.5;
+
+/// What is driven, and how fast.
+struct Pair {
+    left: Vec<ChannelId>,
+    right: Vec<ChannelId>,
+    mode: Mode,
+    /// The highest set point.
+    most: Quantity,
+    turn_share: f64,
+}
+
+pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
+    screen::check(args, "r4 drive", "`r4 speed` and `r4 duty` turn a motor without one")?;
+    let mut gamepad = if drive.gamepad { Some(Gamepad::open()?) } else { None };
+    session::run(args, Pace::RealTime(1.0), async |session| {
+        let pair = Pair::find(args, drive, session)?;
+        let state = RefCell::new(pair.state(args, session));
+        let mut screen = Screen::open()?;
+        let heard_s = RefCell::new(session.board.now_s());
+        let mut telemetry = session.board.telemetry();
+        for channel in pair.wheels() {
+            session.board.subscribe(channel, LOOK_EVERY_MS).await?;
+        }
+        let listen = async {
+            loop {
+                match telemetry.next().await {
+                    Ok(frame) => {
+                        heard_s.replace(session.board.now_s());
+                        let state = &mut *state.borrow_mut();
+                        (state.safety, state.causes) = (frame.state, frame.causes);
+                        state.look(&frame.samples);
+                    }
+                    Err(error) => return error,
+                }
+            }
+        };
+        let steer = steer(session, drive, &pair, gamepad.as_mut(), &mut screen, &state, &heard_s);
+        let steered = match select(pin!(steer), pin!(listen)).await {
+            Either::Left((result, _)) => result,
+            Either::Right((error, _)) => return Err(error.into()),
+        };
+        // Whatever became of the steering.
+        let disarmed = session.board.disarm().await;
+        steered?;
+        Ok(disarmed?)
+    })?;
+    Ok(true)
+}
+
+impl Pair {
+    fn find(args: &Args, drive: &Drive, session: &Session<'_>) -> anyhow::Result<Self> {
+        let geometry = geometry(args, session);
+        let mut pair = match (&geometry, drive.left.is_empty()) {
+            (_, false) => Self::of(drive.left.clone(), drive.right.clone()),
+            (Some(Geometry::SkidSteer(robot)), true) => Self {
+                turn_share: (robot.turn_rate_max_rad_s * robot.track_m / 2.0 / robot.speed_max_m_s).min(1.0),
+                ..Self::of(robot.left.clone(), robot.right.clone())
+            },
+            (Some(Geometry::Ackermann(_)), true) => bail!(
+                "this robot steers by its front wheels, which `r4 drive` does not: name its motors with --left and --right, \
+                 or use `r4 move` and `r4 speed`"
+            ),
+            (None, true) => bail!(
+                "which motors are left and which are right is not known of this robot: name them, as in --left dhb0,dhb2 \
+                 --right dhb1,dhb3"
+            ),
+        };
+        if let Some(twice) =
+            pair.wheels().enumerate().find(|(at, id)| pair.wheels().take(*at).any(|before| before == *id))
+        {
+            bail!("{} is named twice", twice.1);
+        }
+        let known_rad_s = match geometry {
+            Some(Geometry::SkidSteer(robot)) if drive.left.is_empty() => {
+                Some(robot.speed_max_m_s / robot.wheel_radius_m)
+            }
+            _ => None,
+        };
+        (pair.mode, pair.most) = match drive.speed {
+            Some(most) => (if most.unit == Unit::Duty { Mode::Duty } else { Mode::Speed }, most),
+            None => pair.careful(session, known_rad_s)?,
+        };
+        if pair.most.value <= 0.0 {
+            bail!("the highest speed must be above 0, not {}", pair.most);
+        }
+        for channel in pair.wheels() {
+            // Forwards and backwards.
+            setpoint(session, channel, pair.mode, pair.most)?;
+            setpoint(session, channel, pair.mode, Quantity { value: -pair.most.value, ..pair.most })?;
+        }
+        Ok(pair)
+    }
+
+    fn of(left: Vec<ChannelId>, right: Vec<ChannelId>) -> Self {
+        let most = Quantity { value: CAREFUL_DUTY, unit: Unit::Duty };
+        Self { left, right, mode: Mode::Duty, most, turn_share: TURN_SHARE }
+    }
+
+    /// The robot's highest speed, or half of what every wheel can take; a share of the supply where one has no control of
+    /// its speed.
+    fn careful(&self, session: &Session<'_>, known_rad_s: Option<f64>) -> anyhow::Result<(Mode, Quantity)> {
+        let mut half: Option<Quantity> = None;
+        for channel in self.wheels() {
+            let info = session.board.channel(channel)?;
+            let Some(takes) = info.mode(Mode::Speed) else { return Ok((Mode::Duty, self.most)) };
+            let value = f64::from(takes.range.max.min(-takes.range.min)) / 2.0;
+            half = Some(Quantity { value: half.map_or(value, |half| half.value.min(value)), unit: takes.unit });
+        }
+        Ok(match (half, known_rad_s) {
+            (Some(half), Some(rad_s)) if half.unit == Unit::RadPerS => {
+                (Mode::Speed, Quantity { value: rad_s.min(half.value * 2.0), ..half })
+            }
+            (Some(half), _) => (Mode::Speed, half),
+            (None, _) => (Mode::Duty, self.most),
+        })
+    }
+
+    fn wheels(&self) -> impl Iterator<Item = ChannelId> {
+        self.left.iter().chain(&self.right).copied()
+    }
+
+    fn state(&self, args: &Args, session: &Session<'_>) -> State {
+        let board = session.board;
+        let (safety, causes) = board.safety();
+        let wheel = |(index, channel): (usize, ChannelId)| Wheel {
+            is_left: index < self.left.len(),
+            channel,
+            told: 0.0,
+            speed: None,
+            speed_unit: board.channel(channel).map_or(Unit::RadPerS, |info| speed_unit(info.unit)),
+            duty: None,
+        };
+        State {
+            board: args.board.to_string(),
+            robot: board.info().robot.to_string(),
+            safety,
+            causes,
+            hand: Hand::default(),
+            unit: self.most.unit,
+            most: self.most.value,
+            wheels: self.wheels().enumerate().map(wheel).collect(),
+            silent_s: None,
+            message: String::new(),
+        }
+    }
+}
+
+/// How the robot moves over the ground, if anybody knows: a board does not tell.
+fn geometry(args: &Args, session: &Session<'_>) -> Option<Geometry> {
+    let robot = &session.board.info().robot;
+    let name = match &args.board {
+        Target::Sim(name) | Target::Emu(name) => name,
+        Target::Link(_) => r4_boards::names().find(|name| *name == robot.as_str())?,
+    };
+    r4_boards::load(name).ok()?.drive
+}
+
+impl State {
+    fn look(&mut self, samples: &[Sample]) {
+        for sample in samples {
+            let Some(wheel) = self.wheels.iter_mut().find(|wheel| wheel.channel == sample.channel()) else { continue };
+            if let Sample::Motor { speed, duty, .. } = *sample {
+                wheel.speed = Some(f64::from(speed)).filter(|speed| speed.is_finite());
+                wheel.duty = Some(duty.into());
+            }
+        }
+    }
+}
+
+/// What a key does besides moving the stick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Key {
+    DeadMan,
+    Push(i8, i8),
+    Centre,
+    Arm,
+    Disarm,
+    Clear,
+    Stop,
+    Quit,
+}
+
+fn meaning(key: KeyEvent) -> Option<Key> {
+    Some(match key.code {
+        KeyCode::Char(' ') => Key::DeadMan,
+        KeyCode::Up | KeyCode::Char('w' | 'W') => Key::Push(1, 0),
+        KeyCode::Down | KeyCode::Char('s' | 'S') => Key::Push(-1, 0),
+        KeyCode::Left | KeyCode::Char('a' | 'A') => Key::Push(0, 1),
+        KeyCode::Right | KeyCode::Char('d' | 'D') => Key::Push(0, -1),
+        KeyCode::Char('x' | 'X' | '0') => Key::Centre,
+        KeyCode::Enter => Key::Arm,
+        KeyCode::Backspace => Key::Disarm,
+        KeyCode::Char('c' | 'C') => Key::Clear,
+        KeyCode::Esc => Key::Stop,
+        KeyCode::Char('q' | 'Q') => Key::Quit,
+        _ => return None,
+    })
+}
+
+/// Reads hands, sends set points and draws, until somebody quits.
+async fn steer(
+    session: &Session<'_>,
+    drive: &Drive,
+    pair: &Pair,
+    mut gamepad: Option<&mut Gamepad>,
+    screen: &mut Screen,
+    state: &RefCell<State>,
+    heard_s: &RefCell<f64>,
+) -> anyhow::Result<()> {
+    let board = session.board;
+    // A hand's time is the wall's, whatever the board's is.
+    let begin = Instant::now();
+    let (mut stick, mut dead_man) = (Stick::new(drive.steps), DeadMan::default());
+    let mut commands: Commands<'_, &str> = Commands::default();
+    let mut drawn: Option<Instant> = None;
+    let mut told = [0.0; 2];
+    loop {
+        let next_s = board.now_s() + SEND_EVERY_S;
+        while let Some(key) = screen.key(Duration::ZERO)? {
+            let now_s = begin.elapsed().as_secs_f64();
+            match meaning(key) {
+                Some(Key::DeadMan) => dead_man.pressed(now_s),
+                Some(Key::Push(forwards, turn)) => {
+                    dead_man.other(now_s);
+                    stick.push(forwards, turn);
+                }
+                Some(Key::Centre) => stick.centre(),
+                Some(Key::Arm) => {
+                    // Whoever arms takes a new hold first.
+                    dead_man.release();
+                    commands.begin("arm", board.arm());
+                }
+                Some(Key::Disarm) => commands.begin("disarm", board.disarm()),
+                Some(Key::Clear) => commands.begin("clear", board.clear()),
+                Some(Key::Stop) => {
+                    dead_man.release();
+                    commands.begin("stop", board.stop());
+                }
+                Some(Key::Quit) => return Ok(()),
+                None => {}
+            }
+        }
+        let mut hand = stick.hand(dead_man.is_held(begin.elapsed().as_secs_f64()));
+        if let Some(of_pad) = gamepad.as_mut().map(|gamepad| gamepad.hand()).filter(|hand| hand.is_held) {
+            hand = of_pad;
+        }
+        let is_armed = {
+            let state = &mut *state.borrow_mut();
+            state.hand = hand;
+            state.silent_s = Some(board.now_s() - *heard_s.borrow()).filter(|silent_s| *silent_s > SILENT_S);
+            state.safety == SafetyState::Armed
+        };
+        let sides = if is_armed { mix(hand, pair.turn_share) } else { [0.0; 2] };
+        let wheels = pair.left.len() + pair.right.len();
+        if is_armed && (sides != told || commands.len() < MOST_WAITING * wheels) {
+            for (index, channel) in pair.wheels().enumerate() {
+                let value = sides[usize::from(index >= pair.left.len())] * pair.most.value;
+                commands.begin("set point", board.set(channel, Setpoint { mode: pair.mode, value: value as f32 }));
+            }
+        }
+        told = sides;
+        if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
+            drawn = Some(Instant::now());
+            let state = &mut *state.borrow_mut();
+            for (index, wheel) in state.wheels.iter_mut().enumerate() {
+                wheel.told = sides[usize::from(index >= pair.left.len())] * pair.most.value;
+            }
+            screen.draw(|frame| draw(frame, state))?;
+        }
+        while let Some((what, result)) = commands.until(board.sleep_s(next_s - board.now_s())).await {
+            match result {
+                Err(error @ (Error::LinkLost { .. } | Error::LinkFailed { .. })) => return Err(error.into()),
+                Err(error) => state.borrow_mut().message = format!("{what}: {error}"),
+                Ok(()) if what != "set point" => state.borrow_mut().message.clear(),
+                Ok(()) => {}
+            }
+        }
+    }
+}

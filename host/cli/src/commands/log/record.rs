@@ -1,0 +1,109 @@
+//! `r4 log record`
+
+use std::{path::PathBuf, pin::pin, time::Duration};
+
+use anyhow::Context;
+use futures::future::{Either, select};
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_driver::Clock as _;
+use r4_protocol::ChannelId;
+use r4_sim::Pace;
+
+use super::{info::Info, read};
+use crate::{
+    args::{Args, seconds},
+    session::{self, Interrupted, Session},
+};
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Record {
+    /// Channels [default: all]
+    pub(crate) channels: Vec<ChannelId>,
+    /// The log [default: --record, or r4-1.mcap or the first such number that is free]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// Stop after this long
+    #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) seconds: Option<f64>,
+    /// Samples of each channel per second; the board has whole milliseconds between them
+    #[arg(long, default_value_t = 100.0, value_parser = rate, value_name = "HZ")]
+    pub(crate) rate: f64,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.1..=1000.0).contains(&value) => Ok(value),
+        _ => Err("0.1 to 1000 per second".into()),
+    }
+}
+
+/// How often it is looked whether the recording has failed, us.
+const LOOK_EVERY_US: u64 = 50_000;
+
+pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
+    let path = record.out.clone().or_else(|| args.record.clone()).map_or_else(free_name, Ok)?;
+    let progress = ProgressBar::new_spinner().with_style(
+        ProgressStyle::with_template("{spinner} {elapsed} recording, {msg}")
+            .unwrap_or(ProgressStyle::default_spinner()),
+    );
+    progress.enable_steady_tick(Duration::from_millis(200));
+    let recorded = Args { record: Some(path.clone()), ..args.clone() };
+    let session =
+        session::run(&recorded, Pace::RealTime(1.0), async |session| follow(session, record, &progress).await);
+    progress.finish_and_clear();
+    match session {
+        // Recording ends when the person who records says so.
+        Err(error) if !error.is::<Interrupted>() => return Err(error),
+        Ok(_) | Err(_) => {}
+    }
+    let log = read(&path)?;
+    let info = Info::of(&path, &log);
+    info.print(args)?;
+    if info.missing() > 0 {
+        eprintln!("r4: {} samples did not arrive: record fewer channels, or at a lower --rate", info.missing());
+    }
+    Ok(info.missing() == 0 && log.warnings.is_empty())
+}
+
+/// A file that is not there yet.
+fn free_name() -> anyhow::Result<PathBuf> {
+    let names = (1..10_000).map(|number| PathBuf::from(format!("r4-{number}.mcap")));
+    names.into_iter().find(|path| !path.exists()).context("there are too many logs here: name one with --out")
+}
+
+/// Asks for the channels and waits, while the tap records what comes.
+async fn follow(session: &Session<'_>, record: &Record, progress: &ProgressBar) -> anyhow::Result<()> {
+    let board = session.board;
+    let mut channels: Vec<ChannelId> = match record.channels.as_slice() {
+        [] => board.channels().iter().map(|info| info.id).collect(),
+        some => some.to_vec(),
+    };
+    channels.dedup();
+    for channel in &channels {
+        board.channel(*channel)?;
+    }
+    let period_ms = (1000.0 / record.rate).round() as u16;
+    let mut telemetry = board.telemetry();
+    for channel in channels {
+        board.subscribe(channel, period_ms).await?;
+    }
+    let clock = &session.clock;
+    let end_us = record.seconds.map(|seconds| clock.now_us() + (seconds * 1e6) as u64);
+    while end_us.is_none_or(|end_us| clock.now_us() < end_us) {
+        let look_us = clock.now_us() + LOOK_EVERY_US;
+        let until_us = end_us.map_or(look_us, |end_us| end_us.min(look_us));
+        // The end of the link ends the stream; the frames themselves are the tap's.
+        if let Either::Left((frame, _)) = select(pin!(telemetry.next()), pin!(clock.sleep_until(until_us))).await {
+            frame?;
+        }
+        if let Some(tap) = &session.tap {
+            let tap = tap.borrow();
+            progress.set_message(format!("{} samples", tap.samples()));
+            // Told when the recording is closed.
+            if tap.failure().is_some() {
+                break;
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,363 @@
+//! `r4 log replay`
+
+mod plan;
+
+use std::{fs, io::Cursor, path::PathBuf, pin::pin, str::FromStr};
+
+use anyhow::{Context, bail, ensure};
+use futures::{
+    StreamExt,
+    future::{Either, LocalBoxFuture, select},
+    poll,
+    stream::FuturesUnordered,
+};
+use r4_driver::{Board, Clock as _};
+use r4_log::{Difference, Log, compare};
+use r4_protocol::{Request, Unit};
+use r4_sim::Pace;
+use serde::Serialize;
+
+use self::plan::Plan;
+use super::read;
+use crate::{
+    args::Args,
+    output,
+    quantity::Quantity,
+    record::{self, Output},
+    session::{self, HostClock, Session},
+    table,
+};
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Replay {
+    /// The log
+    pub(crate) file: PathBuf,
+    /// How far a signal may be off, as in osmc0.position_rad=0.02, osmc0.position=1deg, or for every channel duty=0.1;
+    /// may be given several times [default: anything]
+    #[arg(long, value_name = "SIGNAL=LIMIT")]
+    pub(crate) within: Vec<Within>,
+    /// How many samples of a signal with a limit may be in one of the runs only, in each [default: 0, or 2 where the clocks
+    /// of the two are not the same]
+    #[arg(long, value_name = "N")]
+    pub(crate) one_sided: Option<usize>,
+    /// Every signal must be the same to the last bit, as it is for a log of the same simulated board and seed
+    #[arg(long, conflicts_with = "within")]
+    pub(crate) exact: bool,
+}
+
+/// How far a signal may be off.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Within {
+    /// A signal, or the part after the channel for all of them; with or without its unit.
+    signal: String,
+    limit: f64,
+    /// Of the limit, if it has one; that of the signal otherwise.
+    unit: Option<Unit>,
+}
+
+impl FromStr for Within {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (signal, limit) = text.split_once('=').ok_or("a signal, = and a limit, as in osmc0.position_rad=0.02")?;
+        let (limit, unit) = match limit.parse::<f64>() {
+            Ok(limit) => (limit, None),
+            Err(_) => limit.parse::<Quantity>().map(|limit| (limit.value, Some(limit.unit)))?,
+        };
+        if signal.is_empty() || !(limit >= 0.0 && limit.is_finite()) {
+            return Err("a signal, = and a limit of 0 or more, as in osmc0.position_rad=0.02".into());
+        }
+        Ok(Self { signal: signal.to_owned(), limit, unit })
+    }
+}
+
+/// How the names of signals end, and what that is.
+const SUFFIXES: [(&str, Unit); 5] =
+    [("_rad_s", Unit::RadPerS), ("_m_s", Unit::MPerS), ("_rad", Unit::Rad), ("_m", Unit::M), ("_v", Unit::V)];
+
+impl Within {
+    /// Whether this is about the signal of this name.
+    fn covers(&self, name: &str) -> bool {
+        let suffix = SUFFIXES.into_iter().find(|(suffix, _)| name.ends_with(suffix));
+        let unit = suffix.map_or(Unit::Duty, |(_, unit)| unit);
+        let field = |name: &str| name.split_once('.').is_some_and(|(_, field)| field == self.signal);
+        let bare = name.strip_suffix(suffix.map_or("", |(suffix, _)| suffix)).unwrap_or(name);
+        self.unit.is_none_or(|asked| asked == unit)
+            && (name == self.signal || bare == self.signal || field(name) || field(bare))
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    log: PathBuf,
+    board: String,
+    seed: u64,
+    /// Arming, disarming and subscriptions were not recorded, and taken from the states and samples.
+    inferred: bool,
+    requests: usize,
+    duration_s: f64,
+    /// Every signal is the same to the last bit.
+    identical: bool,
+    met: bool,
+    signals: Vec<Row>,
+}
+
+#[derive(Serialize)]
+struct Row {
+    signal: String,
+    samples: [usize; 2],
+    one_sided: [usize; 2],
+    compared: usize,
+    unequal: usize,
+    max: Option<f64>,
+    rms: Option<f64>,
+    limit: Option<f64>,
+    met: Option<bool>,
+}
+
+pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
+    // A link is refused before anything is sent over it.
+    args.board.robot()?;
+    let log = read(&replay.file)?;
+    let plan = Plan::of(&log).with_context(|| format!("{} cannot be replayed", replay.file.display()))?;
+    // The log's own noise, unless other is asked for.
+    let seed = if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed };
+    let seeded = Args { seed, ..args.clone() };
+    let tap = record::tap(&seeded, Output::Memory(Cursor::new(Vec::new())));
+    let played = session::run_with(&seeded, Pace::Free, Some(tap.clone()), async |session| play(session, &plan).await);
+    let bytes = match record::finish(tap)? {
+        Some(Output::Memory(memory)) => memory.into_inner(),
+        Some(Output::File(_)) | None => Vec::new(),
+    };
+    if let Some(path) = &args.record {
+        fs::write(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        record::mark_recorded();
+    }
+    played.with_context(|| format!("cannot replay {}", replay.file.display()))?;
+    let again = Log::from_bytes(&bytes)?;
+    let shift_s = shift_s(&log, &again);
+    let one_sided = replay.one_sided.unwrap_or(if shift_s == 0.0 { 0 } else { AT_THE_ENDS });
+    let differences = compare(&log, &again, shift_s);
+    let report = judge(replay, &log, &plan, differences, one_sided, (args.board.to_string(), seed))?;
+    if args.json {
+        output::json(&report)?;
+    } else {
+        print(&report)?;
+    }
+    Ok(report.met)
+}
+
+/// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
+const AT_THE_ENDS: usize = 2;
+
+/// Sends every request at its time, and leaves when the recorded session ended.
+async fn play(session: &Session<'_>, plan: &Plan) -> anyhow::Result<()> {
+    let (board, clock) = (session.board, &session.clock);
+    let began_us = session.tap.as_ref().and_then(|tap| tap.borrow().began_us()).unwrap_or_default();
+    // Where the recorded link was faster than the simulated one, everything is later.
+    let opened_us = clock.now_us() - began_us;
+    let late_us = plan.steps.first().map_or(0, |first| opened_us.saturating_sub(first.at_us));
+    let at = |after_us: u64| began_us + late_us + after_us;
+    let mut under_way: FuturesUnordered<LocalBoxFuture<'_, Result<(), r4_driver::Error>>> = FuturesUnordered::new();
+    for step in &plan.steps {
+        wait(clock, at(step.at_us), &mut under_way).await?;
+        let mut sending = request(board, &step.request);
+        // Sent now, and answered later.
+        match poll!(&mut sending) {
+            std::task::Poll::Ready(result) => answered(result)?,
+            std::task::Poll::Pending => under_way.push(sending),
+        }
+    }
+    wait(clock, at(plan.end_us), &mut under_way).await
+}
+
+/// Takes answers until `until_us`.
+async fn wait(
+    clock: &HostClock,
+    until_us: u64,
+    under_way: &mut FuturesUnordered<LocalBoxFuture<'_, Result<(), r4_driver::Error>>>,
+) -> anyhow::Result<()> {
+    let mut sleep = pin!(clock.sleep_until(until_us));
+    while !under_way.is_empty() {
+        match select(under_way.next(), &mut sleep).await {
+            Either::Left((result, _)) => answered(result.unwrap_or(Ok(())))?,
+            Either::Right(((), _)) => return Ok(()),
+        }
+    }
+    sleep.await;
+    Ok(())
+}
+
+/// A refusal or a lost answer is part of the run, and compared; the end of the link is not.
+fn answered(result: Result<(), r4_driver::Error>) -> anyhow::Result<()> {
+    match result {
+        Err(error @ (r4_driver::Error::LinkLost { .. } | r4_driver::Error::LinkFailed { .. })) => Err(error.into()),
+        Ok(()) | Err(_) => Ok(()),
+    }
+}
+
+/// The driver's way to send `request`.
+fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFuture<'b, Result<(), r4_driver::Error>> {
+    Box::pin(async move {
+        match request {
+            Request::Arm => board.arm().await,
+            Request::Disarm => board.disarm().await,
+            Request::Clear => board.clear().await,
+            Request::Stop => board.stop().await,
+            Request::Set { channel, setpoint, .. } => board.set(*channel, *setpoint).await,
+            Request::Subscribe { channel, period_ms } => board.subscribe(*channel, *period_ms).await,
+            Request::SetGains { channel, mode, gains } => board.set_gains(*channel, *mode, *gains).await,
+            Request::Stats => board.stats().await.map(|_| ()),
+            Request::SetParameter { key, value } => board.set_parameter(*key, *value).await,
+            Request::SetName { robot } => board.set_name(robot).await,
+            Request::SaveParameters => board.save_parameters().await,
+            Request::ResetParameters => board.reset_parameters().await,
+            Request::Restart => board.restart().await,
+            Request::I2cTransfer { bus, address, write, read } => {
+                board.i2c_transfer(*bus, *address, write, *read).await.map(|_| ())
+            }
+            Request::UartWrite { port, bytes } => board.uart_write(*port, bytes).await,
+            Request::UartRead { port } => board.uart_read(*port).await.map(|_| ()),
+            // The driver's own, when a session is opened and closed, and questions that are not recorded.
+            Request::Hello { .. }
+            | Request::Bind { .. }
+            | Request::Bye
+            | Request::Describe { .. }
+            | Request::DescribeParameter { .. }
+            | Request::Fault { .. }
+            | Request::FaultSnapshot { .. } => Ok(()),
+        }
+    })
+}
+
+/// What makes the times of `again` those of `log`: their first set points, or else their first requests, fall together.
+fn shift_s(log: &Log, again: &Log) -> f64 {
+    let commands = log.commands.first().zip(again.commands.first()).map(|(a, b)| a.time_s - b.time_s);
+    let requests = || log.requests.first().zip(again.requests.first()).map(|(a, b)| a.time_s - b.time_s);
+    let starts = || log.time_span_s().zip(again.time_span_s()).map(|(a, b)| a.0 - b.0);
+    commands.or_else(requests).or_else(starts).unwrap_or_default()
+}
+
+fn judge(
+    replay: &Replay,
+    log: &Log,
+    plan: &Plan,
+    differences: Vec<Difference>,
+    one_sided: usize,
+    (board, seed): (String, u64),
+) -> anyhow::Result<Report> {
+    for within in &replay.within {
+        ensure!(
+            differences.iter().any(|difference| within.covers(&difference.name)),
+            "neither run has a signal {} in that unit: `r4 log export` names those of a log",
+            within.signal
+        );
+    }
+    let identical = differences.iter().all(Difference::is_identical);
+    let signals: Vec<Row> = differences
+        .into_iter()
+        .map(|difference| {
+            let limits = replay.within.iter().filter(|within| within.covers(&difference.name));
+            let limit = limits.map(|within| within.limit).min_by(f64::total_cmp);
+            let sides = difference.one_sided.iter().all(|&samples| samples <= one_sided);
+            let near = |limit| difference.max.map_or(difference.unequal == 0, |max| max <= limit);
+            let met = match limit {
+                Some(limit) => Some(near(limit) && sides),
+                None => replay.exact.then(|| difference.is_identical()),
+            };
+            let Difference { name, samples, one_sided, compared, max, rms, unequal } = difference;
+            Row { signal: name, samples, one_sided, compared, unequal, max, rms, limit, met }
+        })
+        .collect();
+    if signals.is_empty() {
+        bail!("there is nothing to compare: the log holds no samples");
+    }
+    Ok(Report {
+        log: replay.file.clone(),
+        board,
+        seed,
+        inferred: plan.inferred,
+        requests: plan.steps.len(),
+        duration_s: log.duration_s(),
+        identical,
+        met: signals.iter().all(|row| row.met != Some(false)),
+        signals,
+    })
+}
+
+/// Four digits that matter.
+fn short(value: Option<f64>) -> String {
+    match value {
+        None => "-".into(),
+        Some(0.0) => "0".into(),
+        Some(value) if !(1e-3..1e5).contains(&value) => format!("{value:.3e}"),
+        Some(value) => {
+            let decimals = (3.0 - value.log10().floor()).clamp(0.0, 6.0) as usize;
+            format!("{value:.decimals$}")
+        }
+    }
+}
+
+fn print(report: &Report) -> anyhow::Result<()> {
+    let Report { board, seed, requests, duration_s, .. } = report;
+    output::line(format_args!("{}", report.log.display()))?;
+    output::line(format_args!("{requests} requests in {duration_s:.3} s, sent again to {board}, seed {seed}"))?;
+    if report.inferred {
+        output::line("the log has no arming and no subscriptions: taken from its states and samples")?;
+    }
+    let shown = |row: &&Row| row.unequal > 0 || row.one_sided != [0, 0] || row.limit.is_some();
+    if report.signals.iter().any(|row| shown(&row)) {
+        let mut table = table::new(&["signal", "max", "RMS", "one-sided", ""], 1..4);
+        for row in report.signals.iter().filter(shown) {
+            let verdict = match (row.met, row.limit) {
+                (None, _) => "",
+                (Some(true), _) => "ok",
+                (Some(false), Some(limit)) if row.max.is_some_and(|max| max > limit) => "over",
+                (Some(false), Some(_)) if row.max.is_some() => "missing",
+                (Some(false), _) => "differs",
+            };
+            let words = || if row.unequal > 0 { format!("{} differ", row.unequal) } else { "-".into() };
+            table.add_row([
+                row.signal.clone(),
+                row.max.map_or_else(words, |max| short(Some(max))),
+                short(row.rms),
+                format!("{} / {}", row.one_sided[0], row.one_sided[1]),
+                verdict.into(),
+            ]);
+        }
+        output::line(table)?;
+        output::line("differences in the signals' units; one-sided: samples only in the log / only in the replay")?;
+    }
+    let same = report.signals.iter().filter(|row| row.unequal == 0 && row.one_sided == [0, 0]).count();
+    let all = report.signals.len();
+    if report.identical {
+        return Ok(output::line(format_args!("all {all} signals are the same to the last bit"))?);
+    }
+    Ok(output::line(format_args!("{same} of {all} signals are the same to the last bit"))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_is_for_a_signal_or_for_all_of_its_kind() {
+        let covers = |limit: &str, name: &str| limit.parse::<Within>().unwrap().covers(name);
+        for limit in ["osmc0.position_rad=0.1", "osmc0.position=1deg", "position_rad=0", "position=0.1"] {
+            assert!(covers(limit, "osmc0.position_rad"), "{limit}");
+        }
+        for limit in ["osmc1.position_rad=0.1", "osmc0.position=1mm", "speed=1", "osmc0=1", "rad=1"] {
+            assert!(!covers(limit, "osmc0.position_rad"), "{limit}");
+        }
+        assert!(covers("duty=5%", "dhb3.duty") && covers("state=0", "state") && covers("quality=0", "range0.quality"));
+        for bad in ["", "osmc0.position", "=1", "duty=", "duty=-1", "duty=nan", "duty=inf", "duty=fast"] {
+            assert!(bad.parse::<Within>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn differences_are_told_in_four_digits() {
+        let told = [0.0, 1.5e-7, 0.012_345, 1.0, 123.456].map(|value| short(Some(value)));
+        assert_eq!(told, ["0", "1.500e-7", "0.01235", "1.000", "123.5"]);
+    }
+}

@@ -1,0 +1,87 @@
+//! What a replay sends, and when.
+
+use r4_log::Log;
+use r4_protocol::{Cause, Request, SafetyState};
+
+/// The requests of a run.
+#[derive(Debug, PartialEq)]
+pub(super) struct Plan {
+    /// In order of time.
+    pub(super) steps: Vec<Step>,
+    /// When the session is left: since the host said hello, us.
+    pub(super) end_us: u64,
+    /// The log has nothing but set points: the rest is what its states and samples tell.
+    pub(super) inferred: bool,
+}
+
+/// A request to send.
+#[derive(Debug, PartialEq)]
+pub(super) struct Step {
+    /// Since the host said hello, us.
+    pub(super) at_us: u64,
+    pub(super) request: Request,
+}
+
+/// The log says nothing of what was done, not even that the board was listened to.
+#[derive(Debug, thiserror::Error)]
+#[error("it holds neither requests nor samples: record again, with `r4 log record` or `--record`")]
+pub(super) struct NothingToDo;
+
+/// Arming comes so long before the set point that needs it, s.
+const ARM_BEFORE_S: f64 = 0.001;
+
+impl Plan {
+    pub(super) fn of(log: &Log) -> Result<Self, NothingToDo> {
+        let (start_s, end_s) = log.time_span_s().ok_or(NothingToDo)?;
+        let timed: Option<Vec<(u64, &Request)>> =
+            log.requests.iter().map(|logged| Some((logged.sent_us?, &logged.request))).collect();
+        let timed = timed.filter(|timed| !timed.is_empty());
+        let us = |time_s: f64| ((time_s - start_s).max(0.0) * 1e6).round() as u64;
+        let Some(timed) = timed else {
+            return Ok(Self { steps: inferred(log, us), end_us: us(end_s), inferred: true });
+        };
+        let bye = timed.iter().find(|(_, request)| **request == Request::Bye).map(|(at_us, _)| *at_us);
+        // The host's clock and the board's go alike, as far as it matters for the end of a run that was cut off.
+        let first = log.requests.first();
+        let offset_us = first.map_or(0, |first| first.sent_us.unwrap_or_default().saturating_sub(us(first.time_s)));
+        let end_us = bye.unwrap_or_else(|| us(end_s) + offset_us);
+        let steps = timed.iter().take_while(|(_, request)| **request != Request::Bye);
+        let steps = steps.map(|(at_us, request)| Step { at_us: *at_us, request: (*request).clone() }).collect();
+        Ok(Self { steps, end_us, inferred: false })
+    }
+}
+
+/// What must have been sent for the log to be as it is.
+fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
+    let mut steps = Vec::new();
+    for coverage in log.coverage() {
+        let period_ms = coverage.rate_hz.map_or(0.0, |rate_hz| (1000.0 / rate_hz).round());
+        if period_ms >= 1.0 {
+            let request = Request::Subscribe { channel: coverage.channel, period_ms: period_ms as u16 };
+            steps.push(Step { at_us: 0, request });
+        }
+    }
+    let (mut before, mut before_s) = (SafetyState::Disarmed, f64::NEG_INFINITY);
+    for change in &log.states {
+        let request = match (before, change.state) {
+            (SafetyState::Disarmed, SafetyState::Armed) => Some(Request::Arm),
+            (SafetyState::Armed, SafetyState::Disarmed) => Some(Request::Disarm),
+            (SafetyState::Tripped, SafetyState::Disarmed) => Some(Request::Clear),
+            (_, SafetyState::Tripped) if change.causes.contains(Cause::HostStop) => Some(Request::Stop),
+            // What else trips a board has to come of itself.
+            _ => None,
+        };
+        // A state is told by the next sample; a set point that the board took came after it was armed.
+        let taken = log.commands.iter().find(|command| (before_s..change.time_s).contains(&command.time_s));
+        let time_s = match (&request, taken) {
+            (Some(Request::Arm), Some(command)) => command.time_s - ARM_BEFORE_S,
+            _ => change.time_s,
+        };
+        steps.extend(request.map(|request| Step { at_us: us(time_s), request }));
+        (before, before_s) = (change.state, change.time_s);
+    }
+    steps.extend(log.requests.iter().map(|logged| Step { at_us: us(logged.time_s), request: logged.request.clone() }));
+    // Subscriptions stay before what happens at once.
+    steps.sort_by_key(|step| step.at_us);
+    steps
+}

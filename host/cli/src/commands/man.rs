@@ -1,0 +1,94 @@
+//! `r4 man`
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, bail};
+use clap::{Command, CommandFactory};
+use clap_mangen::{
+    Man,
+    roff::{Roff, bold, roman},
+};
+
+use crate::{args::Args, output};
+
+/// A page is in the roff format: `r4 man move | man -l -` shows it.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Manual {
+    /// Of which verb, as in `move` or `sim serve` [default: of the program]
+    #[arg(conflicts_with = "out")]
+    pub(crate) verb: Vec<String>,
+    /// Write the pages of the program and of every verb into this folder, as r4.1, r4-move.1 and so on
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// What the program's exit code says, in every page and in `docs/program.md`.
+const EXIT_STATUS: [(&str, &str); 4] = [
+    ("0", "What the command promises held."),
+    ("1", "It did not: the board refused, a motor did not arrive, the link was lost. A message on stderr says why."),
+    ("2", "What was typed was not understood; nothing was done."),
+    ("130", "Ctrl-C, after which the board was disarmed."),
+];
+
+pub(crate) fn run(manual: &Manual) -> anyhow::Result<bool> {
+    let mut program = Args::command().disable_help_subcommand(true);
+    // Gives each verb its full name and the options that all have.
+    program.build();
+    match &manual.out {
+        Some(folder) => {
+            fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+            write_all(&program, folder)?;
+        }
+        None => output::bytes(&page(find(&program, &manual.verb)?)?)?,
+    }
+    Ok(true)
+}
+
+fn find<'c>(program: &'c Command, verb: &[String]) -> anyhow::Result<&'c Command> {
+    let mut found = program;
+    for name in verb {
+        match found.find_subcommand(name) {
+            Some(inner) => found = inner,
+            None => bail!("there is no verb `{}`: `r4 help` lists them", verb.join(" ")),
+        }
+    }
+    Ok(found)
+}
+
+fn write_all(command: &Command, folder: &Path) -> anyhow::Result<()> {
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
+        write_all(verb, folder)?;
+    }
+    let file = folder.join(Man::new(command.clone()).get_filename());
+    fs::write(&file, page(command)?).with_context(|| format!("cannot write {}", file.display()))
+}
+
+/// The page of a command.
+fn page(command: &Command) -> anyhow::Result<Vec<u8>> {
+    let man = Man::new(command.clone()).source(concat!("r4 ", env!("CARGO_PKG_VERSION"))).manual("R4");
+    let mut page = Vec::new();
+    man.render(&mut page)?;
+    let mut exit_status = Roff::default();
+    exit_status.control("SH", ["EXIT STATUS"]);
+    for (code, meaning) in EXIT_STATUS {
+        exit_status.control("TP", []).text([bold(code)]).text([roman(meaning)]);
+    }
+    exit_status.to_writer(&mut page)?;
+    Ok(page)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_is_in_the_guide() {
+        let guide = include_str!("../../../../docs/program.md");
+        for (code, meaning) in EXIT_STATUS {
+            assert!(guide.contains(&format!("| {code} | {meaning} |")), "{code} {meaning}");
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! What the screen shows, fed by telemetry; knows no terminal and no clock.
+
+use std::collections::VecDeque;
+
+use r4_driver::Error;
+use r4_protocol::{Causes, ChannelInfo, DeviceInfo, DeviceStats, Quality, SafetyState, Sample, Telemetry, Unit};
+
+use crate::commands::watch;
+
+/// How much of a channel's past is kept, s.
+pub(crate) const HISTORY_S: f64 = 60.0;
+/// Over how long rates are taken, s.
+const RATE_OVER_S: f64 = 2.0;
+/// A board that says nothing for so long is told to be silent, s: two link timeouts of 200 ms.
+pub(crate) const SILENT_S: f64 = 0.4;
+
+/// All that is drawn.
+pub(crate) struct State {
+    pub(crate) board: String,
+    pub(crate) robot: String,
+    pub(crate) firmware: String,
+    pub(crate) safety: SafetyState,
+    pub(crate) causes: Causes,
+    /// The board's clock in the last telemetry, s.
+    pub(crate) device_s: f64,
+    /// The host's clock when this is drawn, s.
+    pub(crate) now_s: f64,
+    pub(crate) rows: Vec<Row>,
+    pub(crate) selected: usize,
+    pub(crate) link: Link,
+    pub(crate) message: Option<Message>,
+}
+
+/// One channel.
+pub(crate) struct Row {
+    pub(crate) info: ChannelInfo,
+    pub(crate) sample: Option<Sample>,
+    /// Board time in s and value in SI; only finite ones.
+    pub(crate) history: VecDeque<(f64, f64)>,
+    pub(crate) rate: Rate,
+}
+
+/// How well the board is heard.
+#[derive(Default)]
+pub(crate) struct Link {
+    /// Why there is none.
+    pub(crate) lost: Option<String>,
+    /// Host time of the last telemetry, s.
+    pub(crate) heard_s: f64,
+    pub(crate) frames: Rate,
+    /// Of the last request, and the longest, ms.
+    pub(crate) round_trip_ms: Option<(f64, f64)>,
+    /// Requests without an answer in time.
+    pub(crate) unanswered: u64,
+    /// Damaged frames, and telemetry that this program was too slow for.
+    pub(crate) bad: u64,
+    pub(crate) dropped: u64,
+    /// The same at the board.
+    pub(crate) stats: Option<DeviceStats>,
+}
+
+/// The last word on what was asked for.
+pub(crate) struct Message {
+    pub(crate) text: String,
+    pub(crate) is_error: bool,
+}
+
+/// How often something happens.
+#[derive(Default)]
+pub(crate) struct Rate(VecDeque<f64>);
+
+impl Rate {
+    pub(crate) fn count(&mut self, now_s: f64) {
+        self.forget(now_s);
+        self.0.push_back(now_s);
+    }
+
+    fn forget(&mut self, now_s: f64) {
+        // Also what a clock that went back has left.
+        while self.0.front().is_some_and(|at_s| !(0.0..=RATE_OVER_S).contains(&(now_s - at_s))) {
+            self.0.pop_front();
+        }
+    }
+
+    /// Hz; 0 when it has not happened for as long as rates are taken over.
+    pub(crate) fn hz(&self, now_s: f64) -> f64 {
+        let (Some(first), Some(last)) = (self.0.front(), self.0.back()) else { return 0.0 };
+        if now_s - last > RATE_OVER_S || last <= first {
+            return 0.0;
+        }
+        (self.0.len() - 1) as f64 / (last - first)
+    }
+}
+
+impl State {
+    pub(crate) fn new(board: String, info: &DeviceInfo, channels: &[ChannelInfo], now_s: f64) -> Self {
+        let rows = channels.iter().cloned().map(Row::new).collect();
+        Self {
+            board,
+            robot: info.robot.to_string(),
+            firmware: info.firmware.to_string(),
+            safety: info.state,
+            causes: info.causes,
+            device_s: info.device_us as f64 * 1e-6,
+            now_s,
+            rows,
+            selected: 0,
+            link: Link { heard_s: now_s, ..Link::default() },
+            message: None,
+        }
+    }
+
+    /// A board is there again: the same, or another.
+    pub(crate) fn reconnected(&mut self, info: &DeviceInfo, channels: &[ChannelInfo], now_s: f64) {
+        let mut new = Self::new(std::mem::take(&mut self.board), info, channels, now_s);
+        new.message = Some(Message { text: "connected again; the board is disarmed".into(), is_error: false });
+        let same =
+            channels.len() == self.rows.len() && self.rows.iter().zip(channels).all(|(row, info)| row.info == *info);
+        if same {
+            new.rows = std::mem::take(&mut self.rows);
+            new.selected = self.selected;
+        }
+        *self = new;
+    }
+
+    /// The link is gone.
+    pub(crate) fn lost(&mut self, why: String) {
+        self.link.lost = Some(why);
+        self.link.round_trip_ms = None;
+    }
+
+    pub(crate) fn telemetry(&mut self, frame: &Telemetry, now_s: f64) {
+        let device_s = frame.device_us as f64 * 1e-6;
+        if device_s < self.device_s {
+            // The board has started anew, and its time with it.
+            self.rows.iter_mut().for_each(|row| row.history.clear());
+        }
+        (self.safety, self.causes, self.device_s) = (frame.state, frame.causes, device_s);
+        self.link.heard_s = now_s;
+        self.link.frames.count(now_s);
+        for sample in &frame.samples {
+            if let Some(row) = self.rows.iter_mut().find(|row| row.info.id == sample.channel()) {
+                row.take(sample, device_s, now_s);
+            }
+        }
+    }
+
+    /// The board has answered after `round_trip_s` what it has counted.
+    pub(crate) fn measured(&mut self, round_trip_s: f64, stats: DeviceStats) {
+        let last_ms = round_trip_s * 1e3;
+        let longest_ms = self.link.round_trip_ms.map_or(last_ms, |(_, longest_ms)| longest_ms.max(last_ms));
+        self.link.round_trip_ms = Some((last_ms, longest_ms));
+        self.link.stats = Some(stats);
+    }
+
+    pub(crate) fn done(&mut self, what: &str, result: Result<(), Error>) {
+        self.message = Some(match result {
+            Ok(()) => Message { text: format!("{what}: done"), is_error: false },
+            Err(error) => Message { text: format!("{what}: {error}"), is_error: true },
+        });
+    }
+
+    /// How long the board has been silent, s, if that is longer than it should.
+    pub(crate) fn silent_s(&self) -> Option<f64> {
+        Some(self.now_s - self.link.heard_s).filter(|silent_s| *silent_s > SILENT_S)
+    }
+
+    /// Selects the channel so many further down, or the last one there is.
+    pub(crate) fn select(&mut self, down: isize) {
+        self.selected = self.selected.saturating_add_signed(down).min(self.rows.len().saturating_sub(1));
+    }
+}
+
+impl Row {
+    fn new(info: ChannelInfo) -> Self {
+        Self { info, sample: None, history: VecDeque::new(), rate: Rate::default() }
+    }
+
+    fn take(&mut self, sample: &Sample, device_s: f64, now_s: f64) {
+        self.sample = Some(*sample);
+        self.rate.count(now_s);
+        // The value beside a bad quality is the last good one.
+        let is_good = !matches!(sample, Sample::Reading { quality, .. } if *quality != Quality::Good);
+        if let Some(value) = watch::number(&self.info, sample).filter(|_| is_good) {
+            self.history.push_back((device_s, value));
+        }
+        while self.history.front().is_some_and(|(at_s, _)| device_s - at_s > HISTORY_S) {
+            self.history.pop_front();
+        }
+    }
+
+    /// The values between which the history is drawn: no narrower than what is noise.
+    pub(crate) fn bounds(&self, since_s: f64) -> [f64; 2] {
+        let values = self.history.iter().filter(|(at_s, _)| *at_s >= since_s).map(|(_, value)| *value);
+        let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+        if low > high {
+            return [0.0, 1.0];
+        }
+        if self.info.unit == Unit::Bool {
+            return [0.0, 1.0];
+        }
+        // Eight counts, or a hundredth of the value.
+        let narrowest = (8.0 * f64::from(self.info.resolution)).max(0.01 * low.abs().max(high.abs())).max(1e-3);
+        let (middle, half) = (f64::midpoint(low, high), (high - low).max(narrowest) / 2.0);
+        [middle - half, middle + half]
+    }
+
+    /// The history as `cells` values from 0 to 1, each over `cell_s` seconds and the last up to now; `None` where nothing
+    /// was measured.
+    pub(crate) fn cells(&self, device_s: f64, cells: usize, cell_s: f64) -> Vec<Option<f64>> {
+        // Of the board's time and not counted from now, so that what is past does not change from one look to the next.
+        let last = (device_s / cell_s).floor();
+        let [low, high] = self.bounds((last - cells as f64 + 1.0) * cell_s);
+        let mut sums = vec![(0.0, 0u32); cells];
+        for (at_s, value) in &self.history {
+            let back = last - (at_s / cell_s).floor();
+            if (0.0..cells as f64).contains(&back) {
+                let (sum, count) = &mut sums[cells - 1 - back as usize];
+                *sum += value;
+                *count += 1;
+            }
+        }
+        let share = |(sum, count): (f64, u32)| {
+            (count > 0).then(|| ((sum / f64::from(count) - low) / (high - low)).clamp(0.0, 1.0))
+        };
+        sums.into_iter().map(share).collect()
+    }
+}

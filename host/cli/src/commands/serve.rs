@@ -1,0 +1,387 @@
+//! `r4 sim serve`: a virtual board in real time, for programs that connect to it as to a real one.
+
+use std::{
+    cell::{Cell, RefCell},
+    collections::VecDeque,
+    fs,
+    future::{Future, poll_fn},
+    io,
+    net::{SocketAddr, TcpListener},
+    path::{Path, PathBuf},
+    pin::pin,
+    rc::Rc,
+    task::Poll,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, anyhow, bail};
+use async_io::{Async, Timer};
+use embedded_io_async::{Read, Write};
+use futures::future::{Either, select};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, pty::Pty, secure, slcan};
+use r4_protocol::can::Node;
+use r4_sim::ResetCause;
+use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
+use serde::Serialize;
+
+use crate::{
+    args::{Args, Serve},
+    output,
+    session::{self, Target},
+};
+
+/// As fast as bytes go on a simulated board's link: it is no UART but USB.
+const NO_TIME: u32 = u32::MAX;
+/// Real time that the simulation may fall behind, for which it hurries afterwards. What is more than that is left out: a
+/// machine that was busy elsewhere must not make the board believe that its host was silent.
+const HURRY: Duration = Duration::from_millis(20);
+/// How often Ctrl-C is looked for.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// A client proves to have the key within this time. Another one waits so long.
+const GREETING: Duration = Duration::from_secs(2);
+/// Bytes for a client that does not read, before they are dropped.
+const OUTBOX: usize = 16 * 1024;
+
+/// Where the board is.
+#[derive(Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Where {
+    Pty(PathBuf),
+    Tcp(String),
+    Slcan(PathBuf),
+    #[cfg(target_os = "linux")]
+    Can(String),
+}
+
+/// The first line.
+#[derive(Serialize)]
+struct FirstLine {
+    #[serde(flatten)]
+    place: Where,
+    /// What CLOCK_MONOTONIC shows at virtual time 0, when a simulated board's clock starts: so whoever talks to the board can
+    /// tell how well it knows that clock.
+    epoch_ns: u64,
+}
+
+/// A later line: from a moment of virtual time on the epoch is another, because time was left out.
+#[derive(Serialize)]
+struct Shifted {
+    epoch_ns: u64,
+    from_ns: u64,
+}
+
+/// What the board is connected to.
+enum Place {
+    /// One client, or none, all the time.
+    Port(Option<Pty>, Receiver, Transmitter),
+    /// Clients come and go.
+    Listener(Async<TcpListener>, Option<Key>),
+}
+
+pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
+    if args.pace.is_some() {
+        bail!("a served board runs in real time, as its clients do: leave --pace out");
+    }
+    let args = Args { board: serve.robot.clone(), ..args.clone() };
+    let mut simulation = Simulation::new(Pace::Free);
+    let (board, file) = session::power_up(&args, &mut simulation)?;
+    if matches!(args.board, Target::Sim(_)) {
+        board.set_link_baud(NO_TIME);
+    }
+    session::catch_interrupts();
+    let links = Links::default();
+    let (place, address) = place(&args, serve, &links)?;
+    let served = Served::new(&mut simulation, board.clone())?;
+    output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(served.origin) })?;
+    let served = r4_links::block_on(served.run(place));
+    if let Some(file) = file {
+        file.write(&board.flash())?;
+    }
+    served.map(|()| true)
+}
+
+/// Paths that lead to the served board and are gone with it.
+#[derive(Default)]
+struct Links(RefCell<Vec<PathBuf>>);
+
+impl Links {
+    /// A symbolic link at `from`, in the place of one that was left there.
+    fn add(&self, from: &Path, to: &Path) -> anyhow::Result<()> {
+        if fs::symlink_metadata(from).is_ok_and(|found| found.is_symlink()) {
+            fs::remove_file(from).with_context(|| format!("cannot remove the old link {}", from.display()))?;
+        }
+        std::os::unix::fs::symlink(to, from).with_context(|| format!("cannot make the link {}", from.display()))?;
+        self.0.borrow_mut().push(from.to_owned());
+        Ok(())
+    }
+}
+
+impl Drop for Links {
+    fn drop(&mut self) {
+        for link in self.0.take() {
+            // What is not there any more need not be removed.
+            let _ = fs::remove_file(link);
+        }
+    }
+}
+
+/// Makes what the board is served on, and where that is.
+fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<(Place, Where)> {
+    let terminal = |link: &Option<PathBuf>| -> anyhow::Result<(Pty, PathBuf)> {
+        let pty = Pty::open().context("cannot make a pseudo-terminal")?;
+        let path = link.clone().unwrap_or_else(|| pty.path().to_owned());
+        if link.is_some() {
+            links.add(&path, pty.path())?;
+        }
+        Ok((pty, path))
+    };
+    let end = || {
+        let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1));
+        node.map(End::Board)
+    };
+    if let Some(link) = &serve.pty {
+        let (pty, path) = terminal(link)?;
+        let (rx, tx) = bytes(&pty.descriptor);
+        return Ok((Place::Port(Some(pty), rx, tx), Where::Pty(path)));
+    }
+    if let Some(link) = &serve.slcan {
+        let (pty, path) = terminal(link)?;
+        let (rx, tx) = slcan::ends(pty.descriptor.clone(), end()?);
+        return Ok((Place::Port(Some(pty), Receiver::Slcan(rx), Transmitter::Slcan(tx)), Where::Slcan(path)));
+    }
+    if let Some(interface) = &serve.can {
+        return bus(interface, end()?);
+    }
+    let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
+    let only_for_some = serve.public && args.key.is_some();
+    if !address.ip().is_loopback() && !only_for_some {
+        bail!(
+            "{address} can be reached from other machines, and whoever reaches it moves the robot: serve it on 127.0.0.1, or \
+             with --public and a --key that only those have who may"
+        );
+    }
+    let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
+    let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
+    Ok((Place::Listener(listener, session::key(args)?), Where::Tcp(at.to_string())))
+}
+
+#[cfg(target_os = "linux")]
+fn bus(interface: &str, end: End) -> anyhow::Result<(Place, Where)> {
+    let (rx, tx) = r4_links::can::open(interface, end)?;
+    Ok((Place::Port(None, Receiver::Can(rx), Transmitter::Can(tx)), Where::Can(interface.to_owned())))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn bus(interface: &str, _: End) -> anyhow::Result<(Place, Where)> {
+    bail!("{interface}: only Linux has interfaces for CAN; serve the board with --slcan")
+}
+
+fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
+    (Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor.clone()))
+}
+
+/// A client's link, once it has proved to have the key, if there is one: in time, or it is left.
+async fn greeted(descriptor: Descriptor, key: Option<&Key>) -> Option<(Receiver, Transmitter)> {
+    let Some(key) = key else { return Some(bytes(&descriptor)) };
+    match select(pin!(secure::server(descriptor, key)), Timer::after(GREETING)).await {
+        Either::Left((Ok((rx, tx)), _)) => Some((Receiver::Secure(rx), Transmitter::Secure(tx))),
+        Either::Left((Err(_), _)) | Either::Right(_) => {
+            eprintln!("r4: a client without the key was turned away");
+            None
+        }
+    }
+}
+
+/// What the board has sent and no client has taken.
+#[derive(Default)]
+struct Outbox {
+    bytes: RefCell<VecDeque<u8>>,
+    dropped: Cell<u64>,
+}
+
+impl Outbox {
+    fn push(&self, bytes: &[u8]) {
+        let mut waiting = self.bytes.borrow_mut();
+        let room = OUTBOX - waiting.len();
+        if bytes.len() > room {
+            // A part of a frame would be no use to anybody.
+            self.dropped.set(self.dropped.get() + bytes.len() as u64);
+            return;
+        }
+        waiting.extend(bytes);
+    }
+}
+
+/// A board that is served.
+struct Served<'s> {
+    simulation: &'s mut Simulation,
+    board: Rc<dyn VirtualBoard>,
+    to_board: r4_sim::link::Sender,
+    outbox: Rc<Outbox>,
+    /// Real time at virtual time 0; later by what was left out.
+    origin: Instant,
+    left_out: Duration,
+    /// The board asks to be restarted.
+    restart: Rc<Cell<bool>>,
+}
+
+impl<'s> Served<'s> {
+    fn new(simulation: &'s mut Simulation, board: Rc<dyn VirtualBoard>) -> anyhow::Result<Self> {
+        let outbox = Rc::<Outbox>::default();
+        let restart = Rc::<Cell<bool>>::default();
+        let to_board = connect(simulation, &board, &outbox, &restart)?;
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), left_out: Duration::ZERO, restart })
+    }
+
+    async fn run(mut self, place: Place) -> anyhow::Result<()> {
+        match place {
+            Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
+            Place::Listener(listener, key) => self.with_clients(&listener, key.as_ref()).await,
+        }
+    }
+
+    /// One client after the other.
+    async fn with_clients(&mut self, listener: &Async<TcpListener>, key: Option<&Key>) -> anyhow::Result<()> {
+        loop {
+            let (stream, _) = self.meanwhile(listener.accept()).await?.context("cannot accept a client")?;
+            let descriptor = r4_links::tcp(stream.into_inner()?)?;
+            // Of what the board has said to nobody.
+            self.outbox.bytes.borrow_mut().clear();
+            let Some((mut rx, mut tx)) = self.meanwhile(greeted(descriptor, key)).await? else { continue };
+            match self.with_client(&mut rx, &mut tx).await {
+                Err(error) if error.is::<Gone>() => {}
+                other => return other,
+            }
+        }
+    }
+
+    /// Carries bytes until the client goes.
+    async fn with_client(&mut self, rx: &mut Receiver, tx: &mut Transmitter) -> anyhow::Result<()> {
+        let mut buffer = [0; 4096];
+        let outbox = self.outbox.clone();
+        let mut sending = pin!(send(&outbox, tx));
+        loop {
+            let len = {
+                let mut reading = pin!(rx.read(&mut buffer));
+                let both = poll_fn(|context| {
+                    if let Poll::Ready(error) = sending.as_mut().poll(context) {
+                        return Poll::Ready(Err(error));
+                    }
+                    reading.as_mut().poll(context)
+                });
+                self.meanwhile(both).await?
+            };
+            match len {
+                Ok(len) if len > 0 => self.receive(&buffer[..len])?,
+                // A client that is gone.
+                Ok(_) => return Err(Gone(None).into()),
+                Err(error) => return Err(Gone(Some(error)).into()),
+            }
+        }
+    }
+
+    /// What a client has sent arrives now.
+    fn receive(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
+        let to_board = &mut self.to_board;
+        let written = self.simulation.block_on(async { to_board.write_all(bytes).await });
+        written.map(|_| ()).ok_or_else(|| anyhow!("the simulation came to a standstill"))
+    }
+
+    /// Waits for something outside, while the board runs in real time.
+    async fn meanwhile<T>(&mut self, outside: impl Future<Output = T>) -> anyhow::Result<T> {
+        let mut outside = pin!(outside);
+        loop {
+            self.catch_up()?;
+            if session::is_interrupted() {
+                return Err(session::Interrupted.into());
+            }
+            let next = self.simulation.clock().next_wake().map(|next_ns| self.origin + Duration::from_nanos(next_ns));
+            let latest = Instant::now() + LOOK_EVERY;
+            let timer = Timer::at(next.map_or(latest, |next| next.min(latest)));
+            if let Either::Left((value, _)) = select(outside.as_mut(), timer).await {
+                // At the time at which it came.
+                self.catch_up()?;
+                return Ok(value);
+            }
+        }
+    }
+
+    /// Lets the board run to now.
+    fn catch_up(&mut self) -> anyhow::Result<()> {
+        let begin = Instant::now();
+        let behind =
+            begin.saturating_duration_since(self.origin + Duration::from_nanos(self.simulation.clock().now_ns()));
+        if behind > LOOK_EVERY + HURRY {
+            let too_much = behind - HURRY;
+            self.origin += too_much;
+            self.left_out += too_much;
+            eprintln!(
+                "r4: this machine was busy for {} ms; the board's time stood still meanwhile",
+                too_much.as_millis()
+            );
+            // Only for who listens.
+            let from_ns = self.simulation.clock().now_ns();
+            let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
+        }
+        let clock = self.simulation.clock();
+        let to_ns = begin.saturating_duration_since(self.origin).as_nanos() as u64;
+        if to_ns > clock.now_ns() {
+            self.simulation
+                .block_on(clock.sleep_until(to_ns))
+                .ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
+        }
+        if let Some(failure) = self.board.failure() {
+            bail!("the emulated board stopped: {failure}");
+        }
+        if self.restart.take() {
+            self.board.restart(self.simulation, ResetCause::Normal);
+            self.to_board = connect(self.simulation, &self.board, &self.outbox, &self.restart)?;
+        }
+        Ok(())
+    }
+}
+
+/// A client is gone.
+#[derive(Debug, thiserror::Error)]
+#[error("the client is gone")]
+struct Gone(#[source] Option<io::Error>);
+
+/// Connects to a board that has started: tasks in the simulation take what it sends, and note that it wants to restart.
+fn connect(
+    simulation: &mut Simulation,
+    board: &Rc<dyn VirtualBoard>,
+    outbox: &Rc<Outbox>,
+    restart: &Rc<Cell<bool>>,
+) -> anyhow::Result<r4_sim::link::Sender> {
+    let Some(Port { mut rx, tx }) = board.connect() else { bail!("the board is connected already") };
+    let outbox = outbox.clone();
+    simulation.spawn(async move {
+        let mut buffer = [0; 1024];
+        loop {
+            let Ok(len) = rx.read(&mut buffer).await;
+            outbox.push(&buffer[..len]);
+        }
+    });
+    let (board, restart) = (board.clone(), restart.clone());
+    simulation.spawn(async move {
+        board.restart_requested().await;
+        restart.set(true);
+    });
+    Ok(tx)
+}
+
+/// Sends what is in the outbox, as long as that goes.
+async fn send(outbox: &Outbox, tx: &mut Transmitter) -> io::Error {
+    loop {
+        let bytes: Vec<u8> = outbox.bytes.borrow_mut().drain(..).collect();
+        if bytes.is_empty() {
+            // Whoever polls this does so after each run of the simulation.
+            let mut looked = false;
+            poll_fn(|_| if std::mem::replace(&mut looked, true) { Poll::Ready(()) } else { Poll::Pending }).await;
+            continue;
+        }
+        if let Err(error) = tx.write_all(&bytes).await {
+            return error;
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! The page of a run.
+
+use r4_log::Log;
+
+use super::{Outcome, rows};
+use crate::{
+    quantity::human,
+    report::{self, Align, Cell, Column, Overlay},
+};
+
+/// The page.
+pub(super) fn html(log: &Log, board: &str, outcome: &Outcome) -> String {
+    let plan = &outcome.plan;
+    let channel = log.header.channels.first().map(|info| info.id);
+    let name = channel.map_or(String::new(), |channel| channel.to_string());
+    let column = |title: &str, align| Column { title: title.into(), unit: None, align };
+    let verdict = channel.map_or(String::new(), |channel| outcome.verdict(channel));
+    let table = report::Table {
+        caption: format!("Gains and the response to steps, {} loop", plan.mode()),
+        note: Some(format!("{} {}. On the board: {verdict}.", outcome.finding(), outcome.rule())),
+        columns: vec![
+            column("", Align::Left),
+            column("Unit", Align::Left),
+            column("Present", Align::Right),
+            column("Proposed", Align::Right),
+        ],
+        rows: rows(outcome).into_iter().map(|row| row.map(Cell::Text).to_vec()).collect(),
+    };
+    let (per_si, unit, _) = human(plan.unit());
+    let line = |samples: &[(f64, f64, f64)], of: fn(&(f64, f64, f64)) -> f64| {
+        samples.iter().map(|sample| (sample.0, of(sample) * per_si)).collect::<Vec<_>>()
+    };
+    let mut lines = vec![("set point".to_owned(), line(&outcome.before.samples, |sample| sample.2))];
+    lines.push(("present gains".to_owned(), line(&outcome.before.samples, |sample| sample.1)));
+    if let Ok(after) = &outcome.after {
+        lines.push(("proposed gains".to_owned(), line(&after.samples, |sample| sample.1)));
+    }
+    let overlay = Overlay { title: format!("{} ({unit})", plan.mode()), lines };
+    report::page(log, &format!("Tuning of {name} on {board}"), &[table], &[overlay])
+}

@@ -1,0 +1,177 @@
+//! `--record`: what goes over a session's link, in a file.
+
+use std::{
+    cell::RefCell,
+    fs::{self, File},
+    io::{self, BufWriter, Cursor, Seek, SeekFrom, Write},
+    path::PathBuf,
+    rc::Rc,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use anyhow::{Context, bail};
+use embedded_io_async::{ErrorType, Read};
+use r4_driver::Clock as _;
+use r4_log::{About, Tap};
+
+use crate::{
+    args::Args,
+    session::{HostClock, Target},
+};
+
+/// Where a recording goes.
+pub(crate) enum Output {
+    File(BufWriter<File>),
+    Memory(Cursor<Vec<u8>>),
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.write(bytes),
+            Self::Memory(memory) => memory.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.flush(),
+            Self::Memory(memory) => memory.flush(),
+        }
+    }
+}
+
+impl Seek for Output {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Memory(memory) => memory.seek(to),
+        }
+    }
+}
+
+/// A recording that the link, the session and whoever started it share.
+pub(crate) type SharedTap = Rc<RefCell<Tap<Output>>>;
+
+/// A tap for a session with the board that `args` name.
+pub(crate) fn tap(args: &Args, output: Output) -> SharedTap {
+    let seed = match args.board {
+        Target::Sim(_) | Target::Emu(_) => Some(args.seed),
+        Target::Link(_) => None,
+    };
+    Rc::new(RefCell::new(Tap::new(output, About { board: args.board.to_string(), seed })))
+}
+
+/// A session has been recorded, or is being.
+static RECORDED: AtomicBool = AtomicBool::new(false);
+
+/// Whether a session has been recorded.
+pub(crate) fn is_recorded() -> bool {
+    RECORDED.load(Ordering::Relaxed)
+}
+
+/// Says that what `--record` asked for is written.
+pub(crate) fn mark_recorded() {
+    RECORDED.store(true, Ordering::Relaxed);
+}
+
+/// The recording of one session to a file.
+pub(crate) struct Recording {
+    path: PathBuf,
+    tap: SharedTap,
+}
+
+impl Recording {
+    /// What `--record` asks for.
+    pub(crate) fn open(args: &Args) -> anyhow::Result<Option<Self>> {
+        let Some(path) = args.record.clone() else { return Ok(None) };
+        if RECORDED.swap(true, Ordering::Relaxed) {
+            bail!("--record holds one session, and this opens several: it cannot be recorded as a whole");
+        }
+        let file = File::create(&path).with_context(|| format!("cannot make the log {}", path.display()))?;
+        let tap = tap(args, Output::File(BufWriter::new(file)));
+        Ok(Some(Self { path, tap }))
+    }
+
+    pub(crate) fn tap(&self) -> SharedTap {
+        self.tap.clone()
+    }
+
+    /// Ends the file once the session is over. What went wrong in the session goes before what went wrong here.
+    pub(crate) fn close<T>(self, result: anyhow::Result<T>) -> anyhow::Result<T> {
+        let path = self.path.display();
+        let bad_frames = self.tap.borrow().bad_frames();
+        if bad_frames > 0 {
+            eprintln!("r4: {bad_frames} frames from the board were damaged: what they said is not in {path}");
+        }
+        let closed = match finish(self.tap) {
+            Ok(Some(_)) => Ok(()),
+            Ok(None) => {
+                // The board never said what it is, which is what the session failed with.
+                let _ = fs::remove_file(&self.path);
+                Ok(())
+            }
+            Err(error) => Err(error.context(format!("{path} is not complete"))),
+        };
+        match (result, closed) {
+            (Ok(value), Ok(())) => Ok(value),
+            (Ok(_), Err(error)) => Err(error),
+            (Err(error), Ok(())) => Err(error),
+            (Err(error), Err(closed)) => {
+                eprintln!("r4: {closed:#}");
+                Err(error)
+            }
+        }
+    }
+}
+
+/// Writes the end of a recording and gives back where it went; `None` if nothing was written.
+pub(crate) fn finish(tap: SharedTap) -> anyhow::Result<Option<Output>> {
+    match Rc::try_unwrap(tap) {
+        Ok(tap) => Ok(tap.into_inner().finish()?),
+        Err(_) => bail!("the recording is still in use"),
+    }
+}
+
+/// One direction of a link, listened to.
+pub(crate) struct Listened<L> {
+    link: L,
+    tap: Option<SharedTap>,
+    clock: HostClock,
+}
+
+impl<L> Listened<L> {
+    pub(crate) fn new(link: L, tap: Option<&SharedTap>, clock: &HostClock) -> Self {
+        Self { link, tap: tap.cloned(), clock: clock.clone() }
+    }
+}
+
+impl<L: ErrorType> ErrorType for Listened<L> {
+    type Error = L::Error;
+}
+
+impl<L: Read> Read for Listened<L> {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
+        let len = self.link.read(buffer).await?;
+        if let Some(tap) = &self.tap {
+            tap.borrow_mut().received(self.clock.now_us(), &buffer[..len]);
+        }
+        Ok(len)
+    }
+}
+
+impl<L: embedded_io_async::Write> embedded_io_async::Write for Listened<L> {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
+        // Before it waits: when the host wanted it sent.
+        let now_us = self.clock.now_us();
+        let len = self.link.write(bytes).await?;
+        if let Some(tap) = &self.tap {
+            tap.borrow_mut().sent(now_us, &bytes[..len]);
+        }
+        Ok(len)
+    }
+
+    async fn flush(&mut self) -> Result<(), L::Error> {
+        self.link.flush().await
+    }
+}

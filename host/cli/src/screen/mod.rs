@@ -1,0 +1,115 @@
+//! The whole terminal, for what a person watches and steers.
+//!
+//! It is given back as it was found: when the [`Screen`] is dropped, and in a panic before that is reported.
+
+mod commands;
+#[cfg(test)]
+pub(crate) mod snapshot;
+pub(crate) mod state;
+
+use std::{
+    io::{self, IsTerminal, Stdout, stdin, stdout},
+    panic,
+    sync::{
+        Once,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use anyhow::{Context, bail};
+use crossterm::{
+    cursor::{Hide, Show},
+    event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers},
+    execute,
+    terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode},
+};
+use ratatui::{Frame, Terminal, backend::CrosstermBackend};
+
+use crate::{args::Args, session};
+
+pub(crate) use commands::Commands;
+
+/// The terminal, as long as this is there.
+pub(crate) struct Screen {
+    terminal: Terminal<CrosstermBackend<Stdout>>,
+    _restore: Restore,
+}
+
+/// Gives the terminal back.
+struct Restore;
+
+impl Drop for Restore {
+    fn drop(&mut self) {
+        restore();
+    }
+}
+
+/// Whether there is something to give back. Once: the second time would put the cursor over what was printed since.
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+fn restore() {
+    if !TAKEN.swap(false, Ordering::Relaxed) {
+        return;
+    }
+    // Each as far as it goes: the terminal may be gone.
+    let _ = execute!(stdout(), LeaveAlternateScreen, Show);
+    let _ = disable_raw_mode();
+}
+
+/// Whether a screen can be had and would not be written over, before anything is done to the board.
+pub(crate) fn check(args: &Args, verb: &str, instead: &str) -> anyhow::Result<()> {
+    if args.json {
+        bail!("`{verb}` draws on a terminal and prints no JSON: {instead}");
+    }
+    if !stdin().is_terminal() || !stdout().is_terminal() {
+        bail!("`{verb}` needs a terminal for its screen and its keys: {instead}");
+    }
+    if args.log.is_some() && io::stderr().is_terminal() {
+        bail!("the firmware's log would be printed over the screen: send it to a file, as in 2>log.txt");
+    }
+    Ok(())
+}
+
+impl Screen {
+    pub(crate) fn open() -> anyhow::Result<Self> {
+        static HOOK: Once = Once::new();
+        HOOK.call_once(|| {
+            let before = panic::take_hook();
+            panic::set_hook(Box::new(move |panic| {
+                restore();
+                before(panic);
+            }));
+        });
+        TAKEN.store(true, Ordering::Relaxed);
+        let restore = Restore;
+        enable_raw_mode().context("cannot read single keys from this terminal")?;
+        execute!(stdout(), EnterAlternateScreen, Hide).context("cannot draw on this terminal")?;
+        let terminal = Terminal::new(CrosstermBackend::new(stdout())).context("cannot draw on this terminal")?;
+        Ok(Self { terminal, _restore: restore })
+    }
+
+    /// Draws what has changed.
+    pub(crate) fn draw(&mut self, draw: impl FnOnce(&mut Frame<'_>)) -> anyhow::Result<()> {
+        self.terminal.draw(draw).context("cannot draw on this terminal")?;
+        Ok(())
+    }
+
+    /// The next key that is pressed or repeated within `patience`.
+    ///
+    /// Ctrl-C, which a terminal that gives single keys takes for one of them, interrupts the session.
+    pub(crate) fn key(&self, patience: Duration) -> anyhow::Result<Option<KeyEvent>> {
+        while event::poll(patience).context("cannot read keys")? {
+            match event::read().context("cannot read keys")? {
+                Event::Key(key) if key.kind == KeyEventKind::Release => {}
+                Event::Key(KeyEvent { code: KeyCode::Char('c'), modifiers: KeyModifiers::CONTROL, .. }) => {
+                    session::interrupt();
+                }
+                Event::Key(key) => return Ok(Some(key)),
+                // A new size is noticed by what draws.
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,180 @@
+//! How links are named: `serial:/dev/ttyACM0`, `tcp:localhost:4444`, `can:can0`,
+//! `can:slcan:/dev/ttyACM1#5`.
+
+use std::{fmt, path::PathBuf, str::FromStr};
+
+use r4_protocol::can::Node;
+
+/// Bits per second of a serial port that names no other: of the board's UART. USB does not care.
+pub const DEFAULT_BAUD: u32 = 1_000_000;
+
+/// Where a board is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// On a serial port: USB of the board, its UART, or a served pseudo-terminal.
+    Serial {
+        /// As in `/dev/ttyACM0`; `None` is the only board that is found.
+        path: Option<PathBuf>,
+        /// Bits per second.
+        baud: u32,
+    },
+    /// Behind a TCP port: a served board, or one at a serial server.
+    Tcp {
+        /// Name or address.
+        host: String,
+        /// Number.
+        port: u16,
+    },
+    /// On a CAN bus.
+    Can {
+        /// By what.
+        interface: CanInterface,
+        /// Which board on the bus.
+        node: Node,
+    },
+}
+
+/// How a CAN bus is reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CanInterface {
+    /// By an interface of Linux, as in `can0`.
+    Socket(String),
+    /// By an adapter of the CANable type, which speaks slcan on a serial port.
+    Slcan(PathBuf),
+}
+
+/// A text that is no [`Address`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BadAddress {
+    /// Not one of the kinds.
+    #[error(
+        "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[#NODE]"
+    )]
+    Kind(String),
+    /// What follows `@` is no rate.
+    #[error("`{0}`: after @ comes a rate in bits per second, as in serial:/dev/ttyUSB0@1000000")]
+    Baud(String),
+    /// TCP needs both.
+    #[error("`{0}`: tcp: needs a host and a port, as in tcp:localhost:4444 or tcp:[::1]:4444")]
+    Port(String),
+    /// A number that no board can have.
+    #[error("`{0}`: a board on a bus has a number from 0 to {last}, as in can:can0#5", last = Node::COUNT - 1)]
+    Node(String),
+}
+
+impl FromStr for Address {
+    type Err = BadAddress;
+
+    fn from_str(text: &str) -> Result<Self, BadAddress> {
+        let whole = || text.to_owned();
+        match text.split_once(':') {
+            Some(("serial", rest)) if !rest.is_empty() => {
+                let (path, baud) = match rest.rsplit_once('@') {
+                    Some((path, baud)) => {
+                        (path, baud.parse().ok().filter(|baud| *baud > 0).ok_or(BadAddress::Baud(whole()))?)
+                    }
+                    None => (rest, DEFAULT_BAUD),
+                };
+                Ok(Self::Serial { path: (path != "auto").then(|| path.into()), baud })
+            }
+            Some(("tcp", rest)) => {
+                let (host, port) = rest.rsplit_once(':').ok_or(BadAddress::Port(whole()))?;
+                let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+                let port = port.parse().ok().filter(|port| *port > 0);
+                match port {
+                    Some(port) if !host.is_empty() => Ok(Self::Tcp { host: host.to_owned(), port }),
+                    _ => Err(BadAddress::Port(whole())),
+                }
+            }
+            Some(("can", rest)) => {
+                let (name, node) = match rest.rsplit_once('#') {
+                    Some((name, node)) => (name, node.parse().ok()),
+                    None => (rest, Some(0)),
+                };
+                let interface = match name.strip_prefix("slcan:") {
+                    Some(path) if !path.is_empty() => CanInterface::Slcan(path.into()),
+                    None if is_interface(name) => CanInterface::Socket(name.to_owned()),
+                    _ => return Err(BadAddress::Kind(whole())),
+                };
+                let node = node.and_then(Node::new).ok_or(BadAddress::Node(whole()))?;
+                Ok(Self::Can { interface, node })
+            }
+            _ => Err(BadAddress::Kind(whole())),
+        }
+    }
+}
+
+/// Whether the kernel could have an interface of this name (`dev_valid_name` in its net/core/dev.c). The word for adapters
+/// alone lacks their port.
+fn is_interface(name: &str) -> bool {
+    let good = |char: char| char != '/' && char != ':' && !char.is_whitespace();
+    (1..16).contains(&name.len()) && ![".", "..", "slcan"].contains(&name) && name.chars().all(good)
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { path, baud } => {
+                let path = path.as_ref().map_or("auto".into(), |path| path.to_string_lossy());
+                write!(f, "serial:{path}")?;
+                if *baud == DEFAULT_BAUD { Ok(()) } else { write!(f, "@{baud}") }
+            }
+            Self::Tcp { host, port } if host.contains(':') => write!(f, "tcp:[{host}]:{port}"),
+            Self::Tcp { host, port } => write!(f, "tcp:{host}:{port}"),
+            Self::Can { interface: CanInterface::Socket(name), node } => write!(f, "can:{name}#{}", node.number()),
+            Self::Can { interface: CanInterface::Slcan(path), node } => {
+                write!(f, "can:slcan:{}#{}", path.display(), node.number())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_printed_is_read_again() {
+        for text in [
+            "serial:/dev/ttyACM0",
+            "serial:auto",
+            "serial:/dev/ttyUSB0@115200",
+            "serial:/dev/serial/by-id/usb-R4@home@9600",
+            "tcp:localhost:4444",
+            "tcp:[::1]:4444",
+            "can:slcan:/dev/ttyACM1#5",
+            "can:can0#127",
+        ] {
+            let address: Address = text.parse().expect(text);
+            assert_eq!(address.to_string(), text);
+        }
+        let node_0: Address = "can:slcan:/dev/ttyACM1".parse().expect("node 0");
+        assert_eq!(node_0.to_string(), "can:slcan:/dev/ttyACM1#0");
+        let socket =
+            Address::Can { interface: CanInterface::Socket("vcan0".into()), node: Node::new(0).expect("in range") };
+        assert_eq!("can:vcan0".parse(), Ok(socket));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, error) in [
+            ("usb:1", BadAddress::Kind("usb:1".into())),
+            ("serial:", BadAddress::Kind("serial:".into())),
+            ("serial:/dev/x@0", BadAddress::Baud("serial:/dev/x@0".into())),
+            ("serial:/dev/x@fast", BadAddress::Baud("serial:/dev/x@fast".into())),
+            ("tcp:localhost", BadAddress::Port("tcp:localhost".into())),
+            ("tcp::80", BadAddress::Port("tcp::80".into())),
+            ("tcp:host:0", BadAddress::Port("tcp:host:0".into())),
+            ("can:slcan:", BadAddress::Kind("can:slcan:".into())),
+            ("can:slcan", BadAddress::Kind("can:slcan".into())),
+            ("can:", BadAddress::Kind("can:".into())),
+            ("can:#1", BadAddress::Kind("can:#1".into())),
+            ("can:/dev/can0", BadAddress::Kind("can:/dev/can0".into())),
+            ("can:a-name-of-16-bytes", BadAddress::Kind("can:a-name-of-16-bytes".into())),
+            ("can:can0#five", BadAddress::Node("can:can0#five".into())),
+            ("can:slcan:/dev/x#128", BadAddress::Node("can:slcan:/dev/x#128".into())),
+        ] {
+            assert_eq!(text.parse::<Address>(), Err(error), "{text}");
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! The driver for programs that wait: a thread of its own runs the asynchronous driver, keeps its heartbeat and does what
+//! it is asked. There is no second driver.
+//!
+//! ```no_run
+//! use r4_links::{Address, blocking::Board};
+//! use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let board = Board::connect(&"serial:auto".parse::<Address>()?, None)?;
+//! let motor = ChannelId::new(ChannelKind::Osmc, 0);
+//! board.arm()?;
+//! let motion = board.move_to(motor, 1.57, 5.0)?;
+//! println!("{} rad", motion.position);
+//! board.disarm()?;
+//! # Ok(())
+//! # }
+//! ```
+
+use std::{
+    io,
+    sync::mpsc::{self, Receiver},
+    thread::{self, JoinHandle},
+};
+
+use futures::{
+    FutureExt, StreamExt,
+    channel::mpsc::{UnboundedReceiver, UnboundedSender, unbounded},
+    future::{Either, LocalBoxFuture, select},
+    stream::FuturesUnordered,
+};
+use r4_driver::{Error, Motion, with_board};
+use r4_protocol::{ChannelId, ChannelInfo, DeviceInfo, Sample, Setpoint, Telemetry};
+
+use crate::{Address, Key, OpenError, RealClock, block_on, open};
+
+type Inner = r4_driver::Board<RealClock>;
+type Job = Box<dyn for<'b> FnOnce(&'b Inner) -> LocalBoxFuture<'b, ()> + Send>;
+
+/// Why there is no session.
+#[derive(Debug, thiserror::Error)]
+pub enum ConnectError {
+    /// There is no link.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The board does not answer as it should.
+    #[error(transparent)]
+    Board(#[from] Error),
+    /// The operating system gives no thread.
+    #[error("cannot start the thread that keeps the heartbeat: {0}")]
+    Thread(#[from] io::Error),
+}
+
+/// A session with a board. May be used from several threads at once; nothing waits for what another thread asked.
+///
+/// The heartbeat goes on whatever the program does, and ends with the program or when this is dropped: then the board makes
+/// its outputs safe.
+pub struct Board {
+    jobs: Option<UnboundedSender<Job>>,
+    thread: Option<JoinHandle<()>>,
+    info: DeviceInfo,
+    channels: Vec<ChannelInfo>,
+}
+
+impl Board {
+    /// Opens a session with the board at `address`.
+    ///
+    /// # Errors
+    /// [`ConnectError`]
+    pub fn connect(address: &Address, key: Option<&Key>) -> Result<Self, ConnectError> {
+        let (jobs, queue) = unbounded();
+        let (told, outcome) = mpsc::channel();
+        let (address, key) = (address.clone(), key.cloned());
+        let thread = thread::Builder::new()
+            .name("r4-board".into())
+            .spawn(move || block_on(run(&address, key.as_ref(), queue, told)))?;
+        // Without an answer the thread is gone, which it cannot be without one but by a panic.
+        let outcome = outcome.recv().unwrap_or(Err(ConnectError::Board(gone())));
+        let (info, channels) = outcome?;
+        Ok(Self { jobs: Some(jobs), thread: Some(thread), info, channels })
+    }
+
+    /// Who this is.
+    #[must_use]
+    pub fn info(&self) -> &DeviceInfo {
+        &self.info
+    }
+
+    /// The channels, as the board describes them.
+    #[must_use]
+    pub fn channels(&self) -> &[ChannelInfo] {
+        &self.channels
+    }
+
+    /// Does anything that the asynchronous driver can do, and waits for it:
+    /// `board.call(|board| Box::pin(board.faults()))`.
+    ///
+    /// # Errors
+    /// Those of what is called.
+    pub fn call<T: Send + 'static>(
+        &self,
+        ask: impl for<'b> FnOnce(&'b Inner) -> LocalBoxFuture<'b, Result<T, Error>> + Send + 'static,
+    ) -> Result<T, Error> {
+        let (told, answer) = mpsc::channel();
+        self.give(Box::new(move |board| {
+            let asked = ask(board);
+            async move {
+                // Whoever asked may be gone.
+                let _ = told.send(asked.await);
+            }
+            .boxed_local()
+        }))?;
+        answer.recv().unwrap_or(Err(gone()))
+    }
+
+    fn give(&self, job: Job) -> Result<(), Error> {
+        self.jobs.as_ref().and_then(|jobs| jobs.unbounded_send(job).ok()).ok_or(gone())
+    }
+
+    /// [`r4_driver::Board::arm`]
+    ///
+    /// # Errors
+    /// As there.
+    pub fn arm(&self) -> Result<(), Error> {
+        self.call(|board| Box::pin(board.arm()))
+    }
+
+    /// [`r4_driver::Board::disarm`]
+    ///
+    /// # Errors
+    /// As there.
+    pub fn disarm(&self) -> Result<(), Error> {
+        self.call(|board| Box::pin(board.disarm()))
+    }
+
+    /// [`r4_driver::Board::clear`]
+    ///
+    /// # Errors
+    /// As there.
+    pub fn clear(&self) -> Result<(), Error> {
+        self.call(|board| Box::pin(board.clear()))
+    }
+
+    /// [`r4_driver::Board::stop`]
+    ///
+    /// # Errors
+    /// As there.
+    pub fn stop(&self) -> Result<(), Error> {
+        self.call(|board| Box::pin(board.stop()))
+    }
+
+    /// [`r4_driver::Board::set`]
+    ///
+    /// # Errors
+    /// As there.
+    pub fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Result<(), Error> {
+        self.call(move |board| Box::pin(board.set(channel, setpoint)))
+    }
+
+    /// [`r4_driver::Board::move_to`]: rad or m, s.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn move_to(&self, channel: ChannelId, target: f64, timeout_s: f64) -> Result<Motion, Error> {
+        self.call(move |board| Box::pin(board.move_to(channel, target, timeout_s)))
+    }
+
+    /// Samples of these channels from now on, each so often.
+    ///
+    /// # Errors
+    /// [`r4_driver::Board::subscribe`]'s.
+    pub fn samples(&self, channels: &[ChannelId], period_ms: u16) -> Result<Samples, Error> {
+        let channels = channels.to_vec();
+        let (told, frames) = mpsc::channel();
+        let subscribed = channels.clone();
+        self.call(move |board| {
+            Box::pin(async move {
+                for channel in subscribed {
+                    board.subscribe(channel, period_ms).await?;
+                }
+                Ok(())
+            })
+        })?;
+        self.give(Box::new(move |board| {
+            let mut telemetry = board.telemetry();
+            async move {
+                loop {
+                    let frame = telemetry.next().await;
+                    let over = frame.is_err();
+                    if told.send(frame).is_err() || over {
+                        return;
+                    }
+                }
+            }
+            .boxed_local()
+        }))?;
+        Ok(Samples { frames, channels, waiting: Vec::new() })
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        // The session ends when nobody can ask for anything any more.
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What a board measures, as it comes; see [`Board::samples`]. Ends with the session.
+pub struct Samples {
+    frames: Receiver<Result<Telemetry, Error>>,
+    channels: Vec<ChannelId>,
+    /// Of the last frame, the next one last.
+    waiting: Vec<(u64, Sample)>,
+}
+
+impl Iterator for Samples {
+    /// When it was measured, by the board's clock, µs.
+    type Item = Result<(u64, Sample), Error>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(sample) = self.waiting.pop() {
+                return Some(Ok(sample));
+            }
+            match self.frames.recv().ok()? {
+                Ok(frame) => {
+                    let ours = frame.samples.iter().filter(|sample| self.channels.contains(&sample.channel()));
+                    self.waiting = ours.rev().map(|sample| (frame.device_us, *sample)).collect();
+                }
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+}
+
+fn gone() -> Error {
+    Error::LinkFailed { reason: "the session has ended".into() }
+}
+
+type Opened = Result<(DeviceInfo, Vec<ChannelInfo>), ConnectError>;
+
+async fn run(address: &Address, key: Option<&Key>, mut queue: UnboundedReceiver<Job>, told: mpsc::Sender<Opened>) {
+    let link = match open(address, key).await {
+        Ok(link) => link,
+        Err(error) => {
+            let _ = told.send(Err(error.into()));
+            return;
+        }
+    };
+    let session = with_board(link.rx, link.tx, RealClock, async |board| {
+        let _ = told.send(Ok((board.info().clone(), board.channels().to_vec())));
+        let mut running = FuturesUnordered::new();
+        loop {
+            let job = match select(queue.next(), running.next()).await {
+                Either::Left((job, _)) => job,
+                // None when nothing runs: then only a new job can change that.
+                Either::Right((None, job)) => job.await,
+                Either::Right((Some(()), _)) => continue,
+            };
+            // Whoever could ask is gone: what runs is dropped, and the session closed.
+            let Some(job) = job else { return };
+            running.push(job(board));
+        }
+    });
+    if let Err(error) = session.await {
+        let _ = told.send(Err(error.into()));
+    }
+}

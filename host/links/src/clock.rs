@@ -1,0 +1,74 @@
+//! Real time, for the driver.
+
+use std::{
+    future::Future,
+    sync::OnceLock,
+    time::{Duration, Instant},
+};
+
+use async_io::Timer;
+use futures::FutureExt;
+use r4_driver::Clock;
+use rustix::time::{ClockId, clock_gettime};
+
+/// The machine's monotonic clock, from the first time that it is asked in this process.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RealClock;
+
+/// When time began.
+fn origin() -> Instant {
+    static ORIGIN: OnceLock<Instant> = OnceLock::new();
+    *ORIGIN.get_or_init(Instant::now)
+}
+
+impl RealClock {
+    /// The moment at which this clock shows `at_us`.
+    #[must_use]
+    pub fn instant(self, at_us: u64) -> Instant {
+        origin() + Duration::from_micros(at_us)
+    }
+}
+
+/// What this machine's CLOCK_MONOTONIC showed at `moment`, ns, good to about a microsecond. It is the same clock in every
+/// process, so that two can tell each other a moment.
+#[must_use]
+pub fn monotonic_ns(moment: Instant) -> u64 {
+    let (now, shown) = (Instant::now(), clock_gettime(ClockId::Monotonic));
+    let shown_ns = shown.tv_sec.cast_unsigned() * 1_000_000_000 + shown.tv_nsec.cast_unsigned();
+    let ns = |span: Duration| span.as_nanos() as u64;
+    shown_ns.saturating_add(ns(moment.saturating_duration_since(now))) - ns(now.saturating_duration_since(moment))
+}
+
+impl Clock for RealClock {
+    fn now_us(&self) -> u64 {
+        // 2⁶⁴ µs are 584 000 years.
+        origin().elapsed().as_micros() as u64
+    }
+
+    fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()> {
+        // A moment too far away to be told never comes.
+        origin().checked_add(Duration::from_micros(at_us)).map_or_else(Timer::never, Timer::at).map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_are_as_far_apart_on_the_monotonic_clock() {
+        let now = Instant::now();
+        let told_ns = clock_gettime(ClockId::Monotonic).tv_sec.cast_unsigned() * 1_000_000_000;
+        let shown_ns = monotonic_ns(now);
+        assert!(shown_ns.abs_diff(told_ns) < 60_000_000_000, "{shown_ns} {told_ns}");
+        for ms in [1, 1000] {
+            let span = Duration::from_millis(ms);
+            for other_ns in
+                [monotonic_ns(now + span) - span.as_nanos() as u64, monotonic_ns(now - span) + span.as_nanos() as u64]
+            {
+                // This thread may have waited between two looks at the clock.
+                assert!(other_ns.abs_diff(shown_ns) < 500_000_000, "{other_ns} {shown_ns}");
+            }
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! Serial ports of this machine, and which of them are boards.
+
+use std::path::{Path, PathBuf};
+
+use serialport::{SerialPortInfo, SerialPortType};
+
+/// USB vendor and product of a board in service, as the firmware tells them.
+pub const BOARD_USB: (u16, u16) = (0x1209, 0x0001);
+
+/// A serial port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// What to open, as in `/dev/ttyACM0`.
+    pub path: PathBuf,
+    /// What is at the other end, where that can be told.
+    pub usb: Option<Usb>,
+}
+
+/// A USB device with a serial port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Usb {
+    /// Vendor and product.
+    pub id: (u16, u16),
+    /// Of the device, which it keeps wherever it is plugged in.
+    pub serial: Option<String>,
+    /// Its own words.
+    pub product: Option<String>,
+}
+
+impl Port {
+    /// It says that it is a board.
+    #[must_use]
+    pub fn is_board(&self) -> bool {
+        self.usb.as_ref().is_some_and(|usb| usb.id == BOARD_USB)
+    }
+}
+
+/// Why ports cannot be listed.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot list the serial ports: {0}")]
+pub struct ListError(#[from] serialport::Error);
+
+/// Every serial port, boards first, then by name.
+///
+/// # Errors
+/// The operating system's.
+pub fn list() -> Result<Vec<Port>, ListError> {
+    Ok(sorted(serialport::available_ports()?))
+}
+
+fn sorted(found: Vec<SerialPortInfo>) -> Vec<Port> {
+    let mut ports: Vec<Port> = found
+        .into_iter()
+        .map(|info| Port {
+            path: info.port_name.into(),
+            usb: match info.port_type {
+                SerialPortType::UsbPort(usb) => {
+                    Some(Usb { id: (usb.vid, usb.pid), serial: usb.serial_number, product: usb.product })
+                }
+                SerialPortType::PciPort | SerialPortType::BluetoothPort | SerialPortType::Unknown => None,
+            },
+        })
+        .collect();
+    ports.sort_by(|one, other| other.is_board().cmp(&one.is_board()).then_with(|| one.path.cmp(&other.path)));
+    ports
+}
+
+/// Where the device with this USB serial number is now.
+pub(crate) fn find_again(serial: &str) -> Option<PathBuf> {
+    let with = |port: &Port| port.usb.as_ref().and_then(|usb| usb.serial.as_deref()) == Some(serial);
+    list().ok()?.into_iter().find(with).map(|port| port.path)
+}
+
+/// The USB serial number of what is at a port.
+pub(crate) fn serial_of(path: &Path) -> Option<String> {
+    list().ok()?.into_iter().find(|port| port.path == path)?.usb?.serial
+}
+
+#[cfg(test)]
+mod tests {
+    use serialport::UsbPortInfo;
+
+    use super::*;
+
+    #[test]
+    fn boards_come_first() {
+        let port = |name: &str, usb: Option<(u16, u16)>| SerialPortInfo {
+            port_name: name.into(),
+            port_type: usb.map_or(SerialPortType::Unknown, |(vid, pid)| {
+                SerialPortType::UsbPort(UsbPortInfo {
+                    vid,
+                    pid,
+                    serial_number: Some("7".into()),
+                    manufacturer: None,
+                    product: None,
+                    interface: None,
+                })
+            }),
+        };
+        let found = vec![
+            port("/dev/ttyS1", None),
+            port("/dev/ttyUSB0", Some((0x0403, 0x6001))),
+            port("/dev/ttyS0", None),
+            port("/dev/ttyACM3", Some(BOARD_USB)),
+        ];
+        let ports = sorted(found);
+        let paths: Vec<_> = ports.iter().map(|port| port.path.to_string_lossy().into_owned()).collect();
+        assert_eq!(paths, ["/dev/ttyACM3", "/dev/ttyS0", "/dev/ttyS1", "/dev/ttyUSB0"]);
+        assert_eq!(ports.iter().map(Port::is_board).collect::<Vec<_>>(), [true, false, false, false]);
+    }
+}

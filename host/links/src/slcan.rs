@@ -1,0 +1,244 @@
+//! CAN by an adapter of the CANable type on a serial port: the text protocol of Lawicel's CAN232 ("slcan").
+//!
+//! A line ends with a carriage return. `S8` chooses 1 Mbit/s, `O` opens the bus, `C` closes it; a frame with a standard
+//! identifier is `t`, three hex digits of identifier, one of length, and the data in hex. The adapter answers a frame with `z`
+//! and a command with nothing, both ended by a carriage return, and an error with a bell. (CAN232 manual, version 3, sections
+//! 2 to 4.)
+//!
+//! [`Parser`] and [`Frame::line`] are the protocol; [`Receiver`] and [`Transmitter`] carry a board's byte stream in frames.
+
+use std::io;
+
+use embedded_io_async::{ErrorType, Read, Write};
+use r4_protocol::can::{MAX_DATA, Node, cut};
+
+use crate::{
+    Descriptor,
+    bus::{Assembly, End},
+};
+
+/// Longest line that is a frame: `t`, identifier, length, data.
+const LONGEST: usize = 1 + 3 + 1 + 2 * MAX_DATA;
+
+/// A classic frame with a standard identifier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// 11 bits.
+    pub identifier: u16,
+    len: u8,
+    data: [u8; MAX_DATA],
+}
+
+impl Frame {
+    /// `None` for an identifier of more than 11 bits, or more than 8 bytes.
+    #[must_use]
+    pub fn new(identifier: u16, data: &[u8]) -> Option<Self> {
+        let mut frame = Self { identifier, len: data.len() as u8, data: [0; MAX_DATA] };
+        frame.data.get_mut(..data.len())?.copy_from_slice(data);
+        (identifier < 0x800).then_some(frame)
+    }
+
+    /// What it carries.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        &self.data[..usize::from(self.len)]
+    }
+
+    /// The line that stands for it, with its end.
+    #[must_use]
+    pub fn line(&self) -> String {
+        use std::fmt::Write;
+        let mut line = format!("t{:03X}{}", self.identifier, self.len);
+        for byte in self.data() {
+            let _ = write!(line, "{byte:02X}");
+        }
+        line.push('\r');
+        line
+    }
+
+    fn from_line(line: &[u8]) -> Option<Self> {
+        let digits = line.strip_prefix(b"t")?;
+        let number = |digits: &[u8]| {
+            digits.iter().try_fold(0_u16, |value, digit| Some(value << 4 | char::from(*digit).to_digit(16)? as u16))
+        };
+        let (identifier, rest) = digits.split_at_checked(3)?;
+        let (len, rest) = rest.split_first()?;
+        let len = usize::from(len.checked_sub(b'0')?);
+        // Adapters that stamp their frames append four digits.
+        let data = rest.get(..2 * len).filter(|_| rest.len() == 2 * len || rest.len() == 2 * len + 4)?;
+        let data: Vec<u8> = data.chunks(2).map(|pair| Some(number(pair)? as u8)).collect::<Option<_>>()?;
+        Self::new(number(identifier)?, &data)
+    }
+}
+
+/// A line of the other side.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// A frame.
+    Frame(Frame),
+    /// The adapter says that a command failed.
+    Bell,
+    /// Anything else: an answer, a command, a frame of a kind that no board sends.
+    Other(Vec<u8>),
+}
+
+/// Takes lines apart, byte by byte. Whatever comes, the next line is read right.
+#[derive(Clone, Debug, Default)]
+pub struct Parser {
+    line: Vec<u8>,
+    too_long: bool,
+}
+
+impl Parser {
+    /// Takes the next byte; a line when that ends one.
+    pub fn push(&mut self, byte: u8) -> Option<Line> {
+        match byte {
+            b'\r' => {
+                let line = std::mem::take(&mut self.line);
+                if std::mem::take(&mut self.too_long) {
+                    return None;
+                }
+                Some(Frame::from_line(&line).map_or(Line::Other(line), Line::Frame))
+            }
+            0x07 => {
+                self.line.clear();
+                self.too_long = false;
+                Some(Line::Bell)
+            }
+            // With stamps.
+            _ if self.line.len() >= LONGEST + 4 => {
+                self.too_long = true;
+                None
+            }
+            _ => {
+                self.line.push(byte);
+                None
+            }
+        }
+    }
+}
+
+/// Bytes, out of the frames for one end.
+#[derive(Debug)]
+pub struct Receiver {
+    port: Descriptor,
+    parser: Parser,
+    assembly: Assembly,
+}
+
+/// Bytes into frames with one identifier.
+#[derive(Debug)]
+pub struct Transmitter {
+    port: Descriptor,
+    identifier: u16,
+}
+
+/// Opens the bus of an adapter, for a host of the board `node`.
+pub(crate) async fn host(mut port: Descriptor, node: Node) -> io::Result<(Receiver, Transmitter)> {
+    // Ends what another program may have left half said, closes the bus, which is no error when it is closed, chooses the
+    // rate and opens.
+    port.write_all(b"\r\rC\rS8\rO\r").await?;
+    Ok(ends(port, End::Host(node)))
+}
+
+/// Both directions on a port that is an adapter, or pretends to be one.
+#[must_use]
+pub fn ends(port: Descriptor, end: End) -> (Receiver, Transmitter) {
+    let receiver = Receiver { port: port.clone(), parser: Parser::default(), assembly: Assembly::new(end) };
+    (receiver, Transmitter { port, identifier: end.sends_with() })
+}
+
+impl ErrorType for Receiver {
+    type Error = io::Error;
+}
+
+impl Read for Receiver {
+    async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let len = self.assembly.read(buffer);
+            if len > 0 || buffer.is_empty() {
+                return Ok(len);
+            }
+            let mut text = [0; 512];
+            let len = self.port.read(&mut text).await?;
+            if len == 0 {
+                return Ok(0);
+            }
+            for byte in &text[..len] {
+                if let Some(Line::Frame(frame)) = self.parser.push(*byte) {
+                    self.assembly.take(frame.identifier, frame.data());
+                }
+            }
+        }
+    }
+}
+
+impl ErrorType for Transmitter {
+    type Error = io::Error;
+}
+
+impl Write for Transmitter {
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let lines: String =
+            cut(bytes).filter_map(|data| Frame::new(self.identifier, data)).map(|frame| frame.line()).collect();
+        self.port.write_all(lines.as_bytes()).await?;
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn lines(text: &[u8]) -> Vec<Line> {
+        let mut parser = Parser::default();
+        text.iter().filter_map(|byte| parser.push(*byte)).collect()
+    }
+
+    #[test]
+    fn lines_are_as_the_manual_writes_them() {
+        let frame = Frame::new(0x100, &[0x11, 0x22, 0x33]).expect("good");
+        assert_eq!(frame.line(), "t1003112233\r");
+        assert_eq!(lines(b"t1003112233\r"), [Line::Frame(frame)]);
+        // With a stamp, in lower case, without data.
+        assert_eq!(lines(b"t10031122330ABC\r"), [Line::Frame(frame)]);
+        let other = Frame::new(0x28a, &[0xab]).expect("good");
+        assert_eq!(lines(b"t28a1ab\rt7FF0\r")[..1], [Line::Frame(other)]);
+        assert_eq!(Frame::new(0x800, &[]), None);
+        assert_eq!(Frame::new(1, &[0; 9]), None);
+    }
+
+    #[test]
+    fn what_is_no_frame_disturbs_nothing() {
+        let frame = Line::Frame(Frame::new(0x281, &[5]).expect("good"));
+        for before in [
+            "t2819\r",
+            "t281",
+            "t2811\r",
+            "T000002811AB\r",
+            "z\r\r",
+            "garbage that has no end for a long time ",
+            "\u{7}",
+        ] {
+            let text = format!("{before}\rt281105\r");
+            assert_eq!(lines(text.as_bytes()).last(), Some(&frame), "{before}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_frame_is_read_as_it_was_written(identifier in 0_u16..0x800, data in prop::collection::vec(any::<u8>(), 0..=8), garbage: Vec<u8>) {
+            let frame = Frame::new(identifier, &data).expect("good");
+            let mut text = garbage;
+            text.push(b'\r');
+            text.extend_from_slice(frame.line().as_bytes());
+            prop_assert_eq!(lines(&text).pop(), Some(Line::Frame(frame)));
+        }
+    }
+}

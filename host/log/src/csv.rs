@@ -1,0 +1,53 @@
+//! A run as a table.
+
+use std::io::{self, Write};
+
+use crate::{Log, Signal};
+
+impl Log {
+    /// Writes one table: the column `time_s` and one per [`Signal`], its name as the head; a row per moment at which
+    /// something was recorded. A cell is empty where nothing was: nothing is repeated or interpolated. Numbers have a
+    /// decimal point and all their digits, switches are 0 or 1.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_csv(&self, mut out: impl Write) -> io::Result<()> {
+        let signals = self.signals();
+        out.write_all(b"time_s")?;
+        for signal in &signals {
+            write!(out, ",{}", cell(&signal.name))?;
+        }
+        out.write_all(b"\n")?;
+        // How many samples of each have been written.
+        let mut written = vec![0; signals.len()];
+        let next = |written: &[usize]| {
+            let waiting = signals.iter().zip(written).filter_map(|(signal, &at)| signal.samples.get(at));
+            waiting.map(|(time_s, _)| *time_s).min_by(f64::total_cmp)
+        };
+        while let Some(time_s) = next(&written) {
+            // The board's clock counts microseconds.
+            write!(out, "{time_s:.6}")?;
+            for (signal, at) in signals.iter().zip(&mut written) {
+                out.write_all(b",")?;
+                if let Some((_, value)) = Signal::at(signal, *at, time_s) {
+                    out.write_all(cell(&value.to_string()).as_bytes())?;
+                    *at += 1;
+                }
+            }
+            out.write_all(b"\n")?;
+        }
+        out.flush()
+    }
+}
+
+impl Signal {
+    /// Sample number `at`, if it is of this moment. Two of one moment get two rows.
+    fn at(&self, at: usize, time_s: f64) -> Option<&(f64, crate::Value)> {
+        self.samples.get(at).filter(|sample| sample.0 == time_s)
+    }
+}
+
+/// As RFC 4180 has it: quoted where it has to be.
+fn cell(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}

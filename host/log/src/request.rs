@@ -1,0 +1,287 @@
+//! Requests as messages and as text.
+
+use std::fmt::{self, Display};
+
+use r4_protocol::{Refusal, Request, config::PidGains};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    header::{mode_from, mode_name},
+    message::{REFUSAL, REQUEST, SENT_US, Schema, finite, schema},
+};
+
+/// A request that the host sent, other than a set point.
+#[derive(Default, Serialize, Deserialize)]
+pub(crate) struct RequestMessage {
+    request: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    channel: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    period_ms: Option<u16>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mode: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    kp: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    ki: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    kd: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    parameter: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    value: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
+    /// Connector of an I2C bus or UART.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    port: Option<u8>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    address: Option<u8>,
+    /// In hex.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    write: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    read: Option<u8>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) sent_us: Option<u64>,
+}
+
+/// A request that was refused.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct RefusalMessage {
+    pub(crate) request: String,
+    pub(crate) reason: String,
+}
+
+/// What `request` is called in a log.
+#[must_use]
+pub fn request_name(request: &Request) -> &'static str {
+    match request {
+        Request::Hello { .. } => "hello",
+        Request::Bye => "bye",
+        Request::Describe { .. } => "describe",
+        Request::Arm => "arm",
+        Request::Disarm => "disarm",
+        Request::Clear => "clear",
+        Request::Stop => "stop",
+        Request::Set { .. } => "set",
+        Request::Subscribe { .. } => "subscribe",
+        Request::SetGains { .. } => "set-gains",
+        Request::Stats => "stats",
+        Request::DescribeParameter { .. } => "describe-parameter",
+        Request::SetParameter { .. } => "set-parameter",
+        Request::SetName { .. } => "set-name",
+        Request::SaveParameters => "save-parameters",
+        Request::ResetParameters => "reset-parameters",
+        Request::Restart => "restart",
+        Request::Fault { .. } => "fault",
+        Request::FaultSnapshot { .. } => "fault-snapshot",
+        Request::I2cTransfer { .. } => "i2c",
+        Request::UartWrite { .. } => "uart-write",
+        Request::UartRead { .. } => "uart-read",
+        Request::Bind { .. } => "bind",
+    }
+}
+
+/// Requests that are named only.
+const PLAIN: [Request; 9] = [
+    Request::Bye,
+    Request::Arm,
+    Request::Disarm,
+    Request::Clear,
+    Request::Stop,
+    Request::Stats,
+    Request::SaveParameters,
+    Request::ResetParameters,
+    Request::Restart,
+];
+
+impl RequestMessage {
+    /// `None` for a set point, which has a topic of its own, and for what asks who the board is and what it remembers:
+    /// every program asks that anew.
+    pub(crate) fn new(request: &Request) -> Option<Self> {
+        let mut message = Self { request: request_name(request).to_owned(), ..Self::default() };
+        match request {
+            // The set points of its cycles are recorded as such.
+            Request::Bind { .. }
+            | Request::Set { .. }
+            | Request::Hello { .. }
+            | Request::Describe { .. }
+            | Request::DescribeParameter { .. }
+            | Request::Fault { .. }
+            | Request::FaultSnapshot { .. } => return None,
+            Request::Bye
+            | Request::Arm
+            | Request::Disarm
+            | Request::Clear
+            | Request::Stop
+            | Request::Stats
+            | Request::SaveParameters
+            | Request::ResetParameters
+            | Request::Restart => {}
+            Request::Subscribe { channel, period_ms } => {
+                (message.channel, message.period_ms) = (Some(channel.to_string()), Some(*period_ms));
+            }
+            Request::SetGains { channel, mode, gains } => {
+                (message.channel, message.mode) = (Some(channel.to_string()), Some(mode_name(*mode).to_owned()));
+                (message.kp, message.ki, message.kd) = (finite(gains.kp), finite(gains.ki), finite(gains.kd));
+            }
+            Request::SetParameter { key, value } => {
+                (message.parameter, message.value) = (Some(key.to_string()), finite(*value));
+            }
+            Request::SetName { robot } => message.name = Some(robot.to_string()),
+            Request::I2cTransfer { bus, address, write, read } => {
+                (message.port, message.address) = (Some(*bus), Some(*address));
+                (message.write, message.read) = (Some(hex(write)), Some(*read));
+            }
+            Request::UartWrite { port, bytes } => (message.port, message.write) = (Some(*port), Some(hex(bytes))),
+            Request::UartRead { port } => message.port = Some(*port),
+        }
+        Some(message)
+    }
+
+    /// The request, if this version knows it and all its fields are there.
+    pub(crate) fn request(&self) -> Option<Request> {
+        if let Some(plain) = PLAIN.iter().find(|plain| request_name(plain) == self.request) {
+            return Some(plain.clone());
+        }
+        let channel = || self.channel.as_ref()?.parse().ok();
+        // A number that was not finite is left out of its message.
+        let number = |value: Option<f32>| value.unwrap_or(f32::NAN);
+        let written = || unhex(self.write.as_ref()?);
+        Some(match self.request.as_str() {
+            "subscribe" => Request::Subscribe { channel: channel()?, period_ms: self.period_ms? },
+            "set-gains" => Request::SetGains {
+                channel: channel()?,
+                mode: mode_from(self.mode.as_ref()?)?,
+                gains: PidGains { kp: number(self.kp), ki: number(self.ki), kd: number(self.kd) },
+            },
+            "set-parameter" => {
+                Request::SetParameter { key: self.parameter.as_ref()?.parse().ok()?, value: number(self.value) }
+            }
+            "set-name" => Request::SetName { robot: self.name.as_ref()?.parse().ok()? },
+            "i2c" => Request::I2cTransfer {
+                bus: self.port?,
+                address: self.address?,
+                write: written()?.as_slice().try_into().ok()?,
+                read: self.read?,
+            },
+            "uart-write" => Request::UartWrite { port: self.port?, bytes: written()?.as_slice().try_into().ok()? },
+            "uart-read" => Request::UartRead { port: self.port? },
+            _ => return None,
+        })
+    }
+}
+
+/// A request for people to read: its name and what it is about, as in `subscribe osmc0 10 ms`.
+pub(crate) struct Described<'a>(pub(crate) &'a Request);
+
+impl Display for Described<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(request_name(self.0))?;
+        match self.0 {
+            Request::Set { channel, setpoint, .. } => write!(f, " {channel} {} {}", setpoint.mode, setpoint.value),
+            Request::Subscribe { channel, period_ms } => write!(f, " {channel} {period_ms} ms"),
+            Request::SetGains { channel, mode, gains: PidGains { kp, ki, kd } } => {
+                write!(f, " {channel} {mode} kp {kp} ki {ki} kd {kd}")
+            }
+            Request::SetParameter { key, value } => write!(f, " {key} {value}"),
+            Request::SetName { robot } => write!(f, " {robot}"),
+            Request::I2cTransfer { bus, address, write, read } => {
+                write!(f, " {bus} {address:#04x} write {} read {read}", hex(write))
+            }
+            Request::UartWrite { port, bytes } => write!(f, " {port} {}", hex(bytes)),
+            Request::UartRead { port } => write!(f, " {port}"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Why a request was refused, for people.
+pub(crate) fn refusal(request: &Request, reason: &Refusal) -> RefusalMessage {
+    RefusalMessage { request: Described(request).to_string(), reason: reason.to_string() }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Option<Vec<u8>> {
+    let digits: Option<Vec<u8>> =
+        text.chars().map(|digit| digit.to_digit(16).and_then(|digit| u8::try_from(digit).ok())).collect();
+    let (pairs, rest) = digits.as_ref()?.as_chunks::<2>();
+    rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
+}
+
+pub(crate) fn request_schema() -> Schema {
+    schema(
+        REQUEST,
+        &[
+            ("request", "string", "What was asked: arm, disarm, clear, stop, subscribe, set-gains …"),
+            ("channel", "string", "Channel it is about"),
+            ("period_ms", "integer", "Time between samples, ms; 0 ends them"),
+            ("mode", "string", "Which loop gains are of: position or speed"),
+            ("kp", "number", "Gain, duty by the unit of the mode"),
+            ("ki", "number", "Gain, duty by the unit of the mode and s"),
+            ("kd", "number", "Gain, duty s by the unit of the mode"),
+            ("parameter", "string", "Parameter set"),
+            ("value", "number", "What it is set to, in its unit"),
+            ("name", "string", "Name given to the robot"),
+            ("port", "integer", "Connector of the I2C bus or UART"),
+            ("address", "integer", "7-bit address on the I2C bus"),
+            ("write", "string", "Bytes written, in hex"),
+            ("read", "integer", "Bytes asked for"),
+            SENT_US,
+        ],
+    )
+}
+
+pub(crate) fn refusal_schema() -> Schema {
+    schema(REFUSAL, &[("request", "string", "What was refused"), ("reason", "string", "Why")])
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::{ChannelId, ChannelKind, Mode};
+
+    use super::*;
+
+    #[test]
+    fn every_request_that_changes_something_comes_back() {
+        let channel = ChannelId::new(ChannelKind::Osmc, 2);
+        let bytes = || [0, 0x7F, 0xFF].into_iter().collect();
+        let mut all = PLAIN.to_vec();
+        all.extend([
+            Request::Subscribe { channel, period_ms: 65_535 },
+            Request::SetGains { channel, mode: Mode::Speed, gains: PidGains { kp: 0.1, ki: 1e6, kd: 0.0 } },
+            Request::SetParameter { key: "osmc2.position_kp".parse().expect("a parameter"), value: -0.1 },
+            Request::SetParameter { key: "board.link_timeout_ms".parse().expect("a parameter"), value: 1e-30 },
+            Request::SetName { robot: "a \"b\" é".try_into().expect("short") },
+            Request::I2cTransfer { bus: 1, address: 0x50, write: bytes(), read: 64 },
+            Request::UartWrite { port: 1, bytes: bytes() },
+            Request::UartRead { port: 0 },
+        ]);
+        for request in all {
+            let message = RequestMessage::new(&request).expect("recorded");
+            let json = serde_json::to_string(&message).expect("JSON");
+            let read: RequestMessage = serde_json::from_str(&json).expect("its own JSON");
+            assert_eq!(read.request(), Some(request), "{json}");
+        }
+    }
+
+    #[test]
+    fn what_lacks_a_field_is_no_request() {
+        for json in [
+            r#"{"request":"levitate"}"#,
+            r#"{"request":"subscribe","channel":"osmc0"}"#,
+            r#"{"request":"subscribe","channel":"osmc","period_ms":1}"#,
+            r#"{"request":"set-gains","channel":"osmc0","mode":"fast"}"#,
+            r#"{"request":"uart-write","port":0,"write":"0"}"#,
+            r#"{"request":"uart-write","port":0,"write":"+1"}"#,
+            r#"{"request":"set-name","name":"far too long a name for what a board can hold, by all means"}"#,
+        ] {
+            let read: RequestMessage = serde_json::from_str(json).expect("JSON");
+            assert_eq!(read.request(), None, "{json}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! A run as named series of numbers and words.
+
+use std::fmt;
+
+use r4_protocol::{Mode, Request, Unit};
+
+use crate::{
+    EncoderSample, Log, LoggedRefusal, MotorSample,
+    header::{MODES, mode_name},
+    message::{is_linear, quality_name, scalar_field, state_name},
+};
+
+/// A value of a signal.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// In double precision.
+    Number(f64),
+    /// As it was on the wire.
+    Single(f32),
+    /// A count.
+    Integer(i64),
+    /// On or off.
+    Switch(bool),
+    /// Anything else.
+    Text(String),
+}
+
+impl Value {
+    /// As a number; a switch is 0 or 1.
+    #[must_use]
+    pub fn number(&self) -> Option<f64> {
+        match self {
+            Self::Number(value) => Some(*value),
+            Self::Single(value) => Some(f64::from(*value)),
+            Self::Integer(value) => Some(*value as f64),
+            Self::Switch(on) => Some(if *on { 1.0 } else { 0.0 }),
+            Self::Text(_) => None,
+        }
+    }
+}
+
+/// Numbers with as many digits as it takes to read back the very same.
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(value) => write!(f, "{value}"),
+            Self::Single(value) => write!(f, "{value}"),
+            Self::Integer(value) => write!(f, "{value}"),
+            Self::Switch(on) => write!(f, "{}", u8::from(*on)),
+            Self::Text(text) => f.write_str(text),
+        }
+    }
+}
+
+/// What holds between two samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// It goes from one to the next.
+    Continuous,
+    /// The earlier one.
+    Held,
+    /// It is told when it changes, and holds until it does again.
+    Changes,
+    /// Nothing: each is something that happened.
+    Event,
+}
+
+/// One named series of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    /// Channel, field and unit, as in `osmc0.position_rad`; `state`, `causes`, `request` and `refusal` are the board's.
+    pub name: String,
+    /// What holds between samples.
+    pub kind: Kind,
+    /// The board's clock in s and the value, in order of time; at least one. What was not a number is not there.
+    pub samples: Vec<(f64, Value)>,
+}
+
+/// Name of the set point's signal in `mode`, by whether the channel moves in a line.
+fn setpoint_field(what: &str, mode: Mode, linear: bool) -> String {
+    let unit = match (mode, linear) {
+        (Mode::Position, false) => "_rad",
+        (Mode::Position, true) => "_m",
+        (Mode::Speed | Mode::Home, false) => "_rad_s",
+        (Mode::Speed | Mode::Home, true) => "_m_s",
+        (Mode::Voltage, _) => "_v",
+        (Mode::Duty | Mode::Switch | Mode::Brake, _) => "",
+    };
+    format!("{what}_{}{unit}", mode_name(mode))
+}
+
+impl Log {
+    /// Everything recorded that has a value: channels in the header's order, then what was sent, then the board's state.
+    #[must_use]
+    pub fn signals(&self) -> Vec<Signal> {
+        let mut all = Vec::new();
+        for info in &self.header.channels {
+            let id = info.id;
+            let mut add = |field: &str, kind, samples: Samples| push(&mut all, format!("{id}.{field}"), kind, samples);
+            if let Some(series) = self.motor(id) {
+                let linear = series.is_linear();
+                let (position, speed) =
+                    if linear { ("position_m", "speed_m_s") } else { ("position_rad", "speed_rad_s") };
+                for mode in MODES {
+                    let setpoint =
+                        |sample: &MotorSample| single(sample.setpoint.value).filter(|_| sample.setpoint.mode == mode);
+                    let samples = of(&series.samples, |sample| (sample.time_s, setpoint(sample)));
+                    add(&setpoint_field("setpoint", mode, linear), Kind::Held, samples);
+                }
+                let field = |value: fn(&MotorSample) -> Option<Value>| of(&series.samples, |s| (s.time_s, value(s)));
+                let counts = field(|sample| Some(Value::Integer(sample.position_counts.into())));
+                add("position_counts", Kind::Continuous, counts);
+                add(position, Kind::Continuous, field(|sample| finite(sample.position)));
+                add(speed, Kind::Continuous, field(|sample| single(sample.speed)));
+                add("duty", Kind::Continuous, field(|sample| single(sample.duty)));
+                add("settled", Kind::Held, field(|sample| Some(Value::Switch(sample.settled))));
+                add("homed", Kind::Held, field(|sample| Some(Value::Switch(sample.homed))));
+            }
+            if let Some(series) = self.encoder(id) {
+                let field = |value: fn(&EncoderSample) -> Option<Value>| of(&series.samples, |s| (s.time_s, value(s)));
+                let counts = field(|sample| Some(Value::Integer(sample.position_counts.into())));
+                add("position_counts", Kind::Continuous, counts);
+                add("position_rad", Kind::Continuous, field(|sample| finite(sample.position)));
+                add("speed_rad_s", Kind::Continuous, field(|sample| single(sample.speed)));
+                add("illegal", Kind::Held, field(|sample| Some(Value::Integer(sample.illegal.into()))));
+            }
+            let switch = info.unit == Unit::Bool;
+            let kind = if switch { Kind::Held } else { Kind::Continuous };
+            let scalar = |value: f64| {
+                if switch { finite(value).map(|_| Value::Switch(value != 0.0)) } else { single(value) }
+            };
+            if let Some(series) = self.reading(id) {
+                add(scalar_field(info.unit), kind, of(&series.samples, |s| (s.time_s, scalar(s.value))));
+                let age = of(&series.samples, |sample| (sample.time_s, Some(Value::Integer(sample.age_ms.into()))));
+                add("age_ms", Kind::Continuous, age);
+                add("quality", Kind::Held, of(&series.samples, |s| (s.time_s, text(quality_name(s.quality)))));
+            }
+            if let Some(series) = self.scalar(id) {
+                add(scalar_field(info.unit), kind, of(&series.samples, |(time_s, value)| (*time_s, scalar(*value))));
+            }
+            let linear = is_linear(info);
+            for mode in MODES {
+                let commands = self.commands.iter().filter(|to| to.channel == id && to.setpoint.mode == mode);
+                let samples = of(commands, |command| (command.time_s, single(command.setpoint.value)));
+                add(&setpoint_field("command", mode, linear), Kind::Event, samples);
+            }
+        }
+        let mut add = |name: &str, kind, samples| push(&mut all, name.to_owned(), kind, samples);
+        add("state", Kind::Changes, of(&self.states, |change| (change.time_s, text(state_name(change.state)))));
+        add("causes", Kind::Changes, of(&self.states, |change| (change.time_s, text(change.causes))));
+        let requests = self.requests.iter().filter(|logged| !matches!(logged.request, Request::Set { .. }));
+        add("request", Kind::Event, of(requests, |request| (request.time_s, text(request))));
+        let refused = |refusal: &LoggedRefusal| text(format_args!("{}: {}", refusal.request, refusal.reason));
+        add("refusal", Kind::Event, of(&self.refusals, |refusal| (refusal.time_s, refused(refusal))));
+        all
+    }
+}
+
+type Samples = Vec<(f64, Value)>;
+
+/// The samples of `from` that have a value.
+fn of<T>(from: impl IntoIterator<Item = T>, sample: impl Fn(T) -> (f64, Option<Value>)) -> Samples {
+    from.into_iter().map(sample).filter_map(|(time_s, value)| Some((time_s, value?))).collect()
+}
+
+fn push(all: &mut Vec<Signal>, name: String, kind: Kind, mut samples: Samples) {
+    if !samples.is_empty() {
+        samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+        all.push(Signal { name, kind, samples });
+    }
+}
+
+fn text(text: impl fmt::Display) -> Option<Value> {
+    Some(Value::Text(text.to_string()))
+}
+
+/// What was an `f32` on the wire.
+fn single(value: f64) -> Option<Value> {
+    finite(value).map(|_| Value::Single(value as f32))
+}
+
+fn finite(value: f64) -> Option<Value> {
+    value.is_finite().then_some(Value::Number(value))
+}

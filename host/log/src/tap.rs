@@ -1,0 +1,294 @@
+//! Recording what goes over a link.
+
+use std::{
+    collections::BTreeMap,
+    io::{Seek, Write},
+};
+
+use r4_protocol::{
+    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION,
+};
+
+use crate::{Header, RecordError, Recorder};
+
+/// What a link's bytes do not say of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct About {
+    /// How the board is reached, such as `sim:osmc-bench`.
+    pub board: String,
+    /// Seed of a virtual board's noise.
+    pub seed: Option<u64>,
+}
+
+/// Listens to both directions of a link and records what board and host say.
+///
+/// Give it every byte, with the host's clock. The file begins once the board has described its channels, as it does
+/// whenever a session is opened. Recording never disturbs the link: what cannot be recorded ends the recording, and
+/// [`finish`](Self::finish) says why.
+pub struct Tap<W: Write + Seek> {
+    about: About,
+    file: File<W>,
+    to_device: FrameDecoder,
+    to_host: FrameDecoder,
+    /// When the first request was sent, by the host's clock.
+    begin_us: Option<u64>,
+    info: Option<DeviceInfo>,
+    channels: Vec<ChannelInfo>,
+    /// Requests without an answer, and when each was sent.
+    waiting: BTreeMap<u16, (u64, Request)>,
+    /// What cycles set, and how long that holds, ms.
+    bound: (Vec<CycleChannel>, u16),
+    clock: Option<Offset>,
+    samples: u64,
+    bad_frames: u64,
+}
+
+/// What has become of the file.
+enum File<W: Write + Seek> {
+    /// The board has not described itself.
+    Before(W),
+    Open(Box<Recorder<W>>),
+    Failed(RecordError),
+}
+
+/// Requests whose answers are waited for; more than any host has open, so that what is never answered is forgotten.
+const MOST_WAITING: usize = 1024;
+
+impl<W: Write + Seek> Tap<W> {
+    /// Will record to `writer`. Give a [`std::io::BufWriter`] rather than a bare file.
+    pub fn new(writer: W, about: About) -> Self {
+        Self {
+            about,
+            file: File::Before(writer),
+            to_device: FrameDecoder::new(),
+            to_host: FrameDecoder::new(),
+            begin_us: None,
+            info: None,
+            channels: Vec::new(),
+            waiting: BTreeMap::new(),
+            bound: (Vec::new(), 0),
+            clock: None,
+            samples: 0,
+            bad_frames: 0,
+        }
+    }
+
+    /// Takes bytes that the host has sent at `now_us` of its clock.
+    pub fn sent(&mut self, now_us: u64, bytes: &[u8]) {
+        for byte in bytes {
+            // The host's own frames are sound.
+            if let Some(Ok(message)) = self.to_device.push(*byte) {
+                let recorded = self.host_says(now_us, message);
+                self.check(recorded);
+            }
+        }
+    }
+
+    /// Takes bytes that the host has received at `now_us` of its clock.
+    pub fn received(&mut self, now_us: u64, bytes: &[u8]) {
+        for byte in bytes {
+            match self.to_host.push(*byte) {
+                Some(Ok(message)) => {
+                    let recorded = self.board_says(now_us, message);
+                    self.check(recorded);
+                }
+                Some(Err(_)) => self.bad_frames += 1,
+                None => {}
+            }
+        }
+    }
+
+    /// When the host said hello, by its clock; what a log's `sent_us` counts from.
+    #[must_use]
+    pub fn began_us(&self) -> Option<u64> {
+        self.begin_us
+    }
+
+    /// Samples recorded so far.
+    #[must_use]
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+
+    /// Frames from the board that were damaged: what they said is not recorded.
+    #[must_use]
+    pub fn bad_frames(&self) -> u64 {
+        self.bad_frames
+    }
+
+    /// Why nothing is recorded any more.
+    #[must_use]
+    pub fn failure(&self) -> Option<&RecordError> {
+        match &self.file {
+            File::Failed(error) => Some(error),
+            File::Before(_) | File::Open(_) => None,
+        }
+    }
+
+    /// Writes the end of the file. `None` if the board never described itself: nothing was written.
+    ///
+    /// # Errors
+    /// What went wrong first.
+    pub fn finish(self) -> Result<Option<W>, RecordError> {
+        match self.file {
+            File::Before(_) => Ok(None),
+            File::Open(recorder) => recorder.finish().map(Some),
+            File::Failed(error) => Err(error),
+        }
+    }
+
+    fn check(&mut self, recorded: Result<(), RecordError>) {
+        if let Err(error) = recorded {
+            self.file = File::Failed(error);
+        }
+    }
+
+    fn recorder(&mut self) -> Option<&mut Recorder<W>> {
+        match &mut self.file {
+            File::Open(recorder) => Some(recorder),
+            File::Before(_) | File::Failed(_) => None,
+        }
+    }
+
+    fn device_us(&self, now_us: u64) -> u64 {
+        self.clock.map_or(now_us, |offset| now_us.saturating_add_signed(offset.us))
+    }
+
+    fn host_says(&mut self, now_us: u64, message: ToDevice) -> Result<(), RecordError> {
+        let (seq, request) = match message {
+            ToDevice::Request { seq, request } => (seq, request),
+            ToDevice::Cycle(cycle) => return self.cycle(now_us, cycle),
+            ToDevice::Heartbeat { .. } => return Ok(()),
+        };
+        // Sent again because the answer did not come.
+        if self.waiting.get(&seq).is_some_and(|(_, waiting)| *waiting == request) {
+            return Ok(());
+        }
+        if let Request::Bind { channels, ttl_ms } = &request {
+            self.bound = (channels.to_vec(), *ttl_ms);
+        }
+        let begin_us = *self.begin_us.get_or_insert(now_us);
+        let device_us = match request {
+            // What the board compares with its clock.
+            Request::Set { sent_us, .. } => sent_us,
+            _ => self.device_us(now_us),
+        };
+        let recorded = match self.recorder() {
+            Some(recorder) => recorder.request(device_us, Some(now_us.saturating_sub(begin_us)), &request),
+            None => Ok(()),
+        };
+        if self.waiting.len() >= MOST_WAITING
+            && let Some((&oldest, _)) = self.waiting.iter().min_by_key(|(_, (sent_us, _))| sent_us)
+        {
+            self.waiting.remove(&oldest);
+        }
+        self.waiting.insert(seq, (now_us, request));
+        recorded
+    }
+
+    /// Set points like any others.
+    fn cycle(&mut self, now_us: u64, cycle: Cycle) -> Result<(), RecordError> {
+        let sent_us = self.device_us(now_us);
+        let (Some(begin_us), Ok(mode)) = (self.begin_us, cycle.mode()) else { return Ok(()) };
+        let (channels, ttl_ms) = self.bound.clone();
+        for (channel, steps) in channels.iter().zip(cycle.set()) {
+            if let (Ok(Some(setpoint)), Some(recorder)) = (channel.setpoint(mode, steps), self.recorder()) {
+                let request = Request::Set { channel: channel.channel, setpoint, sent_us, ttl_ms };
+                recorder.request(sent_us, Some(now_us.saturating_sub(begin_us)), &request)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn board_says(&mut self, now_us: u64, message: ToHost) -> Result<(), RecordError> {
+        match message {
+            ToHost::Response { seq, result } => {
+                let Some((sent_us, request)) = self.waiting.remove(&seq) else { return Ok(()) };
+                match result {
+                    Ok(Reply::Hello(info)) => {
+                        self.clock_seen(sent_us, info.device_us, now_us);
+                        self.channels.clear();
+                        self.info = Some(info);
+                        self.begin()
+                    }
+                    Ok(Reply::Channel(channel)) => {
+                        self.channels.push(channel);
+                        self.begin()
+                    }
+                    Ok(_) => Ok(()),
+                    Err(reason) => {
+                        let device_us = self.device_us(now_us);
+                        self.recorder().map_or(Ok(()), |recorder| recorder.refusal(device_us, &request, &reason))
+                    }
+                }
+            }
+            ToHost::Heartbeat { host_us, device_us, state, causes } => {
+                self.clock_seen(host_us, device_us, now_us);
+                self.recorder().map_or(Ok(()), |recorder| recorder.state(device_us, state, causes))
+            }
+            // What it measures is in telemetry, too.
+            ToHost::Cycle(_) => Ok(()),
+            ToHost::Telemetry(telemetry) => {
+                let Some(recorder) = self.recorder() else { return Ok(()) };
+                recorder.telemetry(&telemetry)?;
+                self.samples += telemetry.samples.len() as u64;
+                Ok(())
+            }
+        }
+    }
+
+    /// Begins the file when the last channel is known.
+    fn begin(&mut self) -> Result<(), RecordError> {
+        let Some(info) = self.info.as_ref().filter(|info| self.channels.len() == usize::from(info.channels)) else {
+            return Ok(());
+        };
+        // Any other way on leads through `check`.
+        let file = match std::mem::replace(&mut self.file, File::Failed(RecordError::Ended)) {
+            File::Before(writer) => {
+                let header = Header {
+                    robot: info.robot.to_string(),
+                    board: self.about.board.clone(),
+                    firmware: info.firmware.to_string(),
+                    protocol_version: VERSION,
+                    channels: self.channels.clone(),
+                    seed: self.about.seed,
+                };
+                let mut recorder = Recorder::new(writer, &header)?;
+                recorder.state(info.device_us, info.state, info.causes)?;
+                File::Open(Box::new(recorder))
+            }
+            // A session opened anew, on the same board.
+            already => already,
+        };
+        self.file = file;
+        Ok(())
+    }
+
+    /// Takes the board's clock as read between `sent_us` and `now_us` of the host's.
+    fn clock_seen(&mut self, sent_us: u64, device_us: u64, now_us: u64) {
+        let round_trip_us = now_us.saturating_sub(sent_us);
+        let middle_us = sent_us.saturating_add(round_trip_us / 2);
+        let new = Offset { us: device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us, seen_us: now_us };
+        if self.clock.is_none_or(|old| new.uncertainty_us(now_us) <= old.uncertainty_us(now_us)) {
+            self.clock = Some(new);
+        }
+    }
+}
+
+/// Board clock minus host clock, as one round trip showed it.
+#[derive(Clone, Copy)]
+struct Offset {
+    us: i64,
+    round_trip_us: u64,
+    seen_us: u64,
+}
+
+/// Two crystals drift apart by no more than this share, of which an old offset is worth less.
+const DRIFT: f64 = 200e-6;
+
+impl Offset {
+    /// How wrong it may be by now, us.
+    fn uncertainty_us(&self, now_us: u64) -> f64 {
+        self.round_trip_us as f64 / 2.0 + now_us.saturating_sub(self.seen_us) as f64 * DRIFT
+    }
+}

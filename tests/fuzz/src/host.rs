@@ -1,0 +1,129 @@
+//! The host's end of a link.
+
+use std::{collections::VecDeque, convert::Infallible, io::Cursor};
+
+use embedded_io_async::{ErrorType, Read, Write};
+use r4_driver::with_board;
+use r4_log::{About, Log, Tap, Warning};
+use r4_protocol::{Mode, Setpoint};
+use r4_sim::{Clock, Pace, Simulation};
+
+use crate::script::{Step, steps};
+
+const MS: u64 = 1_000_000;
+
+#[derive(Clone)]
+struct VirtualClock(Clock);
+
+impl r4_driver::Clock for VirtualClock {
+    fn now_us(&self) -> u64 {
+        self.0.now_ns() / 1000
+    }
+
+    fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()> {
+        self.0.sleep_until(at_us * 1000)
+    }
+}
+
+/// A board that says what a script has, a message each millisecond, and then closes the link.
+struct Scripted {
+    steps: VecDeque<Step>,
+    clock: Clock,
+}
+
+impl ErrorType for Scripted {
+    type Error = Infallible;
+}
+
+impl Read for Scripted {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        loop {
+            match self.steps.pop_front() {
+                None => return Ok(0),
+                Some(Step::Wait(ms)) => self.clock.sleep(ms * MS).await,
+                Some(Step::Frame(bytes)) => {
+                    self.clock.sleep(MS).await;
+                    // The driver reads 512 bytes at a time, more than a frame.
+                    buffer[..bytes.len()].copy_from_slice(&bytes);
+                    return Ok(bytes.len());
+                }
+            }
+        }
+    }
+}
+
+/// Takes everything.
+struct Nowhere;
+
+impl ErrorType for Nowhere {
+    type Error = Infallible;
+}
+
+impl Write for Nowhere {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+/// A script ([`crate::script`]) as the words of a board, to the driver that opens a session and uses everything the board
+/// says it has. Whatever those are, each call ends, with a value or a typed error.
+///
+/// # Panics
+/// When one does not end.
+pub fn driver(script: &[u8]) -> bool {
+    let mut simulation = Simulation::new(Pace::Free);
+    let clock = simulation.clock();
+    let board = Scripted { steps: steps(script).collect(), clock: clock.clone() };
+    let session = with_board(board, Nowhere, VirtualClock(clock), async |board| {
+        let channels: Vec<_> = board.channels().iter().take(4).cloned().collect();
+        let _ = board.arm().await;
+        let _ = board.stats().await;
+        let _ = board.parameters().await;
+        let _ = board.faults().await;
+        let mut telemetry = board.telemetry();
+        for channel in &channels {
+            let _ = board.set(channel.id, Setpoint { mode: Mode::Duty, value: 0.5 }).await;
+            if let Ok(mut samples) = board.samples(channel.id, 10).await
+                && let Ok(sample) = samples.next().await
+            {
+                let _ = sample.position(channel);
+            }
+            let mode = channel.modes.first().map_or(Mode::Duty, |info| info.mode);
+            if let Ok(mut cycles) = board.stream(&[(channel.id, mode)], 100).await {
+                let _ = cycles.cycle(&[0.0]).await;
+            }
+        }
+        while telemetry.try_next().is_some() {}
+        let _ = (board.safety(), board.device_us(), board.host_us(board.device_us()), board.clock_uncertainty_us());
+    });
+    let ended = simulation.block_on(session).expect("the driver waits for nothing that never comes");
+    ended.is_ok()
+}
+
+/// A script as what goes over a link that is recorded: by turns the host says something and the board. What is recorded can
+/// be read.
+///
+/// # Panics
+/// When it cannot.
+pub fn tap(script: &[u8]) -> bool {
+    let mut tap = Tap::new(Cursor::new(Vec::new()), About { board: "sim:osmc-bench".into(), seed: Some(1) });
+    let mut now_us = 0;
+    for (number, step) in steps(script).enumerate() {
+        match step {
+            Step::Wait(ms) => now_us += ms * 1000,
+            Step::Frame(bytes) if number % 2 == 0 => tap.sent(now_us, &bytes),
+            Step::Frame(bytes) => tap.received(now_us, &bytes),
+        }
+        now_us += 500;
+    }
+    let Ok(Some(file)) = tap.finish() else { return false };
+    let log = Log::from_bytes(&file.into_inner()).expect("what was recorded is read");
+    // What a board says of a channel that it describes as something else is counted, and nothing else is wrong.
+    let sound = log.warnings.iter().all(|warning| matches!(warning, Warning::Unreadable { .. }));
+    assert!(sound, "{:?}", log.warnings);
+    true
+}

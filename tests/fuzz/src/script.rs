@@ -1,0 +1,73 @@
+//! An input as a list of things to do, so that a fuzzer gets past the checksum of frames.
+//!
+//! A byte says what follows: below [`WAIT`] the length of a message, whose bytes come next and are put into a sound frame;
+//! from there on a pause of 1 ms, 2 ms, 4 ms and so on. Every sequence of bytes is a script.
+
+use r4_protocol::{
+    encode_frame,
+    frame::{MAX_FRAME, MAX_MESSAGE},
+};
+use serde::{Serialize, Serializer, ser::SerializeTuple};
+
+/// The first byte that is a pause; above all lengths of messages.
+pub const WAIT: u8 = 0xFB;
+
+/// One thing to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// A sound frame.
+    Frame(Vec<u8>),
+    /// A pause, ms.
+    Wait(u64),
+}
+
+/// The steps of a script.
+pub fn steps(script: &[u8]) -> impl Iterator<Item = Step> {
+    let mut rest = script;
+    std::iter::from_fn(move || {
+        let (first, after) = rest.split_first()?;
+        if *first >= WAIT {
+            rest = after;
+            return Some(Step::Wait(1 << (first - WAIT)));
+        }
+        let (message, after) = after.split_at(usize::from(*first).min(after.len()));
+        rest = after;
+        Some(Step::Frame(frame(message)))
+    })
+}
+
+/// The script that sends these messages, each as it is encoded, without pauses.
+///
+/// # Panics
+/// When one is longer than a frame can carry.
+#[must_use]
+pub fn of_messages<'m>(messages: impl IntoIterator<Item = &'m [u8]>) -> Vec<u8> {
+    let mut script = Vec::new();
+    for message in messages {
+        assert!(message.len() <= MAX_MESSAGE, "{} bytes", message.len());
+        script.push(message.len() as u8);
+        script.extend_from_slice(message);
+    }
+    script
+}
+
+/// Bytes as a sound frame.
+///
+/// # Panics
+/// When they are more than [`MAX_MESSAGE`].
+#[must_use]
+pub fn frame(message: &[u8]) -> Vec<u8> {
+    let mut buffer = [0; MAX_FRAME];
+    encode_frame(&Raw(message), &mut buffer).expect("no longer than a message").to_vec()
+}
+
+/// Bytes as they are, without a length before them.
+struct Raw<'a>(&'a [u8]);
+
+impl Serialize for Raw<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
+    }
+}

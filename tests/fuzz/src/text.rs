@@ -1,0 +1,55 @@
+//! Texts that come over links.
+
+use r4_links::{
+    legacy::{LONGEST, Packet, Sequence},
+    slcan::{Frame, Line, Parser},
+};
+
+/// Any bytes from a CAN adapter. Whatever came, the line behind a carriage return is read right.
+///
+/// # Panics
+/// When it is not.
+pub fn slcan(bytes: &[u8]) -> bool {
+    let mut parser = Parser::default();
+    let mut frames = 0;
+    for byte in bytes {
+        if let Some(Line::Frame(frame)) = parser.push(*byte) {
+            frames += 1;
+            let line = frame.line();
+            assert_eq!(read(&mut Parser::default(), line.as_bytes()), [Line::Frame(frame)]);
+        }
+    }
+    parser.push(b'\r');
+    let good = Frame::new(0x281, &[1, 2, 3]).expect("a frame");
+    assert_eq!(read(&mut parser, good.line().as_bytes()), [Line::Frame(good)]);
+    frames > 0
+}
+
+fn read(parser: &mut Parser, text: &[u8]) -> Vec<Line> {
+    text.iter().filter_map(|byte| parser.push(*byte)).collect()
+}
+
+/// Any packet from a host of the old firmware. What is taken says the same when it is written again.
+///
+/// # Panics
+/// When it does not.
+pub fn legacy(bytes: &[u8]) -> bool {
+    let Ok(packet) = Packet::parse(bytes) else { return false };
+    let written = packet.to_string();
+    if written.len() <= LONGEST {
+        assert_eq!(Packet::parse(written.as_bytes()), Ok(packet.clone()));
+    }
+    for command in packet.commands().flatten() {
+        use r4_links::legacy::Command::{Dhb, Osmc, Stop};
+        match command {
+            Osmc { duty, channel } | Dhb { duty, channel } => {
+                assert!((-1.0..=1.0).contains(&duty) && channel < 16, "{command:?}");
+            }
+            Stop => {}
+        }
+    }
+    let mut sequence = Sequence::default();
+    assert!(sequence.is_new(&packet));
+    assert_eq!(sequence.is_new(&packet), packet.number().is_none(), "the same packet twice");
+    true
+}

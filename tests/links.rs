@@ -1,0 +1,435 @@
+//! The program on boards at the other end of links: served by `r4 sim serve`, in real time.
+
+mod program;
+
+use std::{
+    fs::{self, File, OpenOptions},
+    io::{Read, Write},
+    net::TcpStream,
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use program::*;
+use r4_links::{Address, blocking, pty::Pty};
+use r4_protocol::{ChannelId, ChannelKind, Sample};
+use rand_pcg::{
+    Pcg32,
+    rand_core::{Rng, SeedableRng},
+};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A board that is served until it is dropped.
+struct Served {
+    #[expect(dead_code, reason = "ends the server when it is dropped")]
+    server: Running,
+    /// As `--board` takes it.
+    board: String,
+    path: PathBuf,
+}
+
+impl Served {
+    fn new(robot: &str, how: &str) -> Self {
+        Self::with(&["sim", "serve", robot, how])
+    }
+
+    fn with(arguments: &[&str]) -> Self {
+        let mut server = start(command(arguments));
+        let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
+        let place = object(&first);
+        let fields = place.as_object().expect("an object");
+        let (kind, at) = fields.iter().find_map(|(kind, at)| Some((kind, at.as_str()?))).expect("a place");
+        let at = at.to_owned();
+        let board = match kind.as_str() {
+            "pty" => format!("serial:{at}"),
+            "slcan" => format!("can:slcan:{at}"),
+            "tcp" => format!("tcp:{at}"),
+            other => panic!("served on {other}"),
+        };
+        // What it says later is for people.
+        server.out = None;
+        Self { server, board, path: at.into() }
+    }
+
+    fn r4(&self, arguments: &[&str]) -> Seen {
+        r4(&[&["--board", &self.board], arguments].concat())
+    }
+
+    /// A run that must succeed; what it printed.
+    fn good(&self, arguments: &[&str]) -> String {
+        let seen = self.r4(arguments);
+        assert!(seen.code == Some(0), "{} {arguments:?}: {seen:?}", self.board);
+        seen.out
+    }
+}
+
+/// What a user does with a board, in short: each verb that a link carries.
+const VERBS: [&[&str]; 18] = [
+    &["info", "--json"],
+    &["arm", "--for", "0.05"],
+    &["disarm"],
+    &["clear"],
+    &["move", "osmc0", "5deg"],
+    &["speed", "stepper0", "2rad/s", "--for", "0.4"],
+    &["duty", "osmc1", "0.1", "--for", "0.1"],
+    &["home", "stepper1", "--speed=-1.9rad/s"],
+    &["step", "stepper0", "20"],
+    &["servo", "servo0", "10deg", "--for", "0.1"],
+    &["relay", "relay1", "on", "--for", "0.1"],
+    &["bldc", "bldc0", "0.1", "--for", "0.8"],
+    &["dac", "dac0", "1V", "--for", "0.1"],
+    &["watch", "osmc0", "--for", "0.3", "--json"],
+    &["config", "show", "osmc0"],
+    &["config", "set", "osmc0.position_kp", "9.0"],
+    &["faults"],
+    &["uart", "0", "--write", "hello"],
+];
+
+#[test]
+fn every_verb_works_on_every_kind_of_link() {
+    thread::scope(|scope| {
+        for how in ["--pty", "--slcan", "--tcp"] {
+            scope.spawn(move || {
+                let served = Served::new("every-interface", how);
+                let info = object(&served.good(VERBS[0]));
+                assert_eq!(text(&info, "robot"), "every-interface", "{how}");
+                for verb in &VERBS[1..] {
+                    served.good(verb);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn what_is_not_there_is_named() {
+    all_refused([
+        (&["--board", "serial:/dev/nothing-here", "info"][..], &["/dev/nothing-here does not exist", "r4 ports"][..]),
+        (&["--board", "tcp:127.0.0.1:9", "info"], &["127.0.0.1:9 does not answer"]),
+        (&["--board", "can:no-such-can", "info"], &["no CAN interface no-such-can", "ip link", "can:slcan:"]),
+        (&["--board", "serial:/dev/null", "scenario", "a.toml"], &["a.toml"]),
+        (&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0"], &["from other machines"]),
+        (&["sim", "serve", "osmc-bench"], &["--pty"]),
+    ]);
+}
+
+#[test]
+fn a_port_is_for_one_program() {
+    let served = Served::new("osmc-bench", "--pty");
+    let mut watching = start(command(&["--board", &served.board, "watch"]));
+    next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
+    let refused = served.r4(&["info"]);
+    assert!(refused.code == Some(1) && refused.err.contains("another program"), "{refused:?}");
+    watching.out = None;
+}
+
+#[test]
+fn a_lost_link_comes_back_and_says_why_it_was_lost() {
+    let folder = TempDir::new().expect("a folder");
+    let tty = folder.path().join("tty");
+    let how = format!("--pty={}", path(&tty));
+    let served = Served::new("osmc-bench", &how);
+    let watching = start(command(&["--board", &served.board, "watch", "osmc0", "--json"]));
+    let out = watching.out.as_ref().expect("stdout");
+    next(out, watching.begin).expect("a line");
+    // As unplugging and plugging in again a board that USB gives its power.
+    drop(served);
+    let lost = next(&watching.err, watching.begin).expect("a word of it");
+    assert!(lost.contains("link failed") || lost.contains("link lost"), "{lost}");
+    let _served = Served::new("osmc-bench", &how);
+    let returned = Instant::now();
+    let back = next(&watching.err, watching.begin).expect("a word of it");
+    let after = returned.elapsed();
+    assert!(back.contains("the link is back") && back.contains("device reset"), "{back}");
+    assert!(after < Duration::from_secs(1), "{after:?}");
+    let line =
+        std::iter::from_fn(|| next(out, watching.begin)).find(|line| object(line)["time_s"].as_f64() < Some(2.0));
+    assert!(line.is_some(), "lines of the board that has started anew");
+}
+
+// Faults on the way.
+
+/// What happens to bytes on their way.
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    /// Every write is of one byte.
+    SingleBytes,
+    /// Random bytes now and then.
+    Garbage,
+    /// Some are lost.
+    Dropped,
+    /// Some come twice.
+    Repeated,
+    /// The end of what was written together is missing now and then.
+    Cut,
+    /// Nothing passes for 300 ms, once a second.
+    Stalls,
+}
+
+/// One write in so many is touched: of the three attempts that a request has, all fail once in some 10 000.
+const RARELY: u32 = 40;
+/// Bytes of a frame, about.
+const BYTES: u32 = 30;
+
+/// A line with a fault between a served board and whoever opens `board`.
+struct Proxy {
+    board: String,
+    ended: Arc<AtomicBool>,
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+    }
+}
+
+fn terminal(path: &Path) -> File {
+    // O_NOCTTY
+    OpenOptions::new().read(true).write(true).custom_flags(0o400).open(path).expect("the terminal opens")
+}
+
+impl Proxy {
+    fn new(served: &Path, fault: Fault) -> Self {
+        let pty = Pty::open().expect("a pseudo-terminal");
+        let board = format!("serial:{}", pty.path().display());
+        let ended = Arc::new(AtomicBool::new(false));
+        let far = terminal(served);
+        let (descriptor, stop) = (pty.descriptor.clone(), ended.clone());
+        let mut to_board = far.try_clone().expect("a second handle");
+        thread::spawn(move || {
+            let mut line = Line::new(fault, 1);
+            r4_links::block_on(async {
+                use embedded_io_async::Read as _;
+                let mut descriptor = descriptor;
+                let mut buffer = [0; 512];
+                while let Ok(len) = descriptor.read(&mut buffer).await {
+                    for part in line.pass(&buffer[..len]) {
+                        if to_board.write_all(&part).is_err() || stop.load(Ordering::Relaxed) {
+                            return;
+                        }
+                    }
+                }
+            });
+        });
+        let stop = ended.clone();
+        thread::spawn(move || {
+            // All of it: its client end must stay open.
+            let pty = pty;
+            let mut line = Line::new(fault, 2);
+            let mut from_board = far;
+            let mut buffer = [0; 512];
+            while let Ok(len) = from_board.read(&mut buffer) {
+                for mut part in line.pass(&buffer[..len]) {
+                    while !part.is_empty() {
+                        if stop.load(Ordering::Relaxed) {
+                            return;
+                        }
+                        let written = pty.descriptor.try_write(&part).unwrap_or(part.len());
+                        part.drain(..written);
+                        if written == 0 {
+                            thread::yield_now();
+                        }
+                    }
+                }
+            }
+        });
+        Self { board, ended }
+    }
+}
+
+struct Line {
+    fault: Fault,
+    random: Pcg32,
+    stalled: Instant,
+}
+
+impl Line {
+    fn new(fault: Fault, seed: u64) -> Self {
+        Self { fault, random: Pcg32::seed_from_u64(seed), stalled: Instant::now() }
+    }
+
+    fn one_in(&mut self, many: u32) -> bool {
+        self.random.next_u32().is_multiple_of(many)
+    }
+
+    /// What is written for what was read together.
+    fn pass(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
+        let fault = self.fault;
+        match fault {
+            Fault::SingleBytes => bytes.iter().map(|byte| vec![*byte]).collect(),
+            Fault::Garbage if self.one_in(RARELY) => {
+                let garbage = (0..40).map(|_| self.random.next_u32() as u8).collect();
+                vec![garbage, bytes.to_vec()]
+            }
+            Fault::Dropped => vec![bytes.iter().copied().filter(|_| !self.one_in(RARELY * BYTES)).collect()],
+            Fault::Repeated => {
+                vec![
+                    bytes
+                        .iter()
+                        .flat_map(|byte| if self.one_in(RARELY * BYTES) { vec![*byte; 2] } else { vec![*byte] })
+                        .collect(),
+                ]
+            }
+            Fault::Cut if self.one_in(RARELY) => vec![bytes[..bytes.len() / 2].to_vec()],
+            Fault::Stalls if self.stalled.elapsed() > Duration::from_secs(1) => {
+                // The line's own time, not the test's.
+                thread::sleep(Duration::from_millis(300));
+                self.stalled = Instant::now();
+                vec![bytes.to_vec()]
+            }
+            _ => vec![bytes.to_vec()],
+        }
+    }
+}
+
+#[test]
+fn a_bad_line_costs_frames_and_nothing_else() {
+    let faults = [Fault::SingleBytes, Fault::Garbage, Fault::Dropped, Fault::Repeated, Fault::Cut, Fault::Stalls];
+    thread::scope(|scope| {
+        for fault in faults {
+            scope.spawn(move || {
+                let served = Served::new("osmc-bench", "--pty");
+                let proxy = Proxy::new(&served.path, fault);
+                let on = |arguments: &[&str]| r4(&[&["--board", &proxy.board], arguments].concat());
+                let seen = on(&["watch", "osmc0", "--rate", "50", "--for", "3", "--json"]);
+                assert_eq!(seen.code, Some(0), "{fault:?}: {seen:?}");
+                // Of 150: a damaged byte costs a frame, a stall none.
+                let lines = seen.out.lines().map(object).filter(|line| line["time_s"].is_number()).count();
+                assert!(lines >= 90, "{fault:?}: {lines} lines");
+                // Whatever is lost, a motor is where the program says it is, or the program says why not.
+                let seen = on(&["move", "osmc0", "20deg", "--json"]);
+                match seen.code {
+                    Some(0) => assert!(seen.out.contains("settled"), "{fault:?}: {seen:?}"),
+                    _ => assert!(seen.err.starts_with("r4: ") && !seen.err.contains("panicked"), "{fault:?}: {seen:?}"),
+                }
+                drop(proxy);
+            });
+        }
+    });
+}
+
+// Another program on the CAN bus.
+
+/// python-can as a gateway between two buses: reads every frame from one adapter and sends it by the other.
+const GATEWAY: &str = r#"
+import sys, can
+one, other = [can.Bus(interface="slcan", channel=path, bitrate=1000000, sleep_after_open=0.05) for path in sys.argv[1:3]]
+notifier = can.Notifier([], [])
+import threading
+def carry(source, sink):
+    for frame in source:
+        sink.send(can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False))
+threading.Thread(target=carry, args=(one, other), daemon=True).start()
+print("ready", flush=True)
+carry(other, one)
+"#;
+
+/// Two pseudo-terminals, each the far end of the other.
+fn null_modem() -> (PathBuf, PathBuf) {
+    let (one, other) = (Pty::open().expect("a pseudo-terminal"), Pty::open().expect("a pseudo-terminal"));
+    let paths = (one.path().to_owned(), other.path().to_owned());
+    for (from, to) in
+        [(one.descriptor.clone(), other.descriptor.clone()), (other.descriptor.clone(), one.descriptor.clone())]
+    {
+        thread::spawn(move || {
+            r4_links::block_on(async {
+                use embedded_io_async::{Read as _, Write as _};
+                let (mut from, mut to) = (from, to);
+                let mut buffer = [0; 512];
+                while let Ok(len) = from.read(&mut buffer).await {
+                    if to.write_all(&buffer[..len]).await.is_err() {
+                        return;
+                    }
+                }
+            });
+        });
+    }
+    // For the rest of the test's process: their client ends must stay open.
+    std::mem::forget((one, other));
+    paths
+}
+
+#[test]
+fn python_can_understands_what_we_send_and_we_what_it_sends() {
+    let has = Command::new("python3").args(["-c", "import can, serial"]).stderr(Stdio::null()).status();
+    if !has.is_ok_and(|status| status.success()) {
+        eprintln!("not run: python3 has no python-can (Debian: python3-can)");
+        return;
+    }
+    let served = Served::new("openscout", "--slcan");
+    let (ours, gateway) = null_modem();
+    let mut python = Command::new("python3");
+    python.args(["-c", GATEWAY, path(&gateway), path(&served.path)]);
+    let python = start(python);
+    let ready = next(python.out.as_ref().expect("stdout"), python.begin);
+    assert_eq!(ready.as_deref(), Some("ready"), "{}", rest(&python.err, python.begin));
+    let board = format!("can:slcan:{}", path(&ours));
+    let seen = r4(&["--board", &board, "info", "--json"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+    assert_eq!(object(&seen.out)["robot"], Value::from("openscout"));
+    let seen = r4(&["--board", &board, "speed", "dhb0", "1rad/s", "--for", "0.3"]);
+    assert_eq!(seen.code, Some(0), "{seen:?}");
+}
+
+#[test]
+fn without_the_key_nothing_is_told() {
+    let folder = TempDir::new().expect("a folder");
+    let key = |name: &str, digits: &str| {
+        let file = folder.path().join(name);
+        fs::write(&file, digits.repeat(32)).expect("written");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("for the owner alone");
+        path(&file).to_owned()
+    };
+    let (ours, theirs) = (key("ours", "5a"), key("theirs", "5b"));
+    // Every address of this machine, as a robot in a laboratory would have it.
+    let served = Served::with(&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0", "--public", "--key", &ours]);
+    let served = Served { board: served.board.replace("0.0.0.0", "127.0.0.1"), ..served };
+    served.good(&["--key", &ours, "move", "osmc0", "5deg"]);
+    for arguments in [&["--key", &theirs, "info"][..], &["info"]] {
+        let refused = served.r4(arguments);
+        assert!(refused.code == Some(1) && refused.out.is_empty(), "{refused:?}");
+    }
+    // Not a byte but the server's nonce, whatever is said.
+    let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
+    stranger.write_all(&[0; 32]).expect("written");
+    let mut heard = Vec::new();
+    // A reset is as good as an end.
+    let _ = stranger.read_to_end(&mut heard);
+    assert_eq!(heard.len(), 16);
+    fs::set_permissions(&ours, fs::Permissions::from_mode(0o644)).expect("for everybody");
+    let refused = served.r4(&["--key", &ours, "info"]);
+    assert!(refused.err.contains("chmod 600"), "{refused:?}");
+}
+
+#[test]
+fn a_program_that_waits_drives_a_board() {
+    let served = Served::new("osmc-bench", "--pty");
+    let address: Address = served.board.parse().expect("an address");
+    let board = blocking::Board::connect(&address, None).expect("connects");
+    let motor = ChannelId::new(ChannelKind::Osmc, 0);
+    let position = |sample: &Sample| matches!(sample, Sample::Motor { channel, .. } if *channel == motor);
+    let mut samples = board.samples(&[motor], 10).expect("subscribes");
+    assert!(position(&samples.next().expect("a sample").expect("the link lasts").1));
+    board.arm().expect("arms");
+    // Another thread is not held up by one that waits for a motor.
+    let moved = thread::scope(|scope| {
+        let moving = scope.spawn(|| board.move_to(motor, 3.0, 10.0));
+        samples.by_ref().take(20).for_each(|sample| assert!(sample.is_ok()));
+        board.stop().expect("stops");
+        moving.join().expect("no panic")
+    });
+    assert!(matches!(moved, Err(r4_driver::Error::Stopped { .. })), "{moved:?}");
+    assert_eq!(board.call(|board| Box::pin(board.faults())).map(|faults| faults.len()), Ok(1));
+    drop(board);
+    assert!(samples.find(Result::is_err).is_none(), "they end with the session");
+    // The session was closed: another one is there at once.
+    assert_eq!(served.r4(&["disarm"]).code, Some(0));
+}

@@ -1,0 +1,517 @@
+//! What a user sees of `r4` on a whole terminal, and how the terminal is left; and what shells and `man` get.
+#![cfg(unix)]
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File},
+    io::{BufRead, BufReader, Read, Write},
+    os::fd::OwnedFd,
+    path::Path,
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{Receiver, RecvTimeoutError, channel},
+    thread,
+    time::{Duration, Instant},
+};
+
+use rustix::{
+    fs::{Mode, OFlags},
+    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
+    termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize},
+};
+use tempfile::TempDir;
+
+/// Who has waited so long waits for ever.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// A key that is held repeats so often.
+const REPEAT: Duration = Duration::from_millis(33);
+
+/// `r4`, away from the user's settings.
+fn r4(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
+    command.args(args).env_remove("R4_BOARD").env_remove("R4_FLASH").stdin(Stdio::null());
+    command
+}
+
+// A terminal.
+
+/// What a terminal shows of the bytes it got: as much of one as the program uses.
+struct Grid {
+    cells: Vec<Vec<char>>,
+    row: usize,
+    column: usize,
+    is_alternate: bool,
+    is_cursor_hidden: bool,
+    /// What has come of a sequence that is not over.
+    begun: Vec<u8>,
+}
+
+impl Grid {
+    fn new() -> Self {
+        Self { cells: Vec::new(), row: 0, column: 0, is_alternate: false, is_cursor_hidden: false, begun: Vec::new() }
+    }
+
+    fn take(&mut self, byte: u8) {
+        self.begun.push(byte);
+        match self.begun.as_slice() {
+            [0x1b] | [0x1b, b'['] => return,
+            [0x1b, b'[', parameters @ .., last] => {
+                if !(0x40..=0x7e).contains(last) {
+                    return;
+                }
+                let (parameters, last) = (String::from_utf8_lossy(parameters).into_owned(), *last);
+                self.control(&parameters, last);
+            }
+            [0x1b, ..] => {}
+            text => match std::str::from_utf8(text) {
+                Ok(text) => {
+                    let text = text.to_owned();
+                    text.chars().for_each(|c| self.print(c));
+                }
+                Err(error) if error.error_len().is_none() => return,
+                Err(error) => panic!("the program printed what is no text: {error}"),
+            },
+        }
+        self.begun.clear();
+    }
+
+    fn control(&mut self, parameters: &str, last: u8) {
+        match (parameters, last) {
+            (place, b'H') => {
+                let mut numbers = place.split(';').map(|number| number.parse().unwrap_or(1).max(1usize) - 1);
+                (self.row, self.column) = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
+            }
+            ("2", b'J') => self.cells.clear(),
+            ("?1049", b'h' | b'l') => {
+                self.is_alternate = last == b'h';
+                self.cells.clear();
+            }
+            ("?25", b'h' | b'l') => self.is_cursor_hidden = last == b'l',
+            // Colours, and other modes.
+            (_, b'm' | b'h' | b'l') => {}
+            other => panic!("a sequence that this terminal does not know: {other:?}"),
+        }
+    }
+
+    fn print(&mut self, c: char) {
+        match c {
+            '\r' => self.column = 0,
+            '\n' => self.row += 1,
+            c => {
+                self.cells.resize_with((self.row + 1).max(self.cells.len()), Vec::new);
+                let row = &mut self.cells[self.row];
+                row.resize((self.column + 1).max(row.len()), ' ');
+                row[self.column] = c;
+                self.column += 1;
+            }
+        }
+    }
+
+    fn text(&self) -> String {
+        self.cells.iter().map(|row| row.iter().collect::<String>().trim_end().to_owned() + "\n").collect()
+    }
+}
+
+/// `r4` on a terminal of its own.
+struct OnTerminal {
+    child: Child,
+    keys: File,
+    /// The program's end, kept open to look at how it was left.
+    end: OwnedFd,
+    bytes: Receiver<Vec<u8>>,
+    grid: Grid,
+    begin: Instant,
+}
+
+impl OnTerminal {
+    fn start(args: &[&str]) -> Self {
+        let keys =
+            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a terminal does this");
+        grantpt(&keys).expect("a terminal does this");
+        unlockpt(&keys).expect("a terminal does this");
+        let path = ptsname(&keys, Vec::new()).expect("a terminal does this");
+        let end = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())
+            .expect("a terminal does this");
+        tcsetwinsize(&keys, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 })
+            .expect("a terminal does this");
+        // With the terminal as its own: otherwise it would look for the size at that of whoever runs the tests.
+        let mut command = Command::new("setsid");
+        command.args(["--ctty", "--wait", env!("CARGO_BIN_EXE_r4")]).args(args).env("TERM", "xterm-256color");
+        command.env_remove("R4_BOARD").env_remove("R4_FLASH").env_remove("NO_COLOR");
+        let side = || Stdio::from(end.try_clone().expect("a terminal does this"));
+        let child =
+            command.stdin(side()).stdout(side()).stderr(side()).spawn().expect("setsid, of util-linux, starts r4");
+        let keys = File::from(keys);
+        let mut printed = keys.try_clone().expect("a terminal does this");
+        let (sender, bytes) = channel();
+        thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(len @ 1..) = printed.read(&mut buffer) {
+                if sender.send(buffer[..len].to_vec()).is_err() {
+                    break;
+                }
+            }
+        });
+        Self { child, keys, end, bytes, grid: Grid::new(), begin: Instant::now() }
+    }
+
+    /// Takes what is printed within `patience`; false when nothing is.
+    fn look(&mut self, patience: Duration) -> bool {
+        assert!(self.begin.elapsed() < PATIENCE, "waited too long; the screen is\n{}", self.grid.text());
+        match self.bytes.recv_timeout(patience) {
+            Ok(bytes) => bytes.into_iter().for_each(|byte| self.grid.take(byte)),
+            Err(RecvTimeoutError::Timeout) => return false,
+            Err(RecvTimeoutError::Disconnected) => panic!("nobody holds the terminal"),
+        }
+        true
+    }
+
+    /// Until the screen is as it should be.
+    fn until(&mut self, is_so: impl Fn(&str) -> bool) -> String {
+        loop {
+            let text = self.grid.text();
+            if is_so(&text) {
+                return text;
+            }
+            self.look(Duration::from_secs(1));
+        }
+    }
+
+    fn until_shows(&mut self, what: &str) -> String {
+        self.until(|text| text.contains(what))
+    }
+
+    fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).expect("a terminal does this");
+    }
+
+    /// Holds a key as a keyboard does, until the screen is as it should be.
+    fn hold(&mut self, key: &str, is_so: impl Fn(&str) -> bool) -> String {
+        let mut due = Instant::now();
+        loop {
+            let text = self.grid.text();
+            if is_so(&text) {
+                return text;
+            }
+            if Instant::now() >= due {
+                self.press(key);
+                due = Instant::now() + REPEAT;
+            }
+            self.look(due.saturating_duration_since(Instant::now()));
+        }
+    }
+
+    fn resize(&self, columns: u16, rows: u16) {
+        tcsetwinsize(&self.keys, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 })
+            .expect("a terminal does this");
+    }
+
+    /// How it ends, and whether the terminal is as it was before.
+    fn ends(&mut self) -> (ExitStatus, bool) {
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("a child can be asked") {
+                break status;
+            }
+            self.look(Duration::from_millis(10));
+        };
+        while self.look(Duration::from_millis(100)) {}
+        let modes = tcgetattr(&self.end).expect("a terminal does this").local_modes;
+        let is_cooked = modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG);
+        (status, is_cooked && !self.grid.is_alternate && !self.grid.is_cursor_hidden)
+    }
+
+    /// Fails unless it ends with this code and leaves the terminal as it was.
+    fn ends_well(&mut self, code: i32) {
+        let (status, is_restored) = self.ends();
+        assert_eq!(status.code(), Some(code), "{}", self.grid.text());
+        assert!(is_restored, "the terminal was left in disorder");
+    }
+}
+
+impl Drop for OnTerminal {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The badge of the state, alone: `ARMED` is a part of `DISARMED`.
+fn state(text: &str) -> &str {
+    text.lines().nth(1).and_then(|line| line.split_whitespace().next()).unwrap_or_default()
+}
+
+// monitor
+
+#[test]
+fn monitor_arms_stops_and_clears_by_keys() {
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    let text =
+        screen.until(|text| state(text) == "DISARMED" && text.contains("12.60 V") && text.contains("round trip 0."));
+    for there in ["openscout", "dhb3", "dead-man held", "q quit"] {
+        assert!(text.contains(there), "{there} is not on\n{text}");
+    }
+    assert!(screen.grid.is_alternate && screen.grid.is_cursor_hidden);
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED" && text.contains("arm: done"));
+    screen.press(" ");
+    screen.until(|text| state(text) == "TRIPPED" && text.contains("host stop"));
+    screen.press("a");
+    screen.until_shows("arm: the board has tripped");
+    screen.press("c");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED");
+    screen.press("d");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("\x1b[B\x1b[B");
+    screen.until_shows("\u{25b8} dhb2");
+    screen.press("\x1b[A");
+    screen.until_shows("\u{25b8} dhb1");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn monitor_uses_a_larger_screen() {
+    let mut screen = OnTerminal::start(&["--board", "sim:every-interface", "monitor"]);
+    let text = screen.until_shows("osmc0");
+    assert!(!text.contains("-30 s"), "no room for a graph on\n{text}");
+    screen.resize(120, 40);
+    screen.until(|text| text.contains("-30 s") && text.lines().count() >= 39 && text.contains("last 15 s"));
+    // And back.
+    screen.resize(80, 24);
+    screen.until(|text| !text.contains("-30 s") && text.lines().count() <= 24 && text.contains("last 5 s"));
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn ctrl_c_and_signals_give_the_terminal_back() {
+    // Ctrl-C is a key here.
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    screen.until_shows("dhb0");
+    screen.press("\x03");
+    screen.ends_well(0);
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
+    screen.until_shows("dhb0");
+    let killed = Command::new("kill").args(["-TERM", &screen.child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    screen.ends_well(0);
+    let mut screen = OnTerminal::start(&["--board", "sim:openscout", "drive"]);
+    screen.until_shows("dhb0");
+    screen.press("\x03");
+    screen.ends_well(130);
+    screen.until_shows("interrupted; the board is disarmed");
+}
+
+/// A board that is served, on `--pty` or `--slcan` at this path.
+fn serve(how: &str, link: &Path) -> Child {
+    let mut server = r4(&["sim", "serve", "openscout", &format!("{how}={}", link.display())])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("r4 starts");
+    let mut line = String::new();
+    BufReader::new(server.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+    assert!(line.contains(&how[2..]), "{line}");
+    server
+}
+
+#[test]
+fn monitor_shows_that_a_serial_link_is_lost_and_connects_again() {
+    loses_and_finds("--pty", "serial:");
+}
+
+#[test]
+fn monitor_shows_that_a_can_link_is_lost_and_connects_again() {
+    loses_and_finds("--slcan", "can:slcan:");
+}
+
+fn loses_and_finds(how: &str, link_kind: &str) {
+    let folder = TempDir::new().expect("a folder");
+    let link = folder.path().join("board");
+    let mut server = serve(how, &link);
+    let mut screen = OnTerminal::start(&["--board", &format!("{link_kind}{}", link.display()), "monitor"]);
+    screen.until(|text| state(text) == "DISARMED" && text.contains("12.60 V"));
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED");
+    server.kill().expect("it runs");
+    server.wait().expect("it ran");
+    let text = screen.until(|text| state(text) == "NO" && text.contains("LOST"));
+    assert!(text.contains("last heard of armed"), "{text}");
+    let mut server = serve(how, &link);
+    screen.until(|text| state(text) == "DISARMED" && text.contains("connected again"));
+    screen.press("q");
+    screen.ends_well(0);
+    server.kill().expect("it runs");
+    server.wait().expect("it ran");
+}
+
+// drive
+
+/// Set point and speed of a wheel, deg/s.
+fn wheel(text: &str, channel: &str) -> Option<(f64, f64)> {
+    let line = text.lines().find(|line| line.contains(channel))?;
+    let words: Vec<&str> = line.split_whitespace().collect();
+    Some((words.get(2)?.parse().ok()?, words.get(4)?.parse().ok()?))
+}
+
+#[test]
+fn drive_turns_wheels_while_space_is_held() {
+    drives("sim:openscout");
+}
+
+#[test]
+fn drive_turns_wheels_of_a_board_on_a_can_bus() {
+    let folder = TempDir::new().unwrap();
+    let link = folder.path().join("board");
+    let mut server = serve("--slcan", &link);
+    drives(&format!("can:slcan:{}", link.display()));
+    server.kill().unwrap();
+    server.wait().unwrap();
+}
+
+fn drives(board: &str) {
+    let mut screen = OnTerminal::start(&["--board", board, "drive"]);
+    screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
+    screen.press("\r");
+    screen.until(|text| state(text) == "ARMED");
+    // Two steps forwards, one to the left; and the dead-man key only once.
+    screen.press("wwa ");
+    let text = screen.until(|text| text.contains("40 % forwards") && text.contains("20 % left"));
+    assert!(text.contains("released"), "{text}");
+    let told = |text: &str| wheel(text, "dhb0").zip(wheel(text, "dhb1"));
+    let text = screen.hold(" ", |text| {
+        told(text).is_some_and(|(left, right)| right.1 > 100.0 && left.1 > 50.0 && right.0 > left.0 && left.0 > 0.0)
+    });
+    assert!(text.contains("HELD"), "{text}");
+    // Let go.
+    let text = screen.until(|text| text.contains("released"));
+    assert_eq!(told(&text).map(|(left, right)| (left.0, right.0)), Some((0.0, 0.0)));
+    let still = |speed: f64| speed.abs() < 5.0;
+    screen.until(|text| told(text).is_some_and(|(left, right)| still(left.1) && still(right.1)));
+    assert_eq!(state(&screen.grid.text()), "ARMED");
+    screen.press("\x1b");
+    screen.until(|text| state(text) == "TRIPPED" && text.contains("host stop"));
+    screen.press("c");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
+#[test]
+fn drive_ends_with_the_link() {
+    let folder = TempDir::new().unwrap();
+    let link = folder.path().join("board");
+    let mut server = serve("--pty", &link);
+    // Found by the robot's name, which the board tells.
+    let mut screen = OnTerminal::start(&["--board", &format!("serial:{}", link.display()), "drive"]);
+    screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
+    server.kill().unwrap();
+    server.wait().unwrap();
+    screen.ends_well(1);
+    screen.until_shows("r4: ");
+}
+
+/// Exit code, stdout and stderr of a run without a terminal.
+fn seen(args: &[&str]) -> (Option<i32>, String, String) {
+    let output = r4(args).output().expect("r4 starts");
+    let text = |bytes| String::from_utf8(bytes).expect("text");
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn what_cannot_be_driven_is_told_before_the_screen() {
+    for (args, word) in [
+        (["--board", "sim:osmc-bench", "drive", ""].as_slice(), "not known of this robot"),
+        (&["--board", "sim:openpodcar", "drive", ""], "front wheels"),
+        (&["--board", "sim:openscout", "drive", "--left=dhb0,dhb2", "--right=dhb0"], "named twice"),
+        (&["--board", "sim:openscout", "drive", "--left=supply0", "--right=dhb0"], "cannot be commanded"),
+        (&["--board", "sim:openscout", "drive", "--speed=1000rpm"], "takes a speed"),
+        (&["--board", "sim:openscout", "drive", "--speed=-1rpm"], "above 0"),
+        (&["--board", "sim:openscout", "drive", "--speed=90deg"], "takes as speed"),
+        (&["--board", "sim:openscout", "drive", "--gamepad"], "gamepad"),
+    ] {
+        let args: Vec<&str> = args.iter().copied().filter(|arg| !arg.is_empty()).collect();
+        let mut screen = OnTerminal::start(&args);
+        screen.ends_well(1);
+        let text = screen.until_shows("r4: ");
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(text.contains(word), "{args:?}: {text}");
+    }
+}
+
+#[test]
+fn without_a_terminal_there_is_a_message() {
+    for (verb, word) in [("monitor", "r4 watch"), ("drive", "r4 speed")] {
+        let (code, out, err) = seen(&["--board", "sim:openscout", verb]);
+        assert_eq!((code, out.as_str()), (Some(1), ""), "{err}");
+        assert!(err.contains("needs a terminal") && err.contains(word), "{err}");
+        let (code, _, err) = seen(&["--board", "sim:openscout", "--json", verb]);
+        assert!(code == Some(1) && err.contains("no JSON"), "{err}");
+    }
+}
+
+// completions, man
+
+/// The verbs, as the help lists them.
+fn verbs() -> BTreeSet<String> {
+    let (_, help, _) = seen(&["help"]);
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    // Continued descriptions are further in.
+    let verbs = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    verbs.filter_map(|line| line.split_whitespace().next()).filter(|verb| *verb != "help").map(str::to_owned).collect()
+}
+
+#[test]
+fn every_shell_can_complete_every_verb() {
+    let verbs = verbs();
+    assert!(verbs.len() > 20 && verbs.contains("monitor"), "{verbs:?}");
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let (code, script, err) = seen(&["completions", shell]);
+        assert_eq!((code, err.as_str()), (Some(0), ""));
+        for verb in &verbs {
+            assert!(script.contains(verb.as_str()), "{shell} does not know {verb}");
+        }
+    }
+    let (code, _, err) = seen(&["completions", "command.com"]);
+    assert!(code == Some(2) && err.contains("zsh"), "{err}");
+}
+
+/// In a real bash: what it offers after a few letters.
+#[test]
+fn bash_completes() {
+    let (_, script, _) = seen(&["completions", "bash"]);
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("r4.bash");
+    fs::write(&file, script).unwrap();
+    let ask = format!(
+        "source {} && COMP_WORDS=(r4 mo) COMP_CWORD=1 && _r4 r4 mo r4 && echo ${{COMPREPLY[@]}}",
+        file.display()
+    );
+    let output = Command::new("bash").args(["--norc", "-c", &ask]).output();
+    let Ok(output) = output else {
+        eprintln!("not run: there is no bash");
+        return;
+    };
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "move monitor", "{output:?}");
+}
+
+#[test]
+fn every_verb_has_a_page() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("man1");
+    let (code, printed, err) = seen(&["man", "--out", out.to_str().unwrap()]);
+    assert_eq!((code, printed.as_str(), err.as_str()), (Some(0), "", ""));
+    let page = |name: &str| fs::read_to_string(out.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    for verb in verbs() {
+        assert!(page(&format!("r4-{verb}.1")).contains("EXIT STATUS"), "{verb}");
+    }
+    assert!(page("r4-sim-serve.1").contains("slcan"));
+    let program = page("r4.1");
+    for there in [".SH NAME", "EXIT STATUS", "Ctrl\\-C", "\\-\\-board"] {
+        assert!(program.contains(there), "{there} is not in\n{program}");
+    }
+    assert_eq!(seen(&["man"]).1, program);
+    assert_eq!(seen(&["man", "sim", "serve"]).1, page("r4-sim-serve.1"));
+    let (code, _, err) = seen(&["man", "fly"]);
+    assert!(code == Some(1) && err.contains("no verb `fly`"), "{err}");
+}

@@ -1,0 +1,208 @@
+//! `r4 tune` and `r4 calibrate`, as the program runs them.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output, Stdio},
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn r4(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_r4"))
+        .args(args)
+        .env_remove("R4_BOARD")
+        .env_remove("R4_FLASH")
+        .stdin(Stdio::null())
+        .output()
+        .expect("r4 starts")
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).expect("UTF-8")
+}
+
+/// The one JSON object of a run that must succeed.
+fn json(args: &[&str]) -> Value {
+    let output = r4(&[args, &["--json"]].concat());
+    assert!(output.status.success(), "{args:?}: {}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|why| panic!("{args:?}: {why}"))
+}
+
+/// What a run that must fail says.
+fn complaint(args: &[&str]) -> String {
+    let output = r4(args);
+    assert_eq!(output.status.code(), Some(1), "{args:?}: {}", text(&output.stdout));
+    assert!(output.stdout.is_empty(), "{args:?}");
+    text(&output.stderr).to_owned()
+}
+
+/// A folder with a flash, which remembers parameters and trips.
+struct Kept {
+    folder: TempDir,
+}
+
+impl Kept {
+    fn new() -> Self {
+        Self { folder: TempDir::new().expect("a temporary folder") }
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().expect("UTF-8").to_owned()
+    }
+
+    /// How often the board has tripped.
+    fn trips(&self, board: &str) -> usize {
+        let faults = json(&["--board", board, "--flash", &self.file("flash"), "faults"]);
+        faults["faults"].as_array().expect("a list").len()
+    }
+
+    /// What a parameter is after a restart.
+    fn parameter(&self, board: &str, key: &str) -> f64 {
+        let shown = json(&["--board", board, "--flash", &self.file("flash"), "config", "show"]);
+        let parameters = shown["parameters"].as_array().expect("a list").clone();
+        let found = parameters.iter().find(|parameter| parameter["key"] == key);
+        found.and_then(|parameter| parameter["active"].as_f64()).expect("the parameter")
+    }
+}
+
+const MOTORS: [(&str, &str); 3] =
+    [("sim:osmc-bench", "osmc0"), ("sim:osmc-bench", "actuator1"), ("sim:openscout", "dhb0")];
+
+/// Whether what is called better settles at least as fast, and what is not says why; and whether the board tripped.
+fn check(board: &str, channel: &str, seed: &str, more: &[&str]) -> Value {
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let args = ["--board", board, "--seed", seed, "--flash", &flash, "tune", channel];
+    let report = json(&[&args, more].concat());
+    let told = format!("{board} {channel} {more:?}, seed {seed}: {report:#}");
+    let settling = |which: &str| report[which]["settling_s"].as_f64();
+    if report["better"] == true {
+        assert!(report["worse"].is_null(), "{told}");
+        let after = settling("proposed").unwrap_or_else(|| panic!("{told}"));
+        // A look, 2 ms, apart is the same.
+        assert!(settling("present").is_none_or(|before| after <= before + 0.002), "{told}");
+    } else {
+        assert!(report["worse"].as_str().is_some_and(|why| !why.is_empty()), "{told}");
+    }
+    for gain in ["kp", "ki", "kd"] {
+        assert!(report["proposed"][gain].as_f64().is_some_and(|gain| gain >= 0.0), "{told}");
+    }
+    assert_eq!(kept.trips(board), 0, "{told}");
+    report
+}
+
+#[test]
+fn every_motor_is_tuned_with_any_seed_and_never_trips() {
+    for (board, channel) in MOTORS {
+        for seed in ["1", "2", "3", "4", "5"] {
+            let report = check(board, channel, seed, &[]);
+            assert!(report["experiment"]["cycles"].as_u64() >= Some(5), "{report}");
+            assert!(report["experiment"]["spread"].as_f64().expect("a share") <= 0.1, "{report}");
+            check(board, channel, seed, &["--method", "step"]);
+        }
+    }
+}
+
+#[test]
+fn speed_loops_too() {
+    for (board, channel) in MOTORS {
+        for method in ["relay", "step"] {
+            let report = check(board, channel, "1", &["--mode", "speed", "--method", method]);
+            assert_eq!((&report["mode"], &report["method"]), (&"speed".into(), &method.into()));
+        }
+    }
+}
+
+#[test]
+fn badly_tuned_gains_become_better_and_are_kept_only_on_request() {
+    const BOARD: &str = "sim:openscout";
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let with = ["--board", BOARD, "--flash", &flash];
+    for (key, value) in [("dhb0.position_kp", "0.6"), ("dhb0.position_ki", "0.2"), ("dhb0.position_kd", "0")] {
+        json(&[&with[..], &["config", "set", key, value, "--save"]].concat());
+    }
+    let tried = json(&[&with[..], &["tune", "dhb0"]].concat());
+    assert_eq!((&tried["better"], &tried["saved"]), (&true.into(), &false.into()), "{tried:#}");
+    assert_eq!(kept.parameter(BOARD, "dhb0.position_kp"), 0.6);
+    let saved = json(&[&with[..], &["tune", "dhb0", "--save"]].concat());
+    assert_eq!((&saved["better"], &saved["saved"]), (&true.into(), &true.into()), "{saved:#}");
+    for gain in ["kp", "ki", "kd"] {
+        assert_eq!(saved["proposed"][gain].as_f64(), Some(kept.parameter(BOARD, &format!("dhb0.position_{gain}"))));
+    }
+    assert_eq!(kept.trips(BOARD), 0);
+    // What has been tuned once does not get much better, and is not saved for being as good.
+    let again = json(&[&with[..], &["tune", "dhb0"]].concat());
+    let settling = |report: &Value, which: &str| report[which]["settling_s"].as_f64().expect("it settles");
+    assert!(settling(&again, "present") <= settling(&saved, "proposed") + 0.05, "{again:#}");
+}
+
+#[test]
+fn gains_that_are_no_better_are_not_saved() {
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let tuned = ["--board", "sim:openscout", "--flash", &flash, "tune", "dhb0", "--mode", "speed", "--save"];
+    let report = json(&tuned);
+    assert_eq!((&report["better"], &report["saved"]), (&false.into(), &false.into()), "{report:#}");
+    assert_eq!(kept.parameter("sim:openscout", "dhb0.speed_kp"), 0.167);
+}
+
+#[test]
+fn a_run_that_leaves_its_travel_or_time_ends_disarmed() {
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let with = ["--board", "sim:openscout", "--flash", &flash, "tune", "dhb0"];
+    // The swing of this motor is wider than that.
+    let said = complaint(&[&with[..], &["--travel", "6deg"]].concat());
+    assert!(said.contains("left the travel"), "{said}");
+    assert_eq!(kept.trips("sim:openscout"), 0, "an orderly end is no trip");
+    for (more, says) in [
+        (&["--travel", "1deg"][..], "needs a travel"),
+        (&["--travel", "10mm"], "as in 60deg"),
+        (&["--time", "3"], "--time"),
+        (&["--amplitude", "0.99"], "--amplitude"),
+        (&["--margin", "10"], "--margin"),
+    ] {
+        let said = complaint(&[&with[..], more].concat());
+        assert!(said.contains(says), "{said}");
+    }
+    assert!(complaint(&["--board", "sim:openscout", "tune", "dhb0", "--save"]).contains("--flash"));
+    assert!(complaint(&["--board", "sim:openscout", "tune", "relay0"]).contains("no loops"));
+    assert!(complaint(&["tune", "osmc3"]).contains("osmc3"));
+}
+
+#[test]
+fn the_page_stands_alone() {
+    let kept = Kept::new();
+    let page = kept.file("tune.html");
+    let out = r4(&["tune", "actuator1", "--report", &page]);
+    assert!(out.status.success() && text(&out.stdout).contains("report "), "{out:?}");
+    assert!(text(&out.stdout).lines().all(|line| line.chars().count() <= 200), "{}", text(&out.stdout));
+    let page = fs::read_to_string(Path::new(&page)).expect("it is written");
+    for expected in
+        ["present gains", "proposed gains", "set point", "Ultimate gain", "overshoot", "Time since the step"]
+    {
+        assert!(page.contains(expected), "{expected}");
+    }
+    assert!(!page.contains("src=") && !page.contains("<script"));
+}
+
+#[test]
+fn calibration_is_kept_and_asked_for() {
+    let kept = Kept::new();
+    let flash = kept.file("flash");
+    let with = ["--flash", &flash, "calibrate", "encoder", "osmc0", "--drive", "2turns"];
+    // As the board believes two turns, and as somebody says half of it.
+    let found = json(&[&with[..], &["--answers", ",360deg", "--save"]].concat());
+    assert_eq!(found["saved"], true, "{found}");
+    let counts = kept.parameter("sim:osmc-bench", "osmc0.counts_per_turn");
+    assert!((counts - 4800.0).abs() <= 6.0, "{found}");
+    assert_eq!(found["parameters"][0]["to"].as_f64(), Some(counts));
+    let with = &with[2..];
+    assert!(complaint(with).contains("nothing was answered"), "stdin is empty");
+    assert!(complaint(&[with, &["--answers", ",90V"]].concat()).contains("715deg"));
+    assert!(complaint(&[with, &["--answers", ""]].concat()).contains("--answers has none"));
+    assert!(complaint(&["calibrate", "encoder", "osmc0", "--save"]).contains("--flash"));
+}
