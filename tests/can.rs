@@ -293,7 +293,11 @@ impl Served {
             panic!("{arguments:?}: {:?}", server.finish())
         };
         let place = object(&first);
-        let at = place.as_object().and_then(|place| place.values().find_map(|value| value.as_str())).expect("a place").to_owned();
+        let at = place
+            .as_object()
+            .and_then(|place| place.values().find_map(|value| value.as_str()))
+            .expect("a place")
+            .to_owned();
         server.out = None;
         Self { server, at }
     }
