@@ -23,7 +23,8 @@ use crate::{
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
-    /// serial:/dev/ttyACM0[@BAUD], serial:auto, tcp:HOST:PORT, can:can0[#NODE], can:slcan:/dev/ttyACM1[#NODE]
+    /// serial:/dev/ttyACM0 (@BAUD behind it for another rate), serial:auto, tcp:HOST:PORT, can:can0 and
+    /// can:slcan:/dev/ttyACM1 (#NODE behind them for another board than 0)
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr

@@ -34,7 +34,7 @@ pub(crate) enum Target {
     Sim(String),
     /// An emulated processor that runs the firmware's ELF, in the same simulated surroundings.
     Emu(String),
-    /// A board at the other end of a link: a real one, or one that [`r4 sim serve`](crate::commands::sim) serves.
+    /// A board at the other end of a link: a real one, or one that [`r4 sim serve`](crate::commands::serve) serves.
     Link(Address),
 }
 
