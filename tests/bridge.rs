@@ -2,7 +2,7 @@
 
 mod program;
 
-use std::net::UdpSocket;
+use std::{io::ErrorKind, net::UdpSocket};
 
 use program::*;
 use r4_links::legacy::Packet;
@@ -28,7 +28,12 @@ impl Host {
     /// The next packet of the board; they come by themselves, so that they are this test's clock.
     fn next(&self) -> Packet {
         let mut buffer = [0; 300];
-        let len = self.socket.recv(&mut buffer).expect("a packet");
+        let len = loop {
+            match self.socket.recv(&mut buffer) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                received => break received.expect("a packet"),
+            }
+        };
         Packet::parse(&buffer[..len]).expect("a good one")
     }
 }
@@ -39,7 +44,7 @@ fn a_host_of_before_drives_the_board_until_it_is_silent() {
     socket.set_read_timeout(Some(PATIENCE)).expect("set");
     let port = socket.local_addr().expect("its address").port().to_string();
     let arguments = ["--board", "sim:openpodcar", "--json", "bridge", "legacy-udp", "--listen", "127.0.0.1:0", "--arm"];
-    let bridge = start(command(&[&arguments[..], &["--for", "5", "--telemetry-port", &port]].concat()));
+    let bridge = start(command(&[&arguments[..], &["--for", "6", "--telemetry-port", &port]].concat()));
     let first = next(bridge.out.as_ref().expect("stdout"), bridge.begin).expect("where it listens");
     let mut host = Host { socket, board: text(&object(&first), "udp").to_owned(), number: 0 };
     host.heartbeat(&Packet::default());
@@ -71,6 +76,10 @@ fn a_host_of_before_drives_the_board_until_it_is_silent() {
     while duty != 0.0 {
         duty = host.next().get("OSMC1").map_or(duty, |duty| duty.parse().expect("a number"));
     }
+    // It has begun anew, and counts from the start.
+    host.number = 0;
+    host.heartbeat(&Packet::default());
+    told("armed");
     told("1 damaged, 1 late");
 }
 

@@ -1,5 +1,7 @@
 //! Recordings, as a user makes and uses them.
 
+mod program;
+
 use std::{
     fs,
     io::{BufRead, BufReader},
@@ -14,9 +16,8 @@ use tempfile::TempDir;
 const PROTOCOL_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol-3.mcap");
 
 fn command(folder: &TempDir, args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
-    let command_line = command.args(args).current_dir(folder.path()).stdin(Stdio::null());
-    command_line.env_remove("R4_BOARD").env_remove("R4_FLASH");
+    let mut command = program::command(args);
+    command.current_dir(folder.path());
     command
 }
 

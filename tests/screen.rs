@@ -1,6 +1,8 @@
 //! What a user sees of `r4` on a whole terminal, and how the terminal is left; and what shells and `man` get.
 #![cfg(unix)]
 
+mod program;
+
 use std::{
     collections::BTreeSet,
     fs::{self, File},
@@ -24,13 +26,6 @@ use tempfile::TempDir;
 const PATIENCE: Duration = Duration::from_secs(60);
 /// A key that is held repeats so often.
 const REPEAT: Duration = Duration::from_millis(33);
-
-/// `r4`, away from the user's settings.
-fn r4(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
-    command.args(args).env_remove("R4_BOARD").env_remove("R4_FLASH").stdin(Stdio::null());
-    command
-}
 
 // A terminal.
 
@@ -305,7 +300,7 @@ fn ctrl_c_and_signals_give_the_terminal_back() {
 
 /// A board that is served, on `--pty` or `--slcan` at this path.
 fn serve(how: &str, link: &Path) -> Child {
-    let mut server = r4(&["sim", "serve", "openscout", &format!("{how}={}", link.display())])
+    let mut server = program::command(&["sim", "serve", "openscout", &format!("{how}={}", link.display())])
         .stdout(Stdio::piped())
         .spawn()
         .expect("r4 starts");
@@ -413,7 +408,7 @@ fn drive_ends_with_the_link() {
 
 /// Exit code, stdout and stderr of a run without a terminal.
 fn seen(args: &[&str]) -> (Option<i32>, String, String) {
-    let output = r4(args).output().expect("r4 starts");
+    let output = program::command(args).output().expect("r4 starts");
     let text = |bytes| String::from_utf8(bytes).expect("text");
     (output.status.code(), text(output.stdout), text(output.stderr))
 }

@@ -1,22 +1,14 @@
 //! `r4 tune` and `r4 calibrate`, as the program runs them.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output, Stdio},
-};
+mod program;
+
+use std::{fs, path::Path, process::Output};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
 fn r4(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_r4"))
-        .args(args)
-        .env_remove("R4_BOARD")
-        .env_remove("R4_FLASH")
-        .stdin(Stdio::null())
-        .output()
-        .expect("r4 starts")
+    program::command(args).output().expect("r4 starts")
 }
 
 fn text(bytes: &[u8]) -> &str {

@@ -41,6 +41,7 @@ pub(crate) fn command(args: &[&str]) -> Command {
         .current_dir(env!("CARGO_TARGET_TMPDIR"))
         .env_remove("R4_BOARD")
         .env_remove("R4_FLASH")
+        .env_remove("R4_KEY")
         .stdin(Stdio::null());
     command
 }

@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
             bridge,
             socket: &socket,
             host: None,
-            heard_s: 0.0,
+            heard_s: f64::NEG_INFINITY,
             sequence: Sequence::default(),
             number: 0,
             counts: Counts::default(),
@@ -208,6 +208,10 @@ impl Hosts<'_> {
                 self.counts.damaged += 1;
                 continue;
             };
+            if self.is_silent() {
+                // Whoever speaks now may have begun to count anew.
+                self.sequence = Sequence::default();
+            }
             if !self.sequence.is_new(&packet) {
                 self.counts.late += 1;
                 continue;
@@ -222,6 +226,11 @@ impl Hosts<'_> {
                 }
             }
         }
+    }
+
+    /// No heartbeat of a host has come for too long.
+    fn is_silent(&self) -> bool {
+        self.session.board.now_s() > self.heard_s + LOST_AFTER_S
     }
 
     async fn heard(&mut self) -> anyhow::Result<()> {
@@ -252,7 +261,7 @@ impl Hosts<'_> {
             Some(Command::Dhb { duty, channel }) => (ChannelKind::Dhb, channel, duty),
         };
         // Without a host's heartbeat nothing moves.
-        if board.now_s() > self.heard_s + LOST_AFTER_S {
+        if self.is_silent() {
             return Ok(false);
         }
         match board.set(ChannelId::new(kind, channel), Setpoint { mode: Mode::Duty, value: duty }).await {
@@ -266,7 +275,7 @@ impl Hosts<'_> {
     async fn watch_link(&self) -> anyhow::Result<()> {
         let board = self.session.board;
         let silent_s = board.now_s() - self.heard_s;
-        if silent_s > LOST_AFTER_S && board.safety().0 == SafetyState::Armed && self.bridge.arm {
+        if self.is_silent() && board.safety().0 == SafetyState::Armed && self.bridge.arm {
             board.disarm().await?;
             eprintln!("r4: no heartbeat of the host for {silent_s:.1} s: disarmed");
         }

@@ -220,7 +220,6 @@ struct Served<'s> {
     outbox: Rc<Outbox>,
     /// Real time at virtual time 0; later by what was left out.
     origin: Instant,
-    left_out: Duration,
     /// The board asks to be restarted.
     restart: Rc<Cell<bool>>,
 }
@@ -230,21 +229,30 @@ impl<'s> Served<'s> {
         let outbox = Rc::<Outbox>::default();
         let restart = Rc::<Cell<bool>>::default();
         let to_board = connect(simulation, &board, &outbox, &restart)?;
-        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), left_out: Duration::ZERO, restart })
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart })
     }
 
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
-        match place {
+        let served = match place {
             Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
             Place::Listener(listener, key) => self.with_clients(&listener, key.as_ref()).await,
+        };
+        if self.outbox.dropped.get() > 0 {
+            eprintln!("r4: {} bytes of the board were dropped: nobody read them", self.outbox.dropped.get());
         }
+        served
     }
 
     /// One client after the other.
     async fn with_clients(&mut self, listener: &Async<TcpListener>, key: Option<&Key>) -> anyhow::Result<()> {
         loop {
-            let (stream, _) = self.meanwhile(listener.accept()).await?.context("cannot accept a client")?;
-            let descriptor = r4_links::tcp(stream.into_inner()?)?;
+            let stream = match self.meanwhile(listener.accept()).await? {
+                Ok((stream, _)) => stream,
+                // One that is gone again already is nothing to the others.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => continue,
+                Err(error) => return Err(error).context("cannot accept a client"),
+            };
+            let Ok(descriptor) = stream.into_inner().and_then(r4_links::tcp) else { continue };
             // Of what the board has said to nobody.
             self.outbox.bytes.borrow_mut().clear();
             let Some((mut rx, mut tx)) = self.meanwhile(greeted(descriptor, key)).await? else { continue };
@@ -314,7 +322,6 @@ impl<'s> Served<'s> {
         if behind > LOOK_EVERY + HURRY {
             let too_much = behind - HURRY;
             self.origin += too_much;
-            self.left_out += too_much;
             eprintln!(
                 "r4: this machine was busy for {} ms; the board's time stood still meanwhile",
                 too_much.as_millis()
