@@ -1,0 +1,6 @@
+//! Closes the loop between a model and measured data: how well the model explains what it was not fitted to, what the
+//! residual depends on, which effect the model lacks, and how much better it is with it.
+
+pub mod data;
+pub mod family;
+pub mod report;
