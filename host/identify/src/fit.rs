@@ -15,8 +15,6 @@ const DIFFERENCE: f64 = 3e-5;
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
 const CLUSTERS: usize = 40;
-/// Evaluations for each fitted number, at most.
-const PATIENCE: usize = 12;
 
 impl Range {
     /// The unbounded variable that stands for `value`.
@@ -107,8 +105,8 @@ pub struct Fit {
 /// What a fit may do.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// Evaluations for each fitted number.
-    pub patience: usize,
+    /// Free runs of all data, without those for differences.
+    pub evaluations: usize,
     /// Relative gain at which it ends.
     pub tolerance: f64,
     /// Once more with samples beyond all others held down.
@@ -117,9 +115,11 @@ pub struct Effort {
 
 impl Effort {
     /// For numbers that are reported.
-    pub const FULL: Self = Self { patience: PATIENCE, tolerance: 1e-7, robust: true };
-    /// For telling promising effects from others.
-    pub const SCREEN: Self = Self { patience: 6, tolerance: 1e-4, robust: false };
+    pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
+    /// For comparing effects.
+    pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
+    /// For telling a promising place to begin from others.
+    pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
 }
 
 /// Fits a structure, from the values it has.
@@ -228,6 +228,10 @@ struct Problem<'p, F: Family> {
     predicted: Vec<f64>,
     /// A prediction that is not finite counts as so far off.
     absurd: f64,
+    /// Evaluations that are left.
+    left: usize,
+    /// The least cost so far, and the variables that gave it.
+    best: (f64, DVector<f64>),
 }
 
 impl<'p, F: Family> Problem<'p, F> {
@@ -264,20 +268,30 @@ impl<'p, F: Family> Problem<'p, F> {
             variables,
             predicted: vec![0.0; count],
             absurd,
+            left: usize::MAX,
+            best: (f64::INFINITY, DVector::zeros(0)),
         };
         let variables = problem.variables.clone();
         problem.set_params(&variables);
         problem
     }
 
-    fn solved(self, effort: Effort) -> Self {
+    fn solved(mut self, effort: Effort) -> Self {
+        self.left = effort.evaluations;
         let solver = LevenbergMarquardt::new()
             .with_ftol(effort.tolerance)
             .with_xtol(effort.tolerance)
             .with_gtol(1e-12)
             .with_stepbound(1.0)
-            .with_patience(effort.patience);
-        solver.minimize(self).0
+            .with_patience(effort.evaluations);
+        let mut solved = solver.minimize(self).0;
+        solved.left = usize::MAX;
+        if !solved.best.1.is_empty() {
+            // The solver ends where it looked last.
+            let best = std::mem::replace(&mut solved.best.1, DVector::zeros(0));
+            solved.set_params(&best);
+        }
+        solved
     }
 
     fn into_fit(self) -> Fit {
@@ -344,6 +358,11 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
         let mut predicted = std::mem::take(&mut self.predicted);
         self.predict_all(&self.structure, &self.initial, &mut predicted);
         self.predicted = predicted;
+        let cost = self.weighted().norm_squared();
+        if cost < self.best.0 {
+            self.best = (cost, variables.clone());
+        }
+        self.left = self.left.saturating_sub(1);
     }
 
     fn params(&self) -> DVector<f64> {
@@ -351,10 +370,14 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        Some(self.weighted())
+        // Ends the solver.
+        (self.left > 0).then(|| self.weighted())
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
+        if self.left == 0 {
+            return None;
+        }
         let globals = self.parameters.len();
         let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
         let mut moved = vec![0.0; self.predicted.len()];

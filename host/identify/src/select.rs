@@ -54,6 +54,8 @@ pub struct Found {
 pub struct Step {
     /// What.
     pub term: Term,
+    /// The model with it and all terms before it.
+    pub fit: Fit,
     /// Errors on left-out blocks without and with it.
     pub blocked_rmse: [f64; 2],
     /// Chance of such a gain, times the number of effects tried.
@@ -196,7 +198,7 @@ impl<F: Family> Search<'_, F> {
             .collect();
         let fits: Vec<Fit> = tasks
             .par_iter()
-            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::SCREEN))
+            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::GLANCE))
             .collect();
         let mut best: Vec<Trial> = Vec::new();
         for ((index, _), fit) in tasks.into_iter().zip(fits) {
@@ -224,7 +226,7 @@ impl<F: Family> Search<'_, F> {
             .map(|curve| {
                 let zeros = vec![0.0; curve.at.len()];
                 let term = Term::Curve(curve);
-                let fit = self.fit_with(current, term.clone(), &zeros, Effort::SCREEN);
+                let fit = self.fit_with(current, term.clone(), &zeros, Effort::GLANCE);
                 Trial { term, fit }
             })
             .collect()
@@ -233,6 +235,15 @@ impl<F: Family> Search<'_, F> {
     /// The most promising trials, fitted to the end and judged on blocks; best first.
     fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
         trials.retain(|trial| trial.fit.cost.is_finite());
+        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        trials.truncate(2 * PROMISING);
+        trials = trials
+            .into_par_iter()
+            .map(|Trial { term, fit: glanced }| {
+                let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
+                Trial { term, fit }
+            })
+            .collect();
         trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         trials.truncate(PROMISING);
         let effort = Effort { robust: false, ..Effort::FULL };
@@ -251,7 +262,7 @@ impl<F: Family> Search<'_, F> {
 
     /// Errors on each block of a structure fitted to the other half of the blocks.
     fn blocked(&self, from: &Fit) -> Blocked {
-        let effort = Effort { robust: false, ..Effort::SCREEN };
+        let effort = Effort::SCREEN;
         [(0, 1), (1, 0)]
             .par_iter()
             .flat_map_iter(|&(fitted, left_out)| {
@@ -284,6 +295,9 @@ impl<F: Family> Search<'_, F> {
         with_curves: bool,
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
+        for candidate in &judged {
+            (self.progress)(&format!("    {} {:.4e} cost {:.4e} (before {:.4e}) {:?}", self.term_name(&candidate.trial.term), rmse(&candidate.blocked), candidate.trial.fit.cost, rmse_before, candidate.trial.fit.structure.added.last()));
+        }
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
         for candidate in judged {
@@ -309,6 +323,7 @@ impl<F: Family> Search<'_, F> {
             }
             let step = Step {
                 term: candidate.trial.term.clone(),
+                fit: candidate.trial.fit.clone(),
                 blocked_rmse: [rmse_before, after],
                 p_value: p_value.min(1.0),
                 blocks_better: [better, before.len()],
@@ -366,6 +381,10 @@ impl<F: Family> Search<'_, F> {
     /// Least distance from no effect of what tells the effect's size, in standard deviations.
     fn size(&self, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
+        if matches!(candidate.trial.term, Term::Curve(_)) {
+            // Its corners share what the base model has too, a slope and a mean: no corner alone has a size.
+            return f64::INFINITY;
+        }
         let parameters = fit::parameters(self.family, &fit.structure.terms);
         let values = fit.structure.added.last().map_or(&[][..], |values| values);
         let from = parameters.len() - values.len();
