@@ -1,7 +1,7 @@
 //! Recorded runs, read from files without inventing anything.
 //!
 //! [`read`] takes CSV tables with a header, and the MCAP logs of `r4`, and makes [`Run`]s of them in SI units. What it set
-//! aside, repaired or took to be so is in [`Recorded::notes`]. [`Recorded::alternate`] holds runs out; [`check`] tells what
+//! aside, repaired or took to be so is in [`Recorded::notes`]. [`Recorded::alternate`] holds runs out; [`check()`] tells what
 //! a model would miss.
 //!
 //! | module | subject |
@@ -10,7 +10,7 @@
 //! | `table`, `log` | one file as columns of numbers |
 //! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
 //! | `clean` | what is wrong with the samples of a run |
-//! | [`check`](mod@check) | whether there is enough to identify something |
+//! | [`mod@check`] | whether there is enough to identify something |
 //!
 //! ```
 //! use r4_identify::data::{Mapping, Options, read_bytes};
