@@ -6,7 +6,7 @@
 //!
 //! | module | subject |
 //! | --- | --- |
-//! | [`unit`] | units, from the names of columns |
+//! | [`mod@unit`] | units, from the names of columns |
 //! | `table`, `log` | one file as columns of numbers |
 //! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
 //! | `clean` | what is wrong with the samples of a run |
