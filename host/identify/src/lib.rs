@@ -2,5 +2,9 @@
 //! residual depends on, which effect the model lacks, and how much better it is with it.
 
 pub mod data;
+pub mod error;
 pub mod family;
+pub mod motion;
 pub mod report;
+pub mod select;
+pub mod fit;
