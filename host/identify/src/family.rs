@@ -1,6 +1,10 @@
 //! What fitting and choosing need to know of a model: its parameters, its possible effects, its free run.
 
+use std::collections::BTreeMap;
+
 use r4_plants::Dependence;
+
+use crate::report::Estimate;
 
 /// What values a parameter may take. There is no way to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -175,6 +179,11 @@ pub trait Family: Sync {
     /// Name of the run.
     fn name<'r>(&self, run: &'r Self::Run) -> &'r str;
 
+    /// Name and values of what drives a run, for plots.
+    fn input(&self, _run: &Self::Run) -> (String, Vec<f64>) {
+        (String::new(), Vec::new())
+    }
+
     /// Samples `from..to` as a run of its own; the input before `from` stays known to models with memory.
     fn part(&self, run: &Self::Run, from: usize, to: usize) -> Self::Run;
 
@@ -186,6 +195,46 @@ pub trait Family: Sync {
     fn push(&self, _structure: &Structure, _run: &Self::Run, _residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
         None
     }
+
+    /// Values and deviations in the units of reports: of the base model, and of each term. By default as they are fitted.
+    fn estimates(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        let estimate = |(parameter, (&value, deviation)): (&Parameter, (&f64, Option<f64>))| {
+            let unit = parameter.unit.to_owned();
+            (parameter.name.to_owned(), Estimate { value, std: deviation, unit, interval: None, assumed: None })
+        };
+        let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
+        let base = self.base().iter().zip(structure.base.iter().zip(deviations.by_ref())).map(estimate).collect();
+        let terms = structure
+            .terms
+            .iter()
+            .zip(&structure.added)
+            .map(|(term, values)| match term {
+                Term::Known(index) => self.catalogue()[*index]
+                    .parameters
+                    .iter()
+                    .zip(values.iter().zip(deviations.by_ref()))
+                    .map(estimate)
+                    .collect(),
+                Term::Curve(_) => {
+                    deviations.by_ref().take(values.len()).for_each(drop);
+                    BTreeMap::new()
+                }
+            })
+            .collect();
+        (base, terms)
+    }
+
+    /// By how much a curve's values are multiplied to be in its unit.
+    fn force_per_push(&self, _structure: &Structure) -> f64 {
+        1.0
+    }
+
+    /// The model as a file.
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String;
 
     /// An empty curve over a driver, where the model can take one up; `None` where it cannot.
     fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run]) -> Option<Curve>;

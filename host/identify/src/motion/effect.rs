@@ -74,7 +74,7 @@ impl Effect {
     /// Name in reports and plant files.
     pub(super) const fn name(self) -> &'static str {
         match self {
-            Self::InputSign => "input-sign-flip",
+            Self::InputSign => "input-sign",
             Self::InputDelay => "input-delay",
             Self::InputHold => "input-hold",
             Self::DeadZone => "dead-zone",
@@ -212,7 +212,7 @@ impl Effect {
             ),
             Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
             Self::WindingHeating => (
-                vec![sized("rise", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
+                vec![sized("rise_at_full", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
                 vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
             ),
             Self::Coulomb => (
@@ -248,7 +248,7 @@ impl Effect {
             Self::WarmUp => (
                 vec![
                     sized(s.units.force_name, force, level(0.2 * push)),
-                    shaped("time_constant_s", "s", Range::Positive),
+                    shaped("warm_up_s", "s", Range::Positive),
                 ],
                 vec![vec![push, 0.15 * s.duration_s], vec![push, 0.5 * s.duration_s], vec![push, 2.0 * s.duration_s]],
             ),
@@ -284,7 +284,7 @@ impl Effect {
             ),
             Self::Compliance => (
                 vec![
-                    shaped("natural_hz", "Hz", Range::Positive),
+                    shaped("frequency_hz", "Hz", Range::Positive),
                     shaped("damping", "1", Range::Between(0.001, 3.0)),
                 ],
                 [1.5, 4.0, 10.0, 25.0].iter().map(|&hz| vec![hz, 0.1]).collect(),

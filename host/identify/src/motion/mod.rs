@@ -4,6 +4,7 @@
 //! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
 
 mod effect;
+mod info;
 mod physical;
 mod run;
 mod simulate;
@@ -11,15 +12,16 @@ mod start;
 #[cfg(test)]
 mod tests;
 
-use std::f64::consts::TAU;
+use std::{collections::BTreeMap, f64::consts::TAU};
 
-use r4_plants::Dependence;
+use r4_plants::{Dependence, PlantSpec};
 
 pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
     family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    report::Estimate,
 };
 use effect::Effect;
 use simulate::{Observed, simulate};
@@ -165,6 +167,10 @@ pub struct Known {
     pub stroke_m: Option<f64>,
     /// Largest duty of a servo.
     pub duty_limit: Option<f64>,
+    /// Of the motor's winding: without it torques are known only but for a factor.
+    pub resistance_ohm: Option<f64>,
+    /// What is known of the rest of the plant.
+    pub plant: Option<PlantSpec>,
 }
 
 /// A model of one moving axis, made for given data.
@@ -183,7 +189,6 @@ pub struct Motion {
     stops: Option<(f64, f64)>,
     scales: Scales,
     places: Places,
-    coasts: bool,
 }
 
 /// Where base parameters stand.
@@ -315,6 +320,10 @@ impl Family for Motion {
         &run.all.name
     }
 
+    fn input(&self, run: &MotionRun) -> (String, Vec<f64>) {
+        (self.scales.units.input_name.to_owned(), run.all.input[run.from..run.to].to_vec())
+    }
+
     fn part(&self, run: &MotionRun, from: usize, to: usize) -> MotionRun {
         let to = (run.from + to).min(run.to);
         MotionRun { all: run.all.clone(), from: (run.from + from).min(to), to }
@@ -343,6 +352,26 @@ impl Family for Motion {
             drivers.push(Driver { over: Dependence::Position, unit: units.distance, period: Some(TAU), values: position });
         }
         drivers
+    }
+
+    fn push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
+        Some((self.missing_push(structure, run, residual), self.scales.units.force))
+    }
+
+    fn estimates(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        self.in_units(structure, deviations)
+    }
+
+    fn force_per_push(&self, structure: &Structure) -> f64 {
+        self.physical(structure).inertia
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        self.plant_file(structure, source)
     }
 
     fn curve(
