@@ -1,4 +1,4 @@
-use r4_blind::{Draw, experiment, Length, Setup, Recording};
+use r4_blind::{Draw, experiment::{experiment, Length, Setup, Recording}};
 use r4_identify::{data::{Quantity, Run, Signal}, Task, identify};
 use std::collections::BTreeMap;
 fn run(setup: Setup, name: String, recording: &Recording) -> Run {
@@ -15,7 +15,7 @@ fn main() {
     let (mut right, mut listed, mut clean, mut quiet) = (0, 0, 0, 0);
     for seed in args[0]..args[1] {
         let setup = Setup::ALL[seed as usize % 3];
-        let draw = if verbose && args.len() > 2 { Draw::None } else { Draw::of(seed) };
+        let draw = if verbose && args.len() > 2 { Draw::Nothing } else { Draw::of(seed) };
         let e = experiment(setup, draw, Length::STANDARD, seed);
         let truth: Vec<String> = e.hidden.truth().iter().map(|t| format!("{}{:?}", t.name, t.parameters.iter().map(|p| p.value).collect::<Vec<_>>())).collect();
         let train: Vec<Run> = e.train.iter().enumerate().map(|(i, r)| run(setup, format!("t{i}"), r)).collect();

@@ -11,6 +11,8 @@ use crate::report::Estimate;
 pub enum Range {
     /// Above zero, over many decades.
     Positive,
+    /// Above zero, and what is predicted changes in steps only: a period of sampling.
+    Coarse,
     /// Zero and above; `scale` is a size that would be noticed.
     NotNegative {
         /// In the parameter's unit.
@@ -55,6 +57,29 @@ pub struct Candidate {
     pub excludes: &'static [&'static str],
 }
 
+/// What the values of a [`Curve`] do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acts {
+    /// They are added to what pushes the output.
+    Push,
+    /// They are a friction, against motion whichever way it goes.
+    Friction,
+    /// What drives the output is multiplied by one more than they are.
+    Gain,
+}
+
+impl Acts {
+    /// In messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Push => "a force",
+            Self::Friction => "a friction",
+            Self::Gain => "a gain",
+        }
+    }
+}
+
 /// A curve of straight pieces over something the residual depends on; its values at the corners are the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
@@ -68,6 +93,8 @@ pub struct Curve {
     pub at: Vec<f64>,
     /// The axis is a circle of this length, the first corner follows the last.
     pub period: Option<f64>,
+    /// What its values do.
+    pub acts: Acts,
     /// A value that would be noticed.
     pub scale: f64,
 }
@@ -236,6 +263,6 @@ pub trait Family: Sync {
     /// The model as a file.
     fn plant_toml(&self, structure: &Structure, source: &str) -> String;
 
-    /// An empty curve over a driver, where the model can take one up; `None` where it cannot.
-    fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run]) -> Option<Curve>;
+    /// Empty curves over a driver, one for each way in which the model can take one up.
+    fn curves(&self, structure: &Structure, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
 }

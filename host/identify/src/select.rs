@@ -9,7 +9,7 @@ use r4_plants::Dependence;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 use crate::{
-    family::{Candidate, Family, Structure, Term},
+    family::{Acts, Candidate, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
 };
 
@@ -28,6 +28,9 @@ const LEAST_Z: f64 = 3.0;
 const ALIKE: f64 = 0.01;
 /// So many effects of each round are looked at on blocks.
 const PROMISING: usize = 6;
+/// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
+const MOST_STARTS: usize = 24;
+const NEAREST: usize = 3;
 const MOST_TERMS: usize = 6;
 const MOST_CURVES: usize = 2;
 /// Blocks that the training data are cut into, about; a block has at least so many samples.
@@ -197,10 +200,12 @@ impl<F: Family> Search<'_, F> {
             !names.contains(&candidate.name) && !candidate.excludes.iter().any(|name| names.contains(name))
         };
         let tasks: Vec<(usize, &Vec<f64>)> = catalogue
-            .iter()
+            .par_iter()
             .enumerate()
             .filter(|(_, candidate)| open(candidate))
-            .flat_map(|(index, candidate)| candidate.starts.iter().map(move |start| (index, start)))
+            .flat_map_iter(|(index, candidate)| {
+                self.nearest(current, index, candidate).into_iter().map(move |start| (index, start))
+            })
             .collect();
         let fits: Vec<Fit> = tasks
             .par_iter()
@@ -220,6 +225,25 @@ impl<F: Family> Search<'_, F> {
         best
     }
 
+    /// Where an effect's fit begins: of many places, those from which it has least to go.
+    fn nearest<'c>(&self, current: &Fit, index: usize, candidate: &'c Candidate) -> Vec<&'c Vec<f64>> {
+        if candidate.starts.len() <= MOST_STARTS {
+            return candidate.starts.iter().collect();
+        }
+        let mut costs: Vec<(f64, &Vec<f64>)> = candidate
+            .starts
+            .iter()
+            .map(|start| {
+                let mut structure = current.structure.clone();
+                structure.terms.push(Term::Known(index));
+                structure.added.push(start.clone());
+                (fit::cost(self.family, &self.runs, &structure, &current.initial), start)
+            })
+            .collect();
+        costs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        costs.into_iter().take(NEAREST).map(|(_, start)| start).collect()
+    }
+
     fn curves(&self, current: &Fit) -> Vec<Trial> {
         let Some(drivers) =
             self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
@@ -228,7 +252,9 @@ impl<F: Family> Search<'_, F> {
         };
         drivers
             .par_iter()
-            .filter_map(|driver| self.family.curve(&current.structure, driver.over, driver.period, &self.runs))
+            .flat_map(|driver| {
+                self.family.curves(&current.structure, (driver.over, driver.period), &self.runs)
+            })
             .map(|curve| {
                 let zeros = vec![0.0; curve.at.len()];
                 let term = Term::Curve(curve);
@@ -376,7 +402,7 @@ impl<F: Family> Search<'_, F> {
     fn term_name(&self, term: &Term) -> String {
         match term {
             Term::Known(index) => self.family.catalogue()[*index].name.to_owned(),
-            Term::Curve(curve) => format!("unknown, over {}", curve.over.name()),
+            Term::Curve(curve) => format!("{} over {}", curve.acts.name(), curve.over.name()),
         }
     }
 
@@ -501,6 +527,10 @@ pub(crate) fn product(residuals: &[Vec<f64>], lag: usize) -> f64 {
 pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
     match term {
         Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
-        Term::Curve(curve) => vec![curve.over],
+        Term::Curve(curve) => match curve.acts {
+            Acts::Push => vec![curve.over],
+            Acts::Friction => vec![curve.over, Dependence::Direction],
+            Acts::Gain => vec![curve.over, Dependence::Input],
+        },
     }
 }

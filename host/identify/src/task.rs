@@ -7,7 +7,7 @@ use r4_plants::PlantSpec;
 use crate::{
     data::Run,
     error::IdentifyError,
-    family::{Family, Structure, Term},
+    family::{Acts, Family, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
     report::{
@@ -269,7 +269,7 @@ fn name<F: Family>(family: &F, term: &Term) -> String {
 fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
     let structure = &found.last.structure;
     let Term::Curve(curve) = structure.terms.get(place)? else { return None };
-    let scale = family.force_per_push(structure);
+    let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
     let from: usize = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
     let std = (0..curve.at.len())
         .map(|corner| found.deviations.get(from + corner).copied().flatten().map_or(f64::NAN, |std| std * scale))

@@ -187,8 +187,9 @@ impl Effect {
                 vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
             ),
             Self::InputHold | Self::SensorHold => (
-                vec![sized("period_s", "s", Range::Between(0.0, 1.0))],
-                [2.0, 3.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0].iter().map(|n| vec![n * s.period_s]).collect(),
+                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                // Two neighbours differ by less than one slot over a recording.
+                (0..).map(|n| 2.0 * s.period_s * 1.015_f64.powi(n)).take_while(|&hold_s| hold_s < 0.6).map(|hold_s| vec![hold_s]).collect(),
             ),
             Self::DeadZone => (
                 vec![sized(s.units.input_name, s.units.input, level(0.05 * s.input))],

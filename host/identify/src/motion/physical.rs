@@ -9,7 +9,7 @@ use r4_plants::{
 };
 
 use crate::{
-    family::{Family, Structure, Term},
+    family::{Acts, Family, Structure, Term},
     report::Estimate,
 };
 
@@ -134,6 +134,7 @@ impl Motion {
                         Dependence::Time => Some(Over::Time),
                         _ => None,
                     };
+                    let over = over.filter(|_| curve.acts == Acts::Push);
                     let values = values.iter().map(|value| value * physical.inertia).collect();
                     let table = over
                         .and_then(|over| Table::new(over, On::Force, curve.period, curve.at.clone(), values).ok());

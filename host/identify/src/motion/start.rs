@@ -107,8 +107,6 @@ impl Motion {
             Effect::Gravity => rotary && places.pendulum.is_none() && turns > 0.15,
             Effect::Eccentricity => rotary && !of_speed && turns > 0.5,
             Effect::PositionFriction | Effect::Cogging => !rotary || turns > 0.1,
-            // A position behind a gap; a speed behind one shows nothing but the moment of crossing.
-            Effect::Backlash => !of_speed,
             Effect::SlewLimit | Effect::InputSign => !servo,
             _ => true,
         }
