@@ -34,7 +34,7 @@ fn main() {
                     if first.is_some_and(|f| truth.iter().any(|t| t.starts_with(&f))) { right += 1; }
                 }
                 println!("{seed} {setup:?} {:?} truth {truth:?} found {names:?} hold {:.4} -> {:.4} noise {:.4} ratio {:.2} white {} {:?} {:.1}s", draw, r.baseline.holdout.rmse, r.last.holdout.rmse, e.noise, r.last.holdout.rmse / e.noise, r.residual.white, r.residual.unexplained.iter().map(|u| u.depends_on.clone()).collect::<Vec<_>>(), start.elapsed().as_secs_f64());
-                if verbose { println!("{}", found.plant_toml); println!("{:?}\n{:?}", r.parameters, r.effects.iter().map(|e| &e.parameters).collect::<Vec<_>>()); println!("base {:?}", e.base); }
+                if verbose { println!("{:#?}", r.rejected); println!("{}", found.plant_toml); println!("{:?}\n{:?}", r.parameters, r.effects.iter().map(|e| &e.parameters).collect::<Vec<_>>()); println!("base {:?}", e.base); }
             }
             Err(error) => println!("{seed} {setup:?} {error}"),
         }

@@ -124,7 +124,9 @@ pub struct Effort {
 impl Effort {
     /// For numbers that are reported.
     pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
-    /// For comparing effects.
+    /// For comparing the most promising effects.
+    pub const COMPARE: Self = Self { evaluations: 24, tolerance: 1e-6, robust: false };
+    /// For telling these from others.
     pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
     /// For telling a promising place to begin from others.
     pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
