@@ -52,6 +52,7 @@ fn main() -> ExitCode {
         Command::Bridge { what } => commands::bridge::run(&args, what),
         Command::Log(log) => commands::log::run(&args, log),
         Command::Report(report) => commands::report::run(&args, report),
+        Command::Identify(identify) => commands::identify::run(&args, identify),
         Command::Ports => commands::ports::run(&args),
         Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
         Command::Bench { what } => commands::bench::run(&args, what),

@@ -427,14 +427,14 @@ fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// A unit in which a number is neither long nor full of zeros.
-struct Scale {
+pub(crate) struct Scale {
     factor: f64,
     unit: String,
 }
 
 impl Scale {
     /// For numbers about as large as `size`, in `unit`.
-    fn of(unit: &str, size: f64) -> Self {
+    pub(crate) fn of(unit: &str, size: f64) -> Self {
         let divisible = matches!(unit, "m" | "rad" | "m/s" | "rad/s" | "V" | "A" | "N m");
         if divisible && size > 0.0 && size < 0.1 {
             Self { factor: 1e3, unit: format!("m{unit}") }
@@ -443,8 +443,13 @@ impl Scale {
         }
     }
 
+    /// What it is called.
+    pub(crate) fn unit(&self) -> &str {
+        &self.unit
+    }
+
     /// A value in this unit, without it.
-    fn text(&self, value: f64) -> String {
+    pub(crate) fn text(&self, value: f64) -> String {
         significant(self.factor * value)
     }
 
@@ -477,7 +482,7 @@ fn fixed(value: f64, decimals: i32) -> String {
 }
 
 /// With three significant digits.
-fn significant(value: f64) -> String {
+pub(crate) fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }
 
