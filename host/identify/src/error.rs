@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 /// Why nothing can be identified.
-#[derive(Debug, Error, PartialEq)]
+#[derive(Debug, Error)]
 pub enum IdentifyError {
     /// No run to fit to.
     #[error("no run to fit to: give at least one file with recorded data")]
@@ -69,6 +69,9 @@ pub enum IdentifyError {
         /// Those there are.
         known: String,
     },
+    /// What is in the files will not do.
+    #[error(transparent)]
+    Data(#[from] crate::data::DataError),
     /// The base model could not follow any run at all.
     #[error("the model cannot be fitted to these data: {why}")]
     NoFit {

@@ -11,6 +11,8 @@ use crate::family::{Family, Parameter, Range, Structure, Term};
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
+/// The same where the free run changes in steps only.
+const COARSE: f64 = 2e-3;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -20,7 +22,7 @@ impl Range {
     /// The unbounded variable that stands for `value`.
     fn variable(self, value: f64) -> f64 {
         match self {
-            Self::Positive => value.max(f64::MIN_POSITIVE).ln(),
+            Self::Positive | Self::Coarse => value.max(f64::MIN_POSITIVE).ln(),
             // The inverse of ln(1 + e^z).
             Self::NotNegative { scale } => {
                 let share = (value / scale).max(1e-9);
@@ -37,7 +39,7 @@ impl Range {
     /// The value that a variable stands for; in range for every finite one.
     fn value(self, variable: f64) -> f64 {
         match self {
-            Self::Positive => variable.clamp(-80.0, 80.0).exp(),
+            Self::Positive | Self::Coarse => variable.clamp(-80.0, 80.0).exp(),
             Self::NotNegative { scale } => {
                 scale * if variable > 30.0 { variable } else { variable.max(-40.0).exp().ln_1p() }
             }
@@ -46,10 +48,16 @@ impl Range {
         }
     }
 
+    /// Step of the variable for differences.
+    fn difference(self) -> f64 {
+        if self == Self::Coarse { COARSE } else { DIFFERENCE }
+    }
+
     /// A small step of the value that stays in range.
     fn small(self, value: f64) -> f64 {
         match self {
             Self::Positive => value * 1e-4,
+            Self::Coarse => value * COARSE,
             Self::NotNegative { scale } => 1e-4 * value.max(scale),
             Self::Between(lower, upper) => {
                 let step = 1e-4 * (upper - lower);
@@ -142,6 +150,15 @@ pub fn fit<F: Family>(
     }
     let Problem { structure, initial, .. } = first;
     Problem::new(family, runs, structure, initial, weights).solved(effort).into_fit()
+}
+
+/// Sum of squares of a structure as it is.
+#[must_use]
+pub fn cost<F: Family>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
+    let squares = runs.iter().zip(initial).map(|(run, initial)| {
+        residuals(family, structure, initial, run).iter().filter(|r| !r.is_nan()).map(|r| r * r).sum::<f64>()
+    });
+    squares.sum()
 }
 
 /// The initial states that the family guesses.
@@ -384,11 +401,12 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
         for column in 0..globals {
             let mut structure = self.structure.clone();
             let mut variables = self.variables.clone();
-            variables[column] += DIFFERENCE;
+            let step = self.parameters[column].range.difference();
+            variables[column] += step;
             set_flat(&mut structure, &self.values_of(&variables));
             self.predict_all(&structure, &self.initial, &mut moved);
             for (index, rows) in self.rows.iter().enumerate() {
-                self.slopes(&mut jacobian, column, index, rows, &moved);
+                self.slopes(&mut jacobian, (column, step), index, rows, &moved);
             }
         }
         // One component of all runs' initial states at a time: a run's concerns no other.
@@ -401,7 +419,7 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
             self.predict_all(&self.structure, &initial, &mut moved);
             for (index, rows) in self.rows.iter().enumerate() {
                 let column = globals + index * components + component;
-                self.slopes(&mut jacobian, column, index, rows, &moved);
+                self.slopes(&mut jacobian, (column, DIFFERENCE), index, rows, &moved);
             }
         }
         Some(jacobian)
@@ -412,7 +430,7 @@ impl<F: Family> Problem<'_, F> {
     fn slopes(
         &self,
         jacobian: &mut DMatrix<f64>,
-        column: usize,
+        (column, step): (usize, f64),
         run: usize,
         rows: &std::ops::Range<usize>,
         moved: &[f64],
@@ -420,7 +438,7 @@ impl<F: Family> Problem<'_, F> {
         let measured = self.family.measured(self.runs[run]);
         for (row, &measured) in measured.iter().enumerate() {
             let at = rows.start + row;
-            let slope = (moved[at] - self.predicted[at]) / DIFFERENCE;
+            let slope = (moved[at] - self.predicted[at]) / step;
             if measured.is_finite() && slope.is_finite() {
                 jacobian[(at, column)] = slope * self.weights[run][row];
             }
