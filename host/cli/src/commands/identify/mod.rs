@@ -37,7 +37,7 @@ enum What {
     Models,
 }
 
-/// `--seed` makes the search repeatable. DIR gets report.json, report.html and plant.toml.
+/// DIR gets report.json, report.html and plant.toml; the same `--seed` gives the same bytes.
 #[derive(Clone, Debug, clap::Args)]
 struct Question {
     /// Recordings to fit to: CSV with a header that has units, or logs of `r4`; one file is one run
@@ -74,6 +74,12 @@ struct Question {
     #[arg(long, default_value = "r4-identify", value_name = "DIR")]
     out: PathBuf,
 }
+
+/// The parameter that belongs to an encoder.
+const COUNTS: &str = "counts_per_turn";
+
+/// Models of what is at rest: the order of rows will do.
+const UNTIMED: [&str; 2] = ["static-map", "table"];
 
 /// `name=value`.
 fn pair(text: &str) -> Result<(String, String), String> {
@@ -112,20 +118,20 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
     };
     let mut parameters: BTreeMap<String, f64> = question.param.iter().cloned().collect();
     // It belongs to the encoder, not to the model.
-    let counts_per_turn = parameters.remove("counts_per_turn");
+    let own = model.parameters.iter().any(|parameter| parameter.name == COUNTS);
+    let counts_per_turn = if own { parameters.get(COUNTS).copied() } else { parameters.remove(COUNTS) };
     if let Some(counts) = counts_per_turn.filter(|counts| *counts <= 0.0) {
         bail!("counts_per_turn={counts} makes no turn: give a number above 0");
     }
     let options = Options {
         time: question.time.clone(),
-        untimed: !model.timed,
+        untimed: UNTIMED.contains(&model.name),
         roles: roles(question, &model)?,
         split: question.run.clone(),
         counts_per_turn,
     };
     let plant = question.plant.as_deref().map(read_plant).transpose()?;
     let (train, holdout) = read(question, &options)?;
-    data::check(&train.runs, &model.roles)?;
     let mut notes: Vec<String> = Vec::new();
     for note in train.notes.iter().chain(&holdout.notes).map(ToString::to_string) {
         if !notes.contains(&note) {
@@ -162,10 +168,10 @@ fn roles(question: &Question, model: &ModelInfo) -> anyhow::Result<Vec<Mapping>>
     let named = [short("input", &question.input), short("output", &question.output)].into_iter().flatten();
     named
         .chain(question.map.iter().cloned())
-        .map(|(role, column)| match model.roles.iter().find(|known| known.role == role) {
+        .map(|(role, column)| match model.roles.iter().find(|known| known.name == role) {
             Some(known) => Ok(Mapping { role, column, driving: known.driving }),
             None => {
-                let roles: Vec<_> = model.roles.iter().map(|known| known.role.as_str()).collect();
+                let roles: Vec<_> = model.roles.iter().map(|known| known.name).collect();
                 bail!("{} has no role `{role}`: it has {}", model.name, roles.join(", "))
             }
         })

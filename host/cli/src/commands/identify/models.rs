@@ -1,6 +1,6 @@
 //! `r4 identify models`
 
-use r4_identify::{ModelInfo, data::Quantity};
+use r4_identify::ModelInfo;
 use serde::Serialize;
 
 use crate::{args::Args, output};
@@ -14,8 +14,6 @@ struct Models {
 struct Model {
     name: String,
     summary: String,
-    /// Needs a time for each sample.
-    timed: bool,
     roles: Vec<Role>,
     parameters: Vec<Parameter>,
     effects: Vec<String>,
@@ -26,7 +24,6 @@ struct Role {
     name: String,
     required: bool,
     what: String,
-    units: Vec<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -49,9 +46,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
         output::line(format_args!("{}: {}", model.name, model.summary))?;
         let width = |names: &mut dyn Iterator<Item = usize>| names.max().unwrap_or(0);
         let roles = width(&mut model.roles.iter().map(|role| role.name.len()));
-        for Role { name, required, what, units } in &model.roles {
-            let need = if *required { "needed" } else { "may be given" };
-            output::line(format_args!("  role {name:roles$}  {what} ({}; {need})", units.join(", ")))?;
+        for Role { name, required, what } in &model.roles {
+            let need = if *required { "" } else { " (may be left out)" };
+            output::line(format_args!("  role {name:roles$}  {what}{need}"))?;
         }
         let parameters = width(&mut model.parameters.iter().map(|parameter| parameter.name.len()));
         for Parameter { name, unit, what } in &model.parameters {
@@ -64,20 +61,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
 }
 
 fn described(model: ModelInfo) -> Model {
-    let role = |need: &r4_identify::data::Need| Role {
-        name: need.role.clone(),
-        required: need.required,
-        what: need.what.clone(),
-        units: if need.quantities.is_empty() {
-            vec!["any unit"]
-        } else {
-            need.quantities.iter().map(|of| unit(*of)).collect()
-        },
+    let role = |role: &r4_identify::task::RoleInfo| Role {
+        name: role.name.to_owned(),
+        required: role.required,
+        what: role.what.to_owned(),
     };
     Model {
         name: model.name.to_owned(),
         summary: model.summary.to_owned(),
-        timed: model.timed,
         roles: model.roles.iter().map(role).collect(),
         parameters: model
             .parameters
@@ -89,21 +80,5 @@ fn described(model: ModelInfo) -> Model {
             })
             .collect(),
         effects: model.effects.iter().map(|effect| (*effect).to_owned()).collect(),
-    }
-}
-
-/// What its SI unit is called.
-fn unit(quantity: Quantity) -> &'static str {
-    match quantity {
-        Quantity::Angle => "rad",
-        Quantity::AngularSpeed => "rad/s",
-        Quantity::Length => "m",
-        Quantity::Speed => "m/s",
-        Quantity::Voltage => "V",
-        Quantity::Force => "N",
-        Quantity::Torque => "N m",
-        Quantity::Current => "A",
-        Quantity::Temperature => "°C",
-        Quantity::Number => "a plain number",
     }
 }
