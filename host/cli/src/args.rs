@@ -155,6 +155,8 @@ pub(crate) enum Command {
     Log(commands::log::Log),
     /// Make an HTML page of a log: set points, plots, states
     Report(commands::report::Report),
+    /// Fit a model to recordings, tell what it does not explain and which effect it lacks, and write the better plant
+    Identify(commands::identify::Identify),
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to
