@@ -182,5 +182,6 @@ pub trait Family: Sync {
     fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;
 
     /// An empty curve over a driver, where the model can take one up; `None` where it cannot.
-    fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run]) -> Option<Curve>;
+    fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run])
+    -> Option<Curve>;
 }

@@ -4,3 +4,4 @@
 pub mod data;
 pub mod family;
 pub mod report;
+pub mod statics;

@@ -1,0 +1,1 @@
+//! Play of a held shaft that is pulled from both sides.

@@ -1,0 +1,776 @@
+//! A level held until the output is steady: the map from one to the other, and what bends it.
+
+use std::sync::Arc;
+
+use r4_plants::Dependence;
+use thiserror::Error;
+
+use crate::data::Run;
+use crate::family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure, Term};
+
+/// Why a recording is no map.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum MapError {
+    /// No column for a role.
+    #[error("{run}: no column is mapped to `{role}`: name one with --{role} COLUMN or --map {role}=COLUMN")]
+    NoRole {
+        /// Of the recording.
+        run: String,
+        /// `input` or `output`.
+        role: &'static str,
+    },
+    /// Too few rows have both.
+    #[error("{run}: {rows} rows have an input and an output, {needed} are needed: record more levels")]
+    TooFew {
+        /// Of the recording.
+        run: String,
+        /// That can be used.
+        rows: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// One level only.
+    #[error("the input never changes from {level}: record the output at several levels, both ways, zero among them")]
+    ConstantInput {
+        /// The level.
+        level: f64,
+    },
+    /// The output tells nothing.
+    #[error("the output never changes from {value}: is it the right column, and were levels high enough to move it?")]
+    ConstantOutput {
+        /// The value.
+        value: f64,
+    },
+}
+
+/// Rows that can be fitted, at least.
+const LEAST_ROWS: usize = 8;
+
+/// Levels in the order they were held, with what came out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapRun {
+    name: String,
+    time_s: Arc<[f64]>,
+    input: Arc<[f64]>,
+    /// Empty where it was not recorded.
+    supply: Arc<[f64]>,
+    /// How far the input went since it turned last.
+    since_turn: Arc<[f64]>,
+    /// Index in `input` of the first of `measured`.
+    first: usize,
+    measured: Vec<f64>,
+}
+
+impl MapRun {
+    /// Takes the roles `input`, `output` and, where there is one, `supply` of a recording. A row without an input keeps the
+    /// level before it, and its output is not used.
+    ///
+    /// # Errors
+    /// A role that is missing, or fewer than eight rows with both.
+    pub fn new(run: &Run) -> Result<Self, MapError> {
+        let role = |role| run.values(role).ok_or_else(|| MapError::NoRole { run: run.name.clone(), role });
+        let (input, output) = (role("input")?, role("output")?);
+        let measured: Vec<f64> =
+            input.iter().zip(output).map(|(u, &y)| if u.is_finite() && y.is_finite() { y } else { f64::NAN }).collect();
+        let rows = measured.iter().filter(|y| y.is_finite()).count();
+        if rows < LEAST_ROWS {
+            return Err(MapError::TooFew { run: run.name.clone(), rows, needed: LEAST_ROWS });
+        }
+        let supply = run.values("supply").filter(|supply| supply.iter().any(|v| *v > 0.0));
+        let input = held(input, 0.0, |u| u.is_finite());
+        Ok(Self {
+            name: run.name.clone(),
+            time_s: run.time_s.clone().into(),
+            since_turn: since_turn(&input),
+            input,
+            supply: supply.map_or_else(
+                || Arc::new([]) as Arc<[f64]>,
+                |supply| {
+                    let first = supply.iter().copied().find(|v| *v > 0.0).unwrap_or(1.0);
+                    held(supply, first, |v| v > 0.0)
+                },
+            ),
+            first: 0,
+            measured,
+        })
+    }
+
+    /// The same levels with the output of every `every`th row, counted from row `every - 1`, in the second run and the
+    /// others in the first: a hold-out for one sweep, whose halves would not cover the same levels. Both know all inputs.
+    /// With `every` below 2 the second has none.
+    #[must_use]
+    pub fn alternate(&self, every: usize) -> (Self, Self) {
+        let of_second = |row: usize| every > 1 && row % every == every - 1;
+        let only = |second: bool| {
+            let measured = self.measured.iter().enumerate();
+            let measured = measured.map(|(row, &y)| if of_second(row) == second { y } else { f64::NAN });
+            Self { measured: measured.collect(), ..self.clone() }
+        };
+        (only(false), only(true))
+    }
+
+    /// Levels of the rows of [`Family::measured`].
+    #[must_use]
+    pub fn input(&self) -> &[f64] {
+        &self.input[self.first..self.first + self.measured.len()]
+    }
+
+    /// Input and output of the rows that were measured.
+    fn rows(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.input().iter().copied().zip(self.measured.iter().copied()).filter(|(_, y)| y.is_finite())
+    }
+}
+
+/// Values with those that are none replaced by the one before.
+fn held(values: &[f64], first: f64, good: impl Fn(f64) -> bool) -> Arc<[f64]> {
+    let hold = |last: &mut f64, &value: &f64| {
+        if good(value) {
+            *last = value;
+        }
+        Some(*last)
+    };
+    values.iter().scan(first, hold).collect()
+}
+
+/// How far the input went, with sign, since its direction last changed.
+fn since_turn(input: &[f64]) -> Arc<[f64]> {
+    let (mut turn, mut way) = (input.first().copied().unwrap_or(0.0), 0.0);
+    let step = |pair: &[f64]| {
+        let step = pair[1] - pair[0];
+        if step * way < 0.0 {
+            turn = pair[0];
+        }
+        if step != 0.0 {
+            way = step.signum();
+        }
+        pair[1] - turn
+    };
+    let first = input.first().map(|_| 0.0);
+    first.into_iter().chain(input.windows(2).map(step)).collect()
+}
+
+/// What may bend the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Bend {
+    DeadZone,
+    DeadZoneAsymmetry,
+    StaticFriction,
+    StaticFrictionAsymmetry,
+    Saturation,
+    SaturationAsymmetry,
+    Clip,
+    GainCurve,
+    GainCurveAsymmetry,
+    QuadraticDrag,
+    DirectionAsymmetry,
+    Offset,
+    Supply,
+    SupplyDrive,
+    Hysteresis,
+    Settling,
+    Drift,
+}
+
+/// Values of every bend, those that are absent at what has no effect.
+#[derive(Clone, Copy, Debug)]
+struct Shape {
+    gain: f64,
+    dead: f64,
+    dead_share: f64,
+    start: f64,
+    start_share: f64,
+    curvature: f64,
+    curvature_share: f64,
+    limit: f64,
+    exponent: f64,
+    exponent_share: f64,
+    drag: f64,
+    gain_share: f64,
+    offset: f64,
+    supply: f64,
+    supply_drive: f64,
+    play: f64,
+    settling_s: f64,
+    drift_per_s: f64,
+}
+
+/// The model `static-map`: output = gain · input, and what bends it.
+///
+/// | role | is |
+/// | --- | --- |
+/// | `input` | duty or command, any unit |
+/// | `output` | speed or whatever else settles |
+/// | `supply` | may be missing; its unit cancels |
+///
+/// With x what the dead-zone leaves of |input| and d its direction:
+/// `output = d · gain · (1 - exp(-c x)) / c`, x replaced by `X (x / X)^p` under a gain curve.
+#[derive(Clone, Debug)]
+pub struct StaticMap {
+    base: Vec<Parameter>,
+    catalogue: Vec<Candidate>,
+    bends: Vec<Bend>,
+    unit: &'static str,
+    /// Largest of |input|.
+    span: f64,
+    /// Over how much of the input a start from rest is smeared, so that its level has a gradient.
+    smear: f64,
+    /// Largest of |output|.
+    height: f64,
+    /// Supply at which `gain` holds.
+    supply_ref: f64,
+}
+
+impl StaticMap {
+    /// A model for these runs; ranges, starting guesses and what can be looked for at all come from them.
+    ///
+    /// # Errors
+    /// An input or an output that never changes.
+    pub fn new(runs: &[&MapRun], unit: &'static str) -> Result<Self, MapError> {
+        let rows = || runs.iter().flat_map(|run| run.rows());
+        let (low, high) = extent(rows().map(|(u, _)| u));
+        if low >= high {
+            return Err(MapError::ConstantInput { level: low });
+        }
+        let (least, most) = extent(rows().map(|(_, y)| y));
+        if least >= most {
+            return Err(MapError::ConstantOutput { value: least });
+        }
+        let (span, height) = (low.abs().max(high.abs()), least.abs().max(most.abs()));
+        let mut steps: Vec<f64> = Vec::new();
+        for run in runs {
+            let levels: Vec<f64> = run.rows().map(|(u, _)| u).collect();
+            steps.extend(levels.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 0.0));
+        }
+        let mut supplies: Vec<f64> = runs.iter().flat_map(|run| run.supply.iter().copied()).collect();
+        let supply_ref = if supplies.is_empty() { 1.0 } else { median(&mut supplies) };
+        let mut map = Self {
+            base: vec![Parameter {
+                name: "gain",
+                unit: "output/input",
+                range: Range::Any { scale: height / span },
+                absent: None,
+            }],
+            catalogue: Vec::new(),
+            bends: Vec::new(),
+            unit,
+            span,
+            // An eighth: at a level in the middle of two rows the nearest is off by 2 % of the jump.
+            smear: (median(&mut steps) / 8.0).max(1e-4 * span),
+            height,
+            supply_ref,
+        };
+        let found = Found::of(runs, height, span);
+        for bend in BENDS {
+            if let Some(candidate) = map.candidate(bend, &found) {
+                map.bends.push(bend);
+                map.catalogue.push(candidate);
+            }
+        }
+        Ok(map)
+    }
+
+    /// Supply at which the gain and all levels hold, in the unit of the recording; 1 where none was recorded.
+    #[must_use]
+    pub fn supply_ref(&self) -> f64 {
+        self.supply_ref
+    }
+
+    fn candidate(&self, bend: Bend, found: &Found) -> Option<Candidate> {
+        use Dependence::{Direction, History, Input, Speed, Supply, Time};
+        let span = self.span;
+        let number = |name, range, absent| Parameter { name, unit: "1", range, absent: Some(absent) };
+        let level =
+            |name, scale| Parameter { name, unit: "input", range: Range::NotNegative { scale }, absent: Some(0.0) };
+        let share = |name| number(name, Range::Between(-1.0, 1.0), 0.0);
+        let both_ways = vec![vec![0.1], vec![-0.1], vec![0.4], vec![-0.4]];
+        let near = |at: &[f64], scales: &[f64]| -> Vec<Vec<f64>> {
+            at.iter().copied().chain(scales.iter().map(|share| share * span)).map(|value| vec![value]).collect()
+        };
+        let (name, depends_on, parameter, starts, experiment): (_, &'static [Dependence], _, _, _) = match bend {
+            Bend::DeadZone => (
+                "dead-zone",
+                &[Input],
+                level("width", 0.02 * span),
+                near(&found.dead, &[0.05, 0.2]),
+                "hold levels about zero, close together, in both directions",
+            ),
+            Bend::DeadZoneAsymmetry => (
+                "dead-zone-asymmetry",
+                &[Input, Direction],
+                share("share"),
+                both_ways,
+                "hold levels about zero, close together, in both directions",
+            ),
+            Bend::StaticFriction => (
+                "static-friction",
+                &[Input, History],
+                level("start", 0.05 * span),
+                near(&found.starts, &[]),
+                "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
+            ),
+            Bend::StaticFrictionAsymmetry => (
+                "static-friction-asymmetry",
+                &[Input, Direction, History],
+                share("share"),
+                both_ways,
+                "from rest, raise the level until it moves, in both directions, several times",
+            ),
+            Bend::Saturation => (
+                "saturation",
+                &[Input],
+                Parameter {
+                    name: "curvature",
+                    unit: "1/input",
+                    range: Range::NotNegative { scale: 0.1 / span },
+                    absent: Some(0.0),
+                },
+                vec![vec![1.0 / span], vec![4.0 / span], vec![10.0 / span]],
+                "hold levels up to the largest, evenly spaced",
+            ),
+            Bend::SaturationAsymmetry => (
+                "saturation-asymmetry",
+                &[Input, Direction],
+                share("share"),
+                both_ways,
+                "hold levels up to the largest in both directions",
+            ),
+            Bend::Clip => (
+                "clip",
+                &[Input],
+                // At the largest level of all it cuts nothing.
+                Parameter { name: "level", unit: "input", range: Range::Between(0.0, 1.02 * span), absent: Some(span) },
+                near(&[], &[0.5, 0.7, 0.9]),
+                "hold levels close together near the largest",
+            ),
+            Bend::GainCurve => (
+                "gain-curve",
+                &[Input],
+                number("exponent", Range::Between(0.1, 6.0), 1.0),
+                vec![vec![0.7], vec![1.5]],
+                "hold levels evenly spaced from just above the dead-zone to the largest",
+            ),
+            Bend::GainCurveAsymmetry => (
+                "gain-curve-asymmetry",
+                &[Input, Direction],
+                share("share"),
+                both_ways,
+                "hold the same levels in both directions",
+            ),
+            Bend::QuadraticDrag => (
+                "quadratic-drag",
+                &[Speed],
+                Parameter {
+                    name: "share",
+                    unit: "1/output",
+                    range: Range::NotNegative { scale: 0.05 / self.height },
+                    absent: Some(0.0),
+                },
+                vec![vec![0.3 / self.height], vec![2.0 / self.height]],
+                "hold levels up to the largest, once more with the load taken off",
+            ),
+            Bend::DirectionAsymmetry => (
+                "direction-asymmetry",
+                &[Direction],
+                share("share"),
+                both_ways,
+                "hold the same levels in both directions",
+            ),
+            Bend::Offset => (
+                "offset",
+                &[],
+                Parameter {
+                    name: "output",
+                    unit: self.unit,
+                    range: Range::Any { scale: 0.02 * self.height },
+                    absent: Some(0.0),
+                },
+                vec![vec![0.0]],
+                "record the output with the supply off",
+            ),
+            Bend::Supply => (
+                "supply",
+                &[Supply],
+                number("exponent", Range::Any { scale: 0.2 }, 0.0),
+                vec![vec![1.0]],
+                "the same levels at two supply voltages at least 10 % apart",
+            ),
+            Bend::SupplyDrive => (
+                "supply-drive",
+                &[Supply, Input],
+                number("exponent", Range::Any { scale: 0.2 }, 0.0),
+                vec![vec![1.0]],
+                "the same levels, small ones among them, at two supply voltages at least 10 % apart",
+            ),
+            Bend::Hysteresis => (
+                "hysteresis",
+                &[Input, History],
+                level("half_width", 0.02 * span),
+                near(&[], &[0.02, 0.1]),
+                "sweep up and down over the same levels, twice, once with longer holds",
+            ),
+            Bend::Settling => (
+                "slow-settling",
+                &[History, Time],
+                Parameter {
+                    name: "time_s",
+                    unit: "s",
+                    range: Range::NotNegative { scale: 0.2 * found.row_s },
+                    absent: Some(0.0),
+                },
+                vec![vec![0.5 * found.row_s], vec![2.0 * found.row_s]],
+                "the same levels held ten times as long",
+            ),
+            Bend::Drift => (
+                "drift",
+                &[Time],
+                Parameter {
+                    name: "per_s",
+                    unit: "1/s",
+                    range: Range::Any { scale: 0.02 / found.length_s },
+                    absent: Some(0.0),
+                },
+                vec![vec![0.0]],
+                "one level held as long as the whole sweep, and the sweep repeated after it",
+            ),
+        };
+        let offered = match bend {
+            Bend::DeadZoneAsymmetry
+            | Bend::SaturationAsymmetry
+            | Bend::GainCurveAsymmetry
+            | Bend::DirectionAsymmetry => found.both_directions,
+            Bend::StaticFriction => !found.starts.is_empty(),
+            Bend::StaticFrictionAsymmetry => found.starts_both,
+            Bend::Supply | Bend::SupplyDrive => found.supply_changes,
+            Bend::Hysteresis => found.up_and_down,
+            Bend::Settling | Bend::Drift => found.length_s > 0.0 && found.row_s > 0.0,
+            _ => true,
+        };
+        offered.then(|| Candidate { name, depends_on, parameters: vec![parameter], starts, experiment, excludes: &[] })
+    }
+
+    fn shape(&self, structure: &Structure) -> Shape {
+        let mut shape = Shape {
+            gain: structure.base.first().copied().unwrap_or(0.0),
+            dead: 0.0,
+            dead_share: 0.0,
+            start: 0.0,
+            start_share: 0.0,
+            curvature: 0.0,
+            curvature_share: 0.0,
+            limit: f64::INFINITY,
+            exponent: 1.0,
+            exponent_share: 0.0,
+            drag: 0.0,
+            gain_share: 0.0,
+            offset: 0.0,
+            supply: 0.0,
+            supply_drive: 0.0,
+            play: 0.0,
+            settling_s: 0.0,
+            drift_per_s: 0.0,
+        };
+        for (term, values) in structure.terms.iter().zip(&structure.added) {
+            let (Term::Known(place), Some(&value)) = (term, values.first()) else { continue };
+            let Some(bend) = self.bends.get(*place) else { continue };
+            let slot = match bend {
+                Bend::DeadZone => &mut shape.dead,
+                Bend::DeadZoneAsymmetry => &mut shape.dead_share,
+                Bend::StaticFriction => &mut shape.start,
+                Bend::StaticFrictionAsymmetry => &mut shape.start_share,
+                Bend::Saturation => &mut shape.curvature,
+                Bend::SaturationAsymmetry => &mut shape.curvature_share,
+                Bend::Clip => &mut shape.limit,
+                Bend::GainCurve => &mut shape.exponent,
+                Bend::GainCurveAsymmetry => &mut shape.exponent_share,
+                Bend::QuadraticDrag => &mut shape.drag,
+                Bend::DirectionAsymmetry => &mut shape.gain_share,
+                Bend::Offset => &mut shape.offset,
+                Bend::Supply => &mut shape.supply,
+                Bend::SupplyDrive => &mut shape.supply_drive,
+                Bend::Hysteresis => &mut shape.play,
+                Bend::Settling => &mut shape.settling_s,
+                Bend::Drift => &mut shape.drift_per_s,
+            };
+            *slot = value;
+        }
+        shape
+    }
+}
+
+const BENDS: [Bend; 17] = [
+    Bend::DeadZone,
+    Bend::Saturation,
+    Bend::Clip,
+    Bend::GainCurve,
+    Bend::QuadraticDrag,
+    Bend::StaticFriction,
+    Bend::DirectionAsymmetry,
+    Bend::DeadZoneAsymmetry,
+    Bend::SaturationAsymmetry,
+    Bend::GainCurveAsymmetry,
+    Bend::StaticFrictionAsymmetry,
+    Bend::Offset,
+    Bend::Supply,
+    Bend::SupplyDrive,
+    Bend::Hysteresis,
+    Bend::Settling,
+    Bend::Drift,
+];
+
+/// What the recordings show before anything is fitted.
+struct Found {
+    /// Largest level without an output, of each direction that has one.
+    dead: Vec<f64>,
+    /// Levels at which it started from rest.
+    starts: Vec<f64>,
+    starts_both: bool,
+    both_directions: bool,
+    up_and_down: bool,
+    supply_changes: bool,
+    /// Median time between rows.
+    row_s: f64,
+    /// Longest run.
+    length_s: f64,
+}
+
+impl Found {
+    fn of(runs: &[&MapRun], height: f64, span: f64) -> Self {
+        // 2 % of the largest output counts as none: above what a speed from counted edges shows at rest.
+        let still = |y: f64| y.abs() < 0.02 * height;
+        let mut dead = [0.0f64; 2];
+        let mut moving = [false; 2];
+        let mut starts: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+        let (mut up, mut down) = (0usize, 0usize);
+        let mut rows_s = Vec::new();
+        let mut length_s = 0.0f64;
+        for run in runs {
+            let rows: Vec<(f64, f64)> = run.rows().collect();
+            for &(u, y) in &rows {
+                let side = usize::from(u < 0.0);
+                if still(y) {
+                    dead[side] = dead[side].max(u.abs());
+                } else {
+                    moving[side] = true;
+                }
+            }
+            for pair in rows.windows(2) {
+                let [(u0, y0), (u1, y1)] = [pair[0], pair[1]];
+                up += usize::from(u1 > u0);
+                down += usize::from(u1 < u0);
+                if still(y0) && !still(y1) && u1.abs() > u0.abs() && u0 * u1 >= 0.0 {
+                    starts[usize::from(u1 < 0.0)].push(f64::midpoint(u0.abs(), u1.abs()));
+                }
+            }
+            let window = &run.time_s[run.first..run.first + run.measured.len()];
+            rows_s.extend(window.windows(2).map(|pair| pair[1] - pair[0]));
+            length_s = length_s.max(window.last().zip(window.first()).map_or(0.0, |(last, first)| last - first));
+        }
+        let (low, high) = extent(runs.iter().flat_map(|run| run.supply.iter().copied()));
+        let starts_both = starts.iter().all(|levels| !levels.is_empty());
+        Self {
+            dead: dead.into_iter().filter(|&level| level > 0.0 && level < span).collect(),
+            starts: starts.iter_mut().filter(|levels| !levels.is_empty()).map(|levels| median(levels)).collect(),
+            starts_both,
+            both_directions: moving == [true, true],
+            up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
+            // Less than 2 % of change shows an exponent only through its noise.
+            supply_changes: high > 1.02 * low,
+            row_s: median(&mut rows_s),
+            length_s,
+        }
+    }
+}
+
+/// Least and largest; (∞, -∞) of nothing.
+fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
+}
+
+/// The middle value; 0 of nothing.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    values.sort_unstable_by(f64::total_cmp);
+    let half = values.len() / 2;
+    if values.len() % 2 == 1 { values[half] } else { f64::midpoint(values[half - 1], values[half]) }
+}
+
+/// `(1 - exp(-c x)) / c`, which is x for c = 0.
+fn saturated(x: f64, c: f64) -> f64 {
+    if c * x < 1e-9 { x } else { -(-c * x).exp_m1() / c }
+}
+
+/// The y with `y + drag y² = x`.
+fn dragged(x: f64, drag: f64) -> f64 {
+    2.0 * x / (1.0 + (1.0 + 4.0 * drag * x).sqrt())
+}
+
+impl Shape {
+    /// Output above zero of a level `x` above its dead-zone, `side` +1 or -1.
+    fn height(&self, x: f64, side: f64, scale: f64) -> f64 {
+        let exponent = self.exponent * (1.0 + side * self.exponent_share);
+        #[expect(clippy::float_cmp, reason = "exactly one where there is no gain curve")]
+        let x = if exponent == 1.0 { x } else { scale * (x / scale).powf(exponent) };
+        let x = saturated(x, self.curvature * (1.0 + side * self.curvature_share));
+        let size = self.gain.abs() * (1.0 + side * self.gain_share);
+        self.gain.signum() * dragged(size * x, self.drag)
+    }
+}
+
+impl Family for StaticMap {
+    type Run = MapRun;
+
+    fn base(&self) -> &[Parameter] {
+        &self.base
+    }
+
+    fn catalogue(&self) -> &[Candidate] {
+        &self.catalogue
+    }
+
+    fn unit(&self) -> &'static str {
+        self.unit
+    }
+
+    /// The slope of the straight line through zero, and steeper ones for maps that bend.
+    fn starts(&self, runs: &[&MapRun]) -> Vec<Vec<f64>> {
+        let (mut uy, mut uu) = (0.0, 0.0);
+        for (u, y) in runs.iter().flat_map(|run| run.rows()) {
+            uy += u * y;
+            uu += u * u;
+        }
+        let slope = if uu > 0.0 { uy / uu } else { 0.0 };
+        vec![vec![slope], vec![3.0 * slope]]
+    }
+
+    fn initial(&self, _: &MapRun) -> (Vec<f64>, Vec<f64>) {
+        (Vec::new(), Vec::new())
+    }
+
+    /// Before its first row the machine was at rest with the level at zero.
+    fn predict(&self, structure: &Structure, _: &[f64], run: &MapRun, predicted: &mut [f64]) {
+        let shape = self.shape(structure);
+        let scale = 0.5 * self.span;
+        let (mut level, mut moving, mut settled) = (0.0f64, 0.0f64, 0.0);
+        let end = run.first + run.measured.len();
+        for row in 0..end {
+            let supply = run.supply.get(row).map_or(1.0, |supply| supply / self.supply_ref);
+            let input = run.input[row] * if shape.supply_drive == 0.0 { 1.0 } else { supply.powf(shape.supply_drive) };
+            level = level.clamp(input - shape.play, input + shape.play);
+            let side = if level < 0.0 { -1.0 } else { 1.0 };
+            let dead = shape.dead * (1.0 + side * shape.dead_share);
+            let above = level.abs().min(shape.limit) - dead;
+            let mut target = 0.0;
+            if above > 0.0 {
+                target = side * shape.height(above, side, scale);
+                #[expect(clippy::float_cmp, reason = "moving is 0 or a side, which is 1 or -1")]
+                if moving != side {
+                    let start = (shape.start * (1.0 + side * shape.start_share)).max(dead);
+                    let over = (level.abs() - start) / self.smear;
+                    let started = if shape.start > 0.0 { 1.0 / (1.0 + (-over).exp()) } else { 1.0 };
+                    moving = if started > 0.5 { side } else { 0.0 };
+                    target *= started;
+                }
+            } else {
+                moving = 0.0;
+            }
+            if shape.supply != 0.0 {
+                target *= supply.powf(shape.supply);
+            }
+            target *= 1.0 + shape.drift_per_s * run.time_s[row];
+            let passed_s = row.checked_sub(1).map_or(f64::INFINITY, |before| run.time_s[row] - run.time_s[before]);
+            settled = if shape.settling_s > 0.0 {
+                target + (settled - target) * (-passed_s / shape.settling_s).exp()
+            } else {
+                target
+            };
+            if row >= run.first {
+                predicted[row - run.first] = settled + shape.offset;
+            }
+        }
+        for (curve, values) in structure.curves() {
+            for (at, out) in predicted.iter_mut().enumerate() {
+                *out += curve.value(values, run.driver(curve.over, run.first + at, self.supply_ref));
+            }
+        }
+    }
+
+    fn measured<'r>(&self, run: &'r MapRun) -> &'r [f64] {
+        &run.measured
+    }
+
+    fn time_s<'r>(&self, run: &'r MapRun) -> &'r [f64] {
+        &run.time_s[run.first..run.first + run.measured.len()]
+    }
+
+    fn name<'r>(&self, run: &'r MapRun) -> &'r str {
+        &run.name
+    }
+
+    fn part(&self, run: &MapRun, from: usize, to: usize) -> MapRun {
+        let to = to.min(run.measured.len());
+        let from = from.min(to);
+        MapRun { first: run.first + from, measured: run.measured[from..to].to_vec(), ..run.clone() }
+    }
+
+    fn drivers(&self, _: &Structure, _: &[f64], run: &MapRun) -> Vec<Driver> {
+        use Dependence::{Direction, History, Input, Supply, Time};
+        let of = |over, unit| {
+            let values = (0..run.measured.len()).map(|at| run.driver(over, run.first + at, self.supply_ref)).collect();
+            Driver { over, unit, period: None, values }
+        };
+        let mut drivers = vec![of(Input, "input"), of(Direction, "1"), of(Time, "s"), of(History, "input")];
+        if !run.supply.is_empty() {
+            drivers.push(of(Supply, "1"));
+        }
+        drivers
+    }
+
+    fn curve(&self, _: &Structure, over: Dependence, period: Option<f64>, runs: &[&MapRun]) -> Option<Curve> {
+        use Dependence::{History, Input, Supply, Time};
+        let at_unit = match over {
+            Input | History => "input",
+            Time => "s",
+            Supply => "1",
+            _ => return None,
+        };
+        let mut seen: Vec<f64> = Vec::new();
+        for run in runs {
+            let rows = run.measured.iter().enumerate().filter(|(_, y)| y.is_finite());
+            seen.extend(rows.map(|(at, _)| run.driver(over, run.first + at, self.supply_ref)));
+        }
+        seen.sort_unstable_by(f64::total_cmp);
+        let (&low, &high) = seen.first().zip(seen.last())?;
+        let gap = 1e-3 * (high - low);
+        // Where the rows are dense, corners are: at least six rows to a piece, and not more than twelve pieces.
+        let pieces = (seen.len() / 6).min(12);
+        let mut at: Vec<f64> = Vec::new();
+        for piece in 0..=pieces {
+            let value = seen[piece * (seen.len() - 1) / pieces.max(1)];
+            if at.last().is_none_or(|&last| value > last + gap) {
+                at.push(value);
+            }
+        }
+        let curve = Curve { over, at_unit, unit: self.unit, at, period, scale: 0.02 * self.height };
+        (curve.at.len() > 2).then_some(curve)
+    }
+}
+
+impl MapRun {
+    /// What the output of a row may depend on. History is how far the input went since it turned last, with sign.
+    fn driver(&self, over: Dependence, row: usize, supply_ref: f64) -> f64 {
+        match over {
+            Dependence::Input => self.input[row],
+            Dependence::Direction if self.input[row] == 0.0 => 0.0,
+            Dependence::Direction => self.input[row].signum(),
+            Dependence::Supply => self.supply.get(row).map_or(1.0, |supply| supply / supply_ref),
+            Dependence::Time => self.time_s[row],
+            Dependence::History => self.since_turn[row],
+            _ => f64::NAN,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
