@@ -1,1 +1,0 @@
-//! Closed-form laws against printed rows.
