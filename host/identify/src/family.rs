@@ -181,6 +181,12 @@ pub trait Family: Sync {
     /// The series that the residual is compared with.
     fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;
 
+    /// The residual of the output as the push that is missing, and its unit: what causes show in. `None` where the
+    /// residual of the output itself is best looked at.
+    fn push(&self, _structure: &Structure, _run: &Self::Run, _residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
+        None
+    }
+
     /// An empty curve over a driver, where the model can take one up; `None` where it cannot.
     fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run])
     -> Option<Curve>;

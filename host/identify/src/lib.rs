@@ -2,6 +2,10 @@
 //! residual depends on, which effect the model lacks, and how much better it is with it.
 
 pub mod data;
+pub mod error;
 pub mod family;
+pub mod fit;
+pub mod motion;
 pub mod report;
+pub mod select;
 pub mod statics;

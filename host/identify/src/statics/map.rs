@@ -153,14 +153,10 @@ fn since_turn(input: &[f64]) -> Arc<[f64]> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bend {
     DeadZone,
-    DeadZoneAsymmetry,
     StaticFriction,
-    StaticFrictionAsymmetry,
     Saturation,
-    SaturationAsymmetry,
     Clip,
     GainCurve,
-    GainCurveAsymmetry,
     QuadraticDrag,
     DirectionAsymmetry,
     Offset,
@@ -171,19 +167,15 @@ enum Bend {
     Drift,
 }
 
-/// Values of every bend, those that are absent at what has no effect.
+/// Values of every bend, those that are absent at what has no effect; `[forward, backward]` where directions differ.
 #[derive(Clone, Copy, Debug)]
 struct Shape {
     gain: f64,
-    dead: f64,
-    dead_share: f64,
-    start: f64,
-    start_share: f64,
-    curvature: f64,
-    curvature_share: f64,
+    dead: [f64; 2],
+    start: [f64; 2],
+    curvature: [f64; 2],
+    exponent: [f64; 2],
     limit: f64,
-    exponent: f64,
-    exponent_share: f64,
     drag: f64,
     gain_share: f64,
     offset: f64,
@@ -202,13 +194,14 @@ struct Shape {
 /// | `output` | speed or whatever else settles |
 /// | `supply` | may be missing; its unit cancels |
 ///
-/// With x what the dead-zone leaves of |input| and d its direction:
+/// With x what the dead-zone leaves of |input| and d its direction, and other values for each direction:
 /// `output = d · gain · (1 - exp(-c x)) / c`, x replaced by `X (x / X)^p` under a gain curve.
 #[derive(Clone, Debug)]
 pub struct StaticMap {
     base: Vec<Parameter>,
     catalogue: Vec<Candidate>,
-    bends: Vec<Bend>,
+    /// Of each of the catalogue, and the directions its numbers are of.
+    bends: Vec<(Bend, Vec<usize>)>,
     unit: &'static str,
     /// Largest of |input|.
     span: f64,
@@ -261,8 +254,8 @@ impl StaticMap {
         };
         let found = Found::of(runs, height, span);
         for bend in BENDS {
-            if let Some(candidate) = map.candidate(bend, &found) {
-                map.bends.push(bend);
+            if let Some((candidate, sides)) = map.candidate(bend, &found) {
+                map.bends.push((bend, sides));
                 map.catalogue.push(candidate);
             }
         }
@@ -275,191 +268,131 @@ impl StaticMap {
         self.supply_ref
     }
 
-    fn candidate(&self, bend: Bend, found: &Found) -> Option<Candidate> {
+    fn candidate(&self, bend: Bend, found: &Found) -> Option<(Candidate, Vec<usize>)> {
         use Dependence::{Direction, History, Input, Speed, Supply, Time};
-        let span = self.span;
-        let number = |name, range, absent| Parameter { name, unit: "1", range, absent: Some(absent) };
-        let level =
-            |name, scale| Parameter { name, unit: "input", range: Range::NotNegative { scale }, absent: Some(0.0) };
-        let share = |name| number(name, Range::Between(-1.0, 1.0), 0.0);
-        let both_ways = vec![vec![0.1], vec![-0.1], vec![0.4], vec![-0.4]];
-        let near = |at: &[f64], scales: &[f64]| -> Vec<Vec<f64>> {
-            at.iter().copied().chain(scales.iter().map(|share| share * span)).map(|value| vec![value]).collect()
+        let (span, height) = (self.span, self.height);
+        let one = |name, unit, range, absent| vec![Parameter { name, unit, range, absent: Some(absent) }];
+        // One number for each direction that was recorded; of one only, it holds for both.
+        let sides = if bend == Bend::StaticFriction { found.started() } else { found.moved() };
+        let each = |names: [&'static str; 2], unit, range, absent| -> Vec<Parameter> {
+            sides.iter().flat_map(|&side| one(names[side], unit, range, absent)).collect()
         };
-        let (name, depends_on, parameter, starts, experiment): (_, &'static [Dependence], _, _, _) = match bend {
+        let both = |values: &[f64]| -> Vec<Vec<f64>> { values.iter().map(|&value| vec![value; sides.len()]).collect() };
+        let levels = |found: [f64; 2]| sides.iter().map(|&side| found[side]).collect::<Vec<f64>>();
+        let shares = |values: &[f64]| values.iter().map(|share| vec![share * span]).collect::<Vec<_>>();
+        let (name, depends_on, parameters, starts, experiment): (_, &'static [Dependence], _, _, _) = match bend {
             Bend::DeadZone => (
                 "dead-zone",
-                &[Input],
-                level("width", 0.02 * span),
-                near(&found.dead, &[0.05, 0.2]),
-                "hold levels about zero, close together, in both directions",
-            ),
-            Bend::DeadZoneAsymmetry => (
-                "dead-zone-asymmetry",
                 &[Input, Direction],
-                share("share"),
-                both_ways,
+                each(["forward", "backward"], "input", Range::NotNegative { scale: 0.02 * span }, 0.0),
+                [vec![levels(found.dead)], both(&[0.05 * span, 0.2 * span])].concat(),
                 "hold levels about zero, close together, in both directions",
             ),
             Bend::StaticFriction => (
                 "static-friction",
-                &[Input, History],
-                level("start", 0.05 * span),
-                near(&found.starts, &[]),
-                "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
-            ),
-            Bend::StaticFrictionAsymmetry => (
-                "static-friction-asymmetry",
                 &[Input, Direction, History],
-                share("share"),
-                both_ways,
-                "from rest, raise the level until it moves, in both directions, several times",
+                each(["start_forward", "start_backward"], "input", Range::NotNegative { scale: 0.05 * span }, 0.0),
+                vec![levels(found.starts)],
+                "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
             ),
             Bend::Saturation => (
                 "saturation",
-                &[Input],
-                Parameter {
-                    name: "curvature",
-                    unit: "1/input",
-                    range: Range::NotNegative { scale: 0.1 / span },
-                    absent: Some(0.0),
-                },
-                vec![vec![1.0 / span], vec![4.0 / span], vec![10.0 / span]],
-                "hold levels up to the largest, evenly spaced",
-            ),
-            Bend::SaturationAsymmetry => (
-                "saturation-asymmetry",
                 &[Input, Direction],
-                share("share"),
-                both_ways,
-                "hold levels up to the largest in both directions",
+                each(["forward", "backward"], "1/input", Range::NotNegative { scale: 0.1 / span }, 0.0),
+                both(&[1.0 / span, 4.0 / span, 10.0 / span]),
+                "hold levels up to the largest, evenly spaced, in both directions",
             ),
             Bend::Clip => (
                 "clip",
                 &[Input],
                 // At the largest level of all it cuts nothing.
-                Parameter { name: "level", unit: "input", range: Range::Between(0.0, 1.02 * span), absent: Some(span) },
-                near(&[], &[0.5, 0.7, 0.9]),
+                one("level", "input", Range::Between(0.0, 1.02 * span), span),
+                shares(&[0.5, 0.7, 0.9]),
                 "hold levels close together near the largest",
             ),
             Bend::GainCurve => (
                 "gain-curve",
-                &[Input],
-                number("exponent", Range::Between(0.1, 6.0), 1.0),
-                vec![vec![0.7], vec![1.5]],
-                "hold levels evenly spaced from just above the dead-zone to the largest",
-            ),
-            Bend::GainCurveAsymmetry => (
-                "gain-curve-asymmetry",
                 &[Input, Direction],
-                share("share"),
-                both_ways,
-                "hold the same levels in both directions",
+                each(["exponent_forward", "exponent_backward"], "1", Range::Between(0.1, 6.0), 1.0),
+                both(&[0.7, 1.5]),
+                "hold levels evenly spaced from just above the dead-zone to the largest",
             ),
             Bend::QuadraticDrag => (
                 "quadratic-drag",
                 &[Speed],
-                Parameter {
-                    name: "share",
-                    unit: "1/output",
-                    range: Range::NotNegative { scale: 0.05 / self.height },
-                    absent: Some(0.0),
-                },
-                vec![vec![0.3 / self.height], vec![2.0 / self.height]],
+                one("share", "1/output", Range::NotNegative { scale: 0.05 / height }, 0.0),
+                vec![vec![0.3 / height], vec![2.0 / height]],
                 "hold levels up to the largest, once more with the load taken off",
             ),
             Bend::DirectionAsymmetry => (
                 "direction-asymmetry",
                 &[Direction],
-                share("share"),
-                both_ways,
+                one("share", "1", Range::Between(-1.0, 1.0), 0.0),
+                vec![vec![0.1], vec![-0.1]],
                 "hold the same levels in both directions",
             ),
             Bend::Offset => (
                 "offset",
                 &[],
-                Parameter {
-                    name: "output",
-                    unit: self.unit,
-                    range: Range::Any { scale: 0.02 * self.height },
-                    absent: Some(0.0),
-                },
+                one("output", self.unit, Range::Any { scale: 0.02 * height }, 0.0),
                 vec![vec![0.0]],
                 "record the output with the supply off",
             ),
             Bend::Supply => (
                 "supply",
                 &[Supply],
-                number("exponent", Range::Any { scale: 0.2 }, 0.0),
+                one("exponent", "1", Range::Any { scale: 0.2 }, 0.0),
                 vec![vec![1.0]],
                 "the same levels at two supply voltages at least 10 % apart",
             ),
             Bend::SupplyDrive => (
                 "supply-drive",
                 &[Supply, Input],
-                number("exponent", Range::Any { scale: 0.2 }, 0.0),
+                one("exponent", "1", Range::Any { scale: 0.2 }, 0.0),
                 vec![vec![1.0]],
                 "the same levels, small ones among them, at two supply voltages at least 10 % apart",
             ),
             Bend::Hysteresis => (
                 "hysteresis",
                 &[Input, History],
-                level("half_width", 0.02 * span),
-                near(&[], &[0.02, 0.1]),
+                one("half_width", "input", Range::NotNegative { scale: 0.02 * span }, 0.0),
+                shares(&[0.02, 0.1]),
                 "sweep up and down over the same levels, twice, once with longer holds",
             ),
             Bend::Settling => (
                 "slow-settling",
                 &[History, Time],
-                Parameter {
-                    name: "time_s",
-                    unit: "s",
-                    range: Range::NotNegative { scale: 0.2 * found.row_s },
-                    absent: Some(0.0),
-                },
+                one("time_s", "s", Range::NotNegative { scale: 0.2 * found.row_s }, 0.0),
                 vec![vec![0.5 * found.row_s], vec![2.0 * found.row_s]],
                 "the same levels held ten times as long",
             ),
             Bend::Drift => (
                 "drift",
                 &[Time],
-                Parameter {
-                    name: "per_s",
-                    unit: "1/s",
-                    range: Range::Any { scale: 0.02 / found.length_s },
-                    absent: Some(0.0),
-                },
+                one("per_s", "1/s", Range::Any { scale: 0.02 / found.length_s }, 0.0),
                 vec![vec![0.0]],
                 "one level held as long as the whole sweep, and the sweep repeated after it",
             ),
         };
         let offered = match bend {
-            Bend::DeadZoneAsymmetry
-            | Bend::SaturationAsymmetry
-            | Bend::GainCurveAsymmetry
-            | Bend::DirectionAsymmetry => found.both_directions,
-            Bend::StaticFriction => !found.starts.is_empty(),
-            Bend::StaticFrictionAsymmetry => found.starts_both,
+            Bend::DirectionAsymmetry => found.moving == [true, true],
+            Bend::StaticFriction => !sides.is_empty(),
             Bend::Supply | Bend::SupplyDrive => found.supply_changes,
             Bend::Hysteresis => found.up_and_down,
             Bend::Settling | Bend::Drift => found.length_s > 0.0 && found.row_s > 0.0,
             _ => true,
         };
-        offered.then(|| Candidate { name, depends_on, parameters: vec![parameter], starts, experiment, excludes: &[] })
+        offered.then(|| (Candidate { name, depends_on, parameters, starts, experiment, excludes: &[] }, sides))
     }
 
     fn shape(&self, structure: &Structure) -> Shape {
         let mut shape = Shape {
             gain: structure.base.first().copied().unwrap_or(0.0),
-            dead: 0.0,
-            dead_share: 0.0,
-            start: 0.0,
-            start_share: 0.0,
-            curvature: 0.0,
-            curvature_share: 0.0,
+            dead: [0.0; 2],
+            start: [0.0; 2],
+            curvature: [0.0; 2],
+            exponent: [1.0; 2],
             limit: f64::INFINITY,
-            exponent: 1.0,
-            exponent_share: 0.0,
             drag: 0.0,
             gain_share: 0.0,
             offset: 0.0,
@@ -471,33 +404,35 @@ impl StaticMap {
         };
         for (term, values) in structure.terms.iter().zip(&structure.added) {
             let (Term::Known(place), Some(&value)) = (term, values.first()) else { continue };
-            let Some(bend) = self.bends.get(*place) else { continue };
-            let slot = match bend {
-                Bend::DeadZone => &mut shape.dead,
-                Bend::DeadZoneAsymmetry => &mut shape.dead_share,
-                Bend::StaticFriction => &mut shape.start,
-                Bend::StaticFrictionAsymmetry => &mut shape.start_share,
-                Bend::Saturation => &mut shape.curvature,
-                Bend::SaturationAsymmetry => &mut shape.curvature_share,
-                Bend::Clip => &mut shape.limit,
-                Bend::GainCurve => &mut shape.exponent,
-                Bend::GainCurveAsymmetry => &mut shape.exponent_share,
-                Bend::QuadraticDrag => &mut shape.drag,
-                Bend::DirectionAsymmetry => &mut shape.gain_share,
-                Bend::Offset => &mut shape.offset,
-                Bend::Supply => &mut shape.supply,
-                Bend::SupplyDrive => &mut shape.supply_drive,
-                Bend::Hysteresis => &mut shape.play,
-                Bend::Settling => &mut shape.settling_s,
-                Bend::Drift => &mut shape.drift_per_s,
-            };
-            *slot = value;
+            let Some((bend, sides)) = self.bends.get(*place) else { continue };
+            let mut each = [value; 2];
+            for (&side, &value) in sides.iter().zip(values) {
+                each[side] = value;
+            }
+            match bend {
+                Bend::DeadZone => shape.dead = each,
+                Bend::StaticFriction => {
+                    // Where no start was seen there is nothing to say of one.
+                    sides.iter().for_each(|&side| shape.start[side] = each[side]);
+                }
+                Bend::Saturation => shape.curvature = each,
+                Bend::GainCurve => shape.exponent = each,
+                Bend::Clip => shape.limit = value,
+                Bend::QuadraticDrag => shape.drag = value,
+                Bend::DirectionAsymmetry => shape.gain_share = value,
+                Bend::Offset => shape.offset = value,
+                Bend::Supply => shape.supply = value,
+                Bend::SupplyDrive => shape.supply_drive = value,
+                Bend::Hysteresis => shape.play = value,
+                Bend::Settling => shape.settling_s = value,
+                Bend::Drift => shape.drift_per_s = value,
+            }
         }
         shape
     }
 }
 
-const BENDS: [Bend; 17] = [
+const BENDS: [Bend; 13] = [
     Bend::DeadZone,
     Bend::Saturation,
     Bend::Clip,
@@ -505,10 +440,6 @@ const BENDS: [Bend; 17] = [
     Bend::QuadraticDrag,
     Bend::StaticFriction,
     Bend::DirectionAsymmetry,
-    Bend::DeadZoneAsymmetry,
-    Bend::SaturationAsymmetry,
-    Bend::GainCurveAsymmetry,
-    Bend::StaticFrictionAsymmetry,
     Bend::Offset,
     Bend::Supply,
     Bend::SupplyDrive,
@@ -517,14 +448,13 @@ const BENDS: [Bend; 17] = [
     Bend::Drift,
 ];
 
-/// What the recordings show before anything is fitted.
+/// What the recordings show before anything is fitted; `[forward, backward]`.
 struct Found {
-    /// Largest level without an output, of each direction that has one.
-    dead: Vec<f64>,
-    /// Levels at which it started from rest.
-    starts: Vec<f64>,
-    starts_both: bool,
-    both_directions: bool,
+    /// Largest level without an output.
+    dead: [f64; 2],
+    /// Level at which it started from rest; 0 if it never did.
+    starts: [f64; 2],
+    moving: [bool; 2],
     up_and_down: bool,
     supply_changes: bool,
     /// Median time between rows.
@@ -547,10 +477,10 @@ impl Found {
             let rows: Vec<(f64, f64)> = run.rows().collect();
             for &(u, y) in &rows {
                 let side = usize::from(u < 0.0);
-                if still(y) {
-                    dead[side] = dead[side].max(u.abs());
-                } else {
+                if !still(y) {
                     moving[side] = true;
+                } else if u.abs() < span {
+                    dead[side] = dead[side].max(u.abs());
                 }
             }
             for pair in rows.windows(2) {
@@ -566,18 +496,27 @@ impl Found {
             length_s = length_s.max(window.last().zip(window.first()).map_or(0.0, |(last, first)| last - first));
         }
         let (low, high) = extent(runs.iter().flat_map(|run| run.supply.iter().copied()));
-        let starts_both = starts.iter().all(|levels| !levels.is_empty());
+        let [mut forward, mut backward] = starts;
         Self {
-            dead: dead.into_iter().filter(|&level| level > 0.0 && level < span).collect(),
-            starts: starts.iter_mut().filter(|levels| !levels.is_empty()).map(|levels| median(levels)).collect(),
-            starts_both,
-            both_directions: moving == [true, true],
+            dead,
+            starts: [median(&mut forward), median(&mut backward)],
+            moving,
             up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
             // Less than 2 % of change shows an exponent only through its noise.
             supply_changes: high > 1.02 * low,
             row_s: median(&mut rows_s),
             length_s,
         }
+    }
+
+    /// Directions in which it moved.
+    fn moved(&self) -> Vec<usize> {
+        (0..2).filter(|&side| self.moving[side]).collect()
+    }
+
+    /// Directions in which it started from rest.
+    fn started(&self) -> Vec<usize> {
+        (0..2).filter(|&side| self.starts[side] > 0.0).collect()
     }
 }
 
@@ -607,14 +546,15 @@ fn dragged(x: f64, drag: f64) -> f64 {
 }
 
 impl Shape {
-    /// Output above zero of a level `x` above its dead-zone, `side` +1 or -1.
-    fn height(&self, x: f64, side: f64, scale: f64) -> f64 {
-        let exponent = self.exponent * (1.0 + side * self.exponent_share);
+    /// Output of a level `x` above the dead-zone of its direction.
+    fn output(&self, x: f64, backward: usize, scale: f64) -> f64 {
+        let exponent = self.exponent[backward];
+        let way = if backward == 0 { 1.0 } else { -1.0 };
         #[expect(clippy::float_cmp, reason = "exactly one where there is no gain curve")]
         let x = if exponent == 1.0 { x } else { scale * (x / scale).powf(exponent) };
-        let x = saturated(x, self.curvature * (1.0 + side * self.curvature_share));
-        let size = self.gain.abs() * (1.0 + side * self.gain_share);
-        self.gain.signum() * dragged(size * x, self.drag)
+        let x = saturated(x, self.curvature[backward]);
+        let size = self.gain.abs() * (1.0 + way * self.gain_share);
+        way * self.gain.signum() * dragged(size * x, self.drag)
     }
 }
 
@@ -652,28 +592,29 @@ impl Family for StaticMap {
     fn predict(&self, structure: &Structure, _: &[f64], run: &MapRun, predicted: &mut [f64]) {
         let shape = self.shape(structure);
         let scale = 0.5 * self.span;
-        let (mut level, mut moving, mut settled) = (0.0f64, 0.0f64, 0.0);
+        let (mut level, mut settled) = (0.0f64, 0.0);
+        // The direction it moves in.
+        let mut moving = None;
         let end = run.first + run.measured.len();
         for row in 0..end {
             let supply = run.supply.get(row).map_or(1.0, |supply| supply / self.supply_ref);
             let input = run.input[row] * if shape.supply_drive == 0.0 { 1.0 } else { supply.powf(shape.supply_drive) };
             level = level.clamp(input - shape.play, input + shape.play);
-            let side = if level < 0.0 { -1.0 } else { 1.0 };
-            let dead = shape.dead * (1.0 + side * shape.dead_share);
+            let backward = usize::from(level < 0.0);
+            let dead = shape.dead[backward];
             let above = level.abs().min(shape.limit) - dead;
             let mut target = 0.0;
             if above > 0.0 {
-                target = side * shape.height(above, side, scale);
-                #[expect(clippy::float_cmp, reason = "moving is 0 or a side, which is 1 or -1")]
-                if moving != side {
-                    let start = (shape.start * (1.0 + side * shape.start_share)).max(dead);
-                    let over = (level.abs() - start) / self.smear;
-                    let started = if shape.start > 0.0 { 1.0 / (1.0 + (-over).exp()) } else { 1.0 };
-                    moving = if started > 0.5 { side } else { 0.0 };
+                target = shape.output(above, backward, scale);
+                let start = shape.start[backward];
+                if start > 0.0 && moving != Some(backward) {
+                    let over = (level.abs() - start.max(dead)) / self.smear;
+                    let started = 1.0 / (1.0 + (-over).exp());
+                    moving = (started > 0.5).then_some(backward);
                     target *= started;
                 }
             } else {
-                moving = 0.0;
+                moving = None;
             }
             if shape.supply != 0.0 {
                 target *= supply.powf(shape.supply);

@@ -1,0 +1,470 @@
+//! Which effects the data ask for: forward selection with removal, judged on blocks that were left out of the fit.
+//!
+//! Each round fits every effect that is not yet in, keeps the most promising, and fits these again on one half of the
+//! blocks to predict the other, and the other way round. An effect is taken if it makes the blocks' error smaller by more
+//! than a trifle and by more than chance. Effects with names come first; what these leave is offered to curves.
+
+use r4_plants::Dependence;
+use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
+
+use crate::{
+    family::{Candidate, Family, Structure, Term},
+    fit::{self, Effort, Fit, fit},
+};
+
+/// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
+/// what two correct programs differ by.
+const WORTH: f64 = 0.015;
+/// The same for a curve, which has many more numbers and no name.
+const CURVE_WORTH: f64 = 0.03;
+/// A term whose removal costs less than this share was superfluous.
+const SUPERFLUOUS: f64 = 0.004;
+/// Chance, after multiplying by the number of effects tried.
+const CHANCE: f64 = 0.05;
+/// An effect's size in its own standard deviations.
+const LEAST_Z: f64 = 3.0;
+/// Effects whose errors differ by less than this share are rivals.
+const ALIKE: f64 = 0.01;
+/// So many effects of each round are looked at on blocks.
+const PROMISING: usize = 6;
+const MOST_TERMS: usize = 6;
+const MOST_CURVES: usize = 2;
+/// Blocks that the training data are cut into, about; a block has at least so many samples.
+const BLOCKS: usize = 12;
+const LEAST_SAMPLES: usize = 40;
+
+/// What became of the data.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The base model alone.
+    pub base: Fit,
+    /// What was added, in order; structures after each.
+    pub steps: Vec<Step>,
+    /// Base model and all terms.
+    pub last: Fit,
+    /// Of the last model's parameters.
+    pub deviations: Vec<Option<f64>>,
+    /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
+    pub rejected: Vec<(String, f64, String)>,
+}
+
+/// A term that was taken.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// What.
+    pub term: Term,
+    /// Errors on left-out blocks without and with it.
+    pub blocked_rmse: [f64; 2],
+    /// Chance of such a gain, times the number of effects tried.
+    pub p_value: f64,
+    /// Blocks that got better, of all.
+    pub blocks_better: [usize; 2],
+    /// Size of the effect in its standard deviations; infinite where the effect has no size.
+    pub z: f64,
+    /// Effects that do as well: their index, and error on blocks.
+    pub rivals: Vec<(usize, f64)>,
+}
+
+/// The mean square error of each block, and the samples behind it.
+type Blocked = Vec<(f64, usize)>;
+
+fn rmse(blocks: &Blocked) -> f64 {
+    let samples: usize = blocks.iter().map(|block| block.1).sum();
+    (blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
+}
+
+struct Trial {
+    term: Term,
+    fit: Fit,
+}
+
+struct Judged {
+    trial: Trial,
+    blocked: Blocked,
+    deviations: Vec<Option<f64>>,
+}
+
+struct Search<'s, F: Family> {
+    family: &'s F,
+    runs: Vec<&'s F::Run>,
+    /// Two halves of blocks.
+    halves: [Vec<F::Run>; 2],
+    progress: &'s (dyn Fn(&str) + Sync),
+}
+
+/// Searches for what the base model lacks.
+pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
+    let search = Search { family, runs: train.iter().collect(), halves: halves(family, train), progress };
+    progress("base model");
+    let base = search.base();
+    let mut current = base.clone();
+    let mut steps: Vec<Step> = Vec::new();
+    let mut rejected;
+    let mut with_curves = false;
+    let mut round = 0;
+    loop {
+        round += 1;
+        let blocked = search.blocked(&current);
+        let kind = if with_curves { "curves" } else { "effects" };
+        progress(&format!("round {round}: {kind}"));
+        let trials = if with_curves { search.curves(&current) } else { search.effects(&current) };
+        let tried = trials.len();
+        let judged = search.judge(trials);
+        let (taken, others) = search.choose(&current, &blocked, judged, tried, with_curves);
+        rejected = others;
+        let curves = current.structure.curves().count();
+        if let Some((step, fit)) = taken
+            && steps.len() < MOST_TERMS
+            && (!with_curves || curves < MOST_CURVES)
+        {
+            steps.push(step);
+            current = fit;
+            search.remove(&mut current, &mut steps);
+            continue;
+        }
+        if with_curves {
+            break;
+        }
+        with_curves = true;
+    }
+    progress("intervals");
+    let deviations = current.deviations(family, &search.runs);
+    Found { base, steps, last: current, deviations, rejected }
+}
+
+/// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
+fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
+    let mut halves = [Vec::new(), Vec::new()];
+    let each = if runs.len() >= BLOCKS { 1 } else { BLOCKS.div_ceil(runs.len().max(1)) };
+    let mut next = 0;
+    for run in runs {
+        let samples = family.measured(run).len();
+        let blocks = each.min(samples / LEAST_SAMPLES).max(1);
+        for block in 0..blocks {
+            let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
+            halves[next % 2].push(part);
+            next += 1;
+        }
+        // So that the same part of every run is not always in the same half.
+        next += usize::from(blocks % 2 == 0);
+    }
+    halves
+}
+
+impl<F: Family> Search<'_, F> {
+    fn base(&self) -> Fit {
+        let starts = self.family.starts(&self.runs);
+        let initial = fit::guessed(self.family, &self.runs);
+        let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
+        let screened: Vec<Fit> = starts
+            .par_iter()
+            .map(|start| fit(self.family, &self.runs, structure(start), initial.clone(), Effort::SCREEN))
+            .collect();
+        let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+        let (structure, initial) = best.map_or_else(
+            || (structure(&vec![1.0; self.family.base().len()]), initial),
+            |best| (best.structure, best.initial),
+        );
+        fit(self.family, &self.runs, structure, initial, Effort::FULL)
+    }
+
+    fn fit_with(&self, current: &Fit, term: Term, values: &[f64], effort: Effort) -> Fit {
+        let mut structure = current.structure.clone();
+        structure.terms.push(term);
+        structure.added.push(values.to_vec());
+        fit(self.family, &self.runs, structure, current.initial.clone(), effort)
+    }
+
+    /// Every effect that may be added, fitted from each of its starts; the best of each.
+    fn effects(&self, current: &Fit) -> Vec<Trial> {
+        let catalogue = self.family.catalogue();
+        let names: Vec<&str> = current
+            .structure
+            .terms
+            .iter()
+            .filter_map(|term| if let Term::Known(index) = term { Some(catalogue[*index].name) } else { None })
+            .collect();
+        let open = |candidate: &Candidate| {
+            !names.contains(&candidate.name) && !candidate.excludes.iter().any(|name| names.contains(name))
+        };
+        let tasks: Vec<(usize, &Vec<f64>)> = catalogue
+            .iter()
+            .enumerate()
+            .filter(|(_, candidate)| open(candidate))
+            .flat_map(|(index, candidate)| candidate.starts.iter().map(move |start| (index, start)))
+            .collect();
+        let fits: Vec<Fit> = tasks
+            .par_iter()
+            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::SCREEN))
+            .collect();
+        let mut best: Vec<Trial> = Vec::new();
+        for ((index, _), fit) in tasks.into_iter().zip(fits) {
+            match best.last_mut() {
+                Some(last) if last.term == Term::Known(index) => {
+                    if fit.cost < last.fit.cost {
+                        last.fit = fit;
+                    }
+                }
+                _ => best.push(Trial { term: Term::Known(index), fit }),
+            }
+        }
+        best
+    }
+
+    fn curves(&self, current: &Fit) -> Vec<Trial> {
+        let Some(drivers) =
+            self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
+        else {
+            return vec![];
+        };
+        drivers
+            .par_iter()
+            .filter_map(|driver| self.family.curve(&current.structure, driver.over, driver.period, &self.runs))
+            .map(|curve| {
+                let zeros = vec![0.0; curve.at.len()];
+                let term = Term::Curve(curve);
+                let fit = self.fit_with(current, term.clone(), &zeros, Effort::SCREEN);
+                Trial { term, fit }
+            })
+            .collect()
+    }
+
+    /// The most promising trials, fitted to the end and judged on blocks; best first.
+    fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
+        trials.retain(|trial| trial.fit.cost.is_finite());
+        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        trials.truncate(PROMISING);
+        let effort = Effort { robust: false, ..Effort::FULL };
+        let mut judged: Vec<Judged> = trials
+            .into_par_iter()
+            .map(|Trial { term, fit: screened }| {
+                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, effort);
+                let blocked = self.blocked(&fit);
+                let deviations = fit.deviations(self.family, &self.runs);
+                Judged { trial: Trial { term, fit }, blocked, deviations }
+            })
+            .collect();
+        judged.sort_by(|a, b| rmse(&a.blocked).total_cmp(&rmse(&b.blocked)));
+        judged
+    }
+
+    /// Errors on each block of a structure fitted to the other half of the blocks.
+    fn blocked(&self, from: &Fit) -> Blocked {
+        let effort = Effort { robust: false, ..Effort::SCREEN };
+        [(0, 1), (1, 0)]
+            .par_iter()
+            .flat_map_iter(|&(fitted, left_out)| {
+                let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
+                let initial = runs
+                    .iter()
+                    .map(|run| fit::settle(self.family, &from.structure, run, self.family.measured(run).len()))
+                    .collect();
+                let refit = fit(self.family, &runs, from.structure.clone(), initial, effort);
+                self.halves[left_out].iter().map(move |block| {
+                    let samples = self.family.measured(block).len();
+                    let initial = fit::settle(self.family, &refit.structure, block, samples);
+                    let residuals = fit::residuals(self.family, &refit.structure, &initial, block);
+                    let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
+                    let square: f64 = known.iter().map(|residual| residual * residual).sum();
+                    (square / known.len().max(1) as f64, known.len())
+                })
+            })
+            .collect()
+    }
+
+    /// The best effect that passes, and what the others lacked.
+    #[allow(clippy::type_complexity)]
+    fn choose(
+        &self,
+        current: &Fit,
+        before: &Blocked,
+        judged: Vec<Judged>,
+        tried: usize,
+        with_curves: bool,
+    ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
+        let rmse_before = rmse(before);
+        let mut others = Vec::new();
+        let mut passed: Vec<(Judged, Step)> = Vec::new();
+        for candidate in judged {
+            let after = rmse(&candidate.blocked);
+            let name = self.term_name(&candidate.trial.term);
+            let worth = if with_curves { CURVE_WORTH } else { WORTH };
+            let p_value = self.chance(current, before, &candidate) * tried as f64;
+            let z = self.size(&candidate);
+            let better = before.iter().zip(&candidate.blocked).filter(|(before, after)| after.0 < before.0).count();
+            let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
+                Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
+            } else if p_value >= CHANCE {
+                Some(format!("not more than chance (p = {p_value:.2})"))
+            } else if z < LEAST_Z {
+                Some(format!("its size is {z:.1} standard deviations from none"))
+            } else {
+                None
+            };
+            if let Some(reason) = reason {
+                others.push((name, after, reason));
+                continue;
+            }
+            let step = Step {
+                term: candidate.trial.term.clone(),
+                blocked_rmse: [rmse_before, after],
+                p_value: p_value.min(1.0),
+                blocks_better: [better, before.len()],
+                z,
+                rivals: vec![],
+            };
+            passed.push((candidate, step));
+        }
+        if passed.is_empty() {
+            return (None, others);
+        }
+        // Among those that do as well as the best, the one with the fewest numbers.
+        let best = passed[0].1.blocked_rmse[1];
+        let numbers = |entry: &(Judged, Step)| entry.0.trial.fit.structure.added.last().map_or(0, Vec::len);
+        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + 0.5 * ALIKE)).count();
+        let place = (0..alike).min_by_key(|&place| numbers(&passed[place])).unwrap_or(0);
+        let (winner, mut step) = passed.remove(place);
+        let gain = rmse_before - step.blocked_rmse[1];
+        for (rival, its) in passed {
+            let close = its.blocked_rmse[1] <= step.blocked_rmse[1] * (1.0 + ALIKE);
+            let most = rmse_before - its.blocked_rmse[1] > 0.5 * gain;
+            let told_apart = paired(&rival.blocked, &winner.blocked) < CHANCE;
+            match rival.trial.term {
+                Term::Known(index) if close || (most && !told_apart) => {
+                    step.rivals.push((index, its.blocked_rmse[1]));
+                }
+                term => others.push((self.term_name(&term), its.blocked_rmse[1], "explains less".to_owned())),
+            }
+        }
+        others.sort_by(|a, b| a.1.total_cmp(&b.1));
+        (Some((step, winner.trial.fit)), others)
+    }
+
+    fn term_name(&self, term: &Term) -> String {
+        match term {
+            Term::Known(index) => self.family.catalogue()[*index].name.to_owned(),
+            Term::Curve(curve) => format!("unknown, over {}", curve.over.name()),
+        }
+    }
+
+    /// Chance of such a gain without the effect: by the blocks, paired, or by the variance explained (F), whichever is
+    /// clearer. The former takes any noise, the latter an effect that shows in few blocks.
+    fn chance(&self, current: &Fit, before: &Blocked, candidate: &Judged) -> f64 {
+        let fit = &candidate.trial.fit;
+        let residuals = fit.residuals(self.family, &self.runs);
+        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
+        let independent = samples / correlated(&residuals);
+        let added = fit.structure.added.last().map_or(0, Vec::len).max(1) as f64;
+        let free = independent - fit.structure.base.len() as f64 - added - 2.0;
+        let explained = (current.cost - fit.cost).max(0.0) / added / (fit.cost / free.max(1.0));
+        let by_variance = FisherSnedecor::new(added, free.max(1.0)).map_or(1.0, |f| f.sf(explained));
+        by_variance.min(paired(before, &candidate.blocked))
+    }
+
+    /// Least distance from no effect of what tells the effect's size, in standard deviations.
+    fn size(&self, candidate: &Judged) -> f64 {
+        let fit = &candidate.trial.fit;
+        let parameters = fit::parameters(self.family, &fit.structure.terms);
+        let values = fit.structure.added.last().map_or(&[][..], |values| values);
+        let from = parameters.len() - values.len();
+        let sizes = parameters[from..].iter().zip(values).zip(&candidate.deviations[from..]);
+        let z = sizes.filter_map(|((parameter, value), deviation)| {
+            let absent = parameter.absent?;
+            Some(deviation.map_or(0.0, |deviation| (value - absent).abs() / deviation.max(f64::MIN_POSITIVE)))
+        });
+        // Of several sizes (both directions, corners of a curve) one must be there.
+        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))))
+            .unwrap_or(f64::INFINITY)
+    }
+
+    /// Takes out again what later terms made superfluous.
+    fn remove(&self, current: &mut Fit, steps: &mut Vec<Step>) {
+        while steps.len() > 1 {
+            let with = rmse(&self.blocked(current));
+            let without: Vec<(usize, Fit, f64)> = (0..steps.len() - 1)
+                .into_par_iter()
+                .map(|place| {
+                    let mut structure = current.structure.clone();
+                    structure.terms.remove(place);
+                    structure.added.remove(place);
+                    let fit = fit(self.family, &self.runs, structure, current.initial.clone(), Effort::SCREEN);
+                    let error = rmse(&self.blocked(&fit));
+                    (place, fit, error)
+                })
+                .collect();
+            let least = without.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
+            match least {
+                Some((place, fit, error)) if error <= with * (1.0 + SUPERFLUOUS) => {
+                    (self.progress)(&format!("without {}", self.term_name(&steps[place].term)));
+                    steps.remove(place);
+                    *current = fit;
+                }
+                _ => return,
+            }
+        }
+    }
+}
+
+/// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).
+fn paired(worse: &Blocked, better: &Blocked) -> f64 {
+    let gains: Vec<f64> = worse
+        .iter()
+        .zip(better)
+        .filter(|(worse, better)| worse.0 > 0.0 && better.0 > 0.0)
+        .map(|(worse, better)| (worse.0 / better.0).ln())
+        .collect();
+    let count = gains.len() as f64;
+    if count < 3.0 {
+        return 1.0;
+    }
+    let mean = gains.iter().sum::<f64>() / count;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let t = mean / (variance / count).sqrt().max(f64::MIN_POSITIVE);
+    StudentsT::new(0.0, 1.0, count - 1.0).map_or(1.0, |student| student.sf(t))
+}
+
+/// How many samples say as much as one independent one: the integrated autocorrelation, up to where it first vanishes.
+pub(crate) fn correlated(residuals: &[Vec<f64>]) -> f64 {
+    let mut sum = 1.0;
+    let variance = product(residuals, 0);
+    if variance <= 0.0 {
+        return 1.0;
+    }
+    let longest = residuals.iter().map(Vec::len).max().unwrap_or(0) / 2;
+    let mut lag = 1;
+    while lag < longest {
+        let correlation = product(residuals, lag) / variance;
+        if correlation < 0.05 {
+            break;
+        }
+        // Far lags by strides: the sum stays right where the correlation is smooth.
+        let stride = (lag / 10).max(1);
+        sum += 2.0 * correlation * stride as f64;
+        lag += stride;
+    }
+    sum
+}
+
+/// Mean product of residuals a lag apart.
+pub(crate) fn product(residuals: &[Vec<f64>], lag: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for run in residuals {
+        for (a, b) in run.iter().zip(run.iter().skip(lag)) {
+            if a.is_finite() && b.is_finite() {
+                sum += a * b;
+                count += 1.0;
+            }
+        }
+    }
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// What a term depends on, for reports.
+#[must_use]
+pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
+    match term {
+        Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
+        Term::Curve(curve) => vec![curve.over],
+    }
+}
