@@ -1,6 +1,48 @@
 //! Recorded runs, read from files without inventing anything.
+//!
+//! [`read`] takes CSV tables with a header, and the MCAP logs of `r4`, and makes [`Run`]s of them in SI units. What it set
+//! aside, repaired or took to be so is in [`Recorded::notes`]. [`Recorded::alternate`] holds runs out; [`check()`] tells what
+//! a model would miss.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | [`mod@unit`] | units, from the names of columns |
+//! | `table`, `log` | one file as columns of numbers |
+//! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
+//! | `clean` | what is wrong with the samples of a run |
+//! | [`mod@check`] | whether there is enough to identify something |
+//!
+//! ```
+//! use r4_identify::data::{Mapping, Options, read_bytes};
+//!
+//! let file = b"time_ms,duty,theta_deg\n0,0.5,0\n10,0.5,1.8\n20,0.5,\n30,0,5.4\n";
+//! let roles = vec![Mapping::driving("input", "duty"), Mapping::measured("output", "theta_deg")];
+//! let recorded = read_bytes("run.csv", file, &Options { roles, ..Options::default() })?;
+//! let run = &recorded.runs[0];
+//! assert_eq!(run.time_s, [0.0, 0.01, 0.02, 0.03]);
+//! assert!(run.values("output").is_some_and(|angle| (angle[1] - 0.0314).abs() < 1e-4 && angle[2].is_nan()));
+//! assert_eq!(recorded.notes[0].to_string(), "run.csv: theta_deg has no number in 1 of 4 rows; they are not compared");
+//! # Ok::<(), r4_identify::data::DataError>(())
+//! ```
 
 use std::collections::BTreeMap;
+
+pub mod check;
+mod clean;
+mod error;
+mod log;
+mod note;
+mod read;
+mod runs;
+mod table;
+#[cfg(test)]
+mod tests;
+pub mod unit;
+
+pub use check::{Need, check};
+pub use error::{Columns, DataError};
+pub use note::Note;
+pub use read::{Holdout, Mapping, Options, Recorded, read, read_bytes};
 
 /// What a column measures, as far as its unit tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
