@@ -140,7 +140,7 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
     let mut next = 0;
     for run in runs {
         let samples = family.measured(run).len();
-        let blocks = each.min(samples / LEAST_SAMPLES).max(1);
+        let blocks = family.blocks(run).unwrap_or(each.min(samples / LEAST_SAMPLES)).max(1);
         for block in 0..blocks {
             let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
             halves[next % 2].push(part);

@@ -115,6 +115,20 @@ impl MapRun {
         &self.input[self.first..self.first + self.measured.len()]
     }
 
+    /// Whether the input follows the order of rows, by a correlation above 0.9.
+    fn goes_one_way(&self) -> bool {
+        let rows = self.input.len() as f64;
+        let (mean, middle) = (self.input.iter().sum::<f64>() / rows, (rows - 1.0) / 2.0);
+        let (mut uu, mut ut, mut tt) = (0.0, 0.0, 0.0);
+        for (row, u) in self.input.iter().enumerate() {
+            let (u, t) = (u - mean, row as f64 - middle);
+            uu += u * u;
+            ut += u * t;
+            tt += t * t;
+        }
+        ut * ut > 0.81 * uu * tt
+    }
+
     /// Input and output of the rows that were measured.
     fn rows(&self) -> impl Iterator<Item = (f64, f64)> {
         self.input().iter().copied().zip(self.measured.iter().copied()).filter(|(_, y)| y.is_finite())
@@ -155,7 +169,6 @@ enum Bend {
     DeadZone,
     StaticFriction,
     Saturation,
-    Clip,
     GainCurve,
     QuadraticDrag,
     DirectionAsymmetry,
@@ -175,7 +188,7 @@ struct Shape {
     start: [f64; 2],
     curvature: [f64; 2],
     exponent: [f64; 2],
-    limit: f64,
+    sharpness: [f64; 2],
     drag: f64,
     gain_share: f64,
     offset: f64,
@@ -195,7 +208,8 @@ struct Shape {
 /// | `supply` | may be missing; its unit cancels |
 ///
 /// With x what the dead-zone leaves of |input| and d its direction, and other values for each direction:
-/// `output = d · gain · (1 - exp(-c x)) / c`, x replaced by `X (x / X)^p` under a gain curve.
+/// `output = d · gain · x / (1 + (c x)^n)^(1/n)` when it saturates, x replaced by `X (x / X)^p` under a gain curve. A sharpness
+/// n of 1 bends softly, one of 8 and above is a clip.
 #[derive(Clone, Debug)]
 pub struct StaticMap {
     base: Vec<Parameter>,
@@ -211,6 +225,8 @@ pub struct StaticMap {
     height: f64,
     /// Supply at which `gain` holds.
     supply_ref: f64,
+    /// The level only ever went one way: what passes with time or with the way cannot be told from what the level does.
+    one_way: bool,
 }
 
 impl StaticMap {
@@ -251,6 +267,7 @@ impl StaticMap {
             smear: (median(&mut steps) / 8.0).max(1e-4 * span),
             height,
             supply_ref,
+            one_way: runs.iter().all(|run| run.goes_one_way()),
         };
         let found = Found::of(runs, height, span);
         for bend in BENDS {
@@ -298,17 +315,25 @@ impl StaticMap {
             Bend::Saturation => (
                 "saturation",
                 &[Input, Direction],
-                each(["forward", "backward"], "1/input", Range::NotNegative { scale: 0.1 / span }, 0.0),
-                both(&[1.0 / span, 4.0 / span, 10.0 / span]),
+                [
+                    each(["forward", "backward"], "1/input", Range::NotNegative { scale: 0.1 / span }, 0.0),
+                    sides
+                        .iter()
+                        .map(|&side| Parameter {
+                            name: ["sharpness_forward", "sharpness_backward"][side],
+                            unit: "1",
+                            range: Range::Between(SHARPNESS[0], SHARPNESS[1]),
+                            absent: None,
+                        })
+                        .collect(),
+                ]
+                .concat(),
+                [[1.0, 6.0], [4.0, 1.5], [4.0, 6.0], [10.0, 1.5]]
+                    .map(|[curvature, sharpness]| {
+                        [vec![curvature / span; sides.len()], vec![sharpness; sides.len()]].concat()
+                    })
+                    .to_vec(),
                 "hold levels up to the largest, evenly spaced, in both directions",
-            ),
-            Bend::Clip => (
-                "clip",
-                &[Input],
-                // At the largest level of all it cuts nothing.
-                one("level", "input", Range::Between(0.0, 1.02 * span), span),
-                shares(&[0.5, 0.7, 0.9]),
-                "hold levels close together near the largest",
             ),
             Bend::GainCurve => (
                 "gain-curve",
@@ -379,10 +404,14 @@ impl StaticMap {
             Bend::StaticFriction => !sides.is_empty(),
             Bend::Supply | Bend::SupplyDrive => found.supply_changes,
             Bend::Hysteresis => found.up_and_down,
-            Bend::Settling | Bend::Drift => found.length_s > 0.0 && found.row_s > 0.0,
+            Bend::Settling => found.row_s > 0.0,
+            Bend::Drift => found.length_s > 0.0 && !self.one_way,
             _ => true,
         };
-        offered.then(|| (Candidate { name, depends_on, parameters, starts, experiment, excludes: &[] }, sides))
+        // Saturation has a shape of its own that does what these do.
+        let excludes: &[&str] =
+            if matches!(bend, Bend::GainCurve | Bend::QuadraticDrag) { &["saturation"] } else { &[] };
+        offered.then_some((Candidate { name, depends_on, parameters, starts, experiment, excludes }, sides))
     }
 
     fn shape(&self, structure: &Structure) -> Shape {
@@ -392,7 +421,7 @@ impl StaticMap {
             start: [0.0; 2],
             curvature: [0.0; 2],
             exponent: [1.0; 2],
-            limit: f64::INFINITY,
+            sharpness: [1.0; 2],
             drag: 0.0,
             gain_share: 0.0,
             offset: 0.0,
@@ -405,19 +434,20 @@ impl StaticMap {
         for (term, values) in structure.terms.iter().zip(&structure.added) {
             let (Term::Known(place), Some(&value)) = (term, values.first()) else { continue };
             let Some((bend, sides)) = self.bends.get(*place) else { continue };
-            let mut each = [value; 2];
-            for (&side, &value) in sides.iter().zip(values) {
-                each[side] = value;
-            }
+            let each = of_sides(sides, values);
             match bend {
                 Bend::DeadZone => shape.dead = each,
                 Bend::StaticFriction => {
                     // Where no start was seen there is nothing to say of one.
                     sides.iter().for_each(|&side| shape.start[side] = each[side]);
                 }
-                Bend::Saturation => shape.curvature = each,
+                Bend::Saturation => {
+                    shape.curvature = each;
+                    if let Some(sharpness) = values.get(sides.len()..).filter(|values| !values.is_empty()) {
+                        shape.sharpness = of_sides(sides, sharpness);
+                    }
+                }
                 Bend::GainCurve => shape.exponent = each,
-                Bend::Clip => shape.limit = value,
                 Bend::QuadraticDrag => shape.drag = value,
                 Bend::DirectionAsymmetry => shape.gain_share = value,
                 Bend::Offset => shape.offset = value,
@@ -432,10 +462,18 @@ impl StaticMap {
     }
 }
 
-const BENDS: [Bend; 13] = [
+/// One value for each direction; where only one is there it holds for both.
+fn of_sides(sides: &[usize], values: &[f64]) -> [f64; 2] {
+    let mut each = [values[0]; 2];
+    for (&side, &value) in sides.iter().zip(values) {
+        each[side] = value;
+    }
+    each
+}
+
+const BENDS: [Bend; 12] = [
     Bend::DeadZone,
     Bend::Saturation,
-    Bend::Clip,
     Bend::GainCurve,
     Bend::QuadraticDrag,
     Bend::StaticFriction,
@@ -535,9 +573,19 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     if values.len() % 2 == 1 { values[half] } else { f64::midpoint(values[half - 1], values[half]) }
 }
 
-/// `(1 - exp(-c x)) / c`, which is x for c = 0.
-fn saturated(x: f64, c: f64) -> f64 {
-    if c * x < 1e-9 { x } else { -(-c * x).exp_m1() / c }
+/// Softest and hardest bend; the hardest leaves 4 % of a clip's corner.
+const SHARPNESS: [f64; 2] = [0.5, 16.0];
+
+/// `x / (1 + (c x)^n)^(1/n)`: x while it is small, 1/c when it is large, and a corner there for a large n.
+fn saturated(x: f64, c: f64, n: f64) -> f64 {
+    let share = c * x;
+    if share <= 0.0 {
+        x
+    } else if share <= 1.0 {
+        x / (1.0 + share.powf(n)).powf(1.0 / n)
+    } else {
+        1.0 / c / (1.0 + share.powf(-n)).powf(1.0 / n)
+    }
 }
 
 /// The y with `y + drag y² = x`.
@@ -546,13 +594,30 @@ fn dragged(x: f64, drag: f64) -> f64 {
 }
 
 impl Shape {
+    /// The row from which on nothing before matters to row `first`.
+    fn begin(&self, first: usize, level: impl Fn(usize) -> f64) -> usize {
+        if self.play > 0.0 || self.settling_s > 0.0 {
+            return 0;
+        }
+        if self.start == [0.0; 2] {
+            return first;
+        }
+        // At rest, or moving for sure.
+        let known = |row: usize| {
+            let level = level(row);
+            let side = usize::from(level < 0.0);
+            level.abs() <= self.dead[side] || level.abs() > self.start[side].max(self.dead[side])
+        };
+        (0..first).rev().find(|&row| known(row)).unwrap_or(0)
+    }
+
     /// Output of a level `x` above the dead-zone of its direction.
     fn output(&self, x: f64, backward: usize, scale: f64) -> f64 {
         let exponent = self.exponent[backward];
         let way = if backward == 0 { 1.0 } else { -1.0 };
         #[expect(clippy::float_cmp, reason = "exactly one where there is no gain curve")]
         let x = if exponent == 1.0 { x } else { scale * (x / scale).powf(exponent) };
-        let x = saturated(x, self.curvature[backward]);
+        let x = saturated(x, self.curvature[backward], self.sharpness[backward]);
         let size = self.gain.abs() * (1.0 + way * self.gain_share);
         way * self.gain.signum() * dragged(size * x, self.drag)
     }
@@ -596,13 +661,16 @@ impl Family for StaticMap {
         // The direction it moves in.
         let mut moving = None;
         let end = run.first + run.measured.len();
-        for row in 0..end {
-            let supply = run.supply.get(row).map_or(1.0, |supply| supply / self.supply_ref);
-            let input = run.input[row] * if shape.supply_drive == 0.0 { 1.0 } else { supply.powf(shape.supply_drive) };
+        let supply = |row: usize| run.supply.get(row).map_or(1.0, |supply| supply / self.supply_ref);
+        let driven = |row: usize| {
+            run.input[row] * if shape.supply_drive == 0.0 { 1.0 } else { supply(row).powf(shape.supply_drive) }
+        };
+        for row in shape.begin(run.first, driven)..end {
+            let (supply, input) = (supply(row), driven(row));
             level = level.clamp(input - shape.play, input + shape.play);
             let backward = usize::from(level < 0.0);
             let dead = shape.dead[backward];
-            let above = level.abs().min(shape.limit) - dead;
+            let above = level.abs() - dead;
             let mut target = 0.0;
             if above > 0.0 {
                 target = shape.output(above, backward, scale);
@@ -655,6 +723,11 @@ impl Family for StaticMap {
         MapRun { first: run.first + from, measured: run.measured[from..to].to_vec(), ..run.clone() }
     }
 
+    /// Rows hardly depend on each other, and a model of a map is not asked beyond the levels it was fitted to: blocks of four.
+    fn blocks(&self, run: &MapRun) -> Option<usize> {
+        Some(run.rows().count() / 4)
+    }
+
     fn drivers(&self, _: &Structure, _: &[f64], run: &MapRun) -> Vec<Driver> {
         use Dependence::{Direction, History, Input, Supply, Time};
         let of = |over, unit| {
@@ -671,6 +744,7 @@ impl Family for StaticMap {
     fn curve(&self, _: &Structure, over: Dependence, period: Option<f64>, runs: &[&MapRun]) -> Option<Curve> {
         use Dependence::{History, Input, Supply, Time};
         let at_unit = match over {
+            Time | History if self.one_way => return None,
             Input | History => "input",
             Time => "s",
             Supply => "1",

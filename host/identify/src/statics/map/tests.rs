@@ -61,10 +61,12 @@ fn each_bend_follows_its_closed_form() {
     same(at(&dead, 35.0), 30.0);
     same(at(&dead, -35.0), -50.0);
     same(at(&dead, 15.0), 0.0);
-    let saturated = [("saturation", &[0.02, 0.01][..])];
-    same(at(&saturated, 50.0), 2.0 * (1.0 - (-1.0f64).exp()) / 0.02);
-    same(at(&saturated, -50.0), -2.0 * (1.0 - (-0.5f64).exp()) / 0.01);
-    same(at(&[("clip", &[60.0])], -90.0), -120.0);
+    let soft = [("saturation", &[0.02, 0.01, 1.0, 1.0][..])];
+    same(at(&soft, 50.0), 2.0 * 25.0);
+    same(at(&soft, -100.0), -2.0 * 50.0);
+    let hard = [("saturation", &[0.02, 0.01, 16.0, 16.0][..])];
+    same(at(&hard, 50.0), 2.0 * 50.0 / 2.0f64.powf(1.0 / 16.0));
+    same(at(&hard, 100.0), 2.0 * 50.0 / (1.0 + 2.0f64.powi(-16)).powf(1.0 / 16.0));
     let curved = [("gain-curve", &[2.0, 3.0][..])];
     same(at(&curved, 25.0), 25.0);
     same(at(&curved, -25.0), -2.0 * 50.0 * 0.125);
@@ -111,7 +113,7 @@ fn what_is_absent_changes_nothing() {
     let plain = predicted(&map, &with(&map, 2.0, &[]), &run);
     assert_eq!(map.catalogue().len(), BENDS.len());
     for (place, candidate) in map.catalogue().iter().enumerate() {
-        let added = vec![candidate.parameters.iter().map(|parameter| parameter.absent.unwrap()).collect()];
+        let added = vec![candidate.parameters.iter().map(|parameter| parameter.absent.unwrap_or(1.0)).collect()];
         let structure = Structure { terms: vec![Term::Known(place)], base: vec![2.0], added };
         for (left, right) in predicted(&map, &structure, &run).into_iter().zip(&plain) {
             same(left, *right);
@@ -125,9 +127,7 @@ fn what_is_absent_changes_nothing() {
 #[test]
 fn a_part_is_predicted_as_in_the_whole() {
     let (run, map) = sweep();
-    let effects: [(&str, &[f64]); 3] =
-        [("hysteresis", &[10.0]), ("static-friction", &[50.0, 50.0]), ("slow-settling", &[2.0])];
-    let mut structure = with(&map, 2.0, &effects);
+    let mut structure = with(&map, 2.0, &[("hysteresis", &[10.0]), ("slow-settling", &[2.0])]);
     structure.terms.push(Term::Curve(map.curve(&structure, Dependence::History, None, &[&run]).unwrap()));
     let Some(Term::Curve(curve)) = structure.terms.last() else { unreachable!() };
     structure.added.push(curve.at.iter().map(|at| 0.1 * at).collect());
@@ -137,6 +137,18 @@ fn a_part_is_predicted_as_in_the_whole() {
     assert_eq!(map.time_s(&part), &map.time_s(&run)[30..60]);
     for (left, right) in predicted(&map, &structure, &part).iter().zip(&whole[30..60]) {
         same(*left, *right);
+    }
+}
+
+#[test]
+fn a_part_begins_where_the_rest_before_it_is_known() {
+    let (run, map) = sweep();
+    for effects in [vec![], vec![("dead-zone", &[20.0, 10.0][..]), ("static-friction", &[50.0, 30.0][..])]] {
+        let structure = with(&map, 2.0, &effects);
+        let whole = predicted(&map, &structure, &run);
+        for (row, expected) in whole.into_iter().enumerate() {
+            same(predicted(&map, &structure, &map.part(&run, row, row + 1))[0], expected);
+        }
     }
 }
 
@@ -169,11 +181,11 @@ fn what_cannot_be_seen_is_not_looked_for() {
     let run = MapRun::new(&recording(&input, &input, Some(&[8.0; 20]))).unwrap();
     let map = StaticMap::new(&[&run], "m/s").unwrap();
     let names: Vec<_> = map.catalogue().iter().map(|candidate| candidate.name).collect();
-    for name in ["direction-asymmetry", "supply", "supply-drive", "hysteresis", "static-friction"] {
+    for name in ["direction-asymmetry", "drift", "supply", "supply-drive", "hysteresis", "static-friction"] {
         assert!(!names.contains(&name), "{name}");
     }
     // Of one direction, one number.
-    assert!(map.catalogue().iter().all(|candidate| candidate.parameters.len() == 1));
+    assert_eq!((map.catalogue()[0].name, map.catalogue()[0].parameters.len()), ("dead-zone", 1));
 }
 
 #[test]
@@ -205,4 +217,80 @@ fn useless_recordings_say_what_is_needed() {
     let mut without = recording(&input, &input, None);
     without.signals.remove("output");
     assert!(new(&without).unwrap_err().to_string().contains("--output"));
+}
+
+/// Names of what a search finds, and the RMS error of the last structure on `held_out`.
+fn search(fitted: &[MapRun], held_out: &[&MapRun]) -> (Vec<&'static str>, Vec<f64>) {
+    let map = StaticMap::new(&fitted.iter().collect::<Vec<_>>(), "rad/s").unwrap();
+    let found = crate::select::search(&map, fitted, &|_| ());
+    let name = |step: &crate::select::Step| match &step.term {
+        Term::Known(index) => map.catalogue()[*index].name,
+        Term::Curve(_) => "unknown",
+    };
+    let rmse = |run: &&MapRun| {
+        let residuals = crate::fit::residuals(&map, &found.last.structure, &[], run);
+        let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
+        (known.iter().map(|residual| residual * residual).sum::<f64>() / known.len() as f64).sqrt()
+    };
+    (found.steps.iter().map(name).collect(), held_out.iter().map(rmse).collect())
+}
+
+/// A motor that loses some of its drive and saturates exponentially, which is not the model's form; the drive goes with the
+/// supply.
+fn machine(level: f64, supply: f64, lost: f64) -> f64 {
+    let drive = (level.abs() * supply / 8.0 - lost).max(0.0);
+    level.signum() * 60.0 * (1.0 - (-drive / 40.0).exp())
+}
+
+#[test]
+fn finds_what_was_put_in_and_nothing_where_nothing_was() {
+    use rand_distr::{Distribution, Normal};
+    let mut random = rand_pcg::Pcg64::new(6, 1);
+    let noise = Normal::new(0.0, 0.3).unwrap();
+    // Levels in no order, so that time says nothing.
+    let input: Vec<f64> = (0..160).map(|row| f64::from((row * 67) % 161 - 80)).collect();
+    let mut record = |output: &dyn Fn(f64) -> f64, supply: f64| {
+        let output: Vec<f64> = input.iter().map(|&u| output(u) + noise.sample(&mut random)).collect();
+        MapRun::new(&recording(&input, &output, Some(&[supply; 160]))).unwrap()
+    };
+    let plain = [record(&|u| 0.7 * u, 8.0), record(&|u| 0.7 * u, 7.0)];
+    assert_eq!(search(&plain, &[]).0, [""; 0]);
+
+    let bent = [record(&|u| machine(u, 8.0, 15.0), 8.0), record(&|u| machine(u, 7.0, 15.0), 7.0)];
+    let other = record(&|u| machine(u, 7.5, 15.0), 7.5);
+    let (names, rmse) = search(&bent, &[&other]);
+    for name in ["dead-zone", "saturation", "supply-drive"] {
+        assert!(names.contains(&name), "{names:?}");
+    }
+    // 0.3 of noise; the two forms of saturation differ by as much at most.
+    assert!(rmse[0] < 0.45, "{rmse:?}");
+}
+
+#[test]
+fn two_motors_on_a_bridge() {
+    use crate::data::{Mapping, Options, read};
+    const RPM: f64 = std::f64::consts::TAU / 60.0;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/micromouse_drv8833");
+    // RMS error on the odd rows of static_3: what the issue asks for, and half of what was reached as the other bound.
+    for (wheel, most, least) in [("left", 10.0, 4.0), ("right", 7.0, 2.6)] {
+        let load = |name: &str| {
+            let roles = vec![
+                Mapping::driving("input", "command_duty256"),
+                Mapping::measured("output", &format!("{wheel}_rpm")),
+                Mapping::driving("supply", "battery_mV"),
+            ];
+            let recorded = read(&[folder.join(name)], &Options { roles, ..Options::default() }).unwrap();
+            MapRun::new(&recorded.runs[0]).unwrap().alternate(2)
+        };
+        let (fitted, held_out) = load("static_3.csv");
+        let (names, rmse) = search(std::slice::from_ref(&fitted), &[&held_out]);
+        assert!(names.contains(&"dead-zone") && names.contains(&"saturation"), "{names:?}");
+        assert!((least..=most).contains(&(rmse[0] / RPM)), "{wheel}: {rmse:?} rad/s");
+
+        // 92.9 and 97.4 rpm with a proportional map, 55.3 and 74.7 with one of 7.93 V only.
+        let (at_7v4, held_out_at_7v4) = load("static_4.csv");
+        let (names, rmse) = search(&[fitted, at_7v4], &[&held_out, &held_out_at_7v4]);
+        assert!(names.iter().any(|name| name.starts_with("supply")), "{names:?}");
+        assert!(rmse.iter().all(|rmse| rmse / RPM < 10.0), "{wheel}: {rmse:?} rad/s");
+    }
 }

@@ -379,7 +379,7 @@ pub fn climb(about: &About<'_>, rows: &[Vec<f64>], laws: &[Law], seed: u64) -> R
         unit: about.unit.to_owned(),
         rows: rows.len(),
         chosen: step.law.clone(),
-        unexplained: follows(&residual, &columns, columns.len()),
+        unexplained: follows(&residual, &columns),
         steps,
         rivals,
         rejected,
@@ -401,12 +401,12 @@ pub(crate) fn worse(errors: &[f64], others: &[f64]) -> bool {
     mean > (variance / rows).sqrt()
 }
 
-/// Columns that a residual follows in a straight line, by the t-test of its correlation with 5 % shared among `looked_at` tests.
-pub(crate) fn follows(residual: &[f64], columns: &[(&str, Vec<f64>)], looked_at: usize) -> Vec<Unexplained> {
+/// Columns that a residual follows in a straight line, by the t-test of its correlation with 5 % shared among all columns.
+fn follows(residual: &[f64], columns: &[(&str, Vec<f64>)]) -> Vec<Unexplained> {
     let mut found = Vec::new();
     for (column, values) in columns {
         if let Some((share, p_value)) = correlation(values, residual) {
-            let p_value = (p_value * looked_at as f64).min(1.0);
+            let p_value = (p_value * columns.len() as f64).min(1.0);
             if p_value < 0.05 {
                 found.push(Unexplained { depends_on: (*column).to_owned(), share, p_value });
             }
@@ -417,7 +417,7 @@ pub(crate) fn follows(residual: &[f64], columns: &[(&str, Vec<f64>)], looked_at:
 }
 
 /// Share of the variance that a straight line explains, and the chance of as much; `None` where one does not vary.
-fn correlation(x: &[f64], y: &[f64]) -> Option<(f64, f64)> {
+pub(crate) fn correlation(x: &[f64], y: &[f64]) -> Option<(f64, f64)> {
     let rows = x.len() as f64;
     if rows < 3.0 {
         return None;
