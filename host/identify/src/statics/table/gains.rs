@@ -184,8 +184,6 @@ pub struct GainsLadder {
     pub chosen: &'static str,
     /// What that model's residual still follows: `rise over kd`.
     pub unexplained: Vec<Unexplained>,
-    /// Cost of each row by a fit of that model to the others.
-    pub left_out: Vec<f64>,
 }
 
 /// What the simulated loop says of Tables 3 to 5.
@@ -193,8 +191,11 @@ pub struct GainsLadder {
 pub struct GainsReport {
     /// One for each target that is possible.
     pub ladders: Vec<GainsLadder>,
-    /// Whether the tables tell the target: the chosen models' costs of left-out rows differ by more than two standard errors.
+    /// Whether the tables tell the target: the chosen models' costs differ by more than 3.84 (95 %, one number) times what each
+    /// printed number costs the better of them.
     pub target_identified: bool,
+    /// What no model explains, for a target that is possible: `rise over kd`.
+    pub unexplained: Vec<String>,
     /// What to record to settle what is open.
     pub experiments: Vec<&'static str>,
     /// One plain sentence.
@@ -222,20 +223,36 @@ impl GainsEffort {
 pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result<GainsReport, TableError> {
     let rows = rows(printed)?;
     let ladders: Vec<GainsLadder> = TARGETS_DEG.par_iter().map(|&target| ladder(&rows, target, effort, seed)).collect();
-    let target_identified = match &ladders[..] {
-        [one, other] => differ(&one.left_out, &other.left_out),
-        _ => false,
+    // No model follows every row: their misfit is the measure of what a difference between them means.
+    let best = |ladder: &GainsLadder| {
+        let step = ladder.steps.iter().find(|step| step.effect == ladder.chosen);
+        step.map_or((f64::INFINITY, 0), |step| (step.cost, step.parameters.len()))
     };
+    let costs: Vec<(f64, usize)> = ladders.iter().map(best).collect();
+    let (least, numbers) = costs.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
+    let most = costs.iter().fold(least, |most, (cost, _)| most.max(*cost));
+    let misfit = (least / (printed_numbers(&rows) as f64 - numbers as f64).max(1.0)).max(1.0);
+    let target_identified = (most - least) / misfit > LIKELIHOOD;
+    let mut unexplained: Vec<String> = Vec::new();
+    for ladder in ladders.iter().filter(|ladder| !target_identified || best(ladder).0 <= least) {
+        for trend in &ladder.unexplained {
+            if !unexplained.contains(&trend.depends_on) {
+                unexplained.push(trend.depends_on.clone());
+            }
+        }
+    }
     let refused = ladders.iter().all(|ladder| ladder.steps.last().is_some_and(|step| !step.taken));
     let verdict = format!(
-        "Fitted to the printed tables: up to {}; static friction {}; target {}.",
+        "Fitted to the printed tables: up to {}; static friction {}; target {}; not explained: {}.",
         ladders.first().map_or("nothing", |ladder| ladder.chosen),
         if refused { "is not needed" } else { "is not excluded" },
         if target_identified { "told by the tables" } else { "not told by the tables (270 and 360 deg do alike)" },
+        if unexplained.is_empty() { "nothing".to_owned() } else { unexplained.join(", ") },
     );
     Ok(GainsReport {
         ladders,
         target_identified,
+        unexplained,
         experiments: vec![
             "the error 15 s, 60 s and 300 s after a move: creep shrinks it, static friction does not",
             "one move with its target and a time-stamped position: tells target, units and how rise is counted",
@@ -245,13 +262,8 @@ pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result
     })
 }
 
-/// Whether costs differ by more than two standard errors of their differences, row by row.
-fn differ(one: &[f64], other: &[f64]) -> bool {
-    let rows = one.len() as f64;
-    let differences: Vec<f64> = one.iter().zip(other).map(|(a, b)| a - b).collect();
-    let mean = differences.iter().sum::<f64>() / rows;
-    let variance = differences.iter().map(|difference| (difference - mean).powi(2)).sum::<f64>() / (rows - 1.0);
-    mean.abs() > 2.0 * (variance / rows).sqrt()
+fn printed_numbers(rows: &[Row]) -> usize {
+    rows.iter().flat_map(|row| row.printed).flatten().count()
 }
 
 /// What one more number has to lower the cost by: χ² of one degree of freedom, 95 %.
@@ -333,7 +345,6 @@ fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLad
         steps,
         chosen: LADDER[taken.level],
         unexplained: unexplained(&Plant::new(taken.level, &taken.at), rows, target),
-        left_out: taken.left_out,
     }
 }
 
@@ -455,9 +466,27 @@ mod tests {
     }
 
     #[test]
+    fn each_effect_mends_one_column_and_static_friction_none() {
+        let quick = GainsEffort { all: Effort { points: 16, generations: 20, simplex: 240 }, left_out: 40 };
+        let report = loop_ladders(&Printed::new().unwrap(), quick, 1).unwrap();
+        for ladder in &report.ladders {
+            let [_, clip, dead_band, sum, curve, friction] = &ladder.steps[..] else { panic!("six models") };
+            // Reference values, computed by others with a step of 2 ms: rise 0.50, 0.86, 0.93, 0.32 s; error 10.8, 3.6, 2.4,
+            // 2.7 deg and overshoot 109, 102, 3.4, 3.9 deg for 270 deg. Ours steps by 5 ms and does not look as long.
+            assert!(clip.rise_rmse < 0.8 && clip.error_rmse > 10.0 && clip.overshoot_rmse > 90.0, "{clip:?}");
+            assert!(dead_band.error_rmse < 4.5 && dead_band.overshoot_rmse > 90.0, "{dead_band:?}");
+            assert!(sum.overshoot_rmse < 4.0 && sum.rise_rmse > 0.8, "{sum:?}");
+            assert!(curve.rise_rmse < 0.5 && curve.taken, "{curve:?}");
+            assert!(!friction.taken, "{friction:?}");
+        }
+        assert!(!report.target_identified);
+        assert!(report.unexplained.iter().any(|trend| trend == "rise over kd"), "{report:?}");
+    }
+
+    #[test]
     fn all_printed_numbers_are_used_once() {
         let rows = rows(&Printed::new().unwrap()).unwrap();
         assert_eq!(rows.len(), 11);
-        assert_eq!(rows.iter().flat_map(|row| row.printed).flatten().count(), 29);
+        assert_eq!(printed_numbers(&rows), 29);
     }
 }
