@@ -3,8 +3,17 @@
 use crate::{
     drive_train::{DriveTrain, MAX_STEP_S, Terminals},
     effect::{
-        Effect, backlash::Play, delay::DelayLine, friction::FrictionStage, input::InputStage, load::LoadStage,
+        Effect,
+        backlash::Play,
+        compliance::Spring,
+        delay::DelayLine,
+        friction::{FrictionStage, Frictions},
+        input::InputStage,
+        load::LoadStage,
         sensor::SensorStage,
+        supply::Heat,
+        table::{On, Over, SpeedForce, Table},
+        unlisted::{Doing, Moment, Unlisted, act},
     },
     model::PlantKind,
     spec::PlantSpec,
@@ -59,16 +68,54 @@ pub struct Plant {
     input: Vec<InputStage>,
     /// Whether what acts may change while the drive does not.
     input_has_memory: bool,
+    /// Tables on the input, and tables that are forces.
+    tables: [Vec<Table>; 2],
+    pushes: Vec<SpeedForce>,
+    unlisted: Vec<Box<dyn Unlisted>>,
     source_ohm: f64,
+    heats: Vec<Heat>,
     friction: Vec<FrictionStage>,
     loads: Vec<LoadStage>,
-    plays: Vec<Play>,
+    transmission: Vec<TransmissionStage>,
     sensor: Vec<SensorStage>,
     sensor_has_memory: bool,
     acting: Drive,
+    /// What the unlisted effects do over this step.
+    done: Doing,
     position: f64,
     speed: f64,
     sensed_position: f64,
+}
+
+/// What is between the motor side and the output.
+#[derive(Clone, Debug)]
+enum TransmissionStage {
+    Play(Play),
+    Spring(Box<Spring>),
+}
+
+impl TransmissionStage {
+    fn new(effect: &Effect) -> Option<Self> {
+        match effect {
+            Effect::Backlash(backlash) => Some(Self::Play(Play::new(backlash))),
+            Effect::Compliance(compliance) => Some(Self::Spring(Box::new(Spring::new(compliance)))),
+            _ => None,
+        }
+    }
+
+    fn settle(&mut self, position: f64) {
+        match self {
+            Self::Play(play) => play.centre(position),
+            Self::Spring(spring) => spring.settle(),
+        }
+    }
+
+    fn apply(&mut self, position: f64, speed: f64, step_s: f64) -> (f64, f64) {
+        match self {
+            Self::Play(play) => play.apply(position, speed),
+            Self::Spring(spring) => spring.apply(position, speed, step_s),
+        }
+    }
 }
 
 /// A step shorter than this is not worth taking: the rounding of longer ones adds up to it.
@@ -78,29 +125,54 @@ impl Plant {
     /// At rest at position 0, without current, its noises started from `seed`.
     #[must_use]
     pub fn new(spec: &PlantSpec, seed: u64) -> Self {
+        Self::with_unlisted(spec, seed, Vec::new())
+    }
+
+    /// The same, and what its description cannot hold.
+    #[must_use]
+    pub fn with_unlisted(spec: &PlantSpec, seed: u64, unlisted: Vec<Box<dyn Unlisted>>) -> Self {
         let kind = spec.kind();
         let effects = || spec.effects().iter();
         let numbered = || effects().enumerate();
         let delay = DelayLine::new(effects());
         let input: Vec<_> = effects().filter_map(InputStage::new).collect();
         let sensor: Vec<_> = numbered().filter_map(|(stream, effect)| SensorStage::new(effect, seed, stream)).collect();
+        let tables = On::ALL.map(|on| {
+            let is_for_pushes = |table: &Table| on == On::Force && table.over() == Over::Speed;
+            spec.tables().iter().filter(|table| table.on() == on && !is_for_pushes(table)).cloned().collect::<Vec<_>>()
+        });
+        let [forces, inputs] = tables;
+        let forces_over_speed =
+            || spec.tables().iter().filter(|table| table.on() == On::Force && table.over() == Over::Speed);
+        let pushes: Vec<_> = forces_over_speed().map(SpeedForce::new).collect();
         let mut plant = Self {
             kind,
             train: DriveTrain::new(spec.model()),
             now_s: 0.0,
-            input_has_memory: delay.is_some() || input.iter().any(InputStage::has_memory),
+            input_has_memory: delay.is_some()
+                || input.iter().any(InputStage::has_memory)
+                || inputs.iter().any(|table| table.over() != Over::Input)
+                || !unlisted.is_empty(),
             delay,
             input,
+            tables: [inputs, forces],
+            unlisted,
+            done: Doing { duty: 0.0, friction: 0.0, force: 0.0 },
             source_ohm: effects()
                 .map(|effect| if let Effect::SupplySag(sag) = effect { sag.source_ohm } else { 0.0 })
                 .sum(),
-            friction: effects().filter_map(|effect| FrictionStage::new(effect, kind)).collect(),
-            loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
-            plays: effects()
+            heats: effects()
                 .filter_map(
-                    |effect| if let Effect::Backlash(backlash) = effect { Some(Play::new(backlash)) } else { None },
+                    |effect| if let Effect::WindingHeating(heating) = effect { Some(Heat::new(heating)) } else { None },
                 )
                 .collect(),
+            friction: effects()
+                .filter_map(|effect| FrictionStage::new(effect, kind))
+                .chain(pushes.iter().cloned().map(FrictionStage::Table))
+                .collect(),
+            pushes,
+            loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
+            transmission: effects().filter_map(TransmissionStage::new).collect(),
             sensor_has_memory: sensor.iter().any(SensorStage::has_memory),
             sensor,
             acting: Drive::COAST,
@@ -128,8 +200,8 @@ impl Plant {
         self.train.rest_at(position);
         self.position = self.train.motion.position;
         self.speed = 0.0;
-        for play in &mut self.plays {
-            play.centre(self.position);
+        for stage in &mut self.transmission {
+            stage.settle(self.position);
         }
         self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.settle(told));
     }
@@ -155,6 +227,7 @@ impl Plant {
             let mut step_s = left_s.min(MAX_STEP_S);
             if self.input_has_memory {
                 let drive = self.through_delay(drive, &mut step_s);
+                step_s = self.input.iter().map(InputStage::constant_for_s).fold(step_s, f64::min);
                 self.acting = self.through_input(drive, step_s);
             }
             self.step(supply_v, step_s);
@@ -189,18 +262,62 @@ impl Plant {
     }
 
     fn through_input(&mut self, drive: Drive, step_s: f64) -> Drive {
-        self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, step_s)).clipped()
+        let drive = self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, step_s));
+        if self.tables[0].is_empty() && self.unlisted.is_empty() {
+            return drive.clipped();
+        }
+        let drive = drive.clipped();
+        let (time_s, position) = (self.now_s + 0.5 * step_s, self.train.position_half_way(step_s));
+        let duty = self.tables[0].iter().fold(drive.duty, |duty, table| {
+            let x = match table.over() {
+                Over::Input => duty,
+                Over::Speed => self.train.speed_half_way(step_s),
+                Over::Position => position,
+                Over::Time => time_s,
+            };
+            duty + table.value(x)
+        });
+        let duty = Drive { duty, ..drive }.clipped().duty;
+        if self.unlisted.is_empty() {
+            return Drive { duty, ..drive };
+        }
+        let moment = Moment { time_s: self.now_s, step_s, duty, position, speed: self.train.motion.speed };
+        self.done = act(&mut self.unlisted, moment);
+        Drive { duty: self.done.duty, ..drive }.clipped()
+    }
+
+    /// Forces of the tables over a step, towards positive positions.
+    fn table_force(&self, position: f64, step_s: f64) -> f64 {
+        let forces = self.tables[1].iter().map(|table| {
+            table.value(match table.over() {
+                Over::Input => self.acting.duty,
+                Over::Speed => self.train.speed_half_way(step_s),
+                Over::Position => position,
+                Over::Time => self.now_s + 0.5 * step_s,
+            })
+        });
+        let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
+        forces.chain(pushes).sum()
     }
 
     fn step(&mut self, supply_v: f64, step_s: f64) {
         let position_half_way = self.train.position_half_way(step_s);
-        let load = self.loads.iter_mut().map(|stage| stage.force(position_half_way, step_s)).sum();
+        let load: f64 = self.loads.iter_mut().map(|stage| stage.force(position_half_way, step_s)).sum();
+        let load = load + self.table_force(position_half_way, step_s) + self.done.force;
         let Drive { duty, coast } = self.acting;
-        let terminals = Terminals { duty, coast, supply_v, source_ohm: self.source_ohm };
-        self.train.advance(&terminals, &self.friction, load, step_s);
+        let winding_rise = self.heats.iter().map(Heat::rise).sum();
+        let terminals = Terminals { duty, coast, supply_v, source_ohm: self.source_ohm, winding_rise };
+        let friction = Frictions { stages: &self.friction, more: self.done.friction, time_s: self.now_s };
+        self.train.advance(&terminals, &friction, load, step_s);
+        if !self.heats.is_empty() {
+            let power_w = self.train.winding_power_w(winding_rise);
+            self.heats.iter_mut().for_each(|heat| heat.warm(power_w, step_s));
+        }
         let motor_side = (self.train.motion.position, self.train.motion.speed);
-        (self.position, self.speed) =
-            self.plays.iter_mut().fold(motor_side, |(position, speed), play| play.apply(position, speed));
+        (self.position, self.speed) = self
+            .transmission
+            .iter_mut()
+            .fold(motor_side, |(position, speed), stage| stage.apply(position, speed, step_s));
         if self.sensor_has_memory {
             self.sense(step_s);
         }

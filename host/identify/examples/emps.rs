@@ -34,6 +34,8 @@ fn main() {
     };
     show(&found.base);
     for step in &found.steps {
+        show(&step.fit);
+        println!("{:?} {:?}", step.fit.structure.base, step.fit.structure.added);
         println!(
             "{:?} blocked {:?} p {:.1e} better {:?} z {:.1} rivals {:?}",
             match &step.term {

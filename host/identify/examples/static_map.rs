@@ -5,11 +5,11 @@
 use std::{error::Error, path::PathBuf};
 
 use r4_identify::{
-    data::{Mapping, Options, read},
+    data::{Mapping, Options, Run, read},
     family::{Family, Term},
     fit,
     select::{self, Found},
-    statics::map::{MapRun, StaticMap},
+    statics::map::{MapRun, StaticMap, alternate_rows},
 };
 
 /// rad/s in an rpm.
@@ -18,7 +18,7 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "data/micromouse_drv8833".to_owned()));
     for wheel in ["left", "right"] {
-        let load = |name: &str| -> Result<MapRun, Box<dyn Error>> {
+        let load = |name: &str| -> Result<Run, Box<dyn Error>> {
             let roles = vec![
                 Mapping::driving("input", "command_duty256"),
                 Mapping::measured("output", &format!("{wheel}_rpm")),
@@ -28,14 +28,18 @@ fn main() -> Result<(), Box<dyn Error>> {
             for note in &recorded.notes {
                 println!("  {note}");
             }
-            Ok(MapRun::new(recorded.runs.first().ok_or("no run")?)?)
+            Ok(recorded.runs.into_iter().next().ok_or("no run")?)
         };
-        let (fitted, held_out) = load("static_3.csv")?.alternate(2);
+        let alternate = |name: &str| -> Result<(MapRun, MapRun), Box<dyn Error>> {
+            let (fitted, held_out) = alternate_rows(&load(name)?, 2).ok_or("too few rows")?;
+            Ok((MapRun::new(&fitted)?, MapRun::new(&held_out)?))
+        };
+        let (fitted, held_out) = alternate("static_3.csv")?;
         println!("{wheel}: even rows of static_3, held out: odd rows");
         close(&[fitted.clone()], &[("static_3 odd", &held_out)])?;
 
-        let (fitted_4, held_out_4) = load("static_4.csv")?.alternate(2);
-        let other_code = load("static_6.csv")?;
+        let (fitted_4, held_out_4) = alternate("static_4.csv")?;
+        let other_code = MapRun::new(&load("static_6.csv")?)?;
         println!("{wheel}: even rows of static_3 (7.93 V) and static_4 (7.39 V)");
         let held_out = [("static_3 odd", &held_out), ("static_4 odd", &held_out_4), ("static_6", &other_code)];
         close(&[fitted, fitted_4], &held_out)?;

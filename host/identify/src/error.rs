@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 /// Why nothing can be identified.
-#[derive(Debug, Error, PartialEq)]
+#[derive(Debug, Error)]
 pub enum IdentifyError {
     /// No run to fit to.
     #[error("no run to fit to: give at least one file with recorded data")]
@@ -69,6 +69,18 @@ pub enum IdentifyError {
         /// Those there are.
         known: String,
     },
+    /// What is in the files will not do.
+    #[error(transparent)]
+    Data(#[from] crate::data::DataError),
+    /// What is in the files will not do for a map.
+    #[error(transparent)]
+    Map(#[from] crate::statics::map::MapError),
+    /// What is in the files shows no play.
+    #[error(transparent)]
+    Hysteresis(#[from] crate::statics::hysteresis::HysteresisError),
+    /// What is in the files is no table.
+    #[error(transparent)]
+    Table(#[from] crate::statics::table::TableError),
     /// The base model could not follow any run at all.
     #[error("the model cannot be fitted to these data: {why}")]
     NoFit {

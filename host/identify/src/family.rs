@@ -1,12 +1,18 @@
 //! What fitting and choosing need to know of a model: its parameters, its possible effects, its free run.
 
+use std::collections::BTreeMap;
+
 use r4_plants::Dependence;
+
+use crate::report::Estimate;
 
 /// What values a parameter may take. There is no way to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Range {
     /// Above zero, over many decades.
     Positive,
+    /// Above zero, and what is predicted changes in steps only: a period of sampling.
+    Coarse,
     /// Zero and above; `scale` is a size that would be noticed.
     NotNegative {
         /// In the parameter's unit.
@@ -51,6 +57,29 @@ pub struct Candidate {
     pub excludes: &'static [&'static str],
 }
 
+/// What the values of a [`Curve`] do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acts {
+    /// They are added to what pushes the output.
+    Push,
+    /// They are a friction, against motion whichever way it goes.
+    Friction,
+    /// What drives the output is multiplied by one more than they are.
+    Gain,
+}
+
+impl Acts {
+    /// In messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Push => "a force",
+            Self::Friction => "a friction",
+            Self::Gain => "a gain",
+        }
+    }
+}
+
 /// A curve of straight pieces over something the residual depends on; its values at the corners are the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
@@ -64,6 +93,8 @@ pub struct Curve {
     pub at: Vec<f64>,
     /// The axis is a circle of this length, the first corner follows the last.
     pub period: Option<f64>,
+    /// What its values do.
+    pub acts: Acts,
     /// A value that would be noticed.
     pub scale: f64,
 }
@@ -175,6 +206,11 @@ pub trait Family: Sync {
     /// Name of the run.
     fn name<'r>(&self, run: &'r Self::Run) -> &'r str;
 
+    /// Name and values of what drives a run, for plots.
+    fn input(&self, _run: &Self::Run) -> (String, Vec<f64>) {
+        (String::new(), Vec::new())
+    }
+
     /// Samples `from..to` as a run of its own; the input before `from` stays known to models with memory.
     fn part(&self, run: &Self::Run, from: usize, to: usize) -> Self::Run;
 
@@ -192,7 +228,46 @@ pub trait Family: Sync {
         None
     }
 
-    /// An empty curve over a driver, where the model can take one up; `None` where it cannot.
-    fn curve(&self, structure: &Structure, over: Dependence, period: Option<f64>, runs: &[&Self::Run])
-    -> Option<Curve>;
+    /// Values and deviations in the units of reports: of the base model, and of each term. By default as they are fitted.
+    fn estimates(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        let estimate = |(parameter, (&value, deviation)): (&Parameter, (&f64, Option<f64>))| {
+            let unit = parameter.unit.to_owned();
+            (parameter.name.to_owned(), Estimate { value, std: deviation, unit, interval: None, assumed: None })
+        };
+        let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
+        let base = self.base().iter().zip(structure.base.iter().zip(deviations.by_ref())).map(estimate).collect();
+        let terms = structure
+            .terms
+            .iter()
+            .zip(&structure.added)
+            .map(|(term, values)| match term {
+                Term::Known(index) => self.catalogue()[*index]
+                    .parameters
+                    .iter()
+                    .zip(values.iter().zip(deviations.by_ref()))
+                    .map(estimate)
+                    .collect(),
+                Term::Curve(_) => {
+                    deviations.by_ref().take(values.len()).for_each(drop);
+                    BTreeMap::new()
+                }
+            })
+            .collect();
+        (base, terms)
+    }
+
+    /// By how much a curve's values are multiplied to be in its unit.
+    fn force_per_push(&self, _structure: &Structure) -> f64 {
+        1.0
+    }
+
+    /// The model as a file.
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String;
+
+    /// Empty curves over a driver, one for each way in which the model can take one up.
+    fn curves(&self, structure: &Structure, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
 }

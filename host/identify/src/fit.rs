@@ -11,18 +11,18 @@ use crate::family::{Family, Parameter, Range, Structure, Term};
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
+/// The same where the free run changes in steps only.
+const COARSE: f64 = 2e-3;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
 const CLUSTERS: usize = 40;
-/// Evaluations for each fitted number, at most.
-const PATIENCE: usize = 12;
 
 impl Range {
     /// The unbounded variable that stands for `value`.
     fn variable(self, value: f64) -> f64 {
         match self {
-            Self::Positive => value.max(f64::MIN_POSITIVE).ln(),
+            Self::Positive | Self::Coarse => value.max(f64::MIN_POSITIVE).ln(),
             // The inverse of ln(1 + e^z).
             Self::NotNegative { scale } => {
                 let share = (value / scale).max(1e-9);
@@ -39,7 +39,7 @@ impl Range {
     /// The value that a variable stands for; in range for every finite one.
     fn value(self, variable: f64) -> f64 {
         match self {
-            Self::Positive => variable.clamp(-80.0, 80.0).exp(),
+            Self::Positive | Self::Coarse => variable.clamp(-80.0, 80.0).exp(),
             Self::NotNegative { scale } => {
                 scale * if variable > 30.0 { variable } else { variable.max(-40.0).exp().ln_1p() }
             }
@@ -48,10 +48,16 @@ impl Range {
         }
     }
 
+    /// Step of the variable for differences.
+    fn difference(self) -> f64 {
+        if self == Self::Coarse { COARSE } else { DIFFERENCE }
+    }
+
     /// A small step of the value that stays in range.
     fn small(self, value: f64) -> f64 {
         match self {
             Self::Positive => value * 1e-4,
+            Self::Coarse => value * COARSE,
             Self::NotNegative { scale } => 1e-4 * value.max(scale),
             Self::Between(lower, upper) => {
                 let step = 1e-4 * (upper - lower);
@@ -107,8 +113,8 @@ pub struct Fit {
 /// What a fit may do.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// Evaluations for each fitted number.
-    pub patience: usize,
+    /// Free runs of all data, without those for differences.
+    pub evaluations: usize,
     /// Relative gain at which it ends.
     pub tolerance: f64,
     /// Once more with samples beyond all others held down.
@@ -117,9 +123,11 @@ pub struct Effort {
 
 impl Effort {
     /// For numbers that are reported.
-    pub const FULL: Self = Self { patience: PATIENCE, tolerance: 1e-7, robust: true };
-    /// For telling promising effects from others.
-    pub const SCREEN: Self = Self { patience: 6, tolerance: 1e-4, robust: false };
+    pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
+    /// For comparing effects.
+    pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
+    /// For telling a promising place to begin from others.
+    pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
 }
 
 /// Fits a structure, from the values it has.
@@ -142,6 +150,15 @@ pub fn fit<F: Family>(
     }
     let Problem { structure, initial, .. } = first;
     Problem::new(family, runs, structure, initial, weights).solved(effort).into_fit()
+}
+
+/// Sum of squares of a structure as it is.
+#[must_use]
+pub fn cost<F: Family>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
+    let squares = runs.iter().zip(initial).map(|(run, initial)| {
+        residuals(family, structure, initial, run).iter().filter(|r| !r.is_nan()).map(|r| r * r).sum::<f64>()
+    });
+    squares.sum()
 }
 
 /// The initial states that the family guesses.
@@ -228,6 +245,10 @@ struct Problem<'p, F: Family> {
     predicted: Vec<f64>,
     /// A prediction that is not finite counts as so far off.
     absurd: f64,
+    /// Evaluations that are left.
+    left: usize,
+    /// The least cost so far, and the variables that gave it.
+    best: (f64, DVector<f64>),
 }
 
 impl<'p, F: Family> Problem<'p, F> {
@@ -264,20 +285,30 @@ impl<'p, F: Family> Problem<'p, F> {
             variables,
             predicted: vec![0.0; count],
             absurd,
+            left: usize::MAX,
+            best: (f64::INFINITY, DVector::zeros(0)),
         };
         let variables = problem.variables.clone();
         problem.set_params(&variables);
         problem
     }
 
-    fn solved(self, effort: Effort) -> Self {
+    fn solved(mut self, effort: Effort) -> Self {
+        self.left = effort.evaluations;
         let solver = LevenbergMarquardt::new()
             .with_ftol(effort.tolerance)
             .with_xtol(effort.tolerance)
             .with_gtol(1e-12)
             .with_stepbound(1.0)
-            .with_patience(effort.patience);
-        solver.minimize(self).0
+            .with_patience(effort.evaluations);
+        let mut solved = solver.minimize(self).0;
+        solved.left = usize::MAX;
+        if !solved.best.1.is_empty() {
+            // The solver ends where it looked last.
+            let best = std::mem::replace(&mut solved.best.1, DVector::zeros(0));
+            solved.set_params(&best);
+        }
+        solved
     }
 
     fn into_fit(self) -> Fit {
@@ -344,6 +375,11 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
         let mut predicted = std::mem::take(&mut self.predicted);
         self.predict_all(&self.structure, &self.initial, &mut predicted);
         self.predicted = predicted;
+        let cost = self.weighted().norm_squared();
+        if cost < self.best.0 {
+            self.best = (cost, variables.clone());
+        }
+        self.left = self.left.saturating_sub(1);
     }
 
     fn params(&self) -> DVector<f64> {
@@ -351,21 +387,26 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        Some(self.weighted())
+        // Ends the solver.
+        (self.left > 0).then(|| self.weighted())
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
+        if self.left == 0 {
+            return None;
+        }
         let globals = self.parameters.len();
         let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
         let mut moved = vec![0.0; self.predicted.len()];
         for column in 0..globals {
             let mut structure = self.structure.clone();
             let mut variables = self.variables.clone();
-            variables[column] += DIFFERENCE;
+            let step = self.parameters[column].range.difference();
+            variables[column] += step;
             set_flat(&mut structure, &self.values_of(&variables));
             self.predict_all(&structure, &self.initial, &mut moved);
             for (index, rows) in self.rows.iter().enumerate() {
-                self.slopes(&mut jacobian, column, index, rows, &moved);
+                self.slopes(&mut jacobian, (column, step), index, rows, &moved);
             }
         }
         // One component of all runs' initial states at a time: a run's concerns no other.
@@ -378,7 +419,7 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
             self.predict_all(&self.structure, &initial, &mut moved);
             for (index, rows) in self.rows.iter().enumerate() {
                 let column = globals + index * components + component;
-                self.slopes(&mut jacobian, column, index, rows, &moved);
+                self.slopes(&mut jacobian, (column, DIFFERENCE), index, rows, &moved);
             }
         }
         Some(jacobian)
@@ -389,7 +430,7 @@ impl<F: Family> Problem<'_, F> {
     fn slopes(
         &self,
         jacobian: &mut DMatrix<f64>,
-        column: usize,
+        (column, step): (usize, f64),
         run: usize,
         rows: &std::ops::Range<usize>,
         moved: &[f64],
@@ -397,7 +438,7 @@ impl<F: Family> Problem<'_, F> {
         let measured = self.family.measured(self.runs[run]);
         for (row, &measured) in measured.iter().enumerate() {
             let at = rows.start + row;
-            let slope = (moved[at] - self.predicted[at]) / DIFFERENCE;
+            let slope = (moved[at] - self.predicted[at]) / step;
             if measured.is_finite() && slope.is_finite() {
                 jacobian[(at, column)] = slope * self.weights[run][row];
             }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 use crate::{
-    family::{Candidate, Family, Structure, Term},
+    family::{Acts, Candidate, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
 };
 
@@ -28,6 +28,9 @@ const LEAST_Z: f64 = 3.0;
 const ALIKE: f64 = 0.01;
 /// So many effects of each round are looked at on blocks.
 const PROMISING: usize = 6;
+/// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
+const MOST_STARTS: usize = 24;
+const NEAREST: usize = 3;
 const MOST_TERMS: usize = 6;
 const MOST_CURVES: usize = 2;
 /// Blocks that the training data are cut into, about; a block has at least so many samples.
@@ -54,6 +57,8 @@ pub struct Found {
 pub struct Step {
     /// What.
     pub term: Term,
+    /// The model with it and all terms before it.
+    pub fit: Fit,
     /// Errors on left-out blocks without and with it.
     pub blocked_rmse: [f64; 2],
     /// Chance of such a gain, times the number of effects tried.
@@ -66,12 +71,18 @@ pub struct Step {
     pub rivals: Vec<(usize, f64)>,
 }
 
-/// The mean square error of each block, and the samples behind it.
-type Blocked = Vec<(f64, usize)>;
+/// Errors of models that were each fitted to one half of the blocks.
+#[derive(Clone, Debug)]
+struct Blocked {
+    /// The mean square error of each block that was left out, and the samples behind it.
+    blocks: Vec<(f64, usize)>,
+    /// Mean square error of the same models over whole runs: what adds up from block to block shows here only.
+    whole: f64,
+}
 
-fn rmse(blocks: &Blocked) -> f64 {
-    let samples: usize = blocks.iter().map(|block| block.1).sum();
-    (blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
+fn rmse(blocked: &Blocked) -> f64 {
+    let samples: usize = blocked.blocks.iter().map(|block| block.1).sum();
+    (blocked.blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
 }
 
 struct Trial {
@@ -189,14 +200,16 @@ impl<F: Family> Search<'_, F> {
             !names.contains(&candidate.name) && !candidate.excludes.iter().any(|name| names.contains(name))
         };
         let tasks: Vec<(usize, &Vec<f64>)> = catalogue
-            .iter()
+            .par_iter()
             .enumerate()
             .filter(|(_, candidate)| open(candidate))
-            .flat_map(|(index, candidate)| candidate.starts.iter().map(move |start| (index, start)))
+            .flat_map_iter(|(index, candidate)| {
+                self.nearest(current, index, candidate).into_iter().map(move |start| (index, start))
+            })
             .collect();
         let fits: Vec<Fit> = tasks
             .par_iter()
-            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::SCREEN))
+            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::GLANCE))
             .collect();
         let mut best: Vec<Trial> = Vec::new();
         for ((index, _), fit) in tasks.into_iter().zip(fits) {
@@ -212,6 +225,25 @@ impl<F: Family> Search<'_, F> {
         best
     }
 
+    /// Where an effect's fit begins: of many places, those from which it has least to go.
+    fn nearest<'c>(&self, current: &Fit, index: usize, candidate: &'c Candidate) -> Vec<&'c Vec<f64>> {
+        if candidate.starts.len() <= MOST_STARTS {
+            return candidate.starts.iter().collect();
+        }
+        let mut costs: Vec<(f64, &Vec<f64>)> = candidate
+            .starts
+            .iter()
+            .map(|start| {
+                let mut structure = current.structure.clone();
+                structure.terms.push(Term::Known(index));
+                structure.added.push(start.clone());
+                (fit::cost(self.family, &self.runs, &structure, &current.initial), start)
+            })
+            .collect();
+        costs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        costs.into_iter().take(NEAREST).map(|(_, start)| start).collect()
+    }
+
     fn curves(&self, current: &Fit) -> Vec<Trial> {
         let Some(drivers) =
             self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
@@ -220,11 +252,11 @@ impl<F: Family> Search<'_, F> {
         };
         drivers
             .par_iter()
-            .filter_map(|driver| self.family.curve(&current.structure, driver.over, driver.period, &self.runs))
+            .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
             .map(|curve| {
                 let zeros = vec![0.0; curve.at.len()];
                 let term = Term::Curve(curve);
-                let fit = self.fit_with(current, term.clone(), &zeros, Effort::SCREEN);
+                let fit = self.fit_with(current, term.clone(), &zeros, Effort::GLANCE);
                 Trial { term, fit }
             })
             .collect()
@@ -233,6 +265,15 @@ impl<F: Family> Search<'_, F> {
     /// The most promising trials, fitted to the end and judged on blocks; best first.
     fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
         trials.retain(|trial| trial.fit.cost.is_finite());
+        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        trials.truncate(2 * PROMISING);
+        trials = trials
+            .into_par_iter()
+            .map(|Trial { term, fit: glanced }| {
+                let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
+                Trial { term, fit }
+            })
+            .collect();
         trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         trials.truncate(PROMISING);
         let effort = Effort { robust: false, ..Effort::FULL };
@@ -249,28 +290,35 @@ impl<F: Family> Search<'_, F> {
         judged
     }
 
-    /// Errors on each block of a structure fitted to the other half of the blocks.
+    /// Errors of a structure on each block, fitted to the other half of the blocks.
     fn blocked(&self, from: &Fit) -> Blocked {
-        let effort = Effort { robust: false, ..Effort::SCREEN };
-        [(0, 1), (1, 0)]
+        let halves: Vec<_> = [(0, 1), (1, 0)]
             .par_iter()
-            .flat_map_iter(|&(fitted, left_out)| {
+            .map(|&(fitted, left_out)| {
                 let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
-                let initial = runs
-                    .iter()
-                    .map(|run| fit::settle(self.family, &from.structure, run, self.family.measured(run).len()))
-                    .collect();
-                let refit = fit(self.family, &runs, from.structure.clone(), initial, effort);
-                self.halves[left_out].iter().map(move |block| {
-                    let samples = self.family.measured(block).len();
-                    let initial = fit::settle(self.family, &refit.structure, block, samples);
-                    let residuals = fit::residuals(self.family, &refit.structure, &initial, block);
-                    let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
+                let settled = |structure: &Structure, run: &F::Run, samples: usize| {
+                    fit::settle(self.family, structure, run, samples)
+                };
+                let len = |run: &F::Run| self.family.measured(run).len();
+                let initial = runs.iter().map(|run| settled(&from.structure, run, len(run))).collect();
+                let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
+                let error = |run: &F::Run, samples: usize| {
+                    let residuals = fit::residuals(self.family, &refit, &settled(&refit, run, samples), run);
+                    let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
                     let square: f64 = known.iter().map(|residual| residual * residual).sum();
                     (square / known.len().max(1) as f64, known.len())
-                })
+                };
+                let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
+                let whole: Vec<_> = self.runs.iter().map(|run| error(run, len(run) / 4)).collect();
+                (blocks, whole)
             })
-            .collect()
+            .collect();
+        let whole: Vec<_> = halves.iter().flat_map(|half| half.1.iter()).collect();
+        let samples: usize = whole.iter().map(|run| run.1).sum();
+        Blocked {
+            whole: whole.iter().map(|run| run.0 * run.1 as f64).sum::<f64>() / samples.max(1) as f64,
+            blocks: halves.into_iter().flat_map(|half| half.0).collect(),
+        }
     }
 
     /// The best effect that passes, and what the others lacked.
@@ -284,6 +332,16 @@ impl<F: Family> Search<'_, F> {
         with_curves: bool,
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
+        for candidate in &judged {
+            (self.progress)(&format!(
+                "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
+                self.term_name(&candidate.trial.term),
+                (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()),
+                candidate.trial.fit.cost,
+                rmse_before,
+                candidate.trial.fit.structure.added.last()
+            ));
+        }
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
         for candidate in judged {
@@ -292,9 +350,17 @@ impl<F: Family> Search<'_, F> {
             let worth = if with_curves { CURVE_WORTH } else { WORTH };
             let p_value = self.chance(current, before, &candidate) * tried as f64;
             let z = self.size(&candidate);
-            let better = before.iter().zip(&candidate.blocked).filter(|(before, after)| after.0 < before.0).count();
+            let better = before
+                .blocks
+                .iter()
+                .zip(&candidate.blocked.blocks)
+                .filter(|(before, after)| after.0 < before.0)
+                .count();
             let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
                 Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
+            } else if candidate.blocked.whole > before.whole * (1.0 + WORTH) {
+                let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
+                Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
             } else if p_value >= CHANCE {
                 Some(format!("not more than chance (p = {p_value:.2})"))
             } else if z < LEAST_Z {
@@ -308,9 +374,10 @@ impl<F: Family> Search<'_, F> {
             }
             let step = Step {
                 term: candidate.trial.term.clone(),
+                fit: candidate.trial.fit.clone(),
                 blocked_rmse: [rmse_before, after],
                 p_value: p_value.min(1.0),
-                blocks_better: [better, before.len()],
+                blocks_better: [better, before.blocks.len()],
                 z,
                 rivals: vec![],
             };
@@ -344,7 +411,7 @@ impl<F: Family> Search<'_, F> {
     fn term_name(&self, term: &Term) -> String {
         match term {
             Term::Known(index) => self.family.catalogue()[*index].name.to_owned(),
-            Term::Curve(curve) => format!("unknown, over {}", curve.over.name()),
+            Term::Curve(curve) => format!("{} over {}", curve.acts.name(), curve.over.name()),
         }
     }
 
@@ -365,6 +432,10 @@ impl<F: Family> Search<'_, F> {
     /// Least distance from no effect of what tells the effect's size, in standard deviations.
     fn size(&self, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
+        if matches!(candidate.trial.term, Term::Curve(_)) {
+            // Its corners share what the base model has too, a slope and a mean: no corner alone has a size.
+            return f64::INFINITY;
+        }
         let parameters = fit::parameters(self.family, &fit.structure.terms);
         let values = fit.structure.added.last().map_or(&[][..], |values| values);
         let from = parameters.len() - values.len();
@@ -409,8 +480,9 @@ impl<F: Family> Search<'_, F> {
 /// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).
 fn paired(worse: &Blocked, better: &Blocked) -> f64 {
     let gains: Vec<f64> = worse
+        .blocks
         .iter()
-        .zip(better)
+        .zip(&better.blocks)
         .filter(|(worse, better)| worse.0 > 0.0 && better.0 > 0.0)
         .map(|(worse, better)| (worse.0 / better.0).ln())
         .collect();
@@ -465,6 +537,10 @@ pub(crate) fn product(residuals: &[Vec<f64>], lag: usize) -> f64 {
 pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
     match term {
         Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
-        Term::Curve(curve) => vec![curve.over],
+        Term::Curve(curve) => match curve.acts {
+            Acts::Push => vec![curve.over],
+            Acts::Friction => vec![curve.over, Dependence::Direction],
+            Acts::Gain => vec![curve.over, Dependence::Input],
+        },
     }
 }

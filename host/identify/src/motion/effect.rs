@@ -74,7 +74,7 @@ impl Effect {
     /// Name in reports and plant files.
     pub(super) const fn name(self) -> &'static str {
         match self {
-            Self::InputSign => "input-sign-flip",
+            Self::InputSign => "input-sign",
             Self::InputDelay => "input-delay",
             Self::InputHold => "input-hold",
             Self::DeadZone => "dead-zone",
@@ -197,8 +197,13 @@ impl Effect {
                 vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
             ),
             Self::InputHold | Self::SensorHold => (
-                vec![sized("period_s", "s", Range::Between(0.0, 1.0))],
-                [2.0, 3.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0].iter().map(|n| vec![n * s.period_s]).collect(),
+                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                // Two neighbours differ by less than one slot over a recording.
+                (0..)
+                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
+                    .take_while(|&hold_s| hold_s < 0.6)
+                    .map(|hold_s| vec![hold_s])
+                    .collect(),
             ),
             Self::DeadZone => (
                 vec![sized(s.units.input_name, s.units.input, level(0.05 * s.input))],
@@ -222,7 +227,7 @@ impl Effect {
             ),
             Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
             Self::WindingHeating => (
-                vec![sized("rise", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
+                vec![sized("rise_at_full", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
                 vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
             ),
             Self::Coulomb => (
@@ -253,10 +258,7 @@ impl Effect {
                 s.periods.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
             Self::WarmUp => (
-                vec![
-                    sized(s.units.force_name, force, level(0.2 * push)),
-                    shaped("time_constant_s", "s", Range::Positive),
-                ],
+                vec![sized(s.units.force_name, force, level(0.2 * push)), shaped("warm_up_s", "s", Range::Positive)],
                 vec![vec![push, 0.15 * s.duration_s], vec![push, 0.5 * s.duration_s], vec![push, 2.0 * s.duration_s]],
             ),
             Self::Drag => (
@@ -287,7 +289,7 @@ impl Effect {
                 [0.003, 0.02, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Compliance => (
-                vec![shaped("natural_hz", "Hz", Range::Positive), shaped("damping", "1", Range::Between(0.001, 3.0))],
+                vec![shaped("frequency_hz", "Hz", Range::Positive), shaped("damping", "1", Range::Between(0.001, 3.0))],
                 [1.5, 4.0, 10.0, 25.0].iter().map(|&hz| vec![hz, 0.1]).collect(),
             ),
             Self::Eccentricity => (

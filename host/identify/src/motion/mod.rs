@@ -4,6 +4,7 @@
 //! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
 
 mod effect;
+mod info;
 mod physical;
 mod run;
 mod simulate;
@@ -11,15 +12,16 @@ mod start;
 #[cfg(test)]
 mod tests;
 
-use std::f64::consts::TAU;
+use std::{collections::BTreeMap, f64::consts::TAU};
 
-use r4_plants::Dependence;
+use r4_plants::{Dependence, PlantSpec};
 
 pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    report::Estimate,
 };
 use effect::Effect;
 use simulate::{Observed, simulate};
@@ -165,6 +167,10 @@ pub struct Known {
     pub stroke_m: Option<f64>,
     /// Largest duty of a servo.
     pub duty_limit: Option<f64>,
+    /// Of the motor's winding: without it torques are known only but for a factor.
+    pub resistance_ohm: Option<f64>,
+    /// What is known of the rest of the plant.
+    pub plant: Option<PlantSpec>,
 }
 
 /// A model of one moving axis, made for given data.
@@ -183,7 +189,6 @@ pub struct Motion {
     stops: Option<(f64, f64)>,
     scales: Scales,
     places: Places,
-    coasts: bool,
 }
 
 /// Where base parameters stand.
@@ -314,6 +319,10 @@ impl Family for Motion {
         &run.all.name
     }
 
+    fn input(&self, run: &MotionRun) -> (String, Vec<f64>) {
+        (self.scales.units.input_name.to_owned(), run.all.input[run.from..run.to].to_vec())
+    }
+
     fn part(&self, run: &MotionRun, from: usize, to: usize) -> MotionRun {
         let to = (run.from + to).min(run.to);
         MotionRun { all: run.all.clone(), from: (run.from + from).min(to), to }
@@ -349,22 +358,85 @@ impl Family for Motion {
         drivers
     }
 
-    fn curve(
+    fn push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
+        Some((self.missing_push(structure, run, residual), self.scales.units.force))
+    }
+
+    fn estimates(
         &self,
         structure: &Structure,
-        over: Dependence,
-        period: Option<f64>,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        self.in_units(structure, deviations)
+    }
+
+    fn force_per_push(&self, structure: &Structure) -> f64 {
+        self.physical(structure).inertia
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        self.plant_file(structure, source)
+    }
+
+    fn curves(
+        &self,
+        structure: &Structure,
+        (over, period): (Dependence, Option<f64>),
         runs: &[&MotionRun],
-    ) -> Option<Curve> {
+    ) -> Vec<Curve> {
+        let acts: &[Acts] = match over {
+            // A force by acceleration is inertia, which the model has; one by direction is friction by direction.
+            Dependence::Acceleration | Dependence::Direction => &[],
+            Dependence::Input | Dependence::Speed => &[Acts::Push],
+            Dependence::Position | Dependence::Time => &[Acts::Push, Acts::Friction, Acts::Gain],
+            Dependence::History => &[Acts::Friction],
+            Dependence::Supply => &[Acts::Gain],
+        };
+        let Some(at) = self.corners(structure, (over, period), runs).filter(|_| !acts.is_empty()) else {
+            return vec![];
+        };
+        let units = &self.scales.units;
+        let at_unit = match over {
+            Dependence::Input => units.input,
+            Dependence::Speed => units.speed,
+            Dependence::Time => "s",
+            Dependence::Supply => "V",
+            _ => units.distance,
+        };
+        acts.iter()
+            .map(|&acts| {
+                let gain = acts == Acts::Gain;
+                Curve {
+                    over,
+                    at_unit,
+                    unit: if gain { "1" } else { units.force },
+                    at: at.clone(),
+                    period,
+                    acts,
+                    scale: if gain { 0.1 } else { 0.1 * self.scales.acceleration },
+                }
+            })
+            .collect()
+    }
+}
+
+impl Motion {
+    /// Corners for a curve: none without data, and no long stretch without one.
+    fn corners(
+        &self,
+        structure: &Structure,
+        (over, period): (Dependence, Option<f64>),
+        runs: &[&MotionRun],
+    ) -> Option<Vec<f64>> {
         const CORNERS: usize = 9;
-        if over == Dependence::Acceleration {
-            // A force by acceleration is inertia, which the model has.
-            return None;
+        const ROUND: u8 = 12;
+        if let Some(period) = period {
+            return Some((0..ROUND).map(|corner| f64::from(corner) * period / f64::from(ROUND)).collect());
         }
         let mut values: Vec<f64> = runs
             .iter()
             .flat_map(|run| self.drivers(structure, &run.initial(self.of_speed).0, run))
-            .filter(|driver| driver.over == over && driver.period == period)
+            .filter(|driver| driver.over == over && driver.period.is_none())
             .flat_map(|driver| driver.values)
             .filter(|value| value.is_finite())
             .collect();
@@ -373,34 +445,12 @@ impl Family for Motion {
         if high - low <= f64::EPSILON * high.abs() {
             return None;
         }
-        let at: Vec<f64> = match (period, over) {
-            (Some(period), _) => (0..12).map(|corner| f64::from(corner) * period / 12.0).collect(),
-            (None, Dependence::Direction) => vec![-1.0, 0.0, 1.0],
-            _ => {
-                // Half by range, half by how often: no corner without data, no long stretch without corner.
-                let share = |index: usize| index as f64 / (CORNERS - 1) as f64;
-                let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
-                let mut at: Vec<f64> = (0..CORNERS)
-                    .map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index)))
-                    .collect();
-                at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
-                at
-            }
-        };
-        (at.len() >= 2).then(|| Curve {
-            over,
-            at_unit: match over {
-                Dependence::Input => self.scales.units.input,
-                Dependence::Speed => self.scales.units.speed,
-                Dependence::Time => "s",
-                Dependence::Supply => "V",
-                Dependence::Direction => "1",
-                _ => self.scales.units.distance,
-            },
-            unit: self.scales.units.force,
-            at,
-            period,
-            scale: 0.1 * self.scales.acceleration,
-        })
+        // Half by range, half by how often.
+        let share = |index: usize| index as f64 / (CORNERS - 1) as f64;
+        let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
+        let mut at: Vec<f64> =
+            (0..CORNERS).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
+        at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
+        (at.len() >= 2).then_some(at)
     }
 }

@@ -9,7 +9,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::family::{Curve, Structure};
+use crate::family::{Acts, Curve, Structure};
 use r4_plants::Dependence;
 
 use super::{Motion, MotionRun, effect::Effect};
@@ -172,8 +172,9 @@ struct State {
     slewed: f64,
     lagged: f64,
     heat: f64,
-    /// Behind the gap.
+    /// Behind the gap, with its speed.
     output: f64,
+    output_speed: f64,
     /// Behind the spring, with its speed.
     sprung: (f64, f64),
     sensed: f64,
@@ -208,6 +209,7 @@ pub(super) fn simulate(
         lagged: command * run.supply_at(first),
         heat: 0.0,
         output: position,
+        output_speed: speed,
         sprung: (position, speed),
         sensed: if of_speed { speed } else { position },
         held: f64::NAN,
@@ -224,7 +226,7 @@ pub(super) fn simulate(
         let spring = plan.compliance.is_some();
         let true_position = if spring { state.sprung.0 } else { state.output };
         let truth = if of_speed {
-            if spring { state.sprung.1 } else { state.speed }
+            if spring { state.sprung.1 } else { state.output_speed }
         } else {
             true_position + plan.eccentricity.as_ref().map_or(0.0, |wave| wave.at(true_position))
         };
@@ -309,6 +311,7 @@ pub(super) fn simulate(
             if let Some(cogging) = &plan.cogging {
                 push -= cogging.at(ahead);
             }
+            let mut more_friction = 0.0;
             for (curve, values) in &plan.curves {
                 let at = match curve.over {
                     Dependence::Input => command,
@@ -320,7 +323,11 @@ pub(super) fn simulate(
                     _ => ahead,
                 };
                 let value = curve.value(values, at);
-                push += if curve.over == Dependence::History { -state.direction * value } else { value };
+                match curve.acts {
+                    Acts::Push => push += value,
+                    Acts::Friction => more_friction += value,
+                    Acts::Gain => push += k * volts * value,
+                }
             }
             if plan.drag > 0.0 {
                 b += plan.drag * state.speed.abs();
@@ -339,6 +346,7 @@ pub(super) fn simulate(
             if let Some((force, time_constant_s)) = plan.warm_up {
                 level += force * (-(run.all.origin_s + from_s) / time_constant_s).exp();
             }
+            level = (level + more_friction).max(0.0);
             if decay.0 != b || decay.1 != step_s {
                 decay = (b, step_s, (-b * step_s).exp());
             }
@@ -356,7 +364,9 @@ pub(super) fn simulate(
                 state.reversal = before;
             }
             let gap = 0.5 * plan.gap;
-            state.output = state.output.clamp(state.position - gap, state.position + gap);
+            let output = state.output.clamp(state.position - gap, state.position + gap);
+            state.output_speed = if plan.gap > 0.0 && output == state.output { 0.0 } else { state.speed };
+            state.output = output;
             if let Some((natural_hz, damping)) = plan.compliance {
                 let omega = TAU * natural_hz;
                 let (position, speed) = &mut state.sprung;
@@ -373,7 +383,7 @@ pub(super) fn simulate(
                 let spring = plan.compliance.is_some();
                 let truth = match (of_speed, spring) {
                     (true, true) => state.sprung.1,
-                    (true, false) => state.speed,
+                    (true, false) => state.output_speed,
                     (false, true) => state.sprung.0,
                     (false, false) => state.output,
                 };

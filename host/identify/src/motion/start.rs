@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
 
 use crate::{
-    data::{Quantity, Run},
+    data::{Need, Quantity, Run, check},
     error::IdentifyError,
     family::Family,
 };
@@ -13,6 +13,8 @@ use super::{Effect, Kind, Known, Motion, MotionRun, Scales, Units};
 
 /// Steps of the simulation are no longer, s.
 const LONGEST_STEP_S: f64 = 2.5e-3;
+/// Fewer tell nothing.
+const LEAST_SAMPLES: usize = 50;
 /// Time constants that a fit begins from, s, beside the one found by regression.
 const TIME_CONSTANTS_S: [f64; 4] = [0.03, 0.1, 0.3, 1.0];
 
@@ -28,6 +30,17 @@ impl Motion {
         holdout: &[Run],
     ) -> Result<(Self, Vec<MotionRun>, Vec<MotionRun>), IdentifyError> {
         let first = train.first().ok_or(IdentifyError::NoRuns)?;
+        let need = |role: &str, what: &str, driving| Need {
+            role: role.to_owned(),
+            what: what.to_owned(),
+            quantities: vec![],
+            required: true,
+            driving,
+            varies: true,
+            samples: LEAST_SAMPLES,
+        };
+        let needs = [need("input", "what drives the axis", true), need("output", "how it moves", false)];
+        check(train, &needs)?;
         let missing = |role: &'static str| IdentifyError::MissingRole { model: kind.name(), role };
         let input = first.signals.get("input").ok_or_else(|| missing("input"))?;
         let output = first.signals.get("output").ok_or_else(|| missing("output"))?;
@@ -41,9 +54,6 @@ impl Motion {
         let is_duty =
             !matches!(input.quantity, Quantity::Voltage | Quantity::Force | Quantity::Torque) && kind != Kind::Axis;
         let recorded = first.signals.contains_key("supply");
-        if is_duty && known.supply_v.is_none() && !recorded {
-            // The speed per volt is then one per unit of duty, which is told.
-        }
         let supply_v = if is_duty { known.supply_v.unwrap_or(1.0) } else { 1.0 };
         let prepare = |runs: &[Run]| -> Result<Vec<MotionRun>, IdentifyError> {
             runs.iter().map(|run| MotionRun::new(run, supply_v).ok_or_else(|| missing("output"))).collect()
@@ -70,7 +80,6 @@ impl Motion {
             stops: known.stroke_m.map(|stroke_m| (0.0, stroke_m)),
             scales,
             places,
-            coasts,
         };
         Ok((model, train, holdout))
     }
@@ -96,8 +105,6 @@ impl Motion {
             Effect::Gravity => rotary && places.pendulum.is_none() && turns > 0.15,
             Effect::Eccentricity => rotary && !of_speed && turns > 0.5,
             Effect::PositionFriction | Effect::Cogging => !rotary || turns > 0.1,
-            // A position behind a gap; a speed behind one shows nothing but the moment of crossing.
-            Effect::Backlash => !of_speed,
             Effect::SlewLimit | Effect::InputSign => !servo,
             _ => true,
         }

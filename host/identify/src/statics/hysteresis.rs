@@ -10,9 +10,10 @@ use r4_plants::Dependence;
 use serde::Serialize;
 use thiserror::Error;
 
-use super::map::median;
+use super::map::{median, unit};
 use crate::data::Run;
-use crate::family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure};
+use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording shows no play.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -314,6 +315,24 @@ fn droop(ends: &[PhaseEnd]) -> Option<Droop> {
     })
 }
 
+/// One recording as two: the output up to the end of the first two pulls of each side, and the output after that.
+///
+/// # Errors
+/// As [`phase_ends`].
+pub fn first_two_cycles(run: &Run) -> Result<(Run, Run), HysteresisError> {
+    let ends = phase_ends(run)?;
+    let until_s = ends.iter().filter(|end| end.cycle < FITTED).map(|end| end.at_s).fold(f64::NEG_INFINITY, f64::max);
+    let only = |first: bool| {
+        let mut part = run.clone();
+        if let Some(output) = part.signals.get_mut("output") {
+            let samples = output.values.iter_mut().zip(&run.time_s);
+            samples.filter(|(_, time)| (**time <= until_s) != first).for_each(|(value, _)| *value = f64::NAN);
+        }
+        part
+    };
+    Ok((only(true), only(false)))
+}
+
 /// Phases of one recording as rows of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldRun {
@@ -344,19 +363,6 @@ impl HeldRun {
         })
     }
 
-    /// The rows of the first pulls of each side, and those after, which are to be predicted.
-    #[must_use]
-    pub fn first_two_cycles(&self) -> (Self, Self) {
-        let mut pulls = [0usize; 2];
-        let first = self.pull.iter().zip(&self.last_pull).position(|(pull, last)| {
-            let side = usize::from(*last < 0.0);
-            pulls[side] += usize::from(*pull != 0.0);
-            pulls[side] > FITTED
-        });
-        let end = first.unwrap_or(self.measured.len());
-        (self.rows(0, end), self.rows(end, self.measured.len()))
-    }
-
     fn rows(&self, from: usize, to: usize) -> Self {
         let cut = |values: &[f64]| values[from..to].to_vec();
         Self {
@@ -378,6 +384,39 @@ pub struct HeldShaft {
 }
 
 impl HeldShaft {
+    /// For `--model`.
+    pub const NAME: &str = "held-shaft";
+
+    /// What it is, for the list of models.
+    #[must_use]
+    pub fn info() -> ModelInfo {
+        let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
+        ModelInfo {
+            name: Self::NAME,
+            summary: "where a held shaft ends that is pulled from both sides in turn, and let go in between",
+            roles: vec![
+                role("output", true, false, "position of the shaft"),
+                role("pull_a", true, true, "command or position of what pulls from one side"),
+                role("pull_b", true, true, "command or position of what pulls from the other"),
+                role("goal", false, true, "where the shaft is to be"),
+                role("load", false, false, "duty or current that holds it"),
+            ],
+            parameters: vec![],
+            effects: vec!["backlash", "compliance", "drift"],
+        }
+    }
+
+    /// A model for recordings, and these as it wants them: those to fit to and those held out.
+    ///
+    /// # Errors
+    /// As [`phase_ends`].
+    pub fn prepare(train: &[Run], holdout: &[Run]) -> Result<(Self, Vec<HeldRun>, Vec<HeldRun>), HysteresisError> {
+        let make = |runs: &[Run]| runs.iter().map(HeldRun::new).collect::<Result<Vec<_>, _>>();
+        let (fitted, held_out) = (make(train)?, make(holdout)?);
+        let unit = train.first().map_or("1", unit);
+        Ok((Self::new(&fitted.iter().collect::<Vec<_>>(), unit), fitted, held_out))
+    }
+
     /// A model whose sizes are noticed from the scatter of these runs on.
     #[must_use]
     pub fn new(runs: &[&HeldRun], unit: &'static str) -> Self {
@@ -494,16 +533,24 @@ impl Family for HeldShaft {
         ]
     }
 
+    fn input(&self, run: &HeldRun) -> (String, Vec<f64>) {
+        ("pull".to_owned(), run.pull.clone())
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        super::to_toml(Self::NAME, self, structure, source)
+    }
+
     /// Pulls and sides have two values each, which the effects exhaust; time may have any shape.
-    fn curve(&self, _: &Structure, over: Dependence, _: Option<f64>, runs: &[&HeldRun]) -> Option<Curve> {
+    fn curves(&self, _: &Structure, (over, _): (Dependence, Option<f64>), runs: &[&HeldRun]) -> Vec<Curve> {
         let mut at: Vec<f64> = runs.iter().flat_map(|run| run.time_s.iter().copied()).collect();
         at.sort_unstable_by(f64::total_cmp);
+        let Range::Any { scale } = self.base[0].range else { return vec![] };
         if over != Dependence::Time || at.len() < 16 {
-            return None;
+            return vec![];
         }
         let at = (0..4).map(|corner| at[corner * (at.len() - 1) / 3]).collect();
-        let Range::Any { scale } = self.base[0].range else { return None };
-        Some(Curve { over, at_unit: "s", unit: self.unit, at, period: None, scale })
+        vec![Curve { over, at_unit: "s", unit: self.unit, at, period: None, acts: Acts::Push, scale }]
     }
 }
 

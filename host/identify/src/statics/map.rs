@@ -5,8 +5,9 @@ use std::sync::Arc;
 use r4_plants::Dependence;
 use thiserror::Error;
 
-use crate::data::Run;
-use crate::family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure, Term};
+use crate::data::{Quantity, Run};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure, Term};
+use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording is no map.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -50,6 +51,8 @@ const LEAST_ROWS: usize = 8;
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapRun {
     name: String,
+    /// Of the output.
+    unit: &'static str,
     time_s: Arc<[f64]>,
     input: Arc<[f64]>,
     /// Empty where it was not recorded.
@@ -80,6 +83,7 @@ impl MapRun {
         let input = held(input, 0.0, |u| u.is_finite());
         Ok(Self {
             name: run.name.clone(),
+            unit: unit(run),
             time_s: run.time_s.clone().into(),
             since_turn: since_turn(&input),
             input,
@@ -93,20 +97,6 @@ impl MapRun {
             first: 0,
             measured,
         })
-    }
-
-    /// The same levels with the output of every `every`th row, counted from row `every - 1`, in the second run and the
-    /// others in the first: a hold-out for one sweep, whose halves would not cover the same levels. Both know all inputs.
-    /// With `every` below 2 the second has none.
-    #[must_use]
-    pub fn alternate(&self, every: usize) -> (Self, Self) {
-        let of_second = |row: usize| every > 1 && row % every == every - 1;
-        let only = |second: bool| {
-            let measured = self.measured.iter().enumerate();
-            let measured = measured.map(|(row, &y)| if of_second(row) == second { y } else { f64::NAN });
-            Self { measured: measured.collect(), ..self.clone() }
-        };
-        (only(false), only(true))
     }
 
     /// Levels of the rows of [`Family::measured`].
@@ -132,6 +122,38 @@ impl MapRun {
     /// Input and output of the rows that were measured.
     fn rows(&self) -> impl Iterator<Item = (f64, f64)> {
         self.input().iter().copied().zip(self.measured.iter().copied()).filter(|(_, y)| y.is_finite())
+    }
+}
+
+/// One sweep as two: the output of every `every`th row, counted from row `every - 1`, in the second, of the others in the first.
+/// Halves of a sweep would not cover the same levels. Both know all inputs; `None` below 2, or for less than eight rows in one.
+pub fn alternate_rows(run: &Run, every: usize) -> Option<(Run, Run)> {
+    let only = |second: bool| {
+        let mut part = run.clone();
+        let output = part.signals.get_mut("output")?;
+        for (row, value) in output.values.iter_mut().enumerate() {
+            if (row % every == every - 1) != second {
+                *value = f64::NAN;
+            }
+        }
+        (output.values.iter().filter(|value| value.is_finite()).count() >= LEAST_ROWS).then_some(part)
+    };
+    if every < 2 { None } else { only(false).zip(only(true)) }
+}
+
+/// SI unit of the output of a recording.
+pub(super) fn unit(run: &Run) -> &'static str {
+    match run.signals.get("output").map(|signal| signal.quantity) {
+        Some(Quantity::Angle) => "rad",
+        Some(Quantity::AngularSpeed) => "rad/s",
+        Some(Quantity::Length) => "m",
+        Some(Quantity::Speed) => "m/s",
+        Some(Quantity::Voltage) => "V",
+        Some(Quantity::Force) => "N",
+        Some(Quantity::Torque) => "N m",
+        Some(Quantity::Current) => "A",
+        Some(Quantity::Temperature) => "°C",
+        Some(Quantity::Number) | None => "1",
     }
 }
 
@@ -178,6 +200,25 @@ enum Bend {
     Hysteresis,
     Settling,
     Drift,
+}
+
+impl Bend {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::DeadZone => "dead-zone",
+            Self::StaticFriction => "static-friction",
+            Self::Saturation => "saturation",
+            Self::GainCurve => "gain-curve",
+            Self::QuadraticDrag => "quadratic-drag",
+            Self::DirectionAsymmetry => "direction-asymmetry",
+            Self::Offset => "offset",
+            Self::Supply => "supply",
+            Self::SupplyDrive => "supply-drive",
+            Self::Hysteresis => "hysteresis",
+            Self::Settling => "slow-settling",
+            Self::Drift => "drift",
+        }
+    }
 }
 
 /// Values of every bend, those that are absent at what has no effect; `[forward, backward]` where directions differ.
@@ -279,6 +320,36 @@ impl StaticMap {
         Ok(map)
     }
 
+    /// For `--model`.
+    pub const NAME: &str = "static-map";
+
+    /// What it is, for the list of models.
+    #[must_use]
+    pub fn info() -> ModelInfo {
+        let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
+        ModelInfo {
+            name: Self::NAME,
+            summary: "a level that is held to what the output settles at",
+            roles: vec![
+                role("input", true, true, "level: duty, volts, any command"),
+                role("output", true, false, "what settles, such as a speed"),
+                role("supply", false, true, "voltage of the supply"),
+            ],
+            parameters: vec![],
+            effects: BENDS.iter().map(|bend| bend.name()).collect(),
+        }
+    }
+
+    /// A model for recordings, and these as it wants them: those to fit to and those held out.
+    ///
+    /// # Errors
+    /// What [`MapRun::new`] and [`StaticMap::new`] say.
+    pub fn prepare(train: &[Run], holdout: &[Run]) -> Result<(Self, Vec<MapRun>, Vec<MapRun>), MapError> {
+        let make = |runs: &[Run]| runs.iter().map(MapRun::new).collect::<Result<Vec<_>, _>>();
+        let (train, holdout) = (make(train)?, make(holdout)?);
+        Ok((Self::new(&train.iter().collect::<Vec<_>>(), train.first().map_or("1", |run| run.unit))?, train, holdout))
+    }
+
     /// Supply at which the gain and all levels hold, in the unit of the recording; 1 where none was recorded.
     #[must_use]
     pub fn supply_ref(&self) -> f64 {
@@ -297,23 +368,20 @@ impl StaticMap {
         let both = |values: &[f64]| -> Vec<Vec<f64>> { values.iter().map(|&value| vec![value; sides.len()]).collect() };
         let levels = |found: [f64; 2]| sides.iter().map(|&side| found[side]).collect::<Vec<f64>>();
         let shares = |values: &[f64]| values.iter().map(|share| vec![share * span]).collect::<Vec<_>>();
-        let (name, depends_on, parameters, starts, experiment): (_, &'static [Dependence], _, _, _) = match bend {
+        let (depends_on, parameters, starts, experiment): (&'static [Dependence], _, _, _) = match bend {
             Bend::DeadZone => (
-                "dead-zone",
                 &[Input, Direction],
                 each(["forward", "backward"], "input", Range::NotNegative { scale: 0.02 * span }, 0.0),
                 [vec![levels(found.dead)], both(&[0.05 * span, 0.2 * span])].concat(),
                 "hold levels about zero, close together, in both directions",
             ),
             Bend::StaticFriction => (
-                "static-friction",
                 &[Input, Direction, History],
                 each(["start_forward", "start_backward"], "input", Range::NotNegative { scale: 0.05 * span }, 0.0),
                 vec![levels(found.starts)],
                 "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
             ),
             Bend::Saturation => (
-                "saturation",
                 &[Input, Direction],
                 [
                     each(["forward", "backward"], "1/input", Range::NotNegative { scale: 0.1 / span }, 0.0),
@@ -336,63 +404,54 @@ impl StaticMap {
                 "hold levels up to the largest, evenly spaced, in both directions",
             ),
             Bend::GainCurve => (
-                "gain-curve",
                 &[Input, Direction],
                 each(["exponent_forward", "exponent_backward"], "1", Range::Between(0.1, 6.0), 1.0),
                 both(&[0.7, 1.5]),
                 "hold levels evenly spaced from just above the dead-zone to the largest",
             ),
             Bend::QuadraticDrag => (
-                "quadratic-drag",
                 &[Speed],
                 one("share", "1/output", Range::NotNegative { scale: 0.05 / height }, 0.0),
                 vec![vec![0.3 / height], vec![2.0 / height]],
                 "hold levels up to the largest, once more with the load taken off",
             ),
             Bend::DirectionAsymmetry => (
-                "direction-asymmetry",
                 &[Direction],
                 one("share", "1", Range::Between(-1.0, 1.0), 0.0),
                 vec![vec![0.1], vec![-0.1]],
                 "hold the same levels in both directions",
             ),
             Bend::Offset => (
-                "offset",
                 &[],
                 one("output", self.unit, Range::Any { scale: 0.02 * height }, 0.0),
                 vec![vec![0.0]],
                 "record the output with the supply off",
             ),
             Bend::Supply => (
-                "supply",
                 &[Supply],
                 one("exponent", "1", Range::Any { scale: 0.2 }, 0.0),
                 vec![vec![1.0]],
                 "the same levels at two supply voltages at least 10 % apart",
             ),
             Bend::SupplyDrive => (
-                "supply-drive",
                 &[Supply, Input],
                 one("exponent", "1", Range::Any { scale: 0.2 }, 0.0),
                 vec![vec![1.0]],
                 "the same levels, small ones among them, at two supply voltages at least 10 % apart",
             ),
             Bend::Hysteresis => (
-                "hysteresis",
                 &[Input, History],
                 one("half_width", "input", Range::NotNegative { scale: 0.02 * span }, 0.0),
                 shares(&[0.02, 0.1]),
                 "sweep up and down over the same levels, twice, once with longer holds",
             ),
             Bend::Settling => (
-                "slow-settling",
                 &[History, Time],
                 one("time_s", "s", Range::NotNegative { scale: 0.2 * found.row_s }, 0.0),
                 vec![vec![0.5 * found.row_s], vec![2.0 * found.row_s]],
                 "the same levels held ten times as long",
             ),
             Bend::Drift => (
-                "drift",
                 &[Time],
                 one("per_s", "1/s", Range::Any { scale: 0.02 / found.length_s }, 0.0),
                 vec![vec![0.0]],
@@ -411,7 +470,8 @@ impl StaticMap {
         // Saturation has a shape of its own that does what these do.
         let excludes: &[&str] =
             if matches!(bend, Bend::GainCurve | Bend::QuadraticDrag) { &["saturation"] } else { &[] };
-        offered.then_some((Candidate { name, depends_on, parameters, starts, experiment, excludes }, sides))
+        offered
+            .then_some((Candidate { name: bend.name(), depends_on, parameters, starts, experiment, excludes }, sides))
     }
 
     fn shape(&self, structure: &Structure) -> Shape {
@@ -741,14 +801,22 @@ impl Family for StaticMap {
         drivers
     }
 
-    fn curve(&self, _: &Structure, over: Dependence, period: Option<f64>, runs: &[&MapRun]) -> Option<Curve> {
+    fn input(&self, run: &MapRun) -> (String, Vec<f64>) {
+        ("input".to_owned(), run.input().to_vec())
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        super::to_toml(StaticMap::NAME, self, structure, source)
+    }
+
+    fn curves(&self, _: &Structure, (over, period): (Dependence, Option<f64>), runs: &[&MapRun]) -> Vec<Curve> {
         use Dependence::{History, Input, Supply, Time};
         let at_unit = match over {
-            Time | History if self.one_way => return None,
+            Time | History if self.one_way => return vec![],
             Input | History => "input",
             Time => "s",
             Supply => "1",
-            _ => return None,
+            _ => return vec![],
         };
         let mut seen: Vec<f64> = Vec::new();
         for run in runs {
@@ -756,7 +824,7 @@ impl Family for StaticMap {
             seen.extend(rows.map(|(at, _)| run.driver(over, run.first + at, self.supply_ref)));
         }
         seen.sort_unstable_by(f64::total_cmp);
-        let (&low, &high) = seen.first().zip(seen.last())?;
+        let Some((&low, &high)) = seen.first().zip(seen.last()) else { return vec![] };
         let gap = 1e-3 * (high - low);
         // Where the rows are dense, corners are: at least six rows to a piece, and not more than twelve pieces.
         let pieces = (seen.len() / 6).min(12);
@@ -767,8 +835,10 @@ impl Family for StaticMap {
                 at.push(value);
             }
         }
-        let curve = Curve { over, at_unit, unit: self.unit, at, period, scale: 0.02 * self.height };
-        (curve.at.len() > 2).then_some(curve)
+        if at.len() < 3 {
+            return vec![];
+        }
+        vec![Curve { over, at_unit, unit: self.unit, at, period, acts: Acts::Push, scale: 0.02 * self.height }]
     }
 }
 

@@ -128,7 +128,7 @@ fn what_is_absent_changes_nothing() {
 fn a_part_is_predicted_as_in_the_whole() {
     let (run, map) = sweep();
     let mut structure = with(&map, 2.0, &[("hysteresis", &[10.0]), ("slow-settling", &[2.0])]);
-    structure.terms.push(Term::Curve(map.curve(&structure, Dependence::History, None, &[&run]).unwrap()));
+    structure.terms.push(Term::Curve(map.curves(&structure, (Dependence::History, None), &[&run]).remove(0)));
     let Some(Term::Curve(curve)) = structure.terms.last() else { unreachable!() };
     structure.added.push(curve.at.iter().map(|at| 0.1 * at).collect());
     let whole = predicted(&map, &structure, &run);
@@ -154,13 +154,16 @@ fn a_part_begins_where_the_rest_before_it_is_known() {
 
 #[test]
 fn alternate_rows_keep_every_input() {
-    let (run, _) = sweep();
-    let (fit, held_out) = run.alternate(2);
-    assert_eq!(fit.input(), run.input());
-    for (row, y) in run.measured.iter().enumerate() {
+    let input: Vec<f64> = (1..=20).map(f64::from).collect();
+    let run = recording(&input, &input, None);
+    let (fit, held_out) = alternate_rows(&run, 2).unwrap();
+    assert_eq!((fit.values("input"), held_out.values("input")), (run.values("input"), run.values("input")));
+    for (row, y) in input.iter().enumerate() {
         let (kept, left) = if row % 2 == 0 { (&fit, &held_out) } else { (&held_out, &fit) };
-        assert!(kept.measured[row] == *y && left.measured[row].is_nan());
+        assert!(kept.values("output").unwrap()[row] == *y && left.values("output").unwrap()[row].is_nan());
     }
+    assert!(alternate_rows(&run, 3).is_none(), "six rows are too few to score");
+    assert!(alternate_rows(&run, 0).is_none());
 }
 
 #[test]
@@ -280,7 +283,8 @@ fn two_motors_on_a_bridge() {
                 Mapping::driving("supply", "battery_mV"),
             ];
             let recorded = read(&[folder.join(name)], &Options { roles, ..Options::default() }).unwrap();
-            MapRun::new(&recorded.runs[0]).unwrap().alternate(2)
+            let (fitted, held_out) = alternate_rows(&recorded.runs[0], 2).unwrap();
+            (MapRun::new(&fitted).unwrap(), MapRun::new(&held_out).unwrap())
         };
         let (fitted, held_out) = load("static_3.csv");
         let (names, rmse) = search(std::slice::from_ref(&fitted), &[&held_out]);
