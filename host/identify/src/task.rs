@@ -13,7 +13,7 @@ use crate::{
     report::{EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
     select::{Found, depends_on, search},
-    statics::{hysteresis::HeldShaft, map::StaticMap},
+    statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
 
 /// What to do.
@@ -102,6 +102,9 @@ pub fn identify(
     if train.is_empty() {
         return Err(IdentifyError::NoRuns);
     }
+    if task.model == table::NAME {
+        return Ok(table::identify(train, holdout, notes, task.seed)?);
+    }
     if holdout.is_empty() {
         return Err(IdentifyError::NoHoldout);
     }
@@ -125,7 +128,7 @@ pub fn identify(
 /// Every base model there is.
 #[must_use]
 pub fn models() -> Vec<ModelInfo> {
-    Kind::ALL.into_iter().map(Motion::info).chain([StaticMap::info(), HeldShaft::info()]).collect()
+    Kind::ALL.into_iter().map(Motion::info).chain([StaticMap::info(), HeldShaft::info(), table::info()]).collect()
 }
 
 /// Share of a held-out run that its initial state is fitted to, and samples at least.

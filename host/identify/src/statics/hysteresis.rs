@@ -67,7 +67,9 @@ pub struct PhaseEnd {
     pub loaded: bool,
     /// How often this side pulled before.
     pub cycle: usize,
-    /// s.
+    /// When the phase began, s.
+    pub from_s: f64,
+    /// Of its last sample, s.
     pub at_s: f64,
     /// Of the output, from the goal if there is one.
     pub position: f64,
@@ -135,6 +137,7 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
             side,
             loaded,
             cycle,
+            from_s: run.time_s[from],
             at_s: run.time_s[last],
             position: output[last] - goal.map_or(0.0, |goal| goal[last]),
             load: load.map_or(f64::NAN, |load| load[last]),
@@ -272,19 +275,22 @@ fn gap(ends: &[PhaseEnd], loaded: bool, step: f64) -> Option<Gap> {
     Some(Gap { value: a - b, std: (variance_a + variance_b).sqrt(), ends: [count_a, count_b] })
 }
 
+/// A column of a linear model: what a phase contributes of each unit of its size.
+type Column<'c> = &'c dyn Fn(&PhaseEnd) -> f64;
+
 /// Fits where shafts of each kind would end to the first pulls, and predicts the later ones.
 fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
     let way = |end: &PhaseEnd| if end.side == Side::A { 1.0 } else { -1.0 };
     let stays = |end: &PhaseEnd| way(end);
     let springs = |end: &PhaseEnd| if end.loaded { way(end) } else { 0.0 };
-    let kinds: [(&'static str, &[&dyn Fn(&PhaseEnd) -> f64]); 4] = [
+    let kinds: [(&'static str, &[Column<'_>]); 4] = [
         ("rigid", &[]),
         ("elasticity", &[&springs]),
         ("backlash", &[&stays]),
         ("backlash and elasticity", &[&stays, &springs]),
     ];
     let (fitted, later): (Vec<&PhaseEnd>, Vec<&PhaseEnd>) = ends.iter().partition(|end| end.cycle < FITTED);
-    let explain = |(name, columns): (&'static str, &[&dyn Fn(&PhaseEnd) -> f64])| {
+    let explain = |(name, columns): (&'static str, &[Column<'_>])| {
         let entry = |end: &PhaseEnd, column: usize| if column == 0 { 1.0 } else { columns[column - 1](end) };
         let design =
             nalgebra::DMatrix::from_fn(fitted.len(), columns.len() + 1, |row, column| entry(fitted[row], column));
@@ -315,22 +321,24 @@ fn droop(ends: &[PhaseEnd]) -> Option<Droop> {
     })
 }
 
-/// One recording as two: the output up to the end of the first two pulls of each side, and the output after that.
-///
-/// # Errors
-/// As [`phase_ends`].
-pub fn first_two_cycles(run: &Run) -> Result<(Run, Run), HysteresisError> {
-    let ends = phase_ends(run)?;
-    let until_s = ends.iter().filter(|end| end.cycle < FITTED).map(|end| end.at_s).fold(f64::NEG_INFINITY, f64::max);
-    let only = |first: bool| {
+/// One recording as two: the output of every `every`th pull of each side and the rest after it in the second, of the others in
+/// the first. `None` below 2, and where one of them has too few pulls.
+#[must_use]
+pub fn alternate_cycles(run: &Run, every: usize) -> Option<(Run, Run)> {
+    let ends = phase_ends(run).ok().filter(|_| every > 1)?;
+    let only = |second: bool| {
         let mut part = run.clone();
-        if let Some(output) = part.signals.get_mut("output") {
+        let output = part.signals.get_mut("output")?;
+        for end in ends.iter().filter(|end| (end.cycle % every == every - 1) != second) {
             let samples = output.values.iter_mut().zip(&run.time_s);
-            samples.filter(|(_, time)| (**time <= until_s) != first).for_each(|(value, _)| *value = f64::NAN);
+            samples
+                .filter(|(_, time)| (end.from_s..=end.at_s).contains(*time))
+                .for_each(|(value, _)| *value = f64::NAN);
         }
-        part
+        let both = |side| phase_ends(&part).is_ok_and(|ends| ends.iter().any(|end| end.side == side));
+        (both(Side::A) && both(Side::B)).then_some(part)
     };
-    Ok((only(true), only(false)))
+    only(false).zip(only(true))
 }
 
 /// Phases of one recording as rows of a model.
@@ -375,11 +383,14 @@ impl HeldRun {
     }
 }
 
-/// The model `held-shaft`: where a held shaft ends after each pull and each rest. Rigid without effects.
+/// The model `held-shaft`: where a held shaft ends after each pull and each rest.
+///
+/// Without effects it gives way to a pull and returns to the middle, as everything does that a spring or a proportional
+/// controller holds.
 #[derive(Clone, Debug)]
 pub struct HeldShaft {
-    base: [Parameter; 1],
-    catalogue: [Candidate; 3],
+    base: [Parameter; 2],
+    catalogue: [Candidate; 2],
     unit: &'static str,
 }
 
@@ -402,7 +413,7 @@ impl HeldShaft {
                 role("load", false, false, "duty or current that holds it"),
             ],
             parameters: vec![],
-            effects: vec!["backlash", "compliance", "drift"],
+            effects: vec!["backlash", "drift"],
         }
     }
 
@@ -436,7 +447,10 @@ impl HeldShaft {
         };
         let size = |name, range| Parameter { name, unit, range, absent: Some(0.0) };
         Self {
-            base: [Parameter { name: "middle", unit, range: Range::Any { scale }, absent: None }],
+            base: [
+                Parameter { name: "middle", unit, range: Range::Any { scale }, absent: None },
+                Parameter { name: "gives_way", unit, range: Range::NotNegative { scale }, absent: Some(0.0) },
+            ],
             catalogue: [
                 effect(
                     "backlash",
@@ -444,13 +458,6 @@ impl HeldShaft {
                     size("gap", Range::NotNegative { scale }),
                     0.5 * span,
                     "pull from both sides in turn, and let go in between",
-                ),
-                effect(
-                    "compliance",
-                    &[Dependence::Input],
-                    size("returns_by", Range::NotNegative { scale }),
-                    0.25 * span,
-                    EXPERIMENT,
                 ),
                 effect(
                     "drift",
@@ -482,7 +489,8 @@ impl Family for HeldShaft {
 
     fn starts(&self, runs: &[&HeldRun]) -> Vec<Vec<f64>> {
         let mut all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
-        vec![vec![median(&mut all)]]
+        let Range::NotNegative { scale } = self.base[1].range else { return vec![] };
+        vec![vec![median(&mut all), 4.0 * scale]]
     }
 
     fn initial(&self, _: &HeldRun) -> (Vec<f64>, Vec<f64>) {
@@ -490,11 +498,11 @@ impl Family for HeldShaft {
     }
 
     fn predict(&self, structure: &Structure, _: &[f64], run: &HeldRun, predicted: &mut [f64]) {
-        let middle = structure.base.first().copied().unwrap_or(0.0);
+        let base = |place| structure.base.get(place).copied().unwrap_or(0.0);
         let of = |candidate| structure.of(candidate).map_or(0.0, |values| values[0]);
-        let [gap, returns_by, drift] = [of(0), of(1), of(2)];
+        let (middle, gives_way, gap, drift) = (base(0), base(1), of(0), of(1));
         for (row, out) in predicted.iter_mut().enumerate() {
-            *out = middle + 0.5 * gap * run.last_pull[row] + returns_by * run.pull[row] + drift * run.time_s[row];
+            *out = middle + 0.5 * gap * run.last_pull[row] + gives_way * run.pull[row] + drift * run.time_s[row];
         }
         for (curve, values) in structure.curves() {
             for (row, out) in predicted.iter_mut().enumerate() {

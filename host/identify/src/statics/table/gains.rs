@@ -380,13 +380,16 @@ fn score(effect: &'static str, level: usize, best: &Least, rows: &[Row], target:
 /// What the residual follows among rows in which one gain alone changes.
 fn unexplained(plant: &Plant, rows: &[Row], target: f64) -> Vec<Unexplained> {
     const QUANTITIES: [&str; 3] = ["rise", "overshoot", "steady-state error"];
-    let varied: [(&str, usize, &dyn Fn(&Row) -> bool); 3] = [
-        ("kp", 0, &|row| row.gains[1] == 0.0 && row.gains[2] == 0.0),
-        ("ki", 1, &|row| row.gains[0] == 10.0 && row.gains[2] == 0.0),
-        ("kd", 2, &|row| row.gains[0] == 10.0 && row.gains[1] == 4.0),
+    // The other gains of these rows; none of the one that varies.
+    let varied = [
+        ("kp", 0, [None, Some(0.0), Some(0.0)]),
+        ("ki", 1, [Some(10.0), None, Some(0.0)]),
+        ("kd", 2, [Some(10.0), Some(4.0), None]),
     ];
     let mut looked_at = Vec::new();
-    for (gain, at, keep) in varied {
+    for (gain, at, others) in varied {
+        let keep =
+            |row: &Row| row.gains.iter().zip(others).all(|(gain, other)| other.is_none_or(|other| *gain == other));
         for (of, quantity) in QUANTITIES.into_iter().enumerate() {
             let (mut x, mut residual) = (Vec::new(), Vec::new());
             for row in rows.iter().filter(|row| keep(row)) {

@@ -6,6 +6,7 @@
 pub mod gains;
 pub mod minimise;
 pub mod osmc;
+pub mod task;
 
 use std::io::Read;
 
@@ -195,6 +196,8 @@ pub struct Step {
     pub rmse: f64,
     /// On each row after a fit to the others.
     pub left_out_rmse: f64,
+    /// Square of that error, by row.
+    pub left_out_squares: Vec<f64>,
 }
 
 /// A law that does not win.
@@ -320,6 +323,7 @@ pub fn climb(about: &About<'_>, rows: &[Vec<f64>], laws: &[Law], seed: u64) -> R
             parameters: estimates(law, &values, &without, rows),
             rmse: (fitted / rows.len() as f64).sqrt(),
             left_out_rmse: (without.iter().map(|(square, _)| square).sum::<f64>() / rows.len() as f64).sqrt(),
+            left_out_squares: without.iter().map(|(square, _)| *square).collect(),
         });
         errors.push(without.into_iter().map(|(square, _)| square).collect());
     }
