@@ -497,8 +497,7 @@ impl Fit {
         let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
         let known = |value: f64| value > 1e-10;
         let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
-        let inverse =
-            &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
+        let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
         let clusters = (CLUSTERS / runs.len()).max(1);
         let mut spread = DMatrix::<f64>::zeros(columns, columns);
         let mut count = 0.0;

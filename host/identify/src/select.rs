@@ -4,8 +4,8 @@
 //! blocks to predict the other, and the other way round. An effect is taken if it makes the blocks' error smaller by more
 //! than a trifle and by more than chance. Effects with names come first; what these leave is offered to curves.
 
-use rayon::prelude::*;
 use r4_plants::Dependence;
+use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 use crate::{
@@ -160,7 +160,7 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
     let mut next = 0;
     for run in runs {
         let samples = family.measured(run).len();
-        let blocks = each.min(samples / LEAST_SAMPLES).max(1);
+        let blocks = family.blocks(run).unwrap_or(each.min(samples / LEAST_SAMPLES)).max(1);
         for block in 0..blocks {
             let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
             halves[next % 2].push(part);
@@ -275,9 +275,7 @@ impl<F: Family> Search<'_, F> {
         };
         drivers
             .par_iter()
-            .flat_map(|driver| {
-                self.family.curves(&current.structure, (driver.over, driver.period), &self.runs)
-            })
+            .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
             .map(|curve| {
                 let zeros = vec![0.0; curve.at.len()];
                 let term = Term::Curve(curve);
@@ -354,7 +352,14 @@ impl<F: Family> Search<'_, F> {
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
         for candidate in &judged {
-            (self.progress)(&format!("    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}", self.term_name(&candidate.trial.term), (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()), candidate.trial.fit.cost, rmse_before, candidate.trial.fit.structure.added.last()));
+            (self.progress)(&format!(
+                "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
+                self.term_name(&candidate.trial.term),
+                (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()),
+                candidate.trial.fit.cost,
+                rmse_before,
+                candidate.trial.fit.structure.added.last()
+            ));
         }
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
@@ -364,8 +369,12 @@ impl<F: Family> Search<'_, F> {
             let worth = if with_curves { CURVE_WORTH } else { WORTH };
             let p_value = self.chance(current, before, &candidate) * tried as f64;
             let z = self.size(&candidate);
-            let better =
-                before.blocks.iter().zip(&candidate.blocked.blocks).filter(|(before, after)| after.0 < before.0).count();
+            let better = before
+                .blocks
+                .iter()
+                .zip(&candidate.blocked.blocks)
+                .filter(|(before, after)| after.0 < before.0)
+                .count();
             let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
                 Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
             } else if candidate.blocked.whole > before.whole * (1.0 + WORTH) {
@@ -455,7 +464,8 @@ impl<F: Family> Search<'_, F> {
             Some(deviation.map_or(0.0, |deviation| (value - absent).abs() / deviation.max(f64::MIN_POSITIVE)))
         });
         // Of several sizes (both directions, corners of a curve) one must be there.
-        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z)))).unwrap_or(f64::INFINITY)
+        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))))
+            .unwrap_or(f64::INFINITY)
     }
 
     /// Takes out again what later terms made superfluous.

@@ -373,7 +373,8 @@ pub(super) fn simulate(
                 // Short enough for the spring.
                 let parts = (omega * step_s / 0.3).ceil().clamp(1.0, 20.0);
                 for _ in 0..parts as usize {
-                    let pull = omega * omega * (state.output - *position) + 2.0 * damping * omega * (state.speed - *speed);
+                    let pull =
+                        omega * omega * (state.output - *position) + 2.0 * damping * omega * (state.speed - *speed);
                     *speed += pull * step_s / parts;
                     *position += *speed * step_s / parts;
                 }
@@ -439,11 +440,7 @@ fn advance(state: &mut State, push: f64, level: f64, b: f64, step_s: f64, decaye
             return;
         }
         // It comes to rest on the way.
-        let stop_s = if b * left_s > 1e-6 {
-            (1.0 - b * state.speed / net).ln() / b
-        } else {
-            -state.speed / net
-        };
+        let stop_s = if b * left_s > 1e-6 { (1.0 - b * state.speed / net).ln() / b } else { -state.speed / net };
         let stop_s = if stop_s.is_finite() { stop_s.clamp(0.0, left_s) } else { left_s };
         state.position += distance(state.speed, 0.0, net, b, stop_s);
         state.speed = 0.0;
