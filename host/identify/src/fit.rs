@@ -461,7 +461,7 @@ impl Fit {
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
-        let Some(mut jacobian) = problem.jacobian() else { return vec![] };
+        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
         let globals = problem.parameters.len();
         let mut moved = vec![0.0; problem.predicted.len()];
         let values: Vec<f64> = flat(&self.structure).collect();

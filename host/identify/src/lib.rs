@@ -9,6 +9,7 @@
 //! | [`fit`] | least squares on free runs |
 //! | [`select`] | which effects the data ask for |
 //! | [`motion`] | one axis that moves: motors, axes, actuators, servos |
+//! | [`skid`] | skid-steered robots: slip, limits, lags |
 //! | [`report`] | what comes out |
 //!
 //! Everything here is the estimator's own: it shares no formula with the plants that make simulated data.
@@ -21,6 +22,7 @@ pub mod motion;
 pub mod report;
 mod residual;
 pub mod select;
+pub mod skid;
 pub mod task;
 
 pub use error::IdentifyError;
