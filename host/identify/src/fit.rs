@@ -12,7 +12,7 @@ use crate::family::{Family, Parameter, Range, Structure, Term};
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
-const COARSE: f64 = 2e-3;
+const COARSE: f64 = 2e-4;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -463,7 +463,7 @@ impl Fit {
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
-        let Some(mut jacobian) = problem.jacobian() else { return vec![] };
+        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
         let globals = problem.parameters.len();
         let mut moved = vec![0.0; problem.predicted.len()];
         let values: Vec<f64> = flat(&self.structure).collect();

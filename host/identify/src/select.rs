@@ -322,7 +322,8 @@ impl<F: Family> Search<'_, F> {
                 let initial = self.settled(&from.structure, &runs);
                 let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
                 let error = |run: &F::Run, samples: usize| {
-                    let residuals = fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
+                    let residuals =
+                        fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
                     let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
                     let square: f64 = known.iter().map(|residual| residual * residual).sum();
                     (square / known.len().max(1) as f64, known.len())
