@@ -101,8 +101,7 @@ struct Search<'s, F: Family> {
     family: &'s F,
     /// As recorded.
     whole: Vec<&'s F::Run>,
-    /// Of both halves. What is missing in a model adds up over a long free run until nothing else can be seen, so effects
-    /// are looked for on these.
+    /// What effects are looked for on: whole runs, or the blocks of both halves.
     runs: Vec<&'s F::Run>,
     halves: &'s [Vec<F::Run>; 2],
     progress: &'s (dyn Fn(&str) + Sync),
@@ -110,29 +109,29 @@ struct Search<'s, F: Family> {
 
 /// Searches for what the base model lacks.
 ///
-/// Names first, then curves for what they leave. Where that does not explain everything, once more with a curve first: an
-/// effect that has no name makes named ones look good that it has nothing to do with.
+/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, once more on blocks
+/// and with a curve first: what is missing adds up over a long free run until nothing else can be seen, and an effect that
+/// has no name makes named ones look good that it has nothing to do with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
     let halves = halves(family, train);
-    let runs = halves.iter().flatten().collect();
-    let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
+    let search =
+        Search { family, whole: train.iter().collect(), runs: train.iter().collect(), halves: &halves, progress };
     progress("base model");
     let base = search.base();
-    let begin = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
-    let mut path = begin.clone();
+    let mut path = Path { current: base.clone(), steps: vec![], rejected: vec![] };
     while search.extend(&mut path, false) {}
     while search.extend(&mut path, true) {}
-    let explained = path.steps.is_empty() || is_white(&path.current.residuals(family, &search.runs));
-    let straight = path.steps.len() == 1 && path.current.structure.curves().count() == 1;
-    if !explained && !straight {
-        let mut other = begin;
+    if !is_white(&path.current.residuals(family, &search.runs)) {
+        let runs = halves.iter().flatten().collect();
+        let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
+        let mut other = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
         if search.extend(&mut other, true) {
             while search.extend(&mut other, false) {}
             while search.extend(&mut other, true) {}
-            let (names_first, curve_first) =
-                (rmse(&search.blocked(&path.current)), rmse(&search.blocked(&other.current)));
-            let simpler = other.steps.len() < path.steps.len() && curve_first < names_first * (1.0 + CURVE_WORTH);
-            if curve_first < names_first * (1.0 - CURVE_WORTH) || simpler {
+            let (first, second) = (search.blocked(&path.current), search.blocked(&other.current));
+            let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
+            let simpler = other.steps.len() < path.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
+            if (better || simpler) && second.whole <= first.whole * (1.0 + WORTH) {
                 path = other;
             }
         }

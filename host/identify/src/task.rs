@@ -369,11 +369,17 @@ fn verdict(
             None => effect.name.clone(),
         })
         .collect();
-    format!(
-        "The {model} model lacks {}: with it the error on held-out data falls from {:.3e} to {:.3e} {unit} \
-         ({percent:.1} % of what was measured); {end}.",
-        names.join(", then "),
-        baseline.holdout.rmse,
-        last.holdout.rmse,
-    )
+    let lacks = format!("The {model} model lacks {}", names.join(", then "));
+    let (before, after) = (baseline.holdout.rmse, last.holdout.rmse);
+    if after < before {
+        format!(
+            "{lacks}: with it the error on held-out data falls from {before:.3e} to {after:.3e} {unit} ({percent:.1} % of \
+             what was measured); {end}."
+        )
+    } else {
+        format!(
+            "{lacks} by the data it was fitted to, but the error on held-out data does not fall ({before:.3e} to \
+             {after:.3e} {unit}): do not use it; record runs that move through more of what is held out."
+        )
+    }
 }
