@@ -93,6 +93,7 @@ fn main() {
                     start.elapsed().as_secs_f64()
                 );
                 if verbose {
+                    println!("{:#?}", r.rejected);
                     println!("{}", found.plant_toml);
                     println!("{:?}\n{:?}", r.parameters, r.effects.iter().map(|e| &e.parameters).collect::<Vec<_>>());
                     println!("base {:?}", e.base);

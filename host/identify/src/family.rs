@@ -178,7 +178,7 @@ pub trait Family: Sync {
     /// A run as the model wants it.
     type Run: Clone + Sync;
 
-    /// The base model's parameters; at least one.
+    /// The base model's parameters; none where all of it is declared.
     fn base(&self) -> &[Parameter];
 
     /// Every effect these data could show.

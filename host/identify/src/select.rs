@@ -98,18 +98,23 @@ struct Judged {
 
 struct Search<'s, F: Family> {
     family: &'s F,
+    /// As recorded.
+    whole: Vec<&'s F::Run>,
+    /// Of both halves. What is missing in a model adds up over a long free run until nothing else can be seen, so effects
+    /// are looked for on these.
     runs: Vec<&'s F::Run>,
-    /// Two halves of blocks.
-    halves: [Vec<F::Run>; 2],
+    halves: &'s [Vec<F::Run>; 2],
     progress: &'s (dyn Fn(&str) + Sync),
 }
 
 /// Searches for what the base model lacks.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
-    let search = Search { family, runs: train.iter().collect(), halves: halves(family, train), progress };
+    let halves = halves(family, train);
+    let runs = halves.iter().flatten().collect();
+    let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
     progress("base model");
     let base = search.base();
-    let mut current = base.clone();
+    let mut current = search.on_blocks(&base);
     let mut steps: Vec<Step> = Vec::new();
     let mut rejected;
     let mut with_curves = false;
@@ -140,8 +145,12 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         with_curves = true;
     }
     progress("intervals");
-    let deviations = current.deviations(family, &search.runs);
-    Found { base, steps, last: current, deviations, rejected }
+    for step in &mut steps {
+        step.fit = search.on_whole(&step.fit);
+    }
+    let last = if steps.is_empty() { base.clone() } else { search.on_whole(&current) };
+    let deviations = last.deviations(family, &search.whole);
+    Found { base, steps, last, deviations, rejected }
 }
 
 /// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
@@ -164,20 +173,34 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
 }
 
 impl<F: Family> Search<'_, F> {
+    /// The same model fitted to blocks.
+    fn on_blocks(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
+    }
+
+    /// The same model fitted to whole runs.
+    fn on_whole(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.whole, from.structure.clone(), self.settled(&from.structure, &self.whole), Effort::FULL)
+    }
+
+    fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+        runs.iter().map(|run| fit::settle(self.family, structure, run, self.family.measured(run).len())).collect()
+    }
+
     fn base(&self) -> Fit {
-        let starts = self.family.starts(&self.runs);
-        let initial = fit::guessed(self.family, &self.runs);
+        let starts = self.family.starts(&self.whole);
+        let initial = fit::guessed(self.family, &self.whole);
         let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
         let screened: Vec<Fit> = starts
             .par_iter()
-            .map(|start| fit(self.family, &self.runs, structure(start), initial.clone(), Effort::SCREEN))
+            .map(|start| fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN))
             .collect();
         let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
         let (structure, initial) = best.map_or_else(
             || (structure(&vec![1.0; self.family.base().len()]), initial),
             |best| (best.structure, best.initial),
         );
-        fit(self.family, &self.runs, structure, initial, Effort::FULL)
+        fit(self.family, &self.whole, structure, initial, Effort::FULL)
     }
 
     fn fit_with(&self, current: &Fit, term: Term, values: &[f64], effort: Effort) -> Fit {
@@ -276,11 +299,10 @@ impl<F: Family> Search<'_, F> {
             .collect();
         trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         trials.truncate(PROMISING);
-        let effort = Effort { robust: false, ..Effort::FULL };
         let mut judged: Vec<Judged> = trials
             .into_par_iter()
             .map(|Trial { term, fit: screened }| {
-                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, effort);
+                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
                 let blocked = self.blocked(&fit);
                 let deviations = fit.deviations(self.family, &self.runs);
                 Judged { trial: Trial { term, fit }, blocked, deviations }
@@ -296,20 +318,18 @@ impl<F: Family> Search<'_, F> {
             .par_iter()
             .map(|&(fitted, left_out)| {
                 let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
-                let settled = |structure: &Structure, run: &F::Run, samples: usize| {
-                    fit::settle(self.family, structure, run, samples)
-                };
                 let len = |run: &F::Run| self.family.measured(run).len();
-                let initial = runs.iter().map(|run| settled(&from.structure, run, len(run))).collect();
+                let initial = self.settled(&from.structure, &runs);
                 let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
                 let error = |run: &F::Run, samples: usize| {
-                    let residuals = fit::residuals(self.family, &refit, &settled(&refit, run, samples), run);
+                    let residuals =
+                        fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
                     let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
                     let square: f64 = known.iter().map(|residual| residual * residual).sum();
                     (square / known.len().max(1) as f64, known.len())
                 };
                 let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
-                let whole: Vec<_> = self.runs.iter().map(|run| error(run, len(run) / 4)).collect();
+                let whole: Vec<_> = self.whole.iter().map(|run| error(run, len(run) / 4)).collect();
                 (blocks, whole)
             })
             .collect();
@@ -389,7 +409,7 @@ impl<F: Family> Search<'_, F> {
         // Among those that do as well as the best, the one with the fewest numbers.
         let best = passed[0].1.blocked_rmse[1];
         let numbers = |entry: &(Judged, Step)| entry.0.trial.fit.structure.added.last().map_or(0, Vec::len);
-        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + 0.5 * ALIKE)).count();
+        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + ALIKE)).count();
         let place = (0..alike).min_by_key(|&place| numbers(&passed[place])).unwrap_or(0);
         let (winner, mut step) = passed.remove(place);
         let gain = rmse_before - step.blocked_rmse[1];

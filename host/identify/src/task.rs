@@ -13,6 +13,7 @@ use crate::{
     report::{EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
     select::{Found, depends_on, search},
+    skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
 
@@ -121,6 +122,12 @@ pub fn identify(
         let (model, train, holdout) = HeldShaft::prepare(train, holdout)?;
         return assemble(task, &model, &train, &holdout, notes, progress);
     }
+    if let Some(output) = Output::ALL.into_iter().find(|output| output.model() == task.model) {
+        let declared = Declared::from_parameters(&task.parameters)?;
+        let (model, train) = SkidSteer::new(declared, output, train)?;
+        let holdout = holdout.iter().map(|run| model.run(declared, run)).collect::<Result<Vec<_>, _>>()?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
     let known = models().iter().map(|model| model.name).collect::<Vec<_>>().join(", ");
     Err(IdentifyError::UnknownModel { name: task.model.clone(), known })
 }
@@ -128,7 +135,12 @@ pub fn identify(
 /// Every base model there is.
 #[must_use]
 pub fn models() -> Vec<ModelInfo> {
-    Kind::ALL.into_iter().map(Motion::info).chain([StaticMap::info(), HeldShaft::info(), table::info()]).collect()
+    Kind::ALL
+        .into_iter()
+        .map(Motion::info)
+        .chain(Output::ALL.into_iter().map(SkidSteer::info))
+        .chain([StaticMap::info(), HeldShaft::info(), table::info()])
+        .collect()
 }
 
 /// Share of a held-out run that its initial state is fitted to, and samples at least.

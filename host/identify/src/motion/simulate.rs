@@ -256,8 +256,16 @@ pub(super) fn simulate(
             let from_s = now_s + step as f64 * step_s;
             // The mean command over the step, as it was a delay ago.
             let command = if plan.hold_s > 0.0 {
-                let slot_s = ((from_s - plan.delay_s + 1e-9) / plan.hold_s).floor() * plan.hold_s;
-                run.input_before(slot_s, &mut cursor)
+                // The mean over the step, so that a little longer period makes a little difference.
+                let (begin_s, end_s) = (from_s - plan.delay_s, from_s - plan.delay_s + step_s);
+                let (first, last) = ((begin_s / plan.hold_s).floor(), (end_s / plan.hold_s).floor());
+                let held = run.input_before(first * plan.hold_s, &mut cursor);
+                if last > first {
+                    let share = (end_s - last * plan.hold_s) / step_s;
+                    held + share * (run.input_before(last * plan.hold_s, &mut cursor) - held)
+                } else {
+                    held
+                }
             } else if plan.delay_s > 0.0 {
                 run.mean_input(from_s - plan.delay_s, step_s, &mut cursor)
             } else {
