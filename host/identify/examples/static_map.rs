@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         let (fitted, held_out) = alternate("static_3.csv")?;
         println!("{wheel}: even rows of static_3, held out: odd rows");
-        close(&[fitted.clone()], &[("static_3 odd", &held_out)])?;
+        close(std::slice::from_ref(&fitted), &[("static_3 odd", &held_out)])?;
 
         let (fitted_4, held_out_4) = alternate("static_4.csv")?;
         let other_code = MapRun::new(&load("static_6.csv")?)?;

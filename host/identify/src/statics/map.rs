@@ -378,7 +378,8 @@ impl StaticMap {
             Bend::StaticFriction => (
                 &[Input, Direction, History],
                 each(["start_forward", "start_backward"], "input", Range::NotNegative { scale: 0.05 * span }, 0.0),
-                vec![levels(found.starts)],
+                // The start has no slope to follow from afar: from each end of what was seen, and from the middle.
+                found.starts.map(levels).to_vec(),
                 "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
             ),
             Bend::Saturation => (
@@ -550,8 +551,8 @@ const BENDS: [Bend; 12] = [
 struct Found {
     /// Largest level without an output.
     dead: [f64; 2],
-    /// Level at which it started from rest; 0 if it never did.
-    starts: [f64; 2],
+    /// Least, middle and largest level at which it started from rest; 0 if it never did.
+    starts: [[f64; 2]; 3],
     moving: [bool; 2],
     up_and_down: bool,
     supply_changes: bool,
@@ -595,9 +596,15 @@ impl Found {
         }
         let (low, high) = extent(runs.iter().flat_map(|run| run.supply.iter().copied()));
         let [mut forward, mut backward] = starts;
+        // Which sorts them.
+        let middle = [median(&mut forward), median(&mut backward)];
         Self {
             dead,
-            starts: [median(&mut forward), median(&mut backward)],
+            starts: [
+                [forward.first(), backward.first()].map(|level| level.copied().unwrap_or(0.0)),
+                middle,
+                [forward.last(), backward.last()].map(|level| level.copied().unwrap_or(0.0)),
+            ],
             moving,
             up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
             // Less than 2 % of change shows an exponent only through its noise.
@@ -614,7 +621,7 @@ impl Found {
 
     /// Directions in which it started from rest.
     fn started(&self) -> Vec<usize> {
-        (0..2).filter(|&side| self.starts[side] > 0.0).collect()
+        (0..2).filter(|&side| self.starts[0][side] > 0.0).collect()
     }
 }
 

@@ -12,6 +12,7 @@ use std::fmt::Write;
 use crate::data::Run;
 use crate::family::{Family, Structure, Term};
 
+pub mod bench;
 pub mod hysteresis;
 pub mod map;
 pub mod table;

@@ -174,7 +174,7 @@ fn guesses_come_from_the_recording() {
     let dead = &map.catalogue()[0];
     assert_eq!((dead.name, &dead.starts[0]), ("dead-zone", &vec![20.0, 20.0]));
     let rest = map.catalogue().iter().find(|candidate| candidate.name == "static-friction").unwrap();
-    assert_eq!(rest.starts, [[22.5, 22.5]]);
+    assert_eq!(rest.starts, [[22.5, 22.5]; 3]);
     assert_eq!(map.supply_ref(), 7.5);
 }
 

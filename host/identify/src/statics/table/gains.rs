@@ -470,7 +470,7 @@ mod tests {
 
     #[test]
     fn each_effect_mends_one_column_and_static_friction_none() {
-        let quick = GainsEffort { all: Effort { points: 16, generations: 20, simplex: 240 }, left_out: 40 };
+        let quick = GainsEffort { all: Effort { points: 12, generations: 15, simplex: 180 }, left_out: 25 };
         let report = loop_ladders(&Printed::new().unwrap(), quick, 1).unwrap();
         for ladder in &report.ladders {
             let [_, clip, dead_band, sum, curve, friction] = &ladder.steps[..] else { panic!("six models") };
