@@ -9,6 +9,7 @@
 //! | [`fit`] | least squares on free runs |
 //! | [`select`] | which effects the data ask for |
 //! | [`motion`] | one axis that moves: motors, axes, actuators, servos |
+//! | [`statics`] | maps, tables, play of a held shaft |
 //! | [`skid`] | skid-steered robots: slip, limits, lags |
 //! | [`report`] | what comes out |
 //!
@@ -23,6 +24,7 @@ pub mod report;
 mod residual;
 pub mod select;
 pub mod skid;
+pub mod statics;
 pub mod task;
 
 pub use error::IdentifyError;

@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 use r4_log::Log;
 use r4_protocol::Request;
 
-pub(crate) use identify::identify;
+pub(crate) use identify::{Scale, identify, significant};
 use plot::{Figure, number};
 
 const PAGE: &str = include_str!("page.html");

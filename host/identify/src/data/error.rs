@@ -26,12 +26,12 @@ impl fmt::Display for Columns {
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     /// The file could not be opened or read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {why}", path.display())]
     Io {
         /// Which.
         path: PathBuf,
         /// What the operating system says.
-        source: io::Error,
+        why: io::Error,
     },
     /// No file was given.
     #[error("no file was given: name at least one recording, as CSV with a header or as a log of `r4`")]
@@ -195,12 +195,12 @@ pub enum DataError {
         every: usize,
     },
     /// Not a recording.
-    #[error("{file}: {source}")]
+    #[error("{file}: {why}")]
     Log {
         /// Which file.
         file: String,
         /// Why.
-        source: LogError,
+        why: LogError,
     },
     /// Nothing is mapped to a role the model needs.
     #[error("nothing was given for `{role}` ({what}): name its column with `--map {role}=COLUMN`")]

@@ -25,7 +25,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     if !options.split.is_empty() {
         return Err(DataError::SplitLog { file: file.to_owned() });
     }
-    let log = Log::from_bytes(bytes).map_err(|source| DataError::Log { file: file.to_owned(), source })?;
+    let log = Log::from_bytes(bytes).map_err(|why| DataError::Log { file: file.to_owned(), why })?;
     notes.extend(log.warnings.iter().map(|warning| Note::Log { file: file.to_owned(), warning: warning.clone() }));
     let signals = log.signals();
     let names: Vec<String> = signals.iter().map(|signal| signal.name.clone()).collect();

@@ -149,7 +149,7 @@ pub fn read(files: &[PathBuf], options: &Options) -> Result<Recorded, DataError>
     let name = |path: &Path| path.file_name().map(OsStr::to_owned);
     let mut all = Recorded::default();
     for path in files {
-        let bytes = fs::read(path).map_err(|source| DataError::Io { path: path.clone(), source })?;
+        let bytes = fs::read(path).map_err(|why| DataError::Io { path: path.clone(), why })?;
         let alone = files.iter().filter(|other| name(other) == name(path)).count() == 1;
         let label = match name(path) {
             Some(name) if alone => name.to_string_lossy().into_owned(),

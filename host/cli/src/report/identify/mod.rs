@@ -18,6 +18,9 @@ const MODEL: u32 = 6;
 /// Runs drawn; the page says how many there are.
 const RUNS: usize = 8;
 
+/// Notes on the data shown before the others are asked for.
+const NOTES: usize = 8;
+
 /// The page of `report`, with plots of `figures`, for what was read from `files`.
 #[must_use]
 pub(crate) fn identify(report: &Report, figures: &Figures, files: &[(&str, String)]) -> String {
@@ -86,10 +89,19 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
     body.push_str("</header>\n");
     if !report.notes.is_empty() {
         body.push_str("<div class=\"warnings\"><strong>About the data</strong>\n<ul>\n");
-        for note in &report.notes {
+        let (first, more) = report.notes.split_at(report.notes.len().min(NOTES));
+        for note in first {
             writeln!(body, "<li>{}</li>", escaped(note))?;
         }
-        body.push_str("</ul></div>\n");
+        body.push_str("</ul>\n");
+        if !more.is_empty() {
+            writeln!(body, "<details><summary>{} more</summary>\n<ul>", more.len())?;
+            for note in more {
+                writeln!(body, "<li>{}</li>", escaped(note))?;
+            }
+            body.push_str("</ul></details>\n");
+        }
+        body.push_str("</div>\n");
     }
     let mut places = vec![("effects", "Effects"), ("model", "Model"), ("runs", "Runs")];
     places.extend([("residual", "Residual"), ("left", "What was not taken")]);
@@ -427,14 +439,14 @@ fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// A unit in which a number is neither long nor full of zeros.
-struct Scale {
+pub(crate) struct Scale {
     factor: f64,
     unit: String,
 }
 
 impl Scale {
     /// For numbers about as large as `size`, in `unit`.
-    fn of(unit: &str, size: f64) -> Self {
+    pub(crate) fn of(unit: &str, size: f64) -> Self {
         let divisible = matches!(unit, "m" | "rad" | "m/s" | "rad/s" | "V" | "A" | "N m");
         if divisible && size > 0.0 && size < 0.1 {
             Self { factor: 1e3, unit: format!("m{unit}") }
@@ -443,8 +455,13 @@ impl Scale {
         }
     }
 
+    /// What it is called.
+    pub(crate) fn unit(&self) -> &str {
+        &self.unit
+    }
+
     /// A value in this unit, without it.
-    fn text(&self, value: f64) -> String {
+    pub(crate) fn text(&self, value: f64) -> String {
         significant(self.factor * value)
     }
 
@@ -477,7 +494,7 @@ fn fixed(value: f64, decimals: i32) -> String {
 }
 
 /// With three significant digits.
-fn significant(value: f64) -> String {
+pub(crate) fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }
 
