@@ -213,7 +213,11 @@ impl Effect {
         let parameter = |name, unit, range, absent| Parameter { name, unit, range, absent };
         let (zero, whole) = (Some(0.0), Some(1.0));
         let sized = |sizes: &[f64], by: f64| sizes.iter().map(|size| vec![size * by]).collect();
-        let short = [2.0 * s.period_s, 0.1, 0.4].map(|time_s| vec![time_s]).to_vec();
+        // What is shorter than a sample is not told from how the input goes between samples.
+        let memory = Range::Between(s.period_s, (60.0 * s.period_s).max(3.0));
+        let short = [2.0, 5.0, 20.0].map(|periods| vec![periods * s.period_s]).to_vec();
+        let longer = [0.1, 0.4].into_iter().filter(|&time_s| time_s > 1.5 * s.period_s).map(|time_s| vec![time_s]);
+        let short = [short, longer.collect()].concat();
         let (parameters, starts): (Vec<Parameter>, Vec<Vec<f64>>) = match self {
             Self::Track => (
                 vec![parameter("effective_track_m", "m", Range::Positive, Some(geometry.track_m))],
@@ -286,9 +290,7 @@ impl Effect {
                 };
                 (vec![parameter(name, unit, Range::Positive, None)], sized(&[10.0, 3.0, 1.0], s.output))
             }
-            Self::DriveLag | Self::SensorLag => {
-                (vec![parameter("time_constant_s", "s", level(s.period_s), zero)], short)
-            }
+            Self::DriveLag | Self::SensorLag => (vec![parameter("time_constant_s", "s", memory, zero)], short),
             Self::DriveLagSides => (
                 vec![
                     parameter("left_time_constant_s", "s", level(s.period_s), zero),
@@ -297,13 +299,11 @@ impl Effect {
                 [0.1, 0.4].map(|time_s| vec![time_s, time_s]).to_vec(),
             ),
             Self::InputDelay => (
-                vec![parameter("delay_s", "s", level(s.period_s), zero)],
+                vec![parameter("delay_s", "s", memory, zero)],
                 // Not whole samples: there the slope over the delay jumps.
                 sized(&[1.5, 4.5, 9.5], s.period_s),
             ),
-            Self::EncoderDelay => {
-                (vec![parameter("late_s", "s", level(s.period_s), zero)], sized(&[1.5, 4.5], s.period_s))
-            }
+            Self::EncoderDelay => (vec![parameter("late_s", "s", memory, zero)], sized(&[1.5, 4.5], s.period_s)),
             Self::SensorOffset => {
                 let (name, unit) = match output {
                     Output::YawRate => ("offset_rad_s", "rad/s"),
