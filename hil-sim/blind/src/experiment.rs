@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use r4_plants::{DcGearMotor, LinearActuator, Model, PlantSpec};
 
 use crate::{
-    Draw, Hidden, NOT_ON_BOARDS, Search,
+    Draw, Hidden, NEVER, Search,
     dice::Dice,
     excitation,
     scale::Scale,
@@ -70,7 +70,7 @@ impl Setup {
                 ("winding-heating", "the recorded input is a force, whatever makes it"),
             ],
         };
-        NOT_ON_BOARDS.iter().chain(own).copied().collect()
+        NEVER.iter().chain(own).copied().collect()
     }
 
     fn output_kind(self) -> Output {

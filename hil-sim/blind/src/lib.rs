@@ -120,10 +120,8 @@ pub fn hide(spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
 pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
     let scale = Scale::of(spec, supply_v);
     let mut dice = Dice::new(seed, 2);
-    let plans: Vec<_> = (0..1)
-        .map(|number| Plan { start: scale.centre, duty: excitation::run(&mut dice, &scale, number, 12.0) })
-        .collect();
-    let excluded: Vec<_> = NOT_ON_BOARDS.iter().map(|(name, _)| *name).collect();
+    let plans = [Plan { start: scale.centre, duty: excitation::run(&mut dice, &scale, 0, 12.0) }];
+    let excluded: Vec<_> = NEVER.iter().chain(NOT_ON_BOARDS).map(|(name, _)| *name).collect();
     search(
         &Search { spec, scale: &scale, plans: &plans, output: Output::Position, excluded: &excluded },
         draw,
@@ -131,8 +129,8 @@ pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden
     )
 }
 
-/// Effects of the catalogue that are never hidden in a board's plant, and why.
-pub const NOT_ON_BOARDS: &[(&str, &str)] = &[
+/// Effects of the catalogue that are never hidden, and why.
+pub const NEVER: &[(&str, &str)] = &[
     ("encoder-scale", "a board that counts wrong shows nothing but another gain"),
     ("encoder-offset", "an encoder's zero is wherever power came on"),
     ("encoder-sign", "a board trips on it at once, which tells it"),
@@ -142,6 +140,10 @@ pub const NOT_ON_BOARDS: &[(&str, &str)] = &[
     ("random-load", "it is a function of nothing that is recorded"),
     ("sensor-noise", "it is a function of nothing that is recorded"),
 ];
+
+/// What else is not hidden by [`hide`], and why.
+pub const NOT_ON_BOARDS: &[(&str, &str)] =
+    &[("sensor-hold", "a board takes the jumps for a broken sensor and trips, which tells it")];
 
 /// In what something is hidden, and how it is looked at.
 pub(crate) struct Search<'a> {

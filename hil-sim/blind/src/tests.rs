@@ -1,7 +1,7 @@
 use r4_plants::{DcGearMotor, Drive, EffectInfo, Model, PlantKind, PlantSpec};
 
 use crate::{
-    Draw, NOT_ON_BOARDS,
+    Draw, NEVER, NOT_ON_BOARDS,
     dice::Dice,
     experiment::{Experiment, Length, Recording, Setup, experiment},
     hide, hide_as,
@@ -177,7 +177,7 @@ fn an_axis_moves_by_its_force_and_mass() {
 fn every_effect_of_the_catalogue_is_hidden_or_refused_for_a_reason() {
     for info in r4_plants::catalogue() {
         let candidate = CANDIDATES.iter().find(|candidate| candidate.name == info.name);
-        let refused = NOT_ON_BOARDS.iter().find(|(name, _)| *name == info.name);
+        let refused = NEVER.iter().find(|(name, _)| *name == info.name);
         assert!(candidate.is_some() != refused.is_some(), "{}", info.name);
         let Some(candidate) = candidate else { continue };
         let scale = Scale::of(&motor(), 24.0);
@@ -192,6 +192,7 @@ fn every_effect_of_the_catalogue_is_hidden_or_refused_for_a_reason() {
     for setup in Setup::ALL {
         assert!(setup.excluded().iter().all(|(name, why)| EffectInfo::named(name).is_some() && !why.is_empty()));
     }
+    assert!(NOT_ON_BOARDS.iter().all(|(name, _)| EffectInfo::named(name).is_some()));
     assert!(unlisted::KINDS.iter().all(|(name, _)| EffectInfo::named(name).is_none()));
 }
 

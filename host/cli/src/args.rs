@@ -11,6 +11,7 @@ use crate::{
         bridge::Bridge,
         config::{Name, Scope},
     },
+    plants::OtherPlant,
     quantity::Quantity,
     session::Target,
 };
@@ -36,6 +37,12 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
+    /// Other physics for a motor of a simulated board, from a plant file, as in osmc0=plant.toml; may be given several times
+    #[arg(long, global = true, value_name = "CHANNEL=FILE")]
+    pub(crate) plant: Vec<OtherPlant>,
+    /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
+    #[arg(long, global = true, value_name = "SEED")]
+    pub(crate) blind: Option<u64>,
     /// File with the key of a board that is served with one at tcp:
     #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
     pub(crate) key: Option<PathBuf>,
@@ -173,6 +180,8 @@ pub(crate) enum Command {
 pub(crate) enum Sim {
     /// Serve it in real time, until Ctrl-C; the first line on stdout says where
     Serve(Serve),
+    /// What --blind hides in the motors of a robot
+    Reveal(crate::commands::reveal::Reveal),
 }
 
 #[derive(Clone, Debug, clap::Args)]

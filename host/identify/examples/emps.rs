@@ -33,9 +33,28 @@ fn main() {
         println!("train {:.3} mm test {:.3} mm", 1e3 * rms(&r[0]), 1e3 * rms(&h));
     };
     show(&found.base);
-    for step in &found.steps { show(&step.fit); println!("{:?} {:?}", step.fit.structure.base, step.fit.structure.added); println!("{:?} blocked {:?} p {:.1e} better {:?} z {:.1} rivals {:?}", match &step.term { Term::Known(i) => model.catalogue()[*i].name.to_string(), Term::Curve(c) => format!("{:?}", c.over) }, step.blocked_rmse, step.p_value, step.blocks_better, step.z,
-        step.rivals.iter().map(|(i, e)| (model.catalogue()[*i].name, *e)).collect::<Vec<_>>()); }
+    for step in &found.steps {
+        show(&step.fit);
+        println!("{:?} {:?}", step.fit.structure.base, step.fit.structure.added);
+        println!(
+            "{:?} blocked {:?} p {:.1e} better {:?} z {:.1} rivals {:?}",
+            match &step.term {
+                Term::Known(i) => model.catalogue()[*i].name.to_string(),
+                Term::Curve(c) => format!("{:?}", c.over),
+            },
+            step.blocked_rmse,
+            step.p_value,
+            step.blocks_better,
+            step.z,
+            step.rivals.iter().map(|(i, e)| (model.catalogue()[*i].name, *e)).collect::<Vec<_>>()
+        );
+    }
     show(&found.last);
-    for (p, (v, d)) in fit::parameters(&model, &found.last.structure.terms).iter().zip(found.last.structure.base.iter().chain(found.last.structure.added.iter().flatten()).zip(&found.deviations)) { println!("{} {} {:?}", p.name, v, d); }
+    for (p, (v, d)) in fit::parameters(&model, &found.last.structure.terms)
+        .iter()
+        .zip(found.last.structure.base.iter().chain(found.last.structure.added.iter().flatten()).zip(&found.deviations))
+    {
+        println!("{} {} {:?}", p.name, v, d);
+    }
     println!("{:#?}", found.rejected);
 }

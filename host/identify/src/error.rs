@@ -72,6 +72,18 @@ pub enum IdentifyError {
     /// What is in the files will not do.
     #[error(transparent)]
     Data(#[from] crate::data::DataError),
+    /// What is in the files will not do for a map.
+    #[error(transparent)]
+    Map(#[from] crate::statics::map::MapError),
+    /// What is in the files shows no play.
+    #[error(transparent)]
+    Hysteresis(#[from] crate::statics::hysteresis::HysteresisError),
+    /// What is in the files is no table.
+    #[error(transparent)]
+    Table(#[from] crate::statics::table::TableError),
+    /// What is in the files will not do for a skid-steered robot.
+    #[error(transparent)]
+    Skid(#[from] crate::skid::SkidError),
     /// The base model could not follow any run at all.
     #[error("the model cannot be fitted to these data: {why}")]
     NoFit {

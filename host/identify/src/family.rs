@@ -178,7 +178,7 @@ pub trait Family: Sync {
     /// A run as the model wants it.
     type Run: Clone + Sync;
 
-    /// The base model's parameters; at least one.
+    /// The base model's parameters; none where all of it is declared.
     fn base(&self) -> &[Parameter];
 
     /// Every effect these data could show.
@@ -213,6 +213,11 @@ pub trait Family: Sync {
 
     /// Samples `from..to` as a run of its own; the input before `from` stays known to models with memory.
     fn part(&self, run: &Self::Run, from: usize, to: usize) -> Self::Run;
+
+    /// Into how many blocks a run is cut to leave some out; `None` for blocks as long as the run's memory asks for.
+    fn blocks(&self, _: &Self::Run) -> Option<usize> {
+        None
+    }
 
     /// The series that the residual is compared with.
     fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;

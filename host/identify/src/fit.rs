@@ -12,7 +12,7 @@ use crate::family::{Family, Parameter, Range, Structure, Term};
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
-const COARSE: f64 = 2e-3;
+const COARSE: f64 = 2e-4;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -124,7 +124,9 @@ pub struct Effort {
 impl Effort {
     /// For numbers that are reported.
     pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
-    /// For comparing effects.
+    /// For comparing the most promising effects.
+    pub const COMPARE: Self = Self { evaluations: 24, tolerance: 1e-6, robust: false };
+    /// For telling these from others.
     pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
     /// For telling a promising place to begin from others.
     pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
@@ -461,7 +463,7 @@ impl Fit {
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
-        let Some(mut jacobian) = problem.jacobian() else { return vec![] };
+        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
         let globals = problem.parameters.len();
         let mut moved = vec![0.0; problem.predicted.len()];
         let values: Vec<f64> = flat(&self.structure).collect();
@@ -495,8 +497,7 @@ impl Fit {
         let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
         let known = |value: f64| value > 1e-10;
         let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
-        let inverse =
-            &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
+        let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
         let clusters = (CLUSTERS / runs.len()).max(1);
         let mut spread = DMatrix::<f64>::zeros(columns, columns);
         let mut count = 0.0;

@@ -9,6 +9,8 @@
 //! | [`fit`] | least squares on free runs |
 //! | [`select`] | which effects the data ask for |
 //! | [`motion`] | one axis that moves: motors, axes, actuators, servos |
+//! | [`statics`] | maps, tables, play of a held shaft |
+//! | [`skid`] | skid-steered robots: slip, limits, lags |
 //! | [`report`] | what comes out |
 //!
 //! Everything here is the estimator's own: it shares no formula with the plants that make simulated data.
@@ -21,6 +23,8 @@ pub mod motion;
 pub mod report;
 mod residual;
 pub mod select;
+pub mod skid;
+pub mod statics;
 pub mod task;
 
 pub use error::IdentifyError;

@@ -1,6 +1,9 @@
 //! What is left of the data: whether it is white, and what it depends on.
 
-use rand_pcg::{Pcg64Mcg, rand_core::{Rng, SeedableRng}};
+use rand_pcg::{
+    Pcg64Mcg,
+    rand_core::{Rng, SeedableRng},
+};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::{
@@ -58,8 +61,11 @@ impl Left {
                 let (share, p_value) = self.dependence(driver, seed)?;
                 let p_value = (p_value * count as f64).min(1.0);
                 let name = self.drivers[0][driver].over.name();
-                (p_value < 0.05 && share > LEAST_SHARE)
-                    .then(|| Unexplained { depends_on: name.to_owned(), share, p_value })
+                (p_value < 0.05 && share > LEAST_SHARE).then(|| Unexplained {
+                    depends_on: name.to_owned(),
+                    share,
+                    p_value,
+                })
             })
             .collect();
         unexplained.sort_by(|a, b| b.share.total_cmp(&a.share));
@@ -173,7 +179,9 @@ impl Left {
             let mean = |column: usize| sums.iter().map(|sum| sum[column] / sum[0]).collect::<Vec<f64>>();
             let error = sums
                 .iter()
-                .map(|[count, _, sum, square, _]| 2.0 * ((square / count - (sum / count).powi(2)).max(0.0) / count).sqrt())
+                .map(|[count, _, sum, square, _]| {
+                    2.0 * ((square / count - (sum / count).powi(2)).max(0.0) / count).sqrt()
+                })
                 .collect();
             let mut depends_on = before.drivers[0][driver].over.name().to_owned();
             if period.is_some() {

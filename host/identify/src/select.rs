@@ -4,8 +4,8 @@
 //! blocks to predict the other, and the other way round. An effect is taken if it makes the blocks' error smaller by more
 //! than a trifle and by more than chance. Effects with names come first; what these leave is offered to curves.
 
-use rayon::prelude::*;
 use r4_plants::Dependence;
+use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 use crate::{
@@ -98,18 +98,23 @@ struct Judged {
 
 struct Search<'s, F: Family> {
     family: &'s F,
+    /// As recorded.
+    whole: Vec<&'s F::Run>,
+    /// Of both halves. What is missing in a model adds up over a long free run until nothing else can be seen, so effects
+    /// are looked for on these.
     runs: Vec<&'s F::Run>,
-    /// Two halves of blocks.
-    halves: [Vec<F::Run>; 2],
+    halves: &'s [Vec<F::Run>; 2],
     progress: &'s (dyn Fn(&str) + Sync),
 }
 
 /// Searches for what the base model lacks.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
-    let search = Search { family, runs: train.iter().collect(), halves: halves(family, train), progress };
+    let halves = halves(family, train);
+    let runs = halves.iter().flatten().collect();
+    let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
     progress("base model");
     let base = search.base();
-    let mut current = base.clone();
+    let mut current = search.on_blocks(&base);
     let mut steps: Vec<Step> = Vec::new();
     let mut rejected;
     let mut with_curves = false;
@@ -140,8 +145,12 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         with_curves = true;
     }
     progress("intervals");
-    let deviations = current.deviations(family, &search.runs);
-    Found { base, steps, last: current, deviations, rejected }
+    for step in &mut steps {
+        step.fit = search.on_whole(&step.fit);
+    }
+    let last = if steps.is_empty() { base.clone() } else { search.on_whole(&current) };
+    let deviations = last.deviations(family, &search.whole);
+    Found { base, steps, last, deviations, rejected }
 }
 
 /// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
@@ -151,7 +160,7 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
     let mut next = 0;
     for run in runs {
         let samples = family.measured(run).len();
-        let blocks = each.min(samples / LEAST_SAMPLES).max(1);
+        let blocks = family.blocks(run).unwrap_or(each.min(samples / LEAST_SAMPLES)).max(1);
         for block in 0..blocks {
             let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
             halves[next % 2].push(part);
@@ -164,20 +173,34 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
 }
 
 impl<F: Family> Search<'_, F> {
+    /// The same model fitted to blocks.
+    fn on_blocks(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
+    }
+
+    /// The same model fitted to whole runs.
+    fn on_whole(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.whole, from.structure.clone(), self.settled(&from.structure, &self.whole), Effort::FULL)
+    }
+
+    fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+        runs.iter().map(|run| fit::settle(self.family, structure, run, self.family.measured(run).len())).collect()
+    }
+
     fn base(&self) -> Fit {
-        let starts = self.family.starts(&self.runs);
-        let initial = fit::guessed(self.family, &self.runs);
+        let starts = self.family.starts(&self.whole);
+        let initial = fit::guessed(self.family, &self.whole);
         let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
         let screened: Vec<Fit> = starts
             .par_iter()
-            .map(|start| fit(self.family, &self.runs, structure(start), initial.clone(), Effort::SCREEN))
+            .map(|start| fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN))
             .collect();
         let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
         let (structure, initial) = best.map_or_else(
             || (structure(&vec![1.0; self.family.base().len()]), initial),
             |best| (best.structure, best.initial),
         );
-        fit(self.family, &self.runs, structure, initial, Effort::FULL)
+        fit(self.family, &self.whole, structure, initial, Effort::FULL)
     }
 
     fn fit_with(&self, current: &Fit, term: Term, values: &[f64], effort: Effort) -> Fit {
@@ -252,9 +275,7 @@ impl<F: Family> Search<'_, F> {
         };
         drivers
             .par_iter()
-            .flat_map(|driver| {
-                self.family.curves(&current.structure, (driver.over, driver.period), &self.runs)
-            })
+            .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
             .map(|curve| {
                 let zeros = vec![0.0; curve.at.len()];
                 let term = Term::Curve(curve);
@@ -278,11 +299,10 @@ impl<F: Family> Search<'_, F> {
             .collect();
         trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
         trials.truncate(PROMISING);
-        let effort = Effort { robust: false, ..Effort::FULL };
         let mut judged: Vec<Judged> = trials
             .into_par_iter()
             .map(|Trial { term, fit: screened }| {
-                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, effort);
+                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
                 let blocked = self.blocked(&fit);
                 let deviations = fit.deviations(self.family, &self.runs);
                 Judged { trial: Trial { term, fit }, blocked, deviations }
@@ -298,20 +318,18 @@ impl<F: Family> Search<'_, F> {
             .par_iter()
             .map(|&(fitted, left_out)| {
                 let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
-                let settled = |structure: &Structure, run: &F::Run, samples: usize| {
-                    fit::settle(self.family, structure, run, samples)
-                };
                 let len = |run: &F::Run| self.family.measured(run).len();
-                let initial = runs.iter().map(|run| settled(&from.structure, run, len(run))).collect();
+                let initial = self.settled(&from.structure, &runs);
                 let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
                 let error = |run: &F::Run, samples: usize| {
-                    let residuals = fit::residuals(self.family, &refit, &settled(&refit, run, samples), run);
+                    let residuals =
+                        fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
                     let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
                     let square: f64 = known.iter().map(|residual| residual * residual).sum();
                     (square / known.len().max(1) as f64, known.len())
                 };
                 let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
-                let whole: Vec<_> = self.runs.iter().map(|run| error(run, len(run) / 4)).collect();
+                let whole: Vec<_> = self.whole.iter().map(|run| error(run, len(run) / 4)).collect();
                 (blocks, whole)
             })
             .collect();
@@ -335,7 +353,14 @@ impl<F: Family> Search<'_, F> {
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
         for candidate in &judged {
-            (self.progress)(&format!("    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}", self.term_name(&candidate.trial.term), (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()), candidate.trial.fit.cost, rmse_before, candidate.trial.fit.structure.added.last()));
+            (self.progress)(&format!(
+                "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
+                self.term_name(&candidate.trial.term),
+                (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()),
+                candidate.trial.fit.cost,
+                rmse_before,
+                candidate.trial.fit.structure.added.last()
+            ));
         }
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
@@ -345,8 +370,12 @@ impl<F: Family> Search<'_, F> {
             let worth = if with_curves { CURVE_WORTH } else { WORTH };
             let p_value = self.chance(current, before, &candidate) * tried as f64;
             let z = self.size(&candidate);
-            let better =
-                before.blocks.iter().zip(&candidate.blocked.blocks).filter(|(before, after)| after.0 < before.0).count();
+            let better = before
+                .blocks
+                .iter()
+                .zip(&candidate.blocked.blocks)
+                .filter(|(before, after)| after.0 < before.0)
+                .count();
             let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
                 Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
             } else if candidate.blocked.whole > before.whole * (1.0 + WORTH) {
@@ -380,7 +409,7 @@ impl<F: Family> Search<'_, F> {
         // Among those that do as well as the best, the one with the fewest numbers.
         let best = passed[0].1.blocked_rmse[1];
         let numbers = |entry: &(Judged, Step)| entry.0.trial.fit.structure.added.last().map_or(0, Vec::len);
-        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + 0.5 * ALIKE)).count();
+        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + ALIKE)).count();
         let place = (0..alike).min_by_key(|&place| numbers(&passed[place])).unwrap_or(0);
         let (winner, mut step) = passed.remove(place);
         let gain = rmse_before - step.blocked_rmse[1];
@@ -436,7 +465,8 @@ impl<F: Family> Search<'_, F> {
             Some(deviation.map_or(0.0, |deviation| (value - absent).abs() / deviation.max(f64::MIN_POSITIVE)))
         });
         // Of several sizes (both directions, corners of a curve) one must be there.
-        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z)))).unwrap_or(f64::INFINITY)
+        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))))
+            .unwrap_or(f64::INFINITY)
     }
 
     /// Takes out again what later terms made superfluous.

@@ -10,11 +10,11 @@ use crate::{
     family::{Acts, Family, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
-    report::{
-        EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
-    },
+    report::{EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
     select::{Found, depends_on, search},
+    skid::{Declared, Output, SkidSteer},
+    statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
 
 /// What to do.
@@ -103,12 +103,29 @@ pub fn identify(
     if train.is_empty() {
         return Err(IdentifyError::NoRuns);
     }
+    if task.model == table::NAME {
+        return Ok(table::identify(train, holdout, notes, task.seed)?);
+    }
     if holdout.is_empty() {
         return Err(IdentifyError::NoHoldout);
     }
     if let Some(kind) = Kind::ALL.into_iter().find(|kind| kind.name() == task.model) {
         let known = Known::from_parameters(kind, &task.parameters, task.plant.clone())?;
         let (model, train, holdout) = Motion::new(kind, &known, train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if task.model == StaticMap::NAME {
+        let (model, train, holdout) = StaticMap::prepare(train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if task.model == HeldShaft::NAME {
+        let (model, train, holdout) = HeldShaft::prepare(train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if let Some(output) = Output::ALL.into_iter().find(|output| output.model() == task.model) {
+        let declared = Declared::from_parameters(&task.parameters)?;
+        let (model, train) = SkidSteer::new(declared, output, train)?;
+        let holdout = holdout.iter().map(|run| model.run(declared, run)).collect::<Result<Vec<_>, _>>()?;
         return assemble(task, &model, &train, &holdout, notes, progress);
     }
     let known = models().iter().map(|model| model.name).collect::<Vec<_>>().join(", ");
@@ -118,7 +135,12 @@ pub fn identify(
 /// Every base model there is.
 #[must_use]
 pub fn models() -> Vec<ModelInfo> {
-    Kind::ALL.into_iter().map(Motion::info).collect()
+    Kind::ALL
+        .into_iter()
+        .map(Motion::info)
+        .chain(Output::ALL.into_iter().map(SkidSteer::info))
+        .chain([StaticMap::info(), HeldShaft::info(), table::info()])
+        .collect()
 }
 
 /// Share of a held-out run that its initial state is fitted to, and samples at least.
@@ -226,7 +248,11 @@ fn assemble<F: Family>(
                         Term::Known(taken) => family.catalogue()[*taken].experiment,
                         Term::Curve(_) => rival.experiment,
                     };
-                    Rival { name: rival.name.to_owned(), blocked_rmse: *blocked_rmse, experiment: experiment.to_owned() }
+                    Rival {
+                        name: rival.name.to_owned(),
+                        blocked_rmse: *blocked_rmse,
+                        experiment: experiment.to_owned(),
+                    }
                 })
                 .collect(),
             table: table(family, &found, place),
@@ -254,8 +280,18 @@ fn assemble<F: Family>(
     let plant_toml = family.plant_toml(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white, &parameters);
-    let report =
-        Report { model: task.model.clone(), unit, baseline, effects, last, parameters, residual, rejected, notes, verdict };
+    let report = Report {
+        model: task.model.clone(),
+        unit,
+        baseline,
+        effects,
+        last,
+        parameters,
+        residual,
+        rejected,
+        notes,
+        verdict,
+    };
     Ok(Identified { report, figures, plant_toml })
 }
 
@@ -319,11 +355,7 @@ fn verdict(
     _parameters: &BTreeMap<String, Estimate>,
 ) -> String {
     let percent = 100.0 * last.holdout.nrmse;
-    let end = if white {
-        "what is left is noise"
-    } else {
-        "what is left is not only noise"
-    };
+    let end = if white { "what is left is noise" } else { "what is left is not only noise" };
     if effects.is_empty() {
         return format!(
             "No effect found: the {model} model alone leaves {:.3e} {unit} of the held-out data ({percent:.1} %); {end}.",

@@ -5,8 +5,8 @@
 //! ```toml
 //! [[effects]]
 //! effect = "table"
-//! over = "position"        # input, speed, position or time
-//! on = "force"             # or "input"; "force" if it is not said
+//! over = "position"        # input, speed, position, time, supply or history
+//! on = "force"             # or "friction", "gain", "input"; "force" if it is not said
 //! period = 6.283185307     # if the axis is a circle, such as a turn
 //! at = [0.0, 1.5, 4.0]
 //! values = [0.1, -0.2, 0.05]
@@ -18,7 +18,7 @@ use crate::error::{InvalidField, Problem};
 /// What a [`Table`] is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Over {
-    /// The duty: on the input, as the effects before left it; for a force, as it acts.
+    /// The duty: on the input, as the effects before left it; elsewhere, as it came out of the plant's delays.
     Input,
     /// Speed of the motor side, rad/s or m/s.
     Speed,
@@ -26,11 +26,15 @@ pub enum Over {
     Position,
     /// Seconds since the start.
     Time,
+    /// The supply without load, V.
+    Supply,
+    /// The way of the motor side since it last turned round, without sign, rad or m.
+    History,
 }
 
 impl Over {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Input, Self::Speed, Self::Position, Self::Time];
+    pub const ALL: [Self; 6] = [Self::Input, Self::Speed, Self::Position, Self::Time, Self::Supply, Self::History];
 
     /// The word in files.
     #[must_use]
@@ -46,6 +50,8 @@ impl Over {
             Self::Speed => Dependence::Speed,
             Self::Position => Dependence::Position,
             Self::Time => Dependence::Time,
+            Self::Supply => Dependence::Supply,
+            Self::History => Dependence::History,
         }
     }
 }
@@ -55,19 +61,25 @@ impl Over {
 pub enum On {
     /// A force towards positive positions at the motor side, N m or N.
     Force,
+    /// A level of force against motion at the motor side, which also holds at rest, N m or N; none where it is negative.
+    Friction,
+    /// The drive's voltage is multiplied by one more than the value; by 0 where that is negative.
+    Gain,
     /// Added to the duty, behind all other input effects.
     Input,
 }
 
 impl On {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Force, Self::Input];
+    pub const ALL: [Self; 4] = [Self::Force, Self::Friction, Self::Gain, Self::Input];
 
     /// The word in files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Force => "force",
+            Self::Friction => "friction",
+            Self::Gain => "gain",
             Self::Input => "input",
         }
     }

@@ -254,6 +254,45 @@ fn a_table_does_what_the_effect_of_its_shape_does() {
 }
 
 #[test]
+fn tables_of_friction_and_gain_act_by_their_own_variable() {
+    // N m of friction by supply: 12 V less 0.5 V of it; none where the table is negative
+    let mut rubbed = with_table((Over::Supply, On::Friction, None, &[10.0, 14.0], &[-1.0, 2.0]));
+    run(&mut rubbed, Drive::with_brake(1.0), 12.0, 1000);
+    assert_close(rubbed.speed(), 11.5, 1e-12, "at 12 V");
+    run(&mut rubbed, Drive::with_brake(1.0), 10.0, 1000);
+    assert_close(rubbed.speed(), 10.0, 1e-12, "at 10 V");
+    // it holds as friction does
+    let mut held = with_table((Over::Time, On::Friction, None, &[0.0], &[0.5]));
+    run(&mut held, Drive::with_brake(0.04), 12.0, 100);
+    assert_eq!(held.position(), 0.0);
+    let mut faded =
+        with_table((Over::Time, On::Gain, None, &[0.0, 1.0, 1.0, 2.0, 2.0], &[0.25, 0.25, -0.5, -0.5, -3.0]));
+    for (speed, when) in [(15.0, "first"), (6.0, "then"), (0.0, "at last")] {
+        run(&mut faded, Drive::with_brake(1.0), 12.0, 1000);
+        assert_close(faded.speed(), speed, 1e-9, when); // the last of 50 time constants
+    }
+}
+
+#[test]
+fn a_table_over_history_counts_the_way_from_the_last_turn() {
+    let mut plant = with_table((Over::History, On::Friction, None, &[0.0, 1.0, 1.0], &[2.0, 2.0, 0.5]));
+    let mut reached = |duty: f64, ms| {
+        run(&mut plant, Drive::with_brake(duty), 12.0, ms);
+        (plant.position(), plant.speed())
+    };
+    // a way of 1 rad with 2 N m, then 0.5 N m; the same again after it has turned round
+    let (_, near) = reached(0.25, 500);
+    assert_close(near, 1.0, 1e-9, "near its start"); // 25 time constants
+    let (far, free) = reached(0.25, 2000);
+    assert!(far > 1.0);
+    assert_close(free, 2.5, 1e-9, "far from it");
+    let (_, back) = reached(-0.25, 600);
+    assert_close(back, -1.0, 1e-6, "after it has turned");
+    let (_, free) = reached(-0.25, 2000);
+    assert_close(free, -2.5, 1e-9, "and far from there");
+}
+
+#[test]
 fn a_table_of_the_input_over_time_and_place_adds_to_the_duty() {
     let mut plant = with_table((Over::Time, On::Input, None, &[0.0, 1.0, 1.0, 2.0], &[0.25, 0.25, 0.5, 0.5]));
     run(&mut plant, Drive::with_brake(0.25), 12.0, 900);

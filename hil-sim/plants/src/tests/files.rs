@@ -78,10 +78,14 @@ fn a_table_is_read_among_the_others_and_its_errors_name_its_fields() {
         (
             "\"position\"",
             "\"place\"",
-            "wheel.toml:14: effects[0].over: unknown; known are input, speed, position, time",
+            "wheel.toml:14: effects[0].over: unknown; known are input, speed, position, time, ",
         ),
         ("over = \"position\"\n", "", "wheel.toml:12: effects[0].over: unknown; known are input"),
-        ("period = 7", "on = \"duty\"", "wheel.toml:15: effects[0].on: unknown; known are force, input"),
+        (
+            "period = 7",
+            "on = \"duty\"",
+            "wheel.toml:15: effects[0].on: unknown; known are force, friction, gain, input",
+        ),
         ("period = 7", "period = 1", "wheel.toml:15: effects[0].period: 1 is outside 1.5..="),
         ("period = 7", "period = \"turn\"", "wheel.toml:15: effects[0].period: not a number"),
         ("period = 7", "turn = 7", "wheel.toml:15: effects[0].turn: unknown; known are over, on, period, at, values"),

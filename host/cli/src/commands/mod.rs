@@ -20,6 +20,7 @@ pub(crate) mod ports;
 pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod report;
+pub(crate) mod reveal;
 pub(crate) mod scenario;
 pub(crate) mod serve;
 pub(crate) mod state;

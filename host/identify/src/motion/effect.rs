@@ -132,11 +132,17 @@ impl Effect {
     const fn experiment(self) -> &'static str {
         match self {
             Self::InputSign => "one step each way with the sensor's direction checked by eye",
-            Self::InputDelay => "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them",
+            Self::InputDelay => {
+                "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them"
+            }
             Self::InputHold => "a fast triangle as command: a held command shows as stairs",
-            Self::DeadZone => "slow ramps of the command through zero from rest and in motion: a dead zone also acts in motion",
+            Self::DeadZone => {
+                "slow ramps of the command through zero from rest and in motion: a dead zone also acts in motion"
+            }
             Self::GainCurve => "steady speeds at ten commands of each sign",
-            Self::DirectionAsymmetry => "the same steps both ways at three sizes: a gain scales with the size, a friction does not",
+            Self::DirectionAsymmetry => {
+                "the same steps both ways at three sizes: a gain scales with the size, a friction does not"
+            }
             Self::Saturation => "steady speeds at commands up to full scale",
             Self::SlewLimit => "steps of several sizes: a slew limit takes longer for larger ones, a lag does not",
             Self::DriveLag => "steps of several sizes at a high rate, and coasting after a cut",
@@ -150,13 +156,17 @@ impl Effect {
             Self::WarmUp => "the same cycle repeated for some minutes from a cold start",
             Self::Drag => "steady speeds at ten commands up to the highest",
             Self::ConstantLoad => "holding at rest with the axis turned over",
-            Self::Gravity => "slow constant speed over several turns, both ways: a load pulls alike both ways, friction does not",
+            Self::Gravity => {
+                "slow constant speed over several turns, both ways: a load pulls alike both ways, friction does not"
+            }
             Self::Cogging => "slow constant speed over several turns at a high rate",
             Self::Backlash => "small reversals, with sensors at the motor and at the output",
             Self::Compliance => "a sweep of frequencies through the resonance, at two amplitudes",
             Self::SensorLag => "a second sensor, or the current beside the position",
             Self::SensorHold => "a steady motion recorded at a higher rate: a held value shows as stairs",
-            Self::Eccentricity => "constant speed over several turns at two speeds: an error of the sensor does not change with speed",
+            Self::Eccentricity => {
+                "constant speed over several turns at two speeds: an error of the sensor does not change with speed"
+            }
             Self::EncoderScale => "ten whole turns against a mark",
             Self::EncoderOffset => "rest at a mark",
         }
@@ -189,7 +199,11 @@ impl Effect {
             Self::InputHold | Self::SensorHold => (
                 vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
                 // Two neighbours differ by less than one slot over a recording.
-                (0..).map(|n| 2.0 * s.period_s * 1.015_f64.powi(n)).take_while(|&hold_s| hold_s < 0.6).map(|hold_s| vec![hold_s]).collect(),
+                (0..)
+                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
+                    .take_while(|&hold_s| hold_s < 0.6)
+                    .map(|hold_s| vec![hold_s])
+                    .collect(),
             ),
             Self::DeadZone => (
                 vec![sized(s.units.input_name, s.units.input, level(0.05 * s.input))],
@@ -241,16 +255,10 @@ impl Effect {
                     shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
                     shaped(s.units.periods_name, s.units.periods, Range::Positive),
                 ],
-                s.periods
-                    .iter()
-                    .flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n]))
-                    .collect(),
+                s.periods.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
             Self::WarmUp => (
-                vec![
-                    sized(s.units.force_name, force, level(0.2 * push)),
-                    shaped("warm_up_s", "s", Range::Positive),
-                ],
+                vec![sized(s.units.force_name, force, level(0.2 * push)), shaped("warm_up_s", "s", Range::Positive)],
                 vec![vec![push, 0.15 * s.duration_s], vec![push, 0.5 * s.duration_s], vec![push, 2.0 * s.duration_s]],
             ),
             Self::Drag => (
@@ -274,27 +282,18 @@ impl Effect {
                     shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
                     shaped(s.units.periods_name, s.units.periods, Range::Positive),
                 ],
-                s.cogging
-                    .iter()
-                    .flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n]))
-                    .collect(),
+                s.cogging.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
             Self::Backlash => (
                 vec![sized(s.units.gap_name, distance, level(0.02 * s.distance))],
                 [0.003, 0.02, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Compliance => (
-                vec![
-                    shaped("frequency_hz", "Hz", Range::Positive),
-                    shaped("damping", "1", Range::Between(0.001, 3.0)),
-                ],
+                vec![shaped("frequency_hz", "Hz", Range::Positive), shaped("damping", "1", Range::Between(0.001, 3.0))],
                 [1.5, 4.0, 10.0, 25.0].iter().map(|&hz| vec![hz, 0.1]).collect(),
             ),
             Self::Eccentricity => (
-                vec![
-                    sized("amplitude_rad", "rad", level(0.01)),
-                    shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
-                ],
+                vec![sized("amplitude_rad", "rad", level(0.01)), shaped("phase_rad", "rad", Range::Any { scale: 0.5 })],
                 [0.0, 1.6, 3.1, 4.7].iter().map(|phase| vec![0.05, *phase]).collect(),
             ),
             Self::EncoderScale => (vec![whole("scale", "1", Range::Positive)], vec![vec![1.03], vec![0.97]]),

@@ -62,7 +62,11 @@ impl Motion {
                 vec![
                     SUPPLY,
                     RESISTANCE,
-                    parameter("duty_per_rad", "1/rad", "duty for each rad of error and unit of gain; fitted if unknown"),
+                    parameter(
+                        "duty_per_rad",
+                        "1/rad",
+                        "duty for each rad of error and unit of gain; fitted if unknown",
+                    ),
                     parameter("duty_limit", "1", "largest duty; 1 if unknown"),
                     parameter("arm_m", "m", "of a pendulum on its output, with all mass at its end"),
                 ],

@@ -249,10 +249,9 @@ impl Motion {
                 plain("inertia_kg_m2", "kg m^2", Range::Positive),
                 plain("viscous_nm_s_per_rad", "N m s/rad", Range::Positive),
             ],
-            (Kind::Axis, false) => vec![
-                plain("mass_kg", "kg", Range::Positive),
-                plain("viscous_n_s_per_m", "N s/m", Range::Positive),
-            ],
+            (Kind::Axis, false) => {
+                vec![plain("mass_kg", "kg", Range::Positive), plain("viscous_n_s_per_m", "N s/m", Range::Positive)]
+            }
             (_, true) => vec![
                 plain("speed_per_volt_rad_s_per_v", "rad/s/V", Range::Positive),
                 plain("time_constant_s", "s", Range::Positive),
@@ -349,7 +348,12 @@ impl Family for Motion {
             drivers.push(driver(Dependence::Supply, "V", observed.supply));
         }
         if self.rotary && self.scales.distance > 1.2 * TAU {
-            drivers.push(Driver { over: Dependence::Position, unit: units.distance, period: Some(TAU), values: position });
+            drivers.push(Driver {
+                over: Dependence::Position,
+                unit: units.distance,
+                period: Some(TAU),
+                values: position,
+            });
         }
         drivers
     }

@@ -3,8 +3,7 @@
 use std::{collections::BTreeMap, f64::consts::TAU, fmt::Write};
 
 use r4_plants::{
-    DcGearMotor, Dependence, Effect as Listed, EffectInfo, Fitted, LinearActuator, Model, PlantKind, PlantSpec,
-    Table,
+    DcGearMotor, Dependence, Effect as Listed, EffectInfo, Fitted, LinearActuator, Model, PlantKind, PlantSpec, Table,
     effect::table::{On, Over},
 };
 
@@ -136,8 +135,8 @@ impl Motion {
                     };
                     let over = over.filter(|_| curve.acts == Acts::Push);
                     let values = values.iter().map(|value| value * physical.inertia).collect();
-                    let table = over
-                        .and_then(|over| Table::new(over, On::Force, curve.period, curve.at.clone(), values).ok());
+                    let table =
+                        over.and_then(|over| Table::new(over, On::Force, curve.period, curve.at.clone(), values).ok());
                     match table {
                         Some(table) => tables.push(table),
                         None => left_out.push("a curve"),

@@ -256,8 +256,16 @@ pub(super) fn simulate(
             let from_s = now_s + step as f64 * step_s;
             // The mean command over the step, as it was a delay ago.
             let command = if plan.hold_s > 0.0 {
-                let slot_s = ((from_s - plan.delay_s + 1e-9) / plan.hold_s).floor() * plan.hold_s;
-                run.input_before(slot_s, &mut cursor)
+                // The mean over the step, so that a little longer period makes a little difference.
+                let (begin_s, end_s) = (from_s - plan.delay_s, from_s - plan.delay_s + step_s);
+                let (first, last) = ((begin_s / plan.hold_s).floor(), (end_s / plan.hold_s).floor());
+                let held = run.input_before(first * plan.hold_s, &mut cursor);
+                if last > first {
+                    let share = (end_s - last * plan.hold_s) / step_s;
+                    held + share * (run.input_before(last * plan.hold_s, &mut cursor) - held)
+                } else {
+                    held
+                }
             } else if plan.delay_s > 0.0 {
                 run.mean_input(from_s - plan.delay_s, step_s, &mut cursor)
             } else {
@@ -373,7 +381,8 @@ pub(super) fn simulate(
                 // Short enough for the spring.
                 let parts = (omega * step_s / 0.3).ceil().clamp(1.0, 20.0);
                 for _ in 0..parts as usize {
-                    let pull = omega * omega * (state.output - *position) + 2.0 * damping * omega * (state.speed - *speed);
+                    let pull =
+                        omega * omega * (state.output - *position) + 2.0 * damping * omega * (state.speed - *speed);
                     *speed += pull * step_s / parts;
                     *position += *speed * step_s / parts;
                 }
@@ -439,11 +448,7 @@ fn advance(state: &mut State, push: f64, level: f64, b: f64, step_s: f64, decaye
             return;
         }
         // It comes to rest on the way.
-        let stop_s = if b * left_s > 1e-6 {
-            (1.0 - b * state.speed / net).ln() / b
-        } else {
-            -state.speed / net
-        };
+        let stop_s = if b * left_s > 1e-6 { (1.0 - b * state.speed / net).ln() / b } else { -state.speed / net };
         let stop_s = if stop_s.is_finite() { stop_s.clamp(0.0, left_s) } else { left_s };
         state.position += distance(state.speed, 0.0, net, b, stop_s);
         state.speed = 0.0;

@@ -51,10 +51,8 @@ impl Motion {
             Quantity::Speed => (false, true),
             _ => (kind != Kind::LinearActuator, false),
         };
-        let is_duty = !matches!(
-            input.quantity,
-            Quantity::Voltage | Quantity::Force | Quantity::Torque
-        ) && kind != Kind::Axis;
+        let is_duty =
+            !matches!(input.quantity, Quantity::Voltage | Quantity::Force | Quantity::Torque) && kind != Kind::Axis;
         let recorded = first.signals.contains_key("supply");
         let supply_v = if is_duty { known.supply_v.unwrap_or(1.0) } else { 1.0 };
         let prepare = |runs: &[Run]| -> Result<Vec<MotionRun>, IdentifyError> {
@@ -266,12 +264,7 @@ fn without_line(rows: &[(f64, [f64; 3])], of_speed: bool) -> Vec<[f64; 3]> {
         .collect()
 }
 
-fn scales(
-    runs: &[MotionRun],
-    rotary: bool,
-    of_speed: bool,
-    quantity: Quantity,
-) -> Result<Scales, IdentifyError> {
+fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) -> Result<Scales, IdentifyError> {
     let units = if rotary { Units::ROTARY } else { Units::LINEAR }.with_input(quantity);
     let mut periods: Vec<f64> = Vec::new();
     let (mut input, mut distance, mut speed, mut duration_s, mut acceleration) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0, 0.0);
@@ -280,10 +273,16 @@ fn scales(
         periods.extend(all.time_s.windows(2).map(|pair| pair[1] - pair[0]));
         input = all.input.iter().fold(input, |largest, value| largest.max(value.abs()));
         duration_s += all.time_s.last().copied().unwrap_or(0.0);
-        let known: Vec<(f64, f64)> =
-            all.time_s.iter().copied().zip(all.measured.iter().copied()).filter(|(_, value)| value.is_finite()).collect();
+        let known: Vec<(f64, f64)> = all
+            .time_s
+            .iter()
+            .copied()
+            .zip(all.measured.iter().copied())
+            .filter(|(_, value)| value.is_finite())
+            .collect();
         let (Some(first), Some(last)) = (known.first(), known.last()) else { continue };
-        let (low, high) = known.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), (_, v)| (l.min(*v), h.max(*v)));
+        let (low, high) =
+            known.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), (_, v)| (l.min(*v), h.max(*v)));
         if of_speed {
             speed = speed.max(high.abs()).max(low.abs());
             let way: f64 = known.windows(2).map(|pair| pair[0].1 * (pair[1].0 - pair[0].0)).sum();
