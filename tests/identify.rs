@@ -29,13 +29,8 @@ fn recording(folder: &TempDir, name: &str, kind: u32) {
         let duty = [0.0, 0.3, 0.6, 0.0, -0.4, -0.7, 0.2, -0.2, 0.5, 0.0][((row / 800 + kind) % 10) as usize];
         if row % 20 == 0 {
             let noise = 0.02 * (f64::from(row * 7_919 % 1_000) / 1_000.0 - 0.5);
-            writeln!(
-                table,
-                "{},{duty},{:.4}",
-                f64::from(row) * step_s,
-                speed + 0.02 * f64::from(row * 7_919 % 1_000) / 1_000.0
-            )
-            .expect("strings take everything");
+            writeln!(table, "{},{duty},{:.4}", f64::from(row) * step_s, speed + noise)
+                .expect("strings take everything");
         }
         let push = 120.0 * duty - 8.0 * speed;
         let rub = 10.0_f64;
