@@ -37,7 +37,8 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
-    /// Other physics for a motor of a simulated board, from a plant file, as in osmc0=plant.toml; may be given several times
+    /// Other physics for a motor of a simulated board, from a plant file, as in osmc0=plant.toml; may be given several times.
+    /// For `identify`: a plant file alone, with what is known already
     #[arg(long, global = true, value_name = "CHANNEL=FILE")]
     pub(crate) plant: Vec<OtherPlant>,
     /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it

@@ -2,12 +2,12 @@
 
 use std::{
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     str::FromStr,
     sync::atomic::{AtomicBool, Ordering},
 };
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use r4_blind::Hidden;
 use r4_boards::Robot;
 use r4_plants::PlantSpec;
@@ -19,21 +19,28 @@ use crate::{
     session::Target,
 };
 
-/// A plant file for a channel.
+/// A plant file, for a channel of a board, or for `identify` without one.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct OtherPlant {
-    channel: ChannelId,
+    channel: Option<ChannelId>,
     file: PathBuf,
 }
+
+/// What a board needs.
+const EXAMPLE: &str = "a channel, = and a plant file, as in osmc0=plant.toml";
 
 impl FromStr for OtherPlant {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let example = "a channel, = and a plant file, as in osmc0=plant.toml";
-        let (channel, file) = text.split_once('=').filter(|(_, file)| !file.is_empty()).ok_or(example)?;
-        let channel = channel.parse().map_err(|error| format!("{error}; write {example}"))?;
-        Ok(Self { channel, file: file.into() })
+        let Some((channel, file)) = text.split_once('=') else {
+            return if text.is_empty() { Err(EXAMPLE.into()) } else { Ok(Self { channel: None, file: text.into() }) };
+        };
+        if file.is_empty() {
+            return Err(EXAMPLE.into());
+        }
+        let channel = channel.parse().map_err(|error| format!("{error}; write {EXAMPLE}"))?;
+        Ok(Self { channel: Some(channel), file: file.into() })
     }
 }
 
@@ -46,7 +53,7 @@ fn are_asked(args: &Args) -> bool {
 
 /// Refuses other physics where they cannot be had.
 pub(crate) fn check(args: &Args) -> anyhow::Result<()> {
-    let is_served = matches!(args.command, Command::Sim { .. });
+    let is_served = matches!(args.command, Command::Sim { .. } | Command::Identify(_));
     if let (true, false, Target::Link(_)) = (are_asked(args), is_served, &args.board) {
         args.board.robot().context("--plant and --blind change the physics of a simulated board")?;
     }
@@ -58,14 +65,33 @@ pub(crate) fn are_as_asked(args: &Args) -> bool {
     !are_asked(args) || DONE.load(Ordering::Relaxed)
 }
 
+/// The plant that `identify` begins with, if one is named.
+pub(crate) fn known(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
+    let plant = match &args.plant[..] {
+        [] => return Ok(None),
+        [OtherPlant { channel: None, file }] => read(file)?.1,
+        _ => bail!("identify takes one plant file without a channel, as in --plant plant.toml"),
+    };
+    DONE.store(true, Ordering::Relaxed);
+    Ok(Some(plant))
+}
+
+/// A plant file's name and content.
+fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
+    let name = file.display().to_string();
+    let text = fs::read_to_string(file).with_context(|| format!("cannot read the plant {name}"))?;
+    let spec = PlantSpec::from_toml(&name, &text)?;
+    Ok((name, spec))
+}
+
 /// Does what `--plant` says.
 pub(crate) fn replace(args: &Args, robot: &mut Robot) -> anyhow::Result<()> {
     for (index, OtherPlant { channel, file }) in args.plant.iter().enumerate() {
         let again = args.plant[..index].iter().any(|before| before.channel == *channel);
+        let Some(channel) = *channel else { bail!("--plant {} names no channel: write {EXAMPLE}", file.display()) };
         ensure!(!again, "--plant gives {channel} two plants: give it one");
-        let name = file.display().to_string();
-        let text = fs::read_to_string(file).with_context(|| format!("cannot read the plant {name}"))?;
-        r4_sim::replace_plant(robot, *channel, &name, &PlantSpec::from_toml(&name, &text)?)?;
+        let (name, spec) = read(file)?;
+        r4_sim::replace_plant(robot, channel, &name, &spec)?;
         DONE.store(true, Ordering::Relaxed);
     }
     Ok(())

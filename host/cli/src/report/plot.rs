@@ -212,7 +212,8 @@ impl Figure {
     }
 }
 
-/// Names and numbers, each with a bar as long as its number.
+/// Names and numbers, each with a bar as long as its number; the first, and one that is longer than that above it, stand
+/// out.
 pub(super) struct Bars {
     /// For those who cannot see it.
     pub(super) description: String,
@@ -240,14 +241,15 @@ impl Bars {
     fn draw(&self, area: &Area) -> Drawn {
         let widest = |texts: &mut dyn Iterator<Item = &String>| texts.map(|text| text_width(text)).fold(0.0, f64::max);
         let left = widest(&mut self.rows.iter().map(|row| &row.0)).min(f64::from(WIDTH) / 3.0) + 12.0;
-        let room = f64::from(WIDTH) - left - widest(&mut self.rows.iter().map(|row| &row.2)) - 16.0;
+        let room = f64::from(WIDTH) - left - widest(&mut self.rows.iter().map(|row| &row.2)) - 24.0;
         let most =
             self.rows.iter().map(|row| row.1).filter(|value| value.is_finite()).fold(f64::MIN_POSITIVE, f64::max);
         for (index, (name, value, behind)) in self.rows.iter().enumerate() {
             let top = f64::from(BAR * index as i32) + 4.0;
             let baseline = top as i32 + 14;
             let right = left + if value.is_finite() { room.max(50.0) * value.max(0.0) / most } else { 0.0 };
-            let color = if index == 0 { color::ORANGE } else { color::BLUE };
+            let worse = index == 0 || *value > self.rows[index - 1].1;
+            let color = if worse { color::ORANGE } else { color::BLUE };
             text(area, (left as i32 - 10, baseline), HPos::Right, name, color::INK, false)?;
             area.draw(&Rectangle::new([units((left, top)), units((right, top + 18.0))], color.filled()))?;
             text(area, (right as i32 + 8, baseline), HPos::Left, behind, color::MUTED, false)?;

@@ -3,11 +3,7 @@
 mod models;
 mod print;
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 use clap::{Subcommand, builder::PossibleValuesParser};
@@ -16,11 +12,11 @@ use r4_identify::{
     Identified, ModelInfo, Progress, Task,
     data::{self, Holdout, Mapping, Options, Recorded},
     report::Report,
+    statics::hold_out,
 };
-use r4_plants::PlantSpec;
 use serde::Serialize;
 
-use crate::{args::Args, output, report};
+use crate::{args::Args, output, plants, report};
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -67,9 +63,6 @@ struct Question {
     /// What is known of the machine, as in supply_v=24; counts_per_turn=4096 makes angles of encoder counts
     #[arg(long, num_args = 1.., value_parser = known, value_name = "NAME=VALUE")]
     param: Vec<(String, f64)>,
-    /// Plant file whose effects the model has already
-    #[arg(long, value_name = "FILE")]
-    plant: Option<PathBuf>,
     /// Folder for the results
     #[arg(long, default_value = "r4-identify", value_name = "DIR")]
     out: PathBuf,
@@ -130,7 +123,7 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
         split: question.run.clone(),
         counts_per_turn,
     };
-    let plant = question.plant.as_deref().map(read_plant).transpose()?;
+    let plant = plants::known(args)?;
     let (train, holdout) = read(question, &options)?;
     let mut notes: Vec<String> = Vec::new();
     for note in train.notes.iter().chain(&holdout.notes).map(ToString::to_string) {
@@ -178,15 +171,19 @@ fn roles(question: &Question, model: &ModelInfo) -> anyhow::Result<Vec<Mapping>>
         .collect()
 }
 
-fn read_plant(path: &Path) -> anyhow::Result<PlantSpec> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(PlantSpec::from_toml(&path.display().to_string(), &text)?)
-}
-
 /// The runs to fit to and those to test on.
 fn read(question: &Question, options: &Options) -> anyhow::Result<(Recorded, Recorded)> {
     match Holdout::parse(&question.holdout)? {
-        Holdout::Every(every) => Ok(data::read(&question.train, options)?.alternate(every)?),
+        Holdout::Every(every) => {
+            let mut all = data::read(&question.train, options)?;
+            // Of some models one recording is enough.
+            let parts = all.runs.iter().map(|run| hold_out(&question.model, run, every)).collect::<Option<Vec<_>>>();
+            let Some(parts) = parts.filter(|parts| parts.len() == 1) else { return Ok(all.alternate(every)?) };
+            let (fitted, held_out) = parts.into_iter().unzip();
+            all.runs = fitted;
+            let rest = Recorded { runs: held_out, groups: all.groups.clone(), notes: vec![] };
+            Ok((all, rest))
+        }
         Holdout::Files(files) => {
             let place = |path: &PathBuf| fs::canonicalize(path).unwrap_or_else(|_| path.clone());
             let fitted: Vec<_> = question.train.iter().map(place).collect();

@@ -1,6 +1,6 @@
 //! What was found of a model and recordings, as a page of the same kind as that of a log.
 
-use std::fmt::Write as _;
+use std::{collections::BTreeMap, fmt::Write as _};
 
 use r4_identify::report::{Cause, EffectReport, Estimate, Figures, Report, Score, Table as Curve, Traces};
 
@@ -158,6 +158,10 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
     let evidence = &effect.evidence;
     let (blocks_before, blocks_after) = (evidence.blocked_rmse_before, evidence.blocked_rmse_after);
     let chance = if evidence.p_value < 1e-4 { "below 0.0001".to_owned() } else { significant(evidence.p_value) };
+    let away = match evidence.z {
+        z if z > 1_000.0 => "over 1000 standard deviations".to_owned(),
+        z => format!("{} standard deviations", significant(z)),
+    };
     write_facts(
         body,
         &[
@@ -171,11 +175,11 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
             ),
             ("Blocks that got better", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
             ("Chance of that without it", chance),
-            ("Away from no effect", format!("{} standard deviations", significant(evidence.z))),
+            ("Away from no effect", away),
         ],
     )?;
     if !effect.parameters.is_empty() {
-        write_table(body, &estimates(String::new(), effect.parameters.iter()))?;
+        write_table(body, &estimates(String::new(), &effect.parameters))?;
     }
     if let Some(curve) = &effect.table {
         write_figure(body, &curve_figure(curve))?;
@@ -204,16 +208,17 @@ fn write_model(body: &mut String, report: &Report) -> std::fmt::Result {
     body.push_str("<section id=\"model\">\n<h2>Base model</h2>\n");
     if !report.parameters.is_empty() {
         let caption = if report.effects.is_empty() { String::new() } else { "Beside the effects above".to_owned() };
-        write_table(body, &estimates(caption, report.parameters.iter()))?;
+        write_table(body, &estimates(caption, &report.parameters))?;
     }
     body.push_str("</section>\n");
     Ok(())
 }
 
 /// Parameters with how well they are known.
-fn estimates<'e>(caption: String, parameters: impl Iterator<Item = (&'e String, &'e Estimate)>) -> Table {
+fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table {
+    let intervals = parameters.values().any(|estimate| estimate.interval.is_some());
     let mut assumed = Vec::new();
-    let rows = parameters.map(|(name, estimate)| {
+    let rows = parameters.iter().map(|(name, estimate)| {
         if let Some(assumption) = &estimate.assumed {
             let note = format!("{name}: {assumption}");
             if !assumed.contains(&note) {
@@ -233,19 +238,23 @@ fn estimates<'e>(caption: String, parameters: impl Iterator<Item = (&'e String, 
             format!("{} to {}", fixed(low, decimals), fixed(high, decimals))
         });
         let unit = if estimate.unit == "1" { String::new() } else { estimate.unit.clone() };
-        vec![Cell::Text(name.clone()), Cell::Text(value), Cell::Text(std), Cell::Text(unit), Cell::Text(interval)]
+        let cells = [name.clone(), value, std, unit, interval];
+        cells.into_iter().take(if intervals { 5 } else { 4 }).map(Cell::Text).collect()
     });
-    let rows: Vec<_> = rows.collect();
+    let rows: Vec<Vec<Cell>> = rows.collect();
+    let mut columns = vec![
+        column("Parameter", None, Align::Left),
+        column("Value", None, Align::Right),
+        column("Standard deviation", None, Align::Left),
+        column("Unit", None, Align::Left),
+    ];
+    if intervals {
+        columns.push(column("95 % within", None, Align::Left));
+    }
     Table {
         caption,
         note: (!assumed.is_empty()).then(|| format!("Their scale is assumed. {}", assumed.join("; "))),
-        columns: vec![
-            column("Parameter", None, Align::Left),
-            column("Value", None, Align::Right),
-            column("Standard deviation", None, Align::Left),
-            column("Unit", None, Align::Left),
-            column("95 % within", None, Align::Left),
-        ],
+        columns,
         rows,
     }
 }
@@ -473,7 +482,11 @@ impl Scale {
 /// The change from `before` to `after` in brackets, where it can be told.
 fn change(before: f64, after: f64) -> String {
     let share = 100.0 * (after / before - 1.0);
-    if share.is_finite() && before > 0.0 { format!(" ({} %)", number(share, 0)) } else { String::new() }
+    if share.is_finite() && before > 0.0 {
+        format!(" ({}{} %)", if share >= 0.5 { "+" } else { "" }, number(share, 0))
+    } else {
+        String::new()
+    }
 }
 
 /// Digits behind the point for so many significant ones.

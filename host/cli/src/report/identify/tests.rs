@@ -230,4 +230,5 @@ fn numbers_have_digits_that_mean_something() {
     assert_eq!(Scale::of("m", 0.005).with_unit(0.005_51), "5.51 mm");
     assert_eq!(Scale::of("rad/s", 0.3).with_unit(0.162), "0.162 rad/s");
     assert_eq!(change(0.88, 0.162), " (\u{2212}82 %)");
+    assert_eq!(change(0.1, 0.2), " (+100 %)");
 }
