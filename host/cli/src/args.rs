@@ -165,7 +165,7 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Sim,
     },
-    /// Measure on simulated boards what the firmware promises
+    /// Measure what the firmware promises, on simulated boards, and what `r4 identify` does, on recordings
     Bench {
         #[command(subcommand)]
         what: Bench,
@@ -283,6 +283,46 @@ pub(crate) enum Bench {
     Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
+    /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
+    Identify(BenchIdentify),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct BenchIdentify {
+    /// Folder of the recordings
+    #[arg(long, default_value = "data", value_name = "DIR")]
+    pub(crate) data: PathBuf,
+    /// Simulated plants with effects of the catalogue; half as many with nothing hidden, and with what is in no catalogue
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) seeds: u32,
+    /// Only these rows
+    #[arg(long, num_args = 1.., value_name = "ROW")]
+    pub(crate) only: Vec<IdentifyRows>,
+}
+
+/// Rows that belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum IdentifyRows {
+    /// Linear axis, recorded
+    Emps,
+    /// Skid-steer robot, recorded
+    Husky,
+    /// Servo that lifts a pendulum, recorded
+    Pendulum,
+    /// Gear motors on an H-bridge, recorded
+    Micromouse,
+    /// Play of bus servos, recorded
+    Backlash,
+    /// Printed tables of a motor driver's evaluation
+    Osmc,
+    /// Time that it takes
+    Speed,
+    /// Simulated plants with effects of the catalogue
+    Blind,
+    /// Simulated plants with nothing hidden
+    Clean,
+    /// Simulated plants with an effect that is in no catalogue
+    Unlisted,
 }
 
 #[derive(Clone, Debug, clap::Args)]
