@@ -26,6 +26,17 @@ pub(crate) struct OtherPlant {
     file: PathBuf,
 }
 
+impl OtherPlant {
+    pub(crate) fn new(channel: ChannelId, file: PathBuf) -> Self {
+        Self { channel, file }
+    }
+
+    /// Whose.
+    pub(crate) fn channel(&self) -> ChannelId {
+        self.channel
+    }
+}
+
 impl FromStr for OtherPlant {
     type Err = String;
 
