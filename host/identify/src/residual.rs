@@ -75,24 +75,7 @@ impl Left {
             seen.push(entry.depends_on.clone());
             new
         });
-        ResidualReport { white: self.is_white(), unexplained }
-    }
-
-    /// Ljung and Box's test over the first lags; correlations that are a trifle count as none.
-    fn is_white(&self) -> bool {
-        let samples: usize = self.residuals.iter().flatten().filter(|value| value.is_finite()).count();
-        let variance = product(&self.residuals, 0);
-        if variance <= 0.0 || samples <= 2 * LAGS {
-            return true;
-        }
-        let correlations: Vec<f64> = (1..=LAGS).map(|lag| product(&self.residuals, lag) / variance).collect();
-        if correlations.iter().all(|correlation| correlation.abs() < TRIFLE) {
-            return true;
-        }
-        let n = samples as f64;
-        let q: f64 =
-            (1..=LAGS).zip(&correlations).map(|(lag, correlation)| correlation.powi(2) / (n - lag as f64)).sum();
-        ChiSquared::new(LAGS as f64).is_ok_and(|chi| chi.sf(n * (n + 2.0) * q) > 0.001)
+        ResidualReport { white: is_white(&self.residuals), unexplained }
     }
 
     /// Share of the variance that bins over a driver explain beyond their number, and its chance.
@@ -203,6 +186,22 @@ impl Left {
         causes.sort_by(|a, b| b.0.total_cmp(&a.0));
         causes.into_iter().map(|(_, cause)| cause).collect()
     }
+}
+
+/// Ljung and Box's test over the first lags; correlations that are a trifle count as none.
+pub(crate) fn is_white(residuals: &[Vec<f64>]) -> bool {
+    let samples: usize = residuals.iter().flatten().filter(|value| value.is_finite()).count();
+    let variance = product(residuals, 0);
+    if variance <= 0.0 || samples <= 2 * LAGS {
+        return true;
+    }
+    let correlations: Vec<f64> = (1..=LAGS).map(|lag| product(residuals, lag) / variance).collect();
+    if correlations.iter().all(|correlation| correlation.abs() < TRIFLE) {
+        return true;
+    }
+    let n = samples as f64;
+    let q: f64 = (1..=LAGS).zip(&correlations).map(|(lag, correlation)| correlation.powi(2) / (n - lag as f64)).sum();
+    ChiSquared::new(LAGS as f64).is_ok_and(|chi| chi.sf(n * (n + 2.0) * q) > 0.001)
 }
 
 fn place(ends: &[f64], x: f64) -> Option<usize> {

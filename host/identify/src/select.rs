@@ -11,6 +11,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use crate::{
     family::{Acts, Candidate, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
+    residual::is_white,
 };
 
 /// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
@@ -108,49 +109,50 @@ struct Search<'s, F: Family> {
 }
 
 /// Searches for what the base model lacks.
+///
+/// Names first, then curves for what they leave. Where that does not explain everything, once more with a curve first: an
+/// effect that has no name makes named ones look good that it has nothing to do with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
     let halves = halves(family, train);
     let runs = halves.iter().flatten().collect();
     let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
     progress("base model");
     let base = search.base();
-    let mut current = search.on_blocks(&base);
-    let mut steps: Vec<Step> = Vec::new();
-    let mut rejected;
-    let mut with_curves = false;
-    let mut round = 0;
-    loop {
-        round += 1;
-        let blocked = search.blocked(&current);
-        let kind = if with_curves { "curves" } else { "effects" };
-        progress(&format!("round {round}: {kind}"));
-        let trials = if with_curves { search.curves(&current) } else { search.effects(&current) };
-        let tried = trials.len();
-        let judged = search.judge(trials);
-        let (taken, others) = search.choose(&current, &blocked, judged, tried, with_curves);
-        rejected = others;
-        let curves = current.structure.curves().count();
-        if let Some((step, fit)) = taken
-            && steps.len() < MOST_TERMS
-            && (!with_curves || curves < MOST_CURVES)
-        {
-            steps.push(step);
-            current = fit;
-            search.remove(&mut current, &mut steps);
-            continue;
+    let begin = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
+    let mut path = begin.clone();
+    while search.extend(&mut path, false) {}
+    while search.extend(&mut path, true) {}
+    let explained = path.steps.is_empty() || is_white(&path.current.residuals(family, &search.runs));
+    let straight = path.steps.len() == 1 && path.current.structure.curves().count() == 1;
+    if !explained && !straight {
+        let mut other = begin;
+        if search.extend(&mut other, true) {
+            while search.extend(&mut other, false) {}
+            while search.extend(&mut other, true) {}
+            let (names_first, curve_first) =
+                (rmse(&search.blocked(&path.current)), rmse(&search.blocked(&other.current)));
+            let simpler = other.steps.len() < path.steps.len() && curve_first < names_first * (1.0 + CURVE_WORTH);
+            if curve_first < names_first * (1.0 - CURVE_WORTH) || simpler {
+                path = other;
+            }
         }
-        if with_curves {
-            break;
-        }
-        with_curves = true;
     }
     progress("intervals");
+    let Path { current, mut steps, rejected } = path;
     for step in &mut steps {
         step.fit = search.on_whole(&step.fit);
     }
     let last = if steps.is_empty() { base.clone() } else { search.on_whole(&current) };
     let deviations = last.deviations(family, &search.whole);
     Found { base, steps, last, deviations, rejected }
+}
+
+/// How far a search has come.
+#[derive(Clone)]
+struct Path {
+    current: Fit,
+    steps: Vec<Step>,
+    rejected: Vec<(String, f64, String)>,
 }
 
 /// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
@@ -173,6 +175,31 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
 }
 
 impl<F: Family> Search<'_, F> {
+    /// Takes the best of all named effects, or of all curves, if one passes.
+    fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
+        let curves = path.current.structure.curves().count();
+        if path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
+            return false;
+        }
+        let round = path.steps.len() + 1;
+        (self.progress)(&format!("{} {round}", if with_curves { "curve" } else { "effect" }));
+        let blocked = self.blocked(&path.current);
+        let trials = if with_curves { self.curves(&path.current) } else { self.effects(&path.current) };
+        let tried = trials.len();
+        let judged = self.judge(trials);
+        let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
+        path.rejected.retain(|(name, ..)| !rejected.iter().any(|(other, ..)| other == name));
+        path.rejected.extend(rejected);
+        path.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((step, fit)) = taken else { return false };
+        let name = self.term_name(&step.term);
+        path.rejected.retain(|(other, ..)| *other != name);
+        path.steps.push(step);
+        path.current = fit;
+        self.remove(&mut path.current, &mut path.steps);
+        true
+    }
+
     /// The same model fitted to blocks.
     fn on_blocks(&self, from: &Fit) -> Fit {
         fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
@@ -352,7 +379,7 @@ impl<F: Family> Search<'_, F> {
         with_curves: bool,
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
-        for candidate in &judged {
+        for candidate in judged.iter().filter(|_| std::env::var_os("IDTRACE").is_some()) {
             (self.progress)(&format!(
                 "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
                 self.term_name(&candidate.trial.term),

@@ -131,12 +131,17 @@ impl Motion {
                         Dependence::Speed => Some(Over::Speed),
                         Dependence::Position => Some(Over::Position),
                         Dependence::Time => Some(Over::Time),
-                        _ => None,
+                        Dependence::Supply => Some(Over::Supply),
+                        Dependence::History => Some(Over::History),
+                        Dependence::Acceleration | Dependence::Direction => None,
                     };
-                    let over = over.filter(|_| curve.acts == Acts::Push);
-                    let values = values.iter().map(|value| value * physical.inertia).collect();
-                    let table =
-                        over.and_then(|over| Table::new(over, On::Force, curve.period, curve.at.clone(), values).ok());
+                    let (on, scale) = match curve.acts {
+                        Acts::Push => (On::Force, physical.inertia),
+                        Acts::Friction => (On::Friction, physical.inertia),
+                        Acts::Gain => (On::Gain, 1.0),
+                    };
+                    let values = values.iter().map(|value| value * scale).collect();
+                    let table = over.and_then(|over| Table::new(over, on, curve.period, curve.at.clone(), values).ok());
                     match table {
                         Some(table) => tables.push(table),
                         None => left_out.push("a curve"),
