@@ -29,6 +29,17 @@ pub(crate) struct OtherPlant {
 /// What a board needs.
 const EXAMPLE: &str = "a channel, = and a plant file, as in osmc0=plant.toml";
 
+impl OtherPlant {
+    pub(crate) fn new(channel: ChannelId, file: PathBuf) -> Self {
+        Self { channel: Some(channel), file }
+    }
+
+    /// Whose.
+    pub(crate) fn channel(&self) -> Option<ChannelId> {
+        self.channel
+    }
+}
+
 impl FromStr for OtherPlant {
     type Err = String;
 
@@ -77,7 +88,7 @@ pub(crate) fn known(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
 }
 
 /// A plant file's name and content.
-fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
+pub(crate) fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
     let name = file.display().to_string();
     let text = fs::read_to_string(file).with_context(|| format!("cannot read the plant {name}"))?;
     let spec = PlantSpec::from_toml(&name, &text)?;

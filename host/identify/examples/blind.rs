@@ -1,3 +1,5 @@
+//! What is found in recordings of blind plants, seed by seed: `blind FROM TO [-v]`.
+
 use r4_blind::{
     Draw,
     experiment::{Length, Recording, Setup, experiment},

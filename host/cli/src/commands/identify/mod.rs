@@ -1,9 +1,16 @@
 //! `r4 identify`: what a model does not explain of recordings, and which effect it lacks.
 
+mod check;
+mod close;
+mod excite;
 mod models;
 mod print;
 
-use std::{collections::BTreeMap, fs, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, bail};
 use clap::{Subcommand, builder::PossibleValuesParser};
@@ -31,6 +38,10 @@ pub(crate) struct Identify {
 enum What {
     /// List every model with its roles, parameters and effects
     Models,
+    /// Excite a motor of a board, find what its plant file lacks, and compare the simulated board before and after
+    Close(close::Close),
+    /// Send a recorded run's requests to the simulated board with two plants, and tell how far each is from the recording
+    Check(check::Check),
 }
 
 /// DIR gets report.json, report.html and plant.toml; the same `--seed` gives the same bytes.
@@ -93,6 +104,8 @@ pub(crate) fn run(args: &Args, identify: &Identify) -> anyhow::Result<bool> {
     match (&identify.what, &identify.question) {
         (None, Some(question)) => answer(args, question),
         (Some(What::Models), _) => models::run(args),
+        (Some(What::Close(close)), _) => close::run(args, close),
+        (Some(What::Check(check)), _) => check::run(args, check),
         (None, None) => bail!("name recordings, or `r4 identify models`"),
     }
 }
@@ -133,26 +146,32 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
         }
     }
 
-    let progress = ProgressBar::new(1_000).with_style(
-        ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {msg}")
-            .unwrap_or(ProgressStyle::default_bar()),
-    );
-    let told = |Progress { step, share }: Progress| {
-        progress.set_position((share.clamp(0.0, 1.0) * 1_000.0) as u64);
-        progress.set_message(step);
-    };
+    let progress = bar();
+    let told = |now: Progress| show(&progress, now);
     let task = Task { model: question.model.clone(), parameters, plant, seed: args.seed };
     let found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told);
     progress.finish_and_clear();
     let found = found?;
 
-    let files = write(question, args.seed, &found)?;
+    let files = write(&question.out, (&question.train, &question.holdout), args.seed, &found)?;
     if args.json {
         output::json(&Written { report: &found.report, files })?;
     } else {
         print::print(&found.report, &files)?;
     }
     Ok(true)
+}
+
+fn bar() -> ProgressBar {
+    ProgressBar::new(1_000).with_style(
+        ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {msg}")
+            .unwrap_or(ProgressStyle::default_bar()),
+    )
+}
+
+fn show(progress: &ProgressBar, Progress { step, share }: Progress) {
+    progress.set_position((share.clamp(0.0, 1.0) * 1_000.0) as u64);
+    progress.set_message(step);
 }
 
 /// Which column plays which part, checked against what the model knows.
@@ -199,8 +218,12 @@ fn read(question: &Question, options: &Options) -> anyhow::Result<(Recorded, Rec
 }
 
 /// Writes the three files; their paths.
-fn write(question: &Question, seed: u64, found: &Identified) -> anyhow::Result<[PathBuf; 3]> {
-    let out = &question.out;
+fn write(
+    out: &Path,
+    (train, holdout): (&[PathBuf], &[PathBuf]),
+    seed: u64,
+    found: &Identified,
+) -> anyhow::Result<[PathBuf; 3]> {
     fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
     let files = ["report.json", "report.html", "plant.toml"].map(|name| out.join(name));
     let listed = |paths: &[PathBuf]| {
@@ -211,8 +234,7 @@ fn write(question: &Question, seed: u64, found: &Identified) -> anyhow::Result<[
             _ => names.join(", "),
         }
     };
-    let facts =
-        [("Fitted to", listed(&question.train)), ("Held out", listed(&question.holdout)), ("Seed", seed.to_string())];
+    let facts = [("Fitted to", listed(train)), ("Held out", listed(holdout)), ("Seed", seed.to_string())];
     let page = report::identify(&found.report, &found.figures, &facts);
     let json = serde_json::to_string_pretty(&found.report)? + "\n";
     for (path, text) in files.iter().zip([&json, &page, &found.plant_toml]) {
