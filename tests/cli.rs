@@ -1036,3 +1036,25 @@ fn bench_safety_holds_every_limit() {
         assert!(row["max_ms"].as_f64() <= row["limit_ms"].as_f64() && row["injections"].as_u64() > Some(0), "{row}");
     }
 }
+
+#[test]
+fn bench_identify_tells_what_was_promised_and_what_came_of_it() {
+    let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../../data");
+    let told = good_json(&["bench", "identify", "--data", data, "--only", "backlash", "--json"]);
+    let rows = told["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 2, "{told}");
+    for row in rows {
+        assert!(row["data"].is_string() && row["metric"].is_string() && row["unit"] == "deg", "{row}");
+        assert!(row["after"].as_f64() <= row["at_least"].as_f64() && row["met"] == true, "{row}");
+    }
+    assert!(told["seconds"].as_f64() > Some(0.0), "{told}");
+}
+
+#[test]
+fn bench_identify_without_its_recordings_says_what_to_do() {
+    let seen = r4(&["bench", "identify", "--data", "nowhere", "--only", "emps"]);
+    assert_eq!((seen.code, seen.out.as_str()), (Some(1), ""), "{seen:?}");
+    assert!(seen.err.contains("nowhere/emps") && seen.err.contains("--data"), "{seen:?}");
+    let seen = r4(&["bench", "identify", "--only", "nothing"]);
+    assert!(seen.code == Some(2) && seen.err.contains("pendulum"), "{seen:?}");
+}

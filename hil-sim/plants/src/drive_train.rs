@@ -20,7 +20,7 @@
 
 use crate::{
     discretisation::{FirstOrder, SecondOrder},
-    effect::friction::{Direction, FrictionStage, total_level},
+    effect::friction::{Direction, Frictions},
     model::{DcGearMotor, LinearActuator, Model},
 };
 
@@ -45,6 +45,8 @@ pub(crate) struct Terminals {
     pub(crate) supply_v: f64,
     /// Resistance of the supply, in series with the motor while it is across it.
     pub(crate) source_ohm: f64,
+    /// Share by which the winding's resistance is above its cold one.
+    pub(crate) winding_rise: f64,
 }
 
 /// What moves.
@@ -275,8 +277,20 @@ impl DriveTrain {
         self.motion.position + 0.5 * step_s * self.motion.speed
     }
 
+    /// What the speed will be half-way through the step, to first order; not beyond 0.
+    pub(crate) fn speed_half_way(&self, step_s: f64) -> f64 {
+        let Motion { speed, acceleration, .. } = self.motion;
+        let half_way = speed + 0.5 * step_s * acceleration;
+        if half_way * speed > 0.0 { half_way } else { 0.0 }
+    }
+
+    /// Lost in the winding.
+    pub(crate) fn winding_power_w(&self, winding_rise: f64) -> f64 {
+        self.motion.current_a * self.motion.current_a * self.constants.resistance_ohm * (1.0 + winding_rise)
+    }
+
     /// One step of at most [`MAX_STEP_S`] under a constant load, positive towards positive positions.
-    pub(crate) fn advance(&mut self, terminals: &Terminals, friction: &[FrictionStage], load: f64, step_s: f64) {
+    pub(crate) fn advance(&mut self, terminals: &Terminals, friction: &Frictions<'_>, load: f64, step_s: f64) {
         let mut left_s = step_s;
         for cut in 0..=MAX_CUTS {
             left_s -= self.advance_to_stop(terminals, friction, load, left_s, cut < MAX_CUTS);
@@ -290,14 +304,15 @@ impl DriveTrain {
     fn advance_to_stop(
         &mut self,
         terminals: &Terminals,
-        friction: &[FrictionStage],
+        friction: &Frictions<'_>,
         load: f64,
         step_s: f64,
         may_cut: bool,
     ) -> f64 {
         let constants = self.constants;
         let motion = self.motion;
-        let circuit_ohm = constants.resistance_ohm + terminals.duty * terminals.duty * terminals.source_ohm;
+        let winding_ohm = constants.resistance_ohm * (1.0 + terminals.winding_rise);
+        let circuit_ohm = winding_ohm + terminals.duty * terminals.duty * terminals.source_ohm;
         let voltage = voltage(terminals, constants.force_per_ampere * motion.speed);
         let step = *self.step(step_s, circuit_ohm);
 
@@ -306,7 +321,8 @@ impl DriveTrain {
             let motor_force = constants.force_per_ampere * current_a;
             let force = motor_force + load;
             let direction = Direction::of(force);
-            let held = || total_level(friction, direction, 0.0, motion.position) + constants.loss * motor_force.abs();
+            let held =
+                || friction.level(direction, 0.0, motion.position, motor_force) + constants.loss * motor_force.abs();
             if force == 0.0 || constants.is_against_stop(motion.position, direction) || force.abs() <= held() {
                 self.motion = Motion { current_a, acceleration: 0.0, ..motion };
                 return step_s;
@@ -319,13 +335,14 @@ impl DriveTrain {
         let sign = direction.sign();
         let speed_half_way = (sign * (motion.speed + 0.5 * step_s * motion.acceleration)).max(0.0);
         let position_half_way = motion.position + 0.5 * step_s * motion.speed;
-        let level = total_level(friction, direction, speed_half_way, position_half_way)
-            + constants.loss * (constants.force_per_ampere * motion.current_a).abs();
+        let motor_force = constants.force_per_ampere * motion.current_a;
+        let level = friction.level(direction, speed_half_way, position_half_way, motor_force)
+            + constants.loss * motor_force.abs();
         let force = load - sign * level;
         let next = constants.free(&step, &motion, voltage, force);
 
         let turns_around = next.speed * sign < 0.0;
-        let sticks = || level > 0.0 || total_level(friction, direction.reverse(), 0.0, motion.position) > 0.0;
+        let sticks = || level > 0.0 || friction.level(direction.reverse(), 0.0, motion.position, motor_force) > 0.0;
         if turns_around && sticks() {
             if motion.speed == 0.0 {
                 // enough force to break away only at the end of the step: it does in the next one

@@ -70,6 +70,31 @@ pub enum Problem {
     /// Must be a text and is not.
     #[error("not the name of an effect")]
     NotAName,
+    /// Must be a list of numbers and is not.
+    #[error("not a list of numbers")]
+    NotNumbers,
+    /// A table must have corners.
+    #[error("{corners} corners; write 1 to {most}")]
+    Corners {
+        /// How many it has.
+        corners: usize,
+        /// How many it may have.
+        most: usize,
+    },
+    /// A table has a value for each corner.
+    #[error("{values} of them for {corners} corners; write one for each in at")]
+    Lengths {
+        /// In `at`.
+        corners: usize,
+        /// In `values`.
+        values: usize,
+    },
+    /// The corners of a table go up.
+    #[error("corner {corner} is not above the one before; two corners at one place are a jump, more are not possible")]
+    NotIncreasing {
+        /// Which, counted from 0.
+        corner: usize,
+    },
     /// The effect exists, but only on the other kind of plant.
     #[error("does not exist on {kind} plants")]
     WrongKind {

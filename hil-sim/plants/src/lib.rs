@@ -1,8 +1,8 @@
 //! Motors and actuators as a *base model* plus a list of *effects*.
 //!
 //! ```text
-//!            input          supply                    friction, load             transmission       sensor
-//!  Drive ──► dead zone … ─► sag ─► R, L, K ─► inertia ◄─ coulomb, cogging … ───► backlash ──┬──► scale, lag … ──►
+//!            input          supply  winding           friction, load             transmission       sensor
+//!  Drive ──► dead zone … ─► sag ─► R, L, K ─► inertia ◄─ coulomb, cogging … ───► backlash … ┬──► scale, lag … ──►
 //!            (duty, coast)         (current)  (speed, position of the motor side)           │      sensed_position
 //!                                                                                           └──► position, speed
 //! ```
@@ -12,11 +12,11 @@
 //! | [`plant`] | [`Plant`]: what is stepped |
 //! | [`spec`] | [`PlantSpec`]: what a plant is made of; read from and written to TOML |
 //! | [`model`] | the base models and their parameters |
-//! | [`effect`] | every effect, and the [`catalogue()`] of them |
+//! | [`effect`] | every effect, and the [`catalogue()`] of them; a [`Table`] for what has no name |
 //! | [`parameter`] | named, bounded parameters with units, which an identifier can vary |
 //! | [`error`] | what can be wrong with a plant's description |
 //!
-//! An effect is one small type for two uses: the simulator steps it, an identifier (still to come) fits it. Effects act at six
+//! An effect is one small type for two uses: the simulator steps it, an identifier fits it. Effects act at seven
 //! *insertion points*, in the order of the picture; several at one point act in the order of the file
 //! (where that matters: frictions and loads add up, and a delay may be anywhere in its input).
 //!
@@ -60,7 +60,7 @@ mod spec_text;
 #[cfg(test)]
 mod tests;
 
-pub use effect::{Dependence, Effect, EffectInfo, InsertionPoint, catalogue};
+pub use effect::{Dependence, Effect, EffectInfo, InsertionPoint, catalogue, table::Table, unlisted::Unlisted};
 pub use error::{InvalidField, PlantError, Problem};
 pub use model::{DcGearMotor, LinearActuator, Model, PlantKind};
 pub use parameter::{Fitted, Parameter};

@@ -108,23 +108,23 @@ fn index_of(parameters: &[Parameter], kind: PlantKind, name: &str) -> Option<usi
     parameters.iter().position(|parameter| parameter.name(kind) == name)
 }
 
-/// A struct of `f64` fields, each with its [`Parameter`]: the struct, its `PARAMETERS` table, `TYPICAL`, and [`Fitted`].
+/// A struct of `f64` fields, or of none, each with its [`Parameter`]: the struct, its `PARAMETERS` table, `TYPICAL`, and [`Fitted`].
 macro_rules! fitted {
     ($(#[$meta:meta])* pub struct $name:ident {
-        $($(#[$field_meta:meta])* pub $field:ident: $parameter:expr;)+
+        $($(#[$field_meta:meta])* pub $field:ident: $parameter:expr;)*
     }) => {
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, PartialEq)]
         pub struct $name {
-            $($(#[$field_meta])* pub $field: f64,)+
+            $($(#[$field_meta])* pub $field: f64,)*
         }
 
         impl $name {
             /// Names, units and bounds, in the order in which they are written to files.
-            pub const PARAMETERS: &'static [$crate::parameter::Parameter] = &[$($parameter),+];
+            pub const PARAMETERS: &'static [$crate::parameter::Parameter] = &[$($parameter),*];
 
             /// Every parameter at its typical value.
-            pub const TYPICAL: Self = Self { $($field: $parameter.typical),+ };
+            pub const TYPICAL: Self = Self { $($field: $parameter.typical),* };
         }
 
         impl $crate::parameter::Fitted for $name {
@@ -133,11 +133,11 @@ macro_rules! fitted {
             }
 
             fn value(&self, index: usize) -> Option<f64> {
-                [$(self.$field),+].get(index).copied()
+                [$(self.$field),*].get(index).copied()
             }
 
             fn value_mut(&mut self, index: usize) -> Option<&mut f64> {
-                [$(&mut self.$field),+].into_iter().nth(index)
+                [$(&mut self.$field),*].into_iter().nth(index)
             }
         }
     };

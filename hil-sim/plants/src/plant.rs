@@ -3,8 +3,17 @@
 use crate::{
     drive_train::{DriveTrain, MAX_STEP_S, Terminals},
     effect::{
-        Effect, backlash::Play, delay::DelayLine, friction::FrictionStage, input::InputStage, load::LoadStage,
+        Effect,
+        backlash::Play,
+        compliance::Spring,
+        delay::DelayLine,
+        friction::{FrictionStage, Frictions},
+        input::InputStage,
+        load::LoadStage,
         sensor::SensorStage,
+        supply::Heat,
+        table::{On, Over, SpeedForce, Table},
+        unlisted::{Doing, Moment, Unlisted, act},
     },
     model::PlantKind,
     spec::PlantSpec,
@@ -59,16 +68,87 @@ pub struct Plant {
     input: Vec<InputStage>,
     /// Whether what acts may change while the drive does not.
     input_has_memory: bool,
+    tables: Tables,
+    pushes: Vec<SpeedForce>,
+    /// Where the motor side last turned round, and which way it has gone since.
+    turned_at: f64,
+    went: f64,
+    unlisted: Vec<Box<dyn Unlisted>>,
     source_ohm: f64,
+    heats: Vec<Heat>,
     friction: Vec<FrictionStage>,
     loads: Vec<LoadStage>,
-    plays: Vec<Play>,
+    transmission: Vec<TransmissionStage>,
     sensor: Vec<SensorStage>,
     sensor_has_memory: bool,
+    /// The duty as it came out of the delays.
+    arrived: f64,
     acting: Drive,
+    /// What the unlisted effects do over this step.
+    done: Doing,
     position: f64,
     speed: f64,
     sensed_position: f64,
+}
+
+/// Effects without a name, by what they are on; forces over speed are [`SpeedForce`]s instead.
+#[derive(Clone, Debug, Default)]
+struct Tables {
+    force: Vec<Table>,
+    friction: Vec<Table>,
+    gain: Vec<Table>,
+    input: Vec<Table>,
+}
+
+impl Tables {
+    fn new(spec: &PlantSpec) -> Self {
+        let mut tables = Self::default();
+        for table in spec.tables().iter().filter(|table| !is_speed_force(table)) {
+            let place = match table.on() {
+                On::Force => &mut tables.force,
+                On::Friction => &mut tables.friction,
+                On::Gain => &mut tables.gain,
+                On::Input => &mut tables.input,
+            };
+            place.push(table.clone());
+        }
+        tables
+    }
+}
+
+fn is_speed_force(table: &Table) -> bool {
+    table.on() == On::Force && table.over() == Over::Speed
+}
+
+/// What is between the motor side and the output.
+#[derive(Clone, Debug)]
+enum TransmissionStage {
+    Play(Play),
+    Spring(Box<Spring>),
+}
+
+impl TransmissionStage {
+    fn new(effect: &Effect) -> Option<Self> {
+        match effect {
+            Effect::Backlash(backlash) => Some(Self::Play(Play::new(backlash))),
+            Effect::Compliance(compliance) => Some(Self::Spring(Box::new(Spring::new(compliance)))),
+            _ => None,
+        }
+    }
+
+    fn settle(&mut self, position: f64) {
+        match self {
+            Self::Play(play) => play.centre(position),
+            Self::Spring(spring) => spring.settle(),
+        }
+    }
+
+    fn apply(&mut self, position: f64, speed: f64, step_s: f64) -> (f64, f64) {
+        match self {
+            Self::Play(play) => play.apply(position, speed),
+            Self::Spring(spring) => spring.apply(position, speed, step_s),
+        }
+    }
 }
 
 /// A step shorter than this is not worth taking: the rounding of longer ones adds up to it.
@@ -78,29 +158,51 @@ impl Plant {
     /// At rest at position 0, without current, its noises started from `seed`.
     #[must_use]
     pub fn new(spec: &PlantSpec, seed: u64) -> Self {
+        Self::with_unlisted(spec, seed, Vec::new())
+    }
+
+    /// The same, and what its description cannot hold.
+    #[must_use]
+    pub fn with_unlisted(spec: &PlantSpec, seed: u64, unlisted: Vec<Box<dyn Unlisted>>) -> Self {
         let kind = spec.kind();
         let effects = || spec.effects().iter();
         let numbered = || effects().enumerate();
         let delay = DelayLine::new(effects());
         let input: Vec<_> = effects().filter_map(InputStage::new).collect();
         let sensor: Vec<_> = numbered().filter_map(|(stream, effect)| SensorStage::new(effect, seed, stream)).collect();
+        let tables = Tables::new(spec);
+        let pushes: Vec<_> = spec.tables().iter().filter(|table| is_speed_force(table)).map(SpeedForce::new).collect();
         let mut plant = Self {
             kind,
             train: DriveTrain::new(spec.model()),
             now_s: 0.0,
-            input_has_memory: delay.is_some() || input.iter().any(InputStage::has_memory),
+            input_has_memory: delay.is_some()
+                || input.iter().any(InputStage::has_memory)
+                || tables.input.iter().any(|table| table.over() != Over::Input)
+                || !unlisted.is_empty(),
             delay,
             input,
+            tables,
+            turned_at: 0.0,
+            went: 0.0,
+            arrived: 0.0,
+            unlisted,
+            done: Doing { duty: 0.0, friction: 0.0, force: 0.0 },
             source_ohm: effects()
                 .map(|effect| if let Effect::SupplySag(sag) = effect { sag.source_ohm } else { 0.0 })
                 .sum(),
-            friction: effects().filter_map(|effect| FrictionStage::new(effect, kind)).collect(),
-            loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
-            plays: effects()
+            heats: effects()
                 .filter_map(
-                    |effect| if let Effect::Backlash(backlash) = effect { Some(Play::new(backlash)) } else { None },
+                    |effect| if let Effect::WindingHeating(heating) = effect { Some(Heat::new(heating)) } else { None },
                 )
                 .collect(),
+            friction: effects()
+                .filter_map(|effect| FrictionStage::new(effect, kind))
+                .chain(pushes.iter().cloned().map(FrictionStage::Table))
+                .collect(),
+            pushes,
+            loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
+            transmission: effects().filter_map(TransmissionStage::new).collect(),
             sensor_has_memory: sensor.iter().any(SensorStage::has_memory),
             sensor,
             acting: Drive::COAST,
@@ -128,8 +230,10 @@ impl Plant {
         self.train.rest_at(position);
         self.position = self.train.motion.position;
         self.speed = 0.0;
-        for play in &mut self.plays {
-            play.centre(self.position);
+        self.turned_at = self.position;
+        self.went = 0.0;
+        for stage in &mut self.transmission {
+            stage.settle(self.position);
         }
         self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.settle(told));
     }
@@ -148,14 +252,15 @@ impl Plant {
         let drive = drive.clipped();
         let supply_v = supply_v.max(0.0);
         if !self.input_has_memory {
-            self.acting = self.through_input(drive, dt_s);
+            self.acting = self.through_input(drive, supply_v, dt_s);
         }
         let mut left_s = dt_s;
         while left_s > 0.0 {
             let mut step_s = left_s.min(MAX_STEP_S);
             if self.input_has_memory {
                 let drive = self.through_delay(drive, &mut step_s);
-                self.acting = self.through_input(drive, step_s);
+                step_s = self.input.iter().map(InputStage::constant_for_s).fold(step_s, f64::min);
+                self.acting = self.through_input(drive, supply_v, step_s);
             }
             self.step(supply_v, step_s);
             self.now_s += step_s;
@@ -188,19 +293,79 @@ impl Plant {
         arrived
     }
 
-    fn through_input(&mut self, drive: Drive, step_s: f64) -> Drive {
-        self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, step_s)).clipped()
+    fn through_input(&mut self, drive: Drive, supply_v: f64, step_s: f64) -> Drive {
+        self.arrived = drive.duty;
+        let drive = self.input.iter_mut().fold(drive, |drive, stage| stage.apply(drive, step_s));
+        if self.tables.input.is_empty() && self.unlisted.is_empty() {
+            return drive.clipped();
+        }
+        let drive = drive.clipped();
+        let duty = self
+            .tables
+            .input
+            .iter()
+            .fold(drive.duty, |duty, table| duty + self.looked_up(table, duty, supply_v, step_s));
+        let duty = Drive { duty, ..drive }.clipped().duty;
+        if self.unlisted.is_empty() {
+            return Drive { duty, ..drive };
+        }
+        let position = self.train.position_half_way(step_s);
+        let moment = Moment { time_s: self.now_s, step_s, duty, position, speed: self.train.motion.speed };
+        self.done = act(&mut self.unlisted, moment);
+        Drive { duty: self.done.duty, ..drive }.clipped()
+    }
+
+    /// Value of a table half-way through a step.
+    fn looked_up(&self, table: &Table, duty: f64, supply_v: f64, step_s: f64) -> f64 {
+        table.value(match table.over() {
+            Over::Input => duty,
+            Over::Speed => self.train.speed_half_way(step_s),
+            Over::Position => self.train.position_half_way(step_s),
+            Over::Time => self.now_s + 0.5 * step_s,
+            Over::Supply => supply_v,
+            Over::History => (self.train.position_half_way(step_s) - self.turned_at).abs(),
+        })
+    }
+
+    /// Remembers where the motor side turned round, somewhere in the step from `before` on.
+    fn look_back(&mut self, before: f64) {
+        let speed = self.train.motion.speed;
+        if speed * self.went < 0.0 {
+            self.turned_at = before;
+        }
+        if speed != 0.0 {
+            self.went = speed;
+        }
     }
 
     fn step(&mut self, supply_v: f64, step_s: f64) {
         let position_half_way = self.train.position_half_way(step_s);
-        let load = self.loads.iter_mut().map(|stage| stage.force(position_half_way, step_s)).sum();
+        let load: f64 = self.loads.iter_mut().map(|stage| stage.force(position_half_way, step_s)).sum();
+        let sum = |tables: &[Table]| -> f64 {
+            tables.iter().map(|table| self.looked_up(table, self.arrived, supply_v, step_s)).sum()
+        };
+        let rubs = |table: &Table| self.looked_up(table, self.arrived, supply_v, step_s).max(0.0);
+        let multiplies = |table: &Table| (1.0 + self.looked_up(table, self.arrived, supply_v, step_s)).max(0.0);
+        let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
+        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force;
+        let rubbing = self.done.friction + self.tables.friction.iter().map(rubs).sum::<f64>();
+        let supply_v = supply_v * self.tables.gain.iter().map(multiplies).product::<f64>();
+        let before = self.train.motion.position;
         let Drive { duty, coast } = self.acting;
-        let terminals = Terminals { duty, coast, supply_v, source_ohm: self.source_ohm };
-        self.train.advance(&terminals, &self.friction, load, step_s);
+        let winding_rise = self.heats.iter().map(Heat::rise).sum();
+        let terminals = Terminals { duty, coast, supply_v, source_ohm: self.source_ohm, winding_rise };
+        let friction = Frictions { stages: &self.friction, more: rubbing, time_s: self.now_s };
+        self.train.advance(&terminals, &friction, load, step_s);
+        self.look_back(before);
+        if !self.heats.is_empty() {
+            let power_w = self.train.winding_power_w(winding_rise);
+            self.heats.iter_mut().for_each(|heat| heat.warm(power_w, step_s));
+        }
         let motor_side = (self.train.motion.position, self.train.motion.speed);
-        (self.position, self.speed) =
-            self.plays.iter_mut().fold(motor_side, |(position, speed), play| play.apply(position, speed));
+        (self.position, self.speed) = self
+            .transmission
+            .iter_mut()
+            .fold(motor_side, |(position, speed), stage| stage.apply(position, speed, step_s));
         if self.sensor_has_memory {
             self.sense(step_s);
         }

@@ -1,7 +1,7 @@
 //! What a plant is made of.
 
 use crate::{
-    effect::{Effect, check_values},
+    effect::{Effect, check_values, table::Table},
     error::{InvalidField, PlantError, Problem},
     model::{Model, PlantKind},
     parameter::Fitted,
@@ -15,6 +15,7 @@ pub struct PlantSpec {
     model: Model,
     source: String,
     effects: Vec<Effect>,
+    tables: Vec<Table>,
 }
 
 impl PlantSpec {
@@ -29,7 +30,7 @@ impl PlantSpec {
         for (index, effect) in effects.iter().enumerate() {
             effect.check(kind).map_err(|error| in_effect(index, error))?;
         }
-        Ok(Self { model, source: source.into(), effects })
+        Ok(Self { model, source: source.into(), effects, tables: Vec::new() })
     }
 
     /// Reads a plant file. `source_name` is what messages call it.
@@ -69,6 +70,22 @@ impl PlantSpec {
     #[must_use]
     pub fn effects(&self) -> &[Effect] {
         &self.effects
+    }
+
+    /// Effects without a name. Those on the input act behind the others there.
+    #[must_use]
+    pub fn tables(&self) -> &[Table] {
+        &self.tables
+    }
+
+    /// Adds an effect without a name behind the others.
+    pub fn push_table(&mut self, table: Table) {
+        self.tables.push(table);
+    }
+
+    /// Takes an effect without a name away; `None` if there is none at this index.
+    pub fn remove_table(&mut self, index: usize) -> Option<Table> {
+        (index < self.tables.len()).then(|| self.tables.remove(index))
     }
 
     /// Says anew where the numbers come from.

@@ -6,15 +6,18 @@ use serde::{Deserialize, Deserializer, de};
 use toml::Spanned;
 
 use crate::{
-    effect::{Effect, EffectInfo, catalogue},
+    effect::{
+        Effect, EffectInfo, catalogue,
+        table::{On, Over, Table},
+    },
     error::{InvalidField, PlantError, Problem},
     model::{Model, PlantKind},
     parameter::Fitted,
     spec::{PlantSpec, in_effect},
 };
 
-/// A table of numbers, every key and value with where it stands.
-type Table = BTreeMap<Spanned<String>, Spanned<Value>>;
+/// Keys and values, each with where it stands.
+type Fields = BTreeMap<Spanned<String>, Spanned<Value>>;
 
 /// A plant file before anything in it is believed.
 #[derive(Deserialize)]
@@ -23,15 +26,16 @@ struct Raw {
     model: Spanned<String>,
     #[serde(default)]
     source: String,
-    parameters: Spanned<Table>,
+    parameters: Spanned<Fields>,
     #[serde(default)]
-    effects: Vec<Spanned<Table>>,
+    effects: Vec<Spanned<Fields>>,
 }
 
 /// A value in a table.
 enum Value {
     Number(f64),
     Text(String),
+    Numbers(Vec<f64>),
     Other,
 }
 
@@ -42,6 +46,14 @@ impl<'de> Deserialize<'de> for Value {
             // a parameter with more than 53 bits would be rounded here; none is that large
             toml::Value::Integer(number) => Self::Number(number as f64),
             toml::Value::String(text) => Self::Text(text),
+            toml::Value::Array(values) => {
+                let numbers = values.iter().map(|value| match value {
+                    toml::Value::Float(number) => Some(*number),
+                    toml::Value::Integer(number) => Some(*number as f64),
+                    _ => None,
+                });
+                numbers.collect::<Option<_>>().map_or(Self::Other, Self::Numbers)
+            }
             _ => Self::Other,
         })
     }
@@ -89,13 +101,20 @@ fn spec(raw: Raw) -> Result<PlantSpec, Fault> {
     fill(&mut model, kind, raw.parameters.get_ref(), raw.parameters.span(), |_| false)
         .map_err(|fault| Fault { error: in_parameters(fault.error), ..fault })?;
 
-    let mut effects = Vec::with_capacity(raw.effects.len());
-    for (index, table) in raw.effects.iter().enumerate() {
-        let effect = effect(kind, table).map_err(|fault| Fault { error: in_effect(index, fault.error), ..fault })?;
-        effects.push(effect);
+    let (mut effects, mut tables) = (Vec::with_capacity(raw.effects.len()), Vec::new());
+    for (index, fields) in raw.effects.iter().enumerate() {
+        let within = |fault: Fault| Fault { error: in_effect(index, fault.error), ..fault };
+        if is_table(fields.get_ref()) {
+            tables.push(table(fields).map_err(within)?);
+        } else {
+            effects.push(effect(kind, fields).map_err(within)?);
+        }
     }
     // All of it was checked above, with better places for its errors.
-    PlantSpec::new(model, raw.source, effects).map_err(|error| Fault { span: raw.model.span(), error })
+    let spec = PlantSpec::new(model, raw.source, effects).map_err(|error| Fault { span: raw.model.span(), error });
+    let mut spec = spec?;
+    tables.into_iter().for_each(|table| spec.push_table(table));
+    Ok(spec)
 }
 
 fn in_parameters(error: InvalidField) -> InvalidField {
@@ -103,10 +122,58 @@ fn in_parameters(error: InvalidField) -> InvalidField {
 }
 
 const TAG: &str = "effect";
+const TABLE: &str = "table";
 
-fn effect(kind: PlantKind, table: &Spanned<Table>) -> Result<Effect, Fault> {
-    let known = || Problem::Unknown {
-        known: catalogue().iter().filter(|info| info.kinds.contains(&kind)).map(|info| info.name).collect(),
+fn is_table(fields: &Fields) -> bool {
+    fields
+        .iter()
+        .any(|(key, value)| key.get_ref() == TAG && matches!(value.get_ref(), Value::Text(name) if name == TABLE))
+}
+
+/// An effect without a name.
+fn table(fields: &Spanned<Fields>) -> Result<Table, Fault> {
+    const KEYS: [&str; 5] = ["over", "on", "period", "at", "values"];
+    let entry = |name: &str| fields.get_ref().iter().find(|(key, _)| key.get_ref() == name).map(|(_, value)| value);
+    let span = |name: &str| entry(name).map_or(fields.span(), Spanned::span);
+    let missing = |name: &'static str, unit| Fault::new(fields.span(), name, Problem::Missing { unit });
+    if let Some((key, _)) =
+        fields.get_ref().iter().find(|(key, _)| !KEYS.contains(&key.as_ref().as_str()) && key.get_ref() != TAG)
+    {
+        return Err(Fault::new(key.span(), key.get_ref().as_str(), Problem::Unknown { known: KEYS.to_vec() }));
+    }
+    let word = |name: &str| match entry(name).map(Spanned::get_ref) {
+        Some(Value::Text(text)) => Some(text.as_str()),
+        _ => None,
+    };
+    let unknown = |name: &str, known| Fault::new(span(name), name, Problem::Unknown { known });
+    let over = Over::ALL.into_iter().find(|over| Some(over.name()) == word("over"));
+    let over = over.ok_or_else(|| unknown("over", Over::ALL.iter().map(|over| over.name()).collect()))?;
+    let on = match entry("on") {
+        None => On::Force,
+        Some(_) => On::ALL
+            .into_iter()
+            .find(|on| Some(on.name()) == word("on"))
+            .ok_or_else(|| unknown("on", On::ALL.iter().map(|on| on.name()).collect()))?,
+    };
+    let period = match entry("period").map(Spanned::get_ref) {
+        None => None,
+        Some(Value::Number(period)) => Some(*period),
+        Some(_) => return Err(Fault::new(span("period"), "period", Problem::NotANumber)),
+    };
+    let numbers = |name: &'static str, unit| match entry(name).map(Spanned::get_ref) {
+        Some(Value::Numbers(numbers)) => Ok(numbers.clone()),
+        Some(_) => Err(Fault::new(span(name), name, Problem::NotNumbers)),
+        None => Err(missing(name, unit)),
+    };
+    let (at, values) =
+        (numbers("at", "a list of what it is over")?, numbers("values", "a list of what it gives there")?);
+    Table::new(over, on, period, at, values).map_err(|error| Fault { span: span(&error.field), error })
+}
+
+fn effect(kind: PlantKind, table: &Spanned<Fields>) -> Result<Effect, Fault> {
+    let known = || {
+        let named = catalogue().iter().filter(|info| info.kinds.contains(&kind)).map(|info| info.name);
+        Problem::Unknown { known: named.chain([TABLE]).collect() }
     };
     let named = table.get_ref().iter().find(|(key, _)| key.get_ref() == TAG).map(|(_, value)| value);
     let named = named.ok_or_else(|| Fault::new(table.span(), TAG, Problem::NotAName))?;
@@ -126,7 +193,7 @@ fn effect(kind: PlantKind, table: &Spanned<Table>) -> Result<Effect, Fault> {
 fn fill(
     fitted: &mut dyn Fitted,
     kind: PlantKind,
-    table: &Table,
+    table: &Fields,
     span: Range<usize>,
     is_else: impl Fn(&str) -> bool,
 ) -> Result<(), Fault> {
@@ -160,6 +227,15 @@ pub(crate) fn write(spec: &PlantSpec) -> String {
     for effect in spec.effects() {
         let _ = writeln!(text, "\n[[effects]]\n{TAG} = \"{}\"", effect.name());
         write_values(&mut text, kind, effect);
+    }
+    for table in spec.tables() {
+        let _ = writeln!(text, "\n[[effects]]\n{TAG} = \"{TABLE}\"\nover = \"{}\"", table.over().name());
+        let _ = writeln!(text, "on = \"{}\"", table.on().name());
+        if let Some(period) = table.period() {
+            let _ = writeln!(text, "period = {period:?}");
+        }
+        // a list of floats is written the same in Rust and TOML
+        let _ = writeln!(text, "at = {:?}\nvalues = {:?}", table.at(), table.values());
     }
     text
 }

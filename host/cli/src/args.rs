@@ -11,6 +11,7 @@ use crate::{
         bridge::Bridge,
         config::{Name, Scope},
     },
+    plants::OtherPlant,
     quantity::Quantity,
     session::Target,
 };
@@ -36,6 +37,13 @@ pub(crate) struct Args {
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
+    /// Other physics for a motor of a simulated board, from a plant file, as in osmc0=plant.toml; may be given several times.
+    /// For `identify`: a plant file alone, with what is known already
+    #[arg(long, global = true, value_name = "CHANNEL=FILE")]
+    pub(crate) plant: Vec<OtherPlant>,
+    /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
+    #[arg(long, global = true, value_name = "SEED")]
+    pub(crate) blind: Option<u64>,
     /// File with the key of a board that is served with one at tcp:
     #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
     pub(crate) key: Option<PathBuf>,
@@ -148,6 +156,8 @@ pub(crate) enum Command {
     Log(commands::log::Log),
     /// Make an HTML page of a log: set points, plots, states
     Report(commands::report::Report),
+    /// Fit a model to recordings, tell what it does not explain and which effect it lacks, and write the better plant
+    Identify(commands::identify::Identify),
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to
@@ -155,7 +165,7 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Sim,
     },
-    /// Measure on simulated boards what the firmware promises
+    /// Measure what the firmware promises, on simulated boards, and what `r4 identify` does, on recordings
     Bench {
         #[command(subcommand)]
         what: Bench,
@@ -171,6 +181,8 @@ pub(crate) enum Command {
 pub(crate) enum Sim {
     /// Serve it in real time, until Ctrl-C; the first line on stdout says where
     Serve(Serve),
+    /// What --blind hides in the motors of a robot
+    Reveal(crate::commands::reveal::Reveal),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -271,6 +283,46 @@ pub(crate) enum Bench {
     Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
+    /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
+    Identify(BenchIdentify),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct BenchIdentify {
+    /// Folder of the recordings
+    #[arg(long, default_value = "data", value_name = "DIR")]
+    pub(crate) data: PathBuf,
+    /// Simulated plants with effects of the catalogue; half as many with nothing hidden, and with what is in no catalogue
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) seeds: u32,
+    /// Only these rows
+    #[arg(long, num_args = 1.., value_name = "ROW")]
+    pub(crate) only: Vec<IdentifyRows>,
+}
+
+/// Rows that belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum IdentifyRows {
+    /// Linear axis, recorded
+    Emps,
+    /// Skid-steer robot, recorded
+    Husky,
+    /// Servo that lifts a pendulum, recorded
+    Pendulum,
+    /// Gear motors on an H-bridge, recorded
+    Micromouse,
+    /// Play of bus servos, recorded
+    Backlash,
+    /// Printed tables of a motor driver's evaluation
+    Osmc,
+    /// Time that it takes
+    Speed,
+    /// Simulated plants with effects of the catalogue
+    Blind,
+    /// Simulated plants with nothing hidden
+    Clean,
+    /// Simulated plants with an effect that is in no catalogue
+    Unlisted,
 }
 
 #[derive(Clone, Debug, clap::Args)]

@@ -5,6 +5,7 @@ mod cable;
 mod commands;
 mod emulated;
 mod output;
+mod plants;
 mod quantity;
 mod record;
 mod report;
@@ -23,44 +24,14 @@ use session::Interrupted;
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    let result = match &args.command {
-        Command::Demo(demo) => commands::demo::run(&args, demo),
-        Command::Info => commands::info::run(&args),
-        Command::Arm { seconds } => commands::state::arm(&args, *seconds),
-        Command::Disarm => commands::state::disarm(&args),
-        Command::Clear => commands::state::clear(&args),
-        Command::Step(step) => commands::motion::step(&args, step),
-        Command::Home(home) => commands::motion::home(&args, home),
-        Command::Move(motion) => commands::motion::run(&args, motion, Mode::Position),
-        Command::Speed(motion) => commands::motion::run(&args, motion, Mode::Speed),
-        Command::Duty(motion) => commands::motion::run(&args, motion, Mode::Duty),
-        Command::Relay(relay) => commands::relay::run(&args, relay),
-        Command::Servo(servo) => commands::hold::servo(&args, servo),
-        Command::Bldc(bldc) => commands::hold::bldc(&args, bldc),
-        Command::Dac(dac) => commands::hold::dac(&args, dac),
-        Command::Calibrate(calibrate) => commands::calibrate::run(&args, calibrate),
-        Command::Config(config) => commands::config::run(&args, config),
-        Command::Faults { index } => commands::faults::run(&args, *index),
-        Command::I2c(i2c) => commands::raw::i2c(&args, i2c),
-        Command::Uart(uart) => commands::raw::uart(&args, uart),
-        Command::Tune(tune) => commands::tune::run(&args, tune),
-        Command::Watch(watch) => commands::watch::run(&args, watch),
-        Command::Monitor(monitor) => commands::monitor::run(&args, monitor),
-        Command::Drive(drive) => commands::drive::run(&args, drive),
-        Command::Scenario(scenario) => commands::scenario::run(&args, scenario),
-        Command::Debug(debug) => commands::debug::run(&args, debug),
-        Command::Bridge { what } => commands::bridge::run(&args, what),
-        Command::Log(log) => commands::log::run(&args, log),
-        Command::Report(report) => commands::report::run(&args, report),
-        Command::Ports => commands::ports::run(&args),
-        Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(&args, serve),
-        Command::Bench { what } => commands::bench::run(&args, what),
-        Command::Completions(completions) => commands::completions::run(completions),
-        Command::Man(manual) => commands::man::run(manual),
-    };
+    let result = plants::check(&args).and_then(|()| run(&args));
     match result {
         Ok(_) if args.record.is_some() && !record::is_recorded() => {
             eprintln!("r4: nothing was recorded: this command opens no session with a board");
+            ExitCode::FAILURE
+        }
+        Ok(_) if !plants::are_as_asked(&args) => {
+            eprintln!("r4: --plant and --blind changed nothing: this command starts no simulated board of its own");
             ExitCode::FAILURE
         }
         Ok(true) => ExitCode::SUCCESS,
@@ -78,5 +49,46 @@ fn main() -> ExitCode {
             eprintln!("r4: {error:#}");
             if error.is::<Interrupted>() { ExitCode::from(130) } else { ExitCode::FAILURE }
         }
+    }
+}
+
+/// Whether what the command promises held.
+fn run(args: &Args) -> anyhow::Result<bool> {
+    match &args.command {
+        Command::Demo(demo) => commands::demo::run(args, demo),
+        Command::Info => commands::info::run(args),
+        Command::Arm { seconds } => commands::state::arm(args, *seconds),
+        Command::Disarm => commands::state::disarm(args),
+        Command::Clear => commands::state::clear(args),
+        Command::Step(step) => commands::motion::step(args, step),
+        Command::Home(home) => commands::motion::home(args, home),
+        Command::Move(motion) => commands::motion::run(args, motion, Mode::Position),
+        Command::Speed(motion) => commands::motion::run(args, motion, Mode::Speed),
+        Command::Duty(motion) => commands::motion::run(args, motion, Mode::Duty),
+        Command::Relay(relay) => commands::relay::run(args, relay),
+        Command::Servo(servo) => commands::hold::servo(args, servo),
+        Command::Bldc(bldc) => commands::hold::bldc(args, bldc),
+        Command::Dac(dac) => commands::hold::dac(args, dac),
+        Command::Calibrate(calibrate) => commands::calibrate::run(args, calibrate),
+        Command::Config(config) => commands::config::run(args, config),
+        Command::Faults { index } => commands::faults::run(args, *index),
+        Command::I2c(i2c) => commands::raw::i2c(args, i2c),
+        Command::Uart(uart) => commands::raw::uart(args, uart),
+        Command::Tune(tune) => commands::tune::run(args, tune),
+        Command::Watch(watch) => commands::watch::run(args, watch),
+        Command::Monitor(monitor) => commands::monitor::run(args, monitor),
+        Command::Drive(drive) => commands::drive::run(args, drive),
+        Command::Scenario(scenario) => commands::scenario::run(args, scenario),
+        Command::Debug(debug) => commands::debug::run(args, debug),
+        Command::Bridge { what } => commands::bridge::run(args, what),
+        Command::Log(log) => commands::log::run(args, log),
+        Command::Report(report) => commands::report::run(args, report),
+        Command::Identify(identify) => commands::identify::run(args, identify),
+        Command::Ports => commands::ports::run(args),
+        Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(args, serve),
+        Command::Sim { what: args::Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),
+        Command::Bench { what } => commands::bench::run(args, what),
+        Command::Completions(completions) => commands::completions::run(completions),
+        Command::Man(manual) => commands::man::run(manual),
     }
 }

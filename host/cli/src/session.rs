@@ -24,6 +24,7 @@ use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 use crate::{
     args::Args,
     cable::{Cable, CableState},
+    plants,
     record::{Listened, Recording, SharedTap},
 };
 
@@ -425,7 +426,8 @@ pub(crate) fn power_up(
     simulation: &mut Simulation,
 ) -> anyhow::Result<(Rc<dyn VirtualBoard>, Option<FlashFile>)> {
     let name = args.board.robot()?;
-    let robot: Robot = r4_boards::load(name)?;
+    let mut robot: Robot = r4_boards::load(name)?;
+    plants::replace(args, &mut robot)?;
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
     if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
@@ -433,7 +435,9 @@ pub(crate) fn power_up(
             "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{name}"
         );
     }
-    Ok((start(args, simulation, &robot, flash)?, file))
+    let board = start(args, simulation, &robot, flash)?;
+    plants::hide(args, &robot, &*board)?;
+    Ok((board, file))
 }
 
 /// Powers up the virtual board that `args` name.

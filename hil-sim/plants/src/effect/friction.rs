@@ -1,6 +1,6 @@
 //! Forces against motion: at rest they hold up to their level, in motion they slow down and never turn around.
 
-use super::Effect;
+use super::{Effect, table::SpeedForce};
 use crate::{
     model::{PerKind, PlantKind},
     parameter::{Parameter, fitted},
@@ -65,6 +65,29 @@ fitted! {
     }
 }
 
+fitted! {
+    /// A force against motion that grows with the force the gear transmits: `share · |motor force|` at the output, on top
+    /// of what a [`crate::LinearActuator`] loses by its efficiency.
+    ///
+    /// # Source
+    /// Pelchen, Schweiger, Otter, *Modeling and simulating the efficiency of gearboxes and of planetary gearboxes*,
+    /// 2nd International Modelica Conference (2002): losses of a mesh in proportion to its load.
+    pub struct LoadFriction {
+        /// Lost of the force the motor gives.
+        pub share: Parameter::new("share", "1").within(0.0, 0.95).typical(0.2);
+    }
+}
+
+fitted! {
+    /// Friction of a cold plant on top of that of a warm one: `level · exp(-time / warm-up)`, time since the start.
+    pub struct FrictionWarmUp {
+        /// At the start.
+        pub level: LEVEL;
+        /// In which it falls by e.
+        pub warm_up_s: Parameter::new("warm_up_s", "s").within(1e-3, 1e6).typical(10.0);
+    }
+}
+
 /// Which way something moves or would.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Direction {
@@ -96,6 +119,20 @@ pub(crate) enum FrictionStage {
     /// With the factor from position to angle within the period.
     Position(PositionFriction, f64),
     Drag(QuadraticDrag),
+    Load(LoadFriction),
+    WarmUp(FrictionWarmUp),
+    Table(SpeedForce),
+}
+
+/// What a friction may depend on besides the direction.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Contact {
+    /// Whatever its direction.
+    pub(crate) speed: f64,
+    pub(crate) position: f64,
+    /// Force of the motor at the output, whatever its direction.
+    pub(crate) transmitted: f64,
+    pub(crate) time_s: f64,
 }
 
 impl FrictionStage {
@@ -107,13 +144,16 @@ impl FrictionStage {
             Effect::DirectionFriction(friction) => Self::Direction(*friction),
             Effect::PositionFriction(friction) => Self::Position(*friction, angle_per_position(kind, friction.periods)),
             Effect::QuadraticDrag(drag) => Self::Drag(*drag),
+            Effect::LoadFriction(friction) => Self::Load(*friction),
+            Effect::FrictionWarmUp(friction) => Self::WarmUp(*friction),
             _ => return None,
         })
     }
 
-    /// Force against motion in `direction`, never negative; at `speed` 0, the force it holds against.
+    /// Force against motion in `direction`, never negative; at speed 0, the force it holds against.
     #[inline]
-    pub(crate) fn level(&self, direction: Direction, speed: f64, position: f64) -> f64 {
+    pub(crate) fn level(&self, direction: Direction, contact: &Contact) -> f64 {
+        let Contact { speed, position, transmitted, time_s } = *contact;
         match self {
             Self::Coulomb(friction) => friction.level,
             Self::Static(friction) => {
@@ -129,14 +169,30 @@ impl FrictionStage {
                 0.5 * friction.level * (1.0 + libm::sin(angle_per_position * position + friction.phase_rad))
             }
             Self::Drag(drag) => drag.drag * speed * speed,
+            Self::Load(friction) => friction.share * transmitted,
+            Self::WarmUp(friction) => friction.level * libm::exp(-time_s / friction.warm_up_s),
+            Self::Table(force) => force.against(direction, speed),
         }
     }
 }
 
-/// Sum of the levels of several frictions.
-#[inline]
-pub(crate) fn total_level(stages: &[FrictionStage], direction: Direction, speed: f64, position: f64) -> f64 {
-    stages.iter().map(|stage| stage.level(direction, speed, position)).sum()
+/// Every friction of a plant.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frictions<'a> {
+    pub(crate) stages: &'a [FrictionStage],
+    /// A level besides theirs.
+    pub(crate) more: f64,
+    /// Since the start.
+    pub(crate) time_s: f64,
+}
+
+impl Frictions<'_> {
+    /// Sum of the levels.
+    #[inline]
+    pub(crate) fn level(&self, direction: Direction, speed: f64, position: f64, transmitted: f64) -> f64 {
+        let contact = Contact { speed, position, transmitted: transmitted.abs(), time_s: self.time_s };
+        self.more + self.stages.iter().map(|stage| stage.level(direction, &contact)).sum::<f64>()
+    }
 }
 
 /// Radians within the period per unit of position: periods are counted per turn, or per metre.
@@ -149,7 +205,8 @@ mod tests {
     use super::*;
 
     fn level(effect: Effect, direction: Direction, speed: f64, position: f64) -> f64 {
-        FrictionStage::new(&effect, PlantKind::Rotary).unwrap().level(direction, speed, position)
+        let contact = Contact { speed, position, ..Contact::default() };
+        FrictionStage::new(&effect, PlantKind::Rotary).unwrap().level(direction, &contact)
     }
 
     #[test]
@@ -159,6 +216,19 @@ mod tests {
         let left = level(effect, Direction::Forward, 0.5, 0.0);
         assert!((left - 2.0 / std::f64::consts::E).abs() < 1e-15); // one rounding of exp
         assert_eq!(level(effect, Direction::Backward, 50.0, 0.0), 0.0);
+    }
+
+    #[test]
+    fn friction_by_load_and_warm_up_take_force_and_time() {
+        let level = |effect: Effect, transmitted, time_s| {
+            let contact = Contact { speed: 1.0, position: 1.0, transmitted, time_s };
+            FrictionStage::new(&effect, PlantKind::Rotary).unwrap().level(Direction::Forward, &contact)
+        };
+        let load = Effect::LoadFriction(LoadFriction { share: 0.25 });
+        assert_eq!([level(load, 0.0, 9.0), level(load, 6.0, 9.0)], [0.0, 1.5]);
+        let cold = Effect::FrictionWarmUp(FrictionWarmUp { level: 2.0, warm_up_s: 5.0 });
+        assert_eq!(level(cold, 9.0, 0.0), 2.0);
+        assert!((level(cold, 9.0, 5.0) - 2.0 / std::f64::consts::E).abs() < 1e-15); // one rounding of exp
     }
 
     #[test]

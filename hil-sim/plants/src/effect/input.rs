@@ -74,6 +74,27 @@ impl DirectionAsymmetry {
     }
 }
 
+fitted! {
+    /// The duty acts the other way round: swapped leads.
+    pub struct InputSign {}
+}
+
+fitted! {
+    /// The drive is looked at from time to time only, and held in between; the first time at the start.
+    pub struct InputHold {
+        /// From one look to the next.
+        pub period_s: Parameter::new("period_s", "s").within(1e-4, 10.0).typical(0.025);
+    }
+}
+
+fitted! {
+    /// The duty acts through a first-order low-pass.
+    pub struct DriveLag {
+        /// After a step, 1/e of it is missing by then.
+        pub time_constant_s: Parameter::new("time_constant_s", "s").within(1e-6, 100.0).typical(0.02);
+    }
+}
+
 /// An input effect with its memory. The delays are not among them: see [`super::delay`].
 #[derive(Clone, Debug)]
 pub(crate) enum InputStage {
@@ -82,7 +103,13 @@ pub(crate) enum InputStage {
     Saturation(Saturation),
     DirectionAsymmetry(DirectionAsymmetry),
     Slew(Slew),
+    Sign,
+    Hold { period_s: f64, left_s: f64, held: Drive },
+    Lag { time_constant_s: f64, duty: f64 },
 }
+
+/// A look closer than this is now.
+const NOW_S: f64 = 1e-11;
 
 impl InputStage {
     /// The stage of an input effect; `None` for a delay and for an effect that acts elsewhere.
@@ -93,13 +120,30 @@ impl InputStage {
             Effect::Saturation(saturation) => Self::Saturation(*saturation),
             Effect::DirectionAsymmetry(asymmetry) => Self::DirectionAsymmetry(*asymmetry),
             Effect::SlewLimit(limit) => Self::Slew(Slew::new(limit)),
+            Effect::InputSign(InputSign {}) => Self::Sign,
+            Effect::InputHold(hold) => Self::Hold { period_s: hold.period_s, left_s: 0.0, held: Drive::COAST },
+            Effect::DriveLag(lag) => Self::Lag { time_constant_s: lag.time_constant_s, duty: 0.0 },
             _ => return None,
         })
     }
 
     /// Whether its output may change while its input does not.
     pub(crate) fn has_memory(&self) -> bool {
-        matches!(self, Self::Slew(_))
+        matches!(self, Self::Slew(_) | Self::Hold { .. } | Self::Lag { .. })
+    }
+
+    /// How long what comes out may stay constant: a step must not be longer.
+    pub(crate) fn constant_for_s(&self) -> f64 {
+        match self {
+            Self::Hold { period_s, left_s, .. } => {
+                if *left_s > NOW_S {
+                    *left_s
+                } else {
+                    *period_s
+                }
+            }
+            _ => f64::INFINITY,
+        }
     }
 
     /// What comes out over a step; the mean, where it changes within.
@@ -110,6 +154,22 @@ impl InputStage {
             Self::Saturation(saturation) => saturation.apply(drive.duty),
             Self::DirectionAsymmetry(asymmetry) => asymmetry.apply(drive.duty),
             Self::Slew(slew) => slew.apply(drive.duty, step_s),
+            Self::Sign => -drive.duty,
+            Self::Hold { period_s, left_s, held } => {
+                if *left_s <= NOW_S {
+                    *held = drive;
+                    *left_s += *period_s;
+                }
+                *left_s -= step_s;
+                return *held;
+            }
+            Self::Lag { time_constant_s, duty } => {
+                let missing = *duty - drive.duty;
+                let ratio = step_s / *time_constant_s;
+                let lost = -libm::expm1(-ratio);
+                *duty = drive.duty + missing * (1.0 - lost);
+                drive.duty + missing * (lost / ratio)
+            }
         };
         Drive { duty, ..drive }
     }
@@ -133,6 +193,29 @@ mod tests {
         for (duty, acting) in [(0.0, 0.0), (0.5, 0.25), (-0.5, -0.25), (1.0, 1.0), (-1.0, -1.0)] {
             assert_eq!(curve.apply(duty), acting, "{duty}");
         }
+    }
+
+    #[test]
+    fn a_lag_gives_the_mean_of_its_way_whatever_the_steps() {
+        // area of 0.5 (1 − exp(−t/0.2)) over 0.3 s
+        let expected = 0.5 * (0.3 - 0.2 * (1.0 - (-1.5f64).exp()));
+        for steps in [1, 4, 7] {
+            let mut lag = InputStage::new(&Effect::DriveLag(DriveLag { time_constant_s: 0.2 })).unwrap();
+            let step_s = 0.3 / f64::from(steps);
+            let area: f64 = (0..steps).map(|_| lag.apply(Drive::with_brake(0.5), step_s).duty * step_s).sum();
+            assert!((area - expected).abs() < 1e-15, "{steps}: {area}"); // a handful of roundings
+        }
+    }
+
+    #[test]
+    fn a_hold_looks_at_its_period_only() {
+        let mut hold = InputStage::new(&Effect::InputHold(InputHold { period_s: 0.5 })).unwrap();
+        let mut at = |duty, step_s| (hold.constant_for_s(), hold.apply(Drive::with_brake(duty), step_s).duty);
+        assert_eq!(at(0.25, 0.125), (0.5, 0.25));
+        assert_eq!(at(0.75, 0.375), (0.375, 0.25));
+        assert_eq!(at(-0.5, 0.5), (0.5, -0.5));
+        assert_eq!(at(1.0, 0.25), (0.5, 1.0));
+        assert_eq!(at(0.0, 0.25), (0.25, 1.0));
     }
 
     #[test]

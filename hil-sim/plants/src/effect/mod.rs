@@ -2,6 +2,7 @@
 //!
 //! Each effect is one type with public parameters, a `PARAMETERS` table and, where it has no memory, the formula itself
 //! as a method. What remembers (delay, lag, noise …) keeps its memory in a private stage that a [`crate::Plant`] builds.
+//! A [`table`] is an effect that has no name, only a shape; an [`unlisted`] one is code that no file can hold.
 
 use crate::{
     error::{InvalidField, Problem},
@@ -10,6 +11,7 @@ use crate::{
 };
 
 pub mod backlash;
+pub mod compliance;
 pub mod delay;
 pub mod friction;
 pub mod input;
@@ -18,15 +20,23 @@ mod noise;
 pub mod sensor;
 pub mod slew;
 pub mod supply;
+pub mod table;
+pub mod unlisted;
 
 use backlash::Backlash;
+use compliance::Compliance;
 use delay::InputDelay;
-use friction::{CoulombFriction, DirectionFriction, PositionFriction, QuadraticDrag, StaticFriction};
-use input::{DeadZone, DirectionAsymmetry, GainCurve, Saturation};
+use friction::{
+    CoulombFriction, DirectionFriction, FrictionWarmUp, LoadFriction, PositionFriction, QuadraticDrag, StaticFriction,
+};
+use input::{DeadZone, DirectionAsymmetry, DriveLag, GainCurve, InputHold, InputSign, Saturation};
 use load::{Cogging, ConstantLoad, GravityLoad, RandomLoad};
-use sensor::{Eccentricity, EncoderOffset, EncoderScale, MissedEdges, PotentiometerDeadSpot, SensorLag, SensorNoise};
+use sensor::{
+    Eccentricity, EncoderOffset, EncoderScale, EncoderSign, MissedEdges, PotentiometerDeadSpot, SensorHold, SensorLag,
+    SensorNoise,
+};
 use slew::SlewLimit;
-use supply::SupplySag;
+use supply::{SupplySag, WindingHeating};
 
 /// Where in the plant an effect acts. Those at one point act in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -35,6 +45,8 @@ pub enum InsertionPoint {
     Input,
     /// On the voltage of the supply.
     Supply,
+    /// On the motor's winding.
+    Winding,
     /// A force against motion, at the motor side of the backlash. Friction levels add up.
     Friction,
     /// A force whatever the motion, at the motor side of the backlash. Loads add up.
@@ -170,8 +182,16 @@ effects! {
         "The drive acts a fixed time after it was commanded.";
     SlewLimit, "slew-limit", Input, ANY, [Input, History],
         "The duty changes at no more than a given rate.";
+    DriveLag, "drive-lag", Input, ANY, [Input, History],
+        "The duty acts through a first-order low-pass.";
+    InputHold, "input-hold", Input, ANY, [Input, History],
+        "The drive is looked at from time to time only, and held in between.";
+    InputSign, "input-sign", Input, ANY, [Input],
+        "The duty acts the other way round.";
     SupplySag, "supply-sag", Supply, ANY, [Supply, Input, Speed],
         "The supply voltage falls with the current drawn from it.";
+    WindingHeating, "winding-heating", Winding, ANY, [Time, Input, History],
+        "The winding's resistance rises with the power lost in it.";
     CoulombFriction, "coulomb-friction", Friction, ANY, [Direction],
         "A constant force against motion, which also holds at rest.";
     StaticFriction, "static-friction", Friction, ANY, [Speed, Direction],
@@ -180,6 +200,10 @@ effects! {
         "A constant force against motion, different forwards and backwards.";
     PositionFriction, "position-friction", Friction, ANY, [Position, Direction],
         "A force against motion that varies periodically with position.";
+    LoadFriction, "load-friction", Friction, ANY, [Input, Direction],
+        "A force against motion that grows with the force the gear transmits.";
+    FrictionWarmUp, "friction-warm-up", Friction, ANY, [Time, Direction],
+        "Friction on top of the warm plant's, falling off with time from the start.";
     QuadraticDrag, "quadratic-drag", Friction, ANY, [Speed],
         "A force against motion by the square of speed.";
     ConstantLoad, "constant-load", Load, ANY, [Time],
@@ -192,6 +216,8 @@ effects! {
         "A random force of given deviation and correlation time.";
     Backlash, "backlash", Transmission, ANY, [History, Direction],
         "The output trails the motor side by half a gap in either direction.";
+    Compliance, "compliance", Transmission, ANY, [Acceleration, History],
+        "The output hangs on the motor side by a spring with a damper.";
     EncoderScale, "encoder-scale", Sensor, ANY, [Position],
         "The sensor tells a multiple of the position.";
     EncoderOffset, "encoder-offset", Sensor, ANY, [Position],
@@ -204,6 +230,10 @@ effects! {
         "Within a band of positions the wiper has no contact and the last reading stays.";
     SensorLag, "sensor-lag", Sensor, ANY, [Speed, History],
         "The sensor follows the position as a first-order low-pass.";
+    EncoderSign, "encoder-sign", Sensor, ANY, [Position],
+        "The sensor counts the other way round.";
+    SensorHold, "sensor-hold", Sensor, ANY, [Speed, History],
+        "The position is read from time to time only, and told unchanged in between.";
     SensorNoise, "sensor-noise", Sensor, ANY, [Time],
         "A random error of given deviation and correlation time.";
 }

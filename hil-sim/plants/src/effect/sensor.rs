@@ -93,6 +93,19 @@ fitted! {
     }
 }
 
+fitted! {
+    /// The sensor counts the other way round: its two lines are swapped.
+    pub struct EncoderSign {}
+}
+
+fitted! {
+    /// The position is read from time to time only, and told unchanged in between; the first time at the start.
+    pub struct SensorHold {
+        /// From one reading to the next.
+        pub period_s: Parameter::new("period_s", "s").within(1e-4, 10.0).typical(0.025);
+    }
+}
+
 /// A sensor effect with its memory.
 #[derive(Clone, Debug)]
 pub(crate) enum SensorStage {
@@ -103,6 +116,8 @@ pub(crate) enum SensorStage {
     DeadSpot { effect: PotentiometerDeadSpot, held: f64 },
     Lag { effect: SensorLag, before: f64, reading: f64 },
     Noise(Noise),
+    Sign,
+    Hold { period_s: f64, left_s: f64, before: f64, held: f64 },
 }
 
 impl SensorStage {
@@ -116,6 +131,10 @@ impl SensorStage {
             Effect::MissedEdges(effect) => Self::MissedEdges { effect: *effect, before: 0.0, lost: 0.0 },
             Effect::PotentiometerDeadSpot(effect) => Self::DeadSpot { effect: *effect, held: 0.0 },
             Effect::SensorLag(effect) => Self::Lag { effect: *effect, before: 0.0, reading: 0.0 },
+            Effect::EncoderSign(EncoderSign {}) => Self::Sign,
+            Effect::SensorHold(hold) => {
+                Self::Hold { period_s: hold.period_s, left_s: hold.period_s, before: 0.0, held: 0.0 }
+            }
             Effect::SensorNoise(noise) => Self::Noise(Noise::new(noise.deviation, noise.correlation_s, seed, stream)),
             _ => return None,
         })
@@ -123,7 +142,7 @@ impl SensorStage {
 
     /// Whether what it tells depends on more than the position now, so that it must see every step.
     pub(crate) fn has_memory(&self) -> bool {
-        !matches!(self, Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_))
+        !matches!(self, Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) | Self::Sign)
     }
 
     /// Forgets, and tells what it tells after a long rest at `position`.
@@ -144,7 +163,13 @@ impl SensorStage {
                 position
             }
             Self::Noise(noise) => position + noise.value(),
-            Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) => self.apply(position, 0.0),
+            Self::Hold { period_s, left_s, before, held } => {
+                *left_s = *period_s;
+                *before = position;
+                *held = position;
+                position
+            }
+            Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) | Self::Sign => self.apply(position, 0.0),
         }
     }
 
@@ -177,6 +202,19 @@ impl SensorStage {
                 *reading
             }
             Self::Noise(noise) => position + noise.next(step_s),
+            Self::Sign => -position,
+            Self::Hold { period_s, left_s, before, held } => {
+                let late_s = step_s - *left_s;
+                *left_s -= step_s;
+                // a reading on the edge of a step is in it, whatever the rounding of many steps
+                if late_s >= -1e-9 * *period_s {
+                    let late_s = late_s % *period_s;
+                    *held = position - (position - *before) * (late_s / step_s).clamp(0.0, 1.0);
+                    *left_s = *period_s - late_s;
+                }
+                *before = position;
+                *held
+            }
         }
     }
 }
@@ -224,6 +262,20 @@ mod tests {
             // rounding: 1e-16 of the position, divided by the step over the time constant, per step
             assert!((reading - expected).abs() < 1e-12, "{steps}: {reading} against {expected}");
         }
+    }
+
+    #[test]
+    fn a_hold_tells_what_a_ramp_was_at_its_readings() {
+        // read at 0.3, 0.6, 0.9 s, whether a step ends there or goes over them
+        for (step_s, steps) in [(0.3, 3), (0.1, 9), (0.25, 4), (1.0, 1)] {
+            let mut sensor = stage(Effect::SensorHold(SensorHold { period_s: 0.3 }));
+            assert_eq!(sensor.settle(0.0), 0.0);
+            let told = (1..=steps).map(|step| sensor.apply(2.0 * step_s * f64::from(step), step_s)).last().unwrap();
+            assert!((told - 1.8).abs() < 1e-12, "{step_s}: {told}"); // roundings of times
+        }
+        let mut sensor = stage(Effect::SensorHold(SensorHold { period_s: 0.3 }));
+        assert_eq!([sensor.apply(1.0, 0.1), sensor.apply(2.0, 0.1)], [0.0, 0.0]);
+        assert_eq!(stage(Effect::EncoderSign(EncoderSign {})).apply(2.0, 1e-3), -2.0);
     }
 
     #[test]

@@ -2,13 +2,19 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    EffectInfo, Fitted, InsertionPoint, PlantKind, catalogue,
+    EffectInfo, Fitted, InsertionPoint, PlantKind, Table, Unlisted, catalogue,
     effect::{
         backlash::Backlash,
+        compliance::Compliance,
         delay::InputDelay,
-        input::{DeadZone, GainCurve},
-        sensor::{EncoderOffset, EncoderScale, MissedEdges},
+        friction::{CoulombFriction, FrictionWarmUp, LoadFriction, QuadraticDrag},
+        input::{DeadZone, DriveLag, GainCurve, InputHold, InputSign},
+        load::{Cogging, ConstantLoad},
+        sensor::{EncoderOffset, EncoderScale, MissedEdges, SensorLag},
         slew::SlewLimit,
+        supply::WindingHeating,
+        table::{On, Over},
+        unlisted::{Doing, Moment},
     },
 };
 
@@ -104,12 +110,235 @@ fn missed_edges_leave_the_sensor_behind_a_fast_move() {
 }
 
 #[test]
+fn a_hold_is_the_drive_of_its_looks() {
+    let mut held = motor(MOTOR, &[Effect::InputHold(InputHold { period_s: 0.7e-3 })]);
+    let mut plain = motor(MOTOR, &[]);
+    let duty = |at_s: f64| (40.0 * at_s).sin();
+    // steps of 0.1 ms, so that every look falls on one; the plain one is told what was seen 7 steps apart
+    for step in 0..700 {
+        held.advance(Drive::with_brake(duty(f64::from(step) * 1e-4)), 12.0, 1e-4);
+        plain.advance(Drive::with_brake(duty(f64::from(step / 7 * 7) * 1e-4)), 12.0, 1e-4);
+    }
+    assert_close(held.position(), plain.position(), 1e-12, "position"); // 700 roundings
+    // however long the calls
+    let mut long = motor(MOTOR, &[Effect::InputHold(InputHold { period_s: 0.7e-3 })]);
+    let mut late = motor(MOTOR, &[]);
+    for plant in [&mut long, &mut late] {
+        plant.advance(Drive::with_brake(0.0), 12.0, 0.1e-3);
+    }
+    long.advance(Drive::with_brake(1.0), 12.0, 5e-3);
+    late.advance(Drive::with_brake(0.0), 12.0, 0.6e-3);
+    late.advance(Drive::with_brake(1.0), 12.0, 4.4e-3);
+    // the hold begins with what it saw at first, a brake
+    assert_close(long.position(), late.position(), 1e-15, "position");
+}
+
+#[test]
+fn a_lag_of_the_drive_is_one_of_the_sensor_on_a_linear_plant() {
+    let mut drive = motor(MOTOR, &[Effect::DriveLag(DriveLag { time_constant_s: 0.03 })]);
+    let mut sensor = motor(MOTOR, &[Effect::SensorLag(SensorLag { time_constant_s: 0.03 })]);
+    for plant in [&mut drive, &mut sensor] {
+        run(plant, Drive::with_brake(0.5), 12.0, 200);
+    }
+    // at 6 rad/s; means over steps of 0.25 ms against (0.25/30)² / 12 of what changes, ramps in the sensor the same
+    assert_close(drive.sensed_position(), sensor.sensed_position(), 1e-5, "sensed");
+    assert!(drive.position() + 0.1 < sensor.position());
+}
+
+#[test]
+fn a_sign_turns_the_plant_round() {
+    let [mut turned, mut plain] = [motor(MOTOR, &[Effect::InputSign(InputSign {})]), motor(MOTOR, &[])];
+    run(&mut turned, Drive::with_brake(0.5), 12.0, 50);
+    run(&mut plain, Drive::with_brake(-0.5), 12.0, 50);
+    assert_eq!(turned.position(), plain.position());
+}
+
+#[test]
+fn friction_by_load_takes_its_share_of_the_motors_force() {
+    let load =
+        [Effect::LoadFriction(LoadFriction { share: 0.25 }), Effect::CoulombFriction(CoulombFriction { level: 0.6 })];
+    let mut plant = motor(MOTOR, &load);
+    run(&mut plant, Drive::with_brake(0.5), 24.0, 1000);
+    // k = R = 1: 0.75 i = 0.6, v = 12 - i
+    assert_close(plant.speed(), 12.0 - 0.6 / 0.75, 1e-9, "speed");
+    let mut held = motor(MOTOR, &load);
+    run(&mut held, Drive::with_brake(0.0332), 24.0, 1000);
+    assert_eq!(held.speed(), 0.0); // 0.797 A of 0.8
+}
+
+#[test]
+fn a_cold_plant_gains_speed_as_it_warms_up() {
+    let mut plant = motor(MOTOR, &[Effect::FrictionWarmUp(FrictionWarmUp { level: 2.0, warm_up_s: 1.0 })]);
+    run(&mut plant, Drive::with_brake(0.5), 24.0, 2000);
+    // a ramp of the level is followed 1 / (50 - 1) s late at most
+    assert_close(plant.speed(), 12.0 - 2.0 * (-2.0f64).exp() * 50.0 / 49.0, 1e-3, "speed");
+}
+
+#[test]
+fn a_stalled_winding_settles_where_its_heat_does() {
+    let heating = Effect::WindingHeating(WindingHeating { rise_per_w: 0.01, time_constant_s: 0.5 });
+    let mut plant = motor(MOTOR, &[heating, Effect::CoulombFriction(CoulombFriction { level: 1e3 })]);
+    run(&mut plant, Drive::with_brake(0.5), 24.0, 20_000);
+    // r = 0.01 · 144 / (1 + r), so r (1 + r) = 1.44 and r = 0.8
+    assert_close(plant.motor_current_a(), 12.0 / 1.8, 1e-9, "current");
+    let mut cold = motor(MOTOR, &[heating, Effect::CoulombFriction(CoulombFriction { level: 1e3 })]);
+    run(&mut cold, Drive::with_brake(0.5), 24.0, 10);
+    assert!(cold.motor_current_a() > 11.5, "{}", cold.motor_current_a());
+}
+
+#[test]
+fn an_elastic_output_trails_and_does_not_push_back() {
+    let effect = Compliance { frequency_hz: 3.0, damping: 0.2 };
+    let [mut elastic, mut stiff] = [motor(MOTOR, &[Effect::Compliance(effect)]), motor(MOTOR, &[])];
+    let mut widest: f64 = 0.0;
+    for duty in [0.5, 0.0] {
+        for _ in 0..4000 {
+            for plant in [&mut elastic, &mut stiff] {
+                plant.advance(Drive::with_brake(duty), 12.0, 1e-3);
+            }
+            widest = widest.max((elastic.position() - stiff.position()).abs());
+        }
+        // 4 s are 15 time constants of the swing: exp(-15) of half a radian
+        assert_close(elastic.position(), stiff.position(), 1e-6, "settled");
+    }
+    // 6 rad/s gained in 20 ms: nearly 6 / (2π · 3) · exp(-0.2 · 1.37)
+    assert!((0.2..0.3).contains(&widest), "{widest}");
+}
+
+fn with_table(table: (Over, On, Option<f64>, &[f64], &[f64])) -> Plant {
+    let (over, on, period, at, values) = table;
+    let mut spec = spec(Model::DcGearMotor(MOTOR), &[]);
+    spec.push_table(Table::new(over, on, period, at.to_vec(), values.to_vec()).unwrap());
+    Plant::new(&spec, 1)
+}
+
+#[test]
+fn a_table_does_what_the_effect_of_its_shape_does() {
+    let corners: Vec<f64> = (0..3600).map(|index| f64::from(index) * 0.1f64.to_radians()).collect();
+    let cogging: Vec<f64> = corners.iter().map(|at| 0.5 * (4.0 * at + 1.0).sin()).collect();
+    let speeds: Vec<f64> = (-600..=600).map(|index| f64::from(index) * 0.02).collect();
+    let drag: Vec<f64> = speeds.iter().map(|speed| -0.05 * speed * speed.abs()).collect();
+    let duties: Vec<f64> = (-1000..=1000).map(|index| f64::from(index) * 1e-3).collect();
+    let curve: Vec<f64> = duties.iter().map(|duty| duty * duty.abs() - duty).collect();
+    let turn = Some(std::f64::consts::TAU);
+    for (effect, table, tolerance) in [
+        // dry friction is the same to the bit
+        (
+            Effect::CoulombFriction(CoulombFriction { level: 0.5 }),
+            (Over::Speed, On::Force, None, &[0.0, 0.0][..], &[0.5, -0.5][..]),
+            0.0,
+        ),
+        (Effect::ConstantLoad(ConstantLoad { force: 0.5 }), (Over::Time, On::Force, None, &[0.0], &[-0.5]), 0.0),
+        // chords of a curve: 0.5 N m (4 · 0.1°)² / 8 = 3e-6, 0.05 (0.01 rad/s)², 1e-6 / 4 of 12 V; all over a second
+        (
+            Effect::Cogging(Cogging { amplitude: 0.5, periods: 4.0, phase_rad: 1.0 }),
+            (Over::Position, On::Force, turn, &corners, &cogging),
+            1e-5,
+        ),
+        (Effect::QuadraticDrag(QuadraticDrag { drag: 0.05 }), (Over::Speed, On::Force, None, &speeds, &drag), 1e-5),
+        (Effect::GainCurve(GainCurve { exponent: 2.0 }), (Over::Input, On::Input, None, &duties, &curve), 1e-5),
+    ] {
+        let [mut named, mut tabulated] = [motor(MOTOR, &[effect]), with_table(table)];
+        for ms in 0..1000 {
+            let drive = Drive::with_brake(0.6 * (f64::from(ms) * 0.02).sin());
+            for plant in [&mut named, &mut tabulated] {
+                plant.advance(drive, 12.0, 1e-3);
+            }
+            assert_close(tabulated.position(), named.position(), tolerance, effect.name());
+        }
+        let mut plain = motor(MOTOR, &[]);
+        run(&mut plain, Drive::with_brake(0.3), 12.0, 1000);
+        run(&mut named, Drive::with_brake(0.3), 12.0, 1000);
+        assert!((plain.position() - named.position()).abs() > 0.1, "{} does nothing", effect.name());
+    }
+}
+
+#[test]
+fn tables_of_friction_and_gain_act_by_their_own_variable() {
+    // N m of friction by supply: 12 V less 0.5 V of it; none where the table is negative
+    let mut rubbed = with_table((Over::Supply, On::Friction, None, &[10.0, 14.0], &[-1.0, 2.0]));
+    run(&mut rubbed, Drive::with_brake(1.0), 12.0, 1000);
+    assert_close(rubbed.speed(), 11.5, 1e-12, "at 12 V");
+    run(&mut rubbed, Drive::with_brake(1.0), 10.0, 1000);
+    assert_close(rubbed.speed(), 10.0, 1e-12, "at 10 V");
+    // it holds as friction does
+    let mut held = with_table((Over::Time, On::Friction, None, &[0.0], &[0.5]));
+    run(&mut held, Drive::with_brake(0.04), 12.0, 100);
+    assert_eq!(held.position(), 0.0);
+    let mut faded =
+        with_table((Over::Time, On::Gain, None, &[0.0, 1.0, 1.0, 2.0, 2.0], &[0.25, 0.25, -0.5, -0.5, -3.0]));
+    for (speed, when) in [(15.0, "first"), (6.0, "then"), (0.0, "at last")] {
+        run(&mut faded, Drive::with_brake(1.0), 12.0, 1000);
+        assert_close(faded.speed(), speed, 1e-9, when); // the last of 50 time constants
+    }
+}
+
+#[test]
+fn a_table_over_history_counts_the_way_from_the_last_turn() {
+    let mut plant = with_table((Over::History, On::Friction, None, &[0.0, 1.0, 1.0], &[2.0, 2.0, 0.5]));
+    let mut reached = |duty: f64, ms| {
+        run(&mut plant, Drive::with_brake(duty), 12.0, ms);
+        (plant.position(), plant.speed())
+    };
+    // a way of 1 rad with 2 N m, then 0.5 N m; the same again after it has turned round
+    let (_, near) = reached(0.25, 500);
+    assert_close(near, 1.0, 1e-9, "near its start"); // 25 time constants
+    let (far, free) = reached(0.25, 2000);
+    assert!(far > 1.0);
+    assert_close(free, 2.5, 1e-9, "far from it");
+    let (_, back) = reached(-0.25, 600);
+    assert_close(back, -1.0, 1e-6, "after it has turned");
+    let (_, free) = reached(-0.25, 2000);
+    assert_close(free, -2.5, 1e-9, "and far from there");
+}
+
+#[test]
+fn a_table_of_the_input_over_time_and_place_adds_to_the_duty() {
+    let mut plant = with_table((Over::Time, On::Input, None, &[0.0, 1.0, 1.0, 2.0], &[0.25, 0.25, 0.5, 0.5]));
+    run(&mut plant, Drive::with_brake(0.25), 12.0, 900);
+    assert_close(plant.speed(), 6.0, 1e-12, "before");
+    run(&mut plant, Drive::with_brake(0.25), 12.0, 1000);
+    assert_close(plant.speed(), 9.0, 1e-12, "after");
+    let mut spring = with_table((Over::Position, On::Input, None, &[-10.0, 10.0], &[1.0, -1.0]));
+    run(&mut spring, Drive::with_brake(0.5), 12.0, 10_000);
+    // 1.2 V/rad by 1 V s/rad: 1.2/s, so exp(-12) of 5 rad
+    assert_close(spring.position(), 5.0, 1e-4, "where table and drive cancel");
+}
+
+/// Drives backwards from 0.5 s on, against friction, with a push.
+#[derive(Clone, Debug)]
+struct Contrary;
+
+impl Unlisted for Contrary {
+    fn act(&mut self, moment: &Moment) -> Doing {
+        let sign = if moment.time_s < 0.5 { 1.0 } else { -1.0 };
+        Doing { duty: sign * moment.duty, friction: 0.5, force: 0.25 }
+    }
+
+    fn copied(&self) -> Box<dyn Unlisted> {
+        Box::new(self.clone())
+    }
+}
+
+#[test]
+fn an_unlisted_effect_acts_on_duty_friction_and_force() {
+    let mut plant = Plant::with_unlisted(&spec(Model::DcGearMotor(MOTOR), &[]), 1, vec![Box::new(Contrary)]);
+    run(&mut plant, Drive::with_brake(0.5), 12.0, 500);
+    assert_close(plant.speed(), 6.0 - 0.5 + 0.25, 1e-9, "forwards"); // 25 time constants
+    let mut copy = plant.clone();
+    run(&mut plant, Drive::with_brake(0.5), 12.0, 500);
+    assert_close(plant.speed(), -6.0 + 0.5 + 0.25, 1e-9, "backwards");
+    run(&mut copy, Drive::with_brake(0.5), 12.0, 500);
+    assert_eq!(copy.position(), plant.position());
+}
+
+#[test]
 fn the_catalogue_is_consistent() {
     for (index, info) in catalogue().iter().enumerate() {
         assert_eq!(EffectInfo::named(info.name), Some(info));
         assert_eq!(info.typical.info(), info, "{}", info.name);
         assert!(!catalogue()[..index].iter().any(|other| other.name == info.name), "{} twice", info.name);
-        assert!(!info.depends_on.is_empty() && !info.kinds.is_empty() && !info.parameters.is_empty());
+        assert!(!info.depends_on.is_empty() && !info.kinds.is_empty());
         for kind in info.kinds {
             assert_eq!(info.typical.check(*kind), Ok(()), "{}", info.name);
         }
@@ -160,10 +389,28 @@ fn any_effect(kind: PlantKind) -> impl Strategy<Value = Effect> {
     })
 }
 
+/// Over anything, on anything, with jumps and without, round a circle or not.
+fn any_table() -> impl Strategy<Value = Table> {
+    let word = (prop::sample::select(Over::ALL.to_vec()), prop::sample::select(On::ALL.to_vec()));
+    let corners = prop::collection::vec((-30.0..30.0f64, -2.0..2.0f64), 1..8);
+    (word, any::<bool>(), any::<bool>(), corners).prop_map(|((over, on), is_circle, jumps, corners)| {
+        let (mut at, values): (Vec<_>, Vec<_>) = corners.into_iter().unzip();
+        at.sort_by(f64::total_cmp);
+        if jumps && at.len() > 1 {
+            at[1] = at[0];
+        }
+        Table::new(over, on, is_circle.then_some(61.0), at, values).unwrap()
+    })
+}
+
 fn any_spec() -> impl Strategy<Value = PlantSpec> {
     prop::sample::select(Model::ALL.to_vec()).prop_flat_map(|model| {
-        prop::collection::vec(any_effect(model.kind()), 0..6)
-            .prop_map(move |effects| PlantSpec::new(model, "\"quoted\" \\ and\nbroken", effects).unwrap())
+        let effects = prop::collection::vec(any_effect(model.kind()), 0..6);
+        (effects, prop::collection::vec(any_table(), 0..3)).prop_map(move |(effects, tables)| {
+            let mut spec = PlantSpec::new(model, "\"quoted\" \\ and\nbroken", effects).unwrap();
+            tables.into_iter().for_each(|table| spec.push_table(table));
+            spec
+        })
     })
 }
 

@@ -1,5 +1,11 @@
 use super::*;
-use crate::{Problem, effect::friction::CoulombFriction};
+use crate::{
+    Problem, Table,
+    effect::{
+        friction::CoulombFriction,
+        table::{On, Over},
+    },
+};
 
 const WHEEL: &str = r#"model = "dc-gear-motor"
 source = "a test"
@@ -57,6 +63,39 @@ fn errors_name_file_line_and_field() {
         ("[parameters]", "[numbers]", "wheel.toml:4: TOML parse error at line 4"),
     ] {
         let message = message(from, to);
+        assert!(message.starts_with(expected), "{message}\nexpected {expected}");
+    }
+}
+
+#[test]
+fn a_table_is_read_among_the_others_and_its_errors_name_its_fields() {
+    let curve = "[[effects]]\neffect = \"table\"\nover = \"position\"\nperiod = 7\nat = [0, 1.5]\nvalues = [0.1, -2]\n";
+    let text = WHEEL.replacen("[[effects]]", &format!("{curve}\n[[effects]]"), 1);
+    let wheel = PlantSpec::from_toml("wheel.toml", &text).unwrap();
+    let expected = Table::new(Over::Position, On::Force, Some(7.0), vec![0.0, 1.5], vec![0.1, -2.0]).unwrap();
+    assert_eq!((wheel.tables(), wheel.effects().len()), (&[expected][..], 2));
+    for (from, to, expected) in [
+        (
+            "\"position\"",
+            "\"place\"",
+            "wheel.toml:14: effects[0].over: unknown; known are input, speed, position, time, ",
+        ),
+        ("over = \"position\"\n", "", "wheel.toml:12: effects[0].over: unknown; known are input"),
+        (
+            "period = 7",
+            "on = \"duty\"",
+            "wheel.toml:15: effects[0].on: unknown; known are force, friction, gain, input",
+        ),
+        ("period = 7", "period = 1", "wheel.toml:15: effects[0].period: 1 is outside 1.5..="),
+        ("period = 7", "period = \"turn\"", "wheel.toml:15: effects[0].period: not a number"),
+        ("period = 7", "turn = 7", "wheel.toml:15: effects[0].turn: unknown; known are over, on, period, at, values"),
+        ("[0, 1.5]", "[1.5, 0]", "wheel.toml:16: effects[0].at: corner 1 is not above"),
+        ("[0, 1.5]", "[0, \"1\"]", "wheel.toml:16: effects[0].at: not a list of numbers"),
+        ("values = [0.1, -2]\n", "", "wheel.toml:12: effects[0].values: missing; write"),
+        ("values = [0.1, -2]", "values = [0.1]", "wheel.toml:17: effects[0].values: 1 of them for 2 corners"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        let message = PlantSpec::from_toml("wheel.toml", &text.replacen(from, to, 1)).unwrap_err().to_string();
         assert!(message.starts_with(expected), "{message}\nexpected {expected}");
     }
 }

@@ -23,7 +23,7 @@ pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
         .enumerate()
         .map(|(index, ((label, points), color))| {
             let (width, points) = if index == 0 { (SETPOINT, as_steps(points)) } else { (MEASURED, points.clone()) };
-            Line { label: label.clone(), color, width, points }
+            Line { label: label.clone(), color, width, points, error: Vec::new() }
         })
         .collect();
     let times = || lines.iter().flat_map(|line| line.points.iter().map(|point| point.0));
@@ -35,8 +35,8 @@ pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
     let panel = Panel { title, note: String::new(), height: 260, range, lines, guides: None };
     Figure {
         description,
-        duration_s,
-        time: "Time since the step (s)",
+        span: (0.0, duration_s),
+        axis: "Time since the step (s)".to_owned(),
         bands: vec![],
         trips_s: vec![],
         panels: vec![panel],
@@ -170,7 +170,7 @@ impl Clock {
     /// A measured line.
     fn measured(&self, series: &MotorSeries, label: &str, value: impl Fn(&MotorSample) -> f64) -> Line {
         let points = with_gaps(&self.points(series, value));
-        Line { label: label.to_owned(), color: color::BLUE, width: MEASURED, points }
+        Line { label: label.to_owned(), color: color::BLUE, width: MEASURED, points, error: Vec::new() }
     }
 
     /// The set point, where it is one of `mode`.
@@ -179,7 +179,7 @@ impl Clock {
             if sample.setpoint.mode == mode { sample.setpoint.value * per_si } else { f64::NAN }
         };
         let points = as_steps(&without_repeats(&with_gaps(&self.points(series, value))));
-        Line { label: "set point".to_owned(), color: color::ORANGE, width: SETPOINT, points }
+        Line { label: "set point".to_owned(), color: color::ORANGE, width: SETPOINT, points, error: Vec::new() }
     }
 
     fn figure(&self, log: &Log, description: String, panels: Vec<Panel>) -> Figure {
@@ -207,8 +207,8 @@ impl Clock {
                 }
             }
         }
-        let time = "Time since the start of the log (s)";
-        Figure { description, duration_s: self.duration_s, time, bands, trips_s, panels }
+        let axis = "Time since the start of the log (s)".to_owned();
+        Figure { description, span: (0.0, self.duration_s), axis, bands, trips_s, panels }
     }
 }
 
@@ -300,7 +300,7 @@ fn scalar_line(series: &ScalarSeries, clock: &Clock, color: plotters::style::RGB
     let points: Vec<Point> = series.samples.iter().map(|&(time_s, value)| (time_s - clock.start_s, value)).collect();
     let points = with_gaps(&points);
     let points = if series.info.unit == Unit::Bool { as_steps(&without_repeats(&points)) } else { points };
-    Line { label: series.info.id.to_string(), color, width: MEASURED, points }
+    Line { label: series.info.id.to_string(), color, width: MEASURED, points, error: Vec::new() }
 }
 
 /// Only what can be relied on is drawn; the note says how much that is.
@@ -311,7 +311,8 @@ fn reading_panel(series: &ReadingSeries, clock: &Clock) -> Option<Panel> {
         .iter()
         .map(|sample| (sample.time_s - clock.start_s, if good(sample.quality) { sample.value } else { f64::NAN }));
     let points = with_gaps(&points.collect::<Vec<Point>>());
-    let line = Line { label: series.info.id.to_string(), color: color::BLUE, width: MEASURED, points };
+    let line =
+        Line { label: series.info.id.to_string(), color: color::BLUE, width: MEASURED, points, error: Vec::new() };
     let bad = series.samples.iter().filter(|sample| !good(sample.quality));
     let note = match bad.clone().next_back() {
         Some(last) => format!("{} of {} not good, last: {}", bad.count(), series.samples.len(), last.quality),
@@ -326,7 +327,7 @@ fn encoder_panels(series: &EncoderSeries, clock: &Clock) -> Vec<Panel> {
     let panel = |title: String, note: String, span: f64, value: fn(&EncoderSample) -> f64| {
         let points = series.samples.iter().map(|sample| (sample.time_s - clock.start_s, value(sample) * human.per_si));
         let points = with_gaps(&points.collect::<Vec<Point>>());
-        let line = Line { label: title.clone(), color: color::BLUE, width: MEASURED, points };
+        let line = Line { label: title.clone(), color: color::BLUE, width: MEASURED, points, error: Vec::new() };
         let range = framed(values([&line])?, span);
         Some(Panel { title, note, height: 110, range, lines: vec![line], guides: None })
     };

@@ -3,6 +3,7 @@
 //! The same log and tables give the same bytes.
 
 mod channel;
+mod identify;
 mod plot;
 mod series;
 
@@ -11,6 +12,7 @@ use std::fmt::Write as _;
 use r4_log::Log;
 use r4_protocol::Request;
 
+pub(crate) use identify::{Scale, identify, significant};
 use plot::{Figure, number};
 
 const PAGE: &str = include_str!("page.html");
@@ -19,7 +21,7 @@ const STYLE: &str = include_str!("style.css");
 /// A table above the plots.
 #[derive(Clone, Debug)]
 pub(crate) struct Table {
-    /// What it shows.
+    /// What it shows; nothing where a heading above says it.
     pub(crate) caption: String,
     /// Below the table: where the numbers come from, what the limits are.
     pub(crate) note: Option<String>,
@@ -91,10 +93,13 @@ pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay
     let mut body = String::new();
     // writing to a string does not fail
     let _ = write_body(&mut body, log, title, tables, overlays);
+    document(title, &body)
+}
+
+/// The whole page around `body`, which is HTML.
+fn document(title: &str, body: &str) -> String {
     // escaped text holds no "<!--", so nothing that was put in is taken for a place
-    PAGE.replace("<!--title-->", &escaped(title))
-        .replace("<!--style-->", STYLE.trim_end())
-        .replace("<!--body-->", &body)
+    PAGE.replace("<!--title-->", &escaped(title)).replace("<!--style-->", STYLE.trim_end()).replace("<!--body-->", body)
 }
 
 /// `text` as it has to be written in HTML, in attributes too.
@@ -205,11 +210,10 @@ fn write_figure(body: &mut String, figure: &Figure) -> std::fmt::Result {
 
 fn write_table(body: &mut String, table: &Table) -> std::fmt::Result {
     let class = |align: Align| if align == Align::Right { " class=\"right\"" } else { "" };
-    writeln!(
-        body,
-        "<div class=\"table\"><div class=\"scroll\"><table>\n<caption>{}</caption>",
-        escaped(&table.caption)
-    )?;
+    writeln!(body, "<div class=\"table\"><div class=\"scroll\"><table>")?;
+    if !table.caption.is_empty() {
+        writeln!(body, "<caption>{}</caption>", escaped(&table.caption))?;
+    }
     body.push_str("<thead><tr>");
     for column in &table.columns {
         write!(body, "<th scope=\"col\"{}>{}", class(column.align), escaped(&column.title))?;

@@ -1,4 +1,4 @@
-//! Plots above each other that share their time axis, as one SVG.
+//! Plots above each other that share their horizontal axis, as one SVG; and names with bars.
 
 use plotters::{
     prelude::*,
@@ -32,6 +32,8 @@ pub(super) mod color {
     /// Dashed by the style sheet.
     pub(crate) const TRIP: RGBColor = RGBColor(0xD5, 0x5E, 0x00);
 
+    /// A wide line below others.
+    pub(crate) const FAINT: RGBColor = RGBColor(0x9A, 0xA4, 0xAE);
     pub(crate) const BLUE: RGBColor = RGBColor(0x00, 0x72, 0xB2);
     pub(crate) const ORANGE: RGBColor = RGBColor(0xE6, 0x9F, 0x00);
     pub(crate) const GREEN: RGBColor = RGBColor(0x00, 0x9E, 0x73);
@@ -50,6 +52,8 @@ pub(super) struct Line {
     /// In quarters of a pixel.
     pub(super) width: u32,
     pub(super) points: Vec<Point>,
+    /// Half the height of a bar at each point, as long as the points; or empty, without marks at the points either.
+    pub(super) error: Vec<f64>,
 }
 
 /// One plot.
@@ -83,10 +87,10 @@ pub(super) struct Band {
 pub(super) struct Figure {
     /// For those who cannot see it.
     pub(super) description: String,
-    /// The time axis goes from 0 to here.
-    pub(super) duration_s: f64,
-    /// Below that axis.
-    pub(super) time: &'static str,
+    /// Ends of the horizontal axis.
+    pub(super) span: (f64, f64),
+    /// What that is, below it.
+    pub(super) axis: String,
     /// Above the panels; may be empty.
     pub(super) bands: Vec<Band>,
     /// Moments marked in every panel.
@@ -113,8 +117,7 @@ impl Figure {
             // drawing into a string does not fail; if it did, the picture would lack what could not be drawn
             let _ = self.draw(&area).and_then(|()| area.present());
         }
-        let label = super::escaped(&self.description);
-        svg.replacen("<svg ", &format!("<svg class=\"plot\" role=\"img\" aria-label=\"{label}\" "), 1)
+        described(&svg, &self.description)
     }
 
     fn draw(&self, area: &Area) -> Drawn {
@@ -132,8 +135,9 @@ impl Figure {
         Ok(())
     }
 
-    fn x(&self, time_s: f64) -> f64 {
-        f64::from(LEFT) + time_s / self.duration_s * f64::from(WIDTH - LEFT - RIGHT)
+    fn x(&self, at: f64) -> f64 {
+        let (first, last) = self.span;
+        f64::from(LEFT) + (at - first) / (last - first) * f64::from(WIDTH - LEFT - RIGHT)
     }
 
     fn draw_bands(&self, area: &Area, top: i32) -> Drawn {
@@ -159,7 +163,7 @@ impl Figure {
         text(area, (note, top + TITLE - 8), HPos::Left, &panel.note, color::MUTED, false)?;
         draw_legend(area, panel, top + TITLE - 8)?;
 
-        let (times, decimals) = ticks(0.0, self.duration_s, 12);
+        let (times, decimals) = ticks(self.span.0, self.span.1, 12);
         for time_s in times {
             let x = self.x(time_s);
             stroke(area, &[(x, f64::from(first)), (x, f64::from(end))], color::GRID, 4)?;
@@ -168,7 +172,7 @@ impl Figure {
             }
         }
         if last {
-            text(area, ((LEFT + WIDTH - RIGHT) / 2, end + 34), HPos::Center, self.time, color::INK, false)?;
+            text(area, ((LEFT + WIDTH - RIGHT) / 2, end + 34), HPos::Center, &self.axis, color::INK, false)?;
         }
         // one label per 25 px
         let (values, decimals) = ticks(low, high, (panel.height / 25).unsigned_abs().max(2));
@@ -190,6 +194,15 @@ impl Figure {
         let frame = [units((left, f64::from(first))), units((right, f64::from(end)))];
         area.draw(&Rectangle::new(frame, color::FRAME.stroke_width(4)))?;
         for line in &panel.lines {
+            for (&(at, value), &error) in line.points.iter().zip(&line.error) {
+                let (low, high) = (y((value + error).min(high)), y((value - error).max(low)));
+                let x = self.x(at);
+                if low.is_finite() && high.is_finite() && low <= high {
+                    stroke(area, &[(x, low), (x, high)], line.color, 4)?;
+                    let mark = [(x - 3.0, y(value) - 3.0), (x + 3.0, y(value) + 3.0)];
+                    area.draw(&Rectangle::new(mark.map(units), line.color.filled()))?;
+                }
+            }
             for part in clipped(&decimated(&line.points), panel.range) {
                 let part: Vec<Point> = part.iter().map(|&(time_s, value)| (self.x(time_s), y(value))).collect();
                 stroke(area, &part, line.color, line.width)?;
@@ -197,6 +210,58 @@ impl Figure {
         }
         Ok(())
     }
+}
+
+/// Names and numbers, each with a bar as long as its number; the first, and one that is longer than that above it, stand
+/// out.
+pub(super) struct Bars {
+    /// For those who cannot see it.
+    pub(super) description: String,
+    /// Name, value, and the text behind the bar.
+    pub(super) rows: Vec<(String, f64, String)>,
+}
+
+/// Height of one bar with the space below it.
+const BAR: i32 = 26;
+
+impl Bars {
+    /// The bars as an `<svg>` element that takes the width it is given.
+    pub(super) fn svg(&self) -> String {
+        let height = (BAR * self.rows.len().max(1) as i32 + GAP) * UNITS;
+        let mut svg = String::new();
+        {
+            let area = SVGBackend::with_string(&mut svg, ((WIDTH * UNITS).unsigned_abs(), height.unsigned_abs()));
+            let area = area.into_drawing_area();
+            // as above
+            let _ = self.draw(&area).and_then(|()| area.present());
+        }
+        described(&svg, &self.description)
+    }
+
+    fn draw(&self, area: &Area) -> Drawn {
+        let widest = |texts: &mut dyn Iterator<Item = &String>| texts.map(|text| text_width(text)).fold(0.0, f64::max);
+        let left = widest(&mut self.rows.iter().map(|row| &row.0)).min(f64::from(WIDTH) / 3.0) + 12.0;
+        let room = f64::from(WIDTH) - left - widest(&mut self.rows.iter().map(|row| &row.2)) - 24.0;
+        let most =
+            self.rows.iter().map(|row| row.1).filter(|value| value.is_finite()).fold(f64::MIN_POSITIVE, f64::max);
+        for (index, (name, value, behind)) in self.rows.iter().enumerate() {
+            let top = f64::from(BAR * index as i32) + 4.0;
+            let baseline = top as i32 + 14;
+            let right = left + if value.is_finite() { room.max(50.0) * value.max(0.0) / most } else { 0.0 };
+            let worse = index == 0 || *value > self.rows[index - 1].1;
+            let color = if worse { color::ORANGE } else { color::BLUE };
+            text(area, (left as i32 - 10, baseline), HPos::Right, name, color::INK, false)?;
+            area.draw(&Rectangle::new([units((left, top)), units((right, top + 18.0))], color.filled()))?;
+            text(area, (right as i32 + 8, baseline), HPos::Left, behind, color::MUTED, false)?;
+        }
+        Ok(())
+    }
+}
+
+/// The picture with words for those who cannot see it.
+fn described(svg: &str, description: &str) -> String {
+    let label = super::escaped(description);
+    svg.replacen("<svg ", &format!("<svg class=\"plot\" role=\"img\" aria-label=\"{label}\" "), 1)
 }
 
 /// At the right end of the title's line.

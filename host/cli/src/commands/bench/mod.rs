@@ -1,8 +1,9 @@
-//! `r4 bench`: what firmware and simulator promise, measured. Times are virtual, but for the simulator's own speed
-//! and for links.
+//! `r4 bench`: what firmware, simulator and `r4 identify` promise, measured. Times are virtual, but for the speed of
+//! programs and for links.
 
 mod bus;
 mod firmware;
+mod identify;
 mod link;
 mod safety;
 mod sim;
@@ -35,6 +36,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
         args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
         args::Bench::Link(link) => link::run(args, link),
         args::Bench::Sim => sim::run(args),
+        args::Bench::Identify(what) => identify::run(args, what),
     }
 }
 

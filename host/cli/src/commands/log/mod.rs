@@ -10,6 +10,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+pub(super) use replay::again;
+
 use anyhow::{Context, bail};
 use clap::Subcommand;
 use serde::Serialize;

@@ -1,0 +1,247 @@
+//! Recordings of a drawn plant with something hidden in it, as an identifier reads them.
+
+use std::io::{self, Write};
+
+use r4_plants::{DcGearMotor, LinearActuator, Model, PlantSpec};
+
+use crate::{
+    Draw, Hidden, NEVER, Search,
+    dice::Dice,
+    excitation,
+    scale::Scale,
+    search,
+    watch::{Output, Plan, noise},
+};
+
+/// What is driven and what is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Setup {
+    /// A motor behind a gear: duty to the position its encoder tells.
+    MotorPosition,
+    /// The same to the speed of its output.
+    MotorSpeed,
+    /// A mass on a rail: force to position.
+    AxisPosition,
+}
+
+/// The force of an axis at a duty of 1 is a current of this size in a winding whose own back-EMF is next to nothing.
+const AXIS_A: f64 = 1.0;
+/// Resistance and voltage of that winding: the largest there may be.
+const AXIS_OHM: f64 = 1e4;
+/// The axis begins in the middle of so long a rail, m, whose ends it never sees.
+const RAIL_M: f64 = 100.0;
+
+impl Setup {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::MotorPosition, Self::MotorSpeed, Self::AxisPosition];
+
+    /// Name of the input's column: a share of the supply, or N.
+    #[must_use]
+    pub const fn input(self) -> &'static str {
+        match self {
+            Self::MotorPosition | Self::MotorSpeed => "duty",
+            Self::AxisPosition => "force_n",
+        }
+    }
+
+    /// Name of the output's column.
+    #[must_use]
+    pub const fn output(self) -> &'static str {
+        match self {
+            Self::MotorPosition => "theta_rad",
+            Self::MotorSpeed => "speed_rad_s",
+            Self::AxisPosition => "position_m",
+        }
+    }
+
+    /// Effects of the catalogue that are not hidden in such recordings, and why.
+    #[must_use]
+    pub fn excluded(self) -> Vec<(&'static str, &'static str)> {
+        let own: &[(&str, &str)] = match self {
+            Self::MotorPosition => &[("constant-load", "a shaft is drawn with a weight off its axis instead")],
+            Self::MotorSpeed => &[
+                ("constant-load", "a shaft is drawn with a weight off its axis instead"),
+                ("eccentricity", "the recorded speed is the output's, not that of a sensor"),
+                ("sensor-lag", "the recorded speed is the output's, not that of a sensor"),
+                ("sensor-hold", "the recorded speed is the output's, not that of a sensor"),
+            ],
+            Self::AxisPosition => &[
+                ("supply-sag", "the recorded input is a force, whatever makes it"),
+                ("winding-heating", "the recorded input is a force, whatever makes it"),
+            ],
+        };
+        NEVER.iter().chain(own).copied().collect()
+    }
+
+    fn output_kind(self) -> Output {
+        match self {
+            Self::MotorPosition | Self::AxisPosition => Output::Position,
+            Self::MotorSpeed => Output::Speed,
+        }
+    }
+}
+
+/// One recording, its columns of one length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// 200 a second, from 0.
+    pub time_s: Vec<f64>,
+    /// From this sample to the next; see [`Setup::input`].
+    pub input: Vec<f64>,
+    /// Of the supply without load; empty for an axis.
+    pub supply_v: Vec<f64>,
+    /// As measured, with noise; see [`Setup::output`].
+    pub output: Vec<f64>,
+    /// Where the plant stood when the run began, rad or m of the plant itself.
+    pub start: f64,
+    /// What the output is without noise: what whoever knows the truth to the last digit would predict.
+    pub clean: Vec<f64>,
+}
+
+/// Recordings of one plant.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// What was driven and recorded.
+    pub setup: Setup,
+    /// To be fitted to.
+    pub train: Vec<Recording>,
+    /// Never to be fitted to; driven otherwise.
+    pub holdout: Vec<Recording>,
+    /// Standard deviation of the noise, 30 dB below the output of the train runs: what is left for a fit that knows the
+    /// truth.
+    pub noise: f64,
+    /// The plant without what is hidden.
+    pub base: PlantSpec,
+    /// The plant with it.
+    pub hidden: Hidden,
+    /// Input for a duty of 1: 1, or N.
+    pub input_per_duty: f64,
+    /// At which the plants are stepped.
+    pub supply_v: f64,
+}
+
+/// Runs and seconds of an experiment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Length {
+    /// Runs to be fitted to.
+    pub train: usize,
+    /// Runs held out.
+    pub holdout: usize,
+    /// Of each.
+    pub seconds: f64,
+}
+
+impl Length {
+    /// 3 runs of 12 s and 2 held out.
+    pub const STANDARD: Self = Self { train: 3, holdout: 2, seconds: 12.0 };
+}
+
+/// Recordings of a plant that is drawn by the seed, like its drive, its noise, and what is hidden in it.
+#[must_use]
+pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experiment {
+    let mut dice = Dice::new(seed, 3 + setup as u64);
+    let (base, supply_v, input_per_duty) = match setup {
+        Setup::MotorPosition | Setup::MotorSpeed => motor(&mut dice),
+        Setup::AxisPosition => axis(&mut dice),
+    };
+    let scale = Scale::of(&base, supply_v);
+    let first = dice.below(4);
+    let plans: Vec<Plan> = (0..length.train + length.holdout)
+        .map(|number| Plan {
+            start: match setup {
+                Setup::AxisPosition => scale.centre,
+                Setup::MotorPosition | Setup::MotorSpeed => dice.angle(),
+            },
+            duty: excitation::run(&mut dice, &scale, first + number, length.seconds),
+        })
+        .collect();
+    let output = setup.output_kind();
+    let excluded: Vec<_> = setup.excluded().iter().map(|(name, _)| *name).collect();
+    let watched = &plans[..length.train.min(2)];
+    let place = Search { spec: &base, scale: &scale, plans: watched, output, excluded: &excluded };
+    let hidden = search(&place, draw, &mut dice);
+
+    let zero = if setup == Setup::AxisPosition { scale.centre } else { 0.0 };
+    let clean: Vec<Vec<f64>> = plans
+        .iter()
+        .map(|plan| hidden.parts.outputs(plan, supply_v, output).into_iter().map(|value| value - zero).collect())
+        .collect();
+    let noise = noise(&clean[..length.train]);
+    let mut recordings = plans.into_iter().zip(clean).map(|(plan, clean)| Recording {
+        time_s: (0..clean.len()).map(|index| index as f64 / excitation::RATE_HZ).collect(),
+        input: plan.duty.iter().map(|duty| duty * input_per_duty).collect(),
+        supply_v: if setup == Setup::AxisPosition { Vec::new() } else { vec![supply_v; clean.len()] },
+        output: clean.iter().map(|value| value + noise * dice.normal()).collect(),
+        start: plan.start,
+        clean,
+    });
+    let train: Vec<_> = recordings.by_ref().take(length.train).collect();
+    let holdout: Vec<_> = recordings.collect();
+    Experiment { setup, train, holdout, noise, base, hidden, input_per_duty, supply_v }
+}
+
+/// A motor of some size, its supply, and 1.
+fn motor(dice: &mut Dice) -> (PlantSpec, f64, f64) {
+    let supply_v = if dice.share() < 0.5 { 12.0 } else { 24.0 };
+    // From what can be seen: speed without load, time constant, resistance, and what is viscous.
+    let (speed, time_constant_s) = (dice.ratio_between(4.0, 14.0), dice.ratio_between(0.03, 0.15));
+    let (resistance_ohm, gear_ratio) = (dice.ratio_between(0.5, 4.0), dice.ratio_between(10.0, 60.0));
+    let per_speed_v = supply_v / speed;
+    let damping = per_speed_v * per_speed_v / resistance_ohm;
+    let model = DcGearMotor {
+        resistance_ohm,
+        inductance_h: resistance_ohm * dice.between(0.0, 1e-3),
+        torque_constant_nm_per_a: per_speed_v / gear_ratio,
+        gear_ratio,
+        inertia_kg_m2: time_constant_s * damping,
+        viscous_nm_s_per_rad: damping * dice.between(0.02, 0.25),
+    };
+    (in_range(Model::DcGearMotor(model)), supply_v, 1.0)
+}
+
+/// A mass on a rail, the voltage that drives it, and the force for a duty of 1.
+fn axis(dice: &mut Dice) -> (PlantSpec, f64, f64) {
+    let force_n = dice.ratio_between(20.0, 80.0);
+    let mass_kg = dice.ratio_between(1.0, 8.0);
+    let lead_m_per_rev = 0.01;
+    let model = LinearActuator {
+        resistance_ohm: AXIS_OHM,
+        inductance_h: 0.0,
+        torque_constant_nm_per_a: force_n / AXIS_A * lead_m_per_rev / std::f64::consts::TAU,
+        lead_m_per_rev,
+        efficiency: 1.0,
+        rotor_inertia_kg_m2: 0.0,
+        moving_mass_kg: mass_kg,
+        viscous_n_s_per_m: mass_kg / dice.ratio_between(0.15, 0.6),
+        stroke_m: RAIL_M,
+    };
+    (in_range(Model::LinearActuator(model)), AXIS_A * AXIS_OHM, force_n)
+}
+
+/// A plant of this model, or of the typical one if a draw had left its range.
+fn in_range(model: Model) -> PlantSpec {
+    let source = "drawn by a seed, no measured plant";
+    let typical = Model::ALL.into_iter().find(|typical| typical.kind() == model.kind()).unwrap_or(model);
+    PlantSpec::new(model, source, Vec::new())
+        .or_else(|_| PlantSpec::new(typical, source, Vec::new()))
+        .expect("typical values are in range")
+}
+
+impl Recording {
+    /// Writes it as a table with a header, what is without noise left out.
+    ///
+    /// # Errors
+    /// Of `out`.
+    pub fn write_csv(&self, setup: Setup, out: &mut impl Write) -> io::Result<()> {
+        let supply = if self.supply_v.is_empty() { "" } else { ",supply_v" };
+        writeln!(out, "time_s,{}{supply},{}", setup.input(), setup.output())?;
+        for (index, time_s) in self.time_s.iter().enumerate() {
+            write!(out, "{time_s},{}", self.input[index])?;
+            if let Some(volts) = self.supply_v.get(index) {
+                write!(out, ",{volts}")?;
+            }
+            writeln!(out, ",{}", self.output[index])?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,245 @@
+//! Plants with something hidden in them, and recordings of such plants.
+//!
+//! For whoever wants to know what an identifier is worth: a seed decides what is hidden, at a size that shows; the truth
+//! is told apart from the plant. Nothing here knows how anything is found again.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | [`hide`], [`Hidden`], [`Truth`] | an effect in a given plant |
+//! | [`experiment`] | recordings of a drawn plant, with noise, as an identifier reads them |
+//!
+//! What may be hidden is an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
+
+mod dice;
+mod excitation;
+pub mod experiment;
+mod listed;
+mod scale;
+#[cfg(test)]
+mod tests;
+mod unlisted;
+mod watch;
+
+use r4_plants::{Dependence, Effect, Fitted, InsertionPoint, Plant, PlantKind, PlantSpec};
+
+use dice::Dice;
+use listed::CANDIDATES;
+use scale::Scale;
+use watch::{Output, Parts, Plan, shows};
+
+/// What kind of thing is hidden.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Draw {
+    /// Nothing.
+    Nothing,
+    /// An effect of the catalogue.
+    Listed,
+    /// Two of them.
+    Pair,
+    /// An effect that is in no catalogue.
+    Unlisted,
+}
+
+impl Draw {
+    /// One of eight nothing, one a pair, one unlisted, the others an effect of the catalogue.
+    #[must_use]
+    pub fn of(seed: u64) -> Self {
+        match Dice::new(seed, 1).below(8) {
+            0 => Self::Nothing,
+            1 => Self::Pair,
+            2 => Self::Unlisted,
+            _ => Self::Listed,
+        }
+    }
+}
+
+/// A number of something hidden.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Value {
+    /// As in plant files, for an effect of the catalogue.
+    pub name: &'static str,
+    /// In `unit`.
+    pub value: f64,
+    /// `N m`; `1` for a plain number.
+    pub unit: &'static str,
+}
+
+/// One effect that was hidden.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// Name in the catalogue, or one that is in none.
+    pub name: &'static str,
+    /// Its numbers.
+    pub parameters: Vec<Value>,
+    /// What its contribution is a function of.
+    pub depends_on: &'static [Dependence],
+    /// It is in the catalogue.
+    pub listed: bool,
+    /// Other effects of the catalogue that no recording of input and output can tell from it.
+    pub rivals: &'static [&'static str],
+}
+
+/// A plant with something hidden in it.
+#[derive(Clone, Debug)]
+pub struct Hidden {
+    parts: Parts,
+    truth: Vec<Truth>,
+}
+
+impl Hidden {
+    /// The plant, at rest at position 0, its noises started from `seed`.
+    #[must_use]
+    pub fn plant(&self, seed: u64) -> Plant {
+        self.parts.plant(seed)
+    }
+
+    /// The plant as a description, with the hidden effects of the catalogue; one that is in no catalogue is not in it.
+    #[must_use]
+    pub fn spec(&self) -> &PlantSpec {
+        &self.parts.spec
+    }
+
+    /// What was hidden; empty if nothing was.
+    #[must_use]
+    pub fn truth(&self) -> &[Truth] {
+        &self.truth
+    }
+}
+
+/// Hides something in a plant that has a supply of `supply_v`. What, and how large it is, follows from the seed.
+///
+/// What is hidden changes a free run of 12 s by 3 times the noise that is 30 dB below the signal, and by as much as that
+/// noise if gain, mass and viscous friction of the plant are fitted anew; on a plant where nothing does, nothing is hidden.
+#[must_use]
+pub fn hide(spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
+    hide_as(Draw::of(seed), spec, supply_v, seed)
+}
+
+/// The same, for a kind that is given.
+#[must_use]
+pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
+    let scale = Scale::of(spec, supply_v);
+    let mut dice = Dice::new(seed, 2);
+    let plans = [Plan { start: scale.centre, duty: excitation::run(&mut dice, &scale, 0, 12.0) }];
+    let excluded: Vec<_> = NEVER.iter().chain(NOT_ON_BOARDS).map(|(name, _)| *name).collect();
+    search(
+        &Search { spec, scale: &scale, plans: &plans, output: Output::Position, excluded: &excluded },
+        draw,
+        &mut dice,
+    )
+}
+
+/// Effects of the catalogue that are never hidden, and why.
+pub const NEVER: &[(&str, &str)] = &[
+    ("encoder-scale", "a board that counts wrong shows nothing but another gain"),
+    ("encoder-offset", "an encoder's zero is wherever power came on"),
+    ("encoder-sign", "a board trips on it at once, which tells it"),
+    ("input-sign", "a board trips on it at once, which tells it"),
+    ("missed-edges", "what is lost is lost for good, and looks like another gain by speed"),
+    ("potentiometer-dead-spot", "a board trips on a jumping wiper, which tells it"),
+    ("random-load", "it is a function of nothing that is recorded"),
+    ("sensor-noise", "it is a function of nothing that is recorded"),
+];
+
+/// What else is not hidden by [`hide`], and why.
+pub const NOT_ON_BOARDS: &[(&str, &str)] =
+    &[("sensor-hold", "a board takes the jumps for a broken sensor and trips, which tells it")];
+
+/// In what something is hidden, and how it is looked at.
+pub(crate) struct Search<'a> {
+    pub(crate) spec: &'a PlantSpec,
+    pub(crate) scale: &'a Scale,
+    pub(crate) plans: &'a [Plan],
+    pub(crate) output: Output,
+    pub(crate) excluded: &'a [&'a str],
+}
+
+/// Effects that are tried before nothing is hidden.
+const EFFECTS: usize = 40;
+/// Sizes that are tried of one.
+const SIZES: usize = 6;
+
+pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden {
+    let bare = Parts { spec: search.spec.clone(), unlisted: Vec::new() };
+    let outputs = |parts: &Parts| -> Vec<Vec<f64>> {
+        search.plans.iter().map(|plan| parts.outputs(plan, search.scale.supply_v, search.output)).collect()
+    };
+    // Each has to show beside the others.
+    let all_show = |parts: &Parts, lacking: &[&Parts]| {
+        let outputs = outputs(parts);
+        outputs.iter().flatten().all(|value| value.is_finite())
+            && lacking.iter().all(|without| shows(&outputs, without, search.scale, search.plans, search.output))
+    };
+    for _ in 0..if draw == Draw::Nothing { 0 } else { EFFECTS } {
+        if draw == Draw::Unlisted {
+            let (_, make) = unlisted::KINDS[dice.below(unlisted::KINDS.len())];
+            for _ in 0..SIZES {
+                let (effect, page) = make(dice, search.scale);
+                let parts = Parts { spec: bare.spec.clone(), unlisted: vec![effect] };
+                if all_show(&parts, &[&bare]) {
+                    return Hidden { parts, truth: vec![told(page)] };
+                }
+            }
+            continue;
+        }
+        let (one, other) = (dice.below(CANDIDATES.len()), dice.below(CANDIDATES.len()));
+        if draw == Draw::Pair && is_alike(one, other, search.scale) {
+            continue;
+        }
+        for _ in 0..SIZES {
+            let first = (CANDIDATES[one].draw)(dice, search.scale);
+            let Some(alone) = with(search, &bare, first) else { break };
+            if draw == Draw::Listed {
+                if all_show(&alone, &[&bare]) {
+                    return Hidden { parts: alone, truth: vec![truth_of(one, first, search.scale.kind)] };
+                }
+                continue;
+            }
+            let second = (CANDIDATES[other].draw)(dice, search.scale);
+            let (Some(without_first), Some(both)) = (with(search, &bare, second), with(search, &alone, second)) else {
+                break;
+            };
+            if all_show(&both, &[&without_first, &alone]) {
+                let truth = [(one, first), (other, second)];
+                let truth = truth.into_iter().map(|(index, effect)| truth_of(index, effect, search.scale.kind));
+                return Hidden { parts: both, truth: truth.collect() };
+            }
+        }
+    }
+    Hidden { parts: bare, truth: Vec::new() }
+}
+
+/// Whether two effects are too alike to be hidden together.
+fn is_alike(one: usize, other: usize, scale: &Scale) -> bool {
+    let insertion = |index: usize| (CANDIDATES[index].draw)(&mut Dice::new(0, 0), scale).info().insertion;
+    one == other || insertion(one) == insertion(other) || CANDIDATES[one].rivals.contains(&CANDIDATES[other].name)
+}
+
+/// The plant with one effect more; `None` if it cannot have it. What acts on the input acts before the plant's own.
+fn with(search: &Search<'_>, parts: &Parts, effect: Effect) -> Option<Parts> {
+    if search.excluded.contains(&effect.name()) {
+        return None;
+    }
+    let mut effects = parts.spec.effects().to_vec();
+    let place = if effect.info().insertion == InsertionPoint::Input { 0 } else { effects.len() };
+    effects.insert(place, effect);
+    let mut spec = PlantSpec::new(*parts.spec.model(), parts.spec.source(), effects).ok()?;
+    parts.spec.tables().iter().for_each(|table| spec.push_table(table.clone()));
+    Some(Parts { spec, unlisted: parts.unlisted.clone() })
+}
+
+fn truth_of(index: usize, effect: Effect, kind: PlantKind) -> Truth {
+    let parameters = effect.parameters().iter().enumerate().map(|(at, parameter)| Value {
+        name: parameter.name(kind),
+        value: effect.value(at).unwrap_or(f64::NAN),
+        unit: parameter.unit(kind),
+    });
+    let info = effect.info();
+    let rivals = CANDIDATES[index].rivals;
+    Truth { name: info.name, parameters: parameters.collect(), depends_on: info.depends_on, listed: true, rivals }
+}
+
+fn told(page: unlisted::Page) -> Truth {
+    let parameters = page.parameters.into_iter().map(|(name, value, unit)| Value { name, value, unit }).collect();
+    Truth { name: page.name, parameters, depends_on: page.depends_on, listed: false, rivals: &[] }
+}

@@ -1,0 +1,306 @@
+//! Effects without a name: a curve of straight pieces over what it depends on.
+//!
+//! In a plant file, among the others:
+//!
+//! ```toml
+//! [[effects]]
+//! effect = "table"
+//! over = "position"        # input, speed, position, time, supply or history
+//! on = "force"             # or "friction", "gain", "input"; "force" if it is not said
+//! period = 6.283185307     # if the axis is a circle, such as a turn
+//! at = [0.0, 1.5, 4.0]
+//! values = [0.1, -0.2, 0.05]
+//! ```
+
+use super::{Dependence, friction::Direction};
+use crate::error::{InvalidField, Problem};
+
+/// What a [`Table`] is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Over {
+    /// The duty: on the input, as the effects before left it; elsewhere, as it came out of the plant's delays.
+    Input,
+    /// Speed of the motor side, rad/s or m/s.
+    Speed,
+    /// Position of the motor side, rad or m.
+    Position,
+    /// Seconds since the start.
+    Time,
+    /// The supply without load, V.
+    Supply,
+    /// The way of the motor side since it last turned round, without sign, rad or m.
+    History,
+}
+
+impl Over {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::Input, Self::Speed, Self::Position, Self::Time, Self::Supply, Self::History];
+
+    /// The word in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        self.dependence().name()
+    }
+
+    /// The word in reports.
+    #[must_use]
+    pub const fn dependence(self) -> Dependence {
+        match self {
+            Self::Input => Dependence::Input,
+            Self::Speed => Dependence::Speed,
+            Self::Position => Dependence::Position,
+            Self::Time => Dependence::Time,
+            Self::Supply => Dependence::Supply,
+            Self::History => Dependence::History,
+        }
+    }
+}
+
+/// What the values of a [`Table`] are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum On {
+    /// A force towards positive positions at the motor side, N m or N.
+    Force,
+    /// A level of force against motion at the motor side, which also holds at rest, N m or N; none where it is negative.
+    Friction,
+    /// The drive's voltage is multiplied by one more than the value; by 0 where that is negative.
+    Gain,
+    /// Added to the duty, behind all other input effects.
+    Input,
+}
+
+impl On {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Force, Self::Friction, Self::Gain, Self::Input];
+
+    /// The word in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Force => "force",
+            Self::Friction => "friction",
+            Self::Gain => "gain",
+            Self::Input => "input",
+        }
+    }
+}
+
+/// A curve of straight pieces, constant beyond both ends or round a circle. Every number is in range: there is no other
+/// way to make one.
+///
+/// Two neighbouring corners at the same place are a jump, as dry friction has at speed 0. What a force over speed takes
+/// from motion acts like friction: it stops a plant and holds it, and does not turn it round.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    over: Over,
+    on: On,
+    period: Option<f64>,
+    at: Vec<f64>,
+    values: Vec<f64>,
+}
+
+/// Most corners of a table.
+pub const MAX_CORNERS: usize = 4096;
+
+/// Largest number in a table.
+const LARGEST: f64 = 1e9;
+
+impl Table {
+    /// A curve through `values` at the corners `at`.
+    ///
+    /// # Errors
+    /// [`InvalidField`] names `at`, `values` or `period`: no or too many corners, other counts, a number that is none or
+    /// is beyond 1e9, corners that do not increase (two may be at one place), or a period that is not longer than them.
+    pub fn new(over: Over, on: On, period: Option<f64>, at: Vec<f64>, values: Vec<f64>) -> Result<Self, InvalidField> {
+        let fault = |field: &str, problem| Err(InvalidField { field: field.into(), problem });
+        if at.is_empty() || at.len() > MAX_CORNERS {
+            return fault("at", Problem::Corners { corners: at.len(), most: MAX_CORNERS });
+        }
+        if values.len() != at.len() {
+            return fault("values", Problem::Lengths { corners: at.len(), values: values.len() });
+        }
+        for (field, numbers) in [("at", &at), ("values", &values)] {
+            if let Some(&value) = numbers.iter().find(|number| !(-LARGEST..=LARGEST).contains(*number)) {
+                return fault(field, Problem::OutOfRange { value, lower: -LARGEST, upper: LARGEST, unit: "1" });
+            }
+        }
+        let falls = at.windows(2).position(|pair| pair[1] < pair[0]).map(|index| index + 1);
+        let three = at.windows(3).position(|three| three[0] == three[2]).map(|index| index + 2);
+        if let Some(corner) = falls.or(three) {
+            return fault("at", Problem::NotIncreasing { corner });
+        }
+        let span = at[at.len() - 1] - at[0];
+        match period {
+            Some(period) if !(period > span && period <= LARGEST) => {
+                fault("period", Problem::OutOfRange { value: period, lower: span, upper: LARGEST, unit: "1" })
+            }
+            _ => Ok(Self { over, on, period, at, values }),
+        }
+    }
+
+    /// What it is over.
+    #[must_use]
+    pub fn over(&self) -> Over {
+        self.over
+    }
+
+    /// What its values are.
+    #[must_use]
+    pub fn on(&self) -> On {
+        self.on
+    }
+
+    /// Length of the circle that the axis is, if it is one.
+    #[must_use]
+    pub fn period(&self) -> Option<f64> {
+        self.period
+    }
+
+    /// The corners.
+    #[must_use]
+    pub fn at(&self) -> &[f64] {
+        &self.at
+    }
+
+    /// The values at the corners.
+    #[must_use]
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// The value at `x`; at a jump, that on its upper side.
+    #[must_use]
+    pub fn value(&self, x: f64) -> f64 {
+        self.between(x, |at, x| at <= x)
+    }
+
+    /// The value at `x`; at a jump, that on its lower side.
+    fn value_below(&self, x: f64) -> f64 {
+        self.between(x, |at, x| at < x)
+    }
+
+    fn between(&self, x: f64, is_passed: impl Fn(f64, f64) -> bool) -> f64 {
+        let last = self.at.len() - 1;
+        let first_at = self.at[0];
+        let x = match self.period {
+            Some(period) => {
+                let ahead = x - first_at;
+                first_at + (ahead - period * libm::floor(ahead / period))
+            }
+            None => x,
+        };
+        let passed = self.at.partition_point(|&at| is_passed(at, x));
+        let line = |x0: f64, y0: f64, x1: f64, y1: f64| y0 + (y1 - y0) * ((x - x0) / (x1 - x0)).clamp(0.0, 1.0);
+        match (passed, self.period) {
+            (0, None) => self.values[0],
+            (passed, None) if passed > last => self.values[last],
+            (passed, Some(period)) if passed == 0 || passed > last => {
+                let x = if passed == 0 { x + period } else { x };
+                let (x0, y0) = (self.at[last], self.values[last]);
+                y0 + (self.values[0] - y0) * ((x - x0) / (first_at + period - x0)).clamp(0.0, 1.0)
+            }
+            (passed, _) => line(self.at[passed - 1], self.values[passed - 1], self.at[passed], self.values[passed]),
+        }
+    }
+}
+
+/// A force over speed, in two: what pushes, and what is against motion.
+#[derive(Clone, Debug)]
+pub(crate) struct SpeedForce {
+    table: Table,
+    /// What it pushes at rest.
+    at_rest: f64,
+}
+
+impl SpeedForce {
+    /// Of a table over speed.
+    pub(crate) fn new(table: &Table) -> Self {
+        let (below, above) = (table.value_below(0.0), table.value(0.0));
+        // as much as both sides of rest have in common: the rest holds
+        let at_rest = if below * above <= 0.0 { 0.0 } else { below.abs().min(above.abs()).copysign(above) };
+        Self { table: table.clone(), at_rest }
+    }
+
+    fn moving(&self, direction: Direction, speed: f64) -> f64 {
+        let value = match direction {
+            Direction::Forward => self.table.value(speed),
+            Direction::Backward => self.table.value_below(-speed),
+        };
+        value - self.at_rest
+    }
+
+    /// Force against motion in `direction` at a speed without sign.
+    pub(crate) fn against(&self, direction: Direction, speed: f64) -> f64 {
+        (-direction.sign() * self.moving(direction, speed)).max(0.0)
+    }
+
+    /// Force towards positive positions besides that, at a signed speed.
+    pub(crate) fn push(&self, speed: f64) -> f64 {
+        if speed == 0.0 {
+            return self.at_rest;
+        }
+        let direction = Direction::of(speed);
+        self.at_rest + direction.sign() * (direction.sign() * self.moving(direction, speed.abs())).max(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(over: Over, period: Option<f64>, at: &[f64], values: &[f64]) -> Table {
+        Table::new(over, On::Force, period, at.to_vec(), values.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn a_curve_is_straight_between_corners_and_constant_beyond_them() {
+        let curve = table(Over::Position, None, &[0.0, 1.0, 3.0], &[1.0, 3.0, -1.0]);
+        for (x, y) in [(-5.0, 1.0), (0.0, 1.0), (0.5, 2.0), (1.0, 3.0), (2.5, 0.0), (3.0, -1.0), (9.0, -1.0)] {
+            assert_eq!(curve.value(x), y, "{x}");
+        }
+        assert_eq!(table(Over::Time, None, &[2.0], &[7.0]).value(0.0), 7.0);
+    }
+
+    #[test]
+    fn a_circle_goes_on_from_its_last_corner_to_its_first() {
+        let curve = table(Over::Position, Some(4.0), &[0.0, 1.0, 3.0], &[1.0, 3.0, -1.0]);
+        for (x, y) in [(3.5, 0.0), (4.0, 1.0), (4.5, 2.0), (-0.5, 0.0), (-3.0, 3.0), (41.0, 3.0)] {
+            assert_eq!(curve.value(x), y, "{x}");
+        }
+        assert_eq!(table(Over::Position, Some(1.0), &[0.25], &[7.0]).value(0.1), 7.0);
+    }
+
+    #[test]
+    fn a_jump_is_friction_where_it_is_against_motion_and_a_push_where_it_is_not() {
+        // dry friction of 2 backwards and 1 forwards, which falls with speed, and drives from 3 rad/s on
+        let force =
+            SpeedForce::new(&table(Over::Speed, None, &[-1.0, 0.0, 0.0, 2.0, 4.0], &[2.0, 2.0, -1.0, -1.0, 1.0]));
+        assert_eq!([force.against(Direction::Forward, 0.0), force.against(Direction::Backward, 0.0)], [1.0, 2.0]);
+        assert_eq!([force.against(Direction::Forward, 2.0), force.against(Direction::Forward, 4.0)], [1.0, 0.0]);
+        assert_eq!([0.0, 2.0, 4.0, -1.0].map(|speed| force.push(speed)), [0.0, 0.0, 1.0, 0.0]);
+        // a weight, and friction of 1 around it
+        let force = SpeedForce::new(&table(Over::Speed, None, &[0.0, 0.0], &[-1.0, -3.0]));
+        assert_eq!([0.0, 1.0, -1.0].map(|speed| force.push(speed)), [-1.0, -1.0, -1.0]);
+        assert_eq!([force.against(Direction::Forward, 0.0), force.against(Direction::Backward, 0.0)], [2.0, 0.0]);
+    }
+
+    #[test]
+    fn a_bad_table_is_refused() {
+        let new = |period, at: &[f64], values: &[f64]| {
+            Table::new(Over::Time, On::Input, period, at.to_vec(), values.to_vec()).unwrap_err().to_string()
+        };
+        for (period, at, values, expected) in [
+            (None, &[][..], &[][..], "at: 0 corners; write 1 to 4096"),
+            (None, &[0.0, 1.0], &[0.0], "values: 1 of them for 2 corners; write one for each in at"),
+            (None, &[0.0, f64::NAN], &[0.0, 0.0], "at: NaN is outside"),
+            (None, &[0.0, 1.0], &[0.0, f64::INFINITY], "values: inf is outside"),
+            (None, &[0.0, 2.0, 1.0], &[0.0; 3], "at: corner 2 is not above the one before"),
+            (None, &[1.0, 1.0, 1.0], &[0.0; 3], "at: corner 2 is not above the one before"),
+            (Some(1.0), &[0.0, 1.0], &[0.0; 2], "period: 1 is outside 1.0..="),
+            (Some(f64::NAN), &[0.0], &[0.0], "period: NaN is outside"),
+        ] {
+            let message = new(period, at, values);
+            assert!(message.starts_with(expected), "{message}\nexpected {expected}");
+        }
+    }
+}

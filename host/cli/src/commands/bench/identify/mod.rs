@@ -1,0 +1,315 @@
+//! `r4 bench identify`: what `r4 identify` promises, measured on recordings of real machines, on printed tables, and on
+//! simulated plants that hide something. Errors are those of free runs over data that was not fitted to.
+
+mod blind;
+mod recorded;
+mod tables;
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use anyhow::{Context, bail};
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_identify::{
+    Identified, IdentifyError, Progress, Task,
+    data::{self, Options, Run},
+};
+use serde::Serialize;
+
+use crate::{
+    args::{Args, BenchIdentify, IdentifyRows},
+    output, table,
+};
+
+/// Which side of its limit a number belongs on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Bound {
+    AtMost,
+    AtLeast,
+}
+
+#[derive(Debug, Serialize)]
+struct Row {
+    data: String,
+    metric: String,
+    unit: &'static str,
+    /// Of the base model; `null` where the metric has no such thing.
+    baseline: Option<f64>,
+    /// `null` where there was no result.
+    after: f64,
+    /// What is promised; `bound` tells the side.
+    at_least: f64,
+    bound: Bound,
+    met: bool,
+    /// Nothing of it was measured on a machine.
+    simulated: bool,
+    /// Of a share: 95 %, by Wilson.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    interval: Option<[f64; 2]>,
+    /// What was found.
+    detail: String,
+}
+
+impl Row {
+    /// A number that is to be small.
+    fn error(data: &str, metric: &str, unit: &'static str, [baseline, after, at_most]: [f64; 3]) -> Self {
+        Self {
+            data: data.to_owned(),
+            metric: metric.to_owned(),
+            unit,
+            baseline: baseline.is_finite().then_some(baseline),
+            after,
+            at_least: at_most,
+            bound: Bound::AtMost,
+            met: after <= at_most,
+            simulated: false,
+            interval: None,
+            detail: String::new(),
+        }
+    }
+
+    /// Something that is to be so: 1 if it is.
+    fn claim(data: &str, metric: &str, holds: bool) -> Self {
+        let after = f64::from(u8::from(holds));
+        Self {
+            bound: Bound::AtLeast,
+            met: holds,
+            at_least: 1.0,
+            ..Self::error(data, metric, "yes", [f64::NAN, after, 1.0])
+        }
+    }
+
+    /// How often something is so, which is to be often.
+    fn share(data: &str, metric: &str, [good, all]: [usize; 2], at_least: f64) -> Self {
+        let share = good as f64 / all as f64;
+        Self {
+            bound: Bound::AtLeast,
+            met: share >= at_least,
+            interval: Some(wilson(good, all)),
+            ..Self::error(data, metric, "1", [f64::NAN, share, at_least])
+        }
+    }
+
+    fn with(self, detail: impl Into<String>) -> Self {
+        Self { detail: detail.into(), ..self }
+    }
+
+    fn simulated(self) -> Self {
+        Self { simulated: true, ..self }
+    }
+}
+
+/// 95 % interval of a share.
+fn wilson(good: usize, all: usize) -> [f64; 2] {
+    const Z: f64 = 1.96;
+    if all == 0 {
+        return [0.0, 1.0];
+    }
+    let (all, share) = (all as f64, good as f64 / all as f64);
+    let middle = share + Z * Z / (2.0 * all);
+    let half = Z * (share * (1.0 - share) / all + Z * Z / (4.0 * all * all)).sqrt();
+    [-1.0, 1.0].map(|side| ((middle + side * half) / (1.0 + Z * Z / all)).clamp(0.0, 1.0))
+}
+
+#[derive(Serialize)]
+struct Report {
+    seed: u64,
+    seeds: u32,
+    rows: Vec<Row>,
+    met: bool,
+    seconds: f64,
+}
+
+/// Set of recordings and what is measured on it.
+impl IdentifyRows {
+    /// Its folder in that of the recordings.
+    const fn folder(self) -> Option<&'static str> {
+        match self {
+            Self::Emps => Some("emps"),
+            Self::Husky => Some("husky_skidsteer"),
+            Self::Pendulum => Some("bam_xl330_pendulum"),
+            Self::Micromouse => Some("micromouse_drv8833"),
+            Self::Backlash => Some("sts_servo_backlash"),
+            Self::Osmc => Some("osmc_tables"),
+            Self::Speed | Self::Blind | Self::Clean | Self::Unlisted => None,
+        }
+    }
+
+    fn measure(self, bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
+        match self {
+            Self::Emps => recorded::emps(bench),
+            Self::Husky => recorded::husky(bench),
+            Self::Pendulum => recorded::pendulum(bench),
+            Self::Micromouse => recorded::micromouse(bench),
+            Self::Backlash => recorded::backlash(bench),
+            Self::Osmc => tables::osmc(bench),
+            Self::Speed => blind::speed(bench),
+            Self::Blind => blind::listed(bench),
+            Self::Clean => blind::clean(bench),
+            Self::Unlisted => blind::unlisted(bench),
+        }
+    }
+
+    /// For the progress bar: a plant with something hidden is 1.
+    const fn weight(self, seeds: u32) -> u64 {
+        match self {
+            Self::Blind => seeds as u64,
+            Self::Clean | Self::Unlisted => blind::half(seeds) as u64,
+            Self::Speed => 3,
+            _ => 2,
+        }
+    }
+
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+}
+
+/// What measurements share.
+struct Bench<'b> {
+    data: &'b Path,
+    seed: u64,
+    seeds: u32,
+    progress: &'b ProgressBar,
+}
+
+impl Bench<'_> {
+    fn folder(&self, rows: IdentifyRows) -> PathBuf {
+        self.data.join(rows.folder().unwrap_or_default())
+    }
+
+    fn read(&self, rows: IdentifyRows, names: &[&str], options: &Options) -> anyhow::Result<Vec<Run>> {
+        let files: Vec<PathBuf> = names.iter().map(|name| self.folder(rows).join(name)).collect();
+        Ok(data::read(&files, options)?.runs)
+    }
+
+    /// As `r4 identify` does.
+    fn identify(
+        &self,
+        model: &str,
+        parameters: &[(&str, f64)],
+        train: &[Run],
+        holdout: &[Run],
+    ) -> Result<Identified, IdentifyError> {
+        let parameters: BTreeMap<_, _> = parameters.iter().map(|&(name, value)| (name.to_owned(), value)).collect();
+        let task = Task { model: model.to_owned(), parameters, plant: None, seed: self.seed };
+        r4_identify::identify(&task, train, holdout, vec![], &|Progress { step, .. }| self.progress.set_message(step))
+    }
+}
+
+pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool> {
+    let started = Instant::now();
+    let wanted = |rows: &IdentifyRows| question.only.is_empty() || question.only.contains(rows);
+    let wanted: Vec<IdentifyRows> = IdentifyRows::value_variants().iter().copied().filter(wanted).collect();
+    for rows in &wanted {
+        if let Some(missing) = rows.folder().map(|folder| question.data.join(folder)).filter(|path| !path.is_dir()) {
+            bail!(
+                "there are no recordings in {}: start this in the project's folder, or name its `data` with --data DIR",
+                missing.display()
+            );
+        }
+    }
+    let all = wanted.iter().map(|rows| rows.weight(question.seeds)).sum();
+    let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {prefix}: {msg}");
+    let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    let bench = Bench { data: &question.data, seed: args.seed, seeds: question.seeds, progress: &progress };
+    let mut rows = Vec::new();
+    let mut done = 0;
+    for which in wanted {
+        progress.set_prefix(which.name());
+        let measured = which.measure(&bench).with_context(|| format!("no result of {}", which.name()));
+        // One that comes to nothing does not take the others with it.
+        rows.extend(
+            measured.unwrap_or_else(|why| vec![Row::claim(&which.name(), "measured", false).with(format!("{why:#}"))]),
+        );
+        done += which.weight(question.seeds);
+        progress.set_position(done);
+    }
+    progress.finish_and_clear();
+    let met = rows.iter().all(|row| row.met);
+    let report = Report { seed: args.seed, seeds: question.seeds, rows, met, seconds: started.elapsed().as_secs_f64() };
+    if args.json {
+        output::json(&report)?;
+    } else {
+        print(&report)?;
+    }
+    Ok(met)
+}
+
+/// Three digits, or as many as a whole number has.
+fn digits(value: f64) -> String {
+    if !value.is_finite() {
+        return "-".to_owned();
+    }
+    let places = if value == value.trunc() { 0 } else { (2.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize };
+    format!("{value:.places$}")
+}
+
+fn print(report: &Report) -> anyhow::Result<()> {
+    let mut table = table::new(&["data", "metric", "before", "after", "promised", "", "found"], 2..4);
+    for row in &report.rows {
+        let unit = if matches!(row.unit, "1" | "yes") { String::new() } else { format!(" {}", row.unit) };
+        let said = |value: f64| match (row.unit, value) {
+            ("yes", 0.0) => "no".to_owned(),
+            ("yes", _) => "yes".to_owned(),
+            _ => digits(value) + &unit,
+        };
+        let between = row.interval.map(|[low, high]| format!(" ({} to {})", digits(low), digits(high)));
+        let promised = match (row.unit, row.bound) {
+            ("yes", _) => String::new(),
+            (_, Bound::AtMost) => "at most ".to_owned(),
+            (_, Bound::AtLeast) => "at least ".to_owned(),
+        };
+        table.add_row([
+            if row.simulated { format!("{} (simulated)", row.data) } else { row.data.clone() },
+            row.metric.clone(),
+            row.baseline.map_or_else(String::new, said),
+            said(row.after) + &between.unwrap_or_default(),
+            promised + &said(row.at_least),
+            if row.met { "ok" } else { "not met" }.to_owned(),
+            row.detail.clone(),
+        ]);
+    }
+    output::line("Free runs over data that was not fitted to; before: the base model alone")?;
+    output::line(table)?;
+    let met = report.rows.iter().filter(|row| row.met).count();
+    Ok(output::line(format_args!(
+        "{met} of {} met, in {:.0} s; seed {}",
+        report.rows.len(),
+        report.seconds,
+        report.seed
+    ))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_know_how_few_they_are_of() {
+        // Wilson 1927, as in any table of it.
+        for (good, all, expected) in [(9, 10, [0.596, 0.982]), (0, 10, [0.0, 0.278]), (190, 200, [0.910, 0.973])] {
+            let found = wilson(good, all);
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.001), "{good} of {all}: {found:?}");
+        }
+        assert_eq!(wilson(0, 0), [0.0, 1.0]);
+        assert!(!Row::share("", "", [0, 0], 0.9).met);
+    }
+
+    #[test]
+    fn no_result_meets_nothing() {
+        assert!(!Row::error("", "", "m", [1.0, f64::NAN, 1.0]).met);
+        assert!(Row::error("", "", "m", [1.0, 1.0, 1.0]).met && !Row::claim("", "", false).met);
+    }
+
+    #[test]
+    fn numbers_have_three_digits() {
+        let shown = [0.0, 1.0, 0.025_417, 4.7, 97.44, 1234.5, f64::NAN].map(digits);
+        assert_eq!(shown, ["0", "1", "0.0254", "4.70", "97.4", "1234", "-"]);
+    }
+}

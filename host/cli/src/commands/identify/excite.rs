@@ -1,0 +1,160 @@
+//! What a motor is told so that its recording tells as much as it can.
+
+use std::f64::consts::TAU;
+
+/// Duties over time.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Plan {
+    parts: Vec<Part>,
+    /// What friction takes, and the most there may be.
+    low: f64,
+    cap: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Part {
+    duration_s: f64,
+    shape: Shape,
+}
+
+/// Shares of the duty that is beyond friction, negative backwards, unless stated otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Shape {
+    Rest,
+    Hold(f64),
+    /// From nothing up to a share of the whole duty, back, and the same the other way.
+    Ramp(f64),
+    /// Four sines that share no period, of the whole duty; the number turns their phases.
+    Sines(f64),
+}
+
+/// Recordings to fit to, and the one to test on.
+pub(super) const TRAIN: usize = 2;
+
+/// Hz, of the sines; no one is a multiple of another.
+const SINES_HZ: [f64; 4] = [0.31, 0.73, 1.37, 2.9];
+/// Sum of four sines of one size: seldom more.
+const PEAK: f64 = 2.8;
+
+/// What a plan takes unless it is stretched, s.
+const LENGTH_S: f64 = 12.0;
+
+impl Plan {
+    /// Recording number `index` of `length_s`, up to a duty of `cap`, of a motor that starts at about `low`.
+    pub(super) fn new(index: usize, length_s: f64, low: f64, cap: f64) -> Self {
+        use Shape::{Hold, Ramp, Rest, Sines};
+        let parts: &[(f64, Shape)] = match index {
+            0 => &[
+                (0.3, Rest),
+                (0.7, Hold(0.5)),
+                (0.4, Rest),
+                (0.7, Hold(-0.5)),
+                (0.4, Rest),
+                (0.7, Hold(1.0)),
+                (0.7, Hold(-1.0)),
+                (0.4, Rest),
+                (3.4, Ramp(1.0)),
+                (3.2, Sines(0.0)),
+                (0.7, Hold(0.75)),
+                (0.4, Rest),
+            ],
+            1 => &[
+                (0.3, Rest),
+                (3.0, Sines(1.0)),
+                (0.3, Rest),
+                (0.8, Hold(0.9)),
+                (0.5, Hold(-0.7)),
+                (0.3, Rest),
+                (3.2, Ramp(-0.85)),
+                (1.6, Hold(-0.95)),
+                (0.4, Rest),
+                (1.2, Hold(0.7)),
+                (0.4, Rest),
+            ],
+            _ => &[
+                (0.3, Rest),
+                (0.9, Hold(-0.8)),
+                (0.4, Rest),
+                (0.9, Hold(0.6)),
+                (0.5, Hold(-0.9)),
+                (0.5, Hold(0.95)),
+                (0.4, Rest),
+                (4.0, Sines(2.0)),
+                (2.6, Ramp(0.95)),
+                (1.1, Hold(0.85)),
+                (0.4, Rest),
+            ],
+        };
+        let parts =
+            parts.iter().map(|&(duration_s, shape)| Part { duration_s: duration_s * length_s / LENGTH_S, shape });
+        Self { parts: parts.collect(), low: low.min(cap), cap }
+    }
+
+    pub(super) fn length_s(&self) -> f64 {
+        self.parts.iter().map(|part| part.duration_s).sum()
+    }
+
+    /// Which part, and the duty; nothing once it is over.
+    pub(super) fn at(&self, time_s: f64) -> Option<(usize, f64)> {
+        let mut begin_s = 0.0;
+        for (place, part) in self.parts.iter().enumerate() {
+            if time_s < begin_s + part.duration_s {
+                let after_s = time_s - begin_s;
+                return Some((place, self.duty(part, after_s)));
+            }
+            begin_s += part.duration_s;
+        }
+        None
+    }
+
+    fn duty(&self, part: &Part, after_s: f64) -> f64 {
+        match part.shape {
+            Shape::Rest => 0.0,
+            Shape::Hold(share) => (self.low + share.abs() * (self.cap - self.low)).copysign(share),
+            Shape::Ramp(share) => {
+                let quarter = 4.0 * after_s / part.duration_s;
+                let wave = match quarter {
+                    quarter if quarter < 1.0 => quarter,
+                    quarter if quarter < 3.0 => 2.0 - quarter,
+                    quarter => quarter - 4.0,
+                };
+                share * self.cap * wave
+            }
+            Shape::Sines(turn) => {
+                let sines = SINES_HZ.iter().zip(1_u8..);
+                let sum: f64 =
+                    sines.map(|(hz, number)| (TAU * hz * after_s + turn * f64::from(number * number)).sin()).sum();
+                self.cap * (sum / PEAK).clamp(-1.0, 1.0)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plan_keeps_to_the_duty_and_begins_and_ends_at_rest() {
+        for index in 0..=TRAIN {
+            let plan = Plan::new(index, 6.0, 0.3, 0.8);
+            let times = || (0..6_000_u32).map(|step| f64::from(step) * 1e-3).filter(|time_s| *time_s < plan.length_s());
+            let duties: Vec<f64> = times().filter_map(|time_s| Some(plan.at(time_s)?.1)).collect();
+            assert!((plan.length_s() - 6.0).abs() < 0.25 && plan.at(plan.length_s() + 0.01).is_none());
+            assert!(duties.iter().all(|duty| duty.abs() <= 0.8));
+            let (low, high) =
+                duties.iter().fold((0.0_f64, 0.0_f64), |(low, high), &duty| (low.min(duty), high.max(duty)));
+            assert!(low < -0.7 && high > 0.7, "both ways");
+            assert!(duties.first() == Some(&0.0) && duties.last() == Some(&0.0));
+        }
+    }
+
+    #[test]
+    fn no_two_recordings_are_alike() {
+        let duties = |index| {
+            let plan = Plan::new(index, 12.0, 0.3, 0.8);
+            (0..1_000_u32).map(|step| plan.at(f64::from(step) * 0.01).map_or(0.0, |(_, duty)| duty)).collect::<Vec<_>>()
+        };
+        assert!(duties(0) != duties(1) && duties(1) != duties(2) && duties(0) != duties(2));
+    }
+}

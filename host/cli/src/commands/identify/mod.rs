@@ -1,0 +1,290 @@
+//! `r4 identify`: what a model does not explain of recordings, and which effect it lacks.
+
+mod check;
+mod close;
+mod excite;
+mod models;
+mod print;
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, bail};
+use clap::{Subcommand, builder::PossibleValuesParser};
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_identify::{
+    Identified, ModelInfo, Progress, Task,
+    data::{self, Holdout, Mapping, Options, Recorded},
+    report::Report,
+    statics::hold_out,
+};
+use serde::Serialize;
+
+use crate::{args::Args, output, plants, report};
+
+#[derive(Clone, Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Identify {
+    #[command(subcommand)]
+    what: Option<What>,
+    #[command(flatten)]
+    question: Option<Question>,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum What {
+    /// List every model with its roles, parameters and effects
+    Models,
+    /// Excite a motor of a board, find what its plant file lacks, and compare the simulated board before and after
+    Close(close::Close),
+    /// Send a recorded run's requests to the simulated board with two plants, and tell how far each is from the recording
+    Check(check::Check),
+}
+
+/// DIR gets report.json, report.html and plant.toml; the same `--seed` gives the same bytes.
+#[derive(Clone, Debug, clap::Args)]
+struct Question {
+    /// Recordings to fit to: CSV with a header that has units, or logs of `r4`; one file is one run
+    #[arg(required = true, value_name = "TRAIN")]
+    train: Vec<PathBuf>,
+    /// Recordings to test on, which are never fitted to; or every:2, to hold out every second run of TRAIN
+    #[arg(long, required = true, num_args = 1.., value_name = "TEST|every:N")]
+    holdout: Vec<PathBuf>,
+    /// The base model; `r4 identify models` tells what each is
+    #[arg(long, value_parser = PossibleValuesParser::new(r4_identify::models().into_iter().map(|model| model.name)))]
+    model: String,
+    /// Column of the model's role `input`
+    #[arg(long, value_name = "COLUMN")]
+    input: Option<String>,
+    /// Column of the model's role `output`
+    #[arg(long, value_name = "COLUMN")]
+    output: Option<String>,
+    /// Column of another role of the model, as in yaw=yaw_rad
+    #[arg(long, num_args = 1.., value_parser = pair, value_name = "ROLE=COLUMN")]
+    map: Vec<(String, String)>,
+    /// Time column [default: one that is called so, as in t_s, time_ms or timestamp]
+    #[arg(long, value_name = "COLUMN")]
+    time: Option<String>,
+    /// Columns whose values tell the runs of one file apart
+    #[arg(long, value_delimiter = ',', value_name = "COLUMN,COLUMN")]
+    run: Vec<String>,
+    /// What is known of the machine, as in supply_v=24; counts_per_turn=4096 makes angles of encoder counts
+    #[arg(long, num_args = 1.., value_parser = known, value_name = "NAME=VALUE")]
+    param: Vec<(String, f64)>,
+    /// Folder for the results
+    #[arg(long, default_value = "r4-identify", value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// The parameter that belongs to an encoder.
+const COUNTS: &str = "counts_per_turn";
+
+/// Models of what is at rest: the order of rows will do.
+const UNTIMED: [&str; 2] = ["static-map", "table"];
+
+/// `name=value`.
+fn pair(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() && !value.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("a role and its column with `=` between, as in yaw=yaw_rad".into()),
+    }
+}
+
+fn known(text: &str) -> Result<(String, f64), String> {
+    let parsed = text.split_once('=').and_then(|(name, value)| Some((name.to_owned(), value.parse::<f64>().ok()?)));
+    parsed
+        .filter(|(name, value)| !name.is_empty() && value.is_finite())
+        .ok_or("a name and its number with `=` between, as in supply_v=24".into())
+}
+
+pub(crate) fn run(args: &Args, identify: &Identify) -> anyhow::Result<bool> {
+    match (&identify.what, &identify.question) {
+        (None, Some(question)) => answer(args, question),
+        (Some(What::Models), _) => models::run(args),
+        (Some(What::Close(close)), _) => close::run(args, close),
+        (Some(What::Check(check)), _) => check::run(args, check),
+        (None, None) => bail!("name recordings, or `r4 identify models`"),
+    }
+}
+
+/// Where the results are, beside the report in `--json`.
+#[derive(Serialize)]
+struct Written<'r> {
+    #[serde(flatten)]
+    report: &'r Report,
+    files: [PathBuf; 3],
+}
+
+fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
+    let Some(model) = r4_identify::models().into_iter().find(|model| model.name == question.model) else {
+        bail!("no model is called {}: `r4 identify models` lists them", question.model);
+    };
+    let mut parameters: BTreeMap<String, f64> = question.param.iter().cloned().collect();
+    // It belongs to the encoder, not to the model.
+    let own = model.parameters.iter().any(|parameter| parameter.name == COUNTS);
+    let counts_per_turn = if own { parameters.get(COUNTS).copied() } else { parameters.remove(COUNTS) };
+    if let Some(counts) = counts_per_turn.filter(|counts| *counts <= 0.0) {
+        bail!("counts_per_turn={counts} makes no turn: give a number above 0");
+    }
+    let options = Options {
+        time: question.time.clone(),
+        untimed: UNTIMED.contains(&model.name),
+        roles: roles(question, &model)?,
+        split: question.run.clone(),
+        counts_per_turn,
+    };
+    let plant = plants::known(args)?;
+    let (train, holdout) = read(question, &options)?;
+    let mut notes: Vec<String> = Vec::new();
+    for note in train.notes.iter().chain(&holdout.notes).map(ToString::to_string) {
+        if !notes.contains(&note) {
+            eprintln!("r4: {note}");
+            notes.push(note);
+        }
+    }
+
+    let progress = bar();
+    let told = |now: Progress| show(&progress, now);
+    let task = Task { model: question.model.clone(), parameters, plant, seed: args.seed };
+    let found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told);
+    progress.finish_and_clear();
+    let found = found?;
+
+    let files = write(&question.out, (&question.train, &question.holdout), args.seed, &found)?;
+    if args.json {
+        output::json(&Written { report: &found.report, files })?;
+    } else {
+        print::print(&found.report, &files)?;
+    }
+    Ok(true)
+}
+
+fn bar() -> ProgressBar {
+    ProgressBar::new(1_000).with_style(
+        ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {msg}")
+            .unwrap_or(ProgressStyle::default_bar()),
+    )
+}
+
+fn show(progress: &ProgressBar, Progress { step, share }: Progress) {
+    progress.set_position((share.clamp(0.0, 1.0) * 1_000.0) as u64);
+    progress.set_message(step);
+}
+
+/// Which column plays which part, checked against what the model knows.
+fn roles(question: &Question, model: &ModelInfo) -> anyhow::Result<Vec<Mapping>> {
+    let short = |role: &str, column: &Option<String>| column.clone().map(|column| (role.to_owned(), column));
+    let named = [short("input", &question.input), short("output", &question.output)].into_iter().flatten();
+    named
+        .chain(question.map.iter().cloned())
+        .map(|(role, column)| match model.roles.iter().find(|known| known.name == role) {
+            Some(known) => Ok(Mapping { role, column, driving: known.driving }),
+            None => {
+                let roles: Vec<_> = model.roles.iter().map(|known| known.name).collect();
+                bail!("{} has no role `{role}`: it has {}", model.name, roles.join(", "))
+            }
+        })
+        .collect()
+}
+
+/// The runs to fit to and those to test on.
+fn read(question: &Question, options: &Options) -> anyhow::Result<(Recorded, Recorded)> {
+    match Holdout::parse(&question.holdout)? {
+        Holdout::Every(every) => {
+            let mut all = data::read(&question.train, options)?;
+            // Of some models one recording is enough.
+            let parts = all.runs.iter().map(|run| hold_out(&question.model, run, every)).collect::<Option<Vec<_>>>();
+            let Some(parts) = parts.filter(|parts| parts.len() == 1) else { return Ok(all.alternate(every)?) };
+            let (fitted, held_out) = parts.into_iter().unzip();
+            all.runs = fitted;
+            let rest = Recorded { runs: held_out, groups: all.groups.clone(), notes: vec![] };
+            Ok((all, rest))
+        }
+        Holdout::Files(files) => {
+            let place = |path: &PathBuf| fs::canonicalize(path).unwrap_or_else(|_| path.clone());
+            let fitted: Vec<_> = question.train.iter().map(place).collect();
+            if let Some(both) = files.iter().find(|file| fitted.contains(&place(file))) {
+                bail!(
+                    "{} is given both to fit to and to test on: give another recording to --holdout, or every:2",
+                    both.display()
+                );
+            }
+            Ok((data::read(&question.train, options)?, data::read(&files, options)?))
+        }
+    }
+}
+
+/// Writes the three files; their paths.
+fn write(
+    out: &Path,
+    (train, holdout): (&[PathBuf], &[PathBuf]),
+    seed: u64,
+    found: &Identified,
+) -> anyhow::Result<[PathBuf; 3]> {
+    fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    let files = ["report.json", "report.html", "plant.toml"].map(|name| out.join(name));
+    let listed = |paths: &[PathBuf]| {
+        let names: Vec<_> =
+            paths.iter().map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()).collect();
+        match &names[..] {
+            [first, .., last] if names.len() > 4 => format!("{first} … {last} ({})", names.len()),
+            _ => names.join(", "),
+        }
+    };
+    let facts = [("Fitted to", listed(train)), ("Held out", listed(holdout)), ("Seed", seed.to_string())];
+    let page = report::identify(&found.report, &found.figures, &facts);
+    let json = serde_json::to_string_pretty(&found.report)? + "\n";
+    for (path, text) in files.iter().zip([&json, &page, &found.plant_toml]) {
+        fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::Command;
+
+    fn question(typed: &str) -> Option<Identify> {
+        let args = Args::try_parse_from(["r4", "identify"].into_iter().chain(typed.split_whitespace())).ok()?;
+        if let Command::Identify(identify) = args.command { Some(identify) } else { None }
+    }
+
+    #[test]
+    fn the_contract_can_be_typed() {
+        let typed = "a.csv b.csv --holdout c.csv d.csv --model dc-motor --input duty --output theta_rad \
+                     --time time_s --param supply_v=24 r=1.5 --map supply=u_V --run step,window --plant in.toml --out dir";
+        let question = question(typed).and_then(|identify| identify.question).unwrap();
+        assert_eq!(question.train, ["a.csv", "b.csv"].map(PathBuf::from));
+        assert_eq!(question.holdout, ["c.csv", "d.csv"].map(PathBuf::from));
+        assert_eq!(question.param, [("supply_v".to_owned(), 24.0), ("r".to_owned(), 1.5)]);
+        assert_eq!(question.map, [("supply".to_owned(), "u_V".to_owned())]);
+        assert_eq!(question.run, ["step", "window"]);
+    }
+
+    #[test]
+    fn what_is_no_question_is_not_understood() {
+        let whole = "a.csv --holdout b.csv --model dc-motor --input duty --output theta_rad";
+        assert!(question(whole).is_some() && question("models").is_some());
+        for wrong in ["", "a.csv", "a.csv --model dc-motor", "a.csv --holdout b.csv --model none"] {
+            assert!(question(wrong).is_none(), "{wrong}");
+        }
+        for wrong in ["--param supply_v", "--param supply_v=x", "--param =1", "--param a=inf", "--map yaw", "--map =x"]
+        {
+            assert!(question(&format!("{whole} {wrong}")).is_none(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_role_the_model_has_not_is_answered_with_those_it_has() {
+        let identify = question("a.csv --holdout b.csv --model dc-motor --input u --output y --map yaw=z").unwrap();
+        let model = r4_identify::models().into_iter().find(|model| model.name == "dc-motor").unwrap();
+        let said = roles(&identify.question.unwrap(), &model).unwrap_err().to_string();
+        assert!(said.starts_with("dc-motor has no role `yaw`: it has ") && said.contains("input"), "{said}");
+    }
+}

@@ -1,0 +1,104 @@
+//! `r4 sim reveal`
+
+use std::collections::BTreeMap;
+
+use r4_blind::Truth;
+use serde::Serialize;
+
+use crate::{args::Args, output, plants, table};
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Reveal {
+    /// What --blind was given
+    #[arg(value_name = "SEED")]
+    pub(crate) seed: u64,
+    /// The robot's name or file, as it was behind sim: or emu: [default: that of --board]
+    #[arg(long, value_name = "ROBOT")]
+    pub(crate) robot: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    robot: String,
+    seed: u64,
+    channels: Vec<Channel>,
+}
+
+#[derive(Serialize)]
+struct Channel {
+    channel: String,
+    /// Nothing is hidden where there is none.
+    effects: Vec<Effect>,
+}
+
+#[derive(Serialize)]
+struct Effect {
+    name: &'static str,
+    depends_on: Vec<&'static str>,
+    parameters: BTreeMap<&'static str, Number>,
+    /// It is in the catalogue of effects.
+    listed: bool,
+    /// Effects that no recording can tell from it.
+    rivals: &'static [&'static str],
+}
+
+#[derive(Serialize)]
+struct Number {
+    value: f64,
+    unit: &'static str,
+}
+
+impl From<&Truth> for Effect {
+    fn from(truth: &Truth) -> Self {
+        Self {
+            name: truth.name,
+            depends_on: truth.depends_on.iter().map(|dependence| dependence.name()).collect(),
+            parameters: truth
+                .parameters
+                .iter()
+                .map(|number| (number.name, Number { value: number.value, unit: number.unit }))
+                .collect(),
+            listed: truth.listed,
+            rivals: truth.rivals,
+        }
+    }
+}
+
+pub(crate) fn run(args: &Args, reveal: &Reveal) -> anyhow::Result<bool> {
+    let name = match &reveal.robot {
+        Some(robot) => robot.as_str(),
+        None => args.board.robot()?,
+    };
+    let mut robot = r4_boards::load(name)?;
+    plants::replace(args, &mut robot)?;
+    let hidden = plants::hidden(&robot, reveal.seed)?;
+    let channels: Vec<Channel> = hidden
+        .iter()
+        .map(|(channel, hidden)| Channel {
+            channel: channel.to_string(),
+            effects: hidden.truth().iter().map(Effect::from).collect(),
+        })
+        .collect();
+    if args.json {
+        output::json(&Report { robot: name.to_owned(), seed: reveal.seed, channels })?;
+        return Ok(true);
+    }
+    let mut rows = table::new(&["channel", "hidden", "depends on", "size"], 0..0);
+    for Channel { channel, effects } in channels {
+        if effects.is_empty() {
+            rows.add_row([channel.clone(), "nothing".into(), String::new(), String::new()]);
+        }
+        for effect in effects {
+            let sizes = effect.parameters.iter().map(|(name, number)| format!("{name} {:.4}", number.value));
+            let known = if effect.listed { "" } else { " (in no catalogue)" };
+            rows.add_row([
+                channel.clone(),
+                format!("{}{known}", effect.name),
+                effect.depends_on.join(", "),
+                sizes.collect::<Vec<_>>().join("\n"),
+            ]);
+        }
+    }
+    output::line(rows)?;
+    Ok(true)
+}

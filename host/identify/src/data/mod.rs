@@ -1,0 +1,100 @@
+//! Recorded runs, read from files without inventing anything.
+//!
+//! [`read`] takes CSV tables with a header, and the MCAP logs of `r4`, and makes [`Run`]s of them in SI units. What it set
+//! aside, repaired or took to be so is in [`Recorded::notes`]. [`Recorded::alternate`] holds runs out; [`check()`] tells what
+//! a model would miss.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | [`mod@unit`] | units, from the names of columns |
+//! | `table`, `log` | one file as columns of numbers |
+//! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
+//! | `clean` | what is wrong with the samples of a run |
+//! | [`mod@check`] | whether there is enough to identify something |
+//!
+//! ```
+//! use r4_identify::data::{Mapping, Options, read_bytes};
+//!
+//! let file = b"time_ms,duty,theta_deg\n0,0.5,0\n10,0.5,1.8\n20,0.5,\n30,0,5.4\n";
+//! let roles = vec![Mapping::driving("input", "duty"), Mapping::measured("output", "theta_deg")];
+//! let recorded = read_bytes("run.csv", file, &Options { roles, ..Options::default() })?;
+//! let run = &recorded.runs[0];
+//! assert_eq!(run.time_s, [0.0, 0.01, 0.02, 0.03]);
+//! assert!(run.values("output").is_some_and(|angle| (angle[1] - 0.0314).abs() < 1e-4 && angle[2].is_nan()));
+//! assert_eq!(recorded.notes[0].to_string(), "run.csv: theta_deg has no number in 1 of 4 rows; they are not compared");
+//! # Ok::<(), r4_identify::data::DataError>(())
+//! ```
+
+use std::collections::BTreeMap;
+
+pub mod check;
+mod clean;
+mod error;
+mod log;
+mod note;
+mod read;
+mod runs;
+mod table;
+#[cfg(test)]
+mod tests;
+pub mod unit;
+
+pub use check::{Need, check};
+pub use error::{Columns, DataError};
+pub use note::Note;
+pub use read::{Holdout, Mapping, Options, Recorded, read, read_bytes};
+
+/// What a column measures, as far as its unit tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// rad.
+    Angle,
+    /// rad/s.
+    AngularSpeed,
+    /// m.
+    Length,
+    /// m/s.
+    Speed,
+    /// V.
+    Voltage,
+    /// N.
+    Force,
+    /// N m.
+    Torque,
+    /// A.
+    Current,
+    /// °C.
+    Temperature,
+    /// A share, a count, a flag, or a column whose name has no unit.
+    Number,
+}
+
+/// One column of a run in SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    /// As the file calls it.
+    pub column: String,
+    /// What it measures.
+    pub quantity: Quantity,
+    /// One per sample; NaN where the file has none or an outlier was set aside.
+    pub values: Vec<f64>,
+}
+
+/// One run: samples in the order of time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// File, and the values of the columns that split it into runs.
+    pub name: String,
+    /// Seconds, strictly increasing, the first is 0.
+    pub time_s: Vec<f64>,
+    /// By role, such as `input`.
+    pub signals: BTreeMap<String, Signal>,
+}
+
+impl Run {
+    /// The values of a role; `None` if nothing was mapped to it.
+    #[must_use]
+    pub fn values(&self, role: &str) -> Option<&[f64]> {
+        self.signals.get(role).map(|signal| &signal.values[..])
+    }
+}

@@ -1,0 +1,273 @@
+//! What fitting and choosing need to know of a model: its parameters, its possible effects, its free run.
+
+use std::collections::BTreeMap;
+
+use r4_plants::Dependence;
+
+use crate::report::Estimate;
+
+/// What values a parameter may take. There is no way to leave its range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Range {
+    /// Above zero, over many decades.
+    Positive,
+    /// Above zero, and what is predicted changes in steps only: a period of sampling.
+    Coarse,
+    /// Zero and above; `scale` is a size that would be noticed.
+    NotNegative {
+        /// In the parameter's unit.
+        scale: f64,
+    },
+    /// Strictly between.
+    Between(f64, f64),
+    /// Any number; `scale` is a size that would be noticed.
+    Any {
+        /// In the parameter's unit.
+        scale: f64,
+    },
+}
+
+/// A number that is fitted.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// In reports, ending in its unit unless it is a plain number.
+    pub name: &'static str,
+    /// `N m`; `1` for a plain number.
+    pub unit: &'static str,
+    /// What it may be.
+    pub range: Range,
+    /// The value at which the effect is not there; `None` where it only shapes the effect.
+    pub absent: Option<f64>,
+}
+
+/// An effect the base model lacks and the data may show.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// In reports and plant files.
+    pub name: &'static str,
+    /// What its contribution is a function of.
+    pub depends_on: &'static [Dependence],
+    /// Of at least one `absent` is known.
+    pub parameters: Vec<Parameter>,
+    /// Sets of values to begin a fit from, in units the family's own.
+    pub starts: Vec<Vec<f64>>,
+    /// The recording that shows this effect apart from others.
+    pub experiment: &'static str,
+    /// Effects that would make this one superfluous or impossible when they are in already.
+    pub excludes: &'static [&'static str],
+}
+
+/// What the values of a [`Curve`] do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acts {
+    /// They are added to what pushes the output.
+    Push,
+    /// They are a friction, against motion whichever way it goes.
+    Friction,
+    /// What drives the output is multiplied by one more than they are.
+    Gain,
+}
+
+impl Acts {
+    /// In messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Push => "a force",
+            Self::Friction => "a friction",
+            Self::Gain => "a gain",
+        }
+    }
+}
+
+/// A curve of straight pieces over something the residual depends on; its values at the corners are the parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// What is on its axis.
+    pub over: Dependence,
+    /// Unit of the axis.
+    pub at_unit: &'static str,
+    /// Unit of the values.
+    pub unit: &'static str,
+    /// Corners, increasing.
+    pub at: Vec<f64>,
+    /// The axis is a circle of this length, the first corner follows the last.
+    pub period: Option<f64>,
+    /// What its values do.
+    pub acts: Acts,
+    /// A value that would be noticed.
+    pub scale: f64,
+}
+
+impl Curve {
+    /// The value at `x`; constant beyond both ends, or round the circle.
+    #[must_use]
+    pub fn value(&self, values: &[f64], x: f64) -> f64 {
+        let Some((&first, &last)) = self.at.first().zip(self.at.last()) else { return 0.0 };
+        let x = self.period.map_or(x, |period| first + (x - first).rem_euclid(period));
+        let above = self.at.partition_point(|&at| at <= x);
+        let between = |(x0, y0): (f64, f64), (x1, y1): (f64, f64)| {
+            if x1 > x0 { y0 + (y1 - y0) * (x - x0) / (x1 - x0) } else { y0 }
+        };
+        match (above.checked_sub(1), self.period) {
+            (None, _) => values[0],
+            (Some(below), _) if above < self.at.len() => {
+                between((self.at[below], values[below]), (self.at[above], values[above]))
+            }
+            (Some(below), Some(period)) => between((last, values[below]), (first + period, values[0])),
+            (Some(below), None) => values[below],
+        }
+    }
+}
+
+/// What is added to a base model.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Term {
+    /// An effect, by its index in the catalogue.
+    Known(usize),
+    /// An effect without a name.
+    Curve(Curve),
+}
+
+/// A base model and what was added to it, with values for all of it.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Structure {
+    /// What was added, in the order of adding.
+    pub terms: Vec<Term>,
+    /// The base model's values.
+    pub base: Vec<f64>,
+    /// The values of each term.
+    pub added: Vec<Vec<f64>>,
+}
+
+impl Structure {
+    /// The values of an effect of the catalogue; `None` if it was not added.
+    #[must_use]
+    pub fn of(&self, candidate: usize) -> Option<&[f64]> {
+        let place = self.terms.iter().position(|term| *term == Term::Known(candidate))?;
+        Some(&self.added[place])
+    }
+
+    /// The curves that were added, with their values.
+    pub fn curves(&self) -> impl Iterator<Item = (&Curve, &[f64])> {
+        self.terms.iter().zip(&self.added).filter_map(|(term, values)| match term {
+            Term::Curve(curve) => Some((curve, &values[..])),
+            Term::Known(_) => None,
+        })
+    }
+}
+
+/// A series beside the output that the residual may depend on, one value per sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Driver {
+    /// What it is.
+    pub over: Dependence,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The axis is a circle of this length, such as a turn.
+    pub period: Option<f64>,
+    /// One per measured sample.
+    pub values: Vec<f64>,
+}
+
+/// A kind of model.
+///
+/// `predict` is called many thousand times: it must not allocate more than it has to, and must return finite numbers for
+/// all values in range (a run that cannot be simulated is filled with NaN, which counts as infinitely bad).
+pub trait Family: Sync {
+    /// A run as the model wants it.
+    type Run: Clone + Sync;
+
+    /// The base model's parameters; none where all of it is declared.
+    fn base(&self) -> &[Parameter];
+
+    /// Every effect these data could show.
+    fn catalogue(&self) -> &[Candidate];
+
+    /// Unit of the output.
+    fn unit(&self) -> &'static str;
+
+    /// Sets of base values to begin a fit from, found from the data.
+    fn starts(&self, runs: &[&Self::Run]) -> Vec<Vec<f64>>;
+
+    /// A guess of what of the initial state has to be fitted for each run, and how far off each may be; both of the same
+    /// length, empty where nothing has to.
+    fn initial(&self, run: &Self::Run) -> (Vec<f64>, Vec<f64>);
+
+    /// Free run: what the output would have been, one value for each of [`Family::measured`], from the initial state.
+    fn predict(&self, structure: &Structure, initial: &[f64], run: &Self::Run, predicted: &mut [f64]);
+
+    /// What was measured; NaN where nothing was.
+    fn measured<'r>(&self, run: &'r Self::Run) -> &'r [f64];
+
+    /// The moments of [`Family::measured`], s.
+    fn time_s<'r>(&self, run: &'r Self::Run) -> &'r [f64];
+
+    /// Name of the run.
+    fn name<'r>(&self, run: &'r Self::Run) -> &'r str;
+
+    /// Name and values of what drives a run, for plots.
+    fn input(&self, _run: &Self::Run) -> (String, Vec<f64>) {
+        (String::new(), Vec::new())
+    }
+
+    /// Samples `from..to` as a run of its own; the input before `from` stays known to models with memory.
+    fn part(&self, run: &Self::Run, from: usize, to: usize) -> Self::Run;
+
+    /// Into how many blocks a run is cut to leave some out; `None` for blocks as long as the run's memory asks for.
+    fn blocks(&self, _: &Self::Run) -> Option<usize> {
+        None
+    }
+
+    /// The series that the residual is compared with.
+    fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;
+
+    /// The residual of the output as the push that is missing, and its unit: what causes show in. `None` where the
+    /// residual of the output itself is best looked at.
+    fn push(&self, _structure: &Structure, _run: &Self::Run, _residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
+        None
+    }
+
+    /// Values and deviations in the units of reports: of the base model, and of each term. By default as they are fitted.
+    fn estimates(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        let estimate = |(parameter, (&value, deviation)): (&Parameter, (&f64, Option<f64>))| {
+            let unit = parameter.unit.to_owned();
+            (parameter.name.to_owned(), Estimate { value, std: deviation, unit, interval: None, assumed: None })
+        };
+        let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
+        let base = self.base().iter().zip(structure.base.iter().zip(deviations.by_ref())).map(estimate).collect();
+        let terms = structure
+            .terms
+            .iter()
+            .zip(&structure.added)
+            .map(|(term, values)| match term {
+                Term::Known(index) => self.catalogue()[*index]
+                    .parameters
+                    .iter()
+                    .zip(values.iter().zip(deviations.by_ref()))
+                    .map(estimate)
+                    .collect(),
+                Term::Curve(_) => {
+                    deviations.by_ref().take(values.len()).for_each(drop);
+                    BTreeMap::new()
+                }
+            })
+            .collect();
+        (base, terms)
+    }
+
+    /// By how much a curve's values are multiplied to be in its unit.
+    fn force_per_push(&self, _structure: &Structure) -> f64 {
+        1.0
+    }
+
+    /// The model as a file.
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String;
+
+    /// Empty curves over a driver, one for each way in which the model can take one up.
+    fn curves(&self, structure: &Structure, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
+}

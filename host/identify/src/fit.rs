@@ -1,0 +1,536 @@
+//! Least squares between a free run and what was measured, by Levenberg-Marquardt.
+//!
+//! What is fitted together: the base model's parameters, those of every term, and what of each run's initial state is
+//! unknown. Parameters go through a change of variable, so that no step can leave their [`Range`].
+
+use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
+use nalgebra::{DMatrix, DVector, Dyn, Owned};
+
+use crate::family::{Family, Parameter, Range, Structure, Term};
+
+/// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
+/// below the curvature (the variables are of order one).
+const DIFFERENCE: f64 = 3e-5;
+/// The same where the free run changes in steps only.
+const COARSE: f64 = 2e-4;
+/// Residuals beyond so many deviations (by the median) count linearly (Huber).
+const HUBER: f64 = 4.0;
+/// Stretches of the recordings that count as independent of each other.
+const CLUSTERS: usize = 40;
+
+impl Range {
+    /// The unbounded variable that stands for `value`.
+    fn variable(self, value: f64) -> f64 {
+        match self {
+            Self::Positive | Self::Coarse => value.max(f64::MIN_POSITIVE).ln(),
+            // The inverse of ln(1 + e^z).
+            Self::NotNegative { scale } => {
+                let share = (value / scale).max(1e-9);
+                if share > 30.0 { share } else { share.exp_m1().ln() }
+            }
+            Self::Between(lower, upper) => {
+                let share = ((value - lower) / (upper - lower)).clamp(1e-6, 1.0 - 1e-6);
+                (share / (1.0 - share)).ln()
+            }
+            Self::Any { scale } => value / scale,
+        }
+    }
+
+    /// The value that a variable stands for; in range for every finite one.
+    fn value(self, variable: f64) -> f64 {
+        match self {
+            Self::Positive | Self::Coarse => variable.clamp(-80.0, 80.0).exp(),
+            Self::NotNegative { scale } => {
+                scale * if variable > 30.0 { variable } else { variable.max(-40.0).exp().ln_1p() }
+            }
+            Self::Between(lower, upper) => lower + (upper - lower) / (1.0 + (-variable.clamp(-40.0, 40.0)).exp()),
+            Self::Any { scale } => scale * variable,
+        }
+    }
+
+    /// Step of the variable for differences.
+    fn difference(self) -> f64 {
+        if self == Self::Coarse { COARSE } else { DIFFERENCE }
+    }
+
+    /// A small step of the value that stays in range.
+    fn small(self, value: f64) -> f64 {
+        match self {
+            Self::Positive => value * 1e-4,
+            Self::Coarse => value * COARSE,
+            Self::NotNegative { scale } => 1e-4 * value.max(scale),
+            Self::Between(lower, upper) => {
+                let step = 1e-4 * (upper - lower);
+                if value + step < upper { step } else { -step }
+            }
+            Self::Any { scale } => 1e-4 * value.abs().max(scale),
+        }
+    }
+}
+
+/// The parameters of a structure in order: the base model's, then each term's. A curve's are its corners.
+#[must_use]
+pub fn parameters<F: Family>(family: &F, terms: &[Term]) -> Vec<Parameter> {
+    let mut all = family.base().to_vec();
+    for term in terms {
+        match term {
+            Term::Known(candidate) => all.extend_from_slice(&family.catalogue()[*candidate].parameters),
+            Term::Curve(curve) => all.extend(curve.at.iter().map(|_| Parameter {
+                name: "value",
+                unit: curve.unit,
+                range: Range::Any { scale: curve.scale },
+                absent: Some(0.0),
+            })),
+        }
+    }
+    all
+}
+
+fn flat(structure: &Structure) -> impl Iterator<Item = f64> {
+    structure.base.iter().chain(structure.added.iter().flatten()).copied()
+}
+
+fn set_flat(structure: &mut Structure, values: &[f64]) {
+    let places = structure.base.iter_mut().chain(structure.added.iter_mut().flatten());
+    for (place, &value) in places.zip(values) {
+        *place = value;
+    }
+}
+
+/// A model fitted to runs.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// The model.
+    pub structure: Structure,
+    /// The initial state of each run.
+    pub initial: Vec<Vec<f64>>,
+    /// Sum of the squares of the residuals, each weighted.
+    pub cost: f64,
+    /// Weights by which outlying samples were held down, run by run.
+    weights: Vec<Vec<f64>>,
+}
+
+/// What a fit may do.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// Free runs of all data, without those for differences.
+    pub evaluations: usize,
+    /// Relative gain at which it ends.
+    pub tolerance: f64,
+    /// Once more with samples beyond all others held down.
+    pub robust: bool,
+}
+
+impl Effort {
+    /// For numbers that are reported.
+    pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
+    /// For comparing the most promising effects.
+    pub const COMPARE: Self = Self { evaluations: 24, tolerance: 1e-6, robust: false };
+    /// For telling these from others.
+    pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
+    /// For telling a promising place to begin from others.
+    pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
+}
+
+/// Fits a structure, from the values it has.
+#[must_use]
+pub fn fit<F: Family>(
+    family: &F,
+    runs: &[&F::Run],
+    structure: Structure,
+    initial: Vec<Vec<f64>>,
+    effort: Effort,
+) -> Fit {
+    let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
+    let first = Problem::new(family, runs, structure, initial, weights).solved(effort);
+    if !effort.robust {
+        return first.into_fit();
+    }
+    let weights = first.huber();
+    if weights.iter().flatten().all(|&weight| weight == 1.0) {
+        return first.into_fit();
+    }
+    let Problem { structure, initial, .. } = first;
+    Problem::new(family, runs, structure, initial, weights).solved(effort).into_fit()
+}
+
+/// Sum of squares of a structure as it is.
+#[must_use]
+pub fn cost<F: Family>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
+    let squares = runs.iter().zip(initial).map(|(run, initial)| {
+        residuals(family, structure, initial, run).iter().filter(|r| !r.is_nan()).map(|r| r * r).sum::<f64>()
+    });
+    squares.sum()
+}
+
+/// The initial states that the family guesses.
+#[must_use]
+pub fn guessed<F: Family>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+    runs.iter().map(|run| family.initial(run).0).collect()
+}
+
+/// The initial state of a run under a given model, fitted to its first `samples` alone; a guess counts as a measurement
+/// with the deviation that the family gives it.
+#[must_use]
+pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, samples: usize) -> Vec<f64> {
+    let (guess, deviations) = family.initial(run);
+    if guess.is_empty() {
+        return guess;
+    }
+    let samples = samples.min(family.measured(run).len());
+    let part = family.part(run, 0, samples);
+    let measured = family.measured(&part);
+    let mut state = guess.clone();
+    let mut predicted = vec![0.0; samples];
+    let mut moved = vec![0.0; samples];
+    for _ in 0..3 {
+        family.predict(structure, &state, &part, &mut predicted);
+        let mut jacobian = DMatrix::zeros(samples + state.len(), state.len());
+        let mut residual = DVector::zeros(samples + state.len());
+        let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);
+        for row in 0..samples {
+            if (measured[row] - predicted[row]).is_finite() {
+                residual[row] = (measured[row] - predicted[row]) / noise;
+            }
+        }
+        for column in 0..state.len() {
+            let step = 1e-3 * deviations[column];
+            let mut other = state.clone();
+            other[column] += step;
+            family.predict(structure, &other, &part, &mut moved);
+            for row in 0..samples {
+                let slope = (moved[row] - predicted[row]) / step / noise;
+                if measured[row].is_finite() && slope.is_finite() {
+                    jacobian[(row, column)] = slope;
+                }
+            }
+            jacobian[(samples + column, column)] = 1.0 / deviations[column];
+            residual[samples + column] = (guess[column] - state[column]) / deviations[column];
+        }
+        let Ok(step) = jacobian.svd(true, true).solve(&residual, 1e-12) else { break };
+        for (place, step) in state.iter_mut().zip(step.iter()) {
+            *place += step;
+        }
+    }
+    if state.iter().all(|value| value.is_finite()) { state } else { guess }
+}
+
+/// Deviation of the residuals by their median, which outliers do not move.
+fn deviation(measured: &[f64], predicted: &[f64]) -> f64 {
+    let residuals = measured.iter().zip(predicted).map(|(measured, predicted)| (measured - predicted).abs());
+    robust_deviation(residuals.collect())
+}
+
+/// 1.4826 times the median of the magnitudes: the standard deviation if they are normal.
+pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
+    magnitudes.retain(|magnitude| magnitude.is_finite());
+    if magnitudes.is_empty() {
+        return 0.0;
+    }
+    let middle = magnitudes.len() / 2;
+    let (_, median, _) = magnitudes.select_nth_unstable_by(middle, f64::total_cmp);
+    1.4826 * *median
+}
+
+struct Problem<'p, F: Family> {
+    family: &'p F,
+    runs: &'p [&'p F::Run],
+    parameters: Vec<Parameter>,
+    structure: Structure,
+    initial: Vec<Vec<f64>>,
+    /// By which an initial state's variable is multiplied.
+    scales: Vec<Vec<f64>>,
+    weights: Vec<Vec<f64>>,
+    /// Rows of each run.
+    rows: Vec<std::ops::Range<usize>>,
+    variables: DVector<f64>,
+    predicted: Vec<f64>,
+    /// A prediction that is not finite counts as so far off.
+    absurd: f64,
+    /// Evaluations that are left.
+    left: usize,
+    /// The least cost so far, and the variables that gave it.
+    best: (f64, DVector<f64>),
+}
+
+impl<'p, F: Family> Problem<'p, F> {
+    fn new(
+        family: &'p F,
+        runs: &'p [&'p F::Run],
+        structure: Structure,
+        initial: Vec<Vec<f64>>,
+        weights: Vec<Vec<f64>>,
+    ) -> Self {
+        let parameters = parameters(family, &structure.terms);
+        let mut rows = Vec::new();
+        let mut count = 0;
+        for run in runs {
+            let len = family.measured(run).len();
+            rows.push(count..count + len);
+            count += len;
+        }
+        let scales: Vec<Vec<f64>> = runs.iter().map(|run| family.initial(run).1).collect();
+        let globals = parameters.iter().zip(flat(&structure)).map(|(parameter, value)| parameter.range.variable(value));
+        let locals = initial.iter().flatten().zip(scales.iter().flatten()).map(|(value, scale)| value / scale);
+        let variables = DVector::from_vec(globals.chain(locals).collect());
+        let largest = runs.iter().flat_map(|run| family.measured(run)).filter(|value| value.is_finite());
+        let absurd = 1e3 * largest.fold(1.0, |largest: f64, value| largest.max(value.abs()));
+        let mut problem = Self {
+            family,
+            runs,
+            parameters,
+            structure,
+            initial,
+            scales,
+            weights,
+            rows,
+            variables,
+            predicted: vec![0.0; count],
+            absurd,
+            left: usize::MAX,
+            best: (f64::INFINITY, DVector::zeros(0)),
+        };
+        let variables = problem.variables.clone();
+        problem.set_params(&variables);
+        problem
+    }
+
+    fn solved(mut self, effort: Effort) -> Self {
+        self.left = effort.evaluations;
+        let solver = LevenbergMarquardt::new()
+            .with_ftol(effort.tolerance)
+            .with_xtol(effort.tolerance)
+            .with_gtol(1e-12)
+            .with_stepbound(1.0)
+            .with_patience(effort.evaluations);
+        let mut solved = solver.minimize(self).0;
+        solved.left = usize::MAX;
+        if !solved.best.1.is_empty() {
+            // The solver ends where it looked last.
+            let best = std::mem::replace(&mut solved.best.1, DVector::zeros(0));
+            solved.set_params(&best);
+        }
+        solved
+    }
+
+    fn into_fit(self) -> Fit {
+        let cost = self.weighted().norm_squared();
+        Fit { structure: self.structure, initial: self.initial, cost, weights: self.weights }
+    }
+
+    fn predict_all(&self, structure: &Structure, initial: &[Vec<f64>], predicted: &mut [f64]) {
+        for ((run, rows), initial) in self.runs.iter().zip(&self.rows).zip(initial) {
+            self.family.predict(structure, initial, run, &mut predicted[rows.clone()]);
+        }
+    }
+
+    fn values_of(&self, variables: &DVector<f64>) -> Vec<f64> {
+        self.parameters.iter().zip(variables.iter()).map(|(parameter, &z)| parameter.range.value(z)).collect()
+    }
+
+    fn residual(&self, row: usize, run: usize, measured: f64, predicted: f64) -> f64 {
+        if !measured.is_finite() {
+            return 0.0;
+        }
+        let residual = if predicted.is_finite() { predicted - measured } else { self.absurd };
+        residual * self.weights[run][row]
+    }
+
+    fn weighted(&self) -> DVector<f64> {
+        let mut residuals = DVector::zeros(self.predicted.len());
+        for (index, (run, rows)) in self.runs.iter().zip(&self.rows).enumerate() {
+            for (row, &measured) in self.family.measured(run).iter().enumerate() {
+                let predicted = self.predicted[rows.start + row];
+                residuals[rows.start + row] = self.residual(row, index, measured, predicted);
+            }
+        }
+        residuals
+    }
+
+    /// Square roots of Huber's weights.
+    fn huber(&self) -> Vec<Vec<f64>> {
+        let residuals = self.weighted();
+        let scale = robust_deviation(residuals.iter().map(|residual| residual.abs()).collect());
+        let weight = |residual: f64| {
+            let share = residual.abs() / (HUBER * scale);
+            if scale > 0.0 && share > 1.0 { share.recip().sqrt() } else { 1.0 }
+        };
+        self.rows.iter().map(|rows| rows.clone().map(|row| weight(residuals[row])).collect()).collect()
+    }
+}
+
+impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
+    type ParameterStorage = Owned<f64, Dyn>;
+    type ResidualStorage = Owned<f64, Dyn>;
+    type JacobianStorage = Owned<f64, Dyn, Dyn>;
+
+    fn set_params(&mut self, variables: &DVector<f64>) {
+        self.variables.copy_from(variables);
+        let values = self.values_of(variables);
+        set_flat(&mut self.structure, &values);
+        let mut rest = variables.iter().skip(values.len());
+        for (initial, scales) in self.initial.iter_mut().zip(&self.scales) {
+            for ((place, scale), variable) in initial.iter_mut().zip(scales).zip(&mut rest) {
+                *place = scale * variable;
+            }
+        }
+        let mut predicted = std::mem::take(&mut self.predicted);
+        self.predict_all(&self.structure, &self.initial, &mut predicted);
+        self.predicted = predicted;
+        let cost = self.weighted().norm_squared();
+        if cost < self.best.0 {
+            self.best = (cost, variables.clone());
+        }
+        self.left = self.left.saturating_sub(1);
+    }
+
+    fn params(&self) -> DVector<f64> {
+        self.variables.clone()
+    }
+
+    fn residuals(&self) -> Option<DVector<f64>> {
+        // Ends the solver.
+        (self.left > 0).then(|| self.weighted())
+    }
+
+    fn jacobian(&self) -> Option<DMatrix<f64>> {
+        if self.left == 0 {
+            return None;
+        }
+        let globals = self.parameters.len();
+        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
+        let mut moved = vec![0.0; self.predicted.len()];
+        for column in 0..globals {
+            let mut structure = self.structure.clone();
+            let mut variables = self.variables.clone();
+            let step = self.parameters[column].range.difference();
+            variables[column] += step;
+            set_flat(&mut structure, &self.values_of(&variables));
+            self.predict_all(&structure, &self.initial, &mut moved);
+            for (index, rows) in self.rows.iter().enumerate() {
+                self.slopes(&mut jacobian, (column, step), index, rows, &moved);
+            }
+        }
+        // One component of all runs' initial states at a time: a run's concerns no other.
+        let components = self.scales.first().map_or(0, Vec::len);
+        for component in 0..components {
+            let mut initial = self.initial.clone();
+            for (initial, scales) in initial.iter_mut().zip(&self.scales) {
+                initial[component] += DIFFERENCE * scales[component];
+            }
+            self.predict_all(&self.structure, &initial, &mut moved);
+            for (index, rows) in self.rows.iter().enumerate() {
+                let column = globals + index * components + component;
+                self.slopes(&mut jacobian, (column, DIFFERENCE), index, rows, &moved);
+            }
+        }
+        Some(jacobian)
+    }
+}
+
+impl<F: Family> Problem<'_, F> {
+    fn slopes(
+        &self,
+        jacobian: &mut DMatrix<f64>,
+        (column, step): (usize, f64),
+        run: usize,
+        rows: &std::ops::Range<usize>,
+        moved: &[f64],
+    ) {
+        let measured = self.family.measured(self.runs[run]);
+        for (row, &measured) in measured.iter().enumerate() {
+            let at = rows.start + row;
+            let slope = (moved[at] - self.predicted[at]) / step;
+            if measured.is_finite() && slope.is_finite() {
+                jacobian[(at, column)] = slope * self.weights[run][row];
+            }
+        }
+    }
+}
+
+impl Fit {
+    /// Measured minus predicted, run by run; NaN where nothing was measured.
+    #[must_use]
+    pub fn residuals<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+        runs.iter().zip(&self.initial).map(|(run, initial)| residuals(family, &self.structure, initial, run)).collect()
+    }
+
+    /// Standard deviations of the structure's parameters, in the order of [`parameters()`]; `None` where the data do not
+    /// fix one.
+    ///
+    /// What is left of real data is correlated over time: the spread of the score between stretches of the recording
+    /// tells how much (White's sandwich, clustered); the usual deviation for independent noise is its lower bound.
+    #[must_use]
+    pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
+        let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
+        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
+        let globals = problem.parameters.len();
+        let mut moved = vec![0.0; problem.predicted.len()];
+        let values: Vec<f64> = flat(&self.structure).collect();
+        // By the values themselves: at the edge of a range the change of variable is flat.
+        for column in 0..globals {
+            let step = problem.parameters[column].range.small(values[column]);
+            let mut other = values.clone();
+            other[column] += step;
+            let mut structure = self.structure.clone();
+            set_flat(&mut structure, &other);
+            problem.predict_all(&structure, &self.initial, &mut moved);
+            for (index, (run, rows)) in runs.iter().zip(&problem.rows).enumerate() {
+                for (row, &measured) in family.measured(run).iter().enumerate() {
+                    let at = rows.start + row;
+                    let slope = (moved[at] - problem.predicted[at]) / step * self.weights[index][row];
+                    jacobian[(at, column)] = if measured.is_finite() && slope.is_finite() { slope } else { 0.0 };
+                }
+            }
+        }
+        // Columns of length one, so that what is small is small for the data.
+        let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
+        for (mut column, &length) in jacobian.column_iter_mut().zip(&lengths) {
+            if length > 0.0 {
+                column /= length;
+            }
+        }
+        let residuals = problem.weighted();
+        let samples = residuals.iter().filter(|residual| **residual != 0.0).count();
+        let columns = jacobian.ncols();
+        let variance = self.cost / samples.saturating_sub(columns).max(1) as f64;
+        let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
+        let known = |value: f64| value > 1e-10;
+        let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
+        let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
+        let clusters = (CLUSTERS / runs.len()).max(1);
+        let mut spread = DMatrix::<f64>::zeros(columns, columns);
+        let mut count = 0.0;
+        for rows in &problem.rows {
+            let length = rows.len().div_ceil(clusters).max(1);
+            for from in rows.clone().step_by(length) {
+                let len = length.min(rows.end - from);
+                let score = jacobian.rows(from, len).transpose() * residuals.rows(from, len);
+                spread += &score * score.transpose();
+                count += 1.0;
+            }
+        }
+        let sandwich = &inverse * spread * &inverse * (count / (count - 1.0_f64).max(1.0));
+        (0..globals)
+            .map(|row| {
+                let lost: f64 = (0..columns)
+                    .filter(|&column| !known(eigen.eigenvalues[column]))
+                    .map(|column| eigen.eigenvectors[(row, column)].powi(2))
+                    .sum();
+                if lengths[row] == 0.0 || lost > 1e-3 {
+                    return None;
+                }
+                Some((variance * inverse[(row, row)]).max(sandwich[(row, row)]).sqrt() / lengths[row])
+            })
+            .collect()
+    }
+}
+
+/// Measured minus predicted of one run; NaN where nothing was measured.
+#[must_use]
+pub fn residuals<F: Family>(family: &F, structure: &Structure, initial: &[f64], run: &F::Run) -> Vec<f64> {
+    let measured = family.measured(run);
+    let mut predicted = vec![0.0; measured.len()];
+    family.predict(structure, initial, run, &mut predicted);
+    measured.iter().zip(&predicted).map(|(measured, predicted)| measured - predicted).collect()
+}

@@ -1,0 +1,314 @@
+//! The effects that a moving axis may show, as the estimator knows them.
+
+use r4_plants::Dependence::{self, Direction, History, Input, Position, Speed, Supply, Time};
+
+use crate::family::{Candidate, Parameter, Range};
+
+use super::Scales;
+
+/// Every effect, in the order of the catalogue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Effect {
+    InputSign,
+    InputDelay,
+    InputHold,
+    DeadZone,
+    GainCurve,
+    DirectionAsymmetry,
+    Saturation,
+    SlewLimit,
+    DriveLag,
+    SupplySag,
+    WindingHeating,
+    Coulomb,
+    Static,
+    DirectionFriction,
+    LoadFriction,
+    PositionFriction,
+    WarmUp,
+    Drag,
+    ConstantLoad,
+    Gravity,
+    Cogging,
+    Backlash,
+    Compliance,
+    SensorLag,
+    SensorHold,
+    Eccentricity,
+    EncoderScale,
+    EncoderOffset,
+}
+
+impl Effect {
+    pub(super) const ALL: [Self; 28] = [
+        Self::InputSign,
+        Self::InputDelay,
+        Self::InputHold,
+        Self::DeadZone,
+        Self::GainCurve,
+        Self::DirectionAsymmetry,
+        Self::Saturation,
+        Self::SlewLimit,
+        Self::DriveLag,
+        Self::SupplySag,
+        Self::WindingHeating,
+        Self::Coulomb,
+        Self::Static,
+        Self::DirectionFriction,
+        Self::LoadFriction,
+        Self::PositionFriction,
+        Self::WarmUp,
+        Self::Drag,
+        Self::ConstantLoad,
+        Self::Gravity,
+        Self::Cogging,
+        Self::Backlash,
+        Self::Compliance,
+        Self::SensorLag,
+        Self::SensorHold,
+        Self::Eccentricity,
+        Self::EncoderScale,
+        Self::EncoderOffset,
+    ];
+
+    /// Name in reports and plant files.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::InputSign => "input-sign",
+            Self::InputDelay => "input-delay",
+            Self::InputHold => "input-hold",
+            Self::DeadZone => "dead-zone",
+            Self::GainCurve => "gain-curve",
+            Self::DirectionAsymmetry => "direction-asymmetry",
+            Self::Saturation => "saturation",
+            Self::SlewLimit => "slew-limit",
+            Self::DriveLag => "drive-lag",
+            Self::SupplySag => "supply-sag",
+            Self::WindingHeating => "winding-heating",
+            Self::Coulomb => "coulomb-friction",
+            Self::Static => "static-friction",
+            Self::DirectionFriction => "direction-friction",
+            Self::LoadFriction => "load-friction",
+            Self::PositionFriction => "position-friction",
+            Self::WarmUp => "friction-warm-up",
+            Self::Drag => "quadratic-drag",
+            Self::ConstantLoad => "constant-load",
+            Self::Gravity => "gravity-load",
+            Self::Cogging => "cogging",
+            Self::Backlash => "backlash",
+            Self::Compliance => "compliance",
+            Self::SensorLag => "sensor-lag",
+            Self::SensorHold => "sensor-hold",
+            Self::Eccentricity => "eccentricity",
+            Self::EncoderScale => "encoder-scale",
+            Self::EncoderOffset => "encoder-offset",
+        }
+    }
+
+    const fn depends_on(self) -> &'static [Dependence] {
+        match self {
+            Self::InputSign | Self::DeadZone | Self::GainCurve | Self::Saturation => &[Input],
+            Self::InputDelay | Self::InputHold | Self::SlewLimit | Self::DriveLag => &[Input, History],
+            Self::DirectionAsymmetry => &[Input, Direction],
+            Self::SupplySag => &[Supply, Input, Speed],
+            Self::WindingHeating => &[Time, History],
+            Self::Coulomb | Self::DirectionFriction => &[Direction],
+            Self::Static => &[Speed, Direction],
+            Self::LoadFriction => &[Direction, Input],
+            Self::PositionFriction => &[Position, Direction],
+            Self::WarmUp => &[Time, Direction],
+            Self::Drag => &[Speed],
+            Self::ConstantLoad => &[Time],
+            Self::Gravity | Self::Cogging | Self::Eccentricity | Self::EncoderScale | Self::EncoderOffset => {
+                &[Position]
+            }
+            Self::Backlash => &[History, Direction],
+            Self::Compliance => &[Dependence::Acceleration, History],
+            Self::SensorLag | Self::SensorHold => &[Speed, History],
+        }
+    }
+
+    /// The recording that shows it apart from what looks alike.
+    const fn experiment(self) -> &'static str {
+        match self {
+            Self::InputSign => "one step each way with the sensor's direction checked by eye",
+            Self::InputDelay => {
+                "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them"
+            }
+            Self::InputHold => "a fast triangle as command: a held command shows as stairs",
+            Self::DeadZone => {
+                "slow ramps of the command through zero from rest and in motion: a dead zone also acts in motion"
+            }
+            Self::GainCurve => "steady speeds at ten commands of each sign",
+            Self::DirectionAsymmetry => {
+                "the same steps both ways at three sizes: a gain scales with the size, a friction does not"
+            }
+            Self::Saturation => "steady speeds at commands up to full scale",
+            Self::SlewLimit => "steps of several sizes: a slew limit takes longer for larger ones, a lag does not",
+            Self::DriveLag => "steps of several sizes at a high rate, and coasting after a cut",
+            Self::SupplySag => "the voltage of the supply, recorded beside the rest",
+            Self::WindingHeating => "a minute of hard driving, then the first steps again after a rest",
+            Self::Coulomb => "coasting down from several speeds, and slow ramps through zero",
+            Self::Static => "very slow ramps from rest, each way, several times",
+            Self::DirectionFriction => "constant speeds both ways, slow and fast",
+            Self::LoadFriction => "the same motion with two different loads on the output",
+            Self::PositionFriction => "slow constant speed over several turns, both ways",
+            Self::WarmUp => "the same cycle repeated for some minutes from a cold start",
+            Self::Drag => "steady speeds at ten commands up to the highest",
+            Self::ConstantLoad => "holding at rest with the axis turned over",
+            Self::Gravity => {
+                "slow constant speed over several turns, both ways: a load pulls alike both ways, friction does not"
+            }
+            Self::Cogging => "slow constant speed over several turns at a high rate",
+            Self::Backlash => "small reversals, with sensors at the motor and at the output",
+            Self::Compliance => "a sweep of frequencies through the resonance, at two amplitudes",
+            Self::SensorLag => "a second sensor, or the current beside the position",
+            Self::SensorHold => "a steady motion recorded at a higher rate: a held value shows as stairs",
+            Self::Eccentricity => {
+                "constant speed over several turns at two speeds: an error of the sensor does not change with speed"
+            }
+            Self::EncoderScale => "ten whole turns against a mark",
+            Self::EncoderOffset => "rest at a mark",
+        }
+    }
+
+    const fn excludes(self) -> &'static [&'static str] {
+        match self {
+            Self::Coulomb => &["direction-friction"],
+            Self::DirectionFriction => &["coulomb-friction"],
+            _ => &[],
+        }
+    }
+
+    /// Page of the catalogue, with numbers to begin from by the size of things in the data.
+    pub(super) fn candidate(self, scales: &Scales) -> Candidate {
+        let s = scales;
+        let (distance, speed, force) = (s.units.distance, s.units.speed, s.units.force);
+        // What a push of a tenth of the command's size gives.
+        let push = 0.1 * s.acceleration;
+        let shaped = |name, unit, range| Parameter { name, unit, range, absent: None };
+        let sized = |name, unit, range| Parameter { name, unit, range, absent: Some(0.0) };
+        let whole = |name, unit, range| Parameter { name, unit, range, absent: Some(1.0) };
+        let level = |scale| Range::NotNegative { scale };
+        let (parameters, starts): (Vec<Parameter>, Vec<Vec<f64>>) = match self {
+            Self::InputSign => (vec![], vec![vec![]]),
+            Self::InputDelay => (
+                vec![sized("delay_s", "s", level(s.period_s))],
+                vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
+            ),
+            Self::InputHold | Self::SensorHold => (
+                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                // Two neighbours differ by less than one slot over a recording.
+                (0..)
+                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
+                    .take_while(|&hold_s| hold_s < 0.6)
+                    .map(|hold_s| vec![hold_s])
+                    .collect(),
+            ),
+            Self::DeadZone => (
+                vec![sized(s.units.input_name, s.units.input, level(0.05 * s.input))],
+                [0.02, 0.1, 0.3].iter().map(|share| vec![share * s.input]).collect(),
+            ),
+            Self::GainCurve => (vec![whole("exponent", "1", Range::Positive)], vec![vec![0.7], vec![1.5], vec![2.5]]),
+            Self::DirectionAsymmetry => {
+                (vec![whole("backward_gain", "1", Range::Positive)], vec![vec![0.85], vec![1.15]])
+            }
+            Self::Saturation => (
+                vec![shaped(s.units.input_name, s.units.input, Range::Positive)],
+                [0.95, 0.8, 0.6, 0.4].iter().map(|share| vec![share * s.input]).collect(),
+            ),
+            Self::SlewLimit => (
+                vec![shaped("rate_per_s", "1/s", Range::Positive)],
+                [0.02, 0.1, 0.3, 1.0].iter().map(|time_s| vec![s.input / time_s]).collect(),
+            ),
+            Self::DriveLag | Self::SensorLag => (
+                vec![sized("time_constant_s", "s", level(s.period_s))],
+                vec![vec![2.0 * s.period_s], vec![0.03], vec![0.15]],
+            ),
+            Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
+            Self::WindingHeating => (
+                vec![sized("rise_at_full", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
+                vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
+            ),
+            Self::Coulomb => (
+                vec![sized(s.units.force_name, force, level(0.2 * push))],
+                [0.2, 1.0, 3.0].iter().map(|share| vec![share * push]).collect(),
+            ),
+            Self::Static => (
+                vec![
+                    sized(s.units.force_name, force, level(0.2 * push)),
+                    shaped(s.units.stribeck_name, speed, Range::Positive),
+                ],
+                vec![vec![push, 0.02 * s.speed], vec![push, 0.1 * s.speed], vec![2.0 * push, 0.3 * s.speed]],
+            ),
+            Self::DirectionFriction => (
+                vec![
+                    sized(s.units.forward_name, force, level(0.2 * push)),
+                    sized(s.units.backward_name, force, level(0.2 * push)),
+                ],
+                vec![vec![1.5 * push, 0.5 * push], vec![0.5 * push, 1.5 * push]],
+            ),
+            Self::LoadFriction => (vec![sized("share", "1", Range::Between(0.0, 0.95))], vec![vec![0.1], vec![0.3]]),
+            Self::PositionFriction => (
+                vec![
+                    sized(s.units.force_name, force, level(0.2 * push)),
+                    shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
+                    shaped(s.units.periods_name, s.units.periods, Range::Positive),
+                ],
+                s.periods.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
+            ),
+            Self::WarmUp => (
+                vec![sized(s.units.force_name, force, level(0.2 * push)), shaped("warm_up_s", "s", Range::Positive)],
+                vec![vec![push, 0.15 * s.duration_s], vec![push, 0.5 * s.duration_s], vec![push, 2.0 * s.duration_s]],
+            ),
+            Self::Drag => (
+                vec![sized(s.units.drag_name, s.units.drag, level(push / s.speed.powi(2)))],
+                vec![vec![0.3 * push / s.speed.powi(2)], vec![2.0 * push / s.speed.powi(2)]],
+            ),
+            Self::ConstantLoad => (
+                vec![sized(s.units.force_name, force, Range::Any { scale: push })],
+                vec![vec![0.3 * push], vec![-0.3 * push]],
+            ),
+            Self::Gravity => (
+                vec![
+                    sized(s.units.force_name, force, level(push)),
+                    shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
+                ],
+                [0.0, 1.6, 3.1, 4.7].iter().map(|phase| vec![push, *phase]).collect(),
+            ),
+            Self::Cogging => (
+                vec![
+                    sized(s.units.force_name, force, level(push)),
+                    shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
+                    shaped(s.units.periods_name, s.units.periods, Range::Positive),
+                ],
+                s.cogging.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
+            ),
+            Self::Backlash => (
+                vec![sized(s.units.gap_name, distance, level(0.02 * s.distance))],
+                [0.003, 0.02, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
+            ),
+            Self::Compliance => (
+                vec![shaped("frequency_hz", "Hz", Range::Positive), shaped("damping", "1", Range::Between(0.001, 3.0))],
+                [1.5, 4.0, 10.0, 25.0].iter().map(|&hz| vec![hz, 0.1]).collect(),
+            ),
+            Self::Eccentricity => (
+                vec![sized("amplitude_rad", "rad", level(0.01)), shaped("phase_rad", "rad", Range::Any { scale: 0.5 })],
+                [0.0, 1.6, 3.1, 4.7].iter().map(|phase| vec![0.05, *phase]).collect(),
+            ),
+            Self::EncoderScale => (vec![whole("scale", "1", Range::Positive)], vec![vec![1.03], vec![0.97]]),
+            Self::EncoderOffset => (
+                vec![sized(s.units.offset_name, distance, Range::Any { scale: 0.01 * s.distance })],
+                vec![vec![0.02 * s.distance], vec![-0.02 * s.distance]],
+            ),
+        };
+        Candidate {
+            name: self.name(),
+            depends_on: self.depends_on(),
+            parameters,
+            starts,
+            experiment: self.experiment(),
+            excludes: self.excludes(),
+        }
+    }
+}

@@ -1,0 +1,456 @@
+//! Models of one axis that moves: `dc-motor`, `axis`, `linear-actuator` and `servo`.
+//!
+//! All four are the same mechanics (`simulate.rs`) under different names for their two numbers, and with or without a
+//! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
+
+mod effect;
+mod info;
+mod physical;
+mod run;
+mod simulate;
+mod start;
+#[cfg(test)]
+mod tests;
+
+use std::{collections::BTreeMap, f64::consts::TAU};
+
+use r4_plants::{Dependence, PlantSpec};
+
+pub use run::MotionRun;
+
+use crate::{
+    data::Quantity,
+    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    report::Estimate,
+};
+use effect::Effect;
+use simulate::{Observed, simulate};
+
+/// Which of the models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Duty or volts to angle or angular speed.
+    DcMotor,
+    /// Force, or volts of a drive of known gain, to position.
+    Axis,
+    /// Duty or volts to a rod's position.
+    LinearActuator,
+    /// Goal to position under a proportional loop.
+    Servo,
+}
+
+impl Kind {
+    /// All, in the order of the list of models.
+    pub const ALL: [Self; 4] = [Self::DcMotor, Self::Axis, Self::LinearActuator, Self::Servo];
+
+    /// Name on the command line and in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::DcMotor => "dc-motor",
+            Self::Axis => "axis",
+            Self::LinearActuator => "linear-actuator",
+            Self::Servo => "servo",
+        }
+    }
+}
+
+/// Names of units at the output, in reports.
+#[derive(Clone, Copy, Debug)]
+struct Units {
+    distance: &'static str,
+    speed: &'static str,
+    force: &'static str,
+    drag: &'static str,
+    periods: &'static str,
+    input: &'static str,
+    input_name: &'static str,
+    force_name: &'static str,
+    forward_name: &'static str,
+    backward_name: &'static str,
+    stribeck_name: &'static str,
+    gap_name: &'static str,
+    offset_name: &'static str,
+    drag_name: &'static str,
+    periods_name: &'static str,
+}
+
+impl Units {
+    const ROTARY: Self = Self {
+        distance: "rad",
+        speed: "rad/s",
+        force: "N m",
+        drag: "N m s^2/rad^2",
+        periods: "1/turn",
+        input: "1",
+        input_name: "duty",
+        force_name: "torque_nm",
+        forward_name: "forward_torque_nm",
+        backward_name: "backward_torque_nm",
+        stribeck_name: "stribeck_rad_s",
+        gap_name: "gap_rad",
+        offset_name: "offset_rad",
+        drag_name: "drag_nm_s2_per_rad2",
+        periods_name: "periods_per_turn",
+    };
+    const LINEAR: Self = Self {
+        distance: "m",
+        speed: "m/s",
+        force: "N",
+        drag: "N s^2/m^2",
+        periods: "1/m",
+        input: "1",
+        input_name: "duty",
+        force_name: "force_n",
+        forward_name: "forward_force_n",
+        backward_name: "backward_force_n",
+        stribeck_name: "stribeck_m_s",
+        gap_name: "gap_m",
+        offset_name: "offset_m",
+        drag_name: "drag_n_s2_per_m2",
+        periods_name: "periods_per_m",
+    };
+
+    const fn with_input(mut self, quantity: Quantity) -> Self {
+        (self.input, self.input_name) = match quantity {
+            Quantity::Voltage => ("V", "voltage_v"),
+            Quantity::Force => ("N", "input_force_n"),
+            Quantity::Torque => ("N m", "input_torque_nm"),
+            _ => (self.input, self.input_name),
+        };
+        self
+    }
+}
+
+/// How large things are in the data, to begin fits from.
+#[derive(Clone, Debug)]
+struct Scales {
+    units: Units,
+    /// Largest command.
+    input: f64,
+    /// Reach of the output, or of its integral.
+    distance: f64,
+    speed: f64,
+    /// What the largest command gives.
+    acceleration: f64,
+    /// Median time between samples.
+    period_s: f64,
+    duration_s: f64,
+    /// How often per turn (or per m) something slow over position may repeat.
+    periods: Vec<f64>,
+    /// The same for teeth and slots.
+    cogging: Vec<f64>,
+}
+
+/// What the base parameters mean for the mechanics.
+#[derive(Clone, Copy, Debug)]
+struct Dynamics {
+    k: f64,
+    b: f64,
+    b_open: f64,
+    loop_gain: f64,
+    pendulum: f64,
+}
+
+/// Known numbers of an axis.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Known {
+    /// V, where the input is a duty and the supply was not recorded.
+    pub supply_v: Option<f64>,
+    /// N or N m per unit of the input, of an axis.
+    pub gain: Option<f64>,
+    /// Duty for each rad of error and unit of the servo's gain.
+    pub loop_gain: Option<f64>,
+    /// Length of a pendulum with its mass at the end, on a servo.
+    pub arm_m: Option<f64>,
+    /// Where a linear actuator ends.
+    pub stroke_m: Option<f64>,
+    /// Largest duty of a servo.
+    pub duty_limit: Option<f64>,
+    /// Of the motor's winding: without it torques are known only but for a factor.
+    pub resistance_ohm: Option<f64>,
+    /// What is known of the rest of the plant.
+    pub plant: Option<PlantSpec>,
+}
+
+/// A model of one moving axis, made for given data.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    kind: Kind,
+    known: Known,
+    base: Vec<Parameter>,
+    effects: Vec<Effect>,
+    catalogue: Vec<Candidate>,
+    rotary: bool,
+    of_speed: bool,
+    /// Longest step of the simulation.
+    step_s: f64,
+    duty_limit: f64,
+    stops: Option<(f64, f64)>,
+    scales: Scales,
+    places: Places,
+}
+
+/// Where base parameters stand.
+#[derive(Clone, Copy, Debug, Default)]
+struct Places {
+    b_open: Option<usize>,
+    loop_gain: Option<usize>,
+    pendulum: Option<usize>,
+    offset: Option<usize>,
+}
+
+/// Standard gravity, m/s² (ISO 80000-3).
+const GRAVITY_M_S2: f64 = 9.806_65;
+/// A pendulum with its mass at the end cannot fall faster than that mass.
+const NO_ARMATURE: f64 = 1.0;
+
+impl Motion {
+    fn index(&self, effect: Effect) -> Option<usize> {
+        self.effects.iter().position(|&other| other == effect)
+    }
+
+    /// Of a wave over position, for each period per turn or per m.
+    fn radians_per_period(&self) -> f64 {
+        if self.rotary { 1.0 } else { TAU }
+    }
+
+    fn dynamics(&self, base: &[f64]) -> Dynamics {
+        let (k, b) = match self.kind {
+            // Steady speed per volt, and how fast it is reached.
+            Kind::DcMotor | Kind::LinearActuator | Kind::Servo => (base[0] / base[1], 1.0 / base[1]),
+            Kind::Axis => (self.known.gain.unwrap_or(1.0) / base[0], base[1] / base[0]),
+        };
+        let at = |place: Option<usize>| place.map(|place| base[place]);
+        Dynamics {
+            k,
+            b,
+            b_open: at(self.places.b_open).map_or(b, |share| share * b),
+            loop_gain: at(self.places.loop_gain).or(self.known.loop_gain).unwrap_or(0.0) * f64::from(self.is_servo()),
+            pendulum: at(self.places.pendulum)
+                .zip(self.known.arm_m)
+                .map_or(0.0, |(share, arm_m)| share * GRAVITY_M_S2 / arm_m),
+        }
+    }
+
+    fn pendulum_offset(&self, base: &[f64]) -> f64 {
+        self.places.offset.map_or(0.0, |place| base[place])
+    }
+
+    fn is_servo(&self) -> bool {
+        self.kind == Kind::Servo
+    }
+
+    /// The base parameters of a kind of model, before anything is known of the data.
+    fn base_of(kind: Kind, rotary: bool, known: &Known, coasts: bool) -> (Vec<Parameter>, Places) {
+        let plain = |name, unit, range| Parameter { name, unit, range, absent: None };
+        let mut base = match (kind, rotary) {
+            (Kind::Axis, true) => vec![
+                plain("inertia_kg_m2", "kg m^2", Range::Positive),
+                plain("viscous_nm_s_per_rad", "N m s/rad", Range::Positive),
+            ],
+            (Kind::Axis, false) => {
+                vec![plain("mass_kg", "kg", Range::Positive), plain("viscous_n_s_per_m", "N s/m", Range::Positive)]
+            }
+            (_, true) => vec![
+                plain("speed_per_volt_rad_s_per_v", "rad/s/V", Range::Positive),
+                plain("time_constant_s", "s", Range::Positive),
+            ],
+            (_, false) => vec![
+                plain("speed_per_volt_m_s_per_v", "m/s/V", Range::Positive),
+                plain("time_constant_s", "s", Range::Positive),
+            ],
+        };
+        let mut places = Places::default();
+        let mut push = |parameter| {
+            base.push(parameter);
+            Some(base.len() - 1)
+        };
+        if coasts {
+            places.b_open = push(plain("coasting_share", "1", Range::Between(0.0, 1.0)));
+        }
+        if kind == Kind::Servo && known.loop_gain.is_none() {
+            places.loop_gain = push(plain("duty_per_rad", "1/rad", Range::Positive));
+        }
+        if kind == Kind::Servo && known.arm_m.is_some() {
+            places.pendulum = push(plain("pendulum_share_of_inertia", "1", Range::Between(0.05, NO_ARMATURE)));
+            places.offset = push(plain("hanging_at_rad", "rad", Range::Any { scale: 0.05 }));
+        }
+        (base, places)
+    }
+}
+
+impl Family for Motion {
+    type Run = MotionRun;
+
+    fn base(&self) -> &[Parameter] {
+        &self.base
+    }
+
+    fn catalogue(&self) -> &[Candidate] {
+        &self.catalogue
+    }
+
+    fn unit(&self) -> &'static str {
+        if self.of_speed { self.scales.units.speed } else { self.scales.units.distance }
+    }
+
+    fn starts(&self, runs: &[&MotionRun]) -> Vec<Vec<f64>> {
+        self.starting_values(runs)
+    }
+
+    fn initial(&self, run: &MotionRun) -> (Vec<f64>, Vec<f64>) {
+        run.initial(self.of_speed)
+    }
+
+    fn predict(&self, structure: &Structure, initial: &[f64], run: &MotionRun, predicted: &mut [f64]) {
+        simulate(self, structure, initial, run, predicted, None);
+    }
+
+    fn measured<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
+        &run.all.measured[run.from..run.to]
+    }
+
+    fn time_s<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
+        &run.all.time_s[run.from..run.to]
+    }
+
+    fn name<'r>(&self, run: &'r MotionRun) -> &'r str {
+        &run.all.name
+    }
+
+    fn input(&self, run: &MotionRun) -> (String, Vec<f64>) {
+        (self.scales.units.input_name.to_owned(), run.all.input[run.from..run.to].to_vec())
+    }
+
+    fn part(&self, run: &MotionRun, from: usize, to: usize) -> MotionRun {
+        let to = (run.from + to).min(run.to);
+        MotionRun { all: run.all.clone(), from: (run.from + from).min(to), to }
+    }
+
+    fn drivers(&self, structure: &Structure, initial: &[f64], run: &MotionRun) -> Vec<Driver> {
+        let mut observed = Observed::default();
+        let mut predicted = vec![0.0; run.to - run.from];
+        simulate(self, structure, initial, run, &mut predicted, Some(&mut observed));
+        let units = &self.scales.units;
+        let driver = |over, unit, values| Driver { over, unit, period: None, values };
+        let position = observed.position.clone();
+        let mut drivers = vec![
+            driver(Dependence::Input, units.input, observed.input),
+            driver(Dependence::Speed, units.speed, observed.speed),
+            driver(Dependence::Position, units.distance, observed.position),
+            driver(Dependence::Acceleration, if self.rotary { "rad/s^2" } else { "m/s^2" }, observed.acceleration),
+            driver(Dependence::Direction, "1", observed.direction),
+            driver(Dependence::Time, "s", observed.time_s),
+            driver(Dependence::History, units.distance, observed.history),
+        ];
+        if run.all.supply_recorded {
+            drivers.push(driver(Dependence::Supply, "V", observed.supply));
+        }
+        if self.rotary && self.scales.distance > 1.2 * TAU {
+            drivers.push(Driver {
+                over: Dependence::Position,
+                unit: units.distance,
+                period: Some(TAU),
+                values: position,
+            });
+        }
+        drivers
+    }
+
+    fn push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
+        Some((self.missing_push(structure, run, residual), self.scales.units.force))
+    }
+
+    fn estimates(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        self.in_units(structure, deviations)
+    }
+
+    fn force_per_push(&self, structure: &Structure) -> f64 {
+        self.physical(structure).inertia
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        self.plant_file(structure, source)
+    }
+
+    fn curves(
+        &self,
+        structure: &Structure,
+        (over, period): (Dependence, Option<f64>),
+        runs: &[&MotionRun],
+    ) -> Vec<Curve> {
+        let acts: &[Acts] = match over {
+            // A force by acceleration is inertia, which the model has; one by direction is friction by direction.
+            Dependence::Acceleration | Dependence::Direction => &[],
+            Dependence::Input | Dependence::Speed => &[Acts::Push],
+            Dependence::Position | Dependence::Time => &[Acts::Push, Acts::Friction, Acts::Gain],
+            Dependence::History => &[Acts::Friction],
+            Dependence::Supply => &[Acts::Gain],
+        };
+        let Some(at) = self.corners(structure, (over, period), runs).filter(|_| !acts.is_empty()) else {
+            return vec![];
+        };
+        let units = &self.scales.units;
+        let at_unit = match over {
+            Dependence::Input => units.input,
+            Dependence::Speed => units.speed,
+            Dependence::Time => "s",
+            Dependence::Supply => "V",
+            _ => units.distance,
+        };
+        acts.iter()
+            .map(|&acts| {
+                let gain = acts == Acts::Gain;
+                Curve {
+                    over,
+                    at_unit,
+                    unit: if gain { "1" } else { units.force },
+                    at: at.clone(),
+                    period,
+                    acts,
+                    scale: if gain { 0.1 } else { 0.1 * self.scales.acceleration },
+                }
+            })
+            .collect()
+    }
+}
+
+impl Motion {
+    /// Corners for a curve: none without data, and no long stretch without one.
+    fn corners(
+        &self,
+        structure: &Structure,
+        (over, period): (Dependence, Option<f64>),
+        runs: &[&MotionRun],
+    ) -> Option<Vec<f64>> {
+        const CORNERS: usize = 9;
+        const ROUND: u8 = 12;
+        if let Some(period) = period {
+            return Some((0..ROUND).map(|corner| f64::from(corner) * period / f64::from(ROUND)).collect());
+        }
+        let mut values: Vec<f64> = runs
+            .iter()
+            .flat_map(|run| self.drivers(structure, &run.initial(self.of_speed).0, run))
+            .filter(|driver| driver.over == over && driver.period.is_none())
+            .flat_map(|driver| driver.values)
+            .filter(|value| value.is_finite())
+            .collect();
+        values.sort_by(f64::total_cmp);
+        let (&low, &high) = (values.first()?, values.last()?);
+        if high - low <= f64::EPSILON * high.abs() {
+            return None;
+        }
+        // Half by range, half by how often.
+        let share = |index: usize| index as f64 / (CORNERS - 1) as f64;
+        let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
+        let mut at: Vec<f64> =
+            (0..CORNERS).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
+        at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
+        (at.len() >= 2).then_some(at)
+    }
+}

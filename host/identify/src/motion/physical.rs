@@ -1,0 +1,284 @@
+//! From numbers per unit of inertia to those of plant files and reports, and to the push that a residual lacks.
+
+use std::{collections::BTreeMap, f64::consts::TAU, fmt::Write};
+
+use r4_plants::{
+    DcGearMotor, Dependence, Effect as Listed, EffectInfo, Fitted, LinearActuator, Model, PlantKind, PlantSpec, Table,
+    effect::table::{On, Over},
+};
+
+use crate::{
+    family::{Acts, Family, Structure, Term},
+    report::Estimate,
+};
+
+use super::{Kind, Motion, MotionRun, effect::Effect};
+
+/// A winding whose resistance nobody told, ohm.
+const ASSUMED_OHM: f64 = 1.0;
+/// A resistance that hides the back-EMF: of the drive of an axis, which is a source of force, ohm. 1e4 is the largest there may be.
+const FORCE_SOURCE_OHM: f64 = 1e4;
+
+/// What plant files speak of.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Physical {
+    /// kg m² or kg, at the output.
+    pub(super) inertia: f64,
+    /// N m/A or N/A at the output, and V s/rad or V s/m.
+    constant: f64,
+    resistance_ohm: f64,
+    viscous: f64,
+}
+
+impl Motion {
+    pub(super) fn physical(&self, structure: &Structure) -> Physical {
+        let dynamics = self.dynamics(&structure.base);
+        if self.kind == Kind::Axis {
+            let inertia = structure.base[0];
+            let constant = FORCE_SOURCE_OHM * self.known.gain.unwrap_or(1.0);
+            return Physical { inertia, constant, resistance_ohm: FORCE_SOURCE_OHM, viscous: structure.base[1] };
+        }
+        let (resistance_ohm, viscous) = match self.known.plant.as_ref().map(PlantSpec::model) {
+            Some(Model::DcGearMotor(motor)) => (motor.resistance_ohm, motor.viscous_nm_s_per_rad),
+            Some(Model::LinearActuator(actuator)) => (actuator.resistance_ohm, actuator.viscous_n_s_per_m),
+            None => (self.known.resistance_ohm.unwrap_or(ASSUMED_OHM), 0.0),
+        };
+        // Steady speed per volt: c / (c² + B R); the viscous part of the file is kept where it leaves a motor.
+        let gain = dynamics.k / dynamics.b;
+        let root = 1.0 - 4.0 * gain * gain * viscous * resistance_ohm;
+        let (constant, viscous) =
+            if root >= 0.0 { ((1.0 + root.sqrt()) / (2.0 * gain), viscous) } else { (1.0 / gain, 0.0) };
+        Physical { inertia: constant / (resistance_ohm * dynamics.k), constant, resistance_ohm, viscous }
+    }
+
+    fn scale_is_assumed(&self) -> Option<String> {
+        let known = self.kind == Kind::Axis && self.known.gain.is_some()
+            || self.known.plant.is_some()
+            || self.known.resistance_ohm.is_some();
+        if known {
+            None
+        } else if self.kind == Kind::Axis {
+            Some("gain_per_unit = 1".to_owned())
+        } else {
+            Some(format!("resistance_ohm = {ASSUMED_OHM}"))
+        }
+    }
+
+    #[allow(clippy::type_complexity)]
+    pub(super) fn in_units(
+        &self,
+        structure: &Structure,
+        deviations: &[Option<f64>],
+    ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
+        let physical = self.physical(structure);
+        let units = &self.scales.units;
+        let assumed = self.scale_is_assumed();
+        let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
+        let mut told = |name: &str, unit: &str, value: f64| {
+            let is_force = unit == units.force || unit == units.drag;
+            let scale = if is_force { physical.inertia } else { 1.0 };
+            let std = deviations.next().flatten().map(|deviation| deviation * scale);
+            let assumed = assumed.clone().filter(|_| is_force);
+            (name.to_owned(), Estimate { value: value * scale, std, unit: unit.to_owned(), interval: None, assumed })
+        };
+        let mut base: BTreeMap<String, Estimate> = BTreeMap::new();
+        for (parameter, &value) in self.base.iter().zip(&structure.base) {
+            let (name, mut estimate) = told(parameter.name, parameter.unit, value);
+            if self.kind == Kind::Axis {
+                // The base model of an axis is in its units already.
+                (estimate.value, estimate.std) =
+                    (value, estimate.std.filter(|_| estimate.value != 0.0).map(|std| std * value / estimate.value));
+            }
+            base.insert(name, estimate);
+        }
+        let terms = structure
+            .terms
+            .iter()
+            .zip(&structure.added)
+            .map(|(term, values)| match term {
+                Term::Known(index) => self.catalogue[*index]
+                    .parameters
+                    .iter()
+                    .zip(values)
+                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value))
+                    .collect(),
+                Term::Curve(_) => {
+                    values.iter().for_each(|_| drop(told("value", "1", 0.0)));
+                    BTreeMap::new()
+                }
+            })
+            .collect();
+        (base, terms)
+    }
+
+    /// The model as a plant file; what such a file cannot hold is told in a comment.
+    pub(super) fn plant_file(&self, structure: &Structure, source: &str) -> String {
+        let physical = self.physical(structure);
+        let kind = if self.rotary { PlantKind::Rotary } else { PlantKind::Linear };
+        let model = self.plant_model(&physical);
+        let mut left_out = Vec::new();
+        let mut effects = Vec::new();
+        let mut tables = Vec::new();
+        for (term, values) in structure.terms.iter().zip(&structure.added) {
+            match term {
+                Term::Known(index) => match self.listed(self.effects[*index], values, &physical, kind) {
+                    Some(effect) => effects.push(effect),
+                    None => left_out.push(self.catalogue[*index].name),
+                },
+                Term::Curve(curve) => {
+                    let over = match curve.over {
+                        Dependence::Input => Some(Over::Input),
+                        Dependence::Speed => Some(Over::Speed),
+                        Dependence::Position => Some(Over::Position),
+                        Dependence::Time => Some(Over::Time),
+                        Dependence::Supply => Some(Over::Supply),
+                        Dependence::History => Some(Over::History),
+                        Dependence::Acceleration | Dependence::Direction => None,
+                    };
+                    let (on, scale) = match curve.acts {
+                        Acts::Push => (On::Force, physical.inertia),
+                        Acts::Friction => (On::Friction, physical.inertia),
+                        Acts::Gain => (On::Gain, 1.0),
+                    };
+                    let values = values.iter().map(|value| value * scale).collect();
+                    let table = over.and_then(|over| Table::new(over, on, curve.period, curve.at.clone(), values).ok());
+                    match table {
+                        Some(table) => tables.push(table),
+                        None => left_out.push("a curve"),
+                    }
+                }
+            }
+        }
+        let mut text = String::new();
+        if let Some(assumed) = self.scale_is_assumed() {
+            let _ = writeln!(text, "# Torques and forces hold for an assumed {assumed}: the data do not fix it.");
+        }
+        match PlantSpec::new(model, source, effects) {
+            Ok(mut spec) => {
+                tables.into_iter().for_each(|table| spec.push_table(table));
+                if !left_out.is_empty() {
+                    let _ = writeln!(text, "# Found, but not in this file: {}.", left_out.join(", "));
+                }
+                text + &spec.to_toml()
+            }
+            Err(error) => {
+                let _ = writeln!(text, "# No plant file can hold what was found: {error}.");
+                text
+            }
+        }
+    }
+
+    fn plant_model(&self, physical: &Physical) -> Model {
+        let given = self.known.plant.as_ref().map(|plant| *plant.model());
+        if self.rotary {
+            let mut motor = match given {
+                Some(Model::DcGearMotor(motor)) => motor,
+                _ => DcGearMotor { gear_ratio: 1.0, inductance_h: 0.0, ..DcGearMotor::TYPICAL },
+            };
+            motor.resistance_ohm = physical.resistance_ohm;
+            motor.torque_constant_nm_per_a = physical.constant / motor.gear_ratio;
+            motor.inertia_kg_m2 = physical.inertia;
+            motor.viscous_nm_s_per_rad = physical.viscous;
+            return Model::DcGearMotor(motor);
+        }
+        let mut actuator = match given {
+            Some(Model::LinearActuator(actuator)) => actuator,
+            _ => LinearActuator {
+                inductance_h: 0.0,
+                efficiency: 1.0,
+                rotor_inertia_kg_m2: 0.0,
+                lead_m_per_rev: 0.01,
+                stroke_m: self.known.stroke_m.unwrap_or(100.0),
+                ..LinearActuator::TYPICAL
+            },
+        };
+        let turns = TAU / actuator.lead_m_per_rev;
+        actuator.resistance_ohm = physical.resistance_ohm;
+        actuator.torque_constant_nm_per_a = physical.constant / turns;
+        actuator.rotor_inertia_kg_m2 = actuator.rotor_inertia_kg_m2.min(0.5 * physical.inertia / (turns * turns));
+        actuator.moving_mass_kg = physical.inertia - actuator.rotor_inertia_kg_m2 * turns * turns;
+        actuator.viscous_n_s_per_m = physical.viscous;
+        Model::LinearActuator(actuator)
+    }
+
+    /// An effect as plant files have it.
+    fn listed(&self, effect: Effect, values: &[f64], physical: &Physical, kind: PlantKind) -> Option<Listed> {
+        let info = EffectInfo::named(effect.name())?;
+        let mut listed = info.typical;
+        let candidate = effect.candidate(&self.scales);
+        let mut set = |name: &str, value: f64| listed.set(kind, name, value).ok();
+        if effect == Effect::SupplySag {
+            set("source_ohm", values[0] * physical.resistance_ohm)?;
+        } else if effect == Effect::WindingHeating {
+            // Full duty at rest is what a share of one stands for.
+            let supply_v = self.known.supply_v.unwrap_or(1.0);
+            let power_w = (self.scales.input * supply_v).powi(2) / physical.resistance_ohm;
+            set("rise_per_w", values[0] / power_w)?;
+            set("time_constant_s", values[1])?;
+        } else if effect == Effect::DirectionAsymmetry {
+            set("forward_gain", 1.0)?;
+            set("backward_gain", values[0])?;
+        } else {
+            for (parameter, &value) in candidate.parameters.iter().zip(values) {
+                let is_force = parameter.unit == self.scales.units.force || parameter.unit == self.scales.units.drag;
+                // A constant load pulls backwards when positive, a push forwards.
+                let sign = if effect == Effect::ConstantLoad { -1.0 } else { 1.0 };
+                let value = match parameter.name {
+                    "phase_rad" => value.rem_euclid(TAU),
+                    _ if is_force => sign * value * physical.inertia,
+                    _ => value,
+                };
+                let name = if parameter.name == self.scales.units.input_name { "duty" } else { parameter.name };
+                set(name, value)?;
+            }
+        }
+        listed.check(kind).ok()?;
+        Some(listed)
+    }
+
+    /// The push (per unit of inertia, times the inertia) that would have made the residual: its derivatives, smoothed by
+    /// a parabola over a window that noise asks for, put into the equation of motion.
+    pub(super) fn missing_push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Vec<f64> {
+        let times = self.time_s(run);
+        let half_s = (6.0 * self.scales.period_s).max(0.05);
+        let inertia = self.physical(structure).inertia;
+        let b = self.dynamics(&structure.base).b;
+        let (mut from, mut to) = (0, 0);
+        (0..residual.len())
+            .map(|place| {
+                let middle_s = times[place];
+                while times[from] < middle_s - half_s {
+                    from += 1;
+                }
+                while to < residual.len() && times[to] <= middle_s + half_s {
+                    to += 1;
+                }
+                let Some([value, slope, bend]) = parabola(&times[from..to], &residual[from..to], middle_s) else {
+                    return f64::NAN;
+                };
+                inertia * if self.of_speed { slope + b * value } else { bend + b * slope }
+            })
+            .collect()
+    }
+}
+
+/// Value, first and second derivative at a moment of the parabola through points; `None` for fewer than four.
+fn parabola(times: &[f64], values: &[f64], at_s: f64) -> Option<[f64; 3]> {
+    let mut normal = nalgebra::Matrix3::<f64>::zeros();
+    let mut right = nalgebra::Vector3::<f64>::zeros();
+    let mut count = 0;
+    for (time_s, value) in times.iter().zip(values) {
+        if value.is_finite() {
+            let t = time_s - at_s;
+            let row = nalgebra::Vector3::new(1.0, t, 0.5 * t * t);
+            normal += row * row.transpose();
+            right += row * *value;
+            count += 1;
+        }
+    }
+    if count < 4 {
+        return None;
+    }
+    let found = normal.lu().solve(&right)?;
+    Some([found[0], found[1], found[2]])
+}

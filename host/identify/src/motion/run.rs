@@ -1,0 +1,165 @@
+//! A recorded run as the simulation wants it.
+
+use std::sync::Arc;
+
+use crate::{data::Run, fit::robust_deviation};
+
+/// All of a recording.
+#[derive(Clone, Debug)]
+pub(super) struct Recording {
+    pub(super) name: String,
+    pub(super) time_s: Vec<f64>,
+    /// From each sample to the next.
+    pub(super) input: Vec<f64>,
+    /// Of `input`, from the first sample on.
+    integral: Vec<f64>,
+    supply: Vec<f64>,
+    pub(super) supply_recorded: bool,
+    enabled: Vec<bool>,
+    gain: Vec<f64>,
+    pub(super) measured: Vec<f64>,
+    /// Deviation of the noise on `measured`.
+    noise: f64,
+    /// Time at the first sample since the axis was switched on, if known.
+    pub(super) origin_s: f64,
+}
+
+/// A recording, or a part of it; what was commanded before the part is known.
+#[derive(Clone, Debug)]
+pub struct MotionRun {
+    pub(super) all: Arc<Recording>,
+    pub(super) from: usize,
+    pub(super) to: usize,
+}
+
+impl MotionRun {
+    /// Of roles `input`, `output`, and where there are: `supply`, `enabled`, `gain`. A missing command is what was
+    /// commanded before.
+    pub(super) fn new(run: &Run, supply_v: f64) -> Option<Self> {
+        let time_s = run.time_s.clone();
+        let held = |values: &[f64]| {
+            let mut last = values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0);
+            values
+                .iter()
+                .map(|&value| {
+                    if value.is_finite() {
+                        last = value;
+                    }
+                    last
+                })
+                .collect::<Vec<f64>>()
+        };
+        let input = held(run.values("input")?);
+        let measured = run.values("output")?.to_vec();
+        let mut integral = vec![0.0; input.len()];
+        for index in 1..input.len() {
+            integral[index] = integral[index - 1] + input[index - 1] * (time_s[index] - time_s[index - 1]);
+        }
+        let recorded = run.values("supply");
+        let count = input.len();
+        Some(Self {
+            from: 0,
+            to: count,
+            all: Arc::new(Recording {
+                name: run.name.clone(),
+                integral,
+                supply: recorded.map_or_else(|| vec![supply_v; count], held),
+                supply_recorded: recorded.is_some(),
+                enabled: run.values("enabled").map_or_else(
+                    || vec![true; count],
+                    |values| held(values).iter().map(|&value| value > 0.5).collect(),
+                ),
+                gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
+                noise: noise(&measured),
+                origin_s: 0.0,
+                time_s,
+                input,
+                measured,
+            }),
+        })
+    }
+
+    pub(super) fn input_at(&self, sample: usize) -> f64 {
+        self.all.input.get(sample).copied().unwrap_or(0.0)
+    }
+
+    pub(super) fn supply_at(&self, sample: usize) -> f64 {
+        self.all.supply.get(sample).copied().unwrap_or(0.0)
+    }
+
+    pub(super) fn enabled_at(&self, sample: usize) -> bool {
+        self.all.enabled.get(sample).copied().unwrap_or(true)
+    }
+
+    pub(super) fn gain_at(&self, sample: usize) -> f64 {
+        self.all.gain.get(sample).copied().unwrap_or(1.0)
+    }
+
+    pub(super) fn coasts(&self) -> bool {
+        self.all.enabled.contains(&false)
+    }
+
+    /// The command in force at a moment. `cursor` is where the last call looked; moments may go either way.
+    pub(super) fn input_before(&self, time_s: f64, cursor: &mut usize) -> f64 {
+        self.seek(time_s, cursor);
+        if time_s < self.all.time_s[0] { self.all.input[0] } else { self.all.input[*cursor] }
+    }
+
+    fn seek(&self, time_s: f64, cursor: &mut usize) {
+        let times = &self.all.time_s;
+        while *cursor > 0 && times[*cursor] > time_s {
+            *cursor -= 1;
+        }
+        while *cursor + 1 < times.len() && times[*cursor + 1] <= time_s {
+            *cursor += 1;
+        }
+    }
+
+    /// Mean command from a moment on.
+    pub(super) fn mean_input(&self, from_s: f64, duration_s: f64, cursor: &mut usize) -> f64 {
+        let all = &*self.all;
+        let mut until = |time_s: f64| {
+            if time_s < all.time_s[0] {
+                // What was before the recording is not known: the first command is taken to have been there.
+                return all.input[0] * (time_s - all.time_s[0]);
+            }
+            self.seek(time_s, cursor);
+            all.integral[*cursor] + all.input[*cursor] * (time_s - all.time_s[*cursor])
+        };
+        let before = until(from_s);
+        (until(from_s + duration_s) - before) / duration_s
+    }
+
+    /// Guess and deviation of position and speed (or of speed alone) at the first sample.
+    pub(super) fn initial(&self, of_speed: bool) -> (Vec<f64>, Vec<f64>) {
+        let all = &*self.all;
+        let samples: Vec<(f64, f64)> = (self.from..self.to)
+            .map(|sample| (all.time_s[sample] - all.time_s[self.from], all.measured[sample]))
+            .filter(|(_, measured)| measured.is_finite())
+            .take(8)
+            .collect();
+        let reach = all.measured.iter().filter(|value| value.is_finite());
+        let (low, high) = reach.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+        let smallest = (1e-4 * (high - low)).max(f64::MIN_POSITIVE);
+        let noise = all.noise.max(smallest);
+        let Some(&(last_s, _)) = samples.last() else { return (vec![0.0; 2 - usize::from(of_speed)], vec![1.0; 2]) };
+        let count = samples.len() as f64;
+        let mean_s = samples.iter().map(|(time_s, _)| time_s).sum::<f64>() / count;
+        let mean = samples.iter().map(|(_, value)| value).sum::<f64>() / count;
+        let square: f64 = samples.iter().map(|(time_s, _)| (time_s - mean_s).powi(2)).sum();
+        let product: f64 = samples.iter().map(|(time_s, value)| (time_s - mean_s) * (value - mean)).sum();
+        let slope = if square > 0.0 { product / square } else { 0.0 };
+        let at_first = mean - slope * mean_s;
+        if of_speed {
+            return (vec![at_first], vec![3.0 * noise + slope.abs() * last_s]);
+        }
+        let slope_deviation = if square > 0.0 { noise / square.sqrt() } else { 1.0 };
+        (vec![at_first, slope], vec![3.0 * noise, 3.0 * slope_deviation + 0.3 * slope.abs()])
+    }
+}
+
+/// Deviation of white noise on a smooth series, by its second differences.
+fn noise(values: &[f64]) -> f64 {
+    let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
+    robust_deviation(differences.collect()) / 6.0_f64.sqrt()
+}

@@ -1,0 +1,213 @@
+//! What `report.json` holds, and what the report's plots are drawn of.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+/// The report, as written to `report.json`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Name of the base model.
+    pub model: String,
+    /// Unit of every RMSE.
+    pub unit: String,
+    /// The base model alone.
+    pub baseline: Scores,
+    /// What was added, in this order.
+    pub effects: Vec<EffectReport>,
+    /// The base model with all of them.
+    #[serde(rename = "final")]
+    pub last: Scores,
+    /// The base model's parameters in the end.
+    pub parameters: BTreeMap<String, Estimate>,
+    /// What is left.
+    pub residual: ResidualReport,
+    /// What was looked for and not taken, strongest first.
+    pub rejected: Vec<Rejected>,
+    /// What reading the files set aside or repaired.
+    pub notes: Vec<String>,
+    /// One plain sentence.
+    pub verdict: String,
+}
+
+/// How well a model does on both kinds of data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Scores {
+    /// On what it was fitted to.
+    pub train: Score,
+    /// On what it never saw.
+    pub holdout: Score,
+}
+
+/// Error of a free run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Score {
+    /// Root mean square, in the unit of the output.
+    pub rmse: f64,
+    /// Over the standard deviation of what was measured.
+    pub nrmse: f64,
+}
+
+/// A number and how well it is known.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Best value.
+    pub value: f64,
+    /// Standard deviation by the curvature at the best value; `null` where the data do not fix it.
+    pub std: Option<f64>,
+    /// `N m`; `1` for a plain number.
+    pub unit: String,
+    /// 95 % by the profile of the error, where it was computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub interval: Option<[f64; 2]>,
+    /// The data do not fix the scale: the value holds for this assumption.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assumed: Option<String>,
+}
+
+/// An effect that was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EffectReport {
+    /// Name in the catalogue, or `unknown`.
+    pub name: String,
+    /// Of `input, speed, position, acceleration, direction, time, supply, history`.
+    pub depends_on: Vec<String>,
+    /// By name.
+    pub parameters: BTreeMap<String, Estimate>,
+    /// RMSE on the held-out data without it, in the order of adding.
+    pub holdout_rmse_before: f64,
+    /// And with it.
+    pub holdout_rmse_after: f64,
+    /// Why it was taken.
+    pub evidence: Evidence,
+    /// Effects that explain these data as well, and how to tell them apart.
+    pub rivals: Vec<Rival>,
+    /// The shape of an effect that has no name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub table: Option<Table>,
+}
+
+/// Why an effect was taken.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evidence {
+    /// RMSE on blocks of the training data left out of the fit, without the effect.
+    pub blocked_rmse_before: f64,
+    /// And with it.
+    pub blocked_rmse_after: f64,
+    /// Chance that blocks without the effect would show such a gain, times the number of effects tried.
+    pub p_value: f64,
+    /// Blocks that got better, of all.
+    pub blocks_better: [usize; 2],
+    /// Least distance of a parameter from having no effect, in standard deviations.
+    pub z: f64,
+}
+
+/// Another explanation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rival {
+    /// Name in the catalogue.
+    pub name: String,
+    /// Its RMSE on the blocks left out.
+    pub blocked_rmse: f64,
+    /// What to record so that the two differ.
+    pub experiment: String,
+}
+
+/// An effect that was tried and not taken.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rejected {
+    /// Name in the catalogue.
+    pub name: String,
+    /// Its RMSE on the blocks left out, beside the final model.
+    pub blocked_rmse: f64,
+    /// Why not.
+    pub reason: String,
+}
+
+/// What is left of the data.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ResidualReport {
+    /// Whether it is white: no correlation over time beyond chance.
+    pub white: bool,
+    /// What it still depends on, strongest first.
+    pub unexplained: Vec<Unexplained>,
+}
+
+/// A dependence that remains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unexplained {
+    /// What on.
+    pub depends_on: String,
+    /// Share of the residual's variance, 0..=1.
+    pub share: f64,
+    /// After correcting for all that was looked at.
+    pub p_value: f64,
+}
+
+/// A curve over what it depends on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Table {
+    /// What `at` is.
+    pub over: String,
+    /// Its unit.
+    pub at_unit: String,
+    /// Unit of `values`.
+    pub unit: String,
+    /// Where the curve has its corners.
+    pub at: Vec<f64>,
+    /// Its values there, straight between.
+    pub values: Vec<f64>,
+    /// Standard deviations of `values`.
+    pub std: Vec<f64>,
+}
+
+/// What the report's plots are drawn of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// What each step left on the held-out data: name and RMSE.
+    pub ladder: Vec<(String, f64)>,
+    /// Some runs, held-out ones first.
+    pub runs: Vec<Traces>,
+    /// The residual against each thing it may depend on, what explains most first.
+    pub causes: Vec<Cause>,
+}
+
+/// One run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Traces {
+    /// Of the run.
+    pub name: String,
+    /// Not fitted to.
+    pub held_out: bool,
+    /// s.
+    pub time_s: Vec<f64>,
+    /// Name and values; empty where a model has none.
+    pub input: (String, Vec<f64>),
+    /// Name and unit of the output.
+    pub output: (String, String),
+    /// What was measured.
+    pub measured: Vec<f64>,
+    /// The base model's free run.
+    pub before: Vec<f64>,
+    /// The final model's.
+    pub after: Vec<f64>,
+}
+
+/// The residual over one thing it may depend on, as means of bins.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cause {
+    /// Such as `speed`.
+    pub depends_on: String,
+    /// Of `at`.
+    pub at_unit: String,
+    /// Of the residual.
+    pub unit: String,
+    /// Middle of each bin.
+    pub at: Vec<f64>,
+    /// Mean residual of the base model there.
+    pub before: Vec<f64>,
+    /// Mean residual of the final model there.
+    pub after: Vec<f64>,
+    /// Two standard errors of `before`.
+    pub error: Vec<f64>,
+}

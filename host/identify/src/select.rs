@@ -1,0 +1,592 @@
+//! Which effects the data ask for: forward selection with removal, judged on blocks that were left out of the fit.
+//!
+//! Each round fits every effect that is not yet in, keeps the most promising, and fits these again on one half of the
+//! blocks to predict the other, and the other way round. An effect is taken if it makes the blocks' error smaller by more
+//! than a trifle and by more than chance. Effects with names come first; what these leave is offered to curves.
+
+use r4_plants::Dependence;
+use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
+
+use crate::{
+    family::{Acts, Candidate, Family, Structure, Term},
+    fit::{self, Effort, Fit, fit},
+    residual::is_white,
+};
+
+/// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
+/// what two correct programs differ by.
+const WORTH: f64 = 0.015;
+/// The same for a curve, which has many more numbers and no name.
+const CURVE_WORTH: f64 = 0.03;
+/// A term whose removal costs less than this share was superfluous.
+const SUPERFLUOUS: f64 = 0.004;
+/// Chance, after multiplying by the number of effects tried.
+const CHANCE: f64 = 0.05;
+/// An effect's size in its own standard deviations.
+const LEAST_Z: f64 = 3.0;
+/// Effects whose errors differ by less than this share are rivals.
+const ALIKE: f64 = 0.01;
+/// So many effects of each round are looked at on blocks.
+const PROMISING: usize = 6;
+/// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
+const MOST_STARTS: usize = 24;
+const NEAREST: usize = 3;
+const MOST_TERMS: usize = 6;
+const MOST_CURVES: usize = 2;
+/// Blocks that the training data are cut into, about; a block has at least so many samples.
+const BLOCKS: usize = 12;
+const LEAST_SAMPLES: usize = 40;
+
+/// What became of the data.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The base model alone.
+    pub base: Fit,
+    /// What was added, in order; structures after each.
+    pub steps: Vec<Step>,
+    /// Base model and all terms.
+    pub last: Fit,
+    /// Of the last model's parameters.
+    pub deviations: Vec<Option<f64>>,
+    /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
+    pub rejected: Vec<(String, f64, String)>,
+}
+
+/// A term that was taken.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// What.
+    pub term: Term,
+    /// The model with it and all terms before it.
+    pub fit: Fit,
+    /// Errors on left-out blocks without and with it.
+    pub blocked_rmse: [f64; 2],
+    /// Chance of such a gain, times the number of effects tried.
+    pub p_value: f64,
+    /// Blocks that got better, of all.
+    pub blocks_better: [usize; 2],
+    /// Size of the effect in its standard deviations; infinite where the effect has no size.
+    pub z: f64,
+    /// Effects that do as well: their index, and error on blocks.
+    pub rivals: Vec<(usize, f64)>,
+}
+
+/// Errors of models that were each fitted to one half of the blocks.
+#[derive(Clone, Debug)]
+struct Blocked {
+    /// The mean square error of each block that was left out, and the samples behind it.
+    blocks: Vec<(f64, usize)>,
+    /// Mean square error of the same models over whole runs: what adds up from block to block shows here only.
+    whole: f64,
+}
+
+fn rmse(blocked: &Blocked) -> f64 {
+    let samples: usize = blocked.blocks.iter().map(|block| block.1).sum();
+    (blocked.blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
+}
+
+struct Trial {
+    term: Term,
+    fit: Fit,
+}
+
+struct Judged {
+    trial: Trial,
+    blocked: Blocked,
+    deviations: Vec<Option<f64>>,
+}
+
+struct Search<'s, F: Family> {
+    family: &'s F,
+    /// As recorded.
+    whole: Vec<&'s F::Run>,
+    /// What effects are looked for on: whole runs, or the blocks of both halves.
+    runs: Vec<&'s F::Run>,
+    halves: &'s [Vec<F::Run>; 2],
+    progress: &'s (dyn Fn(&str) + Sync),
+}
+
+/// Searches for what the base model lacks.
+///
+/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, once more on blocks
+/// and with a curve first: what is missing adds up over a long free run until nothing else can be seen, and an effect that
+/// has no name makes named ones look good that it has nothing to do with.
+pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
+    let halves = halves(family, train);
+    let search =
+        Search { family, whole: train.iter().collect(), runs: train.iter().collect(), halves: &halves, progress };
+    progress("base model");
+    let base = search.base();
+    let mut path = Path { current: base.clone(), steps: vec![], rejected: vec![] };
+    while search.extend(&mut path, false) {}
+    while search.extend(&mut path, true) {}
+    if !is_white(&path.current.residuals(family, &search.runs)) {
+        let runs = halves.iter().flatten().collect();
+        let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
+        let mut other = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
+        if search.extend(&mut other, true) {
+            while search.extend(&mut other, false) {}
+            while search.extend(&mut other, true) {}
+            let (first, second) = (search.blocked(&path.current), search.blocked(&other.current));
+            let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
+            let simpler = other.steps.len() < path.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
+            if (better || simpler) && second.whole <= first.whole * (1.0 + WORTH) {
+                path = other;
+            }
+        }
+    }
+    progress("intervals");
+    let Path { current, mut steps, rejected } = path;
+    for step in &mut steps {
+        step.fit = search.on_whole(&step.fit);
+    }
+    let last = if steps.is_empty() { base.clone() } else { search.on_whole(&current) };
+    let deviations = last.deviations(family, &search.whole);
+    Found { base, steps, last, deviations, rejected }
+}
+
+/// How far a search has come.
+#[derive(Clone)]
+struct Path {
+    current: Fit,
+    steps: Vec<Step>,
+    rejected: Vec<(String, f64, String)>,
+}
+
+/// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
+fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
+    let mut halves = [Vec::new(), Vec::new()];
+    let each = if runs.len() >= BLOCKS { 1 } else { BLOCKS.div_ceil(runs.len().max(1)) };
+    let mut next = 0;
+    for run in runs {
+        let samples = family.measured(run).len();
+        let blocks = family.blocks(run).unwrap_or(each.min(samples / LEAST_SAMPLES)).max(1);
+        for block in 0..blocks {
+            let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
+            halves[next % 2].push(part);
+            next += 1;
+        }
+        // So that the same part of every run is not always in the same half.
+        next += usize::from(blocks % 2 == 0);
+    }
+    halves
+}
+
+impl<F: Family> Search<'_, F> {
+    /// Takes the best of all named effects, or of all curves, if one passes.
+    fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
+        let curves = path.current.structure.curves().count();
+        if path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
+            return false;
+        }
+        let round = path.steps.len() + 1;
+        (self.progress)(&format!("{} {round}", if with_curves { "curve" } else { "effect" }));
+        let blocked = self.blocked(&path.current);
+        let trials = if with_curves { self.curves(&path.current) } else { self.effects(&path.current) };
+        let tried = trials.len();
+        let judged = self.judge(trials);
+        let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
+        path.rejected.retain(|(name, ..)| !rejected.iter().any(|(other, ..)| other == name));
+        path.rejected.extend(rejected);
+        path.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((step, fit)) = taken else { return false };
+        let name = self.term_name(&step.term);
+        path.rejected.retain(|(other, ..)| *other != name);
+        path.steps.push(step);
+        path.current = fit;
+        self.remove(&mut path.current, &mut path.steps);
+        true
+    }
+
+    /// The same model fitted to blocks.
+    fn on_blocks(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
+    }
+
+    /// The same model fitted to whole runs.
+    fn on_whole(&self, from: &Fit) -> Fit {
+        fit(self.family, &self.whole, from.structure.clone(), self.settled(&from.structure, &self.whole), Effort::FULL)
+    }
+
+    fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+        runs.iter().map(|run| fit::settle(self.family, structure, run, self.family.measured(run).len())).collect()
+    }
+
+    fn base(&self) -> Fit {
+        let starts = self.family.starts(&self.whole);
+        let initial = fit::guessed(self.family, &self.whole);
+        let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
+        let screened: Vec<Fit> = starts
+            .par_iter()
+            .map(|start| fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN))
+            .collect();
+        let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+        let (structure, initial) = best.map_or_else(
+            || (structure(&vec![1.0; self.family.base().len()]), initial),
+            |best| (best.structure, best.initial),
+        );
+        fit(self.family, &self.whole, structure, initial, Effort::FULL)
+    }
+
+    fn fit_with(&self, current: &Fit, term: Term, values: &[f64], effort: Effort) -> Fit {
+        let mut structure = current.structure.clone();
+        structure.terms.push(term);
+        structure.added.push(values.to_vec());
+        fit(self.family, &self.runs, structure, current.initial.clone(), effort)
+    }
+
+    /// Every effect that may be added, fitted from each of its starts; the best of each.
+    fn effects(&self, current: &Fit) -> Vec<Trial> {
+        let catalogue = self.family.catalogue();
+        let names: Vec<&str> = current
+            .structure
+            .terms
+            .iter()
+            .filter_map(|term| if let Term::Known(index) = term { Some(catalogue[*index].name) } else { None })
+            .collect();
+        let open = |candidate: &Candidate| {
+            !names.contains(&candidate.name) && !candidate.excludes.iter().any(|name| names.contains(name))
+        };
+        let tasks: Vec<(usize, &Vec<f64>)> = catalogue
+            .par_iter()
+            .enumerate()
+            .filter(|(_, candidate)| open(candidate))
+            .flat_map_iter(|(index, candidate)| {
+                self.nearest(current, index, candidate).into_iter().map(move |start| (index, start))
+            })
+            .collect();
+        let fits: Vec<Fit> = tasks
+            .par_iter()
+            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::GLANCE))
+            .collect();
+        let mut best: Vec<Trial> = Vec::new();
+        for ((index, _), fit) in tasks.into_iter().zip(fits) {
+            match best.last_mut() {
+                Some(last) if last.term == Term::Known(index) => {
+                    if fit.cost < last.fit.cost {
+                        last.fit = fit;
+                    }
+                }
+                _ => best.push(Trial { term: Term::Known(index), fit }),
+            }
+        }
+        best
+    }
+
+    /// Where an effect's fit begins: of many places, those from which it has least to go.
+    fn nearest<'c>(&self, current: &Fit, index: usize, candidate: &'c Candidate) -> Vec<&'c Vec<f64>> {
+        if candidate.starts.len() <= MOST_STARTS {
+            return candidate.starts.iter().collect();
+        }
+        let mut costs: Vec<(f64, &Vec<f64>)> = candidate
+            .starts
+            .iter()
+            .map(|start| {
+                let mut structure = current.structure.clone();
+                structure.terms.push(Term::Known(index));
+                structure.added.push(start.clone());
+                (fit::cost(self.family, &self.runs, &structure, &current.initial), start)
+            })
+            .collect();
+        costs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        costs.into_iter().take(NEAREST).map(|(_, start)| start).collect()
+    }
+
+    fn curves(&self, current: &Fit) -> Vec<Trial> {
+        let Some(drivers) =
+            self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
+        else {
+            return vec![];
+        };
+        drivers
+            .par_iter()
+            .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
+            .map(|curve| {
+                let zeros = vec![0.0; curve.at.len()];
+                let term = Term::Curve(curve);
+                let fit = self.fit_with(current, term.clone(), &zeros, Effort::GLANCE);
+                Trial { term, fit }
+            })
+            .collect()
+    }
+
+    /// The most promising trials, fitted to the end and judged on blocks; best first.
+    fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
+        trials.retain(|trial| trial.fit.cost.is_finite());
+        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        trials.truncate(2 * PROMISING);
+        trials = trials
+            .into_par_iter()
+            .map(|Trial { term, fit: glanced }| {
+                let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
+                Trial { term, fit }
+            })
+            .collect();
+        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        trials.truncate(PROMISING);
+        let mut judged: Vec<Judged> = trials
+            .into_par_iter()
+            .map(|Trial { term, fit: screened }| {
+                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
+                let blocked = self.blocked(&fit);
+                let deviations = fit.deviations(self.family, &self.runs);
+                Judged { trial: Trial { term, fit }, blocked, deviations }
+            })
+            .collect();
+        judged.sort_by(|a, b| rmse(&a.blocked).total_cmp(&rmse(&b.blocked)));
+        judged
+    }
+
+    /// Errors of a structure on each block, fitted to the other half of the blocks.
+    fn blocked(&self, from: &Fit) -> Blocked {
+        let halves: Vec<_> = [(0, 1), (1, 0)]
+            .par_iter()
+            .map(|&(fitted, left_out)| {
+                let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
+                let len = |run: &F::Run| self.family.measured(run).len();
+                let initial = self.settled(&from.structure, &runs);
+                let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
+                let error = |run: &F::Run, samples: usize| {
+                    let residuals =
+                        fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
+                    let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
+                    let square: f64 = known.iter().map(|residual| residual * residual).sum();
+                    (square / known.len().max(1) as f64, known.len())
+                };
+                let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
+                let whole: Vec<_> = self.whole.iter().map(|run| error(run, len(run) / 4)).collect();
+                (blocks, whole)
+            })
+            .collect();
+        let whole: Vec<_> = halves.iter().flat_map(|half| half.1.iter()).collect();
+        let samples: usize = whole.iter().map(|run| run.1).sum();
+        Blocked {
+            whole: whole.iter().map(|run| run.0 * run.1 as f64).sum::<f64>() / samples.max(1) as f64,
+            blocks: halves.into_iter().flat_map(|half| half.0).collect(),
+        }
+    }
+
+    /// The best effect that passes, and what the others lacked.
+    #[allow(clippy::type_complexity)]
+    fn choose(
+        &self,
+        current: &Fit,
+        before: &Blocked,
+        judged: Vec<Judged>,
+        tried: usize,
+        with_curves: bool,
+    ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
+        let rmse_before = rmse(before);
+        for candidate in judged.iter().filter(|_| std::env::var_os("IDTRACE").is_some()) {
+            (self.progress)(&format!(
+                "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
+                self.term_name(&candidate.trial.term),
+                (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()),
+                candidate.trial.fit.cost,
+                rmse_before,
+                candidate.trial.fit.structure.added.last()
+            ));
+        }
+        let mut others = Vec::new();
+        let mut passed: Vec<(Judged, Step)> = Vec::new();
+        for candidate in judged {
+            let after = rmse(&candidate.blocked);
+            let name = self.term_name(&candidate.trial.term);
+            let worth = if with_curves { CURVE_WORTH } else { WORTH };
+            let p_value = self.chance(current, before, &candidate) * tried as f64;
+            let z = self.size(&candidate);
+            let better = before
+                .blocks
+                .iter()
+                .zip(&candidate.blocked.blocks)
+                .filter(|(before, after)| after.0 < before.0)
+                .count();
+            let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
+                Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
+            } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH } {
+                let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
+                Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
+            } else if p_value >= CHANCE {
+                Some(format!("not more than chance (p = {p_value:.2})"))
+            } else if z < LEAST_Z {
+                Some(format!("its size is {z:.1} standard deviations from none"))
+            } else {
+                None
+            };
+            if let Some(reason) = reason {
+                others.push((name, after, reason));
+                continue;
+            }
+            let step = Step {
+                term: candidate.trial.term.clone(),
+                fit: candidate.trial.fit.clone(),
+                blocked_rmse: [rmse_before, after],
+                p_value: p_value.min(1.0),
+                blocks_better: [better, before.blocks.len()],
+                z,
+                rivals: vec![],
+            };
+            passed.push((candidate, step));
+        }
+        if passed.is_empty() {
+            return (None, others);
+        }
+        // Among those that do as well as the best, the one with the fewest numbers.
+        let best = passed[0].1.blocked_rmse[1];
+        let numbers = |entry: &(Judged, Step)| entry.0.trial.fit.structure.added.last().map_or(0, Vec::len);
+        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + ALIKE)).count();
+        let place = (0..alike).min_by_key(|&place| numbers(&passed[place])).unwrap_or(0);
+        let (winner, mut step) = passed.remove(place);
+        let gain = rmse_before - step.blocked_rmse[1];
+        for (rival, its) in passed {
+            let close = its.blocked_rmse[1] <= step.blocked_rmse[1] * (1.0 + ALIKE);
+            let most = rmse_before - its.blocked_rmse[1] > 0.5 * gain;
+            let told_apart = paired(&rival.blocked, &winner.blocked) < CHANCE;
+            match rival.trial.term {
+                Term::Known(index) if close || (most && !told_apart) => {
+                    step.rivals.push((index, its.blocked_rmse[1]));
+                }
+                term => others.push((self.term_name(&term), its.blocked_rmse[1], "explains less".to_owned())),
+            }
+        }
+        others.sort_by(|a, b| a.1.total_cmp(&b.1));
+        (Some((step, winner.trial.fit)), others)
+    }
+
+    fn term_name(&self, term: &Term) -> String {
+        match term {
+            Term::Known(index) => self.family.catalogue()[*index].name.to_owned(),
+            Term::Curve(curve) => format!("{} over {}", curve.acts.name(), curve.over.name()),
+        }
+    }
+
+    /// Chance of such a gain without the effect: by the blocks, paired, or by the variance explained (F), whichever is
+    /// clearer. The former takes any noise, the latter an effect that shows in few blocks.
+    fn chance(&self, current: &Fit, before: &Blocked, candidate: &Judged) -> f64 {
+        let fit = &candidate.trial.fit;
+        let residuals = fit.residuals(self.family, &self.runs);
+        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
+        let independent = samples / correlated(&residuals);
+        let added = fit.structure.added.last().map_or(0, Vec::len).max(1) as f64;
+        let free = independent - fit.structure.base.len() as f64 - added - 2.0;
+        let explained = (current.cost - fit.cost).max(0.0) / added / (fit.cost / free.max(1.0));
+        let by_variance = FisherSnedecor::new(added, free.max(1.0)).map_or(1.0, |f| f.sf(explained));
+        by_variance.min(paired(before, &candidate.blocked))
+    }
+
+    /// Least distance from no effect of what tells the effect's size, in standard deviations.
+    fn size(&self, candidate: &Judged) -> f64 {
+        let fit = &candidate.trial.fit;
+        if matches!(candidate.trial.term, Term::Curve(_)) {
+            // Its corners share what the base model has too, a slope and a mean: no corner alone has a size.
+            return f64::INFINITY;
+        }
+        let parameters = fit::parameters(self.family, &fit.structure.terms);
+        let values = fit.structure.added.last().map_or(&[][..], |values| values);
+        let from = parameters.len() - values.len();
+        let sizes = parameters[from..].iter().zip(values).zip(&candidate.deviations[from..]);
+        let z = sizes.filter_map(|((parameter, value), deviation)| {
+            let absent = parameter.absent?;
+            Some(deviation.map_or(0.0, |deviation| (value - absent).abs() / deviation.max(f64::MIN_POSITIVE)))
+        });
+        // Of several sizes (both directions, corners of a curve) one must be there.
+        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))))
+            .unwrap_or(f64::INFINITY)
+    }
+
+    /// Takes out again what later terms made superfluous.
+    fn remove(&self, current: &mut Fit, steps: &mut Vec<Step>) {
+        while steps.len() > 1 {
+            let with = rmse(&self.blocked(current));
+            let without: Vec<(usize, Fit, f64)> = (0..steps.len() - 1)
+                .into_par_iter()
+                .map(|place| {
+                    let mut structure = current.structure.clone();
+                    structure.terms.remove(place);
+                    structure.added.remove(place);
+                    let fit = fit(self.family, &self.runs, structure, current.initial.clone(), Effort::SCREEN);
+                    let error = rmse(&self.blocked(&fit));
+                    (place, fit, error)
+                })
+                .collect();
+            let least = without.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
+            match least {
+                Some((place, fit, error)) if error <= with * (1.0 + SUPERFLUOUS) => {
+                    (self.progress)(&format!("without {}", self.term_name(&steps[place].term)));
+                    steps.remove(place);
+                    *current = fit;
+                }
+                _ => return,
+            }
+        }
+    }
+}
+
+/// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).
+fn paired(worse: &Blocked, better: &Blocked) -> f64 {
+    let gains: Vec<f64> = worse
+        .blocks
+        .iter()
+        .zip(&better.blocks)
+        .filter(|(worse, better)| worse.0 > 0.0 && better.0 > 0.0)
+        .map(|(worse, better)| (worse.0 / better.0).ln())
+        .collect();
+    let count = gains.len() as f64;
+    if count < 3.0 {
+        return 1.0;
+    }
+    let mean = gains.iter().sum::<f64>() / count;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let t = mean / (variance / count).sqrt().max(f64::MIN_POSITIVE);
+    StudentsT::new(0.0, 1.0, count - 1.0).map_or(1.0, |student| student.sf(t))
+}
+
+/// How many samples say as much as one independent one: the integrated autocorrelation, up to where it first vanishes.
+pub(crate) fn correlated(residuals: &[Vec<f64>]) -> f64 {
+    let mut sum = 1.0;
+    let variance = product(residuals, 0);
+    if variance <= 0.0 {
+        return 1.0;
+    }
+    let longest = residuals.iter().map(Vec::len).max().unwrap_or(0) / 2;
+    let mut lag = 1;
+    while lag < longest {
+        let correlation = product(residuals, lag) / variance;
+        if correlation < 0.05 {
+            break;
+        }
+        // Far lags by strides: the sum stays right where the correlation is smooth.
+        let stride = (lag / 10).max(1);
+        sum += 2.0 * correlation * stride as f64;
+        lag += stride;
+    }
+    sum
+}
+
+/// Mean product of residuals a lag apart.
+pub(crate) fn product(residuals: &[Vec<f64>], lag: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for run in residuals {
+        for (a, b) in run.iter().zip(run.iter().skip(lag)) {
+            if a.is_finite() && b.is_finite() {
+                sum += a * b;
+                count += 1.0;
+            }
+        }
+    }
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// What a term depends on, for reports.
+#[must_use]
+pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
+    match term {
+        Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
+        Term::Curve(curve) => match curve.acts {
+            Acts::Push => vec![curve.over],
+            Acts::Friction => vec![curve.over, Dependence::Direction],
+            Acts::Gain => vec![curve.over, Dependence::Input],
+        },
+    }
+}

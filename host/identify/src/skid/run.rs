@@ -1,0 +1,299 @@
+//! A run as the skid-steer model wants it: what both sides did, and what the body did meanwhile.
+
+use std::{f64::consts::TAU, ops::Range, sync::Arc};
+
+use super::{Geometry, Output, SkidError};
+use crate::data::{Quantity, Run, Signal};
+
+/// Samples of the two sides.
+#[derive(Debug)]
+pub(super) struct Sides {
+    pub(super) time_s: Vec<f64>,
+    /// rad/s; gaps bridged straight, nothing that touches one is compared.
+    pub(super) left: Vec<f64>,
+    pub(super) right: Vec<f64>,
+    /// Median of the time between samples.
+    pub(super) period_s: f64,
+}
+
+/// One run. What was measured is a mean over a span of samples; a gyro's spans are single samples.
+#[derive(Clone, Debug)]
+pub struct SkidRun {
+    pub(super) name: String,
+    pub(super) sides: Arc<Sides>,
+    /// Samples that each measured value is the mean of, in order, apart.
+    pub(super) spans: Vec<Range<usize>>,
+    pub(super) time_s: Vec<f64>,
+    pub(super) measured: Vec<f64>,
+    /// Samples from here on are simulated.
+    pub(super) from: usize,
+    /// What a model with memory begins with: the first value measured. None where means of long spans are compared: of
+    /// these, the first would give the answer away, so the run begins at rest under its first input.
+    pub(super) start: Option<f64>,
+}
+
+impl SkidRun {
+    pub(super) fn new(
+        geometry: &Geometry,
+        output: Output,
+        average_s: Option<f64>,
+        run: &Run,
+    ) -> Result<Self, SkidError> {
+        let read = Reader { run, geometry };
+        let len = run.time_s.len();
+        if len < 3 {
+            return Err(SkidError::TooShort { run: run.name.clone(), found: len });
+        }
+        let mut left = read.side("left")?;
+        let mut right = read.side("right")?;
+        let unknown: Vec<bool> = left.iter().zip(&right).map(|(l, r)| !l.is_finite() || !r.is_finite()).collect();
+        let known = bridge(&run.time_s, &mut left) && bridge(&run.time_s, &mut right);
+        let nothing = || SkidError::NothingMeasured { run: run.name.clone() };
+        if !known {
+            return Err(nothing());
+        }
+        let (spans, mut measured) = read.body(output, average_s)?;
+        if let (Some(average_s), true) = (average_s, spans.is_empty()) {
+            let duration_s = run.time_s[len - 1] - run.time_s[0];
+            return Err(SkidError::TooShortToAverage { run: run.name.clone(), duration_s, average_s });
+        }
+        for (span, value) in spans.iter().zip(&mut measured) {
+            if unknown[span.clone()].contains(&true) {
+                *value = f64::NAN;
+            }
+        }
+        if !measured.iter().any(|value| value.is_finite()) {
+            return Err(nothing());
+        }
+        let time_s = spans.iter().map(|span| 0.5 * (run.time_s[span.start] + run.time_s[span.end - 1])).collect();
+        let sides = Sides { period_s: period(&run.time_s), time_s: run.time_s.clone(), left, right };
+        let whole =
+            Self { name: run.name.clone(), sides: Arc::new(sides), spans, time_s, measured, from: 0, start: None };
+        Ok(if average_s.is_some() { whole } else { whole.started() })
+    }
+
+    fn started(mut self) -> Self {
+        self.from = self.spans.first().map_or(0, |span| span.start);
+        self.start = self.measured.iter().take(5).copied().find(|value| value.is_finite());
+        self
+    }
+
+    pub(super) fn part(&self, from: usize, to: usize) -> Self {
+        let to = to.min(self.spans.len());
+        let from = from.min(to);
+        let part = Self {
+            name: self.name.clone(),
+            sides: Arc::clone(&self.sides),
+            spans: self.spans[from..to].to_vec(),
+            time_s: self.time_s[from..to].to_vec(),
+            measured: self.measured[from..to].to_vec(),
+            from: self.from,
+            start: self.start,
+        };
+        if self.start.is_some() { part.started() } else { part }
+    }
+}
+
+/// Median of the time between samples.
+fn period(time_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(1.0)
+}
+
+/// Draws straight lines over what is missing; false if all is.
+fn bridge(time_s: &[f64], values: &mut [f64]) -> bool {
+    let Some(first) = values.iter().position(|value| value.is_finite()) else { return false };
+    let start = values[first];
+    values[..first].fill(start);
+    let mut last = first;
+    for at in first + 1..values.len() {
+        if values[at].is_finite() {
+            let slope = (values[at] - values[last]) / (time_s[at] - time_s[last]);
+            for between in last + 1..at {
+                values[between] = values[last] + slope * (time_s[between] - time_s[last]);
+            }
+            last = at;
+        }
+    }
+    let end = values[last];
+    values[last..].fill(end);
+    true
+}
+
+type Spans = (Vec<Range<usize>>, Vec<f64>);
+
+struct Reader<'r> {
+    run: &'r Run,
+    geometry: &'r Geometry,
+}
+
+impl Reader<'_> {
+    fn signal(&self, role: &'static str) -> Result<Option<&Signal>, SkidError> {
+        let Some(signal) = self.run.signals.get(role) else { return Ok(None) };
+        let (expected, found) = (self.run.time_s.len(), signal.values.len());
+        if expected != found {
+            return Err(SkidError::Length { run: self.run.name.clone(), role, expected, found });
+        }
+        Ok(Some(signal))
+    }
+
+    fn no_unit(&self, signal: &Signal, role: &'static str, units: &'static str) -> SkidError {
+        SkidError::Unit { run: self.run.name.clone(), column: signal.column.clone(), role, units }
+    }
+
+    /// rad/s of a side's wheels.
+    fn wheels(&self, role: &'static str) -> Result<Option<Vec<f64>>, SkidError> {
+        let Some(signal) = self.signal(role)? else { return Ok(None) };
+        match signal.quantity {
+            Quantity::AngularSpeed => Ok(Some(signal.values.clone())),
+            Quantity::Speed => {
+                Ok(Some(signal.values.iter().map(|speed| speed / self.geometry.wheel_radius_m).collect()))
+            }
+            _ => Err(self.no_unit(signal, role, "rad/s or m/s (`_rad_s`, `_m_s`)")),
+        }
+    }
+
+    fn side(&self, role: &'static str) -> Result<Vec<f64>, SkidError> {
+        let advice = "map the speed of that side's wheels, or its command, as in `--map left=wheel_left_rad_s`";
+        self.wheels(role)?.ok_or_else(|| SkidError::NoRole { run: self.run.name.clone(), role, advice })
+    }
+
+    fn in_unit(
+        &self,
+        role: &'static str,
+        quantity: Quantity,
+        units: &'static str,
+    ) -> Result<Option<&[f64]>, SkidError> {
+        match self.signal(role)? {
+            Some(signal) if signal.quantity == quantity => Ok(Some(&signal.values)),
+            Some(signal) => Err(self.no_unit(signal, role, units)),
+            None => Ok(None),
+        }
+    }
+
+    fn yaw(&self) -> Result<Option<Vec<f64>>, SkidError> {
+        Ok(self.in_unit("yaw", Quantity::Angle, "rad or degrees (`_rad`, `_deg`)")?.map(unwrapped))
+    }
+
+    /// What the body did: spans of samples, and the mean of the output over each.
+    fn body(&self, output: Output, average_s: Option<f64>) -> Result<Spans, SkidError> {
+        match output {
+            Output::YawRate => self.yaw_rate(average_s),
+            Output::ForwardSpeed | Output::LateralSpeed => self.along(output, average_s),
+        }
+    }
+
+    /// From the gyro, or from the yaw angle, or from the wheels if these are not the input. Means of long spans are
+    /// taken from the yaw angle first: its ends tell the mean without drift.
+    fn yaw_rate(&self, average_s: Option<f64>) -> Result<Spans, SkidError> {
+        let gyro = self.in_unit("gyro", Quantity::AngularSpeed, "rad/s (`_rad_s`, `_deg_s`)")?;
+        let time_s = &self.run.time_s;
+        match (gyro, self.yaw()?, average_s) {
+            (Some(gyro), None, Some(average_s)) => Ok(means(time_s, average_s, gyro)),
+            (Some(gyro), _, None) => Ok(samples(gyro)),
+            (_, Some(yaw), average_s) => {
+                let spans = self.pose_spans(&yaw, average_s);
+                let rates = spans.iter().map(|span| rise(time_s, &yaw, span)).collect();
+                Ok((spans, rates))
+            }
+            (None, None, average_s) => {
+                let (Some(left), Some(right)) = (self.wheels("wheel_left")?, self.wheels("wheel_right")?) else {
+                    let advice = "the model needs the body's motion; map the gyro, or the yaw angle, or with commands as \
+                                  `left` and `right` the wheels' speeds as `wheel_left` and `wheel_right`";
+                    return Err(SkidError::NoRole { run: self.run.name.clone(), role: "gyro", advice });
+                };
+                let turn: Vec<f64> =
+                    left.iter().zip(&right).map(|(&left, &right)| self.geometry.turn(left, right)).collect();
+                Ok(average_s.map_or_else(|| samples(&turn), |average_s| means(time_s, average_s, &turn)))
+            }
+        }
+    }
+
+    /// Speed along or across the body, by the steps of the pose.
+    fn along(&self, output: Output, average_s: Option<f64>) -> Result<Spans, SkidError> {
+        let advice = "speed along and across the body needs `x`, `y` and `yaw`";
+        let missing = |role| SkidError::NoRole { run: self.run.name.clone(), role, advice };
+        let length = |role| self.in_unit(role, Quantity::Length, "m (`_m`)");
+        let (x, y) = (length("x")?.ok_or_else(|| missing("x"))?, length("y")?.ok_or_else(|| missing("y"))?);
+        let yaw = self.yaw()?.ok_or_else(|| missing("yaw"))?;
+        let time_s = &self.run.time_s;
+        let moved = |span: &Range<usize>| {
+            let steps = span.clone().zip(span.start + 1..span.end).map(|(a, b)| {
+                let (sin, cos) = (0.5 * (yaw[a] + yaw[b])).sin_cos();
+                let (dx, dy) = (x[b] - x[a], y[b] - y[a]);
+                if output == Output::ForwardSpeed { cos * dx + sin * dy } else { cos * dy - sin * dx }
+            });
+            steps.sum::<f64>() / (time_s[span.end - 1] - time_s[span.start])
+        };
+        let spans = self.pose_spans(x, average_s);
+        let speeds = spans.iter().map(moved).collect();
+        Ok((spans, speeds))
+    }
+
+    /// Spans as long as wanted, or as a pose is held.
+    fn pose_spans(&self, pose: &[f64], average_s: Option<f64>) -> Vec<Range<usize>> {
+        match average_s {
+            Some(average_s) => spans(&self.run.time_s, average_s),
+            None => held_spans(pose),
+        }
+    }
+}
+
+fn samples(values: &[f64]) -> Spans {
+    ((0..values.len()).map(|at| at..at + 1).collect(), values.to_vec())
+}
+
+fn means(time_s: &[f64], average_s: f64, values: &[f64]) -> Spans {
+    let spans = spans(time_s, average_s);
+    let means = spans.iter().map(|span| values[span.clone()].iter().sum::<f64>() / span.len() as f64).collect();
+    (spans, means)
+}
+
+/// Successive spans of a length; one that the samples cover by less than three quarters is left out.
+fn spans(time_s: &[f64], average_s: f64) -> Vec<Range<usize>> {
+    let period_s = period(time_s);
+    // Half a period's tolerance: stamps are not exact.
+    let of = |at: usize| ((time_s[at] - time_s[0] + 0.5 * period_s) / average_s).floor();
+    let mut spans = Vec::new();
+    let mut start = 0;
+    for end in 1..=time_s.len() {
+        if end == time_s.len() || of(end) > of(start) {
+            if end - start > 1 && time_s[end - 1] - time_s[start] + period_s >= 0.75 * average_s {
+                spans.push(start..end);
+            }
+            start = end;
+        }
+    }
+    spans
+}
+
+/// Spans from fresh value to fresh value of a pose that is held in between; each includes the sample it ends with.
+fn held_spans(pose: &[f64]) -> Vec<Range<usize>> {
+    let changes = pose.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    // More than four is standing still rather than holding.
+    let hold = (pose.len() - 1).checked_div(changes).map_or(1, |hold| hold.clamp(1, 4));
+    (0..(pose.len() - 1) / hold).map(|at| at * hold..(at + 1) * hold + 1).collect()
+}
+
+/// Rise over time; NaN where an end is missing.
+fn rise(time_s: &[f64], values: &[f64], span: &Range<usize>) -> f64 {
+    let (first, last) = (span.start, span.end - 1);
+    (values[last] - values[first]) / (time_s[last] - time_s[first])
+}
+
+/// An angle without its jumps by a turn.
+fn unwrapped(yaw: &[f64]) -> Vec<f64> {
+    let mut before = f64::NAN;
+    let mut turns = 0.0;
+    let unwrap = |&yaw: &f64| {
+        if yaw.is_finite() {
+            if before.is_finite() {
+                turns -= ((yaw - before) / TAU).round();
+            }
+            before = yaw;
+        }
+        yaw + turns * TAU
+    };
+    yaw.iter().map(unwrap).collect()
+}

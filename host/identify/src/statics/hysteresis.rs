@@ -1,0 +1,566 @@
+//! The play of a held shaft that is pulled from both sides in turn: backlash, and what only looks like it.
+//!
+//! Each pull and each rest after it is a phase, and a phase is represented by its last sample: the most settled one. How far
+//! the ends of pulls from both sides are apart is the gap under load; the ends of the rests after them give the gap without.
+//! A spring returns to the middle when it is let go, a shaft with play stays where it was left: the gap without load tells
+//! them apart. What the shaft moves back by when the pull ends is elasticity and the droop of a proportional controller,
+//! which need the pull's force to be told from each other.
+
+use r4_plants::Dependence;
+use serde::Serialize;
+use thiserror::Error;
+
+use super::map::{median, unit};
+use crate::data::Run;
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure};
+use crate::task::{ModelInfo, RoleInfo};
+
+/// Why a recording shows no play.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum HysteresisError {
+    /// No column for a role.
+    #[error("{run}: no column is mapped to `{role}`: name one with --map {role}=COLUMN")]
+    NoRole {
+        /// Of the recording.
+        run: String,
+        /// `output`, `pull_a` or `pull_b`.
+        role: &'static str,
+    },
+    /// A side never pulled, or too seldom.
+    #[error(
+        "{run}: {pulls} pulls by `{role}`, {needed} are needed: pull from both sides in turn, each at least {needed} times, \
+         and let go in between"
+    )]
+    TooFewPulls {
+        /// Of the recording.
+        run: String,
+        /// `pull_a` or `pull_b`.
+        role: &'static str,
+        /// Found.
+        pulls: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// It was never let go.
+    #[error("{run}: no sample between the pulls: let go for a second after each pull")]
+    NoRest {
+        /// Of the recording.
+        run: String,
+    },
+}
+
+/// Which side pulled last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Side {
+    /// `pull_a`.
+    A,
+    /// `pull_b`.
+    B,
+}
+
+/// The end of a pull, or of the rest after it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhaseEnd {
+    /// That pulled.
+    pub side: Side,
+    /// Still pulling.
+    pub loaded: bool,
+    /// How often this side pulled before.
+    pub cycle: usize,
+    /// When the phase began, s.
+    pub from_s: f64,
+    /// Of its last sample, s.
+    pub at_s: f64,
+    /// Of the output, from the goal if there is one.
+    pub position: f64,
+    /// Duty or current that holds the shaft; NaN where it was not recorded.
+    pub load: f64,
+}
+
+/// Pulls of each side, at least: one to see a gap, one to see whether it comes again.
+const LEAST_PULLS: usize = 2;
+
+/// Where a puller is away from its rest: above nine tenths of its largest stroke, so that a position counts from when it has
+/// arrived to when it leaves; a command counts as a whole.
+fn pulling(signal: &[f64]) -> Vec<bool> {
+    let mut known: Vec<f64> = signal.iter().copied().filter(|value| value.is_finite()).collect();
+    // Each side rests more than half of the time.
+    let rest = median(&mut known);
+    let stroke = known.iter().map(|value| (value - rest).abs()).fold(0.0, f64::max);
+    signal.iter().map(|value| stroke > 0.0 && (value - rest).abs() >= 0.9 * stroke).collect()
+}
+
+/// Finds the phases of a recording with the roles `output`, `pull_a`, `pull_b` (commands or positions of what pulls) and,
+/// where there are any, `goal` (of the shaft) and `load`, in the order of time.
+///
+/// Without a goal a rest counts as long as the shortest one between two pulls, because the shaft may be sent elsewhere later.
+///
+/// # Errors
+/// A role that is missing, fewer than two pulls of a side, or none that was let go.
+pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
+    let role = |role| run.values(role).ok_or_else(|| HysteresisError::NoRole { run: run.name.clone(), role });
+    let (output, a, b) = (role("output")?, pulling(role("pull_a")?), pulling(role("pull_b")?));
+    let (goal, load) = (run.values("goal"), run.values("load"));
+    let samples = output.len();
+    // Starts and ends of pulls.
+    let mut pulls: Vec<(Side, usize, usize)> = Vec::new();
+    for (side, on) in [(Side::A, &a), (Side::B, &b)] {
+        let mut sample = 0;
+        while sample < samples {
+            let start = sample;
+            while sample < samples && on[sample] {
+                sample += 1;
+            }
+            if sample > start {
+                pulls.push((side, start, sample));
+            }
+            sample += 1;
+        }
+    }
+    pulls.sort_by_key(|pull| pull.1);
+    for (side, role) in [(Side::A, "pull_a"), (Side::B, "pull_b")] {
+        let found = pulls.iter().filter(|pull| pull.0 == side).count();
+        if found < LEAST_PULLS {
+            return Err(HysteresisError::TooFewPulls {
+                run: run.name.clone(),
+                role,
+                pulls: found,
+                needed: LEAST_PULLS,
+            });
+        }
+    }
+    let shortest = pulls.windows(2).map(|pair| pair[1].1.saturating_sub(pair[0].2)).min().unwrap_or(0);
+    let known = |sample: usize| output[sample].is_finite() && goal.is_none_or(|goal| goal[sample].is_finite());
+    let end_of = |side, loaded, cycle, from: usize, to: usize| {
+        let last = (from..to).rev().find(|&sample| known(sample))?;
+        Some(PhaseEnd {
+            side,
+            loaded,
+            cycle,
+            from_s: run.time_s[from],
+            at_s: run.time_s[last],
+            position: output[last] - goal.map_or(0.0, |goal| goal[last]),
+            load: load.map_or(f64::NAN, |load| load[last]),
+        })
+    };
+    let mut ends = Vec::new();
+    let mut cycles = [0, 0];
+    for (place, &(side, start, end)) in pulls.iter().enumerate() {
+        let cycle = cycles[side as usize];
+        cycles[side as usize] += 1;
+        // A shaft that was sent elsewhere during the pull says nothing.
+        let stays = |sample: usize| goal.is_none_or(|goal| goal[sample] == goal[start]);
+        if !(start..end).all(stays) {
+            continue;
+        }
+        ends.extend(end_of(side, true, cycle, start, end));
+        let next = pulls.get(place + 1).map_or(samples, |next| next.1);
+        let until = match goal {
+            Some(_) => (end..next).find(|&sample| !stays(sample)).unwrap_or(next),
+            None => next.min(end + shortest),
+        };
+        // One sample is still the pull's.
+        if until > end + 1 {
+            ends.extend(end_of(side, false, cycle, end + 1, until));
+        }
+    }
+    if !ends.iter().any(|end| !end.loaded) {
+        return Err(HysteresisError::NoRest { run: run.name.clone() });
+    }
+    Ok(ends)
+}
+
+/// A number and its standard deviation, in the output's unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Gap {
+    /// Between the means of both sides; its sign is of A above B.
+    pub value: f64,
+    /// By how the ends of each side scatter, and by the output's steps.
+    pub std: f64,
+    /// Ends of A and B.
+    pub ends: [usize; 2],
+}
+
+/// One explanation of where the shaft ends.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Explanation {
+    /// `rigid`, `elasticity`, `backlash`, `backlash and elasticity`.
+    pub name: &'static str,
+    /// On the cycles it was fitted to.
+    pub rmse: f64,
+    /// On the later ones.
+    pub holdout_rmse: f64,
+}
+
+/// How a controller holds the shaft, by a line through the sizes of its load over those of the distance to the goal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Droop {
+    /// Load for each unit of distance.
+    pub load_per_distance: f64,
+    /// Distance below which it does nothing, in the output's unit; this alone makes a gap of twice as much.
+    pub dead_band: f64,
+}
+
+/// What a recording says of the play of a shaft.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Play {
+    /// Between the ends of pulls.
+    pub loaded: Gap,
+    /// Between the ends of the rests after them.
+    pub unloaded: Gap,
+    /// By which the shaft returns when a pull ends, half of what the gaps differ by: elasticity and droop together.
+    pub returns_by: f64,
+    /// Fitted to the first two pulls of each side, with errors on the later ones, least first.
+    pub explanations: Vec<Explanation>,
+    /// Where the load was recorded, with a goal.
+    pub droop: Option<Droop>,
+    /// Smallest step of the output.
+    pub step: f64,
+    /// What would tell elasticity from droop, and play from friction.
+    pub experiment: &'static str,
+}
+
+/// Pulls of each side that explanations are fitted to.
+const FITTED: usize = 2;
+
+const EXPERIMENT: &str = "the same pulls with a force that is known, at two forces and at two gains: droop goes with one over the gain, \
+                          elasticity with the force alone, play with neither";
+
+/// Play of a shaft, in the unit of the output.
+///
+/// # Errors
+/// As [`phase_ends`], and [`HysteresisError::NoRest`] if one side was never let go.
+pub fn play(run: &Run) -> Result<Play, HysteresisError> {
+    let ends = phase_ends(run)?;
+    let step = run.values("output").map_or(0.0, smallest_step);
+    let gap = |loaded| gap(&ends, loaded, step).ok_or_else(|| HysteresisError::NoRest { run: run.name.clone() });
+    let (loaded, unloaded) = (gap(true)?, gap(false)?);
+    let mut explanations = explanations(&ends);
+    explanations.sort_by(|a, b| a.holdout_rmse.total_cmp(&b.holdout_rmse));
+    Ok(Play {
+        loaded,
+        unloaded,
+        returns_by: (loaded.value.abs() - unloaded.value.abs()) / 2.0,
+        explanations,
+        droop: run.values("goal").and_then(|_| droop(&ends)),
+        step,
+        experiment: EXPERIMENT,
+    })
+}
+
+/// Between different values that follow each other; 0 if there are none.
+fn smallest_step(output: &[f64]) -> f64 {
+    let largest =
+        output.iter().filter(|value| value.is_finite()).fold(0.0f64, |largest, value| largest.max(value.abs()));
+    let steps = output.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 1e-9 * largest);
+    let least = steps.fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
+
+fn gap(ends: &[PhaseEnd], loaded: bool, step: f64) -> Option<Gap> {
+    let of = |side| -> Option<(f64, f64, usize)> {
+        let positions: Vec<f64> =
+            ends.iter().filter(|end| end.side == side && end.loaded == loaded).map(|end| end.position).collect();
+        let count = positions.len();
+        if count == 0 {
+            return None;
+        }
+        let mean = positions.iter().sum::<f64>() / count as f64;
+        let spread =
+            positions.iter().map(|position| (position - mean).powi(2)).sum::<f64>() / (count as f64 - 1.0).max(1.0);
+        // Ends that all read the same are still only known to a step.
+        Some((mean, spread.max(step * step / 12.0) / count as f64, count))
+    };
+    let ((a, variance_a, count_a), (b, variance_b, count_b)) = (of(Side::A)?, of(Side::B)?);
+    Some(Gap { value: a - b, std: (variance_a + variance_b).sqrt(), ends: [count_a, count_b] })
+}
+
+/// A column of a linear model: what a phase contributes of each unit of its size.
+type Column<'c> = &'c dyn Fn(&PhaseEnd) -> f64;
+
+/// Fits where shafts of each kind would end to the first pulls, and predicts the later ones.
+fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
+    let way = |end: &PhaseEnd| if end.side == Side::A { 1.0 } else { -1.0 };
+    let stays = |end: &PhaseEnd| way(end);
+    let springs = |end: &PhaseEnd| if end.loaded { way(end) } else { 0.0 };
+    let kinds: [(&'static str, &[Column<'_>]); 4] = [
+        ("rigid", &[]),
+        ("elasticity", &[&springs]),
+        ("backlash", &[&stays]),
+        ("backlash and elasticity", &[&stays, &springs]),
+    ];
+    let (fitted, later): (Vec<&PhaseEnd>, Vec<&PhaseEnd>) = ends.iter().partition(|end| end.cycle < FITTED);
+    let explain = |(name, columns): (&'static str, &[Column<'_>])| {
+        let entry = |end: &PhaseEnd, column: usize| if column == 0 { 1.0 } else { columns[column - 1](end) };
+        let design =
+            nalgebra::DMatrix::from_fn(fitted.len(), columns.len() + 1, |row, column| entry(fitted[row], column));
+        let positions = nalgebra::DVector::from_fn(fitted.len(), |row, _| fitted[row].position);
+        let values = design.svd(true, true).solve(&positions, 1e-9).ok()?;
+        let rmse = |ends: &[&PhaseEnd]| {
+            let square = |end: &&PhaseEnd| {
+                let expected: f64 = values.iter().enumerate().map(|(column, value)| value * entry(end, column)).sum();
+                (end.position - expected).powi(2)
+            };
+            (ends.iter().map(square).sum::<f64>() / ends.len() as f64).sqrt()
+        };
+        Some(Explanation { name, rmse: rmse(&fitted), holdout_rmse: rmse(&later) })
+    };
+    kinds.into_iter().filter_map(explain).collect()
+}
+
+fn droop(ends: &[PhaseEnd]) -> Option<Droop> {
+    let points: Vec<(f64, f64)> =
+        ends.iter().filter(|end| end.load.is_finite()).map(|end| (end.position.abs(), end.load.abs())).collect();
+    let count = points.len() as f64;
+    let (mx, my) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point.0 / count, y + point.1 / count));
+    let xx: f64 = points.iter().map(|point| (point.0 - mx).powi(2)).sum();
+    let xy: f64 = points.iter().map(|point| (point.0 - mx) * (point.1 - my)).sum();
+    (xx > 0.0 && xy > 0.0).then(|| {
+        let load_per_distance = xy / xx;
+        Droop { load_per_distance, dead_band: (mx - my / load_per_distance).max(0.0) }
+    })
+}
+
+/// One recording as two: the output of every `every`th pull of each side and the rest after it in the second, of the others in
+/// the first. `None` below 2, and where one of them has too few pulls.
+#[must_use]
+pub fn alternate_cycles(run: &Run, every: usize) -> Option<(Run, Run)> {
+    let ends = phase_ends(run).ok().filter(|_| every > 1)?;
+    let only = |second: bool| {
+        let mut part = run.clone();
+        let output = part.signals.get_mut("output")?;
+        for end in ends.iter().filter(|end| (end.cycle % every == every - 1) != second) {
+            let samples = output.values.iter_mut().zip(&run.time_s);
+            samples
+                .filter(|(_, time)| (end.from_s..=end.at_s).contains(*time))
+                .for_each(|(value, _)| *value = f64::NAN);
+        }
+        let both = |side| phase_ends(&part).is_ok_and(|ends| ends.iter().any(|end| end.side == side));
+        (both(Side::A) && both(Side::B)).then_some(part)
+    };
+    only(false).zip(only(true))
+}
+
+/// Phases of one recording as rows of a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldRun {
+    name: String,
+    time_s: Vec<f64>,
+    measured: Vec<f64>,
+    /// +1 and -1 of the side that pulled last, with the sign that makes the gap positive.
+    last_pull: Vec<f64>,
+    /// The same while it pulls, else 0.
+    pull: Vec<f64>,
+}
+
+impl HeldRun {
+    /// Takes the phases of a recording.
+    ///
+    /// # Errors
+    /// As [`phase_ends`].
+    pub fn new(run: &Run) -> Result<Self, HysteresisError> {
+        let ends = phase_ends(run)?;
+        let sign = gap(&ends, true, 0.0).map_or(1.0, |gap| if gap.value < 0.0 { -1.0 } else { 1.0 });
+        let way = |end: &PhaseEnd| if end.side == Side::A { sign } else { -sign };
+        Ok(Self {
+            name: run.name.clone(),
+            time_s: ends.iter().map(|end| end.at_s).collect(),
+            measured: ends.iter().map(|end| end.position).collect(),
+            last_pull: ends.iter().map(way).collect(),
+            pull: ends.iter().map(|end| if end.loaded { way(end) } else { 0.0 }).collect(),
+        })
+    }
+
+    fn rows(&self, from: usize, to: usize) -> Self {
+        let cut = |values: &[f64]| values[from..to].to_vec();
+        Self {
+            name: self.name.clone(),
+            time_s: cut(&self.time_s),
+            measured: cut(&self.measured),
+            last_pull: cut(&self.last_pull),
+            pull: cut(&self.pull),
+        }
+    }
+}
+
+/// The model `held-shaft`: where a held shaft ends after each pull and each rest.
+///
+/// Without effects it gives way to a pull and returns to the middle, as everything does that a spring or a proportional
+/// controller holds.
+#[derive(Clone, Debug)]
+pub struct HeldShaft {
+    base: [Parameter; 2],
+    catalogue: [Candidate; 2],
+    unit: &'static str,
+}
+
+impl HeldShaft {
+    /// For `--model`.
+    pub const NAME: &str = "held-shaft";
+
+    /// What it is, for the list of models.
+    #[must_use]
+    pub fn info() -> ModelInfo {
+        let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
+        ModelInfo {
+            name: Self::NAME,
+            summary: "where a held shaft ends that is pulled from both sides in turn, and let go in between",
+            roles: vec![
+                role("output", true, false, "position of the shaft"),
+                role("pull_a", true, true, "command or position of what pulls from one side"),
+                role("pull_b", true, true, "command or position of what pulls from the other"),
+                role("goal", false, true, "where the shaft is to be"),
+                role("load", false, false, "duty or current that holds it"),
+            ],
+            parameters: vec![],
+            effects: vec!["backlash", "drift"],
+        }
+    }
+
+    /// A model for recordings, and these as it wants them: those to fit to and those held out.
+    ///
+    /// # Errors
+    /// As [`phase_ends`].
+    pub fn prepare(train: &[Run], holdout: &[Run]) -> Result<(Self, Vec<HeldRun>, Vec<HeldRun>), HysteresisError> {
+        let make = |runs: &[Run]| runs.iter().map(HeldRun::new).collect::<Result<Vec<_>, _>>();
+        let (fitted, held_out) = (make(train)?, make(holdout)?);
+        let unit = train.first().map_or("1", unit);
+        Ok((Self::new(&fitted.iter().collect::<Vec<_>>(), unit), fitted, held_out))
+    }
+
+    /// A model whose sizes are noticed from the scatter of these runs on.
+    #[must_use]
+    pub fn new(runs: &[&HeldRun], unit: &'static str) -> Self {
+        let positions = runs.iter().flat_map(|run| run.measured.iter().copied());
+        let (low, high) =
+            positions.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+        let span = if high > low { high - low } else { 1.0 };
+        let length_s = runs.iter().filter_map(|run| run.time_s.last()).fold(1.0, |most: f64, &time| most.max(time));
+        let scale = 0.05 * span;
+        let effect = |name, depends_on, parameter, start, experiment| Candidate {
+            name,
+            depends_on,
+            parameters: vec![parameter],
+            starts: vec![vec![start]],
+            experiment,
+            excludes: &[],
+        };
+        let size = |name, range| Parameter { name, unit, range, absent: Some(0.0) };
+        Self {
+            base: [
+                Parameter { name: "middle", unit, range: Range::Any { scale }, absent: None },
+                Parameter { name: "gives_way", unit, range: Range::NotNegative { scale }, absent: Some(0.0) },
+            ],
+            catalogue: [
+                effect(
+                    "backlash",
+                    &[Dependence::History],
+                    size("gap", Range::NotNegative { scale }),
+                    0.5 * span,
+                    "pull from both sides in turn, and let go in between",
+                ),
+                effect(
+                    "drift",
+                    &[Dependence::Time],
+                    Parameter { name: "per_s", unit, range: Range::Any { scale: scale / length_s }, absent: Some(0.0) },
+                    0.0,
+                    "the same pulls after an hour",
+                ),
+            ],
+            unit,
+        }
+    }
+}
+
+impl Family for HeldShaft {
+    type Run = HeldRun;
+
+    fn base(&self) -> &[Parameter] {
+        &self.base
+    }
+
+    fn catalogue(&self) -> &[Candidate] {
+        &self.catalogue
+    }
+
+    fn unit(&self) -> &'static str {
+        self.unit
+    }
+
+    fn starts(&self, runs: &[&HeldRun]) -> Vec<Vec<f64>> {
+        let mut all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
+        let Range::NotNegative { scale } = self.base[1].range else { return vec![] };
+        vec![vec![median(&mut all), 4.0 * scale]]
+    }
+
+    fn initial(&self, _: &HeldRun) -> (Vec<f64>, Vec<f64>) {
+        (Vec::new(), Vec::new())
+    }
+
+    fn predict(&self, structure: &Structure, _: &[f64], run: &HeldRun, predicted: &mut [f64]) {
+        let base = |place| structure.base.get(place).copied().unwrap_or(0.0);
+        let of = |candidate| structure.of(candidate).map_or(0.0, |values| values[0]);
+        let (middle, gives_way, gap, drift) = (base(0), base(1), of(0), of(1));
+        for (row, out) in predicted.iter_mut().enumerate() {
+            *out = middle + 0.5 * gap * run.last_pull[row] + gives_way * run.pull[row] + drift * run.time_s[row];
+        }
+        for (curve, values) in structure.curves() {
+            for (row, out) in predicted.iter_mut().enumerate() {
+                *out += curve.value(values, run.time_s[row]);
+            }
+        }
+    }
+
+    fn measured<'r>(&self, run: &'r HeldRun) -> &'r [f64] {
+        &run.measured
+    }
+
+    fn time_s<'r>(&self, run: &'r HeldRun) -> &'r [f64] {
+        &run.time_s
+    }
+
+    fn name<'r>(&self, run: &'r HeldRun) -> &'r str {
+        &run.name
+    }
+
+    fn part(&self, run: &HeldRun, from: usize, to: usize) -> HeldRun {
+        run.rows(from, to)
+    }
+
+    /// A pull from each side and the rests after them: one side alone tells no gap.
+    fn blocks(&self, run: &HeldRun) -> Option<usize> {
+        Some(run.measured.len() / 4)
+    }
+
+    fn drivers(&self, _: &Structure, _: &[f64], run: &HeldRun) -> Vec<Driver> {
+        let driver = |over, unit, values: &[f64]| Driver { over, unit, period: None, values: values.to_vec() };
+        vec![
+            driver(Dependence::Input, "1", &run.pull),
+            driver(Dependence::History, "1", &run.last_pull),
+            driver(Dependence::Time, "s", &run.time_s),
+        ]
+    }
+
+    fn input(&self, run: &HeldRun) -> (String, Vec<f64>) {
+        ("pull".to_owned(), run.pull.clone())
+    }
+
+    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
+        super::to_toml(Self::NAME, self, structure, source)
+    }
+
+    /// Pulls and sides have two values each, which the effects exhaust; time may have any shape.
+    fn curves(&self, _: &Structure, (over, _): (Dependence, Option<f64>), runs: &[&HeldRun]) -> Vec<Curve> {
+        let mut at: Vec<f64> = runs.iter().flat_map(|run| run.time_s.iter().copied()).collect();
+        at.sort_unstable_by(f64::total_cmp);
+        let Range::Any { scale } = self.base[0].range else { return vec![] };
+        if over != Dependence::Time || at.len() < 16 {
+            return vec![];
+        }
+        let at = (0..4).map(|corner| at[corner * (at.len() - 1) / 3]).collect();
+        vec![Curve { over, at_unit: "s", unit: self.unit, at, period: None, acts: Acts::Push, scale }]
+    }
+}
+
+#[cfg(test)]
+mod tests;

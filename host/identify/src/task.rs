@@ -1,0 +1,385 @@
+//! A task from recordings to a report.
+
+use std::collections::BTreeMap;
+
+use r4_plants::PlantSpec;
+
+use crate::{
+    data::Run,
+    error::IdentifyError,
+    family::{Acts, Family, Structure, Term},
+    fit::{self, Fit},
+    motion::{Kind, Known, Motion},
+    report::{EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
+    residual::{Left, left},
+    select::{Found, depends_on, search},
+    skid::{Declared, Output, SkidSteer},
+    statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
+};
+
+/// What to do.
+#[derive(Clone, Debug, Default)]
+pub struct Task {
+    /// Name of the base model.
+    pub model: String,
+    /// What is known, by name.
+    pub parameters: BTreeMap<String, f64>,
+    /// What is known of the plant.
+    pub plant: Option<PlantSpec>,
+    /// Where random numbers begin.
+    pub seed: u64,
+}
+
+/// How far it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Progress {
+    /// What it does now.
+    pub step: String,
+    /// Done of what there is to do, 0..=1, about.
+    pub share: f64,
+}
+
+/// What came of it.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    /// As in `report.json`.
+    pub report: Report,
+    /// For the page.
+    pub figures: Figures,
+    /// The model as a plant file.
+    pub plant_toml: String,
+}
+
+/// A parameter that may be known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ParameterInfo {
+    /// For `--param`.
+    pub name: &'static str,
+    /// Of its value.
+    pub unit: &'static str,
+    /// What it is.
+    pub what: &'static str,
+}
+
+/// Part that a column plays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RoleInfo {
+    /// For `--map`.
+    pub name: &'static str,
+    /// The model cannot do without.
+    pub required: bool,
+    /// It drives the model; otherwise it is compared with it.
+    pub driving: bool,
+    /// What it is.
+    pub what: &'static str,
+}
+
+/// A base model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelInfo {
+    /// For `--model`.
+    pub name: &'static str,
+    /// What it is of.
+    pub summary: &'static str,
+    /// Columns.
+    pub roles: Vec<RoleInfo>,
+    /// What may be known.
+    pub parameters: Vec<ParameterInfo>,
+    /// What is looked for.
+    pub effects: Vec<&'static str>,
+}
+
+/// Fits the base model, searches for what it lacks, and reports errors on the runs that were held out.
+///
+/// # Errors
+/// [`IdentifyError`]; each says what to do next.
+pub fn identify(
+    task: &Task,
+    train: &[Run],
+    holdout: &[Run],
+    notes: Vec<String>,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Identified, IdentifyError> {
+    if train.is_empty() {
+        return Err(IdentifyError::NoRuns);
+    }
+    if task.model == table::NAME {
+        return Ok(table::identify(train, holdout, notes, task.seed)?);
+    }
+    if holdout.is_empty() {
+        return Err(IdentifyError::NoHoldout);
+    }
+    if let Some(kind) = Kind::ALL.into_iter().find(|kind| kind.name() == task.model) {
+        let known = Known::from_parameters(kind, &task.parameters, task.plant.clone())?;
+        let (model, train, holdout) = Motion::new(kind, &known, train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if task.model == StaticMap::NAME {
+        let (model, train, holdout) = StaticMap::prepare(train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if task.model == HeldShaft::NAME {
+        let (model, train, holdout) = HeldShaft::prepare(train, holdout)?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    if let Some(output) = Output::ALL.into_iter().find(|output| output.model() == task.model) {
+        let declared = Declared::from_parameters(&task.parameters)?;
+        let (model, train) = SkidSteer::new(declared, output, train)?;
+        let holdout = holdout.iter().map(|run| model.run(declared, run)).collect::<Result<Vec<_>, _>>()?;
+        return assemble(task, &model, &train, &holdout, notes, progress);
+    }
+    let known = models().iter().map(|model| model.name).collect::<Vec<_>>().join(", ");
+    Err(IdentifyError::UnknownModel { name: task.model.clone(), known })
+}
+
+/// Every base model there is.
+#[must_use]
+pub fn models() -> Vec<ModelInfo> {
+    Kind::ALL
+        .into_iter()
+        .map(Motion::info)
+        .chain(Output::ALL.into_iter().map(SkidSteer::info))
+        .chain([StaticMap::info(), HeldShaft::info(), table::info()])
+        .collect()
+}
+
+/// Share of a held-out run that its initial state is fitted to, and samples at least.
+const SETTLE_SHARE: usize = 10;
+const SETTLE_SAMPLES: usize = 20;
+
+/// The free runs of a structure over held-out runs.
+fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> Vec<Vec<f64>> {
+    runs.iter()
+        .map(|run| {
+            let samples = family.measured(run).len();
+            let window = (samples / SETTLE_SHARE).max(SETTLE_SAMPLES).min(samples);
+            let initial = fit::settle(family, structure, run, window);
+            let mut predicted = vec![0.0; samples];
+            family.predict(structure, &initial, run, &mut predicted);
+            predicted
+        })
+        .collect()
+}
+
+fn score<F: Family>(family: &F, runs: &[&F::Run], predicted: &[Vec<f64>]) -> Score {
+    let (mut square, mut sum, mut sum_square, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for (run, predicted) in runs.iter().zip(predicted) {
+        for (measured, predicted) in family.measured(run).iter().zip(predicted) {
+            if measured.is_finite() {
+                square += (measured - predicted).powi(2);
+                sum += measured;
+                sum_square += measured * measured;
+                count += 1.0;
+            }
+        }
+    }
+    let rmse = (square / f64::max(count, 1.0)).sqrt();
+    let deviation = (sum_square / f64::max(count, 1.0) - (sum / f64::max(count, 1.0)).powi(2)).max(0.0).sqrt();
+    Score { rmse, nrmse: if deviation > 0.0 { rmse / deviation } else { f64::NAN } }
+}
+
+fn scores<F: Family>(family: &F, fit: &Fit, train: &[F::Run], holdout: &[F::Run]) -> Scores {
+    let fitted: Vec<&F::Run> = train.iter().collect();
+    let residuals = fit.residuals(family, &fitted);
+    let predicted: Vec<Vec<f64>> = fitted
+        .iter()
+        .zip(residuals)
+        .map(|(run, residual)| family.measured(run).iter().zip(residual).map(|(m, r)| m - r).collect())
+        .collect();
+    let held_out: Vec<&F::Run> = holdout.iter().collect();
+    Scores {
+        train: score(family, &fitted, &predicted),
+        holdout: score(family, &held_out, &free_runs(family, &fit.structure, holdout)),
+    }
+}
+
+fn assemble<F: Family>(
+    task: &Task,
+    family: &F,
+    train: &[F::Run],
+    holdout: &[F::Run],
+    notes: Vec<String>,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Identified, IdentifyError> {
+    let rounds = std::sync::atomic::AtomicUsize::new(0);
+    let tell = |step: &str| {
+        let round = rounds.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        // The number of rounds is not known before: each takes a share of what is left.
+        progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
+    };
+    let found = search(family, train, &tell);
+    if !found.base.cost.is_finite() {
+        return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });
+    }
+    let baseline = scores(family, &found.base, train, holdout);
+    let last = scores(family, &found.last, train, holdout);
+    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations);
+    let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
+    let mut effects = Vec::new();
+    let mut before = baseline.holdout.rmse;
+    let fitted: Vec<&F::Run> = train.iter().collect();
+    let held_out: Vec<&F::Run> = holdout.iter().collect();
+    for (place, step) in found.steps.iter().enumerate() {
+        let after = if place + 1 == found.steps.len() {
+            last.holdout.rmse
+        } else {
+            score(family, &held_out, &free_runs(family, &step.fit.structure, holdout)).rmse
+        };
+        let name = name(family, &step.term);
+        ladder.push((format!("+ {name}"), after));
+        effects.push(EffectReport {
+            depends_on: depends_on(family, &step.term).iter().map(|over| over.name().to_owned()).collect(),
+            parameters: terms.get(place).cloned().unwrap_or_default(),
+            holdout_rmse_before: before,
+            holdout_rmse_after: after,
+            evidence: Evidence {
+                blocked_rmse_before: step.blocked_rmse[0],
+                blocked_rmse_after: step.blocked_rmse[1],
+                p_value: step.p_value,
+                blocks_better: step.blocks_better,
+                z: step.z.min(1e6),
+            },
+            rivals: step
+                .rivals
+                .iter()
+                .map(|(index, blocked_rmse)| {
+                    let rival = &family.catalogue()[*index];
+                    let experiment = match &step.term {
+                        Term::Known(taken) => family.catalogue()[*taken].experiment,
+                        Term::Curve(_) => rival.experiment,
+                    };
+                    Rival {
+                        name: rival.name.to_owned(),
+                        blocked_rmse: *blocked_rmse,
+                        experiment: experiment.to_owned(),
+                    }
+                })
+                .collect(),
+            table: table(family, &found, place),
+            name,
+        });
+        before = after;
+    }
+    let (left_before, left_after) = (left(family, &found.base, &fitted), left(family, &found.last, &fitted));
+    let residual = left_after.report(task.seed);
+    let rejected = found
+        .rejected
+        .iter()
+        .map(|(name, blocked_rmse, reason)| Rejected {
+            name: name.clone(),
+            blocked_rmse: *blocked_rmse,
+            reason: reason.clone(),
+        })
+        .collect();
+    let figures = Figures {
+        ladder,
+        runs: traces(family, &found, train, holdout),
+        causes: Left::causes(&left_before, &left_after),
+    };
+    let source = format!("r4 identify --model {}, fitted to {} runs", task.model, train.len());
+    let plant_toml = family.plant_toml(&found.last.structure, &source);
+    let unit = family.unit().to_owned();
+    let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white, &parameters);
+    let report = Report {
+        model: task.model.clone(),
+        unit,
+        baseline,
+        effects,
+        last,
+        parameters,
+        residual,
+        rejected,
+        notes,
+        verdict,
+    };
+    Ok(Identified { report, figures, plant_toml })
+}
+
+fn name<F: Family>(family: &F, term: &Term) -> String {
+    match term {
+        Term::Known(index) => family.catalogue()[*index].name.to_owned(),
+        Term::Curve(_) => "unknown".to_owned(),
+    }
+}
+
+fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
+    let structure = &found.last.structure;
+    let Term::Curve(curve) = structure.terms.get(place)? else { return None };
+    let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
+    let from: usize = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
+    let std = (0..curve.at.len())
+        .map(|corner| found.deviations.get(from + corner).copied().flatten().map_or(f64::NAN, |std| std * scale))
+        .collect();
+    Some(Table {
+        over: curve.over.name().to_owned(),
+        at_unit: curve.at_unit.to_owned(),
+        unit: curve.unit.to_owned(),
+        at: curve.at.clone(),
+        values: structure.added[place].iter().map(|value| value * scale).collect(),
+        std,
+    })
+}
+
+/// Runs that are drawn, at most.
+const DRAWN: usize = 6;
+
+fn traces<F: Family>(family: &F, found: &Found, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
+    let some = |runs: &[F::Run]| runs.iter().take(DRAWN / 2).cloned().collect::<Vec<_>>();
+    let mut all = Vec::new();
+    for (runs, held_out) in [(some(holdout), true), (some(train), false)] {
+        let before = free_runs(family, &found.base.structure, &runs);
+        let after = free_runs(family, &found.last.structure, &runs);
+        for ((run, before), after) in runs.iter().zip(before).zip(after) {
+            all.push(Traces {
+                name: family.name(run).to_owned(),
+                held_out,
+                time_s: family.time_s(run).to_vec(),
+                input: family.input(run),
+                output: ("output".to_owned(), family.unit().to_owned()),
+                measured: family.measured(run).to_vec(),
+                before,
+                after,
+            });
+        }
+    }
+    all
+}
+
+fn verdict(
+    model: &str,
+    unit: &str,
+    effects: &[EffectReport],
+    baseline: &Scores,
+    last: &Scores,
+    white: bool,
+    _parameters: &BTreeMap<String, Estimate>,
+) -> String {
+    let percent = 100.0 * last.holdout.nrmse;
+    let end = if white { "what is left is noise" } else { "what is left is not only noise" };
+    if effects.is_empty() {
+        return format!(
+            "No effect found: the {model} model alone leaves {:.3e} {unit} of the held-out data ({percent:.1} %); {end}.",
+            last.holdout.rmse
+        );
+    }
+    let names: Vec<String> = effects
+        .iter()
+        .map(|effect| match &effect.table {
+            Some(table) => format!("an effect without a name that depends on {}", table.over),
+            None => effect.name.clone(),
+        })
+        .collect();
+    let lacks = format!("The {model} model lacks {}", names.join(", then "));
+    let (before, after) = (baseline.holdout.rmse, last.holdout.rmse);
+    if after < before {
+        format!(
+            "{lacks}: with it the error on held-out data falls from {before:.3e} to {after:.3e} {unit} ({percent:.1} % of \
+             what was measured); {end}."
+        )
+    } else {
+        format!(
+            "{lacks} by the data it was fitted to, but the error on held-out data does not fall ({before:.3e} to \
+             {after:.3e} {unit}): do not use it; record runs that move through more of what is held out."
+        )
+    }
+}

@@ -1,0 +1,97 @@
+//! `r4 identify close` and `check`: from a board to a plant file that makes the simulated board more like it.
+
+mod program;
+
+use std::fs;
+
+use program::*;
+use tempfile::TempDir;
+
+const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");
+
+/// What is hidden from the motor is of the catalogue and shows in a short run.
+const SEED: &str = "2";
+
+fn folder() -> TempDir {
+    TempDir::new().expect("a temporary folder")
+}
+
+#[test]
+fn a_simulated_board_is_as_far_from_a_recording_as_its_plant_is() {
+    let folder = folder();
+    let file = |name: &str| folder.path().join(name);
+    fs::write(file("rubs.toml"), format!("{ROTARY}\n[[effects]]\neffect = \"coulomb-friction\"\ntorque_nm = 0.5\n"))
+        .expect("the folder can be written to");
+    let [rubs, log] = [file("rubs.toml"), file("rubs.mcap")];
+    let has = format!("osmc0={}", path(&rubs));
+    good(&["duty", "osmc0", "80%", "--for", "1", "--plant", &has, "--record", path(&log)]);
+    let check =
+        |more: &[&str]| good_json(&[&["identify", "check", path(&log), "--channel", "osmc0", "--json"], more].concat());
+    let told = check(&["--plant-after", path(&rubs)]);
+    // The same plant, controller and noise: the same run to the last bit.
+    assert_eq!((number(&told["after"], "position_rmse"), number(&told["after"], "speed_rmse")), (0.0, 0.0));
+    assert!(number(&told["before"], "position_rmse") > 0.01 && number(&told["before"], "speed_rmse") > 0.05, "{told}");
+    let turned = file("own.toml");
+    fs::write(&turned, ROTARY).expect("the folder can be written to");
+    let args = ["identify", "check", path(&log), "--channel", "osmc0", "--json"];
+    let worse = r4(&[&args[..], &["--plant-before", path(&rubs), "--plant-after", path(&turned)]].concat());
+    assert!(worse.code == Some(1) && worse.err.contains("farther from the recording"), "{worse:?}");
+    let worse = object(&worse.out);
+    assert_eq!((&worse["before"], &worse["after"]), (&told["after"], &told["before"]));
+}
+
+#[test]
+fn what_cannot_be_excited_or_compared_is_refused() {
+    let folder = folder();
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    let (log, own, rod) = (file("run.mcap"), file("own.toml"), file("rod.toml"));
+    fs::write(&own, ROTARY).expect("the folder can be written to");
+    fs::write(&rod, include_str!("../boards/plants/osmc-bench-actuator.toml")).expect("the folder can be written to");
+    good(&["duty", "osmc0", "50%", "--for", "0.1", "--record", &log]);
+    let out = file("out");
+    all_refused([
+        (
+            &["identify", "check", &log, "--channel", "osmc7", "--plant-after", &own][..],
+            &["no samples", "it has osmc0"][..],
+        ),
+        (&["identify", "check", &log, "--channel", "osmc0", "--plant-after", &rod], &["linear"]),
+        (&["identify", "check", &own, "--channel", "osmc0", "--plant-after", &own], &["not an MCAP file"]),
+        (&["identify", "check", &log, "--channel", "osmc0", "--plant-after", &own, "--blind", "1"], &["--blind"]),
+        (
+            &["identify", "check", &log, "--channel", "osmc0", "--plant-after", &own, "--board", "tcp:127.0.0.1:1"],
+            &["simulated"],
+        ),
+        (&["identify", "close", "--out", &out, "--channel", "osmc7"], &["no simulated motor osmc7"]),
+        (&["identify", "close", "--out", &out, "--channel", "osmc0", "--duty", "0.95"], &["up to 0.902"]),
+        (&["identify", "close", "--out", &out, "--channel", "osmc0", "--duty", "0.3"], &["friction"]),
+        (&["identify", "close", "--out", &out, "--channel", "osmc0", "--for", "1"], &["--for"]),
+        (&["identify", "close", "--out", &out, "--channel", "osmc0", "--plant-before", &log], &["run.mcap"]),
+    ]);
+}
+
+#[test]
+fn the_simulated_board_becomes_like_a_blind_one() {
+    let folder = folder();
+    let out = folder.path().join("out");
+    let close =
+        ["identify", "close", "--channel", "osmc0", "--blind", SEED, "--for", "6", "--out", path(&out), "--json"];
+    let closed = r4(&close);
+    assert_eq!(closed.code, Some(0), "{closed:?}");
+    let closed = object(&closed.out);
+    for name in ["train-1.mcap", "train-2.mcap", "fresh.mcap", "report.json", "report.html", "plant.toml"] {
+        assert!(out.join(name).is_file(), "{name}");
+    }
+    let error = |plant: &str| number(&closed["twin"][plant], "position_rmse");
+    assert!(error("after") < 0.5 * error("before"), "{}", closed["twin"]);
+    let revealed = good_json(&["sim", "reveal", SEED, "--json"]);
+    let hidden = text(&array(&array(&revealed, "channels")[0], "effects")[0], "name");
+    let found = array(&closed, "effects");
+    let names = |effect: &serde_json::Value| {
+        let rivals = array(effect, "rivals").iter().map(|rival| text(rival, "name").to_owned());
+        rivals.chain([text(effect, "name").to_owned()]).collect::<Vec<_>>()
+    };
+    assert!(found.iter().any(|effect| names(effect).iter().any(|name| name == hidden)), "{hidden}: {found:?}");
+    // The plant file is one that a board can have.
+    let plant = format!("osmc0={}", path(&out.join("plant.toml")));
+    good(&["info", "--plant", &plant]);
+}
