@@ -24,7 +24,7 @@ use crate::{
     output,
     quantity::Quantity,
     record::{self, Output},
-    session::{self, Elapsed, HostClock, Session},
+    session::{self, HostClock, Session},
     table,
 };
 
@@ -120,7 +120,7 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     args.board.robot()?;
     let log = read(&replay.file)?;
     let plan = Plan::of(&log).with_context(|| format!("{} cannot be replayed", replay.file.display()))?;
-    let (bytes, seed, played) = send(args, &log, &plan)?;
+    let Sent { bytes, seed, played } = send(args, &log, &plan)?;
     if let Some(path) = &args.record {
         fs::write(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
         record::mark_recorded();
@@ -142,15 +142,24 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
 /// What a simulated board makes of a recorded run, and what makes its times those of the recording, s.
 pub(in crate::commands) fn again(args: &Args, log: &Log) -> anyhow::Result<(Log, f64)> {
     let plan = Plan::of(log).context("the log cannot be replayed")?;
-    let (bytes, _, played) = send(args, log, &plan)?;
+    let Sent { bytes, played, .. } = send(args, log, &plan)?;
     played.context("cannot replay the log")?;
     let again = Log::from_bytes(&bytes)?;
     let shift_s = shift_s(log, &again);
     Ok((again, shift_s))
 }
 
-/// Plays a run on the board that `args` name: the log of it as far as it came, the seed of its noise, and how it ended.
-fn send(args: &Args, log: &Log, plan: &Plan) -> anyhow::Result<(Vec<u8>, u64, anyhow::Result<((), Elapsed)>)> {
+/// A run that was sent again.
+struct Sent {
+    /// The log of it, as far as it came.
+    bytes: Vec<u8>,
+    /// Of the board's noise.
+    seed: u64,
+    played: anyhow::Result<()>,
+}
+
+/// Plays a run on the board that `args` name.
+fn send(args: &Args, log: &Log, plan: &Plan) -> anyhow::Result<Sent> {
     // The log's own noise, unless other is asked for.
     let seed = if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed };
     let seeded = Args { seed, ..args.clone() };
@@ -160,7 +169,7 @@ fn send(args: &Args, log: &Log, plan: &Plan) -> anyhow::Result<(Vec<u8>, u64, an
         Some(Output::Memory(memory)) => memory.into_inner(),
         Some(Output::File(_)) | None => Vec::new(),
     };
-    Ok((bytes, seed, played))
+    Ok(Sent { bytes, seed, played: played.map(|_| ()) })
 }
 
 /// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
