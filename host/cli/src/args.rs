@@ -157,7 +157,7 @@ pub(crate) enum Command {
     /// Make an HTML page of a log: set points, plots, states
     Report(commands::report::Report),
     /// Fit a model to recordings, tell what it does not explain and which effect it lacks, and write the better plant
-    Identify(commands::identify::Identify),
+    Identify(Box<commands::identify::Identify>),
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to

@@ -378,16 +378,6 @@ impl<F: Family> Search<'_, F> {
         with_curves: bool,
     ) -> (Option<(Step, Fit)>, Vec<(String, f64, String)>) {
         let rmse_before = rmse(before);
-        for candidate in judged.iter().filter(|_| std::env::var_os("IDTRACE").is_some()) {
-            (self.progress)(&format!(
-                "    {} {:.4?} cost {:.4e} (before {:.4e}) {:?}",
-                self.term_name(&candidate.trial.term),
-                (rmse(&candidate.blocked), candidate.blocked.whole.sqrt(), before.whole.sqrt()),
-                candidate.trial.fit.cost,
-                rmse_before,
-                candidate.trial.fit.structure.added.last()
-            ));
-        }
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
         for candidate in judged {

@@ -1,1 +1,186 @@
-//! x
+//! Closed forms, and what must be found in recordings of plants that are simulated elsewhere.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+use r4_blind::{
+    Draw,
+    experiment::{Length, Recording, Setup, experiment},
+};
+
+use super::{Kind, Known, Motion, MotionRun};
+use crate::{
+    Task,
+    data::{Quantity, Run, Signal},
+    family::{Family, Range, Structure, Term},
+    identify,
+};
+
+fn run(input: (Quantity, Vec<f64>), output: (Quantity, Vec<f64>), period_s: f64) -> Run {
+    let signal =
+        |column: &str, (quantity, values): (Quantity, Vec<f64>)| Signal { column: column.into(), quantity, values };
+    let time_s = (0..input.1.len()).map(|sample| sample as f64 * period_s).collect();
+    let signals =
+        BTreeMap::from([("input".to_owned(), signal("duty", input)), ("output".to_owned(), signal("output", output))]);
+    Run { name: "made for the test".into(), time_s, signals }
+}
+
+/// A motor of speed, and a run of it that is a step at the first sample.
+fn stepped(duty: f64, samples: usize) -> (Motion, MotionRun) {
+    let mut input = vec![duty; samples];
+    input[samples - 1] = 0.0;
+    let output: Vec<f64> = (0..samples).map(|sample| sample as f64).collect();
+    let recorded = [run((Quantity::Number, input), (Quantity::AngularSpeed, output), 5e-3)];
+    let known = Known { supply_v: Some(12.0), ..Known::default() };
+    let (model, mut runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
+    (model, runs.remove(0))
+}
+
+fn free_run(model: &Motion, run: &MotionRun, added: &[(&str, &[f64])]) -> Vec<f64> {
+    let index = |name: &str| model.catalogue().iter().position(|candidate| candidate.name == name).expect("an effect");
+    let structure = Structure {
+        // 2 rad/s per volt, reached with 50 ms.
+        base: vec![2.0, 0.05],
+        terms: added.iter().map(|(name, _)| Term::Known(index(name))).collect(),
+        added: added.iter().map(|(_, values)| values.to_vec()).collect(),
+    };
+    let mut predicted = vec![0.0; model.measured(run).len()];
+    model.predict(&structure, &[0.0], run, &mut predicted);
+    predicted
+}
+
+/// The steps are solved exactly: what is left is rounding.
+const EXACT: f64 = 1e-9;
+
+#[test]
+fn a_step_of_duty_is_the_exponential() {
+    let (model, run) = stepped(0.5, 101);
+    for (sample, speed) in free_run(&model, &run, &[]).into_iter().enumerate() {
+        let expected = 12.0 * (1.0 - (-(sample as f64) * 5e-3 / 0.05).exp());
+        assert!((speed - expected).abs() < EXACT, "{sample}: {speed}, not {expected}");
+    }
+}
+
+#[test]
+fn coulomb_friction_takes_its_share_of_the_steady_speed_or_holds() {
+    let (model, run) = stepped(0.5, 401);
+    // 12 rad/s without; the push is 240 rad/s², and 100 of them are lost.
+    let settled = free_run(&model, &run, &[("coulomb-friction", &[100.0])])[399];
+    assert!((settled - 7.0).abs() < EXACT, "{settled}");
+    assert!(free_run(&model, &run, &[("coulomb-friction", &[240.1])]).iter().all(|speed| *speed == 0.0));
+}
+
+#[test]
+fn a_delay_moves_the_response() {
+    let input: Vec<f64> = (0..200).map(|sample| if sample < 50 { 0.0 } else { 0.5 }).collect();
+    let output: Vec<f64> = (0..200).map(f64::from).collect();
+    let recorded = [run((Quantity::Number, input), (Quantity::AngularSpeed, output), 5e-3)];
+    let known = Known { supply_v: Some(12.0), ..Known::default() };
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
+    let (plain, delayed) = (free_run(&model, &runs[0], &[]), free_run(&model, &runs[0], &[("input-delay", &[0.02])]));
+    assert!(plain[..196].iter().zip(&delayed[4..]).all(|(plain, delayed)| (plain - delayed).abs() < EXACT));
+}
+
+#[test]
+fn a_dead_zone_takes_its_share_of_the_duty() {
+    let (model, run) = stepped(0.5, 201);
+    let (plain, smaller) = (free_run(&model, &run, &[]), free_run(&model, &run, &[("dead-zone", &[0.2])]));
+    assert!((smaller[100] / plain[100] - 0.6).abs() < EXACT);
+}
+
+#[test]
+fn backlash_keeps_the_output_until_the_gap_is_crossed() {
+    let recorded = [run(
+        (Quantity::Number, (0..400).map(|sample| if sample < 200 { 0.5 } else { -0.5 }).collect()),
+        (Quantity::Angle, (0..400).map(f64::from).collect()),
+        5e-3,
+    )];
+    let known = Known { supply_v: Some(12.0), ..Known::default() };
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
+    let index = model.catalogue().iter().position(|candidate| candidate.name == "backlash").expect("an effect");
+    let free = |gap: f64| {
+        let structure = Structure { base: vec![2.0, 0.05], terms: vec![Term::Known(index)], added: vec![vec![gap]] };
+        let mut predicted = vec![0.0; 400];
+        model.predict(&structure, &[0.0, 0.0], &runs[0], &mut predicted);
+        predicted
+    };
+    let (tight, loose) = (free(0.0), free(0.4));
+    // Half a gap behind while it goes on, half a gap ahead when it is back.
+    assert!((tight[199] - loose[199] - 0.2).abs() < EXACT && (loose[399] - tight[399] - 0.2).abs() < EXACT);
+}
+
+proptest! {
+    /// Any values in range, of any effect: no panic, and numbers.
+    #[test]
+    fn every_effect_can_be_simulated(
+        choice in any::<prop::sample::Index>(),
+        base in (1e-2..1e2, 1e-3..10.0),
+        shares in prop::collection::vec(0.0..1.0, 3),
+        duty in -1.0..1.0,
+    ) {
+        let (model, run) = stepped(duty, 120);
+        let index = choice.index(model.catalogue().len());
+        let values = model.catalogue()[index].parameters.iter().zip(&shares).map(|(parameter, share)| {
+            match parameter.range {
+                Range::Between(lower, upper) => lower + (upper - lower) * share,
+                Range::Positive | Range::Coarse => 10.0_f64.powf(6.0 * share - 3.0),
+                Range::NotNegative { scale } => 100.0 * scale * share,
+                Range::Any { scale } => 200.0 * scale * (share - 0.5),
+            }
+        });
+        let structure = Structure {
+            base: vec![base.0, base.1],
+            terms: vec![Term::Known(index)],
+            added: vec![values.collect()],
+        };
+        let mut predicted = vec![f64::NAN; model.measured(&run).len()];
+        model.predict(&structure, &[0.0], &run, &mut predicted);
+        prop_assert!(predicted.iter().all(|value| value.is_finite()), "{:?}", structure);
+    }
+}
+
+fn recorded(setup: Setup, recordings: &[Recording]) -> Vec<Run> {
+    let (input, output) = match setup {
+        Setup::MotorPosition => (Quantity::Number, Quantity::Angle),
+        Setup::MotorSpeed => (Quantity::Number, Quantity::AngularSpeed),
+        Setup::AxisPosition => (Quantity::Force, Quantity::Length),
+    };
+    recordings
+        .iter()
+        .map(|recording| run((input, recording.input.clone()), (output, recording.output.clone()), 5e-3))
+        .collect()
+}
+
+/// Names of what is found, and the error on held-out data in deviations of the noise.
+fn found(setup: Setup, draw: Draw, seed: u64) -> (Vec<String>, Vec<String>, f64) {
+    let length = Length { train: 2, holdout: 1, seconds: 8.0 };
+    let experiment = experiment(setup, draw, length, seed);
+    let mut task = Task { model: "axis".into(), ..Task::default() };
+    if setup != Setup::AxisPosition {
+        task.model = "dc-motor".into();
+        task.parameters.insert("supply_v".into(), experiment.supply_v);
+    }
+    let (train, holdout) = (recorded(setup, &experiment.train), recorded(setup, &experiment.holdout));
+    let identified = identify(&task, &train, &holdout, vec![], &|_| {}).expect("identified");
+    let names = identified.report.effects.iter().map(|effect| effect.name.clone()).collect();
+    let truth = experiment.hidden.truth().iter().map(|truth| truth.name.to_owned()).collect();
+    (names, truth, identified.report.last.holdout.rmse / experiment.noise)
+}
+
+#[test]
+fn nothing_is_found_where_nothing_is_hidden() {
+    let (names, truth, error) = found(Setup::MotorPosition, Draw::Nothing, 3);
+    assert!(names.is_empty() && truth.is_empty(), "{names:?}");
+    // One is the noise itself; the initial state is fitted to a tenth of the run.
+    assert!(error < 1.15, "{error}");
+}
+
+/// A gap in an axis, drag on a position, and a curved gain on a speed.
+#[test]
+fn what_is_hidden_is_named_and_leaves_noise() {
+    for (setup, seed) in [(Setup::AxisPosition, 20), (Setup::MotorPosition, 4), (Setup::MotorSpeed, 5)] {
+        let (names, truth, error) = found(setup, Draw::Listed, seed);
+        assert_eq!(names, truth, "seed {seed}");
+        assert!(error < 1.15, "seed {seed}: {error}");
+    }
+}

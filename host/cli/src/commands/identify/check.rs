@@ -20,7 +20,8 @@ use crate::{
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Check {
     /// The log of a run, of this board or of the real one
-    pub(super) log: PathBuf,
+    #[arg(value_name = "LOG")]
+    pub(super) recording: PathBuf,
     /// The motor
     #[arg(long, value_name = "CHANNEL")]
     pub(super) channel: ChannelId,
@@ -64,13 +65,13 @@ struct Report<'a> {
 
 pub(super) fn run(args: &Args, check: &Check) -> anyhow::Result<bool> {
     ensure!(args.blind.is_none(), "--blind hides what the plants to compare are to tell: leave it out");
-    let log = log::read(&check.log)?;
+    let log = log::read(&check.recording)?;
     let twins = twins(args, &log, check.channel, (check.plant_before.as_deref(), &check.plant_after))
-        .with_context(|| check.log.display().to_string())?;
+        .with_context(|| check.recording.display().to_string())?;
     let better = twins.after.position_rmse <= twins.before.position_rmse;
     if args.json {
         let (board, channel) = (args.board.to_string(), check.channel.to_string());
-        output::json(&Report { log: &check.log, board, channel, twins })?;
+        output::json(&Report { log: &check.recording, board, channel, twins })?;
     } else {
         twins.print()?;
     }

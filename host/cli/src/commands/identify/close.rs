@@ -12,7 +12,7 @@ use r4_identify::{
     report::Report,
 };
 use r4_log::Log;
-use r4_plants::{PlantKind, PlantSpec};
+use r4_plants::{Effect, PlantKind, PlantSpec};
 use r4_protocol::{
     Cause, ChannelId, ChannelInfo, ChannelKind, Mode, Parameter, ParameterInfo, SafetyState, Sample, Setpoint,
 };
@@ -404,10 +404,49 @@ fn found(
         ..Options::default()
     };
     let read = |files: &[PathBuf]| -> anyhow::Result<Recorded> { Ok(data::read(files, &options)?) };
-    let (train, holdout) = (read(fitted)?, read(fresh)?);
-    let notes = train.notes.iter().chain(&holdout.notes).map(ToString::to_string).collect();
+    let (mut train, mut holdout) = (read(fitted)?, read(fresh)?);
+    let mut notes: Vec<String> = train.notes.iter().chain(&holdout.notes).map(ToString::to_string).collect();
+    let known: Vec<Effect> = declared.effects().iter().map_while(|effect| at_once(effect).map(|_| *effect)).collect();
+    if !known.is_empty() {
+        let names: Vec<_> = known.iter().map(|effect| effect.name()).collect();
+        notes.push(format!("the input is the duty behind what the plant file has of the bridge: {}", names.join(", ")));
+    }
+    for run in train.runs.iter_mut().chain(&mut holdout.runs) {
+        let duties = run.signals.get_mut("input").into_iter().flat_map(|signal| &mut signal.values);
+        duties.for_each(|duty| {
+            *duty = known.iter().fold(*duty, |duty, effect| at_once(effect).map_or(duty, |of| of(duty)))
+        });
+    }
     let parameters = [("supply_v".to_owned(), supply_v)].into_iter().filter(|(_, volts)| *volts > 0.0).collect();
     let task = Task { model: model.to_owned(), parameters, plant: Some(declared.clone()), seed: args.seed };
     let told = |now: Progress| show(progress, now);
-    Ok(r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?)
+    let mut found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?;
+    if !known.is_empty() {
+        found.plant_toml = behind(known, &found.plant_toml)?;
+    }
+    Ok(found)
+}
+
+/// What an effect of the bridge makes of a duty, if that takes neither time nor anything but the duty.
+fn at_once(effect: &Effect) -> Option<Box<dyn Fn(f64) -> f64 + '_>> {
+    match effect {
+        Effect::DeadZone(zone) => Some(Box::new(|duty| zone.apply(duty))),
+        Effect::GainCurve(curve) => Some(Box::new(|duty| curve.apply(duty))),
+        Effect::Saturation(saturation) => Some(Box::new(|duty| saturation.apply(duty))),
+        _ => None,
+    }
+}
+
+/// The plant file of what was found behind effects that were known.
+fn behind(known: Vec<Effect>, found: &str) -> anyhow::Result<String> {
+    let spec = PlantSpec::from_toml("plant.toml", found).with_context(|| {
+        let told: Vec<_> = found.lines().filter_map(|line| line.strip_prefix("# ")).collect();
+        format!("no plant file can hold what was found, so nothing can be compared: {}", told.join(" "))
+    })?;
+    let effects = known.into_iter().chain(spec.effects().iter().copied()).collect();
+    let mut all = PlantSpec::new(*spec.model(), spec.source(), effects)?;
+    spec.tables().iter().for_each(|table| all.push_table(table.clone()));
+    // What the file cannot hold is told in its first lines.
+    let comments = found.lines().take_while(|line| line.starts_with('#'));
+    Ok(comments.chain([all.to_toml().as_str()]).collect::<Vec<_>>().join("\n"))
 }

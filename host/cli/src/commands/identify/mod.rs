@@ -252,7 +252,7 @@ mod tests {
 
     fn question(typed: &str) -> Option<Identify> {
         let args = Args::try_parse_from(["r4", "identify"].into_iter().chain(typed.split_whitespace())).ok()?;
-        if let Command::Identify(identify) = args.command { Some(identify) } else { None }
+        if let Command::Identify(identify) = args.command { Some(*identify) } else { None }
     }
 
     #[test]

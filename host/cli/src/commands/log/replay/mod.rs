@@ -24,7 +24,7 @@ use crate::{
     output,
     quantity::Quantity,
     record::{self, Output},
-    session::{self, Elapsed, HostClock, Session},
+    session::{self, HostClock, Session},
     table,
 };
 
@@ -149,14 +149,13 @@ pub(in crate::commands) fn again(args: &Args, log: &Log) -> anyhow::Result<(Log,
     Ok((again, shift_s))
 }
 
-/// A run that was played.
+/// A run that was sent again.
 struct Sent {
     /// The log of it, as far as it came.
     bytes: Vec<u8>,
-    /// Of its noise.
+    /// Of the board's noise.
     seed: u64,
-    /// How it ended.
-    played: anyhow::Result<((), Elapsed)>,
+    played: anyhow::Result<()>,
 }
 
 /// Plays a run on the board that `args` name.
@@ -170,7 +169,7 @@ fn send(args: &Args, log: &Log, plan: &Plan) -> anyhow::Result<Sent> {
         Some(Output::Memory(memory)) => memory.into_inner(),
         Some(Output::File(_)) | None => Vec::new(),
     };
-    Ok(Sent { bytes, seed, played })
+    Ok(Sent { bytes, seed, played: played.map(|_| ()) })
 }
 
 /// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
