@@ -397,6 +397,8 @@ impl<F: Family> Search<'_, F> {
             } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH } {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
+            } else if with_curves && !self.pays(current, &candidate) {
+                Some("explains too little for a curve of so many corners".to_owned())
             } else if p_value >= CHANCE {
                 Some(format!("not more than chance (p = {p_value:.2})"))
             } else if z < LEAST_Z {
@@ -463,6 +465,17 @@ impl<F: Family> Search<'_, F> {
         let explained = (current.cost - fit.cost).max(0.0) / added / (fit.cost / free.max(1.0));
         let by_variance = FisherSnedecor::new(added, free.max(1.0)).map_or(1.0, |f| f.sf(explained));
         by_variance.min(paired(before, &candidate.blocked))
+    }
+
+    /// Whether a curve explains more than its corners cost: twice Schwarz's criterion, with only as many samples as are
+    /// independent. What is left of a long free run is so correlated that any few corners would explain some of it.
+    fn pays(&self, current: &Fit, candidate: &Judged) -> bool {
+        let fit = &candidate.trial.fit;
+        let residuals = fit.residuals(self.family, &self.runs);
+        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
+        let independent = samples / correlated(&residuals);
+        let corners = fit.structure.added.last().map_or(0, Vec::len) as f64;
+        independent * (current.cost / fit.cost).ln() > 2.0 * corners * independent.max(2.0).ln()
     }
 
     /// Least distance from no effect of what tells the effect's size, in standard deviations.

@@ -10,7 +10,7 @@ use crate::{
     family::{Acts, Family, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
-    report::{EffectReport, Estimate, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
+    report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
     select::{Found, depends_on, search},
     skid::{Declared, Output, SkidSteer},
@@ -279,7 +279,7 @@ fn assemble<F: Family>(
     let source = format!("r4 identify --model {}, fitted to {} runs", task.model, train.len());
     let plant_toml = family.plant_toml(&found.last.structure, &source);
     let unit = family.unit().to_owned();
-    let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white, &parameters);
+    let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
     let report = Report {
         model: task.model.clone(),
         unit,
@@ -345,15 +345,7 @@ fn traces<F: Family>(family: &F, found: &Found, train: &[F::Run], holdout: &[F::
     all
 }
 
-fn verdict(
-    model: &str,
-    unit: &str,
-    effects: &[EffectReport],
-    baseline: &Scores,
-    last: &Scores,
-    white: bool,
-    _parameters: &BTreeMap<String, Estimate>,
-) -> String {
+fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores, last: &Scores, white: bool) -> String {
     let percent = 100.0 * last.holdout.nrmse;
     let end = if white { "what is left is noise" } else { "what is left is not only noise" };
     if effects.is_empty() {

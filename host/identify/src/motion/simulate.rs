@@ -54,6 +54,8 @@ struct Plan<'s> {
     loop_gain: f64,
     /// Of a pendulum that is known to be there.
     pendulum: f64,
+    /// Its angle at position 0.
+    pendulum_offset: f64,
     sign: f64,
     delay_s: f64,
     hold_s: f64,
@@ -106,6 +108,7 @@ impl<'s> Plan<'s> {
             b_open: base.b_open,
             loop_gain: base.loop_gain,
             pendulum: base.pendulum,
+            pendulum_offset: motion.pendulum_offset(&structure.base),
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
             delay_s: one(Effect::InputDelay, 0.0),
             hold_s: one(Effect::InputHold, 0.0),
@@ -311,7 +314,7 @@ pub(super) fn simulate(
             let ahead = state.position + 0.5 * step_s * state.speed;
             let mut push = k * volts + plan.load;
             if plan.pendulum != 0.0 {
-                push -= plan.pendulum * (ahead + plan.offset_of_pendulum(structure, motion)).sin();
+                push -= plan.pendulum * (ahead + plan.pendulum_offset).sin();
             }
             if let Some(gravity) = &plan.gravity {
                 push -= gravity.at(ahead);
@@ -412,13 +415,6 @@ pub(super) fn simulate(
             observed.supply.push(supply_v);
             observed.history.push((state.position - state.reversal).abs());
         }
-    }
-}
-
-impl Plan<'_> {
-    #[allow(clippy::unused_self)]
-    fn offset_of_pendulum(&self, structure: &Structure, motion: &Motion) -> f64 {
-        motion.pendulum_offset(&structure.base)
     }
 }
 
