@@ -16,7 +16,8 @@
 //! | [`parameter`] | named, bounded parameters with units, which an identifier can vary |
 //! | [`error`] | what can be wrong with a plant's description |
 //!
-//! An effect is one small type for two uses: the simulator steps it, an identifier fits it. Effects act at seven
+//! An effect is one small type that the simulator steps; the identifier borrows its name and writes it into plant files, but
+//! has formulas of its own. Effects act at seven
 //! *insertion points*, in the order of the picture; several at one point act in the order of the file
 //! (where that matters: frictions and loads add up, and a delay may be anywhere in its input).
 //!

@@ -47,7 +47,7 @@ pub struct Candidate {
     pub name: &'static str,
     /// What its contribution is a function of.
     pub depends_on: &'static [Dependence],
-    /// Of at least one `absent` is known.
+    /// Empty for an effect that is there or not.
     pub parameters: Vec<Parameter>,
     /// Sets of values to begin a fit from, in units the family's own.
     pub starts: Vec<Vec<f64>>,

@@ -58,7 +58,7 @@ pub struct Found {
 pub struct Step {
     /// What.
     pub term: Term,
-    /// The model with it and all terms before it.
+    /// The model with it and those terms before it that stayed, fitted to whole runs.
     pub fit: Fit,
     /// Errors on left-out blocks without and with it.
     pub blocked_rmse: [f64; 2],
@@ -138,10 +138,14 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     }
     progress("intervals");
     let Path { current, mut steps, rejected } = path;
-    for step in &mut steps {
-        step.fit = search.on_whole(&step.fit);
+    for (place, step) in steps.iter_mut().enumerate() {
+        // Terms that came before may have been taken out since.
+        let mut first = current.clone();
+        first.structure.terms.truncate(place + 1);
+        first.structure.added.truncate(place + 1);
+        step.fit = search.on_whole(&first);
     }
-    let last = if steps.is_empty() { base.clone() } else { search.on_whole(&current) };
+    let last = steps.last().map_or_else(|| base.clone(), |step| step.fit.clone());
     let deviations = last.deviations(family, &search.whole);
     Found { base, steps, last, deviations, rejected }
 }

@@ -133,6 +133,7 @@ impl MotionRun {
     /// Guess and deviation of position and speed (or of speed alone) at the first sample.
     pub(super) fn initial(&self, of_speed: bool) -> (Vec<f64>, Vec<f64>) {
         let all = &*self.all;
+        let states = if of_speed { 1 } else { 2 };
         let samples: Vec<(f64, f64)> = (self.from..self.to)
             .map(|sample| (all.time_s[sample] - all.time_s[self.from], all.measured[sample]))
             .filter(|(_, measured)| measured.is_finite())
@@ -142,7 +143,7 @@ impl MotionRun {
         let (low, high) = reach.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
         let smallest = (1e-4 * (high - low)).max(f64::MIN_POSITIVE);
         let noise = all.noise.max(smallest);
-        let Some(&(last_s, _)) = samples.last() else { return (vec![0.0; 2 - usize::from(of_speed)], vec![1.0; 2]) };
+        let Some(&(last_s, _)) = samples.last() else { return (vec![0.0; states], vec![1.0; states]) };
         let count = samples.len() as f64;
         let mean_s = samples.iter().map(|(time_s, _)| time_s).sum::<f64>() / count;
         let mean = samples.iter().map(|(_, value)| value).sum::<f64>() / count;

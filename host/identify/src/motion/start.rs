@@ -289,7 +289,7 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
             distance = distance.max(way.abs()).max(0.1 * speed * (last.0 - first.0));
         } else {
             distance = distance.max(high - low);
-            // Over a twentieth of the run: noise says nothing there.
+            // Over a sixtieth of the run: noise says nothing there.
             let stride = (known.len() / 60).max(1);
             for pair in known.iter().step_by(stride).collect::<Vec<_>>().windows(2) {
                 speed = speed.max((pair[1].1 - pair[0].1).abs() / (pair[1].0 - pair[0].0));

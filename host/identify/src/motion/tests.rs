@@ -109,6 +109,20 @@ fn backlash_keeps_the_output_until_the_gap_is_crossed() {
     assert!((tight[199] - loose[199] - 0.2).abs() < EXACT && (loose[399] - tight[399] - 0.2).abs() < EXACT);
 }
 
+/// A block of a recording in which nothing was measured, of a speed and of a position.
+#[test]
+fn a_stretch_without_measurements_has_an_initial_state_too() {
+    for quantity in [Quantity::AngularSpeed, Quantity::Angle] {
+        let input = (0..200).map(|sample| f64::from(sample % 7)).collect();
+        let output = (0..200).map(|sample| if sample < 100 { f64::from(sample) } else { f64::NAN }).collect();
+        let recorded = [run((Quantity::Number, input), (quantity, output), 5e-3)];
+        let (model, runs, _) = Motion::new(Kind::DcMotor, &Known::default(), &recorded, &[]).expect("a model");
+        let (blind, seen) = (model.part(&runs[0], 100, 200), model.part(&runs[0], 0, 100));
+        let states = |run: &MotionRun| (model.initial(run).0.len(), model.initial(run).1.len());
+        assert_eq!(states(&blind), states(&seen), "{quantity:?}");
+    }
+}
+
 proptest! {
     /// Any values in range, of any effect: no panic, and numbers.
     #[test]
