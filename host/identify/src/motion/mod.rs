@@ -62,6 +62,7 @@ struct Units {
     speed: &'static str,
     force: &'static str,
     drag: &'static str,
+    viscous: &'static str,
     periods: &'static str,
     input: &'static str,
     input_name: &'static str,
@@ -72,6 +73,7 @@ struct Units {
     gap_name: &'static str,
     offset_name: &'static str,
     drag_name: &'static str,
+    viscous_name: &'static str,
     periods_name: &'static str,
 }
 
@@ -81,6 +83,7 @@ impl Units {
         speed: "rad/s",
         force: "N m",
         drag: "N m s^2/rad^2",
+        viscous: "N m s/rad",
         periods: "1/turn",
         input: "1",
         input_name: "duty",
@@ -91,6 +94,7 @@ impl Units {
         gap_name: "gap_rad",
         offset_name: "offset_rad",
         drag_name: "drag_nm_s2_per_rad2",
+        viscous_name: "backward_more_nm_s_per_rad",
         periods_name: "periods_per_turn",
     };
     const LINEAR: Self = Self {
@@ -98,6 +102,7 @@ impl Units {
         speed: "m/s",
         force: "N",
         drag: "N s^2/m^2",
+        viscous: "N s/m",
         periods: "1/m",
         input: "1",
         input_name: "duty",
@@ -108,6 +113,7 @@ impl Units {
         gap_name: "gap_m",
         offset_name: "offset_m",
         drag_name: "drag_n_s2_per_m2",
+        viscous_name: "backward_more_n_s_per_m",
         periods_name: "periods_per_m",
     };
 

@@ -64,6 +64,12 @@ impl Motion {
         }
     }
 
+    /// Whether the mechanics has such a number divided by its inertia.
+    fn is_per_inertia(&self, unit: &str) -> bool {
+        let units = &self.scales.units;
+        [units.force, units.drag, units.viscous].contains(&unit)
+    }
+
     #[allow(clippy::type_complexity)]
     pub(super) fn in_units(
         &self,
@@ -75,7 +81,7 @@ impl Motion {
         let assumed = self.scale_is_assumed();
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
         let mut told = |name: &str, unit: &str, value: f64| {
-            let is_force = unit == units.force || unit == units.drag;
+            let is_force = self.is_per_inertia(unit);
             let scale = if is_force { physical.inertia } else { 1.0 };
             let std = deviations.next().flatten().map(|deviation| deviation * scale);
             let assumed = assumed.clone().filter(|_| is_force);
@@ -215,12 +221,21 @@ impl Motion {
             let power_w = (self.scales.input * supply_v).powi(2) / physical.resistance_ohm;
             set("rise_per_w", values[0] / power_w)?;
             set("time_constant_s", values[1])?;
+        } else if effect == Effect::DirectionViscous {
+            let more = values[0] * physical.inertia;
+            let (forward, backward) = if kind == PlantKind::Rotary {
+                ("forward_nm_s_per_rad", "backward_nm_s_per_rad")
+            } else {
+                ("forward_n_s_per_m", "backward_n_s_per_m")
+            };
+            set(forward, (-more).max(0.0))?;
+            set(backward, more.max(0.0))?;
         } else if effect == Effect::DirectionAsymmetry {
             set("forward_gain", 1.0)?;
             set("backward_gain", values[0])?;
         } else {
             for (parameter, &value) in candidate.parameters.iter().zip(values) {
-                let is_force = parameter.unit == self.scales.units.force || parameter.unit == self.scales.units.drag;
+                let is_force = self.is_per_inertia(parameter.unit);
                 // A constant load pulls backwards when positive, a push forwards.
                 let sign = if effect == Effect::ConstantLoad { -1.0 } else { 1.0 };
                 let value = match parameter.name {

@@ -73,6 +73,8 @@ struct Plan<'s> {
     position_friction: Option<Wave>,
     warm_up: Option<(f64, f64)>,
     drag: f64,
+    /// More damping forwards, and backwards.
+    viscous: (f64, f64),
     load: f64,
     gravity: Option<Wave>,
     cogging: Option<Wave>,
@@ -126,6 +128,7 @@ impl<'s> Plan<'s> {
             position_friction: wave(Effect::PositionFriction),
             warm_up: two(Effect::WarmUp),
             drag: one(Effect::Drag, 0.0),
+            viscous: ((-one(Effect::DirectionViscous, 0.0)).max(0.0), one(Effect::DirectionViscous, 0.0).max(0.0)),
             load: one(Effect::ConstantLoad, 0.0),
             gravity: wave(Effect::Gravity),
             cogging: wave(Effect::Cogging),
@@ -344,6 +347,7 @@ pub(super) fn simulate(
                 b += plan.drag * state.speed.abs();
             }
             let direction = if state.speed == 0.0 { push.signum() } else { state.speed.signum() };
+            b += if direction < 0.0 { plan.viscous.1 } else { plan.viscous.0 };
             let mut level = if direction < 0.0 { plan.coulomb.1 } else { plan.coulomb.0 };
             if let Some((force, stribeck)) = plan.stribeck {
                 level += force * (-(state.speed / stribeck).powi(2)).exp();
