@@ -157,6 +157,17 @@ impl Structure {
     }
 }
 
+/// A free run that was simulated.
+#[derive(Clone, Copy, Debug)]
+pub struct Simulated<'s> {
+    /// Of what.
+    pub structure: &'s Structure,
+    /// From where.
+    pub initial: &'s [f64],
+    /// What came of it.
+    pub predicted: &'s [f64],
+}
+
 /// A series beside the output that the residual may depend on, one value per sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Driver {
@@ -196,6 +207,22 @@ pub trait Family: Sync {
 
     /// Free run: what the output would have been, one value for each of [`Family::measured`], from the initial state.
     fn predict(&self, structure: &Structure, initial: &[f64], run: &Self::Run, predicted: &mut [f64]);
+
+    /// Free runs that differ little from one that is known, given to `told` with their index: a family may do once what
+    /// they have in common.
+    fn predict_each(
+        &self,
+        known: &Simulated<'_>,
+        others: &[(&Structure, &[f64])],
+        run: &Self::Run,
+        told: &mut dyn FnMut(usize, &[f64]),
+    ) {
+        let mut predicted = vec![0.0; known.predicted.len()];
+        for (index, (structure, initial)) in others.iter().enumerate() {
+            self.predict(structure, initial, run, &mut predicted);
+            told(index, &predicted);
+        }
+    }
 
     /// What was measured; NaN where nothing was.
     fn measured<'r>(&self, run: &'r Self::Run) -> &'r [f64];

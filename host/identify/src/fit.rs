@@ -6,7 +6,7 @@
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned};
 
-use crate::family::{Family, Parameter, Range, Structure, Term};
+use crate::family::{Family, Parameter, Range, Simulated, Structure, Term};
 
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
@@ -398,53 +398,60 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
             return None;
         }
         let globals = self.parameters.len();
-        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
-        let mut moved = vec![0.0; self.predicted.len()];
-        for column in 0..globals {
+        let steps: Vec<f64> = self.parameters.iter().map(|parameter| parameter.range.difference()).collect();
+        let moved = |column: usize| {
             let mut structure = self.structure.clone();
             let mut variables = self.variables.clone();
-            let step = self.parameters[column].range.difference();
-            variables[column] += step;
+            variables[column] += steps[column];
             set_flat(&mut structure, &self.values_of(&variables));
-            self.predict_all(&structure, &self.initial, &mut moved);
-            for (index, rows) in self.rows.iter().enumerate() {
-                self.slopes(&mut jacobian, (column, step), index, rows, &moved);
-            }
-        }
-        // One component of all runs' initial states at a time: a run's concerns no other.
-        let components = self.scales.first().map_or(0, Vec::len);
-        for component in 0..components {
-            let mut initial = self.initial.clone();
-            for (initial, scales) in initial.iter_mut().zip(&self.scales) {
-                initial[component] += DIFFERENCE * scales[component];
-            }
-            self.predict_all(&self.structure, &initial, &mut moved);
-            for (index, rows) in self.rows.iter().enumerate() {
-                let column = globals + index * components + component;
-                self.slopes(&mut jacobian, (column, DIFFERENCE), index, rows, &moved);
-            }
+            structure
+        };
+        let structures: Vec<Structure> = (0..globals).map(moved).collect();
+        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
+        let mut local = globals;
+        for (index, scales) in self.scales.iter().enumerate() {
+            // A run's initial state concerns no other.
+            let initials: Vec<Vec<f64>> = (0..scales.len())
+                .map(|component| {
+                    let mut initial = self.initial[index].clone();
+                    initial[component] += DIFFERENCE * scales[component];
+                    initial
+                })
+                .collect();
+            let others = structures.iter().zip(std::iter::repeat(&self.initial[index]));
+            let others: Vec<(&Structure, &[f64])> = others
+                .chain(std::iter::repeat(&self.structure).zip(&initials))
+                .map(|(structure, initial)| (structure, &initial[..]))
+                .collect();
+            self.predict_each(index, &others, |other, row, slope| {
+                let (column, step) =
+                    if other < globals { (other, steps[other]) } else { (local + other - globals, DIFFERENCE) };
+                let slope = slope / step;
+                if slope.is_finite() {
+                    jacobian[(row, column)] = slope * self.weights[index][row - self.rows[index].start];
+                }
+            });
+            local += scales.len();
         }
         Some(jacobian)
     }
 }
 
 impl<F: Family> Problem<'_, F> {
-    fn slopes(
-        &self,
-        jacobian: &mut DMatrix<f64>,
-        (column, step): (usize, f64),
-        run: usize,
-        rows: &std::ops::Range<usize>,
-        moved: &[f64],
-    ) {
+    /// By how much other free runs of a run differ from this one: their index, the row, the difference. Rows that were not
+    /// measured are left out.
+    fn predict_each(&self, run: usize, others: &[(&Structure, &[f64])], mut differs: impl FnMut(usize, usize, f64)) {
+        let rows = &self.rows[run];
+        let predicted = &self.predicted[rows.clone()];
+        let known = Simulated { structure: &self.structure, initial: &self.initial[run], predicted };
         let measured = self.family.measured(self.runs[run]);
-        for (row, &measured) in measured.iter().enumerate() {
-            let at = rows.start + row;
-            let slope = (moved[at] - self.predicted[at]) / step;
-            if measured.is_finite() && slope.is_finite() {
-                jacobian[(at, column)] = slope * self.weights[run][row];
+        self.family.predict_each(&known, others, self.runs[run], &mut |other, moved| {
+            for (row, ((moved, predicted), measured)) in moved.iter().zip(predicted).zip(measured).enumerate() {
+                if measured.is_finite() {
+                    differs(other, rows.start + row, moved - predicted);
+                }
             }
-        }
+        });
     }
 }
 
@@ -465,23 +472,25 @@ impl Fit {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
         let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
         let globals = problem.parameters.len();
-        let mut moved = vec![0.0; problem.predicted.len()];
         let values: Vec<f64> = flat(&self.structure).collect();
         // By the values themselves: at the edge of a range the change of variable is flat.
-        for column in 0..globals {
-            let step = problem.parameters[column].range.small(values[column]);
+        let steps: Vec<f64> =
+            problem.parameters.iter().zip(&values).map(|(parameter, &value)| parameter.range.small(value)).collect();
+        let moved = |column: usize| {
             let mut other = values.clone();
-            other[column] += step;
+            other[column] += steps[column];
             let mut structure = self.structure.clone();
             set_flat(&mut structure, &other);
-            problem.predict_all(&structure, &self.initial, &mut moved);
-            for (index, (run, rows)) in runs.iter().zip(&problem.rows).enumerate() {
-                for (row, &measured) in family.measured(run).iter().enumerate() {
-                    let at = rows.start + row;
-                    let slope = (moved[at] - problem.predicted[at]) / step * self.weights[index][row];
-                    jacobian[(at, column)] = if measured.is_finite() && slope.is_finite() { slope } else { 0.0 };
-                }
-            }
+            structure
+        };
+        let structures: Vec<Structure> = (0..globals).map(moved).collect();
+        for index in 0..runs.len() {
+            let others: Vec<(&Structure, &[f64])> =
+                structures.iter().map(|structure| (structure, &self.initial[index][..])).collect();
+            problem.predict_each(index, &others, |column, row, slope| {
+                let slope = slope / steps[column] * self.weights[index][row - problem.rows[index].start];
+                jacobian[(row, column)] = if slope.is_finite() { slope } else { 0.0 };
+            });
         }
         // Columns of length one, so that what is small is small for the data.
         let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();

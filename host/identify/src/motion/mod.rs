@@ -20,11 +20,11 @@ pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Simulated, Structure},
     report::Estimate,
 };
 use effect::Effect;
-use simulate::{Observed, simulate};
+use simulate::{FreeRuns, Observed, simulate};
 
 /// Which of the models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -189,8 +189,6 @@ pub struct Motion {
     catalogue: Vec<Candidate>,
     rotary: bool,
     of_speed: bool,
-    /// Longest step of the simulation.
-    step_s: f64,
     duty_limit: f64,
     stops: Option<(f64, f64)>,
     scales: Scales,
@@ -311,6 +309,21 @@ impl Family for Motion {
 
     fn predict(&self, structure: &Structure, initial: &[f64], run: &MotionRun, predicted: &mut [f64]) {
         simulate(self, structure, initial, run, predicted, None);
+    }
+
+    fn predict_each(
+        &self,
+        known: &Simulated<'_>,
+        others: &[(&Structure, &[f64])],
+        run: &MotionRun,
+        told: &mut dyn FnMut(usize, &[f64]),
+    ) {
+        let mut free_runs = FreeRuns::new(self, known, run);
+        let mut predicted = vec![0.0; run.to - run.from];
+        for (index, (structure, initial)) in others.iter().enumerate() {
+            free_runs.simulate(structure, initial, &mut predicted);
+            told(index, &predicted);
+        }
     }
 
     fn measured<'r>(&self, run: &'r MotionRun) -> &'r [f64] {

@@ -11,8 +11,6 @@ use crate::{
 
 use super::{Effect, Kind, Known, Motion, MotionRun, Scales, Units};
 
-/// Steps of the simulation are no longer, s.
-const LONGEST_STEP_S: f64 = 2.5e-3;
 /// Fewer tell nothing.
 const LEAST_SAMPLES: usize = 50;
 /// Time constants that a fit begins from, s, beside the one found by regression.
@@ -75,7 +73,6 @@ impl Motion {
             catalogue,
             rotary,
             of_speed,
-            step_s: LONGEST_STEP_S,
             duty_limit: known.duty_limit.unwrap_or(1.0),
             stops: known.stroke_m.map(|stroke_m| (0.0, stroke_m)),
             scales,
