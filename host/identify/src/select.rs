@@ -128,10 +128,7 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         if search.extend(&mut other, true) {
             while search.extend(&mut other, false) {}
             while search.extend(&mut other, true) {}
-            let (first, second) = (search.blocked(&path.current), search.blocked(&other.current));
-            let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
-            let simpler = other.steps.len() < path.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
-            if (better || simpler) && second.whole <= first.whole * (1.0 + WORTH) {
+            if search.prefers(&path, &other) {
                 path = other;
             }
         }
@@ -201,6 +198,20 @@ impl<F: Family> Search<'_, F> {
         path.current = fit;
         self.remove(&mut path.current, &mut path.steps);
         true
+    }
+
+    /// Whether a path that began with a curve explains the data better, or as well with less. Numbers that it has more than
+    /// the other have to pay over whole runs: a recording that repeats itself looks alike on all blocks.
+    fn prefers(&self, named: &Path, other: &Path) -> bool {
+        let (first, second) = (self.blocked(&named.current), self.blocked(&other.current));
+        let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
+        let simpler = other.steps.len() < named.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
+        if !(better || simpler) || second.whole > first.whole * (1.0 + WORTH) {
+            return false;
+        }
+        let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
+        let more = numbers(other).saturating_sub(numbers(named));
+        more == 0 || pays(self.family, &self.whole, named.current.cost, &self.on_whole(&other.current), more)
     }
 
     /// The same model fitted to blocks.
@@ -401,7 +412,9 @@ impl<F: Family> Search<'_, F> {
             } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH } {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
-            } else if with_curves && !self.pays(current, &candidate) {
+            } else if with_curves
+                && !pays(self.family, &self.runs, current.cost, &candidate.trial.fit, corners(&candidate.trial.fit))
+            {
                 Some("explains too little for a curve of so many corners".to_owned())
             } else if p_value >= CHANCE {
                 Some(format!("not more than chance (p = {p_value:.2})"))
@@ -461,25 +474,12 @@ impl<F: Family> Search<'_, F> {
     /// clearer. The former takes any noise, the latter an effect that shows in few blocks.
     fn chance(&self, current: &Fit, before: &Blocked, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
-        let residuals = fit.residuals(self.family, &self.runs);
-        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
-        let independent = samples / correlated(&residuals);
-        let added = fit.structure.added.last().map_or(0, Vec::len).max(1) as f64;
+        let independent = independent(self.family, &self.runs, fit);
+        let added = corners(fit).max(1) as f64;
         let free = independent - fit.structure.base.len() as f64 - added - 2.0;
         let explained = (current.cost - fit.cost).max(0.0) / added / (fit.cost / free.max(1.0));
         let by_variance = FisherSnedecor::new(added, free.max(1.0)).map_or(1.0, |f| f.sf(explained));
         by_variance.min(paired(before, &candidate.blocked))
-    }
-
-    /// Whether a curve explains more than its corners cost: twice Schwarz's criterion, with only as many samples as are
-    /// independent. What is left of a long free run is so correlated that any few corners would explain some of it.
-    fn pays(&self, current: &Fit, candidate: &Judged) -> bool {
-        let fit = &candidate.trial.fit;
-        let residuals = fit.residuals(self.family, &self.runs);
-        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
-        let independent = samples / correlated(&residuals);
-        let corners = fit.structure.added.last().map_or(0, Vec::len) as f64;
-        independent * (current.cost / fit.cost).ln() > 2.0 * corners * independent.max(2.0).ln()
     }
 
     /// Least distance from no effect of what tells the effect's size, in standard deviations.
@@ -528,6 +528,26 @@ impl<F: Family> Search<'_, F> {
             }
         }
     }
+}
+
+/// Numbers of the term that was added last.
+fn corners(fit: &Fit) -> usize {
+    fit.structure.added.last().map_or(0, Vec::len)
+}
+
+/// How many independent samples say as much as those that a model was fitted to.
+fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
+    let residuals = fit.residuals(family, runs);
+    let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
+    samples / correlated(&residuals)
+}
+
+/// Whether a model with so many more numbers explains more than they cost: twice Schwarz's criterion, with only as many
+/// samples as are independent. What is left of a long free run is so correlated that any few corners would explain some
+/// of it.
+fn pays<F: Family>(family: &F, runs: &[&F::Run], cost_before: f64, fit: &Fit, more: usize) -> bool {
+    let independent = independent(family, runs, fit);
+    independent * (cost_before / fit.cost).ln() > 2.0 * more as f64 * independent.max(2.0).ln()
 }
 
 /// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).

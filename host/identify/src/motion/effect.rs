@@ -230,7 +230,10 @@ impl Effect {
             ),
             Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
             Self::WindingHeating => (
-                vec![sized("rise_at_full", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
+                vec![
+                    sized("rise_at_full", "1", level(0.05)),
+                    shaped("time_constant_s", "s", Range::Between(0.02 * s.duration_s, 50.0 * s.duration_s)),
+                ],
                 vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
             ),
             Self::Coulomb => (

@@ -77,7 +77,6 @@ impl Motion {
         deviations: &[Option<f64>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
         let physical = self.physical(structure);
-        let units = &self.scales.units;
         let assumed = self.scale_is_assumed();
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
         let mut told = |name: &str, unit: &str, value: f64| {
