@@ -13,6 +13,8 @@ use crate::family::{Family, Parameter, Range, Simulated, Structure, Term};
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
 const COARSE: f64 = 2e-4;
+/// The same for an initial state alone, in deviations of its guess.
+const SETTLING: f64 = 1e-3;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -182,7 +184,6 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let measured = family.measured(&part);
     let mut state = guess.clone();
     let mut predicted = vec![0.0; samples];
-    let mut moved = vec![0.0; samples];
     for _ in 0..3 {
         family.predict(structure, &state, &part, &mut predicted);
         let mut jacobian = DMatrix::zeros(samples + state.len(), state.len());
@@ -193,17 +194,24 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
                 residual[row] = (measured[row] - predicted[row]) / noise;
             }
         }
-        for column in 0..state.len() {
-            let step = 1e-3 * deviations[column];
-            let mut other = state.clone();
-            other[column] += step;
-            family.predict(structure, &other, &part, &mut moved);
+        let moved: Vec<Vec<f64>> = (0..state.len())
+            .map(|column| {
+                let mut other = state.clone();
+                other[column] += SETTLING * deviations[column];
+                other
+            })
+            .collect();
+        let others: Vec<(&Structure, &[f64])> = moved.iter().map(|initial| (structure, &initial[..])).collect();
+        let known = Simulated { structure, initial: &state, predicted: &predicted };
+        family.predict_each(&known, &others, &part, &mut |column, moved| {
             for row in 0..samples {
-                let slope = (moved[row] - predicted[row]) / step / noise;
+                let slope = (moved[row] - predicted[row]) / (SETTLING * deviations[column]) / noise;
                 if measured[row].is_finite() && slope.is_finite() {
                     jacobian[(row, column)] = slope;
                 }
             }
+        });
+        for column in 0..state.len() {
             jacobian[(samples + column, column)] = 1.0 / deviations[column];
             residual[samples + column] = (guess[column] - state[column]) / deviations[column];
         }
@@ -413,6 +421,7 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
 fn turned(products: DMatrix<f64>, along: DVector<f64>) -> Option<DMatrix<f64>> {
     // By columns of length one, so that what is small is small for the data.
     let lengths = products.diagonal().map(|square| if square > 0.0 { square.sqrt() } else { 1.0 });
+    let seen = products.diagonal().map(|square| square > 0.0);
     let mut across = products - &along * along.transpose();
     for row in 0..lengths.len() {
         for column in 0..lengths.len() {
@@ -427,7 +436,10 @@ fn turned(products: DMatrix<f64>, along: DVector<f64>) -> Option<DMatrix<f64>> {
     turned.row_mut(0).copy_from(&along.transpose());
     for (row, (value, vector)) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()).enumerate() {
         for (column, share) in vector.iter().enumerate() {
-            turned[(row + 1, column)] = value.max(0.0).sqrt() * share * lengths[column];
+            // What the data do not depend on stays exactly nothing: the solver scales its steps by it.
+            if seen[column] {
+                turned[(row + 1, column)] = value.max(0.0).sqrt() * share * lengths[column];
+            }
         }
     }
     Some(turned)

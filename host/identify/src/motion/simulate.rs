@@ -69,6 +69,9 @@ impl PerStep {
 const STIFF: f64 = 1e-4;
 
 /// Share of the way to its end that a first-order response makes in a time.
+// Not inlined, as all that is seldom asked for within a step: what it divides by may be nothing there, and the division
+// would be taken out of the loop and done anyway.
+#[inline(never)]
 fn first_order(time_s: f64, time_constant_s: f64) -> f64 {
     -(-time_s / time_constant_s).exp_m1()
 }
@@ -146,22 +149,29 @@ impl Input {
     }
 
     /// The mean command over a step, as it was a delay ago.
+    #[inline(always)]
     fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
-        if self.hold_s > 0.0 {
-            // The mean over the step, so that a little longer period makes a little difference.
-            let (begin_s, end_s) = (from_s - self.delay_s, from_s - self.delay_s + step_s);
-            let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
-            let held = run.input_before(first * self.hold_s, cursor);
-            if last > first {
-                let share = (end_s - last * self.hold_s) / step_s;
-                held + share * (run.input_before(last * self.hold_s, cursor) - held)
-            } else {
-                held
-            }
-        } else if self.delay_s > 0.0 {
-            run.mean_input(from_s - self.delay_s, step_s, cursor)
+        if self.hold_s > 0.0 || self.delay_s > 0.0 {
+            self.delayed(run, from_s, step_s, cursor)
         } else {
             run.all.input[sample]
+        }
+    }
+
+    #[inline(never)]
+    fn delayed(&self, run: &MotionRun, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
+        if self.hold_s <= 0.0 {
+            return run.mean_input(from_s - self.delay_s, step_s, cursor);
+        }
+        // The mean over the step, so that a little longer period makes a little difference.
+        let (begin_s, end_s) = (from_s - self.delay_s, from_s - self.delay_s + step_s);
+        let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
+        let held = run.input_before(first * self.hold_s, cursor);
+        if last > first {
+            let share = (end_s - last * self.hold_s) / step_s;
+            held + share * (run.input_before(last * self.hold_s, cursor) - held)
+        } else {
+            held
         }
     }
 
@@ -553,17 +563,8 @@ impl Sensor {
         let gap = 0.5 * self.gap;
         let output = state.output.0.clamp(position - gap, position + gap);
         state.output = (output, if self.gap > 0.0 && output == state.output.0 { 0.0 } else { speed });
-        if let Some((natural_hz, damping)) = self.compliance {
-            let omega = TAU * natural_hz;
-            let (sprung, sprung_speed) = &mut state.sprung;
-            // Short enough for the spring.
-            let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
-            let part_s = step_s / parts;
-            for _ in 0..parts as usize {
-                let pull = omega * omega * (output - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
-                *sprung_speed += pull * part_s;
-                *sprung += *sprung_speed * part_s;
-            }
+        if let Some(compliance) = self.compliance {
+            swing(compliance, state, speed, step_s);
         }
         if self.lag_s > 0.0 {
             let (position, speed) = self.behind(state);
@@ -592,6 +593,21 @@ impl Sensor {
             }
             done = next;
         }
+    }
+}
+
+/// One step of what hangs on the output by a spring and a damper.
+#[inline(never)]
+fn swing((natural_hz, damping): (f64, f64), state: &mut SensorState, speed: f64, step_s: f64) {
+    let omega = TAU * natural_hz;
+    // Short enough for the spring.
+    let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
+    let part_s = step_s / parts;
+    let (sprung, sprung_speed) = &mut state.sprung;
+    for _ in 0..parts as usize {
+        let pull = omega * omega * (state.output.0 - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
+        *sprung_speed += pull * part_s;
+        *sprung += *sprung_speed * part_s;
     }
 }
 
