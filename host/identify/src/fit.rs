@@ -13,6 +13,8 @@ use crate::family::{Family, Parameter, Range, Simulated, Structure, Term};
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
 const COARSE: f64 = 2e-4;
+/// The same for an initial state alone, in deviations of its guess.
+const SETTLING: f64 = 1e-3;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -182,7 +184,6 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let measured = family.measured(&part);
     let mut state = guess.clone();
     let mut predicted = vec![0.0; samples];
-    let mut moved = vec![0.0; samples];
     for _ in 0..3 {
         family.predict(structure, &state, &part, &mut predicted);
         let mut jacobian = DMatrix::zeros(samples + state.len(), state.len());
@@ -193,17 +194,24 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
                 residual[row] = (measured[row] - predicted[row]) / noise;
             }
         }
-        for column in 0..state.len() {
-            let step = 1e-3 * deviations[column];
-            let mut other = state.clone();
-            other[column] += step;
-            family.predict(structure, &other, &part, &mut moved);
+        let moved: Vec<Vec<f64>> = (0..state.len())
+            .map(|column| {
+                let mut other = state.clone();
+                other[column] += SETTLING * deviations[column];
+                other
+            })
+            .collect();
+        let others: Vec<(&Structure, &[f64])> = moved.iter().map(|initial| (structure, &initial[..])).collect();
+        let known = Simulated { structure, initial: &state, predicted: &predicted };
+        family.predict_each(&known, &others, &part, &mut |column, moved| {
             for row in 0..samples {
-                let slope = (moved[row] - predicted[row]) / step / noise;
+                let slope = (moved[row] - predicted[row]) / (SETTLING * deviations[column]) / noise;
                 if measured[row].is_finite() && slope.is_finite() {
                     jacobian[(row, column)] = slope;
                 }
             }
+        });
+        for column in 0..state.len() {
             jacobian[(samples + column, column)] = 1.0 / deviations[column];
             residual[samples + column] = (guess[column] - state[column]) / deviations[column];
         }
@@ -245,6 +253,8 @@ struct Problem<'p, F: Family> {
     rows: Vec<std::ops::Range<usize>>,
     variables: DVector<f64>,
     predicted: Vec<f64>,
+    /// Sum of the squares of the weighted residuals.
+    cost: f64,
     /// A prediction that is not finite counts as so far off.
     absurd: f64,
     /// Evaluations that are left.
@@ -286,6 +296,7 @@ impl<'p, F: Family> Problem<'p, F> {
             rows,
             variables,
             predicted: vec![0.0; count],
+            cost: f64::INFINITY,
             absurd,
             left: usize::MAX,
             best: (f64::INFINITY, DVector::zeros(0)),
@@ -314,8 +325,7 @@ impl<'p, F: Family> Problem<'p, F> {
     }
 
     fn into_fit(self) -> Fit {
-        let cost = self.weighted().norm_squared();
-        Fit { structure: self.structure, initial: self.initial, cost, weights: self.weights }
+        Fit { structure: self.structure, initial: self.initial, cost: self.cost, weights: self.weights }
     }
 
     fn predict_all(&self, structure: &Structure, initial: &[Vec<f64>], predicted: &mut [f64]) {
@@ -377,9 +387,9 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
         let mut predicted = std::mem::take(&mut self.predicted);
         self.predict_all(&self.structure, &self.initial, &mut predicted);
         self.predicted = predicted;
-        let cost = self.weighted().norm_squared();
-        if cost < self.best.0 {
-            self.best = (cost, variables.clone());
+        self.cost = self.weighted().norm_squared();
+        if self.cost < self.best.0 {
+            self.best = (self.cost, variables.clone());
         }
         self.left = self.left.saturating_sub(1);
     }
@@ -389,14 +399,56 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        // Ends the solver.
-        (self.left > 0).then(|| self.weighted())
+        // None ends the solver.
+        let mut turned = DVector::zeros(self.variables.len() + 1);
+        turned[0] = self.cost.sqrt();
+        (self.left > 0).then_some(turned)
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
         if self.left == 0 {
             return None;
         }
+        let parts: Vec<DMatrix<f64>> = self.slopes();
+        let (products, gradient) = self.products(&parts);
+        turned(products, gradient / self.cost.sqrt())
+    }
+}
+
+/// The Jacobian in a frame in which the residual is its length in the first row and nothing elsewhere, with as many rows as
+/// it needs: its products with itself and the residual are those of the long one, and the solver knows it by nothing else.
+/// `along` is the first row. None where something is not finite.
+fn turned(products: DMatrix<f64>, along: DVector<f64>) -> Option<DMatrix<f64>> {
+    // By columns of length one, so that what is small is small for the data.
+    let lengths = products.diagonal().map(|square| if square > 0.0 { square.sqrt() } else { 1.0 });
+    let seen = products.diagonal().map(|square| square > 0.0);
+    let mut across = products - &along * along.transpose();
+    for row in 0..lengths.len() {
+        for column in 0..lengths.len() {
+            across[(row, column)] /= lengths[row] * lengths[column];
+        }
+    }
+    if across.iter().any(|value| !value.is_finite()) {
+        return None;
+    }
+    let eigen = across.symmetric_eigen();
+    let mut turned = DMatrix::zeros(lengths.len() + 1, lengths.len());
+    turned.row_mut(0).copy_from(&along.transpose());
+    for (row, (value, vector)) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()).enumerate() {
+        for (column, share) in vector.iter().enumerate() {
+            // What the data do not depend on stays exactly nothing: the solver scales its steps by it.
+            if seen[column] {
+                turned[(row + 1, column)] = value.max(0.0).sqrt() * share * lengths[column];
+            }
+        }
+    }
+    Some(turned)
+}
+
+impl<F: Family> Problem<'_, F> {
+    /// The Jacobian's rows of each run: columns of the parameters, then of the run's own initial state, which concerns no
+    /// other run.
+    fn slopes(&self) -> Vec<DMatrix<f64>> {
         let globals = self.parameters.len();
         let steps: Vec<f64> = self.parameters.iter().map(|parameter| parameter.range.difference()).collect();
         let moved = |column: usize| {
@@ -407,10 +459,7 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
             structure
         };
         let structures: Vec<Structure> = (0..globals).map(moved).collect();
-        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
-        let mut local = globals;
-        for (index, scales) in self.scales.iter().enumerate() {
-            // A run's initial state concerns no other.
+        let slopes = |(index, scales): (usize, &Vec<f64>)| {
             let initials: Vec<Vec<f64>> = (0..scales.len())
                 .map(|component| {
                     let mut initial = self.initial[index].clone();
@@ -423,23 +472,58 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
                 .chain(std::iter::repeat(&self.structure).zip(&initials))
                 .map(|(structure, initial)| (structure, &initial[..]))
                 .collect();
-            self.predict_each(index, &others, |other, row, slope| {
-                let (column, step) =
-                    if other < globals { (other, steps[other]) } else { (local + other - globals, DIFFERENCE) };
-                let slope = slope / step;
+            let mut slopes = DMatrix::zeros(self.rows[index].len(), others.len());
+            self.predict_each(index, &others, |column, row, difference| {
+                let slope = difference / steps.get(column).unwrap_or(&DIFFERENCE);
                 if slope.is_finite() {
-                    jacobian[(row, column)] = slope * self.weights[index][row - self.rows[index].start];
+                    slopes[(row, column)] = slope * self.weights[index][row];
                 }
             });
-            local += scales.len();
-        }
-        Some(jacobian)
+            slopes
+        };
+        self.scales.iter().enumerate().map(slopes).collect()
     }
-}
 
-impl<F: Family> Problem<'_, F> {
-    /// By how much other free runs of a run differ from this one: their index, the row, the difference. Rows that were not
-    /// measured are left out.
+    /// Products of the Jacobian's columns with each other, and with the residual.
+    fn products(&self, slopes: &[DMatrix<f64>]) -> (DMatrix<f64>, DVector<f64>) {
+        let (globals, columns) = (self.parameters.len(), self.variables.len());
+        let (mut products, mut gradient) = (DMatrix::zeros(columns, columns), DVector::zeros(columns));
+        let residuals = self.weighted();
+        let mut local = globals;
+        for (rows, slopes) in self.rows.iter().zip(slopes) {
+            let place = |column: usize| if column < globals { column } else { local + column - globals };
+            let residuals = residuals.rows(rows.start, rows.len());
+            for (index, column) in slopes.column_iter().enumerate() {
+                gradient[place(index)] += column.dot(&residuals);
+                for other in 0..=index {
+                    let product = column.dot(&slopes.column(other));
+                    products[(place(index), place(other))] += product;
+                    if other != index {
+                        products[(place(other), place(index))] += product;
+                    }
+                }
+            }
+            local += slopes.ncols() - globals;
+        }
+        (products, gradient)
+    }
+
+    /// The whole Jacobian.
+    fn assembled(&self) -> DMatrix<f64> {
+        let globals = self.parameters.len();
+        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
+        let mut local = globals;
+        for (rows, slopes) in self.rows.iter().zip(self.slopes()) {
+            let own = slopes.ncols() - globals;
+            jacobian.view_mut((rows.start, 0), (rows.len(), globals)).copy_from(&slopes.columns(0, globals));
+            jacobian.view_mut((rows.start, local), (rows.len(), own)).copy_from(&slopes.columns(globals, own));
+            local += own;
+        }
+        jacobian
+    }
+
+    /// By how much other free runs of a run differ from this one: their index, the run's row, the difference. Rows that
+    /// were not measured are left out.
     fn predict_each(&self, run: usize, others: &[(&Structure, &[f64])], mut differs: impl FnMut(usize, usize, f64)) {
         let rows = &self.rows[run];
         let predicted = &self.predicted[rows.clone()];
@@ -448,7 +532,7 @@ impl<F: Family> Problem<'_, F> {
         self.family.predict_each(&known, others, self.runs[run], &mut |other, moved| {
             for (row, ((moved, predicted), measured)) in moved.iter().zip(predicted).zip(measured).enumerate() {
                 if measured.is_finite() {
-                    differs(other, rows.start + row, moved - predicted);
+                    differs(other, row, moved - predicted);
                 }
             }
         });
@@ -470,7 +554,10 @@ impl Fit {
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
-        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
+        if problem.variables.is_empty() {
+            return vec![];
+        }
+        let mut jacobian = problem.assembled();
         let globals = problem.parameters.len();
         let values: Vec<f64> = flat(&self.structure).collect();
         // By the values themselves: at the edge of a range the change of variable is flat.
@@ -488,8 +575,9 @@ impl Fit {
             let others: Vec<(&Structure, &[f64])> =
                 structures.iter().map(|structure| (structure, &self.initial[index][..])).collect();
             problem.predict_each(index, &others, |column, row, slope| {
-                let slope = slope / steps[column] * self.weights[index][row - problem.rows[index].start];
-                jacobian[(row, column)] = if slope.is_finite() { slope } else { 0.0 };
+                let slope = slope / steps[column] * self.weights[index][row];
+                let at = problem.rows[index].start + row;
+                jacobian[(at, column)] = if slope.is_finite() { slope } else { 0.0 };
             });
         }
         // Columns of length one, so that what is small is small for the data.

@@ -24,7 +24,7 @@ use crate::{
     report::Estimate,
 };
 use effect::Effect;
-use simulate::{FreeRuns, Observed, simulate};
+use simulate::{Observed, simulate, simulate_each};
 
 /// Which of the models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -318,12 +318,7 @@ impl Family for Motion {
         run: &MotionRun,
         told: &mut dyn FnMut(usize, &[f64]),
     ) {
-        let mut free_runs = FreeRuns::new(self, known, run);
-        let mut predicted = vec![0.0; run.to - run.from];
-        for (index, (structure, initial)) in others.iter().enumerate() {
-            free_runs.simulate(structure, initial, &mut predicted);
-            told(index, &predicted);
-        }
+        simulate_each(self, known, others, run, told);
     }
 
     fn measured<'r>(&self, run: &'r MotionRun) -> &'r [f64] {

@@ -9,7 +9,7 @@
 //!
 //! Three stages follow one another: what drives the motor ([`Input`]), what moves ([`Mechanics`]) and what is told of it
 //! ([`Sensor`]). Nothing flows back, except round a servo's loop and into a sagging supply; so each stage is done for the
-//! whole run at once, and what free runs have in common is done once ([`FreeRuns`]).
+//! whole run at once, and what free runs have in common is done once ([`simulate_each`]).
 
 use std::f64::consts::TAU;
 
@@ -65,7 +65,13 @@ impl PerStep {
     }
 }
 
+/// A product of damping and time below which the closed form of a way loses digits, and its series is better.
+const STIFF: f64 = 1e-4;
+
 /// Share of the way to its end that a first-order response makes in a time.
+// Not inlined, as all that is seldom asked for within a step: what it divides by may be nothing there, and the division
+// would be taken out of the loop and done anyway.
+#[inline(never)]
 fn first_order(time_s: f64, time_constant_s: f64) -> f64 {
     -(-time_s / time_constant_s).exp_m1()
 }
@@ -143,22 +149,29 @@ impl Input {
     }
 
     /// The mean command over a step, as it was a delay ago.
+    #[inline(always)]
     fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
-        if self.hold_s > 0.0 {
-            // The mean over the step, so that a little longer period makes a little difference.
-            let (begin_s, end_s) = (from_s - self.delay_s, from_s - self.delay_s + step_s);
-            let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
-            let held = run.input_before(first * self.hold_s, cursor);
-            if last > first {
-                let share = (end_s - last * self.hold_s) / step_s;
-                held + share * (run.input_before(last * self.hold_s, cursor) - held)
-            } else {
-                held
-            }
-        } else if self.delay_s > 0.0 {
-            run.mean_input(from_s - self.delay_s, step_s, cursor)
+        if self.hold_s > 0.0 || self.delay_s > 0.0 {
+            self.delayed(run, from_s, step_s, cursor)
         } else {
             run.all.input[sample]
+        }
+    }
+
+    #[inline(never)]
+    fn delayed(&self, run: &MotionRun, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
+        if self.hold_s <= 0.0 {
+            return run.mean_input(from_s - self.delay_s, step_s, cursor);
+        }
+        // The mean over the step, so that a little longer period makes a little difference.
+        let (begin_s, end_s) = (from_s - self.delay_s, from_s - self.delay_s + step_s);
+        let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
+        let held = run.input_before(first * self.hold_s, cursor);
+        if last > first {
+            let share = (end_s - last * self.hold_s) / step_s;
+            held + share * (run.input_before(last * self.hold_s, cursor) - held)
+        } else {
+            held
         }
     }
 
@@ -308,10 +321,15 @@ impl Mechanics<'_> {
             })
     }
 
-    /// One step; `on_s` is how long the axis has been on when it begins. `PLAIN` leaves out what [`Self::is_plain`] says is
-    /// not there.
+    /// Push, level of friction and damping over a step; `on_s` is how long the axis has been on when it begins. `PLAIN`
+    /// leaves out what [`Self::is_plain`] says is not there.
     #[inline(always)]
-    fn step<const PLAIN: bool>(&self, body: &mut Body, driven: &Driven, on_s: f64, supply_v: f64, step_s: f64) {
+    fn forces<const PLAIN: bool>(
+        &self,
+        body: &Body,
+        driven: &Driven,
+        (on_s, supply_v, step_s): (f64, f64, f64),
+    ) -> (f64, f64, f64) {
         let driving = self.k * driven.colder * driven.volts;
         let mut b = if driven.enabled { self.b * driven.colder } else { self.b_open };
         let mut push = driving + self.load;
@@ -365,46 +383,113 @@ impl Mechanics<'_> {
         if !PLAIN {
             b += if backward { self.viscous.1 } else { self.viscous.0 };
         }
-        level = (level + if backward { self.coulomb.1 } else { self.coulomb.0 }).max(0.0);
+        (push, (level + if backward { self.coulomb.1 } else { self.coulomb.0 }).max(0.0), b)
+    }
+}
+
+/// One step of axes side by side: none waits for another's arithmetic.
+#[inline(always)]
+fn step<const LANES: usize, const PLAIN: bool>(
+    mechanics: &[&Mechanics<'_>; LANES],
+    bodies: &mut [Body; LANES],
+    driven: [&Driven; LANES],
+    at @ (_, _, step_s): (f64, f64, f64),
+) {
+    let (mut push, mut level) = ([0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        let body = &mut bodies[lane];
+        let b;
+        (push[lane], level[lane], b) = mechanics[lane].forces::<PLAIN>(body, driven[lane], at);
         if body.decay.b != b || body.decay.step_s != step_s {
             body.decay = Decay { b, step_s, decayed: (-b * step_s).exp(), per_b: 1.0 / b };
         }
-        let before = body.position;
-        advance(body, push, level);
-        if let Some(stops) = self.stops {
+    }
+    let before: [f64; LANES] = std::array::from_fn(|lane| bodies[lane].position);
+    // As `advance` does where no speed passes zero, and without a branch.
+    let (mut position, mut speed, mut usual) = (before, [0.0; LANES], true);
+    for lane in 0..LANES {
+        let (body, push, level) = (&bodies[lane], push[lane], level[lane]);
+        let rests = body.speed == 0.0;
+        let direction = 1.0_f64.copysign(if rests { push } else { body.speed });
+        let net = push - direction * level;
+        let settled = net * body.decay.per_b;
+        let next = settled + (body.speed - settled) * body.decay.decayed;
+        let way = (net * step_s - (next - body.speed)) * body.decay.per_b;
+        let holds = rests & (push.abs() <= level);
+        usual &= (body.decay.b * step_s > STIFF) & (rests | (next * direction >= 0.0));
+        speed[lane] = if holds { 0.0 } else { next };
+        position[lane] += if holds { 0.0 } else { way };
+    }
+    for lane in 0..LANES {
+        let body = &mut bodies[lane];
+        if usual {
+            (body.position, body.speed) = (position[lane], speed[lane]);
+        } else {
+            advance(body, push[lane], level[lane]);
+        }
+        if let Some(stops) = mechanics[lane].stops {
             let inside = body.position.clamp(stops.0, stops.1);
             if inside != body.position {
                 (body.position, body.speed) = (inside, 0.0);
             }
         }
         if !PLAIN {
-            let moved = (body.position - before).signum();
-            if body.position != before && moved != body.direction {
+            let moved = (body.position - before[lane]).signum();
+            if body.position != before[lane] && moved != body.direction {
                 body.direction = moved;
-                body.reversal = before;
+                body.reversal = before[lane];
             }
         }
     }
+}
 
-    /// Position and speed after every step, under what drives them.
-    fn over(&self, run: &MotionRun, driven: &[Driven], fine: bool) -> Vec<(f64, f64)> {
-        if self.is_plain() { self.way::<true>(run, driven, fine) } else { self.way::<false>(run, driven, fine) }
-    }
+/// Position and speed after every step.
+type Way = Vec<(f64, f64)>;
 
-    fn way<const PLAIN: bool>(&self, run: &MotionRun, driven: &[Driven], fine: bool) -> Vec<(f64, f64)> {
-        let mut body = self.begin();
-        let mut way = Vec::with_capacity(driven.len());
-        let mut rest = driven.iter();
-        for sample in run.from..run.to {
-            let (steps, step_s) = run.steps(sample, fine);
-            let (on_s, supply_v) = (run.all.origin_s + run.all.time_s[sample], run.supply_at(sample));
-            for (step, driven) in (0..steps).zip(&mut rest) {
-                self.step::<PLAIN>(&mut body, driven, on_s + f64::from(step) * step_s, supply_v, step_s);
+/// The ways of axes under what drives each of them.
+fn ways(run: &MotionRun, fine: bool, axes: &[(&Mechanics<'_>, &[Driven])]) -> Vec<Way> {
+    let plain = axes.iter().all(|(mechanics, _)| mechanics.is_plain());
+    let side_by_side = |axes: &[(&Mechanics<'_>, &[Driven])]| match (axes, plain) {
+        (&[a, b, c, d], true) => Vec::from(lanes::<4, true>(run, fine, [a, b, c, d])),
+        (&[a, b, c, d], false) => Vec::from(lanes::<4, false>(run, fine, [a, b, c, d])),
+        (&[a, b, c], true) => Vec::from(lanes::<3, true>(run, fine, [a, b, c])),
+        (&[a, b, c], false) => Vec::from(lanes::<3, false>(run, fine, [a, b, c])),
+        (&[a, b], true) => Vec::from(lanes::<2, true>(run, fine, [a, b])),
+        (&[a, b], false) => Vec::from(lanes::<2, false>(run, fine, [a, b])),
+        (&[a, ..], true) => Vec::from(lanes::<1, true>(run, fine, [a])),
+        (&[a, ..], false) => Vec::from(lanes::<1, false>(run, fine, [a])),
+        (&[], _) => Vec::new(),
+    };
+    axes.chunks(4).flat_map(side_by_side).collect()
+}
+
+fn lanes<const LANES: usize, const PLAIN: bool>(
+    run: &MotionRun,
+    fine: bool,
+    axes: [(&Mechanics<'_>, &[Driven]); LANES],
+) -> [Way; LANES] {
+    let mechanics = axes.map(|(mechanics, _)| mechanics);
+    let mut bodies = mechanics.map(Mechanics::begin);
+    let mut ways = axes.map(|(_, driven)| Vec::with_capacity(driven.len()));
+    let mut done = 0;
+    for sample in run.from..run.to {
+        let (steps, step_s) = run.steps(sample, fine);
+        let (on_s, supply_v) = (run.all.origin_s + run.all.time_s[sample], run.supply_at(sample));
+        for number in 0..steps {
+            let driven = axes.map(|(_, driven)| &driven[done]);
+            step::<LANES, PLAIN>(
+                &mechanics,
+                &mut bodies,
+                driven,
+                (on_s + f64::from(number) * step_s, supply_v, step_s),
+            );
+            for (way, body) in ways.iter_mut().zip(&bodies) {
                 way.push((body.position, body.speed));
             }
+            done += 1;
         }
-        way
     }
+    ways
 }
 
 /// Between what moves and what is recorded.
@@ -484,17 +569,8 @@ impl Sensor {
         let gap = 0.5 * self.gap;
         let output = state.output.0.clamp(position - gap, position + gap);
         state.output = (output, if self.gap > 0.0 && output == state.output.0 { 0.0 } else { speed });
-        if let Some((natural_hz, damping)) = self.compliance {
-            let omega = TAU * natural_hz;
-            let (sprung, sprung_speed) = &mut state.sprung;
-            // Short enough for the spring.
-            let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
-            let part_s = step_s / parts;
-            for _ in 0..parts as usize {
-                let pull = omega * omega * (output - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
-                *sprung_speed += pull * part_s;
-                *sprung += *sprung_speed * part_s;
-            }
+        if let Some(compliance) = self.compliance {
+            swing(compliance, state, speed, step_s);
         }
         if self.lag_s > 0.0 {
             let (position, speed) = self.behind(state);
@@ -523,6 +599,21 @@ impl Sensor {
             }
             done = next;
         }
+    }
+}
+
+/// One step of what hangs on the output by a spring and a damper.
+#[inline(never)]
+fn swing((natural_hz, damping): (f64, f64), state: &mut SensorState, speed: f64, step_s: f64) {
+    let omega = TAU * natural_hz;
+    // Short enough for the spring.
+    let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
+    let part_s = step_s / parts;
+    let (sprung, sprung_speed) = &mut state.sprung;
+    for _ in 0..parts as usize {
+        let pull = omega * omega * (state.output.0 - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
+        *sprung_speed += pull * part_s;
+        *sprung += *sprung_speed * part_s;
     }
 }
 
@@ -618,6 +709,23 @@ impl<'s> Plan<'s> {
         self.input.loop_gain != 0.0 || self.input.sag > 0.0
     }
 
+    /// By how much everything told is shifted, where another initial state does nothing else than that.
+    fn shift(&self, known: &Simulated<'_>, structure: &Structure, initial: &[f64]) -> Option<f64> {
+        let ([from, speed], [to, same]) = (known.initial, initial) else { return None };
+        let alike = speed == same
+            && known.structure == structure
+            && !self.flows_back()
+            && self.sensor.eccentricity.is_none()
+            && self.mechanics.is_alike_everywhere();
+        alike.then_some(to - from)
+    }
+
+    /// What is told of a way.
+    fn tell(&self, run: &MotionRun, way: &[(f64, f64)], predicted: &mut [f64]) {
+        let first = (self.mechanics.position, self.mechanics.speed);
+        self.sensor.over(run, first, way, self.input.fine, predicted);
+    }
+
     /// Step by step through all three stages.
     fn simulate(&self, run: &MotionRun, predicted: &mut [f64], mut observed: Option<&mut Observed>) {
         let Self { input, mechanics, sensor } = self;
@@ -630,8 +738,8 @@ impl<'s> Plan<'s> {
             let (steps, step_s) = run.steps(sample, input.fine);
             let (speed_before, supply_v) = (body.speed, run.supply_at(sample));
             let of_sample = (supply_v, run.enabled_at(sample));
-            for step in 0..steps {
-                let from_s = now_s + f64::from(step) * step_s;
+            for number in 0..steps {
+                let from_s = now_s + f64::from(number) * step_s;
                 let mut command = input.command(run, sample, from_s, step_s, &mut driving.cursor);
                 if input.loop_gain != 0.0 {
                     let error = command - (sensing.held * sensor.scale + sensor.offset);
@@ -640,7 +748,8 @@ impl<'s> Plan<'s> {
                 }
                 let back_emf = body.speed * mechanics.b / mechanics.k;
                 let driven = input.drive(&mut driving, command, of_sample, step_s, back_emf);
-                mechanics.step::<false>(&mut body, &driven, run.all.origin_s + from_s, supply_v, step_s);
+                let at = (run.all.origin_s + from_s, supply_v, step_s);
+                step::<1, false>(&[mechanics], std::array::from_mut(&mut body), [&driven], at);
                 sensor.step(&mut sensing, (body.position, body.speed), step_s);
                 if input.loop_gain != 0.0 && sensor.hold_s <= 0.0 {
                     sensing.held = if sensor.lag_s > 0.0 { sensing.sensed } else { sensing.output.0 };
@@ -675,66 +784,68 @@ pub(super) fn simulate(
         plan.simulate(run, predicted, observed);
     } else {
         let driven = plan.input.over(run);
-        let way = plan.mechanics.over(run, &driven, plan.input.fine);
-        plan.sensor.over(run, (plan.mechanics.position, plan.mechanics.speed), &way, plan.input.fine, predicted);
+        plan.tell(run, &ways(run, plan.input.fine, &[(&plan.mechanics, &driven)])[0], predicted);
     }
 }
 
-/// Free runs over one recording that differ little from one that is known.
-pub(super) struct FreeRuns<'f> {
-    motion: &'f Motion,
-    run: &'f MotionRun,
-    known: &'f Simulated<'f>,
-    plan: Plan<'f>,
-    /// The known one's stages, once they were asked for.
-    driven: Option<Vec<Driven>>,
-    way: Option<Vec<(f64, f64)>>,
-}
-
-impl<'f> FreeRuns<'f> {
-    pub(super) fn new(motion: &'f Motion, known: &'f Simulated<'f>, run: &'f MotionRun) -> Self {
-        let plan = Plan::new(motion, known.structure, known.initial);
-        Self { motion, run, known, plan, driven: None, way: None }
-    }
-
-    /// Another one.
-    pub(super) fn simulate(&mut self, structure: &Structure, initial: &[f64], predicted: &mut [f64]) {
-        let plan = Plan::new(self.motion, structure, initial);
-        if let Some(shift) = self.only_shifted(structure, initial) {
-            for (predicted, known) in predicted.iter_mut().zip(self.known.predicted) {
-                *predicted = known + shift;
-            }
-            return;
+/// Free runs over one recording that differ little from one that is known: what they have in common is done once, and what
+/// moves is simulated side by side.
+pub(super) fn simulate_each(
+    motion: &Motion,
+    known: &Simulated<'_>,
+    others: &[(&Structure, &[f64])],
+    run: &MotionRun,
+    told: &mut dyn FnMut(usize, &[f64]),
+) {
+    let plan = Plan::new(motion, known.structure, known.initial);
+    let mut predicted = vec![0.0; known.predicted.len()];
+    let mut left: Vec<(usize, Plan<'_>)> = Vec::new();
+    for (index, &(structure, initial)) in others.iter().enumerate() {
+        if let Some(shift) = plan.shift(known, structure, initial) {
+            predicted.iter_mut().zip(known.predicted).for_each(|(predicted, known)| *predicted = known + shift);
+            told(index, &predicted);
+            continue;
         }
-        if plan.flows_back() {
-            return plan.simulate(self.run, predicted, None);
-        }
-        let (run, fine) = (self.run, plan.input.fine);
-        let first = (plan.mechanics.position, plan.mechanics.speed);
-        if plan.input != self.plan.input {
-            let driven = plan.input.over(run);
-            let way = plan.mechanics.over(run, &driven, fine);
-            return plan.sensor.over(run, first, &way, fine, predicted);
-        }
-        let driven = self.driven.get_or_insert_with(|| plan.input.over(run));
-        if plan.mechanics == self.plan.mechanics {
-            let way = self.way.get_or_insert_with(|| plan.mechanics.over(run, driven, fine));
-            plan.sensor.over(run, first, way, fine, predicted);
+        let other = Plan::new(motion, structure, initial);
+        if other.flows_back() {
+            other.simulate(run, &mut predicted, None);
+            told(index, &predicted);
         } else {
-            let way = plan.mechanics.over(run, driven, fine);
-            plan.sensor.over(run, first, &way, fine, predicted);
+            left.push((index, other));
         }
     }
-
-    /// By how much everything told is shifted, where that is all that an initial state does.
-    fn only_shifted(&self, structure: &Structure, initial: &[f64]) -> Option<f64> {
-        let ([from, speed], [to, same]) = (self.known.initial, initial) else { return None };
-        let alike = speed == same
-            && self.known.structure == structure
-            && !self.plan.flows_back()
-            && self.plan.sensor.eccentricity.is_none()
-            && self.plan.mechanics.is_alike_everywhere();
-        alike.then_some(to - from)
+    // By the stage from which on they differ.
+    let (driven_alike, driven_apart): (Vec<_>, Vec<_>) =
+        left.into_iter().partition(|(_, other)| other.input == plan.input);
+    let (moving_alike, moving_apart): (Vec<_>, Vec<_>) =
+        driven_alike.into_iter().partition(|(_, other)| other.mechanics == plan.mechanics);
+    if !moving_alike.is_empty() || !moving_apart.is_empty() {
+        let driven = plan.input.over(run);
+        let fine = plan.input.fine;
+        if !moving_alike.is_empty() {
+            let way = &ways(run, fine, &[(&plan.mechanics, &driven)])[0];
+            for (index, other) in &moving_alike {
+                other.tell(run, way, &mut predicted);
+                told(*index, &predicted);
+            }
+        }
+        let axes: Vec<_> = moving_apart.iter().map(|(_, other)| (&other.mechanics, &driven[..])).collect();
+        for ((index, other), way) in moving_apart.iter().zip(ways(run, fine, &axes)) {
+            other.tell(run, &way, &mut predicted);
+            told(*index, &predicted);
+        }
+    }
+    for fine in [false, true] {
+        let apart: Vec<_> = driven_apart.iter().filter(|(_, other)| other.input.fine == fine).collect();
+        for apart in apart.chunks(4) {
+            let driven: Vec<_> = apart.iter().map(|(_, other)| other.input.over(run)).collect();
+            let axes: Vec<_> =
+                apart.iter().zip(&driven).map(|((_, other), driven)| (&other.mechanics, &driven[..])).collect();
+            for ((index, other), way) in apart.iter().zip(ways(run, fine, &axes)) {
+                other.tell(run, &way, &mut predicted);
+                told(*index, &predicted);
+            }
+        }
     }
 }
 
@@ -780,5 +891,5 @@ fn advance(body: &mut Body, push: f64, level: f64) {
 /// Way made while the speed goes from `from` to `to` under a constant net push; `per_b` is `1 / b`.
 #[inline(always)]
 fn distance(from: f64, to: f64, net: f64, (b, per_b): (f64, f64), time_s: f64) -> f64 {
-    if b * time_s > 1e-4 { (net * time_s - (to - from)) * per_b } else { 0.5 * (from + to) * time_s }
+    if b * time_s > STIFF { (net * time_s - (to - from)) * per_b } else { 0.5 * (from + to) * time_s }
 }
