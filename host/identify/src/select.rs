@@ -16,7 +16,7 @@ use crate::{
 
 /// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
 /// what two correct programs differ by.
-const WORTH: f64 = 0.015;
+pub(crate) const WORTH: f64 = 0.015;
 /// The same for a curve, which has many more numbers and no name.
 const CURVE_WORTH: f64 = 0.03;
 /// A term whose removal costs less than this share was superfluous.

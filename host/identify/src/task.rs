@@ -12,7 +12,7 @@ use crate::{
     motion::{Kind, Known, Motion},
     report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{Found, depends_on, search},
+    select::{Found, WORTH, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
@@ -207,23 +207,25 @@ fn assemble<F: Family>(
         // The number of rounds is not known before: each takes a share of what is left.
         progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
     };
-    let found = search(family, train, &tell);
+    let mut found = search(family, train, &tell);
     if !found.base.cost.is_finite() {
         return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });
     }
+    let fitted: Vec<&F::Run> = train.iter().collect();
+    let held_out: Vec<&F::Run> = holdout.iter().collect();
+    let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
+    veto(family, &mut found, &fitted, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
     let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
-    let fitted: Vec<&F::Run> = train.iter().collect();
-    let held_out: Vec<&F::Run> = holdout.iter().collect();
     for (place, step) in found.steps.iter().enumerate() {
         let after = if place + 1 == found.steps.len() {
             last.holdout.rmse
         } else {
-            score(family, &held_out, &free_runs(family, &step.fit.structure, holdout)).rmse
+            held_out_rmse(&step.fit)
         };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
@@ -293,6 +295,29 @@ fn assemble<F: Family>(
         verdict,
     };
     Ok(Identified { report, figures, plant_toml })
+}
+
+/// Takes back the last terms where the held-out recordings are better off without: nothing is fitted to these, but what makes
+/// them worse is not worth having, whatever it explains of the others.
+fn veto<F: Family>(family: &F, found: &mut Found, train: &[&F::Run], held_out_rmse: impl Fn(&Fit) -> f64) {
+    let errors: Vec<f64> =
+        std::iter::once(&found.base).chain(found.steps.iter().map(|step| &step.fit)).map(held_out_rmse).collect();
+    let least = (0..errors.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).unwrap_or(0);
+    if errors[found.steps.len()] <= errors[least] * (1.0 + WORTH) {
+        return;
+    }
+    for (place, step) in found.steps.drain(least..).enumerate() {
+        let [before, after] = [errors[least + place], errors[least + place + 1]];
+        let reason = format!(
+            "explains what it was fitted to, but changes the error on held-out recordings by {:+.0} %: they differ by more \
+             than noise",
+            100.0 * (after / before - 1.0)
+        );
+        found.rejected.push((name(family, &step.term), step.blocked_rmse[1], reason));
+    }
+    found.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
+    found.last = found.steps.last().map_or_else(|| found.base.clone(), |step| step.fit.clone());
+    found.deviations = found.last.deviations(family, train);
 }
 
 fn name<F: Family>(family: &F, term: &Term) -> String {
