@@ -540,6 +540,16 @@ impl<F: Family> Problem<'_, F> {
 }
 
 impl Fit {
+    /// The same numbers over other runs, with the initial states that suit them.
+    #[must_use]
+    pub fn over<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Self {
+        let structure = self.structure.clone();
+        let samples = |run| family.measured(run).len();
+        let initial: Vec<_> = runs.iter().map(|run| settle(family, &structure, run, samples(run))).collect();
+        let cost = cost(family, runs, &structure, &initial);
+        Self { structure, initial, cost, weights: runs.iter().map(|run| vec![1.0; samples(run)]).collect() }
+    }
+
     /// Measured minus predicted, run by run; NaN where nothing was measured.
     #[must_use]
     pub fn residuals<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {

@@ -124,7 +124,8 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     if !is_white(&path.current.residuals(family, &search.runs)) {
         let runs = halves.iter().flatten().collect();
         let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
-        let mut other = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
+        let mut other =
+            Path { current: search.on(&search.runs, &base, Effort::COMPARE), steps: vec![], rejected: vec![] };
         if search.extend(&mut other, true) {
             while search.extend(&mut other, false) {}
             while search.extend(&mut other, true) {}
@@ -135,15 +136,19 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     }
     progress("intervals");
     let Path { current, mut steps, rejected } = path;
+    let blocks: Vec<&F::Run> = halves.iter().flatten().collect();
+    let runs = if search.drifts(&current) { &blocks } else { &search.whole };
+    let mut own = base.clone();
     for (place, step) in steps.iter_mut().enumerate() {
         // Terms that came before may have been taken out since.
         let mut first = current.clone();
         first.structure.terms.truncate(place + 1);
         first.structure.added.truncate(place + 1);
-        step.fit = search.on_whole(&first);
+        own = search.on(runs, &first, Effort::FULL);
+        step.fit = own.over(family, &search.whole);
     }
+    let deviations = own.deviations(family, if steps.is_empty() { &search.whole } else { runs });
     let last = steps.last().map_or_else(|| base.clone(), |step| step.fit.clone());
-    let deviations = last.deviations(family, &search.whole);
     Found { base, steps, last, deviations, rejected }
 }
 
@@ -211,17 +216,25 @@ impl<F: Family> Search<'_, F> {
         }
         let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
         let more = numbers(other).saturating_sub(numbers(named));
-        more == 0 || pays(self.family, &self.whole, named.current.cost, &self.on_whole(&other.current), more)
+        more == 0
+            || pays(
+                self.family,
+                &self.whole,
+                named.current.cost,
+                &self.on(&self.whole, &other.current, Effort::FULL),
+                more,
+            )
     }
 
-    /// The same model fitted to blocks.
-    fn on_blocks(&self, from: &Fit) -> Fit {
-        fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
+    /// The same model fitted to other runs.
+    fn on(&self, runs: &[&F::Run], from: &Fit, effort: Effort) -> Fit {
+        fit(self.family, runs, from.structure.clone(), self.settled(&from.structure, runs), effort)
     }
 
-    /// The same model fitted to whole runs.
-    fn on_whole(&self, from: &Fit) -> Fit {
-        fit(self.family, &self.whole, from.structure.clone(), self.settled(&from.structure, &self.whole), Effort::FULL)
+    /// Whether what a model lacks adds up over a free run: its numbers are then those of blocks, each of which begins anew.
+    fn drifts(&self, fit: &Fit) -> bool {
+        let has_memory = fit.initial.iter().any(|initial| !initial.is_empty());
+        has_memory && !is_white(&fit.residuals(self.family, &self.whole))
     }
 
     fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {

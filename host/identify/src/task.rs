@@ -222,11 +222,7 @@ fn assemble<F: Family>(
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
     for (place, step) in found.steps.iter().enumerate() {
-        let after = if place + 1 == found.steps.len() {
-            last.holdout.rmse
-        } else {
-            held_out_rmse(&step.fit)
-        };
+        let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
         effects.push(EffectReport {
