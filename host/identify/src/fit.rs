@@ -406,7 +406,10 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        (self.left > 0).then(|| self.turned(self.slopes()))
+        // Without numbers there is no step to take.
+        (self.left > 0)
+            .then(|| self.turned(self.slopes()))
+            .filter(|turned| turned.iter().all(|slope| slope.is_finite()))
     }
 }
 
@@ -466,15 +469,23 @@ impl<F: Family> Problem<'_, F> {
         let (mut at, mut local) = (1, globals);
         // What no column of its run reaches of the residual.
         let mut beyond = 0.0;
-        for (rows, slopes) in self.rows.iter().zip(slopes) {
+        for (rows, mut slopes) in self.rows.iter().zip(slopes) {
             let (columns, own) = (slopes.ncols(), slopes.ncols() - globals);
             let count = columns.min(rows.len());
+            // Squares of what is huge or next to nothing are no numbers.
+            let sizes: Vec<f64> = slopes.column_iter().map(|column| column.amax()).collect();
+            for (mut column, &size) in slopes.column_iter_mut().zip(&sizes).filter(|(_, size)| **size > 0.0) {
+                column.iter_mut().for_each(|slope| *slope /= size);
+            }
             let qr = slopes.qr();
             let mut part = all.rows(rows.start, rows.len()).into_owned();
             qr.q_tr_mul(&mut part);
             beyond += part.rows(count, rows.len() - count).norm_squared();
             residual.rows_mut(at, count).copy_from(&part.rows(0, count));
-            let triangle = qr.r();
+            let mut triangle = qr.r();
+            for (mut column, &size) in triangle.column_iter_mut().zip(&sizes) {
+                column *= size;
+            }
             turned.view_mut((at, 0), (count, globals)).copy_from(&triangle.columns(0, globals));
             turned.view_mut((at, local), (count, own)).copy_from(&triangle.columns(globals, own));
             at += columns;
