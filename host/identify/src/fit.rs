@@ -400,49 +400,17 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
 
     fn residuals(&self) -> Option<DVector<f64>> {
         // None ends the solver.
-        let mut turned = DVector::zeros(self.variables.len() + 1);
-        turned[0] = self.cost.sqrt();
+        let mut turned = DVector::zeros(self.turned_rows());
+        turned[0] = -self.cost.sqrt();
         (self.left > 0).then_some(turned)
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        if self.left == 0 {
-            return None;
-        }
-        let parts: Vec<DMatrix<f64>> = self.slopes();
-        let (products, gradient) = self.products(&parts);
-        turned(products, gradient / self.cost.sqrt())
+        // Without numbers there is no step to take.
+        (self.left > 0)
+            .then(|| self.turned(self.slopes()))
+            .filter(|turned| turned.iter().all(|slope| slope.is_finite()))
     }
-}
-
-/// The Jacobian in a frame in which the residual is its length in the first row and nothing elsewhere, with as many rows as
-/// it needs: its products with itself and the residual are those of the long one, and the solver knows it by nothing else.
-/// `along` is the first row. None where something is not finite.
-fn turned(products: DMatrix<f64>, along: DVector<f64>) -> Option<DMatrix<f64>> {
-    // By columns of length one, so that what is small is small for the data.
-    let lengths = products.diagonal().map(|square| if square > 0.0 { square.sqrt() } else { 1.0 });
-    let seen = products.diagonal().map(|square| square > 0.0);
-    let mut across = products - &along * along.transpose();
-    for row in 0..lengths.len() {
-        for column in 0..lengths.len() {
-            across[(row, column)] /= lengths[row] * lengths[column];
-        }
-    }
-    if across.iter().any(|value| !value.is_finite()) {
-        return None;
-    }
-    let eigen = across.symmetric_eigen();
-    let mut turned = DMatrix::zeros(lengths.len() + 1, lengths.len());
-    turned.row_mut(0).copy_from(&along.transpose());
-    for (row, (value, vector)) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()).enumerate() {
-        for (column, share) in vector.iter().enumerate() {
-            // What the data do not depend on stays exactly nothing: the solver scales its steps by it.
-            if seen[column] {
-                turned[(row + 1, column)] = value.max(0.0).sqrt() * share * lengths[column];
-            }
-        }
-    }
-    Some(turned)
 }
 
 impl<F: Family> Problem<'_, F> {
@@ -484,28 +452,55 @@ impl<F: Family> Problem<'_, F> {
         self.scales.iter().enumerate().map(slopes).collect()
     }
 
-    /// Products of the Jacobian's columns with each other, and with the residual.
-    fn products(&self, slopes: &[DMatrix<f64>]) -> (DMatrix<f64>, DVector<f64>) {
-        let (globals, columns) = (self.parameters.len(), self.variables.len());
-        let (mut products, mut gradient) = (DMatrix::zeros(columns, columns), DVector::zeros(columns));
-        let residuals = self.weighted();
-        let mut local = globals;
-        for (rows, slopes) in self.rows.iter().zip(slopes) {
-            let place = |column: usize| if column < globals { column } else { local + column - globals };
-            let residuals = residuals.rows(rows.start, rows.len());
-            for (index, column) in slopes.column_iter().enumerate() {
-                gradient[place(index)] += column.dot(&residuals);
-                for other in 0..=index {
-                    let product = column.dot(&slopes.column(other));
-                    products[(place(index), place(other))] += product;
-                    if other != index {
-                        products[(place(other), place(index))] += product;
-                    }
-                }
+    /// Rows of [`Self::turned`].
+    fn turned_rows(&self) -> usize {
+        let locals: usize = self.scales.iter().map(Vec::len).sum();
+        1 + self.runs.len() * self.parameters.len() + locals
+    }
+
+    /// The Jacobian in a frame in which the residual is its negative length in the first row and nothing elsewhere, with few
+    /// rows: each run's are turned into as many as it has columns, which leaves all lengths and angles that the solver
+    /// goes by as they are.
+    fn turned(&self, slopes: Vec<DMatrix<f64>>) -> DMatrix<f64> {
+        let globals = self.parameters.len();
+        let mut turned = DMatrix::zeros(self.turned_rows(), self.variables.len());
+        let mut residual = DVector::<f64>::zeros(self.turned_rows());
+        let all = self.weighted();
+        let (mut at, mut local) = (1, globals);
+        // What no column of its run reaches of the residual.
+        let mut beyond = 0.0;
+        for (rows, mut slopes) in self.rows.iter().zip(slopes) {
+            let (columns, own) = (slopes.ncols(), slopes.ncols() - globals);
+            let count = columns.min(rows.len());
+            // Squares of what is huge or next to nothing are no numbers.
+            let sizes: Vec<f64> = slopes.column_iter().map(|column| column.amax()).collect();
+            for (mut column, &size) in slopes.column_iter_mut().zip(&sizes).filter(|(_, size)| **size > 0.0) {
+                column.iter_mut().for_each(|slope| *slope /= size);
             }
-            local += slopes.ncols() - globals;
+            let qr = slopes.qr();
+            let mut part = all.rows(rows.start, rows.len()).into_owned();
+            qr.q_tr_mul(&mut part);
+            beyond += part.rows(count, rows.len() - count).norm_squared();
+            residual.rows_mut(at, count).copy_from(&part.rows(0, count));
+            let mut triangle = qr.r();
+            for (mut column, &size) in triangle.column_iter_mut().zip(&sizes) {
+                column *= size;
+            }
+            turned.view_mut((at, 0), (count, globals)).copy_from(&triangle.columns(0, globals));
+            turned.view_mut((at, local), (count, own)).copy_from(&triangle.columns(globals, own));
+            at += columns;
+            local += own;
         }
-        (products, gradient)
+        residual[0] = beyond.sqrt();
+        // Householder's reflection.
+        let mut mirror = residual;
+        mirror[0] += mirror.norm();
+        let square = mirror.norm_squared();
+        if square > 0.0 {
+            let across = turned.tr_mul(&mirror) * (2.0 / square);
+            turned.ger(-1.0, &mirror, &across, 1.0);
+        }
+        turned
     }
 
     /// The whole Jacobian.

@@ -12,7 +12,7 @@ use super::{Kind, Known, Motion, MotionRun};
 use crate::{
     Task,
     data::{Quantity, Run, Signal},
-    family::{Family, Range, Structure, Term},
+    family::{Family, Range, Simulated, Structure, Term},
     identify,
 };
 
@@ -120,6 +120,52 @@ fn a_stretch_without_measurements_has_an_initial_state_too() {
         let (blind, seen) = (model.part(&runs[0], 100, 200), model.part(&runs[0], 0, 100));
         let states = |run: &MotionRun| (model.initial(run).0.len(), model.initial(run).1.len());
         assert_eq!(states(&blind), states(&seen), "{quantity:?}");
+    }
+}
+
+/// Of every effect, with each number a little off in turn: done once what free runs have in common, or not.
+#[test]
+fn free_runs_together_are_as_alone() {
+    for setup in [Setup::MotorPosition, Setup::MotorSpeed, Setup::AxisPosition] {
+        let length = Length { train: 1, holdout: 1, seconds: 4.0 };
+        let recordings = recorded(setup, &experiment(setup, Draw::Nothing, length, 1).train);
+        let kind = if setup == Setup::AxisPosition { Kind::Axis } else { Kind::DcMotor };
+        let (model, runs, _) = Motion::new(kind, &Known::default(), &recordings, &[]).expect("a model");
+        let base = model.starts(&[&runs[0]]).remove(0);
+        let initial = model.initial(&runs[0]).0;
+        let free = |structure: &Structure, initial: &[f64]| {
+            let mut predicted = vec![0.0; model.measured(&runs[0]).len()];
+            model.predict(structure, initial, &runs[0], &mut predicted);
+            predicted
+        };
+        for (index, candidate) in model.catalogue().iter().enumerate() {
+            let (terms, added) = (vec![Term::Known(index)], vec![candidate.starts[0].clone()]);
+            let structure = Structure { base: base.clone(), terms, added };
+            let predicted = free(&structure, &initial);
+            let mut others = Vec::new();
+            for place in 0..base.len() + structure.added[0].len() {
+                let mut other = structure.clone();
+                *other.base.iter_mut().chain(&mut other.added[0]).nth(place).expect("a place") *= 1.01;
+                others.push((other, initial.clone()));
+            }
+            for place in 0..initial.len() {
+                let mut other = initial.clone();
+                other[place] += 0.01;
+                others.push((structure.clone(), other));
+            }
+            let known = Simulated { structure: &structure, initial: &initial, predicted: &predicted };
+            let borrowed: Vec<(&Structure, &[f64])> = others.iter().map(|(other, at)| (other, &at[..])).collect();
+            let mut told = 0;
+            model.predict_each(&known, &borrowed, &runs[0], &mut |other, together| {
+                told += 1;
+                let alone = free(borrowed[other].0, borrowed[other].1);
+                let largest = alone.iter().fold(1.0, |largest: f64, value| largest.max(value.abs()));
+                let off = alone.iter().zip(together).map(|(alone, together)| (alone - together).abs());
+                let off = off.fold(0.0, f64::max);
+                assert!(off < EXACT * largest, "{setup:?}, {}, {other}: {off}", candidate.name);
+            });
+            assert_eq!(told, others.len());
+        }
     }
 }
 
