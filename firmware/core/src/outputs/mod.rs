@@ -452,3 +452,20 @@ impl<B: Bus> Patient<B> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::Order;
+
+    #[test]
+    fn an_order_begins_with_the_first_and_has_each_bridge_once() {
+        let order = |left, first| Order { left, first }.collect::<std::vec::Vec<_>>();
+        assert_eq!(order(0b1111, 0), [0, 1, 2, 3]);
+        assert_eq!(order(0b1111, 2), [2, 3, 0, 1]);
+        assert_eq!(order(0b1000_0011, 1), [1, 7, 0]);
+        assert_eq!(order(0b1010_0000, 7), [7, 5]);
+        assert_eq!(order(0, 3), []);
+    }
+}
