@@ -344,9 +344,13 @@ impl<M: RawMutex> Shared<M> {
         });
     }
 
-    /// New gains of the position and of the speed loop.
-    pub(crate) fn take_gains(&self, motor: usize) -> [Option<PidGains>; 2] {
-        self.with(|s| core::mem::take(&mut s.gains[motor]))
+    /// The next new gains of some motor's loop, if there are any.
+    pub(crate) fn take_gains(&self) -> Option<(usize, Mode, PidGains)> {
+        self.with(|s| {
+            let (index, slot) = s.gains.as_flattened_mut().iter_mut().enumerate().find(|(_, gains)| gains.is_some())?;
+            let mode = if index % 2 == 0 { Mode::Position } else { Mode::Speed };
+            slot.take().map(|gains| (index / 2, mode, gains))
+        })
     }
 
     /// The outputs are in a known state, or could not be brought into one; hosts may be answered.
