@@ -1,7 +1,10 @@
 //! The program on emulated boards: what a user sees of the firmware's own image.
 
+mod program;
+
 use std::{fs, path::Path, process::Command};
 
+use program::{next, object, start, text};
 use serde_json::Value;
 
 /// Runs `r4` and gives what it printed as JSON; it must succeed.
@@ -45,4 +48,31 @@ fn the_demo_reaches_every_set_point() {
         // Degrees and millimetres; the loops settle within 0.15 of either.
         assert!(row["error_ours"].as_f64().is_some_and(|error| error.abs() < 0.15), "{row}");
     }
+}
+
+/// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
+#[test]
+fn the_log_is_read_over_a_link() {
+    let mut server = start(program::command(&["sim", "serve", "emu:osmc-bench", "--pty"]));
+    let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
+    let board = format!("serial:{}", text(&object(&first), "pty"));
+    server.out = None;
+    let r4 = |arguments: &[&str], elf: Option<&str>| {
+        let mut command = program::command(&[&["--board", &board, "--log"], arguments].concat());
+        command.env_remove("R4_ELF").envs(elf.map(|elf| ("R4_ELF", elf)));
+        start(command).finish()
+    };
+    let seen = r4(&["watch", "osmc0", "--for", "0.5", "--json"], None);
+    assert!(seen.code == Some(0) && seen.out.lines().count() > 3, "{seen:?}");
+    for part in ["SHA-256", "INFO", "R4 ", " for osmc-bench, image bare", "tasks run"] {
+        assert!(seen.err.contains(part), "{part}: {}", seen.err);
+    }
+    // Every line of it is a record.
+    assert!(!seen.err.contains("cannot be decoded") && !seen.err.contains("lost"), "{}", seen.err);
+
+    // The board that runs one image is not told by another.
+    let hosted = r4_emu::Image::built("osmc-bench", r4_image::Place::Hosted).expect("built beside the other");
+    let seen = r4(&["info"], Some(hosted.path().to_str().expect("a name in Unicode")));
+    assert!(seen.code == Some(1) && seen.out.is_empty(), "{seen:?}");
+    assert!(seen.err.contains("another image than") && seen.err.contains("R4_ELF"), "{}", seen.err);
 }

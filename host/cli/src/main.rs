@@ -4,6 +4,7 @@ mod args;
 mod cable;
 mod commands;
 mod emulated;
+mod link_log;
 mod output;
 mod plants;
 mod quantity;
