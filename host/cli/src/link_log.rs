@@ -1,8 +1,9 @@
 //! `--log` on a board at the other end of a link: what its firmware logs comes over the link too, and the ELF decodes it.
 
-use std::{env, path::PathBuf};
+use std::{env, path::PathBuf, thread};
 
 use anyhow::Context;
+use futures::channel::oneshot;
 use r4_driver::{Board, Clock as _, LogStream};
 use r4_emu::{
     Image,
@@ -35,9 +36,12 @@ impl LinkLog {
     /// Asks for the log and finds the ELF file of the image that writes it. Records from level `from` on will be printed.
     pub(crate) async fn open(board: &Board<HostClock>, clock: HostClock, from: LogLevel) -> anyhow::Result<Self> {
         let (info, stream) = board.log().await.context("no log")?;
-        let image = find(&board.info().robot, info.image).context("the log cannot be decoded")?;
-        eprintln!("r4: log decoded by {}, SHA-256 {}", image.path().display(), image.digest());
-        Ok(Self { stream, decoder: Decoder::new(image.elf())?, clock, from, behind: None })
+        let (done, decoder) = oneshot::channel();
+        let robot = board.info().robot.clone();
+        // Not here: megabytes are read, and heartbeats must go on meanwhile.
+        thread::spawn(move || done.send(decoder_of(&robot, info.image)));
+        let decoder = decoder.await.context("reading the ELF file failed")?.context("the log cannot be decoded")?;
+        Ok(Self { stream, decoder, clock, from, behind: None })
     }
 
     /// Prints it as it comes, until the link ends.
@@ -70,6 +74,14 @@ impl LinkLog {
         self.behind = Some(chunk.position.wrapping_add(chunk.bytes.len() as u32));
         self.decoder.push(&chunk.bytes, now_ns, |record| print(self.from, &record));
     }
+}
+
+/// What decodes the log of the image that tells itself by `image`; stderr says of which file it was made.
+fn decoder_of(robot: &str, image: u32) -> anyhow::Result<Decoder> {
+    let image = find(robot, image)?;
+    let decoder = Decoder::new(image.elf())?;
+    eprintln!("r4: log decoded by {}, SHA-256 {}", image.path().display(), image.digest());
+    Ok(decoder)
 }
 
 /// The ELF file of an image for `robot`: `R4_ELF`, or what was built last.
