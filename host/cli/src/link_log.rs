@@ -39,7 +39,10 @@ impl LinkLog {
         let (done, decoder) = oneshot::channel();
         let robot = board.info().robot.clone();
         // Not here: megabytes are read, and heartbeats must go on meanwhile.
-        thread::spawn(move || done.send(decoder_of(&robot, info.image)));
+        thread::spawn(move || {
+            // Nobody waits for it any more where the link ended meanwhile.
+            let _ = done.send(decoder_of(&robot, info.image));
+        });
         let decoder = decoder.await.context("reading the ELF file failed")?.context("the log cannot be decoded")?;
         Ok(Self { stream, decoder, clock, from, behind: None })
     }
