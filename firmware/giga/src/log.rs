@@ -50,7 +50,7 @@ static _SEGGER_RTT: ControlBlock = ControlBlock {
     identification: *b"SEGGER RTT\0\0\0\0\0\0",
     channels_up: 1,
     channels_down: 0,
-    name: b"defmt\0".as_ptr(),
+    name: c"defmt".as_ptr().cast(),
     buffer: RING.place(),
     size: SIZE as u32,
     write: AtomicU32::new(0),
