@@ -18,6 +18,7 @@ use r4_protocol::{
 
 use crate::{
     cycle::at_rest,
+    log::Log,
     passthrough::Passthrough,
     ranging,
     safety::{Event, Safety},
@@ -179,6 +180,7 @@ pub struct Shared<M: RawMutex> {
     pub storage: Storage<M>,
     /// Raw access to connectors; its own task serves it.
     pub passthrough: Passthrough<M>,
+    log: Option<Log>,
 }
 
 impl<M: RawMutex> Shared<M> {
@@ -232,7 +234,19 @@ impl<M: RawMutex> Shared<M> {
             restart: Signal::new(),
             storage: Storage::new(),
             passthrough: Passthrough::new(),
+            log: None,
         }
+    }
+
+    /// The same on a board that has a log.
+    #[must_use]
+    pub fn with_log(mut self, log: Log) -> Self {
+        self.log = Some(log);
+        self
+    }
+
+    pub(crate) fn log(&self) -> Option<&Log> {
+        self.log.as_ref()
     }
 
     /// The board's configuration.
