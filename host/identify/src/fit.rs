@@ -400,16 +400,11 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
 
     fn residuals(&self) -> Option<DVector<f64>> {
         // None ends the solver.
-        let mut turned = DVector::zeros(self.turned_rows());
-        turned[0] = -self.cost.sqrt();
-        (self.left > 0).then_some(turned)
+        (self.left > 0).then(|| self.weighted())
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        // Without numbers there is no step to take.
-        (self.left > 0)
-            .then(|| self.turned(self.slopes()))
-            .filter(|turned| turned.iter().all(|slope| slope.is_finite()))
+        (self.left > 0).then(|| self.assembled())
     }
 }
 
@@ -450,57 +445,6 @@ impl<F: Family> Problem<'_, F> {
             slopes
         };
         self.scales.iter().enumerate().map(slopes).collect()
-    }
-
-    /// Rows of [`Self::turned`].
-    fn turned_rows(&self) -> usize {
-        let locals: usize = self.scales.iter().map(Vec::len).sum();
-        1 + self.runs.len() * self.parameters.len() + locals
-    }
-
-    /// The Jacobian in a frame in which the residual is its negative length in the first row and nothing elsewhere, with few
-    /// rows: each run's are turned into as many as it has columns, which leaves all lengths and angles that the solver
-    /// goes by as they are.
-    fn turned(&self, slopes: Vec<DMatrix<f64>>) -> DMatrix<f64> {
-        let globals = self.parameters.len();
-        let mut turned = DMatrix::zeros(self.turned_rows(), self.variables.len());
-        let mut residual = DVector::<f64>::zeros(self.turned_rows());
-        let all = self.weighted();
-        let (mut at, mut local) = (1, globals);
-        // What no column of its run reaches of the residual.
-        let mut beyond = 0.0;
-        for (rows, mut slopes) in self.rows.iter().zip(slopes) {
-            let (columns, own) = (slopes.ncols(), slopes.ncols() - globals);
-            let count = columns.min(rows.len());
-            // Squares of what is huge or next to nothing are no numbers.
-            let sizes: Vec<f64> = slopes.column_iter().map(|column| column.amax()).collect();
-            for (mut column, &size) in slopes.column_iter_mut().zip(&sizes).filter(|(_, size)| **size > 0.0) {
-                column.iter_mut().for_each(|slope| *slope /= size);
-            }
-            let qr = slopes.qr();
-            let mut part = all.rows(rows.start, rows.len()).into_owned();
-            qr.q_tr_mul(&mut part);
-            beyond += part.rows(count, rows.len() - count).norm_squared();
-            residual.rows_mut(at, count).copy_from(&part.rows(0, count));
-            let mut triangle = qr.r();
-            for (mut column, &size) in triangle.column_iter_mut().zip(&sizes) {
-                column *= size;
-            }
-            turned.view_mut((at, 0), (count, globals)).copy_from(&triangle.columns(0, globals));
-            turned.view_mut((at, local), (count, own)).copy_from(&triangle.columns(globals, own));
-            at += columns;
-            local += own;
-        }
-        residual[0] = beyond.sqrt();
-        // Householder's reflection.
-        let mut mirror = residual;
-        mirror[0] += mirror.norm();
-        let square = mirror.norm_squared();
-        if square > 0.0 {
-            let across = turned.tr_mul(&mirror) * (2.0 / square);
-            turned.ger(-1.0, &mirror, &across, 1.0);
-        }
-        turned
     }
 
     /// The whole Jacobian.

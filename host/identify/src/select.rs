@@ -109,34 +109,31 @@ struct Search<'s, F: Family> {
 
 /// Searches for what the base model lacks.
 ///
-/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, once more on blocks
-/// and with a curve first: what is missing adds up over a long free run until nothing else can be seen, and an effect that
-/// has no name makes named ones look good that it has nothing to do with.
+/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
+/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, on blocks with a
+/// curve first: an effect that has no name makes named ones look good that it has nothing to do with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
     let halves = halves(family, train);
-    let search =
-        Search { family, whole: train.iter().collect(), runs: train.iter().collect(), halves: &halves, progress };
+    let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
+    let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress };
+    let on_blocks = Search { runs: blocks.clone(), whole: search.whole.clone(), ..search };
     progress("base model");
     let base = search.base();
-    let mut path = Path { current: base.clone(), steps: vec![], rejected: vec![] };
-    while search.extend(&mut path, false) {}
-    while search.extend(&mut path, true) {}
-    if !is_white(&path.current.residuals(family, &search.runs)) {
-        let runs = halves.iter().flatten().collect();
-        let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
-        let mut other =
-            Path { current: search.on(&search.runs, &base, Effort::COMPARE), steps: vec![], rejected: vec![] };
-        if search.extend(&mut other, true) {
-            while search.extend(&mut other, false) {}
-            while search.extend(&mut other, true) {}
-            if search.prefers(&path, &other) {
-                path = other;
-            }
+    let mut path = search.path(base.clone(), &[false, true]);
+    let is_explained = |path: &Path| is_white(&path.current.residuals(family, &search.whole));
+    for order in [&[false, true][..], &[true, false, true]] {
+        if is_explained(&path) {
+            break;
+        }
+        let from = on_blocks.on(&blocks, &base, Effort::COMPARE);
+        let other = on_blocks.path(from, order);
+        if !other.steps.is_empty() && search.prefers(&path, &other) {
+            path = other;
+            path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
         }
     }
     progress("intervals");
     let Path { current, mut steps, rejected } = path;
-    let blocks: Vec<&F::Run> = halves.iter().flatten().collect();
     let runs = if search.drifts(&current) { &blocks } else { &search.whole };
     let mut own = base.clone();
     for (place, step) in steps.iter_mut().enumerate() {
@@ -180,6 +177,19 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
 }
 
 impl<F: Family> Search<'_, F> {
+    /// Takes all it can of named effects (`false`) and of curves, in turn; of curves that come first, one. Where the first
+    /// turn gives no curve, it ends.
+    fn path(&self, base: Fit, order: &[bool]) -> Path {
+        let mut path = Path { current: base, steps: vec![], rejected: vec![] };
+        for (place, &with_curves) in order.iter().enumerate() {
+            while self.extend(&mut path, with_curves) && !(with_curves && place == 0) {}
+            if path.steps.is_empty() && order[0] {
+                break;
+            }
+        }
+        path
+    }
+
     /// Takes the best of all named effects, or of all curves, if one passes.
     fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
         let curves = path.current.structure.curves().count();
