@@ -176,7 +176,8 @@ proptest! {
         choice in any::<prop::sample::Index>(),
         base in (1e-2..1e2, 1e-3..10.0),
         shares in prop::collection::vec(0.0..1.0, 3),
-        duty in -1.0..1.0,
+        // A run without any input is refused.
+        duty in prop_oneof![-1.0..-1e-6, 1e-6..1.0],
     ) {
         let (model, run) = stepped(duty, 120);
         let index = choice.index(model.catalogue().len());
