@@ -185,7 +185,7 @@ fn steps(time_s: &[f64], longest_s: f64) -> Vec<(u32, f64)> {
             let dt_s = pair[1] - pair[0];
             let count = (dt_s / longest_s - 1e-6).ceil().clamp(1.0, MOST_STEPS);
             let step_s = dt_s / count;
-            if !(step_s > 0.0) {
+            if step_s.is_nan() || step_s <= 0.0 {
                 return (0, 0.0);
             }
             if (step_s - last_s).abs() > SAME_STEP * step_s || last_s.is_nan() {
