@@ -133,7 +133,7 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
             }
         }
     }
-    progress("intervals");
+    progress("whole runs");
     let Path { current, mut steps, rejected } = path;
     for (place, step) in steps.iter_mut().enumerate() {
         // Terms that came before may have been taken out since.

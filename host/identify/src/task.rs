@@ -217,16 +217,14 @@ fn assemble<F: Family>(
     veto(family, &mut found, &fitted, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
-    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations);
+    tell("intervals");
+    let intervals = found.last.intervals(family, &fitted);
+    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
     for (place, step) in found.steps.iter().enumerate() {
-        let after = if place + 1 == found.steps.len() {
-            last.holdout.rmse
-        } else {
-            held_out_rmse(&step.fit)
-        };
+        let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
         effects.push(EffectReport {

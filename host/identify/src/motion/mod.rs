@@ -380,8 +380,9 @@ impl Family for Motion {
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        self.in_units(structure, deviations)
+        self.in_units(structure, deviations, intervals)
     }
 
     fn force_per_push(&self, structure: &Structure) -> f64 {

@@ -75,27 +75,28 @@ impl Motion {
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
         let physical = self.physical(structure);
         let assumed = self.scale_is_assumed();
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
-        let mut told = |name: &str, unit: &str, value: f64| {
+        let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
+        let mut told = |name: &str, unit: &str, value: f64, inertia: f64| {
             let is_force = self.is_per_inertia(unit);
-            let scale = if is_force { physical.inertia } else { 1.0 };
-            let std = deviations.next().flatten().map(|deviation| deviation * scale);
-            let assumed = assumed.clone().filter(|_| is_force);
-            (name.to_owned(), Estimate { value: value * scale, std, unit: unit.to_owned(), interval: None, assumed })
+            let scale = if is_force { inertia } else { 1.0 };
+            let estimate = Estimate {
+                value: value * scale,
+                std: deviations.next().flatten().map(|deviation| deviation * scale),
+                unit: unit.to_owned(),
+                interval: intervals.next().flatten().map(|ends| ends.map(|end| end * scale)),
+                assumed: assumed.clone().filter(|_| is_force),
+            };
+            (name.to_owned(), estimate)
         };
-        let mut base: BTreeMap<String, Estimate> = BTreeMap::new();
-        for (parameter, &value) in self.base.iter().zip(&structure.base) {
-            let (name, mut estimate) = told(parameter.name, parameter.unit, value);
-            if self.kind == Kind::Axis {
-                // The base model of an axis is in its units already.
-                (estimate.value, estimate.std) =
-                    (value, estimate.std.filter(|_| estimate.value != 0.0).map(|std| std * value / estimate.value));
-            }
-            base.insert(name, estimate);
-        }
+        // The base model of an axis is in its units already.
+        let of_base = if self.kind == Kind::Axis { 1.0 } else { physical.inertia };
+        let base = self.base.iter().zip(&structure.base);
+        let base = base.map(|(parameter, &value)| told(parameter.name, parameter.unit, value, of_base)).collect();
         let terms = structure
             .terms
             .iter()
@@ -105,10 +106,10 @@ impl Motion {
                     .parameters
                     .iter()
                     .zip(values)
-                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value))
+                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value, physical.inertia))
                     .collect(),
                 Term::Curve(_) => {
-                    values.iter().for_each(|_| drop(told("value", "1", 0.0)));
+                    values.iter().for_each(|_| drop(told("value", "1", 0.0, 1.0)));
                     BTreeMap::new()
                 }
             })
