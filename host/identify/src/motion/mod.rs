@@ -191,6 +191,8 @@ pub struct Motion {
     of_speed: bool,
     duty_limit: f64,
     stops: Option<(f64, f64)>,
+    /// Nothing tells the voltage behind the duty.
+    supply_assumed: bool,
     scales: Scales,
     places: Places,
 }
@@ -204,6 +206,8 @@ struct Places {
     offset: Option<usize>,
 }
 
+/// A supply whose voltage nobody told, V.
+const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
