@@ -256,31 +256,36 @@ pub trait Family: Sync {
         None
     }
 
-    /// Values and deviations in the units of reports: of the base model, and of each term. By default as they are fitted.
+    /// Values, deviations and intervals in the units of reports: of the base model, and of each term. By default as they
+    /// are fitted.
     fn estimates(
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        let estimate = |(parameter, (&value, deviation)): (&Parameter, (&f64, Option<f64>))| {
-            let unit = parameter.unit.to_owned();
-            (parameter.name.to_owned(), Estimate { value, std: deviation, unit, interval: None, assumed: None })
-        };
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
-        let base = self.base().iter().zip(structure.base.iter().zip(deviations.by_ref())).map(estimate).collect();
+        let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
+        let mut estimate = |(parameter, &value): (&Parameter, &f64)| {
+            let (std, interval) = (deviations.next().flatten(), intervals.next().flatten());
+            (
+                parameter.name.to_owned(),
+                Estimate { value, std, unit: parameter.unit.to_owned(), interval, assumed: None },
+            )
+        };
+        let base = self.base().iter().zip(&structure.base).map(&mut estimate).collect();
         let terms = structure
             .terms
             .iter()
             .zip(&structure.added)
             .map(|(term, values)| match term {
-                Term::Known(index) => self.catalogue()[*index]
-                    .parameters
-                    .iter()
-                    .zip(values.iter().zip(deviations.by_ref()))
-                    .map(estimate)
-                    .collect(),
+                Term::Known(index) => {
+                    self.catalogue()[*index].parameters.iter().zip(values).map(&mut estimate).collect()
+                }
                 Term::Curve(_) => {
-                    deviations.by_ref().take(values.len()).for_each(drop);
+                    // They are told as a table.
+                    let corner = Parameter { name: "", unit: "", range: Range::Any { scale: 1.0 }, absent: None };
+                    values.iter().for_each(|value| drop(estimate((&corner, value))));
                     BTreeMap::new()
                 }
             })

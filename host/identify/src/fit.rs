@@ -3,6 +3,10 @@
 //! What is fitted together: the base model's parameters, those of every term, and what of each run's initial state is
 //! unknown. Parameters go through a change of variable, so that no step can leave their [`Range`].
 
+mod profile;
+#[cfg(test)]
+mod tests;
+
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned};
 
@@ -251,6 +255,8 @@ struct Problem<'p, F: Family> {
     weights: Vec<Vec<f64>>,
     /// Rows of each run.
     rows: Vec<std::ops::Range<usize>>,
+    /// A parameter that stays as it is.
+    held: Option<usize>,
     variables: DVector<f64>,
     predicted: Vec<f64>,
     /// Sum of the squares of the weighted residuals.
@@ -294,6 +300,7 @@ impl<'p, F: Family> Problem<'p, F> {
             scales,
             weights,
             rows,
+            held: None,
             variables,
             predicted: vec![0.0; count],
             cost: f64::INFINITY,
@@ -421,7 +428,9 @@ impl<F: Family> Problem<'_, F> {
             set_flat(&mut structure, &self.values_of(&variables));
             structure
         };
-        let structures: Vec<Structure> = (0..globals).map(moved).collect();
+        // The column of what is held stays nothing: the solver takes no step along it.
+        let free: Vec<usize> = (0..globals).filter(|&column| self.held != Some(column)).collect();
+        let structures: Vec<Structure> = free.iter().map(|&column| moved(column)).collect();
         let slopes = |(index, scales): (usize, &Vec<f64>)| {
             let initials: Vec<Vec<f64>> = (0..scales.len())
                 .map(|component| {
@@ -435,8 +444,9 @@ impl<F: Family> Problem<'_, F> {
                 .chain(std::iter::repeat(&self.structure).zip(&initials))
                 .map(|(structure, initial)| (structure, &initial[..]))
                 .collect();
-            let mut slopes = DMatrix::zeros(self.rows[index].len(), others.len());
-            self.predict_each(index, &others, |column, row, difference| {
+            let mut slopes = DMatrix::zeros(self.rows[index].len(), globals + scales.len());
+            self.predict_each(index, &others, |other, row, difference| {
+                let column = free.get(other).copied().unwrap_or(globals + other.saturating_sub(free.len()));
                 let slope = difference / steps.get(column).unwrap_or(&DIFFERENCE);
                 if slope.is_finite() {
                     slopes[(row, column)] = slope * self.weights[index][row];
@@ -478,6 +488,17 @@ impl<F: Family> Problem<'_, F> {
     }
 }
 
+/// How well a parameter is known by the curvature at the best fit.
+struct Spread {
+    /// In the parameter's unit.
+    deviation: f64,
+    /// Of a residual, as if all were independent of each other and as telling as these.
+    variance: f64,
+    /// By how much the values of all parameters, then the variables of the initial states, change with this one where the
+    /// cost stays least.
+    along: Vec<f64>,
+}
+
 impl Fit {
     /// The same numbers over other runs, with the initial states that suit them.
     #[must_use]
@@ -502,6 +523,10 @@ impl Fit {
     /// tells how much (White's sandwich, clustered); the usual deviation for independent noise is its lower bound.
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
+        self.spreads(family, runs).into_iter().map(|spread| spread.map(|spread| spread.deviation)).collect()
+    }
+
+    fn spreads<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<Spread>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
         if problem.variables.is_empty() {
             return vec![];
@@ -566,7 +591,17 @@ impl Fit {
                 if lengths[row] == 0.0 || lost > 1e-3 {
                     return None;
                 }
-                Some((variance * inverse[(row, row)]).max(sandwich[(row, row)]).sqrt() / lengths[row])
+                let square = (variance * inverse[(row, row)]).max(sandwich[(row, row)]);
+                // How the others go when this one does and is not fitted.
+                let per_own = |column: usize| match lengths[column] {
+                    length if length > 0.0 => inverse[(column, row)] / inverse[(row, row)] * lengths[row] / length,
+                    _ => 0.0,
+                };
+                Some(Spread {
+                    deviation: square.sqrt() / lengths[row],
+                    variance: square / inverse[(row, row)],
+                    along: (0..columns).map(per_own).collect(),
+                })
             })
             .collect()
     }

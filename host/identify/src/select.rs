@@ -40,13 +40,15 @@ const LEAST_SAMPLES: usize = 40;
 
 /// What became of the data.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct Found<R> {
     /// The base model alone.
     pub base: Fit,
     /// What was added, in order; structures after each.
     pub steps: Vec<Step>,
     /// Base model and all terms.
     pub last: Fit,
+    /// The last model as it was fitted, and to what: the recordings, or blocks of them.
+    pub fitted: (Fit, Vec<R>),
     /// Of the last model's parameters.
     pub deviations: Vec<Option<f64>>,
     /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
@@ -58,8 +60,10 @@ pub struct Found {
 pub struct Step {
     /// What.
     pub term: Term,
-    /// The model with it and those terms before it that stayed, fitted to whole runs.
+    /// The model with it and those terms before it that stayed, over whole runs.
     pub fit: Fit,
+    /// The same as it was fitted.
+    pub own: Fit,
     /// Errors on left-out blocks without and with it.
     pub blocked_rmse: [f64; 2],
     /// Chance of such a gain, times the number of effects tried.
@@ -112,7 +116,7 @@ struct Search<'s, F: Family> {
 /// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
 /// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, on blocks with a
 /// curve first: an effect that has no name makes named ones look good that it has nothing to do with.
-pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
+pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
     let halves = halves(family, train);
     let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
     let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress };
@@ -132,21 +136,49 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
             path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
         }
     }
-    progress("intervals");
+    progress("whole runs");
     let Path { current, mut steps, rejected } = path;
     let runs = if search.drifts(&current) { &blocks } else { &search.whole };
-    let mut own = base.clone();
     for (place, step) in steps.iter_mut().enumerate() {
         // Terms that came before may have been taken out since.
         let mut first = current.clone();
         first.structure.terms.truncate(place + 1);
         first.structure.added.truncate(place + 1);
-        own = search.on(runs, &first, Effort::FULL);
-        step.fit = own.over(family, &search.whole);
+        step.own = search.on(runs, &first, Effort::FULL);
+        step.fit = step.own.over(family, &search.whole);
     }
-    let deviations = own.deviations(family, if steps.is_empty() { &search.whole } else { runs });
-    let last = steps.last().map_or_else(|| base.clone(), |step| step.fit.clone());
-    Found { base, steps, last, deviations, rejected }
+    let runs = runs.iter().copied().cloned().collect();
+    Found::of(family, base, steps, rejected, (train, runs))
+}
+
+impl<R> Found<R> {
+    /// What a base model and the terms that were taken come to; `runs` are the recordings, and what terms were fitted to.
+    fn of<F: Family<Run = R>>(
+        family: &F,
+        base: Fit,
+        steps: Vec<Step>,
+        rejected: Vec<(String, f64, String)>,
+        (train, runs): (&[R], Vec<R>),
+    ) -> Self
+    where
+        R: Clone,
+    {
+        let (last, fitted) = match steps.last() {
+            Some(step) => (step.fit.clone(), (step.own.clone(), runs)),
+            None => (base.clone(), (base.clone(), train.to_vec())),
+        };
+        let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
+        Self { base, steps, last, fitted, deviations, rejected }
+    }
+
+    /// Takes back all terms but the first `steps`.
+    pub(crate) fn truncated<F: Family<Run = R>>(mut self, family: &F, steps: usize, train: &[R]) -> Self
+    where
+        R: Clone,
+    {
+        self.steps.truncate(steps);
+        Self::of(family, self.base, self.steps, self.rejected, (train, self.fitted.1))
+    }
 }
 
 /// How far a search has come.
@@ -453,6 +485,7 @@ impl<F: Family> Search<'_, F> {
             let step = Step {
                 term: candidate.trial.term.clone(),
                 fit: candidate.trial.fit.clone(),
+                own: candidate.trial.fit.clone(),
                 blocked_rmse: [rmse_before, after],
                 p_value: p_value.min(1.0),
                 blocks_better: [better, before.blocks.len()],

@@ -207,17 +207,19 @@ fn assemble<F: Family>(
         // The number of rounds is not known before: each takes a share of what is left.
         progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
     };
-    let mut found = search(family, train, &tell);
+    let found = search(family, train, &tell);
     if !found.base.cost.is_finite() {
         return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });
     }
     let fitted: Vec<&F::Run> = train.iter().collect();
     let held_out: Vec<&F::Run> = holdout.iter().collect();
     let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
-    veto(family, &mut found, &fitted, held_out_rmse);
+    let found = veto(family, found, train, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
-    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations);
+    tell("intervals");
+    let intervals = found.fitted.0.intervals(family, &found.fitted.1.iter().collect::<Vec<_>>());
+    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
@@ -295,25 +297,28 @@ fn assemble<F: Family>(
 
 /// Takes back the last terms where the held-out recordings are better off without: nothing is fitted to these, but what makes
 /// them worse is not worth having, whatever it explains of the others.
-fn veto<F: Family>(family: &F, found: &mut Found, train: &[&F::Run], held_out_rmse: impl Fn(&Fit) -> f64) {
+fn veto<F: Family>(
+    family: &F,
+    mut found: Found<F::Run>,
+    train: &[F::Run],
+    held_out_rmse: impl Fn(&Fit) -> f64,
+) -> Found<F::Run> {
     let errors: Vec<f64> =
         std::iter::once(&found.base).chain(found.steps.iter().map(|step| &step.fit)).map(held_out_rmse).collect();
     let least = (0..errors.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).unwrap_or(0);
     if errors[found.steps.len()] <= errors[least] * (1.0 + WORTH) {
-        return;
+        return found;
     }
-    for (place, step) in found.steps.drain(least..).enumerate() {
-        let [before, after] = [errors[least + place], errors[least + place + 1]];
+    for (place, step) in found.steps.iter().enumerate().skip(least) {
         let reason = format!(
             "explains what it was fitted to, but changes the error on held-out recordings by {:+.0} %: they differ by more \
              than noise",
-            100.0 * (after / before - 1.0)
+            100.0 * (errors[place + 1] / errors[place] - 1.0)
         );
         found.rejected.push((name(family, &step.term), step.blocked_rmse[1], reason));
     }
     found.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
-    found.last = found.steps.last().map_or_else(|| found.base.clone(), |step| step.fit.clone());
-    found.deviations = found.last.deviations(family, train);
+    found.truncated(family, least, train)
 }
 
 fn name<F: Family>(family: &F, term: &Term) -> String {
@@ -323,7 +328,7 @@ fn name<F: Family>(family: &F, term: &Term) -> String {
     }
 }
 
-fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
+fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<Table> {
     let structure = &found.last.structure;
     let Term::Curve(curve) = structure.terms.get(place)? else { return None };
     let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
@@ -344,7 +349,7 @@ fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
 /// Runs that are drawn, at most.
 const DRAWN: usize = 6;
 
-fn traces<F: Family>(family: &F, found: &Found, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
+fn traces<F: Family>(family: &F, found: &Found<F::Run>, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
     let some = |runs: &[F::Run]| runs.iter().take(DRAWN / 2).cloned().collect::<Vec<_>>();
     let mut all = Vec::new();
     for (runs, held_out) in [(some(holdout), true), (some(train), false)] {

@@ -191,6 +191,8 @@ pub struct Motion {
     of_speed: bool,
     duty_limit: f64,
     stops: Option<(f64, f64)>,
+    /// Nothing tells the voltage behind the duty.
+    supply_assumed: bool,
     scales: Scales,
     places: Places,
 }
@@ -204,6 +206,8 @@ struct Places {
     offset: Option<usize>,
 }
 
+/// A supply whose voltage nobody told, V.
+const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
@@ -380,8 +384,9 @@ impl Family for Motion {
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        self.in_units(structure, deviations)
+        self.in_units(structure, deviations, intervals)
     }
 
     fn force_per_push(&self, structure: &Structure) -> f64 {

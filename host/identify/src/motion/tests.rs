@@ -169,6 +169,46 @@ fn free_runs_together_are_as_alone() {
     }
 }
 
+/// A push of so many rad/s² is a torque by the inertia, and so is its interval.
+#[test]
+fn numbers_are_told_in_their_units_with_what_is_assumed() {
+    let (told, (mut model, _)) = (Known { supply_v: Some(12.0), ..Known::default() }, stepped(0.5, 101));
+    let index = model.catalogue().iter().position(|candidate| candidate.name == "coulomb-friction").expect("an effect");
+    let structure = Structure { base: vec![2.0, 0.05], terms: vec![Term::Known(index)], added: vec![vec![100.0]] };
+    let known = [Some([1.9, 2.2]), None, Some([90.0, 120.0])];
+    assert_eq!(model.known, told);
+    let (base, terms) = model.estimates(&structure, &[Some(0.1), None, Some(8.0)], &known);
+    let (speed, torque) = (&base["speed_per_volt_rad_s_per_v"], &terms[0]["torque_nm"]);
+    assert_eq!((speed.interval, base["time_constant_s"].interval), (Some([1.9, 2.2]), None));
+    // 0.5 V s/rad and 1 ohm: 12.5e-3 kg m² for 40 rad/s² per V.
+    let [low, high] = torque.interval.expect("an interval");
+    assert!((low - 1.125).abs() < EXACT && (high - 1.5).abs() < EXACT && (torque.value - 1.25).abs() < EXACT);
+    assert_eq!((speed.assumed.as_deref(), torque.assumed.as_deref()), (None, Some("resistance_ohm = 1")));
+    model.supply_assumed = true;
+    let (base, terms) = model.estimates(&structure, &[], &[]);
+    assert_eq!(base["speed_per_volt_rad_s_per_v"].assumed.as_deref(), Some("supply_v = 1"));
+    assert_eq!(terms[0]["torque_nm"].assumed.as_deref(), Some("resistance_ohm = 1, supply_v = 1"));
+}
+
+/// A duty says nothing of volts: the supply is a column, a number that is told, or assumed.
+#[test]
+fn a_supply_that_nothing_tells_is_assumed() {
+    let assumed = |quantity, column: bool, supply_v| {
+        let input = (0..200).map(|sample| f64::from(sample % 7)).collect();
+        let mut recorded = run((quantity, input), (Quantity::AngularSpeed, (0..200).map(f64::from).collect()), 5e-3);
+        if column {
+            let values = vec![12.0; 200];
+            let supply = Signal { column: "supply".into(), quantity: Quantity::Voltage, values };
+            recorded.signals.insert("supply".into(), supply);
+        }
+        let known = Known { supply_v, ..Known::default() };
+        Motion::new(Kind::DcMotor, &known, &[recorded], &[]).expect("a model").0.supply_assumed
+    };
+    assert!(assumed(Quantity::Number, false, None));
+    assert!(!assumed(Quantity::Number, true, None) && !assumed(Quantity::Number, false, Some(12.0)));
+    assert!(!assumed(Quantity::Voltage, false, None));
+}
+
 proptest! {
     /// Any values in range, of any effect: no panic, and numbers.
     #[test]
@@ -223,6 +263,15 @@ fn found(setup: Setup, draw: Draw, seed: u64) -> (Vec<String>, Vec<String>, f64)
     }
     let (train, holdout) = (recorded(setup, &experiment.train), recorded(setup, &experiment.holdout));
     let identified = identify(&task, &train, &holdout, vec![], &|_| {}).expect("identified");
+    for (name, estimate) in
+        identified.report.parameters.iter().chain(identified.report.effects.iter().flat_map(|e| &e.parameters))
+    {
+        let ([low, high], std) = (estimate.interval.expect("bounded"), estimate.std.expect("known"));
+        // A parabola has 3.92; sticking and gaps bend it, and the end of a range cuts it off.
+        let width = (high - low) / std;
+        assert!(low <= estimate.value && estimate.value <= high, "{name}: {estimate:?}");
+        assert!((width > 2.0 || low == 0.0) && width < 8.0, "{name}: {estimate:?}");
+    }
     let names = identified.report.effects.iter().map(|effect| effect.name.clone()).collect();
     let truth = experiment.hidden.truth().iter().map(|truth| truth.name.to_owned()).collect();
     (names, truth, identified.report.last.holdout.rmse / experiment.noise)
