@@ -11,7 +11,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use crate::{
     family::{Acts, Candidate, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
-    residual::is_white,
+    residual::{is_white, largest_correlation},
 };
 
 /// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
@@ -19,6 +19,8 @@ use crate::{
 pub(crate) const WORTH: f64 = 0.015;
 /// The same for a curve, which has many more numbers and no name.
 const CURVE_WORTH: f64 = 0.03;
+/// What is left is not looked into further when less than this share of it is anything but noise.
+const SMALL: f64 = 0.1;
 /// A term whose removal costs less than this share was superfluous.
 const SUPERFLUOUS: f64 = 0.004;
 /// Chance, after multiplying by the number of effects tried.
@@ -124,7 +126,10 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     progress("base model");
     let base = search.base();
     let mut path = search.path(base.clone(), &[false, true]);
-    let is_explained = |path: &Path| is_white(&path.current.residuals(family, &search.whole));
+    let is_explained = |path: &Path| {
+        let left = path.current.residuals(family, &search.whole);
+        is_white(&left) || largest_correlation(&left) < SMALL
+    };
     for order in [&[false, true][..], &[true, false, true]] {
         if is_explained(&path) {
             break;
