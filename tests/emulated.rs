@@ -1,7 +1,10 @@
 //! The program on emulated boards: what a user sees of the firmware's own image.
 
+mod program;
+
 use std::{fs, path::Path, process::Command};
 
+use program::{next, object, start, text};
 use serde_json::Value;
 
 /// Runs `r4` and gives what it printed as JSON; it must succeed.
@@ -45,4 +48,38 @@ fn the_demo_reaches_every_set_point() {
         // Degrees and millimetres; the loops settle within 0.15 of either.
         assert!(row["error_ours"].as_f64().is_some_and(|error| error.abs() < 0.15), "{row}");
     }
+}
+
+/// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
+#[test]
+fn the_log_is_read_over_a_link() {
+    let mut server = start(program::command(&["sim", "serve", "emu:osmc-bench", "--pty"]));
+    let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
+    let board = format!("serial:{}", text(&object(&first), "pty"));
+    server.out = None;
+    let r4 = |arguments: &[&str], elf: Option<&str>| {
+        let mut command = program::command(&[&["--board", &board, "--log"], arguments].concat());
+        command.env_remove("R4_ELF").envs(elf.map(|elf| ("R4_ELF", elf)));
+        start(command)
+    };
+    // Reading the file, which takes longer than the board waits for its host, does not hold up heartbeats.
+    let seen = r4(&["arm", "--for", "0.3"], None).finish();
+    assert!(seen.code == Some(0) && seen.err.contains("tasks run") && !seen.err.contains("trip"), "{seen:?}");
+    let mut watching = r4(&["watch", "osmc0"], None);
+    watching.out = None;
+    let mut told = Vec::new();
+    while !told.last().is_some_and(|line: &String| line.contains("tasks run")) {
+        told.push(next(&watching.err, watching.begin).unwrap_or_else(|| panic!("it goes on: {told:?}")));
+    }
+    // Where it is from, then records from the first on.
+    assert!(told[0].contains("osmc-bench-bare.elf, SHA-256"), "{told:?}");
+    assert!(told[1].contains("INFO") && told[1].contains("R4 ") && told[1].ends_with("image bare"), "{told:?}");
+    assert!(told[1..].iter().all(|line| line.contains(" s  INFO ")), "{told:?}");
+    drop(watching);
+
+    // The board that runs one image is not told by another.
+    let hosted = r4_emu::Image::built("osmc-bench", r4_image::Place::Hosted).expect("built beside the other");
+    let seen = r4(&["arm"], Some(hosted.path().to_str().expect("a name in Unicode"))).finish();
+    assert!(seen.code == Some(1) && seen.out.is_empty(), "{seen:?}");
+    assert!(seen.err.contains("another image than") && seen.err.contains("R4_ELF"), "{}", seen.err);
 }

@@ -8,6 +8,7 @@
 //! | [`state`] | safety states and trip causes |
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
+//! | [`log`] | the log of a board's firmware |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
 //! | [`can`] | a byte link on a CAN bus |
 //!
@@ -21,6 +22,7 @@ pub mod channel;
 pub mod config;
 pub mod cycle;
 pub mod frame;
+pub mod log;
 pub mod message;
 pub mod parameter;
 pub mod state;
@@ -28,6 +30,7 @@ pub mod state;
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
 pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unscaled};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
+pub use log::{LogChunk, LogInfo};
 pub use message::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
     Sample, Setpoint, Telemetry, ToDevice, ToHost,
@@ -36,7 +39,7 @@ pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 4;
+pub const VERSION: u16 = 5;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
@@ -58,6 +61,7 @@ pub const SCHEMA_HASH: u64 = {
         config::MAX_SUPPLIES,
         Cause::ALL.len(),
         cycle::CYCLE_CHANNELS,
+        log::MAX_LOG,
     ];
     let mut place = 0;
     while place < capacities.len() {

@@ -12,6 +12,7 @@ use crate::{
     channel::{ChannelId, ChannelInfo, Mode, Range},
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, Cycle, CycleChannel, CycleState},
+    log::{LogChunk, LogInfo},
     parameter::ParameterKey,
     state::{Causes, SafetyState},
 };
@@ -65,6 +66,8 @@ pub enum ToHost {
     Telemetry(Telemetry),
     /// The answer to a cycle.
     Cycle(CycleState),
+    /// What the firmware has logged, after [`Request::Log`].
+    Log(LogChunk),
 }
 
 /// What a host can ask.
@@ -186,6 +189,12 @@ pub enum Request {
         /// How long after it was decided a set point may be carried out, and is followed if no other comes.
         ttl_ms: u16,
     },
+    /// Sends what the firmware logs, from the oldest that the board still has on, until the session ends or this ends it.
+    /// Everything else goes before it.
+    Log {
+        /// Whether to send it.
+        on: bool,
+    },
 }
 
 /// Most bytes in one raw transfer.
@@ -226,6 +235,8 @@ pub enum Reply {
     FaultSnapshot(FaultSnapshot),
     /// To [`Request::I2cTransfer`] and [`Request::UartRead`].
     Bytes(Vec<u8, MAX_RAW>),
+    /// To [`Request::Log`].
+    Log(LogInfo),
 }
 
 /// A parameter and its values.
@@ -441,6 +452,8 @@ pub enum Refusal {
         /// As asked.
         channel: ChannelId,
     },
+    /// This firmware has no log: it is a simulated board's.
+    NoLog,
 }
 
 impl fmt::Display for Refusal {
@@ -510,6 +523,10 @@ impl fmt::Display for Refusal {
             Self::BadBinding { channel } => {
                 write!(f, "{channel} is in the cycle twice, or has a scale that is not finite and above 0")
             }
+            Self::NoLog => f.write_str(
+                "a simulated board has no log: that of the firmware's image is read on a real board or an emulated one, as in \
+                 emu:osmc-bench",
+            ),
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }
     }

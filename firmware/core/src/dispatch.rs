@@ -4,8 +4,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
-    ChannelId, ChannelInfo, DeviceInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request, SCHEMA_HASH,
-    SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
+    ChannelId, ChannelInfo, DeviceInfo, LogInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request,
+    SCHEMA_HASH, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
@@ -17,6 +17,7 @@ use crate::{
     FIRMWARE_VERSION,
     control::motor,
     cycle::Bound,
+    log::Feed,
     ranging,
     safety::Event,
     shared::Shared,
@@ -38,12 +39,14 @@ pub(crate) enum Outcome {
 #[derive(Default)]
 pub(crate) struct Host {
     pub(crate) subscriptions: Subscriptions,
+    pub(crate) log: Feed,
     bound: Bound,
 }
 
 impl Host {
     fn clear(&mut self) {
         self.subscriptions.clear();
+        self.log.clear();
         self.bound.clear();
     }
 }
@@ -203,6 +206,15 @@ fn answer<M: RawMutex>(
         Request::ResetParameters => shared.set_pending(shared.built_in().clone()),
         Request::Restart => {
             shared.restart()?;
+        }
+        Request::Log { on } => {
+            let log = shared.log().ok_or(Refusal::NoLog)?;
+            if on {
+                host.log.begin(log, now)
+            } else {
+                host.log.clear()
+            }
+            return Ok(Reply::Log(LogInfo { image: log.image }));
         }
         Request::Bind { channels, ttl_ms } => host.bound.bind(shared, &channels, ttl_ms)?,
         // Not answered here: [`dispatch`] passes them on.

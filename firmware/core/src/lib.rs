@@ -11,7 +11,7 @@
 //! | [`safety::supervise`] | watches every trip cause, owns the state machine and the hardware stop lines |
 //! | [`control::run`] | each period: sense, close the loops, tell step pulses, write the outputs; owns the board's I2C bus |
 //! | [`ranging::run`] | pings the range sensors in turn, where there are any |
-//! | [`link::serve`] | one per link: frames in, requests dispatched, telemetry out |
+//! | [`link::serve`] | one per link: frames in, requests dispatched, telemetry and log out |
 //! | [`passthrough::Passthrough::run`] | raw access to the external I2C and UART connectors |
 //! | [`storage::run`] | owns the flash: saved parameters, the history of trips |
 //! | [`screen::run`] | draws the optional screen; blocks, so it is alone on the lowest priority |
@@ -24,6 +24,7 @@ pub mod control;
 mod cycle;
 mod dispatch;
 pub mod link;
+pub mod log;
 pub mod motion;
 pub mod outputs;
 pub mod passthrough;

@@ -1,6 +1,6 @@
 //! One link to a host: frames in, answers and telemetry out.
 
-use embassy_futures::select::{Either, select, select3};
+use embassy_futures::select::{Either3, select3};
 use embassy_sync::{
     blocking_mutex::{Mutex, raw::NoopRawMutex, raw::RawMutex},
     channel::Channel,
@@ -93,11 +93,15 @@ async fn transmit<M: RawMutex, W: Write>(
         return;
     }
     loop {
-        let due = host.lock(|host| host.borrow().subscriptions.next_due());
-        let message = match select(answers.receive(), Timer::at(due)).await {
-            Either::First(answer) => Some(answer),
-            Either::Second(()) => {
+        let (due, log_due) = host.lock(|host| (host.borrow().subscriptions.next_due(), host.borrow().log.next_due()));
+        // The first that is ready: the log only where there is nothing else.
+        let message = match select3(answers.receive(), Timer::at(due), Timer::at(log_due)).await {
+            Either3::First(answer) => Some(answer),
+            Either3::Second(()) => {
                 host.lock(|host| host.borrow_mut().subscriptions.telemetry(shared)).map(ToHost::Telemetry)
+            }
+            Either3::Third(()) => {
+                shared.log().and_then(|log| host.lock(|host| host.borrow_mut().log.chunk(log))).map(ToHost::Log)
             }
         };
         // Every message fits: a test encodes the largest of each kind.

@@ -18,6 +18,7 @@ use r4_protocol::{
 
 use crate::{
     cycle::at_rest,
+    log::Log,
     passthrough::Passthrough,
     ranging,
     safety::{Event, Safety},
@@ -179,6 +180,7 @@ pub struct Shared<M: RawMutex> {
     pub storage: Storage<M>,
     /// Raw access to connectors; its own task serves it.
     pub passthrough: Passthrough<M>,
+    log: Option<Log>,
 }
 
 impl<M: RawMutex> Shared<M> {
@@ -232,7 +234,19 @@ impl<M: RawMutex> Shared<M> {
             restart: Signal::new(),
             storage: Storage::new(),
             passthrough: Passthrough::new(),
+            log: None,
         }
+    }
+
+    /// The same on a board that has a log.
+    #[must_use]
+    pub fn with_log(mut self, log: Log) -> Self {
+        self.log = Some(log);
+        self
+    }
+
+    pub(crate) fn log(&self) -> Option<&Log> {
+        self.log.as_ref()
     }
 
     /// The board's configuration.
@@ -344,9 +358,13 @@ impl<M: RawMutex> Shared<M> {
         });
     }
 
-    /// New gains of the position and of the speed loop.
-    pub(crate) fn take_gains(&self, motor: usize) -> [Option<PidGains>; 2] {
-        self.with(|s| core::mem::take(&mut s.gains[motor]))
+    /// The next new gains of some motor's loop, if there are any.
+    pub(crate) fn take_gains(&self) -> Option<(usize, Mode, PidGains)> {
+        self.with(|s| {
+            let (index, slot) = s.gains.as_flattened_mut().iter_mut().enumerate().find(|(_, gains)| gains.is_some())?;
+            let mode = if index % 2 == 0 { Mode::Position } else { Mode::Speed };
+            slot.take().map(|gains| (index / 2, mode, gains))
+        })
     }
 
     /// The outputs are in a known state, or could not be brought into one; hosts may be answered.

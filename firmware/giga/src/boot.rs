@@ -48,6 +48,7 @@ use crate::{
     flash::Bank2,
     i2c::{Bounce, Bus, Timing, Wiring},
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
+    log,
     peripherals::Processor,
     pins::{self, pin},
     ranging::{self, Rangers},
@@ -201,7 +202,7 @@ fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
         Saved::Damaged => defmt::error!("saved parameters are damaged"),
     }
     static SHARED: StaticCell<Board> = StaticCell::new();
-    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset))
+    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset).with_log(log::for_hosts()))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself.

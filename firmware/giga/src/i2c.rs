@@ -12,6 +12,7 @@
 
 use core::{
     future::{Future, poll_fn},
+    pin::pin,
     task::Poll,
 };
 
@@ -132,13 +133,64 @@ impl Wiring {
     }
 }
 
-/// Forgets the transfer when it is given up.
-struct Transfer(Wiring);
+/// A transfer that has its deadline, and leaves the controller idle whatever comes of it: it is forgotten when it is given up.
+/// Must be dropped after what embassy has of it, which ends its DMA first.
+struct Transfer<'w> {
+    wiring: &'w Wiring,
+    ended: bool,
+}
 
-impl Drop for Transfer {
-    fn drop(&mut self) {
-        self.0.forget();
+impl<'w> Transfer<'w> {
+    /// Waits for a free bus.
+    fn begin(wiring: &'w Wiring) -> Result<Self, BusError> {
+        if wiring.is_free() { Ok(Self { wiring, ended: false }) } else { Err(BusError::Held) }
     }
+
+    /// Carries it out within its deadline.
+    async fn wait(&self, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
+        let registers = self.wiring.registers;
+        // embassy's handler wakes this task on a NACK; it is looked for first, before embassy clears it.
+        let refused = poll_fn(|_| if registers.isr().read().nackf() { Poll::Ready(()) } else { Poll::Pending });
+        match select3(refused, transfer, Timer::after(self.wiring.timing.deadline)).await {
+            Either3::First(()) => Err(BusError::NoAcknowledge),
+            Either3::Second(done) => done.map_err(BusError::from),
+            Either3::Third(()) => Err(BusError::Held),
+        }
+    }
+
+    /// Waits for its stop.
+    fn end(mut self, result: Result<(), BusError>) -> Result<(), BusError> {
+        match result {
+            Ok(()) => {
+                self.ended = self.wiring.is_free();
+                if self.ended { Ok(()) } else { Err(BusError::Held) }
+            }
+            Err(BusError::NoAcknowledge) => {
+                // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
+                let _ = self.wiring.is_free();
+                Err(BusError::NoAcknowledge)
+            }
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl Drop for Transfer<'_> {
+    fn drop(&mut self) {
+        if !self.ended {
+            self.wiring.forget();
+        }
+    }
+}
+
+/// Carries a transfer of embassy's driver out. A macro, so that its future of 150 bytes stays where it is made: given from
+/// function to function it was copied five times, which took a fifteenth of all instructions.
+macro_rules! guarded {
+    ($wiring:expr, $transfer:expr) => {{
+        let guard = Transfer::begin($wiring)?;
+        let result = guard.wait(pin!($transfer)).await;
+        guard.end(result)
+    }};
 }
 
 /// A transfer that failed.
@@ -215,36 +267,6 @@ impl Bus {
     }
 }
 
-/// Carries a transfer out within its deadline, and leaves the controller idle whatever comes of it.
-async fn guarded(wiring: Wiring, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
-    if !wiring.is_free() {
-        return Err(BusError::Held);
-    }
-    // Dropped last of all: embassy's part ends its DMA first.
-    let guard = Transfer(wiring);
-    let registers = wiring.registers;
-    // embassy's handler wakes this task on a NACK; it is looked for first, before embassy clears it.
-    let refused = poll_fn(|_| if registers.isr().read().nackf() { Poll::Ready(()) } else { Poll::Pending });
-    let result = match select3(refused, transfer, Timer::after(wiring.timing.deadline)).await {
-        Either3::First(()) => Err(BusError::NoAcknowledge),
-        Either3::Second(done) => done.map_err(BusError::from),
-        Either3::Third(()) => Err(BusError::Held),
-    };
-    match result {
-        Ok(()) if wiring.is_free() => {
-            core::mem::forget(guard);
-            Ok(())
-        }
-        Ok(()) => Err(BusError::Held),
-        Err(BusError::NoAcknowledge) => {
-            // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
-            let _ = wiring.is_free();
-            Err(BusError::NoAcknowledge)
-        }
-        Err(error) => Err(error),
-    }
-}
-
 impl ErrorType for Bus {
     type Error = BusError;
 }
@@ -252,32 +274,32 @@ impl ErrorType for Bus {
 impl I2cBus for Bus {
     async fn read(&mut self, address: u8, read: &mut [u8]) -> Result<(), BusError> {
         let Some(bounce) = &mut self.bounce else {
-            return guarded(self.wiring, self.driver.read(address, read)).await;
+            return guarded!(&self.wiring, self.driver.read(address, read));
         };
         let back = bounce.back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
-        guarded(self.wiring, self.driver.read(address, back)).await?;
+        guarded!(&self.wiring, self.driver.read(address, back))?;
         read.copy_from_slice(back);
         Ok(())
     }
 
     async fn write(&mut self, address: u8, write: &[u8]) -> Result<(), BusError> {
         let Some(bounce) = &mut self.bounce else {
-            return guarded(self.wiring, self.driver.write(address, write)).await;
+            return guarded!(&self.wiring, self.driver.write(address, write));
         };
         let out = bounce.out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
         out.copy_from_slice(write);
-        guarded(self.wiring, self.driver.write(address, out)).await
+        guarded!(&self.wiring, self.driver.write(address, out))
     }
 
     async fn write_read(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let Some(bounce) = &mut self.bounce else {
-            return guarded(self.wiring, self.driver.write_read(address, write, read)).await;
+            return guarded!(&self.wiring, self.driver.write_read(address, write, read));
         };
         let Bounce { out, back } = bounce;
         let out = out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
         let back = back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
         out.copy_from_slice(write);
-        guarded(self.wiring, self.driver.write_read(address, out, back)).await?;
+        guarded!(&self.wiring, self.driver.write_read(address, out, back))?;
         read.copy_from_slice(back);
         Ok(())
     }
@@ -289,7 +311,7 @@ impl I2cBus for Bus {
             [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
             // Nothing in the firmware asks for other shapes.
             _ if self.bounce.is_some() => Err(BusError::TooLong),
-            _ => guarded(self.wiring, self.driver.transaction(address, operations)).await,
+            _ => guarded!(&self.wiring, self.driver.transaction(address, operations)),
         }
     }
 }

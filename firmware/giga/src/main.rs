@@ -16,6 +16,7 @@
 //! | `peripherals` | counters, converters, pulses: what the control loop uses |
 //! | `encoders`, `steppers`, `ranging`, `analog`, `switches` | its parts |
 //! | `flash` | what keeps parameters and trips |
+//! | `log` | what defmt writes, for probes and hosts |
 #![no_std]
 #![no_main]
 
@@ -27,6 +28,7 @@ mod executors;
 mod flash;
 mod i2c;
 mod links;
+mod log;
 mod panic;
 mod peripherals;
 mod pins;
@@ -38,7 +40,6 @@ mod switches;
 mod watchdog;
 
 use cortex_m_rt::entry;
-use defmt_rtt as _;
 
 #[entry]
 fn main() -> ! {

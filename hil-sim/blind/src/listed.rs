@@ -7,8 +7,8 @@ use r4_plants::{
         compliance::Compliance,
         delay::InputDelay,
         friction::{
-            CoulombFriction, DirectionFriction, FrictionWarmUp, LoadFriction, PositionFriction, QuadraticDrag,
-            StaticFriction,
+            CoulombFriction, DirectionFriction, DirectionViscous, FrictionWarmUp, LoadFriction, PositionFriction,
+            QuadraticDrag, StaticFriction,
         },
         input::{DeadZone, DirectionAsymmetry, DriveLag, GainCurve, InputHold, Saturation},
         load::{Cogging, ConstantLoad, GravityLoad},
@@ -79,6 +79,11 @@ pub(crate) const CANDIDATES: &[Candidate] = candidates! {
         let less = more * dice.between(0.1, 0.55);
         let [forward, backward] = if dice.share() < 0.5 { [more, less] } else { [less, more] };
         Effect::DirectionFriction(DirectionFriction { forward, backward })
+    };
+    "direction-viscous", [], |dice, scale| {
+        let more = scale.force / scale.speed * dice.between(0.4, 1.2);
+        let [forward, backward] = if dice.share() < 0.5 { [more, 0.0] } else { [0.0, more] };
+        Effect::DirectionViscous(DirectionViscous { forward, backward })
     };
     "position-friction", [], |dice, scale| Effect::PositionFriction(PositionFriction {
         level: scale.force * dice.between(0.15, 0.4),

@@ -99,6 +99,18 @@ fn another_version_or_schema_gets_no_session() {
     });
 }
 
+#[test]
+fn a_simulated_board_has_no_log_and_says_so() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        assert_eq!(host.ask(Request::Log { on: true }).await, Err(Refusal::NoSession));
+        host.hello().await;
+        for on in [true, false] {
+            assert_eq!(host.ask(Request::Log { on }).await, Err(Refusal::NoLog));
+        }
+        assert!(host.listen(50).await.iter().all(|message| !matches!(message, ToHost::Log(_))));
+    });
+}
+
 /// A frame with one of its bytes changed, and still without a delimiter inside.
 fn changed(mut bytes: Vec<u8>, place: usize) -> Vec<u8> {
     bytes[place] = if bytes[place] == 0xFF { 1 } else { bytes[place] + 1 };

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use sha2::{Digest, Sha256};
+use r4_image::Place;
 
 /// An ELF file as it would be flashed.
 #[derive(Clone)]
@@ -20,13 +20,15 @@ pub struct Image {
 pub enum ImageError {
     /// None is where it is looked for.
     #[error(
-        "there is no firmware for {robot}: {} does not exist. Build it with `cargo xtask firmware --robot {robot}`, or name \
-         an ELF file with R4_ELF",
+        "there is no firmware for {robot}: {} does not exist. Build it with `cargo xtask firmware --robot {robot} --image {kind}`, \
+         or name an ELF file with R4_ELF",
         .path.display()
     )]
     Missing {
         /// Robot.
         robot: String,
+        /// Kind of image.
+        kind: &'static str,
         /// Where it was looked for.
         path: PathBuf,
     },
@@ -47,18 +49,27 @@ impl Image {
     /// # Errors
     /// When it is not there.
     pub fn find(robot: &str) -> Result<Self, ImageError> {
-        if let Some(path) = env::var_os("R4_ELF") {
-            return Self::read(Path::new(&path));
+        match env::var_os("R4_ELF") {
+            Some(path) => Self::read(Path::new(&path)),
+            None => Self::built(robot, Place::Bare),
         }
+    }
+
+    /// The image for a robot that `cargo xtask firmware` has built last.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn built(robot: &str, place: Place) -> Result<Self, ImageError> {
+        let kind = place.name();
         let name = Path::new(robot).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let file = Path::new("firmware").join(format!("{name}-bare.elf"));
+        let file = Path::new("firmware").join(format!("{name}-{kind}.elf"));
         let exe = env::current_exe().unwrap_or_default();
         // target/debug/r4, or target/debug/deps/<a test>.
         let beside = exe.ancestors().skip(1).take(3).map(|folder| folder.join(&file));
         let mut places = beside.chain([Path::new("target").join(&file)]);
         match places.find(|path| path.is_file()) {
             Some(path) => Self::read(&path),
-            None => Err(ImageError::Missing { robot: robot.to_owned(), path: Path::new("target").join(file) }),
+            None => Err(ImageError::Missing { robot: robot.to_owned(), kind, path: Path::new("target").join(file) }),
         }
     }
 
@@ -107,7 +118,7 @@ impl Image {
     /// SHA-256 of the file, as `sha256sum` prints it.
     #[must_use]
     pub fn digest(&self) -> String {
-        Sha256::digest(&self.elf).iter().map(|byte| format!("{byte:02x}")).collect()
+        r4_image::digest(&self.elf)
     }
 }
 

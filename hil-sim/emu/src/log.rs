@@ -1,4 +1,4 @@
-//! The firmware's log: what defmt writes to its RTT buffer in RAM, read as a debugger reads it and decoded from the ELF.
+//! The firmware's log: decoded from the ELF ([`Decoder`]), and read from an emulated board's RAM as a debugger reads it ([`Log`]).
 //!
 //! RTT keeps a control block in RAM, at the symbol `_SEGGER_RTT`: 16 bytes of identification, the numbers of channels to and
 //! from the host, then for each channel its name, buffer, size, and the positions of writer and reader. The reader moves its
@@ -60,6 +60,14 @@ pub struct Record {
     pub message: String,
 }
 
+impl Record {
+    /// What the firmware did not write: something about the log itself.
+    #[must_use]
+    pub fn note(read_ns: u64, message: impl Into<String>) -> Self {
+        Self { read_ns, stamp: String::new(), level: Some(Level::Warn), message: message.into() }
+    }
+}
+
 /// Why a log cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -71,12 +79,68 @@ pub enum LogError {
     Format(String),
 }
 
-/// Reads and decodes the log of a machine.
-pub struct Log<F> {
+/// Makes records of what defmt wrote, wherever that was read.
+pub struct Decoder {
     table: Table,
-    control_block: u32,
     /// The beginning of a frame that is not complete.
     rest: Vec<u8>,
+    /// What comes before the next end of a frame belongs to one whose beginning is lost.
+    skips: bool,
+}
+
+impl Decoder {
+    /// For the image whose ELF file this is.
+    ///
+    /// # Errors
+    /// [`LogError`].
+    pub fn new(elf: &[u8]) -> Result<Self, LogError> {
+        let table = Table::parse(elf).map_err(|error| LogError::Format(error.to_string()))?.ok_or(LogError::None)?;
+        // Only frames of this encoding have an end that can be found again after a loss; it is defmt's default.
+        if !matches!(table.encoding(), Encoding::Rzcobs) {
+            return Err(LogError::Format("its encoding is raw, not rzCOBS".into()));
+        }
+        Ok(Self { table, rest: Vec::new(), skips: false })
+    }
+
+    /// Says that what follows does not join what was given so far: something was lost in between.
+    pub fn lost(&mut self) {
+        self.rest.clear();
+        self.skips = true;
+    }
+
+    /// Takes what was written next, and gives `sink` the records that are complete now.
+    pub fn push(&mut self, mut bytes: &[u8], read_ns: u64, mut sink: impl FnMut(Record)) {
+        if self.skips {
+            let Some(end) = bytes.iter().position(|byte| *byte == 0) else { return };
+            bytes = &bytes[end + 1..];
+            self.skips = false;
+        }
+        self.rest.extend(bytes);
+        let Some(end) = self.rest.iter().rposition(|byte| *byte == 0) else { return };
+        let frames: Vec<u8> = self.rest.drain(..=end).collect();
+        let mut decoder = self.table.new_stream_decoder();
+        decoder.received(&frames);
+        loop {
+            sink(match decoder.decode() {
+                Ok(frame) => Record {
+                    read_ns,
+                    stamp: frame.display_timestamp().map(|stamp| stamp.to_string()).unwrap_or_default(),
+                    level: frame.level().map(|known| level(known.as_str())),
+                    message: frame.display_message().to_string(),
+                },
+                Err(DecodeError::UnexpectedEof) => break,
+                Err(DecodeError::Malformed) => {
+                    Record::note(read_ns, "(a record that cannot be decoded: more was written than the buffer holds)")
+                }
+            });
+        }
+    }
+}
+
+/// Reads and decodes the log of a machine.
+pub struct Log<F> {
+    decoder: Decoder,
+    control_block: u32,
     sink: F,
 }
 
@@ -86,41 +150,14 @@ impl<F: FnMut(Record)> Log<F> {
     /// # Errors
     /// [`LogError`].
     pub fn new(image: &Image, control_block: Option<u32>, sink: F) -> Result<Self, LogError> {
-        let table = Table::parse(image.elf()).map_err(|error| LogError::Format(error.to_string()))?;
-        let (Some(table), Some(control_block)) = (table, control_block) else { return Err(LogError::None) };
-        // Only frames of this encoding have an end that can be found again after a loss; it is defmt's default.
-        if !matches!(table.encoding(), Encoding::Rzcobs) {
-            return Err(LogError::Format("its encoding is raw, not rzCOBS".into()));
-        }
-        Ok(Self { table, control_block, rest: Vec::new(), sink })
+        let control_block = control_block.ok_or(LogError::None)?;
+        Ok(Self { decoder: Decoder::new(image.elf())?, control_block, sink })
     }
 
     /// Takes what was written since the last call.
     pub fn poll(&mut self, memory: &Memory, now_ns: u64) {
         let Some(bytes) = take(memory, self.control_block) else { return };
-        self.rest.extend(bytes);
-        let Some(end) = self.rest.iter().rposition(|byte| *byte == 0) else { return };
-        let frames: Vec<u8> = self.rest.drain(..=end).collect();
-        let mut decoder = self.table.new_stream_decoder();
-        decoder.received(&frames);
-        loop {
-            let record = match decoder.decode() {
-                Ok(frame) => Record {
-                    read_ns: now_ns,
-                    stamp: frame.display_timestamp().map(|stamp| stamp.to_string()).unwrap_or_default(),
-                    level: frame.level().map(|known| level(known.as_str())),
-                    message: frame.display_message().to_string(),
-                },
-                Err(DecodeError::UnexpectedEof) => break,
-                Err(DecodeError::Malformed) => Record {
-                    read_ns: now_ns,
-                    stamp: String::new(),
-                    level: Some(Level::Warn),
-                    message: "(a record that cannot be decoded: more was written than the buffer holds)".into(),
-                },
-            };
-            (self.sink)(record);
-        }
+        self.decoder.push(&bytes, now_ns, &mut self.sink);
     }
 }
 

@@ -7,7 +7,7 @@ use crate::decode::{self, Position, What};
 use crate::float::Float;
 use crate::operation::Op;
 
-/// A block: where it is, and where its operations are.
+/// A stretch of blocks: where it is, and where its operations are.
 #[derive(Clone, Debug)]
 pub(crate) struct Block {
     pub(crate) address: u32,
@@ -15,6 +15,7 @@ pub(crate) struct Block {
     pub(crate) end: u32,
     first: u32,
     len: u16,
+    /// Of the first block.
     pub(crate) instructions: u16,
     /// ITSTATE after it.
     pub(crate) it: u8,
@@ -22,20 +23,32 @@ pub(crate) struct Block {
     pub(crate) observed: bool,
     /// The number of the block that begins at `end`, once that was met.
     after: Cell<u32>,
-    /// An address that was branched to last, and the number of the block there.
-    branched: Cell<(u32, u32)>,
+    /// Addresses that were branched to last, and the numbers of the blocks there, each in the place that its address chooses.
+    branched: [Cell<(u32, u32)>; Self::BRANCHES],
 }
 
 impl Block {
+    const BRANCHES: usize = 4;
+
+    #[inline(always)]
+    fn branched(&self, address: u32) -> &Cell<(u32, u32)> {
+        &self.branched[address as usize / 2 % Self::BRANCHES]
+    }
+
     /// What is before an instruction outside of IT blocks.
     pub(crate) fn beginning(&self, end: u32, len: u16, instructions: u16) -> Self {
-        let (after, branched) = (Cell::new(NONE), Cell::new((NONE, NONE)));
+        let (after, branched) = unlinked();
         Self { end, len, instructions, it: 0, after, branched, ..*self }
     }
 }
 
 /// No block.
 const NONE: u32 = u32::MAX;
+
+/// Nothing has followed it yet.
+fn unlinked() -> (Cell<u32>, [Cell<(u32, u32)>; Block::BRANCHES]) {
+    (Cell::new(NONE), std::array::from_fn(|_| Cell::new((NONE, NONE))))
+}
 
 /// Operations of many blocks, one after the other.
 #[derive(Default)]
@@ -99,7 +112,7 @@ impl Blocks {
         let number = if address == before.end {
             before.after.get()
         } else {
-            let (to, number) = before.branched.get();
+            let (to, number) = before.branched(address).get();
             if to == address { number } else { NONE }
         };
         match self.blocks.get(number as usize) {
@@ -114,7 +127,7 @@ impl Blocks {
         if address == before.end {
             before.after.set(number);
         } else {
-            before.branched.set((address, number));
+            before.branched(address).set((address, number));
         }
         self.by_number(number)
     }
@@ -148,7 +161,7 @@ impl Blocks {
 
     /// Decodes a block, which is not found again but by its number.
     pub(crate) fn add(&mut self, address: u32, what: &What<'_>) -> Option<u32> {
-        let decoded = decode::block(address, what, &mut self.store.floats)?;
+        let decoded = decode::stretch(address, what, &mut self.store.floats)?;
         let first = self.store.ops.len() as u32;
         let len = decoded.ops.len() as u16;
         self.store.ops.extend(decoded.ops);
@@ -159,7 +172,7 @@ impl Blocks {
         }
         let (end, instructions, it) = (decoded.end, decoded.instructions, decoded.it);
         let number = self.blocks.len() as u32;
-        let (after, branched) = (Cell::new(NONE), Cell::new((NONE, NONE)));
+        let (after, branched) = unlinked();
         self.blocks.push(Block { address, end, first, len, instructions, it, observed, after, branched });
         Some(number)
     }

@@ -655,7 +655,13 @@ pub(crate) enum Op {
     },
     Clrex,
 
-    /// The last of their block.
+    /// The block ends, and the next one of its stretch begins: where, and how many instructions it has.
+    Onward {
+        instructions: u16,
+        address: u32,
+    },
+
+    /// The last of their block. Where it is not taken, what follows does.
     Branch {
         target: u32,
     },

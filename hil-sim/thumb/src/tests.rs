@@ -30,6 +30,31 @@ impl CoreBus for Silent {
     }
 }
 
+/// The same with another limit; keeps where accesses are from.
+struct Limited {
+    instructions: u64,
+    accesses: Vec<(u32, u64)>,
+}
+
+impl CoreBus for Limited {
+    fn read(&mut self, access: &Access) -> Result<u32, NoResult> {
+        self.accesses.push((access.pc - CODE, access.instructions));
+        Ok(0)
+    }
+
+    fn write(&mut self, _: &Access, _: u32) {}
+
+    fn limits(&self) -> Limits {
+        Limits { instructions: self.instructions, mask_changes: false }
+    }
+
+    fn event(&mut self) {}
+
+    fn remapped(&mut self) -> Option<&[Region]> {
+        None
+    }
+}
+
 fn core(code: &[u16]) -> (ThumbCore, Memory) {
     let memory = Memory::new();
     let bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
@@ -156,4 +181,28 @@ fn code_at_the_end_of_a_memory_is_not_fetched_beyond_it() {
     let stop = core.run(&mut Silent).unwrap();
     assert_eq!(stop, CoreStop { instructions: 1, why: Why::Fault(Fault::Fetch) });
     assert_eq!(core.get(Register::Pc), last + 2);
+}
+
+#[test]
+fn blocks_that_follow_each_other_are_each_begun_within_the_limit() {
+    // 0: movs r0,#1; 2: beq 6; 4: movs r0,#2; 6: b 10; 8: wfi; 10: ldr r1,[r3]; 12: wfi
+    let code = [0x2001, 0xD000, 0x2002, 0xE000, 0xBF30, 0x6819, 0xBF30];
+    for (limit, executed, pc) in [(0, 0, 0), (1, 2, 4), (2, 2, 4), (3, 4, 10), (4, 4, 10)] {
+        // What is not decoded yet, and what is.
+        let (mut core, _) = core(&code);
+        for _ in 0..2 {
+            core.set(Register::Pc, CODE);
+            let mut bus = Limited { instructions: limit, accesses: Vec::new() };
+            let stop = core.run(&mut bus).unwrap();
+            assert_eq!(stop, CoreStop { instructions: executed, why: Why::Limit }, "limit {limit}");
+            assert_eq!(core.get(Register::Pc) - CODE, pc, "limit {limit}");
+        }
+    }
+    let (mut core, _) = core(&code);
+    core.set(Register::R(3), NOWHERE);
+    let mut bus = Limited { instructions: 1000, accesses: Vec::new() };
+    assert_eq!(core.run(&mut bus).unwrap(), CoreStop { instructions: 6, why: Why::Wfi });
+    assert_eq!((bus.accesses, core.get(Register::Pc) - CODE), (vec![(10, 4)], 14));
+    core.set(Register::Pc, CODE);
+    assert_eq!(run(&mut core), (4, Why::Fault(Fault::Load), 10));
 }

@@ -50,8 +50,8 @@ pub(crate) struct Args {
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
-    /// Print the log of an emulated board's firmware on stderr, from this level on [levels: trace, debug, info, warn, error;
-    /// without one: trace]
+    /// Print the log of the firmware of an emulated or real board on stderr, from this level on [levels: trace, debug, info,
+    /// warn, error; without one: trace]. The ELF file of its image decodes it: R4_ELF, or what was built last
     #[arg(
         long,
         global = true,
@@ -138,6 +138,8 @@ pub(crate) enum Command {
         /// Which trip: 0 is the newest
         index: Option<u8>,
     },
+    /// Write the firmware into a board's flash over a debug probe, or tell how to over USB
+    Flash(commands::flash::Flash),
     /// Write to a device on an external I2C connector, then read from it
     I2c(I2c),
     /// Send and receive on a UART connector

@@ -108,7 +108,8 @@ impl Starter for Person {
     }
 }
 
-fn print(from: LogLevel, record: &Record) {
+/// Prints a record of the firmware's log, if it matters as much as `from` or more.
+pub(crate) fn print(from: LogLevel, record: &Record) {
     let level = record.level.map(|level| match level {
         Level::Trace => LogLevel::Trace,
         Level::Debug => LogLevel::Debug,

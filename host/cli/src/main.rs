@@ -4,6 +4,7 @@ mod args;
 mod cable;
 mod commands;
 mod emulated;
+mod link_log;
 mod output;
 mod plants;
 mod quantity;
@@ -72,6 +73,7 @@ fn run(args: &Args) -> anyhow::Result<bool> {
         Command::Calibrate(calibrate) => commands::calibrate::run(args, calibrate),
         Command::Config(config) => commands::config::run(args, config),
         Command::Faults { index } => commands::faults::run(args, *index),
+        Command::Flash(flash) => commands::flash::run(args, flash),
         Command::I2c(i2c) => commands::raw::i2c(args, i2c),
         Command::Uart(uart) => commands::raw::uart(args, uart),
         Command::Tune(tune) => commands::tune::run(args, tune),

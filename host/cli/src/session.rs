@@ -22,8 +22,9 @@ use r4_protocol::{ChannelId, Mode, config::PidGains};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
-    args::Args,
+    args::{Args, Command},
     cable::{Cable, CableState},
+    link_log::LinkLog,
     plants,
     record::{Listened, Recording, SharedTap},
 };
@@ -336,7 +337,7 @@ fn run_on<T>(
                 clock: clock.clone(),
                 tap,
             };
-            unless_interrupted(&session, clock, work(&session)).await
+            unless_interrupted(&session, clock, logged(args, &session, work(&session))).await
         });
         connected.await.with_context(|| format!("cannot connect to {}", args.board))?
     })?;
@@ -375,7 +376,7 @@ pub(crate) fn keep<T>(
                 clock: clock.clone(),
                 tap: None,
             };
-            work(&session).await
+            logged(args, &session, work(&session)).await
         },
         |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
         |event| {
@@ -430,9 +431,11 @@ pub(crate) fn power_up(
     plants::replace(args, &mut robot)?;
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
-    if args.log.is_some() && matches!(args.board, Target::Sim(_)) {
-        eprintln!(
-            "r4: a simulated board has no log: that of the firmware's image is read on an emulated one, emu:{name}"
+    // Of two boards that are compared the emulated one has a log.
+    let compared = matches!(&args.command, Command::Scenario(scenario) if scenario.compare);
+    if args.log.is_some() && matches!(args.board, Target::Sim(_)) && !compared {
+        bail!(
+            "a simulated board has no log: that of the firmware's image is read on a real or an emulated one, emu:{name}"
         );
     }
     let board = start(args, simulation, &robot, flash)?;
@@ -455,6 +458,23 @@ fn start(
         Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
         Target::Link(_) => Err(NotVirtual(args.board.clone()).into()),
     }
+}
+
+/// Prints what the firmware logs while `work` runs, where `args` ask for it.
+async fn logged<T>(
+    args: &Args,
+    session: &Session<'_>,
+    work: impl Future<Output = anyhow::Result<T>>,
+) -> anyhow::Result<T> {
+    let Some(from) = args.log else { return work.await };
+    let mut log = LinkLog::open(session.board, session.clock.clone(), from).await?;
+    let result = match select(pin!(work), pin!(log.follow())).await {
+        Either::Left((result, _)) => result,
+        // The link ended, of which the work will say more.
+        Either::Right(((), work)) => work.await,
+    };
+    log.rest();
+    result
 }
 
 /// Until Ctrl-C.

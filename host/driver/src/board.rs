@@ -13,7 +13,7 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ParameterInfo,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, LogInfo, Mode, ParameterInfo,
     ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, VERSION,
     config::{MAX_NAME, PidGains},
     message::MAX_RAW,
@@ -22,7 +22,7 @@ use r4_protocol::{
 use crate::{
     Clock, Error,
     connection::State,
-    streams::{SampleStream, SentStream, TelemetryStream, lock},
+    streams::{LogStream, SampleStream, SentStream, TelemetryStream, lock},
 };
 
 /// A request without an answer after this long has failed.
@@ -279,6 +279,20 @@ impl<C: Clock> Board<C> {
     #[must_use]
     pub fn sent(&self) -> SentStream {
         lock(&self.wire.state).sent.open()
+    }
+
+    /// What the firmware logs, from the oldest that the board still has on, and which image writes it: only its ELF decodes it.
+    /// Asked for again in the same session, it goes on where it is.
+    ///
+    /// # Errors
+    /// [`Refusal::NoLog`], besides what befalls any request.
+    pub async fn log(&self) -> Result<(LogInfo, LogStream), Error> {
+        // Before the board is asked, so that nothing is missed.
+        let log = lock(&self.wire.state).log.open();
+        match self.wire.request("log", Request::Log { on: true }).await? {
+            Reply::Log(info) => Ok((info, log)),
+            _ => Err(Error::WrongReply { request: "log" }),
+        }
     }
 
     /// All telemetry from now on.
@@ -552,6 +566,7 @@ fn may_be_repeated(request: &Request) -> bool {
         Request::Describe { .. }
             | Request::Stats
             | Request::Subscribe { .. }
+            | Request::Log { .. }
             | Request::Bind { .. }
             | Request::DescribeParameter { .. }
             | Request::Disarm

@@ -14,8 +14,8 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, Refusal, Reply, Request, SafetyState, Telemetry,
-    ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
+    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, LogChunk, Refusal, Reply, Request, SafetyState,
+    Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
 };
 
 use crate::{
@@ -43,6 +43,7 @@ pub(crate) struct State {
     pub(crate) cycles: CycleQueue,
     pub(crate) samples: SampleStreams,
     pub(crate) sent: Streams<Sent>,
+    pub(crate) log: Streams<LogChunk>,
     /// What the board has been asked for, and every how many ms.
     pub(crate) subscriptions: Vec<(ChannelId, u16)>,
     /// What the board takes cycles for, as it was last told.
@@ -90,6 +91,7 @@ impl State {
                 self.telemetry.push(&telemetry);
                 self.samples.push(&telemetry, self.clock.host_us(telemetry.device_us));
             }
+            ToHost::Log(chunk) => self.log.push(&chunk),
             ToHost::Cycle(told) => {
                 if let Ok(state) = told.state() {
                     self.safety = Some((state, told.causes()));
@@ -124,6 +126,7 @@ impl State {
         self.telemetry.end(&error);
         self.samples.end(&error);
         self.sent.end(&error);
+        self.log.end(&error);
         self.cycles.wake_user();
         error
     }

@@ -71,7 +71,7 @@ pub use board::{Board, Motion, Until};
 pub use connection::with_board;
 pub use cycles::{CycleCounters, CycleMotion, CycleReport, Cycles};
 pub use error::Error;
-pub use streams::{ChannelSample, SampleStream, Sent, SentStream, Stream, TelemetryStream};
+pub use streams::{ChannelSample, LogStream, SampleStream, Sent, SentStream, Stream, TelemetryStream};
 
 /// Where the driver takes its time from.
 pub trait Clock: Clone {

@@ -6,7 +6,7 @@ use std::{
     task::{Poll, Waker},
 };
 
-use r4_protocol::{Causes, ChannelId, ChannelInfo, SafetyState, Sample, Setpoint, Telemetry, ToDevice};
+use r4_protocol::{Causes, ChannelId, ChannelInfo, LogChunk, SafetyState, Sample, Setpoint, Telemetry, ToDevice};
 
 use crate::Error;
 
@@ -29,6 +29,9 @@ pub type TelemetryStream = Stream<Telemetry>;
 pub type SampleStream = Stream<ChannelSample>;
 /// What the driver has sent.
 pub type SentStream = Stream<Sent>;
+
+/// What the board's firmware logs.
+pub type LogStream = Stream<LogChunk>;
 
 /// A sample of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]

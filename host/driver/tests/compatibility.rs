@@ -10,9 +10,9 @@ use r4_protocol::{Refusal, VERSION};
 use simulated::{VirtualClock, simulated_link};
 
 /// Frames of every message, direction, name and bytes.
-const GOLDEN: &str = include_str!("../../../protocol/tests/golden/v3.txt");
+const GOLDEN: &str = include_str!("../../../protocol/tests/golden/v4.txt");
 /// A session of a host with a board, who and bytes.
-const SESSION: &str = include_str!("../../../protocol/tests/golden/v3-session.txt");
+const SESSION: &str = include_str!("../../../protocol/tests/golden/v4-session.txt");
 
 /// Bytes of the rows that begin with `who`.
 fn rows(table: &str, who: &str) -> Vec<Vec<u8>> {
@@ -53,18 +53,18 @@ fn told(says: Vec<Vec<u8>>) -> Error {
 }
 
 #[test]
-fn a_board_of_version_3_is_named_with_both_versions() {
+fn a_board_of_version_4_is_named_with_both_versions() {
     let error = told(rows(SESSION, "refusal"));
-    let Error::Refused(Refusal::ProtocolMismatch { version: 3, schema }) = error else { panic!("{error:?}") };
+    let Error::Refused(Refusal::ProtocolMismatch { version: 4, schema }) = error else { panic!("{error:?}") };
     let text = error.to_string();
-    for part in ["protocol 3".to_owned(), format!("{schema:016x}"), format!("this program {VERSION} ")] {
+    for part in ["protocol 4".to_owned(), format!("{schema:016x}"), format!("this program {VERSION} ")] {
         assert!(text.contains(&part), "{part} in {text}");
     }
 }
 
-/// A board of version 3 that took the hello, which none does: no panic, no session on what today's host reads otherwise.
+/// A board of version 4 that took the hello, which none does: no panic, no session on what today's host reads otherwise.
 #[test]
-fn no_message_of_version_3_opens_a_session() {
+fn no_message_of_version_4_opens_a_session() {
     let said = rows(GOLDEN, "to-host");
     assert!(said.len() > 60, "{} messages", said.len());
     for bytes in said.iter().chain(&rows(GOLDEN, "to-device")) {

@@ -67,7 +67,7 @@ fn close(fitted: &[MapRun], held_out: &[(&str, &MapRun)]) -> Result<(), Box<dyn 
     Ok(())
 }
 
-fn show(map: &StaticMap, found: &Found) {
+fn show(map: &StaticMap, found: &Found<MapRun>) {
     for step in &found.steps {
         let name = match &step.term {
             Term::Known(index) => map.catalogue()[*index].name,

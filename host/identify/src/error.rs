@@ -12,7 +12,7 @@ pub enum IdentifyError {
     #[error("no run is held out: give other files with --holdout, or --holdout every:2 to keep every second run")]
     NoHoldout,
     /// A role of the model has no column.
-    #[error("the model {model} needs a column for `{role}`: name it with --{role} or --map {role}=column")]
+    #[error("the model {model} needs a column for `{role}`: name it with --map {role}=COLUMN")]
     MissingRole {
         /// The model.
         model: &'static str,

@@ -105,7 +105,8 @@ impl Curve {
     pub fn value(&self, values: &[f64], x: f64) -> f64 {
         let Some((&first, &last)) = self.at.first().zip(self.at.last()) else { return 0.0 };
         let x = self.period.map_or(x, |period| first + (x - first).rem_euclid(period));
-        let above = self.at.partition_point(|&at| at <= x);
+        // Few corners: counting them all is faster than looking for the right one.
+        let above = self.at.iter().filter(|&&at| at <= x).count();
         let between = |(x0, y0): (f64, f64), (x1, y1): (f64, f64)| {
             if x1 > x0 { y0 + (y1 - y0) * (x - x0) / (x1 - x0) } else { y0 }
         };
@@ -157,6 +158,17 @@ impl Structure {
     }
 }
 
+/// A free run that was simulated.
+#[derive(Clone, Copy, Debug)]
+pub struct Simulated<'s> {
+    /// Of what.
+    pub structure: &'s Structure,
+    /// From where.
+    pub initial: &'s [f64],
+    /// What came of it.
+    pub predicted: &'s [f64],
+}
+
 /// A series beside the output that the residual may depend on, one value per sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Driver {
@@ -197,6 +209,22 @@ pub trait Family: Sync {
     /// Free run: what the output would have been, one value for each of [`Family::measured`], from the initial state.
     fn predict(&self, structure: &Structure, initial: &[f64], run: &Self::Run, predicted: &mut [f64]);
 
+    /// Free runs that differ little from one that is known, given to `told` with their index: a family may do once what
+    /// they have in common.
+    fn predict_each(
+        &self,
+        known: &Simulated<'_>,
+        others: &[(&Structure, &[f64])],
+        run: &Self::Run,
+        told: &mut dyn FnMut(usize, &[f64]),
+    ) {
+        let mut predicted = vec![0.0; known.predicted.len()];
+        for (index, (structure, initial)) in others.iter().enumerate() {
+            self.predict(structure, initial, run, &mut predicted);
+            told(index, &predicted);
+        }
+    }
+
     /// What was measured; NaN where nothing was.
     fn measured<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 
@@ -228,31 +256,36 @@ pub trait Family: Sync {
         None
     }
 
-    /// Values and deviations in the units of reports: of the base model, and of each term. By default as they are fitted.
+    /// Values, deviations and intervals in the units of reports: of the base model, and of each term. By default as they
+    /// are fitted.
     fn estimates(
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        let estimate = |(parameter, (&value, deviation)): (&Parameter, (&f64, Option<f64>))| {
-            let unit = parameter.unit.to_owned();
-            (parameter.name.to_owned(), Estimate { value, std: deviation, unit, interval: None, assumed: None })
-        };
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
-        let base = self.base().iter().zip(structure.base.iter().zip(deviations.by_ref())).map(estimate).collect();
+        let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
+        let mut estimate = |(parameter, &value): (&Parameter, &f64)| {
+            let (std, interval) = (deviations.next().flatten(), intervals.next().flatten());
+            (
+                parameter.name.to_owned(),
+                Estimate { value, std, unit: parameter.unit.to_owned(), interval, assumed: None },
+            )
+        };
+        let base = self.base().iter().zip(&structure.base).map(&mut estimate).collect();
         let terms = structure
             .terms
             .iter()
             .zip(&structure.added)
             .map(|(term, values)| match term {
-                Term::Known(index) => self.catalogue()[*index]
-                    .parameters
-                    .iter()
-                    .zip(values.iter().zip(deviations.by_ref()))
-                    .map(estimate)
-                    .collect(),
+                Term::Known(index) => {
+                    self.catalogue()[*index].parameters.iter().zip(values).map(&mut estimate).collect()
+                }
                 Term::Curve(_) => {
-                    deviations.by_ref().take(values.len()).for_each(drop);
+                    // They are told as a table.
+                    let corner = Parameter { name: "", unit: "", range: Range::Any { scale: 1.0 }, absent: None };
+                    values.iter().for_each(|value| drop(estimate((&corner, value))));
                     BTreeMap::new()
                 }
             })

@@ -3,16 +3,22 @@
 //! What is fitted together: the base model's parameters, those of every term, and what of each run's initial state is
 //! unknown. Parameters go through a change of variable, so that no step can leave their [`Range`].
 
+mod profile;
+#[cfg(test)]
+mod tests;
+
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned};
 
-use crate::family::{Family, Parameter, Range, Structure, Term};
+use crate::family::{Family, Parameter, Range, Simulated, Structure, Term};
 
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
 const COARSE: f64 = 2e-4;
+/// The same for an initial state alone, in deviations of its guess.
+const SETTLING: f64 = 1e-3;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -182,7 +188,6 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let measured = family.measured(&part);
     let mut state = guess.clone();
     let mut predicted = vec![0.0; samples];
-    let mut moved = vec![0.0; samples];
     for _ in 0..3 {
         family.predict(structure, &state, &part, &mut predicted);
         let mut jacobian = DMatrix::zeros(samples + state.len(), state.len());
@@ -193,17 +198,24 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
                 residual[row] = (measured[row] - predicted[row]) / noise;
             }
         }
-        for column in 0..state.len() {
-            let step = 1e-3 * deviations[column];
-            let mut other = state.clone();
-            other[column] += step;
-            family.predict(structure, &other, &part, &mut moved);
+        let moved: Vec<Vec<f64>> = (0..state.len())
+            .map(|column| {
+                let mut other = state.clone();
+                other[column] += SETTLING * deviations[column];
+                other
+            })
+            .collect();
+        let others: Vec<(&Structure, &[f64])> = moved.iter().map(|initial| (structure, &initial[..])).collect();
+        let known = Simulated { structure, initial: &state, predicted: &predicted };
+        family.predict_each(&known, &others, &part, &mut |column, moved| {
             for row in 0..samples {
-                let slope = (moved[row] - predicted[row]) / step / noise;
+                let slope = (moved[row] - predicted[row]) / (SETTLING * deviations[column]) / noise;
                 if measured[row].is_finite() && slope.is_finite() {
                     jacobian[(row, column)] = slope;
                 }
             }
+        });
+        for column in 0..state.len() {
             jacobian[(samples + column, column)] = 1.0 / deviations[column];
             residual[samples + column] = (guess[column] - state[column]) / deviations[column];
         }
@@ -243,8 +255,12 @@ struct Problem<'p, F: Family> {
     weights: Vec<Vec<f64>>,
     /// Rows of each run.
     rows: Vec<std::ops::Range<usize>>,
+    /// A parameter that stays as it is.
+    held: Option<usize>,
     variables: DVector<f64>,
     predicted: Vec<f64>,
+    /// Sum of the squares of the weighted residuals.
+    cost: f64,
     /// A prediction that is not finite counts as so far off.
     absurd: f64,
     /// Evaluations that are left.
@@ -284,8 +300,10 @@ impl<'p, F: Family> Problem<'p, F> {
             scales,
             weights,
             rows,
+            held: None,
             variables,
             predicted: vec![0.0; count],
+            cost: f64::INFINITY,
             absurd,
             left: usize::MAX,
             best: (f64::INFINITY, DVector::zeros(0)),
@@ -314,8 +332,7 @@ impl<'p, F: Family> Problem<'p, F> {
     }
 
     fn into_fit(self) -> Fit {
-        let cost = self.weighted().norm_squared();
-        Fit { structure: self.structure, initial: self.initial, cost, weights: self.weights }
+        Fit { structure: self.structure, initial: self.initial, cost: self.cost, weights: self.weights }
     }
 
     fn predict_all(&self, structure: &Structure, initial: &[Vec<f64>], predicted: &mut [f64]) {
@@ -377,9 +394,9 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
         let mut predicted = std::mem::take(&mut self.predicted);
         self.predict_all(&self.structure, &self.initial, &mut predicted);
         self.predicted = predicted;
-        let cost = self.weighted().norm_squared();
-        if cost < self.best.0 {
-            self.best = (cost, variables.clone());
+        self.cost = self.weighted().norm_squared();
+        if self.cost < self.best.0 {
+            self.best = (self.cost, variables.clone());
         }
         self.left = self.left.saturating_sub(1);
     }
@@ -389,66 +406,110 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        // Ends the solver.
+        // None ends the solver.
         (self.left > 0).then(|| self.weighted())
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        if self.left == 0 {
-            return None;
-        }
-        let globals = self.parameters.len();
-        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
-        let mut moved = vec![0.0; self.predicted.len()];
-        for column in 0..globals {
-            let mut structure = self.structure.clone();
-            let mut variables = self.variables.clone();
-            let step = self.parameters[column].range.difference();
-            variables[column] += step;
-            set_flat(&mut structure, &self.values_of(&variables));
-            self.predict_all(&structure, &self.initial, &mut moved);
-            for (index, rows) in self.rows.iter().enumerate() {
-                self.slopes(&mut jacobian, (column, step), index, rows, &moved);
-            }
-        }
-        // One component of all runs' initial states at a time: a run's concerns no other.
-        let components = self.scales.first().map_or(0, Vec::len);
-        for component in 0..components {
-            let mut initial = self.initial.clone();
-            for (initial, scales) in initial.iter_mut().zip(&self.scales) {
-                initial[component] += DIFFERENCE * scales[component];
-            }
-            self.predict_all(&self.structure, &initial, &mut moved);
-            for (index, rows) in self.rows.iter().enumerate() {
-                let column = globals + index * components + component;
-                self.slopes(&mut jacobian, (column, DIFFERENCE), index, rows, &moved);
-            }
-        }
-        Some(jacobian)
+        (self.left > 0).then(|| self.assembled())
     }
 }
 
 impl<F: Family> Problem<'_, F> {
-    fn slopes(
-        &self,
-        jacobian: &mut DMatrix<f64>,
-        (column, step): (usize, f64),
-        run: usize,
-        rows: &std::ops::Range<usize>,
-        moved: &[f64],
-    ) {
-        let measured = self.family.measured(self.runs[run]);
-        for (row, &measured) in measured.iter().enumerate() {
-            let at = rows.start + row;
-            let slope = (moved[at] - self.predicted[at]) / step;
-            if measured.is_finite() && slope.is_finite() {
-                jacobian[(at, column)] = slope * self.weights[run][row];
-            }
+    /// The Jacobian's rows of each run: columns of the parameters, then of the run's own initial state, which concerns no
+    /// other run.
+    fn slopes(&self) -> Vec<DMatrix<f64>> {
+        let globals = self.parameters.len();
+        let steps: Vec<f64> = self.parameters.iter().map(|parameter| parameter.range.difference()).collect();
+        let moved = |column: usize| {
+            let mut structure = self.structure.clone();
+            let mut variables = self.variables.clone();
+            variables[column] += steps[column];
+            set_flat(&mut structure, &self.values_of(&variables));
+            structure
+        };
+        // The column of what is held stays nothing: the solver takes no step along it.
+        let free: Vec<usize> = (0..globals).filter(|&column| self.held != Some(column)).collect();
+        let structures: Vec<Structure> = free.iter().map(|&column| moved(column)).collect();
+        let slopes = |(index, scales): (usize, &Vec<f64>)| {
+            let initials: Vec<Vec<f64>> = (0..scales.len())
+                .map(|component| {
+                    let mut initial = self.initial[index].clone();
+                    initial[component] += DIFFERENCE * scales[component];
+                    initial
+                })
+                .collect();
+            let others = structures.iter().zip(std::iter::repeat(&self.initial[index]));
+            let others: Vec<(&Structure, &[f64])> = others
+                .chain(std::iter::repeat(&self.structure).zip(&initials))
+                .map(|(structure, initial)| (structure, &initial[..]))
+                .collect();
+            let mut slopes = DMatrix::zeros(self.rows[index].len(), globals + scales.len());
+            self.predict_each(index, &others, |other, row, difference| {
+                let column = free.get(other).copied().unwrap_or(globals + other.saturating_sub(free.len()));
+                let slope = difference / steps.get(column).unwrap_or(&DIFFERENCE);
+                if slope.is_finite() {
+                    slopes[(row, column)] = slope * self.weights[index][row];
+                }
+            });
+            slopes
+        };
+        self.scales.iter().enumerate().map(slopes).collect()
+    }
+
+    /// The whole Jacobian.
+    fn assembled(&self) -> DMatrix<f64> {
+        let globals = self.parameters.len();
+        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
+        let mut local = globals;
+        for (rows, slopes) in self.rows.iter().zip(self.slopes()) {
+            let own = slopes.ncols() - globals;
+            jacobian.view_mut((rows.start, 0), (rows.len(), globals)).copy_from(&slopes.columns(0, globals));
+            jacobian.view_mut((rows.start, local), (rows.len(), own)).copy_from(&slopes.columns(globals, own));
+            local += own;
         }
+        jacobian
+    }
+
+    /// By how much other free runs of a run differ from this one: their index, the run's row, the difference. Rows that
+    /// were not measured are left out.
+    fn predict_each(&self, run: usize, others: &[(&Structure, &[f64])], mut differs: impl FnMut(usize, usize, f64)) {
+        let rows = &self.rows[run];
+        let predicted = &self.predicted[rows.clone()];
+        let known = Simulated { structure: &self.structure, initial: &self.initial[run], predicted };
+        let measured = self.family.measured(self.runs[run]);
+        self.family.predict_each(&known, others, self.runs[run], &mut |other, moved| {
+            for (row, ((moved, predicted), measured)) in moved.iter().zip(predicted).zip(measured).enumerate() {
+                if measured.is_finite() {
+                    differs(other, row, moved - predicted);
+                }
+            }
+        });
     }
 }
 
+/// How well a parameter is known by the curvature at the best fit.
+struct Spread {
+    /// In the parameter's unit.
+    deviation: f64,
+    /// Of a residual, as if all were independent of each other and as telling as these.
+    variance: f64,
+    /// By how much the values of all parameters, then the variables of the initial states, change with this one where the
+    /// cost stays least.
+    along: Vec<f64>,
+}
+
 impl Fit {
+    /// The same numbers over other runs, with the initial states that suit them.
+    #[must_use]
+    pub fn over<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Self {
+        let structure = self.structure.clone();
+        let samples = |run| family.measured(run).len();
+        let initial: Vec<_> = runs.iter().map(|run| settle(family, &structure, run, samples(run))).collect();
+        let cost = cost(family, runs, &structure, &initial);
+        Self { structure, initial, cost, weights: runs.iter().map(|run| vec![1.0; samples(run)]).collect() }
+    }
+
     /// Measured minus predicted, run by run; NaN where nothing was measured.
     #[must_use]
     pub fn residuals<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
@@ -462,26 +523,36 @@ impl Fit {
     /// tells how much (White's sandwich, clustered); the usual deviation for independent noise is its lower bound.
     #[must_use]
     pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
+        self.spreads(family, runs).into_iter().map(|spread| spread.map(|spread| spread.deviation)).collect()
+    }
+
+    fn spreads<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<Spread>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
-        let Some(mut jacobian) = problem.jacobian().filter(|jacobian| jacobian.ncols() > 0) else { return vec![] };
+        if problem.variables.is_empty() {
+            return vec![];
+        }
+        let mut jacobian = problem.assembled();
         let globals = problem.parameters.len();
-        let mut moved = vec![0.0; problem.predicted.len()];
         let values: Vec<f64> = flat(&self.structure).collect();
         // By the values themselves: at the edge of a range the change of variable is flat.
-        for column in 0..globals {
-            let step = problem.parameters[column].range.small(values[column]);
+        let steps: Vec<f64> =
+            problem.parameters.iter().zip(&values).map(|(parameter, &value)| parameter.range.small(value)).collect();
+        let moved = |column: usize| {
             let mut other = values.clone();
-            other[column] += step;
+            other[column] += steps[column];
             let mut structure = self.structure.clone();
             set_flat(&mut structure, &other);
-            problem.predict_all(&structure, &self.initial, &mut moved);
-            for (index, (run, rows)) in runs.iter().zip(&problem.rows).enumerate() {
-                for (row, &measured) in family.measured(run).iter().enumerate() {
-                    let at = rows.start + row;
-                    let slope = (moved[at] - problem.predicted[at]) / step * self.weights[index][row];
-                    jacobian[(at, column)] = if measured.is_finite() && slope.is_finite() { slope } else { 0.0 };
-                }
-            }
+            structure
+        };
+        let structures: Vec<Structure> = (0..globals).map(moved).collect();
+        for index in 0..runs.len() {
+            let others: Vec<(&Structure, &[f64])> =
+                structures.iter().map(|structure| (structure, &self.initial[index][..])).collect();
+            problem.predict_each(index, &others, |column, row, slope| {
+                let slope = slope / steps[column] * self.weights[index][row];
+                let at = problem.rows[index].start + row;
+                jacobian[(at, column)] = if slope.is_finite() { slope } else { 0.0 };
+            });
         }
         // Columns of length one, so that what is small is small for the data.
         let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
@@ -520,7 +591,17 @@ impl Fit {
                 if lengths[row] == 0.0 || lost > 1e-3 {
                     return None;
                 }
-                Some((variance * inverse[(row, row)]).max(sandwich[(row, row)]).sqrt() / lengths[row])
+                let square = (variance * inverse[(row, row)]).max(sandwich[(row, row)]);
+                // How the others go when this one does and is not fitted.
+                let per_own = |column: usize| match lengths[column] {
+                    length if length > 0.0 => inverse[(column, row)] / inverse[(row, row)] * lengths[row] / length,
+                    _ => 0.0,
+                };
+                Some(Spread {
+                    deviation: square.sqrt() / lengths[row],
+                    variance: square / inverse[(row, row)],
+                    along: (0..columns).map(per_own).collect(),
+                })
             })
             .collect()
     }

@@ -57,7 +57,8 @@ pub struct Estimate {
     pub std: Option<f64>,
     /// `N m`; `1` for a plain number.
     pub unit: String,
-    /// 95 % by the profile of the error, where it was computed.
+    /// 95 % by the profile of the error: how far the number can go with all others fitted again. An end beyond what the
+    /// number may be is the end of that. Absent where the error does not rise enough on both sides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<[f64; 2]>,
     /// The data do not fix the scale: the value holds for this assumption.

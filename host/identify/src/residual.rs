@@ -188,6 +188,13 @@ impl Left {
     }
 }
 
+/// Of the first lags, in size: about the share of the variance that is not noise.
+pub(crate) fn largest_correlation(residuals: &[Vec<f64>]) -> f64 {
+    let variance = product(residuals, 0);
+    let correlation = |lag| (product(residuals, lag) / variance).abs();
+    if variance > 0.0 { (1..=LAGS).map(correlation).fold(0.0, f64::max) } else { 0.0 }
+}
+
 /// Ljung and Box's test over the first lags; correlations that are a trifle count as none.
 pub(crate) fn is_white(residuals: &[Vec<f64>]) -> bool {
     let samples: usize = residuals.iter().flatten().filter(|value| value.is_finite()).count();
@@ -195,12 +202,12 @@ pub(crate) fn is_white(residuals: &[Vec<f64>]) -> bool {
     if variance <= 0.0 || samples <= 2 * LAGS {
         return true;
     }
-    let correlations: Vec<f64> = (1..=LAGS).map(|lag| product(residuals, lag) / variance).collect();
-    if correlations.iter().all(|correlation| correlation.abs() < TRIFLE) {
+    if largest_correlation(residuals) < TRIFLE {
         return true;
     }
+    let correlations = (1..=LAGS).map(|lag| product(residuals, lag) / variance);
     let n = samples as f64;
-    let q: f64 = (1..=LAGS).zip(&correlations).map(|(lag, correlation)| correlation.powi(2) / (n - lag as f64)).sum();
+    let q: f64 = (1..=LAGS).zip(correlations).map(|(lag, correlation)| correlation.powi(2) / (n - lag as f64)).sum();
     ChiSquared::new(LAGS as f64).is_ok_and(|chi| chi.sf(n * (n + 2.0) * q) > 0.001)
 }
 

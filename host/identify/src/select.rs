@@ -11,14 +11,16 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use crate::{
     family::{Acts, Candidate, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
-    residual::is_white,
+    residual::{is_white, largest_correlation},
 };
 
 /// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
 /// what two correct programs differ by.
-const WORTH: f64 = 0.015;
+pub(crate) const WORTH: f64 = 0.015;
 /// The same for a curve, which has many more numbers and no name.
 const CURVE_WORTH: f64 = 0.03;
+/// What is left is not looked into further when less than this share of it is anything but noise.
+const SMALL: f64 = 0.1;
 /// A term whose removal costs less than this share was superfluous.
 const SUPERFLUOUS: f64 = 0.004;
 /// Chance, after multiplying by the number of effects tried.
@@ -40,13 +42,15 @@ const LEAST_SAMPLES: usize = 40;
 
 /// What became of the data.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct Found<R> {
     /// The base model alone.
     pub base: Fit,
     /// What was added, in order; structures after each.
     pub steps: Vec<Step>,
     /// Base model and all terms.
     pub last: Fit,
+    /// The last model as it was fitted, and to what: the recordings, or blocks of them.
+    pub fitted: (Fit, Vec<R>),
     /// Of the last model's parameters.
     pub deviations: Vec<Option<f64>>,
     /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
@@ -58,8 +62,10 @@ pub struct Found {
 pub struct Step {
     /// What.
     pub term: Term,
-    /// The model with it and those terms before it that stayed, fitted to whole runs.
+    /// The model with it and those terms before it that stayed, over whole runs.
     pub fit: Fit,
+    /// The same as it was fitted.
+    pub own: Fit,
     /// Errors on left-out blocks without and with it.
     pub blocked_rmse: [f64; 2],
     /// Chance of such a gain, times the number of effects tried.
@@ -109,45 +115,75 @@ struct Search<'s, F: Family> {
 
 /// Searches for what the base model lacks.
 ///
-/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, once more on blocks
-/// and with a curve first: what is missing adds up over a long free run until nothing else can be seen, and an effect that
-/// has no name makes named ones look good that it has nothing to do with.
-pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found {
+/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
+/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, on blocks with a
+/// curve first: an effect that has no name makes named ones look good that it has nothing to do with.
+pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
     let halves = halves(family, train);
-    let search =
-        Search { family, whole: train.iter().collect(), runs: train.iter().collect(), halves: &halves, progress };
+    let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
+    let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress };
+    let on_blocks = Search { runs: blocks.clone(), whole: search.whole.clone(), ..search };
     progress("base model");
     let base = search.base();
-    let mut path = Path { current: base.clone(), steps: vec![], rejected: vec![] };
-    while search.extend(&mut path, false) {}
-    while search.extend(&mut path, true) {}
-    if !is_white(&path.current.residuals(family, &search.runs)) {
-        let runs = halves.iter().flatten().collect();
-        let search = Search { family, whole: train.iter().collect(), runs, halves: &halves, progress };
-        let mut other = Path { current: search.on_blocks(&base), steps: vec![], rejected: vec![] };
-        if search.extend(&mut other, true) {
-            while search.extend(&mut other, false) {}
-            while search.extend(&mut other, true) {}
-            let (first, second) = (search.blocked(&path.current), search.blocked(&other.current));
-            let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
-            let simpler = other.steps.len() < path.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
-            if (better || simpler) && second.whole <= first.whole * (1.0 + WORTH) {
-                path = other;
-            }
+    let mut path = search.path(base.clone(), &[false, true]);
+    let is_explained = |path: &Path| {
+        let left = path.current.residuals(family, &search.whole);
+        is_white(&left) || largest_correlation(&left) < SMALL
+    };
+    for order in [&[false, true][..], &[true, false, true]] {
+        if is_explained(&path) {
+            break;
+        }
+        let from = on_blocks.on(&blocks, &base, Effort::COMPARE);
+        let other = on_blocks.path(from, order);
+        if !other.steps.is_empty() && search.prefers(&path, &other) {
+            path = other;
+            path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
         }
     }
-    progress("intervals");
+    progress("whole runs");
     let Path { current, mut steps, rejected } = path;
+    let runs = if search.drifts(&current) { &blocks } else { &search.whole };
     for (place, step) in steps.iter_mut().enumerate() {
         // Terms that came before may have been taken out since.
         let mut first = current.clone();
         first.structure.terms.truncate(place + 1);
         first.structure.added.truncate(place + 1);
-        step.fit = search.on_whole(&first);
+        step.own = search.on(runs, &first, Effort::FULL);
+        step.fit = step.own.over(family, &search.whole);
     }
-    let last = steps.last().map_or_else(|| base.clone(), |step| step.fit.clone());
-    let deviations = last.deviations(family, &search.whole);
-    Found { base, steps, last, deviations, rejected }
+    let runs = runs.iter().copied().cloned().collect();
+    Found::of(family, base, steps, rejected, (train, runs))
+}
+
+impl<R> Found<R> {
+    /// What a base model and the terms that were taken come to; `runs` are the recordings, and what terms were fitted to.
+    fn of<F: Family<Run = R>>(
+        family: &F,
+        base: Fit,
+        steps: Vec<Step>,
+        rejected: Vec<(String, f64, String)>,
+        (train, runs): (&[R], Vec<R>),
+    ) -> Self
+    where
+        R: Clone,
+    {
+        let (last, fitted) = match steps.last() {
+            Some(step) => (step.fit.clone(), (step.own.clone(), runs)),
+            None => (base.clone(), (base.clone(), train.to_vec())),
+        };
+        let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
+        Self { base, steps, last, fitted, deviations, rejected }
+    }
+
+    /// Takes back all terms but the first `steps`.
+    pub(crate) fn truncated<F: Family<Run = R>>(mut self, family: &F, steps: usize, train: &[R]) -> Self
+    where
+        R: Clone,
+    {
+        self.steps.truncate(steps);
+        Self::of(family, self.base, self.steps, self.rejected, (train, self.fitted.1))
+    }
 }
 
 /// How far a search has come.
@@ -178,6 +214,19 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
 }
 
 impl<F: Family> Search<'_, F> {
+    /// Takes all it can of named effects (`false`) and of curves, in turn; of curves that come first, one. Where the first
+    /// turn gives no curve, it ends.
+    fn path(&self, base: Fit, order: &[bool]) -> Path {
+        let mut path = Path { current: base, steps: vec![], rejected: vec![] };
+        for (place, &with_curves) in order.iter().enumerate() {
+            while self.extend(&mut path, with_curves) && !(with_curves && place == 0) {}
+            if path.steps.is_empty() && order[0] {
+                break;
+            }
+        }
+        path
+    }
+
     /// Takes the best of all named effects, or of all curves, if one passes.
     fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
         let curves = path.current.structure.curves().count();
@@ -203,14 +252,36 @@ impl<F: Family> Search<'_, F> {
         true
     }
 
-    /// The same model fitted to blocks.
-    fn on_blocks(&self, from: &Fit) -> Fit {
-        fit(self.family, &self.runs, from.structure.clone(), self.settled(&from.structure, &self.runs), Effort::COMPARE)
+    /// Whether a path that began with a curve explains the data better, or as well with less. Numbers that it has more than
+    /// the other have to pay over whole runs: a recording that repeats itself looks alike on all blocks.
+    fn prefers(&self, named: &Path, other: &Path) -> bool {
+        let (first, second) = (self.blocked(&named.current), self.blocked(&other.current));
+        let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
+        let simpler = other.steps.len() < named.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
+        if !(better || simpler) || second.whole > first.whole * (1.0 + WORTH) {
+            return false;
+        }
+        let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
+        let more = numbers(other).saturating_sub(numbers(named));
+        more == 0
+            || pays(
+                self.family,
+                &self.whole,
+                named.current.cost,
+                &self.on(&self.whole, &other.current, Effort::FULL),
+                more,
+            )
     }
 
-    /// The same model fitted to whole runs.
-    fn on_whole(&self, from: &Fit) -> Fit {
-        fit(self.family, &self.whole, from.structure.clone(), self.settled(&from.structure, &self.whole), Effort::FULL)
+    /// The same model fitted to other runs.
+    fn on(&self, runs: &[&F::Run], from: &Fit, effort: Effort) -> Fit {
+        fit(self.family, runs, from.structure.clone(), self.settled(&from.structure, runs), effort)
+    }
+
+    /// Whether what a model lacks adds up over a free run: its numbers are then those of blocks, each of which begins anew.
+    fn drifts(&self, fit: &Fit) -> bool {
+        let has_memory = fit.initial.iter().any(|initial| !initial.is_empty());
+        has_memory && !is_white(&fit.residuals(self.family, &self.whole))
     }
 
     fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {
@@ -401,7 +472,9 @@ impl<F: Family> Search<'_, F> {
             } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH } {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
-            } else if with_curves && !self.pays(current, &candidate) {
+            } else if with_curves
+                && !pays(self.family, &self.runs, current.cost, &candidate.trial.fit, corners(&candidate.trial.fit))
+            {
                 Some("explains too little for a curve of so many corners".to_owned())
             } else if p_value >= CHANCE {
                 Some(format!("not more than chance (p = {p_value:.2})"))
@@ -417,6 +490,7 @@ impl<F: Family> Search<'_, F> {
             let step = Step {
                 term: candidate.trial.term.clone(),
                 fit: candidate.trial.fit.clone(),
+                own: candidate.trial.fit.clone(),
                 blocked_rmse: [rmse_before, after],
                 p_value: p_value.min(1.0),
                 blocks_better: [better, before.blocks.len()],
@@ -461,25 +535,12 @@ impl<F: Family> Search<'_, F> {
     /// clearer. The former takes any noise, the latter an effect that shows in few blocks.
     fn chance(&self, current: &Fit, before: &Blocked, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
-        let residuals = fit.residuals(self.family, &self.runs);
-        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
-        let independent = samples / correlated(&residuals);
-        let added = fit.structure.added.last().map_or(0, Vec::len).max(1) as f64;
+        let independent = independent(self.family, &self.runs, fit);
+        let added = corners(fit).max(1) as f64;
         let free = independent - fit.structure.base.len() as f64 - added - 2.0;
         let explained = (current.cost - fit.cost).max(0.0) / added / (fit.cost / free.max(1.0));
         let by_variance = FisherSnedecor::new(added, free.max(1.0)).map_or(1.0, |f| f.sf(explained));
         by_variance.min(paired(before, &candidate.blocked))
-    }
-
-    /// Whether a curve explains more than its corners cost: twice Schwarz's criterion, with only as many samples as are
-    /// independent. What is left of a long free run is so correlated that any few corners would explain some of it.
-    fn pays(&self, current: &Fit, candidate: &Judged) -> bool {
-        let fit = &candidate.trial.fit;
-        let residuals = fit.residuals(self.family, &self.runs);
-        let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
-        let independent = samples / correlated(&residuals);
-        let corners = fit.structure.added.last().map_or(0, Vec::len) as f64;
-        independent * (current.cost / fit.cost).ln() > 2.0 * corners * independent.max(2.0).ln()
     }
 
     /// Least distance from no effect of what tells the effect's size, in standard deviations.
@@ -528,6 +589,26 @@ impl<F: Family> Search<'_, F> {
             }
         }
     }
+}
+
+/// Numbers of the term that was added last.
+fn corners(fit: &Fit) -> usize {
+    fit.structure.added.last().map_or(0, Vec::len)
+}
+
+/// How many independent samples say as much as those that a model was fitted to.
+fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
+    let residuals = fit.residuals(family, runs);
+    let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
+    samples / correlated(&residuals)
+}
+
+/// Whether a model with so many more numbers explains more than they cost: twice Schwarz's criterion, with only as many
+/// samples as are independent. What is left of a long free run is so correlated that any few corners would explain some
+/// of it.
+fn pays<F: Family>(family: &F, runs: &[&F::Run], cost_before: f64, fit: &Fit, more: usize) -> bool {
+    let independent = independent(family, runs, fit);
+    independent * (cost_before / fit.cost).ln() > 2.0 * more as f64 * independent.max(2.0).ln()
 }
 
 /// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).

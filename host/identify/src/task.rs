@@ -12,7 +12,7 @@ use crate::{
     motion::{Kind, Known, Motion},
     report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{Found, depends_on, search},
+    select::{Found, WORTH, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
@@ -211,20 +211,20 @@ fn assemble<F: Family>(
     if !found.base.cost.is_finite() {
         return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });
     }
+    let fitted: Vec<&F::Run> = train.iter().collect();
+    let held_out: Vec<&F::Run> = holdout.iter().collect();
+    let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
+    let found = veto(family, found, train, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
-    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations);
+    tell("intervals");
+    let intervals = found.fitted.0.intervals(family, &found.fitted.1.iter().collect::<Vec<_>>());
+    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
-    let fitted: Vec<&F::Run> = train.iter().collect();
-    let held_out: Vec<&F::Run> = holdout.iter().collect();
     for (place, step) in found.steps.iter().enumerate() {
-        let after = if place + 1 == found.steps.len() {
-            last.holdout.rmse
-        } else {
-            score(family, &held_out, &free_runs(family, &step.fit.structure, holdout)).rmse
-        };
+        let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
         effects.push(EffectReport {
@@ -295,6 +295,32 @@ fn assemble<F: Family>(
     Ok(Identified { report, figures, plant_toml })
 }
 
+/// Takes back the last terms where the held-out recordings are better off without: nothing is fitted to these, but what makes
+/// them worse is not worth having, whatever it explains of the others.
+fn veto<F: Family>(
+    family: &F,
+    mut found: Found<F::Run>,
+    train: &[F::Run],
+    held_out_rmse: impl Fn(&Fit) -> f64,
+) -> Found<F::Run> {
+    let errors: Vec<f64> =
+        std::iter::once(&found.base).chain(found.steps.iter().map(|step| &step.fit)).map(held_out_rmse).collect();
+    let least = (0..errors.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).unwrap_or(0);
+    if errors[found.steps.len()] <= errors[least] * (1.0 + WORTH) {
+        return found;
+    }
+    for (place, step) in found.steps.iter().enumerate().skip(least) {
+        let reason = format!(
+            "explains what it was fitted to, but changes the error on held-out recordings by {:+.0} %: they differ by more \
+             than noise",
+            100.0 * (errors[place + 1] / errors[place] - 1.0)
+        );
+        found.rejected.push((name(family, &step.term), step.blocked_rmse[1], reason));
+    }
+    found.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
+    found.truncated(family, least, train)
+}
+
 fn name<F: Family>(family: &F, term: &Term) -> String {
     match term {
         Term::Known(index) => family.catalogue()[*index].name.to_owned(),
@@ -302,7 +328,7 @@ fn name<F: Family>(family: &F, term: &Term) -> String {
     }
 }
 
-fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
+fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<Table> {
     let structure = &found.last.structure;
     let Term::Curve(curve) = structure.terms.get(place)? else { return None };
     let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
@@ -323,7 +349,7 @@ fn table<F: Family>(family: &F, found: &Found, place: usize) -> Option<Table> {
 /// Runs that are drawn, at most.
 const DRAWN: usize = 6;
 
-fn traces<F: Family>(family: &F, found: &Found, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
+fn traces<F: Family>(family: &F, found: &Found<F::Run>, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
     let some = |runs: &[F::Run]| runs.iter().take(DRAWN / 2).cloned().collect::<Vec<_>>();
     let mut all = Vec::new();
     for (runs, held_out) in [(some(holdout), true), (some(train), false)] {

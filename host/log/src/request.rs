@@ -80,6 +80,7 @@ pub fn request_name(request: &Request) -> &'static str {
         Request::UartWrite { .. } => "uart-write",
         Request::UartRead { .. } => "uart-read",
         Request::Bind { .. } => "bind",
+        Request::Log { .. } => "log",
     }
 }
 
@@ -97,7 +98,7 @@ const PLAIN: [Request; 9] = [
 ];
 
 impl RequestMessage {
-    /// `None` for a set point, which has a topic of its own, and for what asks who the board is and what it remembers:
+    /// `None` for a set point, which has a topic of its own, and for what asks who the board is and what it remembers or logs:
     /// every program asks that anew.
     pub(crate) fn new(request: &Request) -> Option<Self> {
         let mut message = Self { request: request_name(request).to_owned(), ..Self::default() };
@@ -106,6 +107,7 @@ impl RequestMessage {
             Request::Bind { .. }
             | Request::Set { .. }
             | Request::Hello { .. }
+            | Request::Log { .. }
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }
             | Request::Fault { .. }

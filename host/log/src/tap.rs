@@ -227,7 +227,7 @@ impl<W: Write + Seek> Tap<W> {
                 self.recorder().map_or(Ok(()), |recorder| recorder.state(device_us, state, causes))
             }
             // What it measures is in telemetry, too.
-            ToHost::Cycle(_) => Ok(()),
+            ToHost::Cycle(_) | ToHost::Log(_) => Ok(()),
             ToHost::Telemetry(telemetry) => {
                 let Some(recorder) = self.recorder() else { return Ok(()) };
                 recorder.telemetry(&telemetry)?;

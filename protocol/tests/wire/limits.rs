@@ -35,6 +35,7 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
         ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 66),
         ("fault snapshot", payload(&reply(samples::largest_reply())).len(), 131),
         ("bytes", payload(&reply(Reply::Bytes(samples::largest_raw()))).len(), 71),
+        ("log", payload(&ToHost::Log(samples::largest_log())).len(), 71),
         ("telemetry", payload(&telemetry).len(), LONGEST_TO_HOST),
     ] {
         assert_eq!(len, expected, "{what}");

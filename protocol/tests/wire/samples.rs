@@ -2,9 +2,9 @@
 
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo,
-    ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost,
-    Unit,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
+    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, ToHost, Unit,
     config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},
@@ -50,6 +50,12 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
         .chain(later_replies().into_iter().map(|(name, reply)| (name, Ok(reply))))
         .chain(later_refusals().into_iter().map(|(name, refusal)| (name, Err(refusal))))
         .chain([("refused-bad-binding", Err(Refusal::BadBinding { channel: OSMC0 }))])
+        // Since version 5.
+        .chain([
+            ("log", Ok(Reply::Log(LogInfo { image: 0x1234_5678 }))),
+            ("log-largest", Ok(Reply::Log(LogInfo { image: u32::MAX }))),
+            ("refused-no-log", Err(Refusal::NoLog)),
+        ])
         .zip(1..)
         .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
         .collect();
@@ -57,6 +63,11 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
     rows.extend(heartbeats());
     rows.extend(telemetry().map(|(name, telemetry)| (name, ToHost::Telemetry(telemetry))));
     rows.extend(cycle_states().map(|(name, state)| (name, ToHost::Cycle(state))));
+    rows.extend([
+        ("log-chunk", ToHost::Log(LogChunk { position: 1000, bytes: raw(&[0x02, 0x80, 0x00]) })),
+        ("log-chunk-none", ToHost::Log(LogChunk { position: 0, bytes: raw(&[]) })),
+        ("log-chunk-largest", ToHost::Log(largest_log())),
+    ]);
     rows
 }
 
@@ -114,6 +125,11 @@ pub(crate) fn largest_reply() -> Reply {
 /// As many bytes as a raw transfer takes.
 pub(crate) fn largest_raw() -> heapless::Vec<u8, MAX_RAW> {
     [u8::MAX; MAX_RAW].into_iter().collect()
+}
+
+/// The piece of a log with the most bytes.
+pub(crate) fn largest_log() -> LogChunk {
+    LogChunk { position: u32::MAX, bytes: largest_raw() }
 }
 
 /// The command with the most bytes.
@@ -248,6 +264,8 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("bind-none", Request::Bind { channels: heapless::Vec::new(), ttl_ms: 0 }),
         ("bind-largest", largest_bind()),
     ]);
+    // Since version 5.
+    requests.extend([("log", Request::Log { on: true }), ("log-end", Request::Log { on: false })]);
     requests
 }
 

@@ -11,8 +11,9 @@ use proptest::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
-    DeviceStats, FaultInfo, FaultSnapshot, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo, ParameterKey,
-    Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit,
+    DeviceStats, FaultInfo, FaultSnapshot, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo,
+    ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost,
+    Unit,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,
@@ -65,6 +66,7 @@ pub(crate) fn to_host() -> BoxedStrategy<ToHost> {
         }),
         2 => telemetry().prop_map(ToHost::Telemetry),
         1 => cycle_state().prop_map(ToHost::Cycle),
+        1 => (any::<u32>(), raw()).prop_map(|(position, bytes)| ToHost::Log(LogChunk { position, bytes })),
     ]
     .boxed()
 }
@@ -107,6 +109,7 @@ fn service_request() -> BoxedStrategy<Request> {
         }),
         (any::<u8>(), raw()).prop_map(|(port, bytes)| Request::UartWrite { port, bytes }),
         any::<u8>().prop_map(|port| Request::UartRead { port }),
+        any::<bool>().prop_map(|on| Request::Log { on }),
         (vec(cycle_channel(), 0..=CYCLE_CHANNELS), u16s())
             .prop_map(|(channels, ttl_ms)| Request::Bind { channels: channels.into_iter().collect(), ttl_ms }),
     ]
@@ -127,6 +130,7 @@ fn reply() -> BoxedStrategy<Reply> {
         device_info().prop_map(Reply::Hello),
         channel_info().prop_map(Reply::Channel),
         stats().prop_map(Reply::Stats),
+        any::<u32>().prop_map(|image| Reply::Log(LogInfo { image })),
         Just(Reply::Done),
         parameter_info().prop_map(Reply::Parameter),
         fault_info().prop_map(Reply::Fault),
@@ -159,7 +163,8 @@ fn refusal() -> BoxedStrategy<Refusal> {
             Refusal::NoSuchFault,
             Refusal::BadTransfer,
             Refusal::TransferFailed,
-            Refusal::Busy
+            Refusal::Busy,
+            Refusal::NoLog
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
         channel().prop_map(|channel| Refusal::BadBinding { channel }),

@@ -12,6 +12,7 @@ use r4_firmware::storage::{
     faults::History,
     parameters::{self, Changes, Saved},
 };
+use r4_identify::data::{Mapping, Options, read_bytes};
 use r4_links::Key;
 use r4_log::Log;
 use r4_plants::{Drive, Plant, PlantSpec};
@@ -30,6 +31,39 @@ pub fn log(bytes: &[u8]) -> bool {
     log.write_csv(io::sink()).expect("a sink takes it");
     let _ = r4_log::compare(&log, &log, 0.0);
     true
+}
+
+/// A recording for `r4 identify`: the CSV of this project or of another, or a log. What is taken are numbers in order of time.
+///
+/// # Panics
+/// When they are not.
+pub fn recording(bytes: &[u8]) -> bool {
+    let untimed = bytes.len() % 2 == 1;
+    let mapped = |input: &str, output: &str| Options {
+        roles: vec![Mapping::driving("input", input), Mapping::measured("output", output)],
+        untimed,
+        ..Options::default()
+    };
+    let mut taken = false;
+    for options in [
+        mapped("duty", "pos_rad"),
+        Options { split: vec!["run".into()], counts_per_turn: Some(1326.0), ..mapped("u", "enc") },
+        mapped("osmc0.setpoint", "osmc0.position"),
+    ] {
+        for name in ["a.csv", "a.mcap"] {
+            let Ok(recorded) = read_bytes(name, bytes, &options) else { continue };
+            taken = true;
+            assert_eq!(recorded.runs.len(), recorded.groups.len());
+            for run in &recorded.runs {
+                assert!(run.time_s.windows(2).all(|pair| pair[0] < pair[1]), "time goes on");
+                for signal in run.signals.values() {
+                    assert_eq!(signal.values.len(), run.time_s.len());
+                }
+            }
+            recorded.notes.iter().for_each(|note| drop(note.to_string()));
+        }
+    }
+    taken
 }
 
 /// Sectors that are as large as they must be for what is kept, and no larger.

@@ -8,7 +8,8 @@
 //! | [`frames`] | `frames`: the decoder of both directions |
 //! | [`board`] | `link`, `dispatcher`: bytes, and sound frames of any content, into the link of a simulated board |
 //! | [`host`] | `driver`: what any board says to the driver; `tap`: what any link says to a recording |
-//! | [`files`] | `log`, `flash`, `robot`, `carrier`, `plant`, `key`: the files that the program reads |
+//! | [`files`] | `log`, `flash`, `robot`, `carrier`, `plant`, `key`, `recording`: the files that the program reads |
+//! | [`config`], [`scenario`] | those of them that only the program itself can read |
 //! | [`text`] | `slcan`, `legacy`: lines of a CAN adapter, packets of the old firmware's hosts |
 //! | [`secure`] | `secure`: somebody between the two ends of an authenticated link |
 //!
@@ -19,10 +20,12 @@
 #![allow(clippy::expect_used, clippy::unwrap_used, clippy::panic, reason = "a fuzz target fails by panicking")]
 
 pub mod board;
+pub mod config;
 pub mod files;
 pub mod frames;
 pub mod host;
 pub mod mutate;
+pub mod scenario;
 pub mod script;
 pub mod secure;
 pub mod text;
@@ -31,8 +34,9 @@ pub mod text;
 pub type Target = fn(&[u8]) -> bool;
 
 /// Every target by its name, which is that of its corpus and of its fuzzer too.
-pub const TARGETS: [(&str, Target); 14] = [
+pub const TARGETS: [(&str, Target); 17] = [
     ("carrier", files::carrier),
+    ("config", config::config),
     ("dispatcher", board::dispatcher),
     ("driver", host::driver),
     ("flash", files::flash),
@@ -42,7 +46,9 @@ pub const TARGETS: [(&str, Target); 14] = [
     ("link", board::link),
     ("log", files::log),
     ("plant", files::plant),
+    ("recording", files::recording),
     ("robot", files::robot),
+    ("scenario", scenario::scenario),
     ("secure", secure::secure),
     ("slcan", text::slcan),
     ("tap", host::tap),

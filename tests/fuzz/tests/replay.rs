@@ -18,6 +18,7 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
     let more: &[&str] = match name {
         "robot" => &["../../boards"],
         "plant" => &["../../boards/plants"],
+        "scenario" => &["../scenarios"],
         _ => &[],
     };
     let corpus = here.join("corpus").join(name);
@@ -82,6 +83,7 @@ macro_rules! replays {
 
 replays! {
     carrier 1000
+    config 5000
     dispatcher 800
     driver 5000
     flash 5000
@@ -91,7 +93,9 @@ replays! {
     link 800
     log 5000
     plant 8000
+    recording 3000
     robot 2000
+    scenario 5000
     secure 3000
     slcan 20000
     tap 5000

@@ -6,8 +6,6 @@ use std::{
     process::{Command, ExitCode},
 };
 
-use sha2::{Digest, Sha256};
-
 use crate::{
     image::{Image, Sizes},
     toolchain::{self, TARGET},
@@ -87,8 +85,7 @@ impl Firmware {
         fs::create_dir_all(path.parent().unwrap_or(root))
             .and_then(|()| fs::write(&path, &elf))
             .map_err(|error| format!("{}: {error}", path.display()))?;
-        let digest = Sha256::digest(&elf).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Built { path, digest, image })
+        Ok(Built { path, digest: r4_image::digest(&elf), image })
     }
 
     /// Where [`Self::build`] puts it.

@@ -8,17 +8,9 @@ use std::{
     process::{Command, ExitCode, Stdio},
 };
 
-use crate::{binary::Binary, firmware::Firmware};
+use r4_image::{Binary, CHIP, DFU_DEVICE, Place};
 
-/// As probe-rs lists it: `probe-rs chip list`. Its file of the family is probe-rs/targets/STM32H7_Series.yaml.
-const CHIP: &str = "STM32H747XIHx";
-/// The Giga in the Arduino bootloader (ArduinoCore-mbed, boards.txt).
-const DFU_DEVICE: &str = "2341:0366";
-/// Where that bootloader looks for a program, and where it ends: bank 1 (mcuboot-arduino-stm32h7, app/main.cpp).
-const HOSTED_START: u32 = 0x0804_0000;
-const HOSTED_END: u32 = 0x0810_0000;
-/// Top bytes of an initial stack pointer by which the bootloader knows a program (the same file).
-const STACK_IN: [u8; 4] = [0x20, 0x24, 0x30, 0x38];
+use crate::firmware::Firmware;
 
 /// What to flash, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -136,7 +128,7 @@ impl Flash {
                     .into()
             }
             Way::Dfu => {
-                let place = format!("{HOSTED_START:#010x}:leave");
+                let place = format!("{:#010x}:leave", Place::Hosted.start());
                 let mut arguments: Vec<OsString> =
                     ["-d", DFU_DEVICE, "-a", "0", "-s", &place, "-D"].into_iter().map(OsString::from).collect();
                 arguments.push(raw(elf).into());
@@ -215,16 +207,10 @@ fn raw(elf: &Path) -> PathBuf {
 
 /// The bytes for the bootloader, if it will start them.
 fn for_bootloader(elf: &[u8]) -> Result<Vec<u8>, String> {
-    let binary = Binary::of(elf)?;
-    let end = u64::from(binary.start) + binary.bytes.len() as u64;
-    if binary.start != HOSTED_START || end > HOSTED_END.into() {
-        return Err(format!("it is for {:#010x} to {end:#010x}, and not behind the bootloader", binary.start));
-    }
-    match binary.stack_pointer() {
-        Some(stack) if STACK_IN.contains(&stack.to_be_bytes()[0]) => Ok(binary.bytes),
-        stack => {
-            Err(format!("its first word is {:#010x}, which the bootloader takes for no program", stack.unwrap_or(0)))
-        }
+    let binary = Binary::of(elf).map_err(|error| error.to_string())?;
+    match Place::of(&binary).map_err(|error| error.to_string())? {
+        Place::Hosted => Ok(binary.bytes),
+        Place::Bare => Err("it is for the beginning of flash, and not behind the bootloader".into()),
     }
 }
 
@@ -292,27 +278,24 @@ mod tests {
         }
     }
 
-    /// One loaded segment at `address`, that begins with `first`.
-    fn elf(address: u32, first: u32, length: u32) -> Vec<u8> {
+    /// One loaded segment at `address`, that begins with a stack pointer and the address of a function.
+    fn elf(address: u32) -> Vec<u8> {
         let mut elf = vec![0; 52];
         elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
         (elf[0x1C], elf[0x2A], elf[0x2C]) = (52, 32, 1);
-        for value in [1, 84, address, address, length, length, 5, 4] {
+        for value in [1, 84, address, address, 100, 100, 5, 4, 0x2401_0000, address + 0x41] {
             elf.extend(u32::to_le_bytes(value));
         }
-        elf.extend(first.to_le_bytes());
-        elf.resize(84 + length as usize, 0);
+        elf.resize(84 + 100, 0);
         elf
     }
 
     #[test]
     fn only_what_the_bootloader_will_start_is_given_to_it() {
-        assert_eq!(for_bootloader(&elf(0x0804_0000, 0x2401_0000, 100)).expect("good").len(), 128, "whole flash words");
-        assert!(for_bootloader(&elf(0x0804_0000, 0x2401_0000, 0xC_0000)).is_ok(), "all of bank 1");
+        assert_eq!(for_bootloader(&elf(0x0804_0000)).expect("good").len(), 128, "whole flash words");
         for (file, why) in [
-            (elf(0x0800_0000, 0x2401_0000, 100), "not behind the bootloader"),
-            (elf(0x0804_0000, 0x2401_0000, 0xC_0001), "not behind the bootloader"),
-            (elf(0x0804_0000, 0x1001_0000, 100), "0x10010000"),
+            (elf(0x0800_0000), "not behind the bootloader"),
+            (elf(0x0808_0000), "behind the bootloader (hosted)"),
             (b"text".to_vec(), "no ELF"),
         ] {
             let problem = for_bootloader(&file).expect_err(why);

@@ -5,14 +5,13 @@
 //! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
-//! | `flash`, `binary` | `cargo xtask flash`: the image written into the board |
+//! | `flash` | `cargo xtask flash`: the image written into the board |
 //! | `size` | `cargo xtask size`: what that image takes, and whether it may |
 //! | `protocol` | `cargo xtask size --protocol`: what frames take, encoded and decoded |
 //! | `image` | what an ELF file takes in flash and RAM |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
-mod binary;
 mod firmware;
 mod flash;
 mod image;

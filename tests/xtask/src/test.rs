@@ -50,7 +50,7 @@ const IMAGES: [(&str, &str); 4] =
     [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
 
 /// Cheapest first: what fails most often is seen soonest.
-const STEPS: [Step; 10] = [
+const STEPS: [Step; 11] = [
     Step { name: "toolchain", run: Run::Toolchain, slow: false },
     Step { name: "format", run: cargo(".", &["fmt", "--all", "--check"]), slow: false },
     Step { name: "format, giga", run: cargo("firmware/giga", &["fmt", "--check"]), slow: false },
@@ -58,6 +58,12 @@ const STEPS: [Step; 10] = [
     Step {
         name: "lints",
         run: cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]),
+        slow: false,
+    },
+    // What the program leaves out by default and needs nothing that is not everywhere.
+    Step {
+        name: "lints, flash",
+        run: cargo(".", &["clippy", "--package", "r4", "--features", "probe", "--", "-D", "warnings"]),
         slow: false,
     },
     Step {
@@ -207,7 +213,7 @@ mod tests {
         assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), 5, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), 6, "{summary}");
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::{
         axis::{Command as StepperCommand, Fault as StepperFault},
         steps::DriverTiming,
     },
-    outputs::{OutputFault, Outputs, bldc::Command as DriveCommand},
+    outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand},
     platform::{Bus, Peripherals},
     shared::{MotorStatus, SafetyView, Shared, Status},
     storage::faults::{Recorder, SNAPSHOT_MS},
@@ -151,10 +151,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.tick = self.tick.wrapping_add(1);
         self.outputs.begin_tick();
         self.sense(shared);
-        for (index, motor) in self.motors.iter_mut().enumerate() {
-            for (mode, gains) in [Mode::Position, Mode::Speed].into_iter().zip(shared.take_gains(index)) {
-                gains.into_iter().for_each(|gains| motor.set_gains(mode, gains));
-            }
+        while let Some((index, mode, gains)) = shared.take_gains() {
+            self.motors.get_mut(index).into_iter().for_each(|motor| motor.set_gains(mode, gains));
         }
         // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
         self.step_steppers(shared);
@@ -257,7 +255,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
-        if !self.drive_motors(shared, view, &osmc).await? {
+        if !self.drive_motors(shared, view, osmc).await? {
             return Ok(());
         }
         if self.tick % CHECK_EVERY == 1 && self.may_go_on(shared, view).await {
@@ -265,12 +263,12 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
         if self.tick.is_multiple_of(2) {
-            if self.drive_motors(shared, view, &dhb).await? {
+            if self.drive_motors(shared, view, dhb).await? {
                 self.write_drives_and_servos(shared, view).await?;
             }
         } else {
             self.write_drives_and_servos(shared, view).await?;
-            self.drive_motors(shared, view, &dhb).await?;
+            self.drive_motors(shared, view, dhb).await?;
         }
         Ok(())
     }
@@ -304,11 +302,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         &mut self,
         shared: &Shared<M>,
         view: SafetyView,
-        motors: &[usize],
+        motors: Order,
     ) -> Result<bool, OutputFault> {
         // The motors' supply has just been closed: drivers need it before their inputs move.
         let powered = Instant::now() >= self.powered_at;
-        for index in motors.iter().copied() {
+        for index in motors {
             let motor = &mut self.motors[index];
             if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
                 motor.command(setpoint);

@@ -87,6 +87,13 @@ impl Bridge {
         }
     }
 
+    /// What [`Bridge::drive`] does where nothing is to be sent; `None` where something is.
+    pub fn keep(&mut self, duty: f32) -> Option<f32> {
+        let Step::Keep { applied } = self.next(duty) else { return None };
+        self.applied = applied;
+        Some(applied)
+    }
+
     /// Sets the lines for `duty`, or for the next step towards it, and returns the duty they now give.
     ///
     /// # Errors

@@ -245,9 +245,12 @@ impl<B: Bus> Outputs<B> {
     /// [`OutputFault::Bus`]; the bridge then still does what it did before.
     pub async fn drive(&mut self, index: usize, duty: f32) -> Result<f32, OutputFault> {
         let Some(chip) = self.chip_of(&self.bridges[index]) else { return Ok(0.0) };
-        if let bytes @ 1.. = self.bridges[index].bytes(duty)
-            && !self.fits(bits(bytes))
-        {
+        // So it is in most periods.
+        if let Some(applied) = self.bridges[index].keep(duty) {
+            return Ok(applied);
+        }
+        let bytes = self.bridges[index].bytes(duty);
+        if !self.fits(bits(bytes)) {
             self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
             return Ok(self.bridges[index].applied());
         }
@@ -257,13 +260,12 @@ impl<B: Bus> Outputs<B> {
 
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
     /// with the first that had to wait in the last.
-    pub fn order(&mut self) -> [Vec<usize, MAX_MOTORS>; 2] {
-        let count = self.bridges.len();
-        let beginning_with = |first: Option<usize>, osmc: bool| {
-            let turned = (0..count).map(|place| (place + first.unwrap_or(0)) % count);
-            turned.filter(|index| self.bridges[*index].is_osmc() == osmc).collect()
-        };
+    pub fn order(&mut self) -> [Order; 2] {
         let [osmc, dhb] = core::mem::take(&mut self.waiting);
+        let beginning_with = |first: Option<usize>, osmc: bool| {
+            let left = self.bridges.iter().rev().fold(0, |set, bridge| set << 1 | u8::from(bridge.is_osmc() == osmc));
+            Order { left, first: first.unwrap_or(0) }
+        };
         [beginning_with(osmc, true), beginning_with(dhb, false)]
     }
 
@@ -403,6 +405,27 @@ impl<B: Bus> Outputs<B> {
     }
 }
 
+/// Bridges by their indices, from one of them on and then those before it.
+#[derive(Clone, Debug)]
+pub struct Order {
+    /// A bit for each that is left.
+    left: u8,
+    first: usize,
+}
+
+const _: () = assert!(MAX_MOTORS <= u8::BITS as usize, "a bit for each bridge");
+
+impl Iterator for Order {
+    type Item = usize;
+
+    fn next(&mut self) -> Option<usize> {
+        let later = self.left & u8::MAX << self.first;
+        let next = if later == 0 { self.left } else { later }.trailing_zeros();
+        self.left &= !1_u8.checked_shl(next)?;
+        Some(next as usize)
+    }
+}
+
 /// The bus, with the patience that transfers need.
 struct Patient<B> {
     bus: B,
@@ -427,5 +450,22 @@ impl<B: Bus> Patient<B> {
             tries += 1;
             self.retries += 1;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::Order;
+
+    #[test]
+    fn an_order_begins_with_the_first_and_has_each_bridge_once() {
+        let order = |left, first| Order { left, first }.collect::<std::vec::Vec<_>>();
+        assert_eq!(order(0b1111, 0), [0, 1, 2, 3]);
+        assert_eq!(order(0b1111, 2), [2, 3, 0, 1]);
+        assert_eq!(order(0b1000_0011, 1), [1, 7, 0]);
+        assert_eq!(order(0b1010_0000, 7), [7, 5]);
+        assert_eq!(order(0, 3), []);
     }
 }

@@ -64,6 +64,8 @@ pub(super) struct Bus<'a, S> {
     /// What is executed is the rest of a block, whatever happens meanwhile.
     pub(super) rest_of_block: bool,
     limit: u64,
+    /// A moment, and how many instructions of this run are before it: most accesses do not change what is next.
+    next: (u64, u64),
     pub(super) store_fault: bool,
     pub(super) load_fault: Option<Cause>,
     /// A load from here was refused before, and is not to be made again.
@@ -98,6 +100,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             watch_masks: false,
             rest_of_block: false,
             limit: 0,
+            next: (0, 0),
             store_fault: false,
             load_fault: None,
             ignored_load: None,
@@ -108,7 +111,7 @@ impl<'a, S: Chip> Bus<'a, S> {
     }
 
     /// Instructions of this run until something is to be done between instructions.
-    fn instructions(&self) -> u64 {
+    fn instructions(&mut self) -> u64 {
         let requests = self.cpu.requests;
         let newly_pending = self.exceptions_version != self.cpu.exceptions.version()
             && self.cpu.exceptions.preempting(Masks::NONE).is_some();
@@ -124,8 +127,11 @@ impl<'a, S: Chip> Bus<'a, S> {
         if now {
             return 0;
         }
-        let next = self.t_ns.min(self.chip.next_event_ns()).min(self.cpu.systick.next_event_ns());
-        self.time.until(next)
+        let next_ns = self.t_ns.min(self.chip.next_event_ns()).min(self.cpu.systick.next_event_ns());
+        if self.next.0 != next_ns {
+            self.next = (next_ns, self.time.until(next_ns));
+        }
+        self.next.1
     }
 
     /// After each access.

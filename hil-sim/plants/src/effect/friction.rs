@@ -44,6 +44,19 @@ fitted! {
 }
 
 fitted! {
+    /// A force against motion by speed on top of the model's own, different forwards and backwards: a seal's lips, the two
+    /// flanks of a screw.
+    pub struct DirectionViscous {
+        /// Against motion forwards.
+        pub forward: Parameter::new("forward_nm_s_per_rad", "N m s/rad")
+            .linear("forward_n_s_per_m", "N s/m").within(0.0, 1e6).typical(0.0);
+        /// Against motion backwards.
+        pub backward: Parameter::new("backward_nm_s_per_rad", "N m s/rad")
+            .linear("backward_n_s_per_m", "N s/m").within(0.0, 1e6).typical(0.1);
+    }
+}
+
+fitted! {
     /// A force against motion that varies periodically with position, between 0 and `level`: a bent shaft, a seal, a
     /// worn stretch of screw.
     pub struct PositionFriction {
@@ -116,6 +129,7 @@ pub(crate) enum FrictionStage {
     Coulomb(CoulombFriction),
     Static(StaticFriction),
     Direction(DirectionFriction),
+    Viscous(DirectionViscous),
     /// With the factor from position to angle within the period.
     Position(PositionFriction, f64),
     Drag(QuadraticDrag),
@@ -142,6 +156,7 @@ impl FrictionStage {
             Effect::CoulombFriction(friction) => Self::Coulomb(*friction),
             Effect::StaticFriction(friction) => Self::Static(*friction),
             Effect::DirectionFriction(friction) => Self::Direction(*friction),
+            Effect::DirectionViscous(friction) => Self::Viscous(*friction),
             Effect::PositionFriction(friction) => Self::Position(*friction, angle_per_position(kind, friction.periods)),
             Effect::QuadraticDrag(drag) => Self::Drag(*drag),
             Effect::LoadFriction(friction) => Self::Load(*friction),
@@ -164,6 +179,10 @@ impl FrictionStage {
             Self::Direction(friction) => match direction {
                 Direction::Forward => friction.forward,
                 Direction::Backward => friction.backward,
+            },
+            Self::Viscous(friction) => match direction {
+                Direction::Forward => friction.forward * speed.abs(),
+                Direction::Backward => friction.backward * speed.abs(),
             },
             Self::Position(friction, angle_per_position) => {
                 0.5 * friction.level * (1.0 + libm::sin(angle_per_position * position + friction.phase_rad))
@@ -236,6 +255,9 @@ mod tests {
         let direction = Effect::DirectionFriction(DirectionFriction { forward: 0.4, backward: 0.2 });
         assert_eq!(level(direction, Direction::Forward, 1.0, 1.0), 0.4);
         assert_eq!(level(direction, Direction::Backward, 1.0, 1.0), 0.2);
+        let viscous = Effect::DirectionViscous(DirectionViscous { forward: 0.5, backward: 0.25 });
+        assert_eq!(level(viscous, Direction::Forward, 2.0, 1.0), 1.0);
+        assert_eq!(level(viscous, Direction::Backward, -2.0, 1.0), 0.5);
         let drag = Effect::QuadraticDrag(QuadraticDrag { drag: 0.5 });
         assert_eq!(level(drag, Direction::Forward, 3.0, 1.0), 4.5);
         // two periods per turn: highest at 1/8 turn, 0 at 3/8

@@ -27,7 +27,8 @@ use backlash::Backlash;
 use compliance::Compliance;
 use delay::InputDelay;
 use friction::{
-    CoulombFriction, DirectionFriction, FrictionWarmUp, LoadFriction, PositionFriction, QuadraticDrag, StaticFriction,
+    CoulombFriction, DirectionFriction, DirectionViscous, FrictionWarmUp, LoadFriction, PositionFriction,
+    QuadraticDrag, StaticFriction,
 };
 use input::{DeadZone, DirectionAsymmetry, DriveLag, GainCurve, InputHold, InputSign, Saturation};
 use load::{Cogging, ConstantLoad, GravityLoad, RandomLoad};
@@ -198,6 +199,8 @@ effects! {
         "Friction on top of Coulomb's at rest, falling off with speed (Stribeck).";
     DirectionFriction, "direction-friction", Friction, ANY, [Direction],
         "A constant force against motion, different forwards and backwards.";
+    DirectionViscous, "direction-viscous", Friction, ANY, [Speed, Direction],
+        "A force against motion by speed, different forwards and backwards.";
     PositionFriction, "position-friction", Friction, ANY, [Position, Direction],
         "A force against motion that varies periodically with position.";
     LoadFriction, "load-friction", Friction, ANY, [Input, Direction],

@@ -17,8 +17,8 @@ const LINE: u32 = 128;
 pub(crate) struct Position {
     /// Instructions of the block before its own.
     pub(crate) instruction: u16,
-    /// Halfwords from the beginning of the block to its own.
-    pub(crate) halfword: u16,
+    /// Where its own is.
+    pub(crate) address: u32,
     /// ITSTATE of its own.
     pub(crate) it: u8,
 }
@@ -34,6 +34,8 @@ pub(crate) struct Decoded {
     pub(crate) instructions: u16,
     /// ITSTATE after it.
     pub(crate) it: u8,
+    /// It ends where a line does, and not with a branch.
+    pub(crate) full: bool,
     /// Operations before those instructions outside of IT blocks that are observed.
     pub(crate) observed: Vec<(u16, u32)>,
 }
@@ -78,6 +80,55 @@ pub(crate) fn is_wide(first: u16) -> bool {
     first >> 11 >= 0b11101
 }
 
+/// Operations of a stretch, at which it is not continued.
+const LONG: usize = 32;
+
+/// The stretch of blocks at an address: a block, and what is likely to follow it. `None` where nothing can be fetched.
+pub(crate) fn stretch(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> Option<Decoded> {
+    let mut stretch = block(address, what, floats)?;
+    let goes_on = what.it == 0 && what.observed.is_empty() && !what.one;
+    while goes_on && stretch.ops.len() < LONG {
+        let Some(next) = stretch.next() else { break };
+        let Some(mut more) = block(next, what, floats).filter(|block| block.it == 0) else { break };
+        if let Some(Op::Branch { .. }) = stretch.ops.last() {
+            stretch.ops.pop();
+        }
+        stretch.ops.push(Op::Onward { instructions: more.instructions, address: next });
+        stretch.positions.truncate(stretch.ops.len() - 1);
+        stretch.positions.push(Position { instruction: 0, address: next, it: 0 });
+        stretch.ops.append(&mut more.ops);
+        stretch.positions.append(&mut more.positions);
+        (stretch.end, stretch.full) = (more.end, more.full);
+    }
+    Some(stretch)
+}
+
+impl Decoded {
+    /// Where it goes on, if not another way.
+    fn next(&self) -> Option<u32> {
+        let last = self.ops.last()?;
+        if self.it != 0 || self.positions.last()?.it != 0 && !self.full {
+            return None;
+        }
+        match last {
+            _ if self.full => Some(self.end),
+            Op::Branch { target } => Some(*target),
+            Op::BranchEqual { .. }
+            | Op::BranchNotEqual { .. }
+            | Op::BranchCarry { .. }
+            | Op::BranchNoCarry { .. }
+            | Op::BranchLess { .. }
+            | Op::BranchNotLess { .. }
+            | Op::CmpValueBranch { .. }
+            | Op::CmpBranch { .. }
+            | Op::BranchIf { .. }
+            | Op::BranchZero { .. }
+            | Op::BranchNotZero { .. } => Some(self.end),
+            _ => None,
+        }
+    }
+}
+
 /// The block at an address; `None` where nothing can be fetched.
 pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> Option<Decoded> {
     let mut block = Decoded { end: address, it: what.it, ..Decoded::default() };
@@ -90,6 +141,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
         let within = block.it != 0;
         let full = block.instructions > 0 && !within && (at ^ address) >= LINE;
         if full || what.one && block.instructions > 0 && !within {
+            block.full = full;
             break;
         }
         let Some(first) = what.memory.fetch(at) else { break };
@@ -105,8 +157,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
         if let Some(stop) = outside.filter(|stop| what.observed.contains(&at) && !block.observed.contains(stop)) {
             block.observed.push(stop);
         }
-        let position =
-            Position { instruction: block.instructions, halfword: (at.wrapping_sub(address) / 2) as u16, it: block.it };
+        let position = Position { instruction: block.instructions, address: at, it: block.it };
         let unconditional = !within || first & 0xFF00 == 0xBE00;
         let condition = if unconditional { ALWAYS } else { (block.it >> 4).min(ALWAYS) };
         // Merge with the condition before, where it is the same and flags are.

@@ -314,18 +314,46 @@ impl State {
         bus: &mut dyn CoreBus,
     ) -> Result<(), Fault> {
         let (first, second) = (usize::from(transfer.first & 31), usize::from(transfer.first.wrapping_add(1) & 31));
-        let is_double = transfer.words == 2;
-        if transfer.load {
-            let mut words = [0; 2];
-            self.load_words(address, &mut words[..usize::from(transfer.words)], index, context, bus)?;
-            self.float.s[first] = words[0];
-            if is_double {
-                self.float.s[second] = words[1];
-            }
-            return Ok(());
+        if address & 3 != 0 {
+            return Err(Fault::Unaligned);
         }
-        let words = [self.float.s[first], self.float.s[second]];
-        self.store_words(address, &words[..usize::from(transfer.words)], index, context, bus)
+        match (transfer.load, transfer.words) {
+            (true, 1) => self.float.s[first] = self.load_word(address, index, context, bus)?,
+            // Neither half is loaded where one cannot be.
+            (true, _) => {
+                let low = self.load_word(address, index, context, bus)?;
+                self.float.s[second] = self.load_word(address.wrapping_add(4), index, context, bus)?;
+                self.float.s[first] = low;
+            }
+            (false, words) => {
+                self.store_word(address, self.float.s[first], index, context, bus);
+                if words == 2 {
+                    self.store_word(address.wrapping_add(4), self.float.s[second], index, context, bus);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn load_word(
+        &mut self,
+        address: u32,
+        index: usize,
+        context: &Context<'_>,
+        bus: &mut dyn CoreBus,
+    ) -> Result<u32, Fault> {
+        match self.memory.load(address) {
+            Some(bytes) => Ok(u32::from_le_bytes(bytes)),
+            None => self.load_by_bus(address, Size::Word, index, context, bus).ok_or(Fault::Load),
+        }
+    }
+
+    #[inline(always)]
+    fn store_word(&mut self, address: u32, value: u32, index: usize, context: &Context<'_>, bus: &mut dyn CoreBus) {
+        if self.memory.store(address, value.to_le_bytes()).is_none() {
+            self.store_by_bus(address, Size::Word, value, index, context, bus);
+        }
     }
 
     /// A floating-point instruction, while they are allowed.

@@ -13,7 +13,7 @@ use crate::decode::Position;
 use crate::operation::{COUNT, LR, Op, SP};
 use crate::state::State;
 
-/// The block that is executed.
+/// The stretch of blocks that is executed.
 #[derive(Clone, Copy)]
 pub(crate) struct Context<'a> {
     pub(crate) blocks: &'a Blocks,
@@ -28,7 +28,7 @@ impl Context<'_> {
 
     /// The address of an operation's instruction.
     pub(crate) fn pc(&self, index: usize) -> u32 {
-        self.block.address.wrapping_add(2 * u32::from(self.position(index).halfword))
+        self.position(index).address
     }
 }
 
@@ -73,17 +73,17 @@ fn stop_before(state: &mut State, context: &Context<'_>, index: usize, why: Why)
     Some(why)
 }
 
-/// The last instruction of a block ends the run; what follows is at `pc`.
+/// The last instruction of a stretch, whose last block has so many, ends the run; what follows is at `pc`.
 #[cold]
-fn stop_after(state: &mut State, context: &Context<'_>, pc: u32, why: Why) -> Option<Why> {
+fn stop_after(state: &mut State, context: &Context<'_>, instructions: u16, pc: u32, why: Why) -> Option<Why> {
     state.pc = pc;
     state.it = context.block.it;
-    state.executed += u64::from(context.block.instructions);
+    state.executed += u64::from(instructions);
     Some(why)
 }
 
-/// Executes a block, or its first operations. With `chain` those that follow, too, as long as they are known and nothing else
-/// is to be looked at. `Some` ends the run.
+/// Executes a stretch of blocks, or its first operations. With `chain` those that follow, too, as long as they are known and
+/// nothing else is to be looked at, which is known before each block. `Some` ends the run.
 pub(crate) fn execute(
     state: &mut State,
     blocks: &Blocks,
@@ -93,7 +93,15 @@ pub(crate) fn execute(
 ) -> Option<Why> {
     let mut context = Context { blocks, block };
     let mut ops = blocks.ops(block);
-    let mut index;
+    // Of the present block, and what is left of the stretch.
+    let mut instructions = block.instructions;
+    let mut rest = ops.iter();
+    // The place of the present operation.
+    macro_rules! here {
+        () => {
+            ops.len() - rest.len() - 1
+        };
+    }
     macro_rules! r {
         ($index:expr) => {
             state.r[usize::from($index) % COUNT]
@@ -110,12 +118,12 @@ pub(crate) fn execute(
     }
     macro_rules! before {
         ($fault:expr) => {
-            return stop_before(state, &context, index, Why::Fault($fault))
+            return stop_before(state, &context, here!(), Why::Fault($fault))
         };
     }
     macro_rules! after {
         ($why:expr) => {
-            return stop_after(state, &context, context.block.end, $why)
+            return stop_after(state, &context, instructions, context.block.end, $why)
         };
     }
     // Of accesses to several words.
@@ -132,7 +140,7 @@ pub(crate) fn execute(
             let address: u32 = $address;
             let value = match state.memory.load::<$bytes>(address) {
                 Some(bytes) => $extend(bytes),
-                None => match state.load_by_bus(address, Size::$size, index, &context, bus) {
+                None => match state.load_by_bus(address, Size::$size, here!(), &context, bus) {
                     Some(word) => {
                         let mut bytes = [0; $bytes];
                         bytes.copy_from_slice(&word.to_le_bytes()[..$bytes]);
@@ -149,18 +157,25 @@ pub(crate) fn execute(
             let address: u32 = $address;
             let value = r!($t);
             if state.memory.store::<$bytes>(address, (value as $type).to_le_bytes()).is_none() {
-                state.store_by_bus(address, Size::$size, value, index, &context, bus);
+                state.store_by_bus(address, Size::$size, value, here!(), &context, bus);
             }
         }};
     }
     loop {
-        index = 0;
         let next = 'block: {
-            while let Some(op) = ops.get(index) {
+            // What follows is in the stretch, or after it.
+            macro_rules! branch {
+                ($taken:expr, $target:expr) => {
+                    if $taken {
+                        break 'block $target;
+                    }
+                };
+            }
+            while let Some(op) = rest.next() {
                 match *op {
                     Op::Unless { condition, skip } => {
                         if !state.flags.holds(condition) {
-                            index += usize::from(skip);
+                            rest = rest.as_slice().get(usize::from(skip)..).unwrap_or(&[]).iter();
                         }
                     }
                     Op::AlignSp => r!(SP) &= !3,
@@ -358,94 +373,87 @@ pub(crate) fn execute(
                     Op::Ldrd { t, second, n, offset } => {
                         let address = r!(n).wrapping_add(offset);
                         let mut words = [0; 2];
-                        words!(state.load_words(address, &mut words, index, &context, bus));
+                        words!(state.load_words(address, &mut words, here!(), &context, bus));
                         r!(t) = words[0];
                         r!(second) = words[1];
                     }
                     Op::Strd { t, second, n, offset } => {
                         let address = r!(n).wrapping_add(offset);
                         let words = [r!(t), r!(second)];
-                        words!(state.store_words(address, &words, index, &context, bus));
+                        words!(state.store_words(address, &words, here!(), &context, bus));
                     }
                     Op::Ldm { n, list, offset } => {
                         let address = r!(n).wrapping_add(i32::from(offset) as u32);
-                        words!(state.load_list(address, list, index, &context, bus));
+                        words!(state.load_list(address, list, here!(), &context, bus));
                     }
                     Op::Stm { n, list, offset } => {
                         let address = r!(n).wrapping_add(i32::from(offset) as u32);
-                        words!(state.store_list(address, list, index, &context, bus));
+                        words!(state.store_list(address, list, here!(), &context, bus));
                     }
                     Op::Push { list } => {
                         let address = r!(SP).wrapping_sub(4 * list.count_ones());
-                        words!(state.store_list(address, list, index, &context, bus));
+                        words!(state.store_list(address, list, here!(), &context, bus));
                         r!(SP) = address;
                     }
                     Op::Pop { list } => {
                         let address = r!(SP);
-                        words!(state.load_list(address, list, index, &context, bus));
+                        words!(state.load_list(address, list, here!(), &context, bus));
                         r!(SP) = address.wrapping_add(4 * list.count_ones());
                     }
                     Op::Ldrex { width, t, n, offset } => {
                         let address = r!(n).wrapping_add(offset.into());
-                        let value = words!(state.load_exclusive(width, address, index, &context, bus));
+                        let value = words!(state.load_exclusive(width, address, here!(), &context, bus));
                         r!(t) = value;
                     }
                     Op::Strex { width, d, t, n, words } => {
                         let address = r!(n).wrapping_add(4 * u32::from(words));
                         let value = r!(t);
-                        let failed = words!(state.store_exclusive(width, address, value, index, &context, bus));
+                        let failed = words!(state.store_exclusive(width, address, value, here!(), &context, bus));
                         r!(d) = failed.into();
                     }
                     Op::Clrex => state.exclusive = None,
 
+                    Op::Onward { instructions: next, address } => {
+                        state.executed += u64::from(instructions);
+                        instructions = next;
+                        if state.executed >= state.attention_at {
+                            state.pc = address;
+                            state.it = 0;
+                            return None;
+                        }
+                    }
                     Op::Branch { target } => break 'block target,
-                    Op::BranchEqual { target } => {
-                        break 'block if state.flags.z == 0 { target } else { context.block.end };
-                    }
-                    Op::BranchNotEqual { target } => {
-                        break 'block if state.flags.z != 0 { target } else { context.block.end };
-                    }
-                    Op::BranchCarry { target } => break 'block if state.flags.c { target } else { context.block.end },
-                    Op::BranchNoCarry { target } => {
-                        break 'block if state.flags.c { context.block.end } else { target };
-                    }
-                    Op::BranchLess { target } => {
-                        break 'block if (state.flags.n ^ state.flags.v) >> 31 != 0 {
-                            target
-                        } else {
-                            context.block.end
-                        };
-                    }
-                    Op::BranchNotLess { target } => {
-                        break 'block if (state.flags.n ^ state.flags.v) >> 31 == 0 {
-                            target
-                        } else {
-                            context.block.end
-                        };
-                    }
+                    Op::BranchEqual { target } => branch!(state.flags.z == 0, target),
+                    Op::BranchNotEqual { target } => branch!(state.flags.z != 0, target),
+                    Op::BranchCarry { target } => branch!(state.flags.c, target),
+                    Op::BranchNoCarry { target } => branch!(!state.flags.c, target),
+                    Op::BranchLess { target } => branch!((state.flags.n ^ state.flags.v) >> 31 != 0, target),
+                    Op::BranchNotLess { target } => branch!((state.flags.n ^ state.flags.v) >> 31 == 0, target),
                     Op::CmpValueBranch { n, value, condition, target } => {
                         add(state, r!(n), !u32::from(value), true);
-                        break 'block if state.flags.holds(condition) { target } else { context.block.end };
+                        branch!(state.flags.holds(condition), target);
                     }
                     Op::CmpBranch { n, m, condition, target } => {
                         add(state, r!(n), !r!(m), true);
-                        break 'block if state.flags.holds(condition) { target } else { context.block.end };
+                        branch!(state.flags.holds(condition), target);
                     }
-                    Op::BranchIf { condition, target } => {
-                        break 'block if state.flags.holds(condition) { target } else { context.block.end };
-                    }
+                    Op::BranchIf { condition, target } => branch!(state.flags.holds(condition), target),
                     Op::Call { target } => {
                         r!(LR) = context.block.end | 1;
                         break 'block target;
                     }
-                    Op::BranchZero { n, target } => break 'block if r!(n) == 0 { target } else { context.block.end },
-                    Op::BranchNotZero { n, target } => {
-                        break 'block if r!(n) != 0 { target } else { context.block.end };
-                    }
+                    Op::BranchZero { n, target } => branch!(r!(n) == 0, target),
+                    Op::BranchNotZero { n, target } => branch!(r!(n) != 0, target),
                     Op::Exchange { m } => {
                         let target = r!(m);
                         if state.exception != 0 && target >> 28 == 0xF {
-                            return stop_after(state, &context, target & !1, Why::ExceptionReturn(target | 1));
+                            return stop_after(
+                                state,
+                                &context,
+                                instructions,
+                                target & !1,
+                                Why::ExceptionReturn(target | 1),
+                            );
                         }
                         state.thumb = target & 1 != 0;
                         break 'block target & !1;
@@ -460,13 +468,13 @@ pub(crate) fn execute(
                     Op::Table { half, n, m, next } => {
                         let entry = if half {
                             let address = r!(n).wrapping_add(r!(m) << 1);
-                            match state.load_half(address, index, &context, bus) {
+                            match state.load_half(address, here!(), &context, bus) {
                                 Some(entry) => entry,
                                 None => before!(Fault::Load),
                             }
                         } else {
                             let address = r!(n).wrapping_add(r!(m));
-                            match state.load_byte(address, index, &context, bus) {
+                            match state.load_byte(address, here!(), &context, bus) {
                                 Some(entry) => entry,
                                 None => before!(Fault::Load),
                             }
@@ -485,19 +493,18 @@ pub(crate) fn execute(
                     Op::Yield => after!(Why::Yield),
                     Op::Sev => bus.event(),
                     Op::Svc => after!(Why::Svc),
-                    Op::Bkpt { operand } => return stop_before(state, &context, index, Why::Breakpoint(operand)),
+                    Op::Bkpt { operand } => return stop_before(state, &context, here!(), Why::Breakpoint(operand)),
                     Op::Undefined => before!(Fault::Undefined),
                     Op::NoCoprocessor => before!(Fault::NoCoprocessor),
                     Op::FloatUndefined if state.fpu => before!(Fault::Undefined),
                     Op::FloatUndefined => before!(Fault::NoCoprocessor),
                     Op::Float { .. } if !state.fpu => before!(Fault::NoCoprocessor),
-                    Op::Float { index: number } => words!(state.float(number, index, &context, bus)),
+                    Op::Float { index: number } => words!(state.float(number, here!(), &context, bus)),
                 }
-                index += 1;
             }
             context.block.end
         };
-        state.executed += u64::from(context.block.instructions);
+        state.executed += u64::from(instructions);
         state.pc = next;
         state.it = context.block.it;
         if !chain || state.executed >= state.attention_at || !state.thumb {
@@ -505,7 +512,9 @@ pub(crate) fn execute(
         }
         let block = blocks.follow(context.block, next)?;
         context.block = block;
+        instructions = block.instructions;
         ops = blocks.ops(block);
+        rest = ops.iter();
     }
 }
 

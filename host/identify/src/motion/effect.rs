@@ -23,6 +23,7 @@ pub(super) enum Effect {
     Coulomb,
     Static,
     DirectionFriction,
+    DirectionViscous,
     LoadFriction,
     PositionFriction,
     WarmUp,
@@ -40,7 +41,7 @@ pub(super) enum Effect {
 }
 
 impl Effect {
-    pub(super) const ALL: [Self; 28] = [
+    pub(super) const ALL: [Self; 29] = [
         Self::InputSign,
         Self::InputDelay,
         Self::InputHold,
@@ -55,6 +56,7 @@ impl Effect {
         Self::Coulomb,
         Self::Static,
         Self::DirectionFriction,
+        Self::DirectionViscous,
         Self::LoadFriction,
         Self::PositionFriction,
         Self::WarmUp,
@@ -88,6 +90,7 @@ impl Effect {
             Self::Coulomb => "coulomb-friction",
             Self::Static => "static-friction",
             Self::DirectionFriction => "direction-friction",
+            Self::DirectionViscous => "direction-viscous",
             Self::LoadFriction => "load-friction",
             Self::PositionFriction => "position-friction",
             Self::WarmUp => "friction-warm-up",
@@ -113,7 +116,7 @@ impl Effect {
             Self::SupplySag => &[Supply, Input, Speed],
             Self::WindingHeating => &[Time, History],
             Self::Coulomb | Self::DirectionFriction => &[Direction],
-            Self::Static => &[Speed, Direction],
+            Self::Static | Self::DirectionViscous => &[Speed, Direction],
             Self::LoadFriction => &[Direction, Input],
             Self::PositionFriction => &[Position, Direction],
             Self::WarmUp => &[Time, Direction],
@@ -150,7 +153,7 @@ impl Effect {
             Self::WindingHeating => "a minute of hard driving, then the first steps again after a rest",
             Self::Coulomb => "coasting down from several speeds, and slow ramps through zero",
             Self::Static => "very slow ramps from rest, each way, several times",
-            Self::DirectionFriction => "constant speeds both ways, slow and fast",
+            Self::DirectionFriction | Self::DirectionViscous => "constant speeds both ways, slow and fast",
             Self::LoadFriction => "the same motion with two different loads on the output",
             Self::PositionFriction => "slow constant speed over several turns, both ways",
             Self::WarmUp => "the same cycle repeated for some minutes from a cold start",
@@ -227,7 +230,10 @@ impl Effect {
             ),
             Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
             Self::WindingHeating => (
-                vec![sized("rise_at_full", "1", level(0.05)), shaped("time_constant_s", "s", Range::Positive)],
+                vec![
+                    sized("rise_at_full", "1", level(0.05)),
+                    shaped("time_constant_s", "s", Range::Between(0.02 * s.duration_s, 50.0 * s.duration_s)),
+                ],
                 vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
             ),
             Self::Coulomb => (
@@ -248,6 +254,14 @@ impl Effect {
                 ],
                 vec![vec![1.5 * push, 0.5 * push], vec![0.5 * push, 1.5 * push]],
             ),
+            Self::DirectionViscous => {
+                // Of the sign of the direction that has more.
+                let size = push / s.speed;
+                (
+                    vec![sized(s.units.viscous_name, s.units.viscous, Range::Any { scale: 0.3 * size })],
+                    [-2.0, -0.3, 0.3, 2.0].iter().map(|share| vec![share * size]).collect(),
+                )
+            }
             Self::LoadFriction => (vec![sized("share", "1", Range::Between(0.0, 0.95))], vec![vec![0.1], vec![0.3]]),
             Self::PositionFriction => (
                 vec![

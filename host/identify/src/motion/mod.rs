@@ -20,11 +20,11 @@ pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure},
+    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Simulated, Structure},
     report::Estimate,
 };
 use effect::Effect;
-use simulate::{Observed, simulate};
+use simulate::{Observed, simulate, simulate_each};
 
 /// Which of the models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +62,7 @@ struct Units {
     speed: &'static str,
     force: &'static str,
     drag: &'static str,
+    viscous: &'static str,
     periods: &'static str,
     input: &'static str,
     input_name: &'static str,
@@ -72,6 +73,7 @@ struct Units {
     gap_name: &'static str,
     offset_name: &'static str,
     drag_name: &'static str,
+    viscous_name: &'static str,
     periods_name: &'static str,
 }
 
@@ -81,6 +83,7 @@ impl Units {
         speed: "rad/s",
         force: "N m",
         drag: "N m s^2/rad^2",
+        viscous: "N m s/rad",
         periods: "1/turn",
         input: "1",
         input_name: "duty",
@@ -91,6 +94,7 @@ impl Units {
         gap_name: "gap_rad",
         offset_name: "offset_rad",
         drag_name: "drag_nm_s2_per_rad2",
+        viscous_name: "backward_more_nm_s_per_rad",
         periods_name: "periods_per_turn",
     };
     const LINEAR: Self = Self {
@@ -98,6 +102,7 @@ impl Units {
         speed: "m/s",
         force: "N",
         drag: "N s^2/m^2",
+        viscous: "N s/m",
         periods: "1/m",
         input: "1",
         input_name: "duty",
@@ -108,6 +113,7 @@ impl Units {
         gap_name: "gap_m",
         offset_name: "offset_m",
         drag_name: "drag_n_s2_per_m2",
+        viscous_name: "backward_more_n_s_per_m",
         periods_name: "periods_per_m",
     };
 
@@ -183,10 +189,10 @@ pub struct Motion {
     catalogue: Vec<Candidate>,
     rotary: bool,
     of_speed: bool,
-    /// Longest step of the simulation.
-    step_s: f64,
     duty_limit: f64,
     stops: Option<(f64, f64)>,
+    /// Nothing tells the voltage behind the duty.
+    supply_assumed: bool,
     scales: Scales,
     places: Places,
 }
@@ -200,6 +206,8 @@ struct Places {
     offset: Option<usize>,
 }
 
+/// A supply whose voltage nobody told, V.
+const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
@@ -307,6 +315,16 @@ impl Family for Motion {
         simulate(self, structure, initial, run, predicted, None);
     }
 
+    fn predict_each(
+        &self,
+        known: &Simulated<'_>,
+        others: &[(&Structure, &[f64])],
+        run: &MotionRun,
+        told: &mut dyn FnMut(usize, &[f64]),
+    ) {
+        simulate_each(self, known, others, run, told);
+    }
+
     fn measured<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
         &run.all.measured[run.from..run.to]
     }
@@ -366,8 +384,9 @@ impl Family for Motion {
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        self.in_units(structure, deviations)
+        self.in_units(structure, deviations, intervals)
     }
 
     fn force_per_push(&self, structure: &Structure) -> f64 {

@@ -12,7 +12,7 @@ use crate::{
     report::Estimate,
 };
 
-use super::{Kind, Motion, MotionRun, effect::Effect};
+use super::{ASSUMED_V, Kind, Motion, MotionRun, effect::Effect};
 
 /// A winding whose resistance nobody told, ohm.
 const ASSUMED_OHM: f64 = 1.0;
@@ -51,17 +51,30 @@ impl Motion {
         Physical { inertia: constant / (resistance_ohm * dynamics.k), constant, resistance_ohm, viscous }
     }
 
+    /// What the size of torques and forces hangs on without anybody having told it.
     fn scale_is_assumed(&self) -> Option<String> {
         let known = self.kind == Kind::Axis && self.known.gain.is_some()
             || self.known.plant.is_some()
             || self.known.resistance_ohm.is_some();
-        if known {
+        let scale = if known {
             None
         } else if self.kind == Kind::Axis {
             Some("gain_per_unit = 1".to_owned())
         } else {
             Some(format!("resistance_ohm = {ASSUMED_OHM}"))
-        }
+        };
+        let all: Vec<String> = scale.into_iter().chain(self.supply_is_assumed()).collect();
+        (!all.is_empty()).then(|| all.join(", "))
+    }
+
+    fn supply_is_assumed(&self) -> Option<String> {
+        self.supply_assumed.then(|| format!("supply_v = {ASSUMED_V}"))
+    }
+
+    /// Whether the mechanics has such a number divided by its inertia.
+    fn is_per_inertia(&self, unit: &str) -> bool {
+        let units = &self.scales.units;
+        [units.force, units.drag, units.viscous].contains(&unit)
     }
 
     #[allow(clippy::type_complexity)]
@@ -69,28 +82,33 @@ impl Motion {
         &self,
         structure: &Structure,
         deviations: &[Option<f64>],
+        intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
         let physical = self.physical(structure);
-        let units = &self.scales.units;
         let assumed = self.scale_is_assumed();
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
-        let mut told = |name: &str, unit: &str, value: f64| {
-            let is_force = unit == units.force || unit == units.drag;
-            let scale = if is_force { physical.inertia } else { 1.0 };
-            let std = deviations.next().flatten().map(|deviation| deviation * scale);
-            let assumed = assumed.clone().filter(|_| is_force);
-            (name.to_owned(), Estimate { value: value * scale, std, unit: unit.to_owned(), interval: None, assumed })
+        let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
+        let mut told = |name: &str, unit: &str, value: f64, inertia: f64| {
+            let is_force = self.is_per_inertia(unit);
+            let scale = if is_force { inertia } else { 1.0 };
+            let estimate = Estimate {
+                value: value * scale,
+                std: deviations.next().flatten().map(|deviation| deviation * scale),
+                unit: unit.to_owned(),
+                interval: intervals.next().flatten().map(|ends| ends.map(|end| end * scale)),
+                assumed: match unit {
+                    // An inertia is what a known force says it is.
+                    _ if is_force || unit.starts_with("kg") => assumed.clone(),
+                    _ if unit.ends_with("/V") => self.supply_is_assumed(),
+                    _ => None,
+                },
+            };
+            (name.to_owned(), estimate)
         };
-        let mut base: BTreeMap<String, Estimate> = BTreeMap::new();
-        for (parameter, &value) in self.base.iter().zip(&structure.base) {
-            let (name, mut estimate) = told(parameter.name, parameter.unit, value);
-            if self.kind == Kind::Axis {
-                // The base model of an axis is in its units already.
-                (estimate.value, estimate.std) =
-                    (value, estimate.std.filter(|_| estimate.value != 0.0).map(|std| std * value / estimate.value));
-            }
-            base.insert(name, estimate);
-        }
+        // The base model of an axis is in its units already.
+        let of_base = if self.kind == Kind::Axis { 1.0 } else { physical.inertia };
+        let base = self.base.iter().zip(&structure.base);
+        let base = base.map(|(parameter, &value)| told(parameter.name, parameter.unit, value, of_base)).collect();
         let terms = structure
             .terms
             .iter()
@@ -100,10 +118,10 @@ impl Motion {
                     .parameters
                     .iter()
                     .zip(values)
-                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value))
+                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value, physical.inertia))
                     .collect(),
                 Term::Curve(_) => {
-                    values.iter().for_each(|_| drop(told("value", "1", 0.0)));
+                    values.iter().for_each(|_| drop(told("value", "1", 0.0, 1.0)));
                     BTreeMap::new()
                 }
             })
@@ -211,16 +229,25 @@ impl Motion {
             set("source_ohm", values[0] * physical.resistance_ohm)?;
         } else if effect == Effect::WindingHeating {
             // Full duty at rest is what a share of one stands for.
-            let supply_v = self.known.supply_v.unwrap_or(1.0);
+            let supply_v = self.known.supply_v.unwrap_or(ASSUMED_V);
             let power_w = (self.scales.input * supply_v).powi(2) / physical.resistance_ohm;
             set("rise_per_w", values[0] / power_w)?;
             set("time_constant_s", values[1])?;
+        } else if effect == Effect::DirectionViscous {
+            let more = values[0] * physical.inertia;
+            let (forward, backward) = if kind == PlantKind::Rotary {
+                ("forward_nm_s_per_rad", "backward_nm_s_per_rad")
+            } else {
+                ("forward_n_s_per_m", "backward_n_s_per_m")
+            };
+            set(forward, (-more).max(0.0))?;
+            set(backward, more.max(0.0))?;
         } else if effect == Effect::DirectionAsymmetry {
             set("forward_gain", 1.0)?;
             set("backward_gain", values[0])?;
         } else {
             for (parameter, &value) in candidate.parameters.iter().zip(values) {
-                let is_force = parameter.unit == self.scales.units.force || parameter.unit == self.scales.units.drag;
+                let is_force = self.is_per_inertia(parameter.unit);
                 // A constant load pulls backwards when positive, a push forwards.
                 let sign = if effect == Effect::ConstantLoad { -1.0 } else { 1.0 };
                 let value = match parameter.name {

@@ -4,6 +4,14 @@ use std::sync::Arc;
 
 use crate::{data::Run, fit::robust_deviation};
 
+/// Steps of the simulation are no longer where friction or load change within a step's motion, and twice as long where
+/// they do not, s.
+const LONGEST_STEP_S: f64 = 2.5e-3;
+/// So many steps at most between two samples.
+const MOST_STEPS: f64 = 60.0;
+/// Steps whose lengths differ by less than this share are as long as each other: the difference is rounding.
+const SAME_STEP: f64 = 1e-10;
+
 /// All of a recording.
 #[derive(Clone, Debug)]
 pub(super) struct Recording {
@@ -20,6 +28,8 @@ pub(super) struct Recording {
     pub(super) measured: Vec<f64>,
     /// Deviation of the noise on `measured`.
     noise: f64,
+    /// From each sample to the next in steps: how many, and how long each is. Long ones, and short ones.
+    steps: [Vec<(u32, f64)>; 2],
     /// Time at the first sample since the axis was switched on, if known.
     pub(super) origin_s: f64,
 }
@@ -72,6 +82,7 @@ impl MotionRun {
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
                 noise: noise(&measured),
                 origin_s: 0.0,
+                steps: [2.0 * LONGEST_STEP_S, LONGEST_STEP_S].map(|longest_s| steps(&time_s, longest_s)),
                 time_s,
                 input,
                 measured,
@@ -93,6 +104,12 @@ impl MotionRun {
 
     pub(super) fn gain_at(&self, sample: usize) -> f64 {
         self.all.gain.get(sample).copied().unwrap_or(1.0)
+    }
+
+    /// How many steps to take from a sample to the next one of this run, and how long each is; none from the last.
+    #[inline]
+    pub(super) fn steps(&self, sample: usize, fine: bool) -> (u32, f64) {
+        if sample + 1 < self.to { self.all.steps[usize::from(fine)][sample] } else { (0, 0.0) }
     }
 
     pub(super) fn coasts(&self) -> bool {
@@ -157,6 +174,26 @@ impl MotionRun {
         let slope_deviation = if square > 0.0 { noise / square.sqrt() } else { 1.0 };
         (vec![at_first, slope], vec![3.0 * noise, 3.0 * slope_deviation + 0.3 * slope.abs()])
     }
+}
+
+/// From each sample to the next.
+fn steps(time_s: &[f64], longest_s: f64) -> Vec<(u32, f64)> {
+    let mut last_s = f64::NAN;
+    time_s
+        .windows(2)
+        .map(|pair| {
+            let dt_s = pair[1] - pair[0];
+            let count = (dt_s / longest_s - 1e-6).ceil().clamp(1.0, MOST_STEPS);
+            let step_s = dt_s / count;
+            if step_s.is_nan() || step_s <= 0.0 {
+                return (0, 0.0);
+            }
+            if (step_s - last_s).abs() > SAME_STEP * step_s || last_s.is_nan() {
+                last_s = step_s;
+            }
+            (count as u32, last_s)
+        })
+        .collect()
 }
 
 /// Deviation of white noise on a smooth series, by its second differences.

@@ -6,10 +6,14 @@
 //!
 //! Within a step, the command, the friction's level and the load are constant and the rest is solved exactly, up to the
 //! moment at which the speed passes zero; there the axis holds unless it is pushed harder than friction.
+//!
+//! Three stages follow one another: what drives the motor ([`Input`]), what moves ([`Mechanics`]) and what is told of it
+//! ([`Sensor`]). Nothing flows back, except round a servo's loop and into a sagging supply; so each stage is done for the
+//! whole run at once, and what free runs have in common is done once ([`simulate_each`]).
 
 use std::f64::consts::TAU;
 
-use crate::family::{Acts, Curve, Structure};
+use crate::family::{Acts, Curve, Simulated, Structure};
 use r4_plants::Dependence;
 
 use super::{Motion, MotionRun, effect::Effect};
@@ -29,7 +33,7 @@ pub(super) struct Observed {
 }
 
 /// A sine over position.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 struct Wave {
     amplitude: f64,
     phase: f64,
@@ -43,19 +47,38 @@ impl Wave {
     }
 }
 
-/// A structure with every number where the simulation wants it.
-struct Plan<'s> {
-    /// Per volt.
-    k: f64,
-    b: f64,
-    /// With open terminals.
-    b_open: f64,
-    /// Duty per rad of error and unit of gain; a servo's.
-    loop_gain: f64,
-    /// Of a pendulum that is known to be there.
-    pendulum: f64,
-    /// Its angle at position 0.
-    pendulum_offset: f64,
+/// A number that depends on a step's length and is not worked out again while that stays the same.
+#[derive(Clone, Copy)]
+struct PerStep {
+    step_s: f64,
+    value: f64,
+}
+
+impl PerStep {
+    const NONE: Self = Self { step_s: f64::NAN, value: 0.0 };
+
+    fn get(&mut self, step_s: f64, value: impl FnOnce() -> f64) -> f64 {
+        if self.step_s != step_s {
+            *self = Self { step_s, value: value() };
+        }
+        self.value
+    }
+}
+
+/// A product of damping and time below which the closed form of a way loses digits, and its series is better.
+const STIFF: f64 = 1e-4;
+
+/// Share of the way to its end that a first-order response makes in a time.
+// Not inlined, as all that is seldom asked for within a step: what it divides by may be nothing there, and the division
+// would be taken out of the loop and done anyway.
+#[inline(never)]
+fn first_order(time_s: f64, time_constant_s: f64) -> f64 {
+    -(-time_s / time_constant_s).exp_m1()
+}
+
+/// Between the command and the motor.
+#[derive(Clone, Copy, PartialEq)]
+struct Input {
     sign: f64,
     delay_s: f64,
     hold_s: f64,
@@ -67,29 +90,542 @@ struct Plan<'s> {
     lag_s: f64,
     sag: f64,
     heating: Option<(f64, f64)>,
+    /// Largest command, which heats fully.
+    largest: f64,
+    /// Duty per rad of error and unit of gain; a servo's.
+    loop_gain: f64,
+    duty_limit: f64,
+    /// Friction or load change within a step's motion: short steps.
+    fine: bool,
+}
+
+/// What arrives at the motor over a step.
+#[derive(Clone, Copy)]
+struct Driven {
+    command: f64,
+    volts: f64,
+    /// By which a warm winding's share of push and damping is multiplied.
+    colder: f64,
+    enabled: bool,
+}
+
+#[derive(Clone, Copy)]
+struct InputState {
+    slewed: f64,
+    lagged: f64,
+    heat: f64,
+    /// Where the command was last looked up.
+    cursor: usize,
+    /// The last command, and how it was shaped.
+    shaped: (f64, f64),
+    lag: PerStep,
+    heating: PerStep,
+}
+
+impl Input {
+    /// The command as it arrives at the motor, before lag and supply.
+    fn shaped(&self, command: f64) -> f64 {
+        let command = self.sign * command;
+        let mut size = (command.abs() - self.dead_zone).max(0.0);
+        if let Some(exponent) = self.exponent {
+            size = size.powf(exponent);
+        }
+        let size = size.min(self.limit);
+        if command < 0.0 { -size * self.backward_gain } else { size }
+    }
+
+    fn begin(&self, run: &MotionRun) -> InputState {
+        let command = run.input_at(run.from);
+        let shaped = self.shaped(command);
+        InputState {
+            slewed: if self.rate.is_some() { shaped } else { 0.0 },
+            lagged: shaped * run.supply_at(run.from),
+            heat: 0.0,
+            cursor: run.from,
+            shaped: (command, shaped),
+            lag: PerStep::NONE,
+            heating: PerStep::NONE,
+        }
+    }
+
+    /// The mean command over a step, as it was a delay ago.
+    #[inline(always)]
+    fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
+        if self.hold_s > 0.0 || self.delay_s > 0.0 {
+            self.delayed(run, from_s, step_s, cursor)
+        } else {
+            run.all.input[sample]
+        }
+    }
+
+    #[inline(never)]
+    fn delayed(&self, run: &MotionRun, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
+        if self.hold_s <= 0.0 {
+            return run.mean_input(from_s - self.delay_s, step_s, cursor);
+        }
+        // The mean over the step, so that a little longer period makes a little difference.
+        let (begin_s, end_s) = (from_s - self.delay_s, from_s - self.delay_s + step_s);
+        let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
+        let held = run.input_before(first * self.hold_s, cursor);
+        if last > first {
+            let share = (end_s - last * self.hold_s) / step_s;
+            held + share * (run.input_before(last * self.hold_s, cursor) - held)
+        } else {
+            held
+        }
+    }
+
+    /// `back_emf` is what the motor makes itself, as volts at its terminals: only a sagging supply feels it.
+    #[inline(always)]
+    fn drive(
+        &self,
+        state: &mut InputState,
+        command: f64,
+        (supply_v, enabled): (f64, bool),
+        step_s: f64,
+        back_emf: f64,
+    ) -> Driven {
+        if command != state.shaped.0 {
+            state.shaped = (command, self.shaped(command));
+        }
+        let mut acting = state.shaped.1;
+        if let Some(rate) = self.rate {
+            state.slewed += (acting - state.slewed).clamp(-rate * step_s, rate * step_s);
+            acting = state.slewed;
+        }
+        let colder = self.heating.map_or(1.0, |(rise, _)| 1.0 / (1.0 + rise * state.heat));
+        let mut volts = acting * supply_v;
+        if self.sag > 0.0 {
+            // Of what the current through the source takes, by the share of its resistance in the motor's.
+            volts = back_emf + (volts - back_emf) / (1.0 + self.sag * acting * acting);
+        }
+        if self.lag_s > 0.0 {
+            let share = state.lag.get(step_s, || first_order(step_s, self.lag_s));
+            let mean = volts + (state.lagged - volts) * share * self.lag_s / step_s;
+            state.lagged += (volts - state.lagged) * share;
+            volts = mean;
+        }
+        if let Some((_, time_constant_s)) = self.heating {
+            let power = (acting / self.largest).powi(2);
+            state.heat += (power - state.heat) * state.heating.get(step_s, || first_order(step_s, time_constant_s));
+        }
+        Driven { command, volts: if enabled { volts } else { 0.0 }, colder, enabled }
+    }
+
+    /// All of a run, where nothing flows back.
+    fn over(&self, run: &MotionRun) -> Vec<Driven> {
+        let mut state = self.begin(run);
+        let mut driven = Vec::with_capacity(if self.fine { 2 } else { 1 } * (run.to - run.from));
+        for sample in run.from..run.to {
+            let (steps, step_s) = run.steps(sample, self.fine);
+            let of_sample = (run.supply_at(sample), run.enabled_at(sample));
+            for step in 0..steps {
+                let from_s = run.all.time_s[sample] + f64::from(step) * step_s;
+                let command = self.command(run, sample, from_s, step_s, &mut state.cursor);
+                driven.push(self.drive(&mut state, command, of_sample, step_s, 0.0));
+            }
+        }
+        driven
+    }
+}
+
+/// What moves.
+#[derive(Clone, PartialEq)]
+struct Mechanics<'s> {
+    /// Per volt.
+    k: f64,
+    b: f64,
+    /// With open terminals.
+    b_open: f64,
+    /// Of a pendulum that is known to be there.
+    pendulum: f64,
+    /// Its angle at position 0.
+    pendulum_offset: f64,
     coulomb: (f64, f64),
     stribeck: Option<(f64, f64)>,
     load_share: f64,
     position_friction: Option<Wave>,
     warm_up: Option<(f64, f64)>,
     drag: f64,
+    /// More damping forwards, and backwards.
+    viscous: (f64, f64),
     load: f64,
     gravity: Option<Wave>,
     cogging: Option<Wave>,
+    curves: Vec<(&'s Curve, &'s [f64])>,
+    stops: Option<(f64, f64)>,
+    position: f64,
+    speed: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Body {
+    position: f64,
+    speed: f64,
+    reversal: f64,
+    direction: f64,
+    decay: Decay,
+}
+
+/// `exp(-b step_s)` and `1 / b`, not worked out again while both stay the same.
+#[derive(Clone, Copy)]
+struct Decay {
+    b: f64,
+    step_s: f64,
+    decayed: f64,
+    per_b: f64,
+}
+
+impl Mechanics<'_> {
+    fn begin(&self) -> Body {
+        Body {
+            position: self.position,
+            speed: self.speed,
+            reversal: self.position,
+            direction: 0.0,
+            decay: Decay { b: f64::NAN, step_s: f64::NAN, decayed: 0.0, per_b: 0.0 },
+        }
+    }
+
+    /// Friction depends on the direction only, and the load on nothing.
+    fn is_plain(&self) -> bool {
+        self.pendulum == 0.0
+            && self.gravity.is_none()
+            && self.cogging.is_none()
+            && self.curves.is_empty()
+            && self.drag <= 0.0
+            && self.viscous == (0.0, 0.0)
+            && self.stribeck.is_none()
+            && self.load_share <= 0.0
+            && self.position_friction.is_none()
+            && self.warm_up.is_none()
+    }
+
+    /// It would move alike from elsewhere.
+    fn is_alike_everywhere(&self) -> bool {
+        self.pendulum == 0.0
+            && self.gravity.is_none()
+            && self.cogging.is_none()
+            && self.position_friction.is_none()
+            && self.stops.is_none()
+            && self.curves.iter().all(|(curve, _)| {
+                matches!(
+                    curve.over,
+                    Dependence::Input
+                        | Dependence::Speed
+                        | Dependence::Time
+                        | Dependence::Supply
+                        | Dependence::Direction
+                        | Dependence::History
+                )
+            })
+    }
+
+    /// Push, level of friction and damping over a step; `on_s` is how long the axis has been on when it begins. `PLAIN`
+    /// leaves out what [`Self::is_plain`] says is not there.
+    #[inline(always)]
+    fn forces<const PLAIN: bool>(
+        &self,
+        body: &Body,
+        driven: &Driven,
+        (on_s, supply_v, step_s): (f64, f64, f64),
+    ) -> (f64, f64, f64) {
+        let driving = self.k * driven.colder * driven.volts;
+        let mut b = if driven.enabled { self.b * driven.colder } else { self.b_open };
+        let mut push = driving + self.load;
+        let mut level = 0.0;
+        if !PLAIN {
+            // Half a step on, by the speed so far: what depends on position is taken there.
+            let ahead = body.position + 0.5 * step_s * body.speed;
+            if self.pendulum != 0.0 {
+                push -= self.pendulum * (ahead + self.pendulum_offset).sin();
+            }
+            if let Some(gravity) = &self.gravity {
+                push -= gravity.at(ahead);
+            }
+            if let Some(cogging) = &self.cogging {
+                push -= cogging.at(ahead);
+            }
+            for (curve, values) in &self.curves {
+                let at = match curve.over {
+                    Dependence::Input => driven.command,
+                    Dependence::Speed => body.speed,
+                    Dependence::Time => on_s,
+                    Dependence::Supply => supply_v,
+                    Dependence::Direction => body.direction,
+                    Dependence::History => (body.position - body.reversal).abs(),
+                    _ => ahead,
+                };
+                let value = curve.value(values, at);
+                match curve.acts {
+                    Acts::Push => push += value,
+                    Acts::Friction => level += value,
+                    Acts::Gain => push += driving * value,
+                }
+            }
+            if self.drag > 0.0 {
+                b += self.drag * body.speed.abs();
+            }
+            if let Some((force, stribeck)) = self.stribeck {
+                level += force * (-(body.speed / stribeck).powi(2)).exp();
+            }
+            if self.load_share > 0.0 {
+                level += self.load_share * (driving - self.b * body.speed).abs();
+            }
+            if let Some(wave) = &self.position_friction {
+                level += 0.5 * (wave.amplitude + wave.at(ahead));
+            }
+            if let Some((force, time_constant_s)) = self.warm_up {
+                level += force * (-on_s / time_constant_s).exp();
+            }
+        }
+        let backward = if body.speed == 0.0 { push < 0.0 } else { body.speed < 0.0 };
+        if !PLAIN {
+            b += if backward { self.viscous.1 } else { self.viscous.0 };
+        }
+        (push, (level + if backward { self.coulomb.1 } else { self.coulomb.0 }).max(0.0), b)
+    }
+}
+
+/// One step of axes side by side: none waits for another's arithmetic.
+#[inline(always)]
+fn step<const LANES: usize, const PLAIN: bool>(
+    mechanics: &[&Mechanics<'_>; LANES],
+    bodies: &mut [Body; LANES],
+    driven: [&Driven; LANES],
+    at @ (_, _, step_s): (f64, f64, f64),
+) {
+    let (mut push, mut level) = ([0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        let body = &mut bodies[lane];
+        let b;
+        (push[lane], level[lane], b) = mechanics[lane].forces::<PLAIN>(body, driven[lane], at);
+        if body.decay.b != b || body.decay.step_s != step_s {
+            body.decay = Decay { b, step_s, decayed: (-b * step_s).exp(), per_b: 1.0 / b };
+        }
+    }
+    let before: [f64; LANES] = std::array::from_fn(|lane| bodies[lane].position);
+    // As `advance` does where no speed passes zero, and without a branch.
+    let (mut position, mut speed, mut usual) = (before, [0.0; LANES], true);
+    for lane in 0..LANES {
+        let (body, push, level) = (&bodies[lane], push[lane], level[lane]);
+        let rests = body.speed == 0.0;
+        let direction = 1.0_f64.copysign(if rests { push } else { body.speed });
+        let net = push - direction * level;
+        let settled = net * body.decay.per_b;
+        let next = settled + (body.speed - settled) * body.decay.decayed;
+        let way = (net * step_s - (next - body.speed)) * body.decay.per_b;
+        let holds = rests & (push.abs() <= level);
+        usual &= (body.decay.b * step_s > STIFF) & (rests | (next * direction >= 0.0));
+        speed[lane] = if holds { 0.0 } else { next };
+        position[lane] += if holds { 0.0 } else { way };
+    }
+    for lane in 0..LANES {
+        let body = &mut bodies[lane];
+        if usual {
+            (body.position, body.speed) = (position[lane], speed[lane]);
+        } else {
+            advance(body, push[lane], level[lane]);
+        }
+        if let Some(stops) = mechanics[lane].stops {
+            let inside = body.position.clamp(stops.0, stops.1);
+            if inside != body.position {
+                (body.position, body.speed) = (inside, 0.0);
+            }
+        }
+        if !PLAIN {
+            let moved = (body.position - before[lane]).signum();
+            if body.position != before[lane] && moved != body.direction {
+                body.direction = moved;
+                body.reversal = before[lane];
+            }
+        }
+    }
+}
+
+/// Position and speed after every step.
+type Way = Vec<(f64, f64)>;
+
+/// The ways of axes under what drives each of them.
+fn ways(run: &MotionRun, fine: bool, axes: &[(&Mechanics<'_>, &[Driven])]) -> Vec<Way> {
+    let plain = axes.iter().all(|(mechanics, _)| mechanics.is_plain());
+    let side_by_side = |axes: &[(&Mechanics<'_>, &[Driven])]| match (axes, plain) {
+        (&[a, b, c, d], true) => Vec::from(lanes::<4, true>(run, fine, [a, b, c, d])),
+        (&[a, b, c, d], false) => Vec::from(lanes::<4, false>(run, fine, [a, b, c, d])),
+        (&[a, b, c], true) => Vec::from(lanes::<3, true>(run, fine, [a, b, c])),
+        (&[a, b, c], false) => Vec::from(lanes::<3, false>(run, fine, [a, b, c])),
+        (&[a, b], true) => Vec::from(lanes::<2, true>(run, fine, [a, b])),
+        (&[a, b], false) => Vec::from(lanes::<2, false>(run, fine, [a, b])),
+        (&[a, ..], true) => Vec::from(lanes::<1, true>(run, fine, [a])),
+        (&[a, ..], false) => Vec::from(lanes::<1, false>(run, fine, [a])),
+        (&[], _) => Vec::new(),
+    };
+    axes.chunks(4).flat_map(side_by_side).collect()
+}
+
+fn lanes<const LANES: usize, const PLAIN: bool>(
+    run: &MotionRun,
+    fine: bool,
+    axes: [(&Mechanics<'_>, &[Driven]); LANES],
+) -> [Way; LANES] {
+    let mechanics = axes.map(|(mechanics, _)| mechanics);
+    let mut bodies = mechanics.map(Mechanics::begin);
+    let mut ways = axes.map(|(_, driven)| Vec::with_capacity(driven.len()));
+    let mut done = 0;
+    for sample in run.from..run.to {
+        let (steps, step_s) = run.steps(sample, fine);
+        let (on_s, supply_v) = (run.all.origin_s + run.all.time_s[sample], run.supply_at(sample));
+        for number in 0..steps {
+            let driven = axes.map(|(_, driven)| &driven[done]);
+            step::<LANES, PLAIN>(
+                &mechanics,
+                &mut bodies,
+                driven,
+                (on_s + f64::from(number) * step_s, supply_v, step_s),
+            );
+            for (way, body) in ways.iter_mut().zip(&bodies) {
+                way.push((body.position, body.speed));
+            }
+            done += 1;
+        }
+    }
+    ways
+}
+
+/// Between what moves and what is recorded.
+#[derive(Clone, Copy)]
+struct Sensor {
+    of_speed: bool,
     gap: f64,
     compliance: Option<(f64, f64)>,
-    sensor_lag_s: f64,
-    sensor_hold_s: f64,
+    lag_s: f64,
+    hold_s: f64,
     eccentricity: Option<Wave>,
     scale: f64,
     offset: f64,
-    curves: Vec<(&'s Curve, &'s [f64])>,
-    /// Friction or load change within a step's motion.
-    fine: bool,
+}
+
+#[derive(Clone, Copy)]
+struct SensorState {
+    /// Behind the gap, with its speed.
+    output: (f64, f64),
+    /// Behind the spring, with its speed.
+    sprung: (f64, f64),
+    sensed: f64,
+    /// What a sensor that holds last told, and when.
+    held: f64,
+    slot: f64,
+    lag: PerStep,
+    parts: PerStep,
+}
+
+impl Sensor {
+    fn begin(&self, position: f64, speed: f64) -> SensorState {
+        SensorState {
+            output: (position, speed),
+            sprung: (position, speed),
+            sensed: if self.of_speed { speed } else { position },
+            held: f64::NAN,
+            slot: f64::NEG_INFINITY,
+            lag: PerStep::NONE,
+            parts: PerStep::NONE,
+        }
+    }
+
+    fn behind(&self, state: &SensorState) -> (f64, f64) {
+        if self.compliance.is_some() { state.sprung } else { state.output }
+    }
+
+    /// What is told at a sample.
+    #[inline(always)]
+    fn tell(&self, state: &mut SensorState, now_s: f64) -> f64 {
+        if self.lag_s <= 0.0 {
+            let (position, speed) = self.behind(state);
+            state.sensed = if self.of_speed {
+                speed
+            } else {
+                position + self.eccentricity.as_ref().map_or(0.0, |wave| wave.at(position))
+            };
+        }
+        if self.hold_s > 0.0 {
+            let slot = ((now_s + 1e-9) / self.hold_s).floor();
+            if slot > state.slot {
+                state.slot = slot;
+                state.held = state.sensed;
+            }
+        } else {
+            state.held = state.sensed;
+        }
+        if self.of_speed { state.held * self.scale } else { state.held * self.scale + self.offset }
+    }
+
+    /// Nothing happens between samples.
+    fn is_at_once(&self) -> bool {
+        self.gap <= 0.0 && self.compliance.is_none() && self.lag_s <= 0.0
+    }
+
+    #[inline(always)]
+    fn step(&self, state: &mut SensorState, (position, speed): (f64, f64), step_s: f64) {
+        let gap = 0.5 * self.gap;
+        let output = state.output.0.clamp(position - gap, position + gap);
+        state.output = (output, if self.gap > 0.0 && output == state.output.0 { 0.0 } else { speed });
+        if let Some(compliance) = self.compliance {
+            swing(compliance, state, speed, step_s);
+        }
+        if self.lag_s > 0.0 {
+            let (position, speed) = self.behind(state);
+            let truth = if self.of_speed { speed } else { position };
+            state.sensed += (truth - state.sensed) * state.lag.get(step_s, || first_order(step_s, self.lag_s));
+        }
+    }
+
+    /// What is told of a way.
+    fn over(&self, run: &MotionRun, first: (f64, f64), way: &[(f64, f64)], fine: bool, predicted: &mut [f64]) {
+        let mut state = self.begin(first.0, first.1);
+        let at_once = self.is_at_once();
+        let mut done = 0;
+        for (sample, told) in (run.from..run.to).zip(predicted) {
+            *told = self.tell(&mut state, run.all.time_s[sample]);
+            let (steps, step_s) = run.steps(sample, fine);
+            let next = done + steps as usize;
+            if at_once {
+                if let Some(&last) = way[done..next].last() {
+                    state.output = last;
+                }
+            } else {
+                for &moved in &way[done..next] {
+                    self.step(&mut state, moved, step_s);
+                }
+            }
+            done = next;
+        }
+    }
+}
+
+/// One step of what hangs on the output by a spring and a damper.
+#[inline(never)]
+fn swing((natural_hz, damping): (f64, f64), state: &mut SensorState, speed: f64, step_s: f64) {
+    let omega = TAU * natural_hz;
+    // Short enough for the spring.
+    let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
+    let part_s = step_s / parts;
+    let (sprung, sprung_speed) = &mut state.sprung;
+    for _ in 0..parts as usize {
+        let pull = omega * omega * (state.output.0 - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
+        *sprung_speed += pull * part_s;
+        *sprung += *sprung_speed * part_s;
+    }
+}
+
+/// A structure with every number where the simulation wants it.
+struct Plan<'s> {
+    input: Input,
+    mechanics: Mechanics<'s>,
+    sensor: Sensor,
 }
 
 impl<'s> Plan<'s> {
-    fn new(motion: &Motion, structure: &'s Structure) -> Self {
+    fn new(motion: &Motion, structure: &'s Structure, initial: &[f64]) -> Self {
         let of = |effect: Effect| structure.of(motion.index(effect)?);
         let one = |effect, absent| of(effect).map_or(absent, |values| values[0]);
         let two = |effect| of(effect).map(|values| (values[0], values[1]));
@@ -102,13 +638,44 @@ impl<'s> Plan<'s> {
         };
         let base = motion.dynamics(&structure.base);
         let coulomb = one(Effect::Coulomb, 0.0);
-        Self {
+        let viscous = one(Effect::DirectionViscous, 0.0);
+        let sensor = Sensor {
+            of_speed: motion.of_speed,
+            gap: one(Effect::Backlash, 0.0),
+            compliance: two(Effect::Compliance),
+            lag_s: one(Effect::SensorLag, 0.0),
+            hold_s: one(Effect::SensorHold, 0.0),
+            eccentricity: wave(Effect::Eccentricity),
+            scale: one(Effect::EncoderScale, 1.0),
+            offset: one(Effect::EncoderOffset, 0.0),
+        };
+        let (position, speed) = match *initial {
+            [speed] => (0.0, speed),
+            [position, speed, ..] => ((position - sensor.offset) / sensor.scale, speed),
+            [] => (0.0, 0.0),
+        };
+        let mechanics = Mechanics {
             k: base.k,
             b: base.b,
             b_open: base.b_open,
-            loop_gain: base.loop_gain,
             pendulum: base.pendulum,
             pendulum_offset: motion.pendulum_offset(&structure.base),
+            coulomb: two(Effect::DirectionFriction).unwrap_or((coulomb, coulomb)),
+            stribeck: two(Effect::Static),
+            load_share: one(Effect::LoadFriction, 0.0),
+            position_friction: wave(Effect::PositionFriction),
+            warm_up: two(Effect::WarmUp),
+            drag: one(Effect::Drag, 0.0),
+            viscous: ((-viscous).max(0.0), viscous.max(0.0)),
+            load: one(Effect::ConstantLoad, 0.0),
+            gravity: wave(Effect::Gravity),
+            cogging: wave(Effect::Cogging),
+            curves: structure.curves().collect(),
+            stops: motion.stops,
+            position,
+            speed,
+        };
+        let input = Input {
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
             delay_s: one(Effect::InputDelay, 0.0),
             hold_s: one(Effect::InputHold, 0.0),
@@ -120,71 +687,87 @@ impl<'s> Plan<'s> {
             lag_s: one(Effect::DriveLag, 0.0),
             sag: one(Effect::SupplySag, 0.0),
             heating: two(Effect::WindingHeating),
-            coulomb: two(Effect::DirectionFriction).unwrap_or((coulomb, coulomb)),
-            stribeck: two(Effect::Static),
-            load_share: one(Effect::LoadFriction, 0.0),
-            position_friction: wave(Effect::PositionFriction),
-            warm_up: two(Effect::WarmUp),
-            drag: one(Effect::Drag, 0.0),
-            load: one(Effect::ConstantLoad, 0.0),
-            gravity: wave(Effect::Gravity),
-            cogging: wave(Effect::Cogging),
-            gap: one(Effect::Backlash, 0.0),
-            compliance: two(Effect::Compliance),
-            sensor_lag_s: one(Effect::SensorLag, 0.0),
-            sensor_hold_s: one(Effect::SensorHold, 0.0),
-            eccentricity: wave(Effect::Eccentricity),
-            scale: one(Effect::EncoderScale, 1.0),
-            offset: one(Effect::EncoderOffset, 0.0),
-            curves: structure.curves().collect(),
-            fine: false,
+            largest: motion.scales.input,
+            loop_gain: base.loop_gain,
+            duty_limit: motion.duty_limit,
+            fine: mechanics.stribeck.is_some()
+                || mechanics.position_friction.is_some()
+                || mechanics.gravity.is_some()
+                || mechanics.cogging.is_some()
+                || mechanics.pendulum != 0.0
+                || mechanics.drag != 0.0
+                || base.loop_gain != 0.0
+                || mechanics.load_share != 0.0
+                || sensor.compliance.is_some()
+                || mechanics.curves.iter().any(|(curve, _)| curve.over != Dependence::Input),
+        };
+        Self { input, mechanics, sensor }
+    }
+
+    /// What moves, or is told, changes what drives.
+    fn flows_back(&self) -> bool {
+        self.input.loop_gain != 0.0 || self.input.sag > 0.0
+    }
+
+    /// By how much everything told is shifted, where another initial state does nothing else than that.
+    fn shift(&self, known: &Simulated<'_>, structure: &Structure, initial: &[f64]) -> Option<f64> {
+        let ([from, speed], [to, same]) = (known.initial, initial) else { return None };
+        let alike = speed == same
+            && known.structure == structure
+            && !self.flows_back()
+            && self.sensor.eccentricity.is_none()
+            && self.mechanics.is_alike_everywhere();
+        alike.then_some(to - from)
+    }
+
+    /// What is told of a way.
+    fn tell(&self, run: &MotionRun, way: &[(f64, f64)], predicted: &mut [f64]) {
+        let first = (self.mechanics.position, self.mechanics.speed);
+        self.sensor.over(run, first, way, self.input.fine, predicted);
+    }
+
+    /// Step by step through all three stages.
+    fn simulate(&self, run: &MotionRun, predicted: &mut [f64], mut observed: Option<&mut Observed>) {
+        let Self { input, mechanics, sensor } = self;
+        let mut driving = input.begin(run);
+        let mut body = mechanics.begin();
+        let mut sensing = sensor.begin(body.position, body.speed);
+        for (sample, told) in (run.from..run.to).zip(predicted) {
+            let now_s = run.all.time_s[sample];
+            *told = sensor.tell(&mut sensing, now_s);
+            let (steps, step_s) = run.steps(sample, input.fine);
+            let (speed_before, supply_v) = (body.speed, run.supply_at(sample));
+            let of_sample = (supply_v, run.enabled_at(sample));
+            for number in 0..steps {
+                let from_s = now_s + f64::from(number) * step_s;
+                let mut command = input.command(run, sample, from_s, step_s, &mut driving.cursor);
+                if input.loop_gain != 0.0 {
+                    let error = command - (sensing.held * sensor.scale + sensor.offset);
+                    let duty = input.loop_gain * run.gain_at(sample) * error;
+                    command = duty.clamp(-input.duty_limit, input.duty_limit);
+                }
+                let back_emf = body.speed * mechanics.b / mechanics.k;
+                let driven = input.drive(&mut driving, command, of_sample, step_s, back_emf);
+                let at = (run.all.origin_s + from_s, supply_v, step_s);
+                step::<1, false>(&[mechanics], std::array::from_mut(&mut body), [&driven], at);
+                sensor.step(&mut sensing, (body.position, body.speed), step_s);
+                if input.loop_gain != 0.0 && sensor.hold_s <= 0.0 {
+                    sensing.held = if sensor.lag_s > 0.0 { sensing.sensed } else { sensing.output.0 };
+                }
+            }
+            if let Some(observed) = observed.as_deref_mut() {
+                let dt_s = f64::from(steps) * step_s;
+                observed.input.push(run.all.input[sample]);
+                observed.speed.push(speed_before);
+                observed.position.push(body.position);
+                observed.acceleration.push(if dt_s > 0.0 { (body.speed - speed_before) / dt_s } else { 0.0 });
+                observed.direction.push(if speed_before == 0.0 { 0.0 } else { speed_before.signum() });
+                observed.time_s.push(run.all.origin_s + now_s);
+                observed.supply.push(supply_v);
+                observed.history.push((body.position - body.reversal).abs());
+            }
         }
-        .finished()
     }
-
-    fn finished(mut self) -> Self {
-        self.fine = self.stribeck.is_some()
-            || self.position_friction.is_some()
-            || self.gravity.is_some()
-            || self.cogging.is_some()
-            || self.pendulum != 0.0
-            || self.drag != 0.0
-            || self.loop_gain != 0.0
-            || self.load_share != 0.0
-            || self.compliance.is_some()
-            || self.curves.iter().any(|(curve, _)| curve.over != Dependence::Input);
-        self
-    }
-
-    /// The command as it arrives at the motor, before lag and supply.
-    fn shaped(&self, command: f64) -> f64 {
-        let command = self.sign * command;
-        let mut size = (command.abs() - self.dead_zone).max(0.0);
-        if let Some(exponent) = self.exponent {
-            size = size.powf(exponent);
-        }
-        let size = size.min(self.limit);
-        if command < 0.0 { -size * self.backward_gain } else { size }
-    }
-}
-
-#[derive(Clone, Copy, Default)]
-struct State {
-    position: f64,
-    speed: f64,
-    slewed: f64,
-    lagged: f64,
-    heat: f64,
-    /// Behind the gap, with its speed.
-    output: f64,
-    output_speed: f64,
-    /// Behind the spring, with its speed.
-    sprung: (f64, f64),
-    sensed: f64,
-    /// What a sensor that holds last told, and when.
-    held: f64,
-    reversal: f64,
-    direction: f64,
 }
 
 /// Simulates a run from an initial position and speed (or only a speed), one output for each sample.
@@ -194,260 +777,109 @@ pub(super) fn simulate(
     initial: &[f64],
     run: &MotionRun,
     predicted: &mut [f64],
-    mut observed: Option<&mut Observed>,
+    observed: Option<&mut Observed>,
 ) {
-    let plan = Plan::new(motion, structure);
-    let of_speed = motion.of_speed;
-    let (position, speed) = match *initial {
-        [speed] => (0.0, speed),
-        [position, speed, ..] => ((position - plan.offset) / plan.scale, speed),
-        [] => (0.0, 0.0),
-    };
-    let first = run.from;
-    let command = plan.shaped(run.input_at(first));
-    let mut state = State {
-        position,
-        speed,
-        slewed: if plan.rate.is_some() { command } else { 0.0 },
-        lagged: command * run.supply_at(first),
-        heat: 0.0,
-        output: position,
-        output_speed: speed,
-        sprung: (position, speed),
-        sensed: if of_speed { speed } else { position },
-        held: f64::NAN,
-        reversal: position,
-        direction: 0.0,
-    };
-    let longest_s = if plan.fine { motion.step_s } else { 2.0 * motion.step_s };
-    let mut cursor = first;
-    let mut decay = (f64::NAN, f64::NAN, 0.0);
-    let mut hold_at = f64::NEG_INFINITY;
-    for (place, sample) in (first..run.to).enumerate() {
-        let now_s = run.all.time_s[sample];
-        // What is told at this sample.
-        let spring = plan.compliance.is_some();
-        let true_position = if spring { state.sprung.0 } else { state.output };
-        let truth = if of_speed {
-            if spring { state.sprung.1 } else { state.output_speed }
+    let plan = Plan::new(motion, structure, initial);
+    if plan.flows_back() || observed.is_some() {
+        plan.simulate(run, predicted, observed);
+    } else {
+        let driven = plan.input.over(run);
+        plan.tell(run, &ways(run, plan.input.fine, &[(&plan.mechanics, &driven)])[0], predicted);
+    }
+}
+
+/// Free runs over one recording that differ little from one that is known: what they have in common is done once, and what
+/// moves is simulated side by side.
+pub(super) fn simulate_each(
+    motion: &Motion,
+    known: &Simulated<'_>,
+    others: &[(&Structure, &[f64])],
+    run: &MotionRun,
+    told: &mut dyn FnMut(usize, &[f64]),
+) {
+    let plan = Plan::new(motion, known.structure, known.initial);
+    let mut predicted = vec![0.0; known.predicted.len()];
+    let mut left: Vec<(usize, Plan<'_>)> = Vec::new();
+    for (index, &(structure, initial)) in others.iter().enumerate() {
+        if let Some(shift) = plan.shift(known, structure, initial) {
+            predicted.iter_mut().zip(known.predicted).for_each(|(predicted, known)| *predicted = known + shift);
+            told(index, &predicted);
+            continue;
+        }
+        let other = Plan::new(motion, structure, initial);
+        if other.flows_back() {
+            other.simulate(run, &mut predicted, None);
+            told(index, &predicted);
         } else {
-            true_position + plan.eccentricity.as_ref().map_or(0.0, |wave| wave.at(true_position))
-        };
-        if plan.sensor_lag_s <= 0.0 {
-            state.sensed = truth;
+            left.push((index, other));
         }
-        if plan.sensor_hold_s > 0.0 {
-            let slot = ((now_s + 1e-9) / plan.sensor_hold_s).floor();
-            if slot > hold_at {
-                hold_at = slot;
-                state.held = state.sensed;
-            }
-        } else {
-            state.held = state.sensed;
-        }
-        predicted[place] = if of_speed { state.held * plan.scale } else { state.held * plan.scale + plan.offset };
-        let next = sample + 1;
-        let dt_s = if next < run.to { run.all.time_s[next] - now_s } else { 0.0 };
-        let steps = (dt_s / longest_s - 1e-6).ceil().clamp(1.0, 60.0);
-        let step_s = dt_s / steps;
-        let (speed_before, supply_v) = (state.speed, run.supply_at(sample));
-        let enabled = run.enabled_at(sample);
-        for step in 0..steps as usize {
-            if step_s <= 0.0 {
-                break;
-            }
-            let from_s = now_s + step as f64 * step_s;
-            // The mean command over the step, as it was a delay ago.
-            let command = if plan.hold_s > 0.0 {
-                // The mean over the step, so that a little longer period makes a little difference.
-                let (begin_s, end_s) = (from_s - plan.delay_s, from_s - plan.delay_s + step_s);
-                let (first, last) = ((begin_s / plan.hold_s).floor(), (end_s / plan.hold_s).floor());
-                let held = run.input_before(first * plan.hold_s, &mut cursor);
-                if last > first {
-                    let share = (end_s - last * plan.hold_s) / step_s;
-                    held + share * (run.input_before(last * plan.hold_s, &mut cursor) - held)
-                } else {
-                    held
-                }
-            } else if plan.delay_s > 0.0 {
-                run.mean_input(from_s - plan.delay_s, step_s, &mut cursor)
-            } else {
-                run.all.input[sample]
-            };
-            let command = if plan.loop_gain == 0.0 {
-                command
-            } else {
-                let error = command - (state.held * plan.scale + plan.offset);
-                (plan.loop_gain * run.gain_at(sample) * error).clamp(-motion.duty_limit, motion.duty_limit)
-            };
-            let mut acting = plan.shaped(command);
-            if let Some(rate) = plan.rate {
-                state.slewed += (acting - state.slewed).clamp(-rate * step_s, rate * step_s);
-                acting = state.slewed;
-            }
-            let (mut k, mut b) = (plan.k, plan.b);
-            if let Some((rise, _)) = plan.heating {
-                let colder = 1.0 / (1.0 + rise * state.heat);
-                k *= colder;
-                b *= colder;
-            }
-            let mut volts = acting * supply_v;
-            if plan.sag > 0.0 {
-                // Of what the current through the source takes, by the share of its resistance in the motor's.
-                let back_emf = state.speed * b / k;
-                volts = back_emf + (volts - back_emf) / (1.0 + plan.sag * acting * acting);
-            }
-            if plan.lag_s > 0.0 {
-                let share = -(-step_s / plan.lag_s).exp_m1();
-                let mean = volts + (state.lagged - volts) * share * plan.lag_s / step_s;
-                state.lagged += (volts - state.lagged) * share;
-                volts = mean;
-            }
-            if let Some((_, time_constant_s)) = plan.heating {
-                let power = (acting / motion.scales.input).powi(2);
-                state.heat += (power - state.heat) * -(-step_s / time_constant_s).exp_m1();
-            }
-            if !enabled {
-                (volts, b) = (0.0, plan.b_open);
-            }
-            // Half a step on, by the speed so far: what depends on position is taken there.
-            let ahead = state.position + 0.5 * step_s * state.speed;
-            let mut push = k * volts + plan.load;
-            if plan.pendulum != 0.0 {
-                push -= plan.pendulum * (ahead + plan.pendulum_offset).sin();
-            }
-            if let Some(gravity) = &plan.gravity {
-                push -= gravity.at(ahead);
-            }
-            if let Some(cogging) = &plan.cogging {
-                push -= cogging.at(ahead);
-            }
-            let mut more_friction = 0.0;
-            for (curve, values) in &plan.curves {
-                let at = match curve.over {
-                    Dependence::Input => command,
-                    Dependence::Speed => state.speed,
-                    Dependence::Time => run.all.origin_s + from_s,
-                    Dependence::Supply => supply_v,
-                    Dependence::Direction => state.direction,
-                    Dependence::History => (state.position - state.reversal).abs(),
-                    _ => ahead,
-                };
-                let value = curve.value(values, at);
-                match curve.acts {
-                    Acts::Push => push += value,
-                    Acts::Friction => more_friction += value,
-                    Acts::Gain => push += k * volts * value,
-                }
-            }
-            if plan.drag > 0.0 {
-                b += plan.drag * state.speed.abs();
-            }
-            let direction = if state.speed == 0.0 { push.signum() } else { state.speed.signum() };
-            let mut level = if direction < 0.0 { plan.coulomb.1 } else { plan.coulomb.0 };
-            if let Some((force, stribeck)) = plan.stribeck {
-                level += force * (-(state.speed / stribeck).powi(2)).exp();
-            }
-            if plan.load_share > 0.0 {
-                level += plan.load_share * (k * volts - plan.b * state.speed).abs();
-            }
-            if let Some(wave) = &plan.position_friction {
-                level += 0.5 * (wave.amplitude + wave.at(ahead));
-            }
-            if let Some((force, time_constant_s)) = plan.warm_up {
-                level += force * (-(run.all.origin_s + from_s) / time_constant_s).exp();
-            }
-            level = (level + more_friction).max(0.0);
-            if decay.0 != b || decay.1 != step_s {
-                decay = (b, step_s, (-b * step_s).exp());
-            }
-            let before = state.position;
-            advance(&mut state, push, level, b, step_s, decay.2);
-            if let Some(stops) = motion.stops {
-                let inside = state.position.clamp(stops.0, stops.1);
-                if inside != state.position {
-                    (state.position, state.speed) = (inside, 0.0);
-                }
-            }
-            let moved = (state.position - before).signum();
-            if state.position != before && moved != state.direction {
-                state.direction = moved;
-                state.reversal = before;
-            }
-            let gap = 0.5 * plan.gap;
-            let output = state.output.clamp(state.position - gap, state.position + gap);
-            state.output_speed = if plan.gap > 0.0 && output == state.output { 0.0 } else { state.speed };
-            state.output = output;
-            if let Some((natural_hz, damping)) = plan.compliance {
-                let omega = TAU * natural_hz;
-                let (position, speed) = &mut state.sprung;
-                // Short enough for the spring.
-                let parts = (omega * step_s / 0.3).ceil().clamp(1.0, 20.0);
-                for _ in 0..parts as usize {
-                    let pull =
-                        omega * omega * (state.output - *position) + 2.0 * damping * omega * (state.speed - *speed);
-                    *speed += pull * step_s / parts;
-                    *position += *speed * step_s / parts;
-                }
-            }
-            if plan.sensor_lag_s > 0.0 {
-                let spring = plan.compliance.is_some();
-                let truth = match (of_speed, spring) {
-                    (true, true) => state.sprung.1,
-                    (true, false) => state.output_speed,
-                    (false, true) => state.sprung.0,
-                    (false, false) => state.output,
-                };
-                let share = -(-step_s / plan.sensor_lag_s).exp_m1();
-                state.sensed += (truth - state.sensed) * share;
-            }
-            if plan.loop_gain != 0.0 && plan.sensor_hold_s <= 0.0 {
-                state.held = if plan.sensor_lag_s > 0.0 { state.sensed } else { state.output };
+    }
+    // By the stage from which on they differ.
+    let (driven_alike, driven_apart): (Vec<_>, Vec<_>) =
+        left.into_iter().partition(|(_, other)| other.input == plan.input);
+    let (moving_alike, moving_apart): (Vec<_>, Vec<_>) =
+        driven_alike.into_iter().partition(|(_, other)| other.mechanics == plan.mechanics);
+    if !moving_alike.is_empty() || !moving_apart.is_empty() {
+        let driven = plan.input.over(run);
+        let fine = plan.input.fine;
+        if !moving_alike.is_empty() {
+            let way = &ways(run, fine, &[(&plan.mechanics, &driven)])[0];
+            for (index, other) in &moving_alike {
+                other.tell(run, way, &mut predicted);
+                told(*index, &predicted);
             }
         }
-        if let Some(observed) = observed.as_deref_mut() {
-            observed.input.push(run.all.input[sample]);
-            observed.speed.push(speed_before);
-            observed.position.push(state.position);
-            observed.acceleration.push(if dt_s > 0.0 { (state.speed - speed_before) / dt_s } else { 0.0 });
-            observed.direction.push(if speed_before == 0.0 { 0.0 } else { speed_before.signum() });
-            observed.time_s.push(run.all.origin_s + now_s);
-            observed.supply.push(supply_v);
-            observed.history.push((state.position - state.reversal).abs());
+        let axes: Vec<_> = moving_apart.iter().map(|(_, other)| (&other.mechanics, &driven[..])).collect();
+        for ((index, other), way) in moving_apart.iter().zip(ways(run, fine, &axes)) {
+            other.tell(run, &way, &mut predicted);
+            told(*index, &predicted);
+        }
+    }
+    for fine in [false, true] {
+        let apart: Vec<_> = driven_apart.iter().filter(|(_, other)| other.input.fine == fine).collect();
+        for apart in apart.chunks(4) {
+            let driven: Vec<_> = apart.iter().map(|(_, other)| other.input.over(run)).collect();
+            let axes: Vec<_> =
+                apart.iter().zip(&driven).map(|((_, other), driven)| (&other.mechanics, &driven[..])).collect();
+            for ((index, other), way) in apart.iter().zip(ways(run, fine, &axes)) {
+                other.tell(run, &way, &mut predicted);
+                told(*index, &predicted);
+            }
         }
     }
 }
 
-/// One step under a constant push, level of friction and damping; `decayed` is `exp(-b step_s)`.
-fn advance(state: &mut State, push: f64, level: f64, b: f64, step_s: f64, decayed: f64) {
-    let mut left_s = step_s;
-    let mut decayed = decayed;
+/// One step under a constant push and level of friction, as long and damped as the body's decay is for.
+#[inline(always)]
+fn advance(body: &mut Body, push: f64, level: f64) {
+    let Decay { b, step_s: mut left_s, mut decayed, per_b } = body.decay;
     // Twice at most: towards zero, and away from it.
     for _ in 0..2 {
-        let direction = if state.speed == 0.0 {
+        let direction = if body.speed == 0.0 {
             if push.abs() <= level {
                 return;
             }
             push.signum()
         } else {
-            state.speed.signum()
+            body.speed.signum()
         };
         let net = push - direction * level;
         let speed = if b * left_s > 1e-6 {
-            net / b + (state.speed - net / b) * decayed
+            let settled = net * per_b;
+            settled + (body.speed - settled) * decayed
         } else {
-            (state.speed + net * left_s) * (1.0 - b * left_s)
+            (body.speed + net * left_s) * (1.0 - b * left_s)
         };
-        if speed * direction >= 0.0 || state.speed == 0.0 {
-            state.position += distance(state.speed, speed, net, b, left_s);
-            state.speed = speed;
+        if speed * direction >= 0.0 || body.speed == 0.0 {
+            body.position += distance(body.speed, speed, net, (b, per_b), left_s);
+            body.speed = speed;
             return;
         }
         // It comes to rest on the way.
-        let stop_s = if b * left_s > 1e-6 { (1.0 - b * state.speed / net).ln() / b } else { -state.speed / net };
+        let stop_s = if b * left_s > 1e-6 { (1.0 - b * body.speed / net).ln() * per_b } else { -body.speed / net };
         let stop_s = if stop_s.is_finite() { stop_s.clamp(0.0, left_s) } else { left_s };
-        state.position += distance(state.speed, 0.0, net, b, stop_s);
-        state.speed = 0.0;
+        body.position += distance(body.speed, 0.0, net, (b, per_b), stop_s);
+        body.speed = 0.0;
         left_s -= stop_s;
         if left_s <= 0.0 {
             return;
@@ -456,7 +888,8 @@ fn advance(state: &mut State, push: f64, level: f64, b: f64, step_s: f64, decaye
     }
 }
 
-/// Way made while the speed goes from `from` to `to` under a constant net push.
-fn distance(from: f64, to: f64, net: f64, b: f64, time_s: f64) -> f64 {
-    if b * time_s > 1e-4 { (net * time_s - (to - from)) / b } else { 0.5 * (from + to) * time_s }
+/// Way made while the speed goes from `from` to `to` under a constant net push; `per_b` is `1 / b`.
+#[inline(always)]
+fn distance(from: f64, to: f64, net: f64, (b, per_b): (f64, f64), time_s: f64) -> f64 {
+    if b * time_s > STIFF { (net * time_s - (to - from)) * per_b } else { 0.5 * (from + to) * time_s }
 }

@@ -9,10 +9,8 @@ use crate::{
     family::Family,
 };
 
-use super::{Effect, Kind, Known, Motion, MotionRun, Scales, Units};
+use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units};
 
-/// Steps of the simulation are no longer, s.
-const LONGEST_STEP_S: f64 = 2.5e-3;
 /// Fewer tell nothing.
 const LEAST_SAMPLES: usize = 50;
 /// Time constants that a fit begins from, s, beside the one found by regression.
@@ -54,7 +52,7 @@ impl Motion {
         let is_duty =
             !matches!(input.quantity, Quantity::Voltage | Quantity::Force | Quantity::Torque) && kind != Kind::Axis;
         let recorded = first.signals.contains_key("supply");
-        let supply_v = if is_duty { known.supply_v.unwrap_or(1.0) } else { 1.0 };
+        let supply_v = if is_duty { known.supply_v.unwrap_or(ASSUMED_V) } else { 1.0 };
         let prepare = |runs: &[Run]| -> Result<Vec<MotionRun>, IdentifyError> {
             runs.iter().map(|run| MotionRun::new(run, supply_v).ok_or_else(|| missing("output"))).collect()
         };
@@ -62,49 +60,38 @@ impl Motion {
         let coasts = train.iter().chain(&holdout).any(MotionRun::coasts);
         let scales = scales(&train, rotary, of_speed, input.quantity)?;
         let (base, places) = Self::base_of(kind, rotary, known, coasts);
-        let effects: Vec<Effect> = Effect::ALL
-            .into_iter()
-            .filter(|effect| Self::can_be_seen(*effect, kind, rotary, of_speed, is_duty, recorded, &places, &scales))
-            .collect();
-        let catalogue = effects.iter().map(|effect| effect.candidate(&scales)).collect();
-        let model = Self {
+        let mut model = Self {
             kind,
             known: known.clone(),
             base,
-            effects,
-            catalogue,
+            effects: vec![],
+            catalogue: vec![],
             rotary,
             of_speed,
-            step_s: LONGEST_STEP_S,
             duty_limit: known.duty_limit.unwrap_or(1.0),
             stops: known.stroke_m.map(|stroke_m| (0.0, stroke_m)),
+            supply_assumed: is_duty && !recorded && known.supply_v.is_none(),
             scales,
             places,
         };
+        let seen = |effect: &Effect| model.can_be_seen(*effect, is_duty && !recorded);
+        model.effects = Effect::ALL.into_iter().filter(seen).collect();
+        model.catalogue = model.effects.iter().map(|effect| effect.candidate(&model.scales)).collect();
         Ok((model, train, holdout))
     }
 
-    #[allow(clippy::too_many_arguments, clippy::fn_params_excessive_bools)]
-    fn can_be_seen(
-        effect: Effect,
-        kind: Kind,
-        rotary: bool,
-        of_speed: bool,
-        is_duty: bool,
-        supply_recorded: bool,
-        places: &super::Places,
-        scales: &Scales,
-    ) -> bool {
-        let servo = kind == Kind::Servo;
-        let turns = scales.distance / TAU;
+    /// `supply_may_sag`: the supply is behind the duty, and its voltage was not recorded.
+    fn can_be_seen(&self, effect: Effect, supply_may_sag: bool) -> bool {
+        let servo = self.is_servo();
+        let turns = self.scales.distance / TAU;
         match effect {
             // With the gain free, a scale of the sensor is a gain, and an offset is another zero.
             Effect::EncoderScale => servo,
-            Effect::EncoderOffset => servo && places.offset.is_none(),
-            Effect::SupplySag => is_duty && !supply_recorded && !servo,
-            Effect::Gravity => rotary && places.pendulum.is_none() && turns > 0.15,
-            Effect::Eccentricity => rotary && !of_speed && turns > 0.5,
-            Effect::PositionFriction | Effect::Cogging => !rotary || turns > 0.1,
+            Effect::EncoderOffset => servo && self.places.offset.is_none(),
+            Effect::SupplySag => supply_may_sag && !servo,
+            Effect::Gravity => self.rotary && self.places.pendulum.is_none() && turns > 0.15,
+            Effect::Eccentricity => self.rotary && !self.of_speed && turns > 0.5,
+            Effect::PositionFriction | Effect::Cogging => !self.rotary || turns > 0.1,
             Effect::SlewLimit | Effect::InputSign => !servo,
             _ => true,
         }

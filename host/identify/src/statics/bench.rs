@@ -76,7 +76,7 @@ fn wheel_rows(folder: &Path, wheel: &str, at_least: f64) -> Result<[Row; 2], Ide
         let (fitted, held_out) = alternate_rows(&run, 2).ok_or(IdentifyError::NoHoldout)?;
         Ok((MapRun::new(&fitted)?, MapRun::new(&held_out)?))
     };
-    let search = |fitted: &[MapRun]| -> Result<(StaticMap, select::Found, Vec<&'static str>), IdentifyError> {
+    let search = |fitted: &[MapRun]| -> Result<(StaticMap, select::Found<MapRun>, Vec<&'static str>), IdentifyError> {
         let map = StaticMap::new(&fitted.iter().collect::<Vec<_>>(), "rad/s")?;
         let found = select::search(&map, fitted, &|_| ());
         let name = |step: &select::Step| match &step.term {

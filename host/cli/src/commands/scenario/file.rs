@@ -17,6 +17,7 @@ pub(super) struct Scenario {
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Step {
     /// Since the host's session began; a step that comes while another still waits for its answer is done after that.
+    #[serde(deserialize_with = "seconds")]
     pub(super) at_s: f64,
     /// What.
     #[serde(flatten)]
@@ -53,12 +54,14 @@ pub(super) enum Action {
     /// What a range sensor sees; nothing without a distance.
     Distance {
         range: u8,
+        #[serde(default, deserialize_with = "some_finite")]
         distance_m: Option<f64>,
     },
     /// A rail's voltage without load.
     Supply {
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
+        #[serde(deserialize_with = "finite")]
         emf_v: f64,
     },
     /// What a motor drives blocks, or turns again.
@@ -74,6 +77,7 @@ pub(super) enum Action {
     },
     /// The bus is held low from now on, for this long or until it is recovered.
     BusStuck {
+        #[serde(deserialize_with = "seconds")]
         for_s: f64,
         persistent: bool,
     },
@@ -86,6 +90,26 @@ pub(super) enum Action {
     HostCable {
         cut: bool,
     },
+}
+
+/// Longer than any scenario, s.
+const LONGEST_S: f64 = 1e6;
+
+fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let seconds = f64::deserialize(deserializer)?;
+    if (0.0..=LONGEST_S).contains(&seconds) {
+        return Ok(seconds);
+    }
+    Err(D::Error::custom(format!("times are 0 to {LONGEST_S} s, not {seconds}")))
+}
+
+fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let number = f64::deserialize(deserializer)?;
+    if number.is_finite() { Ok(number) } else { Err(D::Error::custom(format!("{number} is no finite number"))) }
+}
+
+fn some_finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    finite(deserializer).map(Some)
 }
 
 fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::Error> {
@@ -127,6 +151,11 @@ mod tests {
             (r#"{ at_s = 1.0, do = "set", channel = "osmc0", mode = "fast", value = 1.0 }"#, "`fast` is no mode"),
             (r#"{ at_s = 1.0, do = "block", channel = "motor7", blocked = true }"#, "motor7"),
             (r#"{ do = "arm" }"#, "at_s"),
+            (r#"{ at_s = nan, do = "arm" }"#, "not NaN"),
+            (r#"{ at_s = -1.0, do = "arm" }"#, "not -1"),
+            (r#"{ at_s = 1.0, do = "bus-stuck", for_s = 1e30, persistent = true }"#, "1000000 s"),
+            (r#"{ at_s = 1.0, do = "supply", channel = "supply0", emf_v = inf }"#, "inf is no"),
+            (r#"{ at_s = 1.0, do = "distance", range = 0, distance_m = nan }"#, "NaN is no"),
         ] {
             let problem = steps(line).expect_err(line).to_string();
             assert!(problem.contains(word), "{line}: {problem}");

@@ -110,7 +110,7 @@ fn runs(seed: u64, count: usize, body: &dyn Fn(&[[f64; 2]]) -> Vec<f64>) -> Vec<
 
 struct Outcome {
     names: Vec<&'static str>,
-    found: Found,
+    found: Found<SkidRun>,
     before: f64,
     after: f64,
 }

@@ -246,6 +246,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             // The driver's own, when a session is opened and closed, and questions that are not recorded.
             Request::Hello { .. }
             | Request::Bind { .. }
+            | Request::Log { .. }
             | Request::Bye
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }

@@ -1,5 +1,7 @@
 //! The bytes that go into flash, out of an ELF file: what tools that know no ELF are given.
 
+use crate::ImageError;
+
 /// The flash after an erase; between segments nothing is programmed.
 const ERASED: u8 = 0xFF;
 /// A flash word of the STM32H7: what is programmed at once (RM0399, 4.3.8).
@@ -9,11 +11,11 @@ const LARGEST: usize = 2 * 1024 * 1024;
 
 /// A flash image without holes.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Binary {
+pub struct Binary {
     /// Address of the first byte.
-    pub(crate) start: u32,
+    pub start: u32,
     /// As many as whole flash words have.
-    pub(crate) bytes: Vec<u8>,
+    pub bytes: Vec<u8>,
 }
 
 impl Binary {
@@ -21,24 +23,24 @@ impl Binary {
     /// value is where start-up copies it from, not where the program sees it.
     ///
     /// # Errors
-    /// What is wrong with the file.
-    pub(crate) fn of(elf: &[u8]) -> Result<Self, String> {
-        let mut segments = segments(elf).ok_or("no ELF file of 32 bits, or one that is cut off")?;
+    /// [`ImageError`]: what is wrong with the file.
+    pub fn of(elf: &[u8]) -> Result<Self, ImageError> {
+        let mut segments = segments(elf).ok_or(ImageError::NoElf)?;
         segments.sort_by_key(|segment| segment.address);
         let (Some(first), Some(last)) = (segments.first(), segments.last()) else {
-            return Err("nothing in it is loaded into flash".into());
+            return Err(ImageError::Empty);
         };
         let start = first.address;
         let length = (last.address - start) as usize + last.bytes.len();
         if length > LARGEST {
-            return Err(format!("its segments lie {length} bytes apart, more than there is flash"));
+            return Err(ImageError::Apart { bytes: length });
         }
         let mut bytes = vec![ERASED; length.next_multiple_of(WORD)];
         let mut free = 0;
         for Segment { address, bytes: content } in segments {
             let from = (address - start) as usize;
             if from < free {
-                return Err(format!("two of its segments overlap at {address:#010x}"));
+                return Err(ImageError::Overlap { address });
             }
             free = from + content.len();
             bytes[from..free].copy_from_slice(content);
@@ -46,9 +48,16 @@ impl Binary {
         Ok(Self { start, bytes })
     }
 
-    /// The initial stack pointer: the first word of the vector table (ARMv7-M ARM, B1.5.3).
-    pub(crate) fn stack_pointer(&self) -> Option<u32> {
-        self.bytes.first_chunk().map(|word| u32::from_le_bytes(*word))
+    /// Behind the last byte.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        u64::from(self.start) + self.bytes.len() as u64
+    }
+
+    /// The word so many bytes from the start; `None` behind the end.
+    #[must_use]
+    pub fn word(&self, at: usize) -> Option<u32> {
+        self.bytes.get(at..at.checked_add(4)?).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
     }
 }
 
@@ -109,7 +118,7 @@ mod tests {
         expected[..8].copy_from_slice(&[1, 2, 3, 0x24, 0xFF, 0xFF, 5, 6]);
         let binary = Binary::of(&file).expect("good");
         assert_eq!(binary, Binary { start: 0x0804_0000, bytes: expected });
-        assert_eq!(binary.stack_pointer(), Some(0x2403_0201));
+        assert_eq!((binary.word(0), binary.word(4), binary.word(30)), (Some(0x2403_0201), Some(0x0605_FFFF), None));
     }
 
     #[test]
@@ -121,7 +130,7 @@ mod tests {
             (elf(&[(1, 0x0800_0000, &[1; 8])])[..90].to_vec(), "cut off"),
             (b"\x7fELF\x02\x01".to_vec(), "32 bits"),
         ] {
-            let problem = Binary::of(&file).expect_err(why);
+            let problem = Binary::of(&file).expect_err(why).to_string();
             assert!(problem.contains(why), "{problem}");
         }
     }

@@ -1,0 +1,161 @@
+//! The log of a board's firmware, for hosts that ask for it. What is in it is between the program on the board and whoever has
+//! its ELF; here it is bytes.
+//!
+//! Whoever logs never waits: what no host has read when [`SIZE`] more bytes are written is overwritten. Hosts see how much by
+//! the position of what they get.
+
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
+
+use embassy_time::{Duration, Instant};
+use r4_protocol::log::{LogChunk, MAX_LOG};
+
+/// Bytes that are kept.
+pub const SIZE: usize = 1024;
+/// Each time, at most one message leaves, behind all answers and telemetry: 6.4 kB/s, 7 % of the slowest link but CAN.
+const PERIOD: Duration = Duration::from_millis(10);
+
+// Positions wrap at 2^32, and so must places.
+const _: () = assert!(SIZE.is_power_of_two());
+
+/// The last bytes of a log.
+///
+/// One writer at a time, which no reader interrupts: on the board a critical section, of which all readers are tasks.
+pub struct Ring {
+    bytes: [AtomicU8; SIZE],
+    /// How many were ever written, wrapping.
+    written: AtomicU32,
+}
+
+impl Default for Ring {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Ring {
+    /// With nothing in it.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { bytes: [const { AtomicU8::new(0) }; SIZE], written: AtomicU32::new(0) }
+    }
+
+    /// Where the bytes are: number n of all that were ever written at place n modulo [`SIZE`].
+    #[must_use]
+    pub const fn place(&self) -> *const AtomicU8 {
+        self.bytes.as_ptr()
+    }
+
+    /// How many were ever written, wrapping.
+    #[must_use]
+    pub fn written(&self) -> u32 {
+        self.written.load(Ordering::Acquire)
+    }
+
+    /// Appends, over the oldest.
+    pub fn push(&self, bytes: &[u8]) {
+        let mut at = self.written.load(Ordering::Relaxed);
+        for byte in bytes {
+            self.bytes[at as usize % SIZE].store(*byte, Ordering::Relaxed);
+            at = at.wrapping_add(1);
+        }
+        self.written.store(at, Ordering::Release);
+    }
+
+    /// Position of the oldest byte that is kept.
+    fn oldest(&self) -> u32 {
+        self.written().saturating_sub(SIZE as u32)
+    }
+
+    /// What was written from `position` on and is still kept, as much as a message holds.
+    fn read(&self, position: u32) -> LogChunk {
+        loop {
+            let behind = self.written().wrapping_sub(position) as usize;
+            let position = position.wrapping_add(behind.saturating_sub(SIZE) as u32);
+            let place = |index: usize| &self.bytes[(position as usize).wrapping_add(index) % SIZE];
+            let bytes = (0..behind.min(SIZE).min(MAX_LOG)).map(|index| place(index).load(Ordering::Relaxed)).collect();
+            // What was logged meanwhile may be what was just read.
+            if self.written().wrapping_sub(position) as usize <= SIZE {
+                return LogChunk { position, bytes };
+            }
+        }
+    }
+}
+
+/// A board's log.
+#[derive(Clone, Copy)]
+pub struct Log {
+    /// Where the firmware logs to.
+    pub ring: &'static Ring,
+    /// By [`r4_protocol::log::fingerprint`]: which image it is whose ELF decodes it.
+    pub image: u32,
+}
+
+/// What the host of one link was given of it, and when there may be more.
+#[derive(Default)]
+pub(crate) struct Feed(Option<(u32, Instant)>);
+
+impl Feed {
+    pub(crate) fn clear(&mut self) {
+        self.0 = None;
+    }
+
+    /// From the oldest that is kept on, if it has not begun.
+    pub(crate) fn begin(&mut self, log: &Log, now: Instant) {
+        self.0.get_or_insert_with(|| (log.ring.oldest(), now));
+    }
+
+    pub(crate) fn next_due(&self) -> Instant {
+        self.0.map_or(Instant::MAX, |(_, due)| due)
+    }
+
+    /// What is there now, if anything.
+    pub(crate) fn chunk(&mut self, log: &Log) -> Option<LogChunk> {
+        let (position, due) = self.0.as_mut()?;
+        *due = Instant::now() + PERIOD;
+        let chunk = log.ring.read(*position);
+        *position = chunk.position.wrapping_add(chunk.bytes.len() as u32);
+        (!chunk.bytes.is_empty()).then_some(chunk)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use super::*;
+
+    #[test]
+    fn what_is_kept_is_read_once_and_in_order() {
+        let ring = Ring::new();
+        assert_eq!(ring.read(0), LogChunk { position: 0, bytes: heapless::Vec::new() });
+        let all: Vec<u8> = (0..150).collect();
+        ring.push(&all[..70]);
+        ring.push(&all[70..]);
+        let (mut at, mut read) = (ring.oldest(), Vec::new());
+        while at != ring.written() {
+            let chunk = ring.read(at);
+            assert_eq!(chunk.position, at);
+            at += chunk.bytes.len() as u32;
+            read.extend(chunk.bytes);
+        }
+        assert_eq!(read, all);
+    }
+
+    /// Also where the count of all bytes wraps.
+    #[test]
+    fn what_was_overwritten_is_left_out_and_the_position_tells_how_much() {
+        for begin in [0, 5, u32::MAX - 700] {
+            let ring = Ring::new();
+            ring.written.store(begin, Ordering::Relaxed);
+            let all: Vec<u8> = (0..SIZE + 300).map(|index| (index % 251) as u8).collect();
+            all.chunks(40).for_each(|piece| ring.push(piece));
+            let chunk = ring.read(begin);
+            assert_eq!(chunk.position.wrapping_sub(begin), 300);
+            assert_eq!(chunk.bytes[..], all[300..300 + MAX_LOG]);
+            let last = ring.read(ring.written().wrapping_sub(3));
+            assert_eq!(last.bytes[..], all[SIZE + 297..]);
+        }
+    }
+}

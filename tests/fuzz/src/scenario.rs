@@ -1,0 +1,28 @@
+//! Scenarios, as `r4 scenario` reads them: the program's own module.
+
+#[allow(dead_code, reason = "the program uses the rest")]
+#[path = "../../../host/cli/src/commands/scenario/file.rs"]
+mod file;
+
+use file::{Action, Scenario};
+
+/// Any text. Times and quantities of what is taken can be waited for, and given to a world.
+///
+/// # Panics
+/// When they cannot.
+pub fn scenario(bytes: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(bytes) else { return false };
+    let Ok(scenario) = toml::from_str::<Scenario>(text) else { return false };
+    for step in &scenario.steps {
+        let mut seconds = vec![step.at_s];
+        match step.action {
+            Action::BusStuck { for_s, .. } => seconds.push(for_s),
+            Action::Distance { distance_m, .. } => assert!(distance_m.is_none_or(f64::is_finite), "{step:?}"),
+            Action::Supply { emf_v, .. } => assert!(emf_v.is_finite(), "{step:?}"),
+            _ => {}
+        }
+        let ns = seconds.iter().try_fold(0u64, |sum, seconds| sum.checked_add((seconds * 1e9) as u64));
+        assert!(ns.is_some_and(|ns| ns < u64::MAX / 2) && seconds.iter().all(|at| *at >= 0.0), "{step:?}");
+    }
+    true
+}
