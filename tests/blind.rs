@@ -11,7 +11,7 @@ const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");
 const ACTUATOR: &str = include_str!("../boards/plants/osmc-bench-actuator.toml");
 
 /// Hides an effect of friction from the motor, which reaches its position all the same.
-const SEED: &str = "1";
+const SEED: &str = "7";
 
 fn folder() -> TempDir {
     TempDir::new().expect("a temporary folder")
