@@ -609,9 +609,12 @@ fn swing((natural_hz, damping): (f64, f64), state: &mut SensorState, speed: f64,
     // Short enough for the spring.
     let parts = state.parts.get(step_s, || (omega * step_s / 0.3).ceil().clamp(1.0, 20.0));
     let part_s = step_s / parts;
+    // What is quicker than a part is as stiff as can be told, and as this stays stable: omega² part² + 2 rate part < 4.
+    let omega = omega.min(1.0 / part_s);
+    let rate = (2.0 * damping * omega).min(1.0 / part_s);
     let (sprung, sprung_speed) = &mut state.sprung;
     for _ in 0..parts as usize {
-        let pull = omega * omega * (state.output.0 - *sprung) + 2.0 * damping * omega * (speed - *sprung_speed);
+        let pull = omega * omega * (state.output.0 - *sprung) + rate * (speed - *sprung_speed);
         *sprung_speed += pull * part_s;
         *sprung += *sprung_speed * part_s;
     }
