@@ -297,6 +297,12 @@ pub(crate) struct BenchIdentify {
     /// Simulated plants with effects of the catalogue; half as many with nothing hidden, and with what is in no catalogue
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) seeds: u32,
+    /// The first simulated plant's number: a seed of 1 and `--from 7 --seeds 1` is one plant alone
+    #[arg(long, default_value_t = 0, value_name = "NUMBER")]
+    pub(crate) from: u32,
+    /// Say of each simulated plant what was hidden and what was found, on stderr
+    #[arg(long)]
+    pub(crate) each: bool,
     /// Only these rows
     #[arg(long, num_args = 1.., value_name = "ROW")]
     pub(crate) only: Vec<IdentifyRows>,

@@ -1,6 +1,6 @@
 //! Simulated plants with something hidden in them that the estimator is not told: how often it is found.
 
-use std::{collections::BTreeMap, time::Instant};
+use std::{collections::BTreeMap, fmt, time::Instant};
 
 use anyhow::Context;
 use r4_blind::{
@@ -69,13 +69,39 @@ fn identify(bench: &Bench<'_>, experiment: &Experiment) -> Result<Report, r4_ide
 fn outcomes(bench: &Bench<'_>, count: u32, draw: impl Fn(u32) -> Draw) -> Vec<Outcome> {
     let outcome = |number| {
         let experiment = drawn(number, draw(number), bench.seed);
-        let report = identify(bench, &experiment)
-            .inspect_err(|why| bench.progress.println(format!("r4: number {number} came to nothing: {why}")));
-        bench.progress.inc(1);
+        let started = Instant::now();
+        let report = identify(bench, &experiment);
         let truth = experiment.hidden.truth().to_vec();
-        Outcome { truth, noise: experiment.noise, report: report.ok() }
+        bench.progress.inc(1);
+        let why = report.as_ref().err().map(ToString::to_string);
+        let outcome = Outcome { truth, noise: experiment.noise, report: report.ok() };
+        if let Some(why) = why {
+            bench.say(&format!("r4: number {number} came to nothing: {why}"));
+        } else if bench.each {
+            let seconds = started.elapsed().as_secs_f64();
+            bench.say(&format!("{number:4} {:?}: {outcome}, {seconds:.1} s", experiment.setup));
+        }
+        outcome
     };
-    (0..count).map(outcome).collect()
+    (bench.from..bench.from + count).map(outcome).collect()
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let values = |truth: &Truth| {
+            let values = truth.parameters.iter().map(|one| format!("{:.3} {}", one.value, one.unit));
+            format!("{} ({})", truth.name, values.collect::<Vec<_>>().join(", "))
+        };
+        let hidden = match &self.truth[..] {
+            [] => "nothing".to_owned(),
+            truth => truth.iter().map(values).collect::<Vec<_>>().join(" and "),
+        };
+        let found = self.report.as_ref().map_or_else(|| "no result".to_owned(), names);
+        let rivals = self.first().map_or(&[][..], |first| &first.rivals);
+        let rivals: String = rivals.iter().map(|rival| format!(" or {}", rival.name)).collect();
+        let [before, after] = self.ratios();
+        write!(f, "hidden {hidden}; found {found}{rivals}; over the noise {before:.2}, then {after:.2}")
+    }
 }
 
 fn count(outcomes: &[&Outcome], is: impl Fn(&Outcome) -> bool) -> [usize; 2] {

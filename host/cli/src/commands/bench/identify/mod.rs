@@ -175,6 +175,9 @@ struct Bench<'b> {
     data: &'b Path,
     seed: u64,
     seeds: u32,
+    from: u32,
+    /// Each simulated plant is told of.
+    each: bool,
     progress: &'b ProgressBar,
 }
 
@@ -186,6 +189,11 @@ impl Bench<'_> {
     fn read(&self, rows: IdentifyRows, names: &[&str], options: &Options) -> anyhow::Result<Vec<Run>> {
         let files: Vec<PathBuf> = names.iter().map(|name| self.folder(rows).join(name)).collect();
         Ok(data::read(&files, options)?.runs)
+    }
+
+    /// A line on stderr, whatever it is.
+    fn say(&self, line: &str) {
+        self.progress.suspend(|| eprintln!("{line}"));
     }
 
     /// As `r4 identify` does.
@@ -217,7 +225,14 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let all = wanted.iter().map(|rows| rows.weight(question.seeds)).sum();
     let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {prefix}: {msg}");
     let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
-    let bench = Bench { data: &question.data, seed: args.seed, seeds: question.seeds, progress: &progress };
+    let bench = Bench {
+        data: &question.data,
+        seed: args.seed,
+        seeds: question.seeds,
+        from: question.from,
+        each: question.each,
+        progress: &progress,
+    };
     let mut rows = Vec::new();
     let mut done = 0;
     for which in wanted {
