@@ -72,6 +72,7 @@ pub struct Plant {
     pushes: Vec<SpeedForce>,
     /// Where the motor side last turned round, and which way it has gone since.
     turned_at: f64,
+    turned_s: f64,
     went: f64,
     unlisted: Vec<Box<dyn Unlisted>>,
     source_ohm: f64,
@@ -91,6 +92,9 @@ pub struct Plant {
     sensed_position: f64,
 }
 
+/// So long ago has a plant turned that never has, s: beyond every corner of a table.
+const NEVER_S: f64 = -1e12;
+
 /// Effects without a name, by what they are on; forces over speed are [`SpeedForce`]s instead.
 #[derive(Clone, Debug, Default)]
 struct Tables {
@@ -98,6 +102,7 @@ struct Tables {
     friction: Vec<Table>,
     gain: Vec<Table>,
     input: Vec<Table>,
+    hysteresis: Vec<Table>,
 }
 
 impl Tables {
@@ -109,6 +114,7 @@ impl Tables {
                 On::Friction => &mut tables.friction,
                 On::Gain => &mut tables.gain,
                 On::Input => &mut tables.input,
+                On::Hysteresis => &mut tables.hysteresis,
             };
             place.push(table.clone());
         }
@@ -184,6 +190,7 @@ impl Plant {
             input,
             tables,
             turned_at: 0.0,
+            turned_s: NEVER_S,
             went: 0.0,
             arrived: 0.0,
             unlisted,
@@ -323,6 +330,7 @@ impl Plant {
             Over::Position => self.train.position_half_way(step_s),
             Over::Time => self.now_s + 0.5 * step_s,
             Over::Supply => supply_v,
+            Over::SinceTurn => self.now_s + 0.5 * step_s - self.turned_s,
             Over::History => (self.train.position_half_way(step_s) - self.turned_at).abs(),
         })
     }
@@ -331,7 +339,7 @@ impl Plant {
     fn look_back(&mut self, before: f64) {
         let speed = self.train.motion.speed;
         if speed * self.went < 0.0 {
-            self.turned_at = before;
+            (self.turned_at, self.turned_s) = (before, self.now_s);
         }
         if speed != 0.0 {
             self.went = speed;
@@ -347,7 +355,9 @@ impl Plant {
         let rubs = |table: &Table| self.looked_up(table, self.arrived, supply_v, step_s).max(0.0);
         let multiplies = |table: &Table| (1.0 + self.looked_up(table, self.arrived, supply_v, step_s)).max(0.0);
         let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
-        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force;
+        let went = if self.went == 0.0 { 0.0 } else { self.went.signum() };
+        let wound = went * sum(&self.tables.hysteresis);
+        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - wound;
         let rubbing = self.done.friction + self.tables.friction.iter().map(rubs).sum::<f64>();
         let supply_v = supply_v * self.tables.gain.iter().map(multiplies).product::<f64>();
         let before = self.train.motion.position;

@@ -6,7 +6,7 @@ use std::{error::Error, path::PathBuf};
 
 use r4_identify::{
     data::{Mapping, Options, Run, read},
-    family::{Family, Term},
+    family::{Model, Term},
     fit,
     select::{self, Found},
     statics::map::{MapRun, StaticMap, alternate_rows},

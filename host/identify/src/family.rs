@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use r4_plants::Dependence;
 
-use crate::report::Estimate;
+use crate::{fit::white_noise, report::Estimate};
 
 /// What values a parameter may take. There is no way to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,6 +66,11 @@ pub enum Acts {
     Friction,
     /// What drives the output is multiplied by one more than they are.
     Gain,
+    /// They are a friction, over the seconds since it last turned round.
+    Settling,
+    /// They are a force against the way in which it moved last, also at rest: over the way since it turned, a spring that is
+    /// wound anew each time.
+    Hysteresis,
 }
 
 impl Acts {
@@ -76,6 +81,8 @@ impl Acts {
             Self::Push => "a force",
             Self::Friction => "a friction",
             Self::Gain => "a gain",
+            Self::Settling => "a friction since the last turn",
+            Self::Hysteresis => "a hysteresis",
         }
     }
 }
@@ -182,11 +189,11 @@ pub struct Driver {
     pub values: Vec<f64>,
 }
 
-/// A kind of model.
+/// Numbers and what follows from them: what a fit needs to know.
 ///
 /// `predict` is called many thousand times: it must not allocate more than it has to, and must return finite numbers for
 /// all values in range (a run that cannot be simulated is filled with NaN, which counts as infinitely bad).
-pub trait Family: Sync {
+pub trait Model: Sync {
     /// A run as the model wants it.
     type Run: Clone + Sync;
 
@@ -196,17 +203,11 @@ pub trait Family: Sync {
     /// Every effect these data could show.
     fn catalogue(&self) -> &[Candidate];
 
-    /// Unit of the output.
-    fn unit(&self) -> &'static str;
-
-    /// Sets of base values to begin a fit from, found from the data.
-    fn starts(&self, runs: &[&Self::Run]) -> Vec<Vec<f64>>;
-
     /// A guess of what of the initial state has to be fitted for each run, and how far off each may be; both of the same
     /// length, empty where nothing has to.
     fn initial(&self, run: &Self::Run) -> (Vec<f64>, Vec<f64>);
 
-    /// Free run: what the output would have been, one value for each of [`Family::measured`], from the initial state.
+    /// Free run: what the output would have been, one value for each of [`Model::measured`], from the initial state.
     fn predict(&self, structure: &Structure, initial: &[f64], run: &Self::Run, predicted: &mut [f64]);
 
     /// Free runs that differ little from one that is known, given to `told` with their index: a family may do once what
@@ -228,7 +229,21 @@ pub trait Family: Sync {
     /// What was measured; NaN where nothing was.
     fn measured<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 
-    /// The moments of [`Family::measured`], s.
+    /// Deviation of the noise on it.
+    fn noise(&self, run: &Self::Run) -> f64 {
+        white_noise(self.measured(run))
+    }
+}
+
+/// A kind of model: what is looked for beside what is fitted, and how it is told.
+pub trait Family: Model {
+    /// Unit of the output.
+    fn unit(&self) -> &'static str;
+
+    /// Sets of base values to begin a fit from, found from the data.
+    fn starts(&self, runs: &[&Self::Run]) -> Vec<Vec<f64>>;
+
+    /// The moments of [`Model::measured`], s.
     fn time_s<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 
     /// Name of the run.
@@ -244,6 +259,18 @@ pub trait Family: Sync {
 
     /// Into how many blocks a run is cut to leave some out; `None` for blocks as long as the run's memory asks for.
     fn blocks(&self, _: &Self::Run) -> Option<usize> {
+        None
+    }
+
+    /// Initial states from which that of a run is to be sought under a model, if one is not enough.
+    fn beginnings(&self, _structure: &Structure, run: &Self::Run) -> Vec<Vec<f64>> {
+        vec![self.initial(run).0]
+    }
+
+    /// The most promising of some structures, with values from which a fit has less far to go, and what they leave (a sum of
+    /// squares, to be compared with other guesses for the same runs): found without free runs. `None` where there is no such
+    /// way.
+    fn guess(&self, _starts: Vec<Structure>, _runs: &[&Self::Run]) -> Option<(Structure, f64)> {
         None
     }
 

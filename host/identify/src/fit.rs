@@ -10,7 +10,7 @@ mod tests;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned};
 
-use crate::family::{Family, Parameter, Range, Simulated, Structure, Term};
+use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term};
 
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
@@ -19,6 +19,11 @@ const DIFFERENCE: f64 = 3e-5;
 const COARSE: f64 = 2e-4;
 /// The same for an initial state alone, in deviations of its guess.
 const SETTLING: f64 = 1e-3;
+/// Steps by which an initial state is found, at most, and the relative gain of one that is the last.
+const SETTLING_STEPS: usize = 6;
+const SETTLED: f64 = 1e-3;
+/// Deviation of the difference between neighbouring corners of a curve, in sizes that would be noticed.
+const JUMP: f64 = 3.0;
 /// Residuals beyond so many deviations (by the median) count linearly (Huber).
 const HUBER: f64 = 4.0;
 /// Stretches of the recordings that count as independent of each other.
@@ -76,7 +81,7 @@ impl Range {
 
 /// The parameters of a structure in order: the base model's, then each term's. A curve's are its corners.
 #[must_use]
-pub fn parameters<F: Family>(family: &F, terms: &[Term]) -> Vec<Parameter> {
+pub fn parameters<F: Model>(family: &F, terms: &[Term]) -> Vec<Parameter> {
     let mut all = family.base().to_vec();
     for term in terms {
         match term {
@@ -140,7 +145,7 @@ impl Effort {
 
 /// Fits a structure, from the values it has.
 #[must_use]
-pub fn fit<F: Family>(
+pub fn fit<F: Model>(
     family: &F,
     runs: &[&F::Run],
     structure: Structure,
@@ -162,7 +167,7 @@ pub fn fit<F: Family>(
 
 /// Sum of squares of a structure as it is.
 #[must_use]
-pub fn cost<F: Family>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
+pub fn cost<F: Model>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
     let squares = runs.iter().zip(initial).map(|(run, initial)| {
         residuals(family, structure, initial, run).iter().filter(|r| !r.is_nan()).map(|r| r * r).sum::<f64>()
     });
@@ -171,7 +176,7 @@ pub fn cost<F: Family>(family: &F, runs: &[&F::Run], structure: &Structure, init
 
 /// The initial states that the family guesses.
 #[must_use]
-pub fn guessed<F: Family>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+pub fn guessed<F: Model>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
     runs.iter().map(|run| family.initial(run).0).collect()
 }
 
@@ -186,13 +191,26 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let samples = samples.min(family.measured(run).len());
     let part = family.part(run, 0, samples);
     let measured = family.measured(&part);
-    let mut state = guess.clone();
     let mut predicted = vec![0.0; samples];
-    for _ in 0..3 {
-        family.predict(structure, &state, &part, &mut predicted);
+    let mut tried = predicted.clone();
+    let beginnings = family.beginnings(structure, run);
+    let costs = beginnings.iter().map(|state| {
+        family.predict(structure, state, &part, &mut predicted);
+        measured.iter().zip(&predicted).map(|(m, p)| (m - p).powi(2)).filter(|square| !square.is_nan()).sum::<f64>()
+    });
+    let least = costs.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(place, _)| place);
+    let mut state = beginnings.get(least).unwrap_or(&guess).clone();
+    family.predict(structure, &state, &part, &mut predicted);
+    for _ in 0..SETTLING_STEPS {
+        let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);
+        let cost = |state: &[f64], predicted: &[f64]| {
+            let errors = measured.iter().zip(predicted).map(|(measured, predicted)| (measured - predicted) / noise);
+            let known: f64 = errors.filter(|error| !error.is_nan()).map(|error| error * error).sum();
+            let off = state.iter().zip(&guess).zip(&deviations);
+            known + off.map(|((state, guess), deviation)| ((state - guess) / deviation).powi(2)).sum::<f64>()
+        };
         let mut jacobian = DMatrix::zeros(samples + state.len(), state.len());
         let mut residual = DVector::zeros(samples + state.len());
-        let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);
         for row in 0..samples {
             if (measured[row] - predicted[row]).is_finite() {
                 residual[row] = (measured[row] - predicted[row]) / noise;
@@ -220,8 +238,19 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
             residual[samples + column] = (guess[column] - state[column]) / deviations[column];
         }
         let Ok(step) = jacobian.svd(true, true).solve(&residual, 1e-12) else { break };
-        for (place, step) in state.iter_mut().zip(step.iter()) {
-            *place += step;
+        let before = cost(&state, &predicted);
+        // What sticks or turns elsewhere may make a whole step worse.
+        let better = [1.0, 0.3, 0.1].into_iter().find_map(|share| {
+            let other: Vec<f64> = state.iter().zip(step.iter()).map(|(state, step)| state + share * step).collect();
+            family.predict(structure, &other, &part, &mut tried);
+            let after = cost(&other, &tried);
+            (after < before || !before.is_finite()).then_some((other, before - after))
+        });
+        let Some((other, gain)) = better else { break };
+        state = other;
+        std::mem::swap(&mut predicted, &mut tried);
+        if gain < SETTLED * before {
+            break;
         }
     }
     if state.iter().all(|value| value.is_finite()) { state } else { guess }
@@ -244,7 +273,37 @@ pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
     1.4826 * *median
 }
 
-struct Problem<'p, F: Family> {
+/// Deviation of white noise on a smooth series, by its second differences.
+pub(crate) fn white_noise(values: &[f64]) -> f64 {
+    let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
+    robust_deviation(differences.collect()) / 6.0_f64.sqrt()
+}
+
+/// Two neighbouring corners of a curve, and what their difference is multiplied by to count like a residual. Where data say
+/// anything, this says next to nothing; where they do not, a corner is as its neighbours are.
+struct Neighbours {
+    /// Places among the parameters.
+    corners: [usize; 2],
+    factor: f64,
+}
+
+/// Of the corners of all curves, by the noise of the data.
+fn neighbours(structure: &Structure, noise: f64) -> Vec<Neighbours> {
+    let mut from = structure.base.len();
+    let mut all = Vec::new();
+    for (term, values) in structure.terms.iter().zip(&structure.added) {
+        if let Term::Curve(curve) = term {
+            let factor = noise / (JUMP * curve.scale);
+            let pairs = (1..values.len()).map(|corner| [from + corner - 1, from + corner]);
+            let closing = curve.period.map(|_| [from + values.len() - 1, from]);
+            all.extend(pairs.chain(closing).map(|corners| Neighbours { corners, factor }));
+        }
+        from += values.len();
+    }
+    all
+}
+
+struct Problem<'p, F: Model> {
     family: &'p F,
     runs: &'p [&'p F::Run],
     parameters: Vec<Parameter>,
@@ -255,6 +314,7 @@ struct Problem<'p, F: Family> {
     weights: Vec<Vec<f64>>,
     /// Rows of each run.
     rows: Vec<std::ops::Range<usize>>,
+    neighbours: Vec<Neighbours>,
     /// A parameter that stays as it is.
     held: Option<usize>,
     variables: DVector<f64>,
@@ -269,7 +329,7 @@ struct Problem<'p, F: Family> {
     best: (f64, DVector<f64>),
 }
 
-impl<'p, F: Family> Problem<'p, F> {
+impl<'p, F: Model> Problem<'p, F> {
     fn new(
         family: &'p F,
         runs: &'p [&'p F::Run],
@@ -291,10 +351,12 @@ impl<'p, F: Family> Problem<'p, F> {
         let variables = DVector::from_vec(globals.chain(locals).collect());
         let largest = runs.iter().flat_map(|run| family.measured(run)).filter(|value| value.is_finite());
         let absurd = 1e3 * largest.fold(1.0, |largest: f64, value| largest.max(value.abs()));
+        let noise = runs.iter().map(|run| family.noise(run)).sum::<f64>() / runs.len().max(1) as f64;
         let mut problem = Self {
             family,
             runs,
             parameters,
+            neighbours: neighbours(&structure, noise),
             structure,
             initial,
             scales,
@@ -354,11 +416,17 @@ impl<'p, F: Family> Problem<'p, F> {
     }
 
     fn weighted(&self) -> DVector<f64> {
-        let mut residuals = DVector::zeros(self.predicted.len());
+        let mut residuals = DVector::zeros(self.predicted.len() + self.neighbours.len());
         for (index, (run, rows)) in self.runs.iter().zip(&self.rows).enumerate() {
             for (row, &measured) in self.family.measured(run).iter().enumerate() {
                 let predicted = self.predicted[rows.start + row];
                 residuals[rows.start + row] = self.residual(row, index, measured, predicted);
+            }
+        }
+        if !self.neighbours.is_empty() {
+            let values: Vec<f64> = flat(&self.structure).collect();
+            for (place, Neighbours { corners: [one, other], factor }) in self.neighbours.iter().enumerate() {
+                residuals[self.predicted.len() + place] = factor * (values[*other] - values[*one]);
             }
         }
         residuals
@@ -376,7 +444,7 @@ impl<'p, F: Family> Problem<'p, F> {
     }
 }
 
-impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
+impl<F: Model> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     type ParameterStorage = Owned<f64, Dyn>;
     type ResidualStorage = Owned<f64, Dyn>;
     type JacobianStorage = Owned<f64, Dyn, Dyn>;
@@ -415,7 +483,7 @@ impl<F: Family> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
     }
 }
 
-impl<F: Family> Problem<'_, F> {
+impl<F: Model> Problem<'_, F> {
     /// The Jacobian's rows of each run: columns of the parameters, then of the run's own initial state, which concerns no
     /// other run.
     fn slopes(&self) -> Vec<DMatrix<f64>> {
@@ -460,13 +528,20 @@ impl<F: Family> Problem<'_, F> {
     /// The whole Jacobian.
     fn assembled(&self) -> DMatrix<f64> {
         let globals = self.parameters.len();
-        let mut jacobian = DMatrix::zeros(self.predicted.len(), self.variables.len());
+        let mut jacobian = DMatrix::zeros(self.predicted.len() + self.neighbours.len(), self.variables.len());
         let mut local = globals;
         for (rows, slopes) in self.rows.iter().zip(self.slopes()) {
             let own = slopes.ncols() - globals;
             jacobian.view_mut((rows.start, 0), (rows.len(), globals)).copy_from(&slopes.columns(0, globals));
             jacobian.view_mut((rows.start, local), (rows.len(), own)).copy_from(&slopes.columns(globals, own));
             local += own;
+        }
+        for (place, Neighbours { corners: [one, other], factor }) in self.neighbours.iter().enumerate() {
+            for (column, sign) in [(*one, -1.0), (*other, 1.0)] {
+                if let (Range::Any { scale }, true) = (self.parameters[column].range, self.held != Some(column)) {
+                    jacobian[(self.predicted.len() + place, column)] = sign * factor * scale;
+                }
+            }
         }
         jacobian
     }
@@ -512,7 +587,7 @@ impl Fit {
 
     /// Measured minus predicted, run by run; NaN where nothing was measured.
     #[must_use]
-    pub fn residuals<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+    pub fn residuals<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
         runs.iter().zip(&self.initial).map(|(run, initial)| residuals(family, &self.structure, initial, run)).collect()
     }
 
@@ -522,11 +597,11 @@ impl Fit {
     /// What is left of real data is correlated over time: the spread of the score between stretches of the recording
     /// tells how much (White's sandwich, clustered); the usual deviation for independent noise is its lower bound.
     #[must_use]
-    pub fn deviations<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
+    pub fn deviations<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         self.spreads(family, runs).into_iter().map(|spread| spread.map(|spread| spread.deviation)).collect()
     }
 
-    fn spreads<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<Spread>> {
+    fn spreads<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<Spread>> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
         if problem.variables.is_empty() {
             return vec![];
@@ -553,6 +628,10 @@ impl Fit {
                 let at = problem.rows[index].start + row;
                 jacobian[(at, column)] = if slope.is_finite() { slope } else { 0.0 };
             });
+        }
+        for (place, Neighbours { corners: [one, other], factor }) in problem.neighbours.iter().enumerate() {
+            let at = problem.predicted.len() + place;
+            (jacobian[(at, *one)], jacobian[(at, *other)]) = (-factor, *factor);
         }
         // Columns of length one, so that what is small is small for the data.
         let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
@@ -609,7 +688,7 @@ impl Fit {
 
 /// Measured minus predicted of one run; NaN where nothing was measured.
 #[must_use]
-pub fn residuals<F: Family>(family: &F, structure: &Structure, initial: &[f64], run: &F::Run) -> Vec<f64> {
+pub fn residuals<F: Model>(family: &F, structure: &Structure, initial: &[f64], run: &F::Run) -> Vec<f64> {
     let measured = family.measured(run);
     let mut predicted = vec![0.0; measured.len()];
     family.predict(structure, initial, run, &mut predicted);

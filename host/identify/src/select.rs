@@ -18,7 +18,7 @@ use crate::{
 /// what two correct programs differ by.
 pub(crate) const WORTH: f64 = 0.015;
 /// The same for a curve, which has many more numbers and no name.
-const CURVE_WORTH: f64 = 0.03;
+pub(crate) const CURVE_WORTH: f64 = 0.03;
 /// What is left is not looked into further when less than this share of it is anything but noise.
 const SMALL: f64 = 0.1;
 /// A term whose removal costs less than this share was superfluous.
@@ -31,6 +31,10 @@ const LEAST_Z: f64 = 3.0;
 const ALIKE: f64 = 0.01;
 /// So many effects of each round are looked at on blocks.
 const PROMISING: usize = 6;
+/// A guess that leaves so many times what the best one leaves is not followed.
+const HOPELESS: f64 = 5.0;
+/// Beside these, so many that the family guesses to be best.
+const GUESSES: usize = 2;
 /// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
 const MOST_STARTS: usize = 24;
 const NEAREST: usize = 3;
@@ -55,6 +59,8 @@ pub struct Found<R> {
     pub deviations: Vec<Option<f64>>,
     /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
     pub rejected: Vec<(String, f64, String)>,
+    /// What was found before the first curve came in.
+    pub named: Option<Box<Found<R>>>,
 }
 
 /// A term that was taken.
@@ -95,6 +101,27 @@ fn rmse(blocked: &Blocked) -> f64 {
 struct Trial {
     term: Term,
     fit: Fit,
+    /// What the family's guess leaves; infinite without one.
+    guess: f64,
+}
+
+/// Where a fit begins.
+struct Start {
+    structure: Structure,
+    initial: Vec<Vec<f64>>,
+    guess: f64,
+}
+
+/// A term that may be added, with where its fit may begin.
+struct Begun {
+    term: Term,
+    starts: Vec<Start>,
+}
+
+impl Begun {
+    fn guess(&self) -> f64 {
+        self.starts.first().map_or(f64::INFINITY, |start| start.guess)
+    }
 }
 
 struct Judged {
@@ -139,21 +166,35 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         if !other.steps.is_empty() && search.prefers(&path, &other) {
             path = other;
             path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
+            if let Some(named) = &mut path.named {
+                named.current = search.on(&search.whole, &named.current, Effort::COMPARE);
+            }
         }
     }
     progress("whole runs");
-    let Path { current, mut steps, rejected } = path;
-    let runs = if search.drifts(&current) { &blocks } else { &search.whole };
-    for (place, step) in steps.iter_mut().enumerate() {
-        // Terms that came before may have been taken out since.
-        let mut first = current.clone();
-        first.structure.terms.truncate(place + 1);
-        first.structure.added.truncate(place + 1);
-        step.own = search.on(runs, &first, Effort::FULL);
-        step.fit = step.own.over(family, &search.whole);
+    if let Some(named) = path.named.take() {
+        let named = search.told(*named, &base, train, &blocks);
+        return Found { named: Some(Box::new(named)), ..search.told(path, &base, train, &blocks) };
     }
-    let runs = runs.iter().copied().cloned().collect();
-    Found::of(family, base, steps, rejected, (train, runs))
+    search.told(path, &base, train, &blocks)
+}
+
+impl<F: Family> Search<'_, F> {
+    /// A path with its numbers as they are told.
+    fn told(&self, path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {
+        let Path { current, mut steps, rejected, .. } = path;
+        let runs = if self.drifts(&current) { blocks } else { &self.whole };
+        for (place, step) in steps.iter_mut().enumerate() {
+            // Terms that came before may have been taken out since.
+            let mut first = current.clone();
+            first.structure.terms.truncate(place + 1);
+            first.structure.added.truncate(place + 1);
+            step.own = self.on(runs, &first, Effort::FULL);
+            step.fit = step.own.over(self.family, &self.whole);
+        }
+        let runs = runs.iter().copied().cloned().collect();
+        Found::of(self.family, base.clone(), steps, rejected, (train, runs))
+    }
 }
 
 impl<R> Found<R> {
@@ -173,7 +214,7 @@ impl<R> Found<R> {
             None => (base.clone(), (base.clone(), train.to_vec())),
         };
         let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
-        Self { base, steps, last, fitted, deviations, rejected }
+        Self { base, steps, last, fitted, deviations, rejected, named: None }
     }
 
     /// Takes back all terms but the first `steps`.
@@ -192,6 +233,8 @@ struct Path {
     current: Fit,
     steps: Vec<Step>,
     rejected: Vec<(String, f64, String)>,
+    /// As it was before the first curve, if named effects came first.
+    named: Option<Box<Path>>,
 }
 
 /// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
@@ -217,7 +260,7 @@ impl<F: Family> Search<'_, F> {
     /// Takes all it can of named effects (`false`) and of curves, in turn; of curves that come first, one. Where the first
     /// turn gives no curve, it ends.
     fn path(&self, base: Fit, order: &[bool]) -> Path {
-        let mut path = Path { current: base, steps: vec![], rejected: vec![] };
+        let mut path = Path { current: base, steps: vec![], rejected: vec![], named: None };
         for (place, &with_curves) in order.iter().enumerate() {
             while self.extend(&mut path, with_curves) && !(with_curves && place == 0) {}
             if path.steps.is_empty() && order[0] {
@@ -236,14 +279,17 @@ impl<F: Family> Search<'_, F> {
         let round = path.steps.len() + 1;
         (self.progress)(&format!("{} {round}", if with_curves { "curve" } else { "effect" }));
         let blocked = self.blocked(&path.current);
-        let trials = if with_curves { self.curves(&path.current) } else { self.effects(&path.current) };
-        let tried = trials.len();
-        let judged = self.judge(trials);
+        let begun = if with_curves { self.curves(&path.current) } else { self.effects(&path.current) };
+        let tried = begun.len();
+        let judged = self.judge(self.tried(begun));
         let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
         path.rejected.retain(|(name, ..)| !rejected.iter().any(|(other, ..)| other == name));
         path.rejected.extend(rejected);
         path.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
         let Some((step, fit)) = taken else { return false };
+        if with_curves && curves == 0 && !path.steps.is_empty() {
+            path.named = Some(Box::new(path.clone()));
+        }
         let name = self.term_name(&step.term);
         path.rejected.retain(|(other, ..)| *other != name);
         path.steps.push(step);
@@ -263,14 +309,8 @@ impl<F: Family> Search<'_, F> {
         }
         let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
         let more = numbers(other).saturating_sub(numbers(named));
-        more == 0
-            || pays(
-                self.family,
-                &self.whole,
-                named.current.cost,
-                &self.on(&self.whole, &other.current, Effort::FULL),
-                more,
-            )
+        let whole = self.on(&self.whole, &other.current, Effort::FULL);
+        more == 0 || pays(independent(self.family, &self.whole, &whole), named.current.cost, whole.cost, more)
     }
 
     /// The same model fitted to other runs.
@@ -304,15 +344,15 @@ impl<F: Family> Search<'_, F> {
         fit(self.family, &self.whole, structure, initial, Effort::FULL)
     }
 
-    fn fit_with(&self, current: &Fit, term: Term, values: &[f64], effort: Effort) -> Fit {
+    fn with(current: &Fit, term: Term, values: &[f64]) -> Structure {
         let mut structure = current.structure.clone();
         structure.terms.push(term);
         structure.added.push(values.to_vec());
-        fit(self.family, &self.runs, structure, current.initial.clone(), effort)
+        structure
     }
 
-    /// Every effect that may be added, fitted from each of its starts; the best of each.
-    fn effects(&self, current: &Fit) -> Vec<Trial> {
+    /// Every effect that may be added, with where its fit begins.
+    fn effects(&self, current: &Fit) -> Vec<Begun> {
         let catalogue = self.family.catalogue();
         let names: Vec<&str> = current
             .structure
@@ -323,52 +363,46 @@ impl<F: Family> Search<'_, F> {
         let open = |candidate: &Candidate| {
             !names.contains(&candidate.name) && !candidate.excludes.iter().any(|name| names.contains(name))
         };
-        let tasks: Vec<(usize, &Vec<f64>)> = catalogue
+        catalogue
             .par_iter()
             .enumerate()
             .filter(|(_, candidate)| open(candidate))
-            .flat_map_iter(|(index, candidate)| {
-                self.nearest(current, index, candidate).into_iter().map(move |start| (index, start))
-            })
-            .collect();
-        let fits: Vec<Fit> = tasks
-            .par_iter()
-            .map(|(index, start)| self.fit_with(current, Term::Known(*index), start, Effort::GLANCE))
-            .collect();
-        let mut best: Vec<Trial> = Vec::new();
-        for ((index, _), fit) in tasks.into_iter().zip(fits) {
-            match best.last_mut() {
-                Some(last) if last.term == Term::Known(index) => {
-                    if fit.cost < last.fit.cost {
-                        last.fit = fit;
-                    }
-                }
-                _ => best.push(Trial { term: Term::Known(index), fit }),
-            }
-        }
-        best
+            .map(|(index, candidate)| Begun { term: Term::Known(index), starts: self.begin(current, index, candidate) })
+            .collect()
     }
 
-    /// Where an effect's fit begins: of many places, those from which it has least to go.
-    fn nearest<'c>(&self, current: &Fit, index: usize, candidate: &'c Candidate) -> Vec<&'c Vec<f64>> {
-        if candidate.starts.len() <= MOST_STARTS {
-            return candidate.starts.iter().collect();
+    /// Where an effect's fit begins: where the family guesses, with the rest of the model as it guesses and as it is; else of
+    /// many places, those from which it has least to go.
+    fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Vec<Start> {
+        let with = |values: &Vec<f64>| Self::with(current, Term::Known(index), values);
+        let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
+        let as_it_is = |structure, guess| Start { structure, initial: current.initial.clone(), guess };
+        if let Some(guessed) = self.guess(starts.clone()) {
+            let values = guessed.structure.added.last().cloned().unwrap_or_default();
+            let same_base = as_it_is(with(&values), guessed.guess);
+            return vec![guessed, same_base];
         }
-        let mut costs: Vec<(f64, &Vec<f64>)> = candidate
-            .starts
-            .iter()
-            .map(|start| {
-                let mut structure = current.structure.clone();
-                structure.terms.push(Term::Known(index));
-                structure.added.push(start.clone());
-                (fit::cost(self.family, &self.runs, &structure, &current.initial), start)
-            })
-            .collect();
-        costs.sort_by(|a, b| a.0.total_cmp(&b.0));
-        costs.into_iter().take(NEAREST).map(|(_, start)| start).collect()
+        if starts.len() > MOST_STARTS {
+            let cost = |structure: &Structure| fit::cost(self.family, &self.runs, structure, &current.initial);
+            let mut costs: Vec<(f64, Structure)> = starts.into_iter().map(|start| (cost(&start), start)).collect();
+            costs.sort_by(|a, b| a.0.total_cmp(&b.0));
+            starts = costs.into_iter().take(NEAREST).map(|(_, start)| start).collect();
+        }
+        starts.into_iter().map(|start| as_it_is(start, f64::INFINITY)).collect()
     }
 
-    fn curves(&self, current: &Fit) -> Vec<Trial> {
+    /// What the family guesses, with initial states by how each run begins.
+    fn guess(&self, starts: Vec<Structure>) -> Option<Start> {
+        let (structure, guess) = self.family.guess(starts, &self.runs)?;
+        let settled = |run: &&F::Run| {
+            let samples = self.family.measured(run).len();
+            fit::settle(self.family, &structure, run, (samples / 4).max(LEAST_SAMPLES))
+        };
+        let initial = self.runs.iter().map(settled).collect();
+        Some(Start { structure, initial, guess })
+    }
+
+    fn curves(&self, current: &Fit) -> Vec<Begun> {
         let Some(drivers) =
             self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
         else {
@@ -378,35 +412,50 @@ impl<F: Family> Search<'_, F> {
             .par_iter()
             .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
             .map(|curve| {
-                let zeros = vec![0.0; curve.at.len()];
-                let term = Term::Curve(curve);
-                let fit = self.fit_with(current, term.clone(), &zeros, Effort::GLANCE);
-                Trial { term, fit }
+                let term = Term::Curve(curve.clone());
+                let none = Self::with(current, term.clone(), &vec![0.0; curve.at.len()]);
+                let guessed = self.guess(vec![none.clone()]);
+                let guess = guessed.as_ref().map_or(f64::INFINITY, |start| start.guess);
+                let none = Start { structure: none, initial: current.initial.clone(), guess };
+                Begun { term, starts: guessed.into_iter().chain([none]).collect() }
             })
             .collect()
+    }
+
+    /// Those that no guess rules out, fitted from each of their starts; the best fit of each.
+    fn tried(&self, mut begun: Vec<Begun>) -> Vec<Trial> {
+        let least = begun.iter().map(Begun::guess).fold(f64::INFINITY, f64::min);
+        begun.retain(|one| one.guess().is_infinite() || one.guess() <= HOPELESS * least);
+        let fitted = |Begun { term, starts }: Begun| {
+            let guess = starts.first()?.guess;
+            let fits = starts.into_par_iter().map(|Start { structure, initial, .. }| {
+                fit(self.family, &self.runs, structure, initial, Effort::GLANCE)
+            });
+            let fit = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+            Some(Trial { term, fit, guess })
+        };
+        begun.into_par_iter().filter_map(fitted).collect()
     }
 
     /// The most promising trials, fitted to the end and judged on blocks; best first.
     fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
         trials.retain(|trial| trial.fit.cost.is_finite());
-        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        trials.truncate(2 * PROMISING);
+        promising(&mut trials, 2 * PROMISING);
         trials = trials
             .into_par_iter()
-            .map(|Trial { term, fit: glanced }| {
+            .map(|Trial { term, fit: glanced, guess }| {
                 let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
-                Trial { term, fit }
+                Trial { term, fit, guess }
             })
             .collect();
-        trials.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        trials.truncate(PROMISING);
+        promising(&mut trials, PROMISING);
         let mut judged: Vec<Judged> = trials
             .into_par_iter()
-            .map(|Trial { term, fit: screened }| {
+            .map(|Trial { term, fit: screened, guess }| {
                 let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
                 let blocked = self.blocked(&fit);
                 let deviations = fit.deviations(self.family, &self.runs);
-                Judged { trial: Trial { term, fit }, blocked, deviations }
+                Judged { trial: Trial { term, fit, guess }, blocked, deviations }
             })
             .collect();
         judged.sort_by(|a, b| rmse(&a.blocked).total_cmp(&rmse(&b.blocked)));
@@ -455,6 +504,11 @@ impl<F: Family> Search<'_, F> {
         let rmse_before = rmse(before);
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
+        // Of the one that leaves the whitest: the noise is the same for all.
+        let independent = match with_curves {
+            true => judged.iter().map(|one| independent(self.family, &self.runs, &one.trial.fit)).fold(0.0, f64::max),
+            false => 0.0,
+        };
         for candidate in judged {
             let after = rmse(&candidate.blocked);
             let name = self.term_name(&candidate.trial.term);
@@ -473,7 +527,7 @@ impl<F: Family> Search<'_, F> {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
             } else if with_curves
-                && !pays(self.family, &self.runs, current.cost, &candidate.trial.fit, corners(&candidate.trial.fit))
+                && !pays(independent, current.cost, candidate.trial.fit.cost, corners(&candidate.trial.fit))
             {
                 Some("explains too little for a curve of so many corners".to_owned())
             } else if p_value >= CHANCE {
@@ -591,6 +645,16 @@ impl<F: Family> Search<'_, F> {
     }
 }
 
+/// Keeps so many trials that explain most, and the best guesses beside them.
+fn promising(trials: &mut Vec<Trial>, count: usize) {
+    trials.sort_by(|a, b| a.guess.total_cmp(&b.guess));
+    let guessed = trials.iter().take(GUESSES).take_while(|trial| trial.guess.is_finite()).count();
+    let mut rest = trials.split_off(guessed);
+    rest.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    rest.truncate(count);
+    trials.append(&mut rest);
+}
+
 /// Numbers of the term that was added last.
 fn corners(fit: &Fit) -> usize {
     fit.structure.added.last().map_or(0, Vec::len)
@@ -604,11 +668,10 @@ fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
 }
 
 /// Whether a model with so many more numbers explains more than they cost: twice Schwarz's criterion, with only as many
-/// samples as are independent. What is left of a long free run is so correlated that any few corners would explain some
+/// samples as are `independent`. What is left of a long free run is so correlated that any few corners would explain some
 /// of it.
-fn pays<F: Family>(family: &F, runs: &[&F::Run], cost_before: f64, fit: &Fit, more: usize) -> bool {
-    let independent = independent(family, runs, fit);
-    independent * (cost_before / fit.cost).ln() > 2.0 * more as f64 * independent.max(2.0).ln()
+fn pays(independent: f64, cost_before: f64, cost: f64, more: usize) -> bool {
+    independent * (cost_before / cost).ln() > 2.0 * more as f64 * independent.max(2.0).ln()
 }
 
 /// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).
@@ -673,7 +736,9 @@ pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
         Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
         Term::Curve(curve) => match curve.acts {
             Acts::Push => vec![curve.over],
-            Acts::Friction => vec![curve.over, Dependence::Direction],
+            // A speed has a direction.
+            Acts::Friction if curve.over == Dependence::Speed => vec![curve.over],
+            Acts::Friction | Acts::Settling | Acts::Hysteresis => vec![curve.over, Dependence::Direction],
             Acts::Gain => vec![curve.over, Dependence::Input],
         },
     }

@@ -12,7 +12,7 @@ use crate::{
     motion::{Kind, Known, Motion},
     report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{Found, WORTH, depends_on, search},
+    select::{CURVE_WORTH, Found, WORTH, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
@@ -214,7 +214,7 @@ fn assemble<F: Family>(
     let fitted: Vec<&F::Run> = train.iter().collect();
     let held_out: Vec<&F::Run> = holdout.iter().collect();
     let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
-    let found = veto(family, found, train, held_out_rmse);
+    let found = better_named(family, found, train, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
     tell("intervals");
@@ -293,6 +293,30 @@ fn assemble<F: Family>(
         verdict,
     };
     Ok(Identified { report, figures, plant_toml })
+}
+
+/// What was found, or what had been before the first curve came in: that stays where the held-out recordings are no worse
+/// off, because it has a meaning, and fewer numbers.
+fn better_named<F: Family>(
+    family: &F,
+    mut found: Found<F::Run>,
+    train: &[F::Run],
+    held_out_rmse: impl Fn(&Fit) -> f64,
+) -> Found<F::Run> {
+    let named = found.named.take().map(|named| veto(family, *named, train, &held_out_rmse));
+    let found = veto(family, found, train, &held_out_rmse);
+    match named {
+        Some(named) if held_out_rmse(&found.last) > held_out_rmse(&named.last) * (1.0 - CURVE_WORTH) => {
+            let mut named = named;
+            for step in found.steps.iter().filter(|step| matches!(step.term, Term::Curve(_))) {
+                let reason = "explains what it was fitted to, but the held-out recordings are no better off than with \
+                              named effects alone";
+                named.rejected.insert(0, (name(family, &step.term), step.blocked_rmse[1], reason.to_owned()));
+            }
+            named
+        }
+        _ => found,
+    }
 }
 
 /// Takes back the last terms where the held-out recordings are better off without: nothing is fitted to these, but what makes

@@ -5,8 +5,8 @@
 //! ```toml
 //! [[effects]]
 //! effect = "table"
-//! over = "position"        # input, speed, position, time, supply or history
-//! on = "force"             # or "friction", "gain", "input"; "force" if it is not said
+//! over = "position"        # input, speed, position, time, supply, history or since-turn
+//! on = "force"             # or "friction", "gain", "input", "hysteresis"; "force" if it is not said
 //! period = 6.283185307     # if the axis is a circle, such as a turn
 //! at = [0.0, 1.5, 4.0]
 //! values = [0.1, -0.2, 0.05]
@@ -30,16 +30,22 @@ pub enum Over {
     Supply,
     /// The way of the motor side since it last turned round, without sign, rad or m.
     History,
+    /// Seconds since the motor side last turned round; beyond every corner as long as it has not.
+    SinceTurn,
 }
 
 impl Over {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Input, Self::Speed, Self::Position, Self::Time, Self::Supply, Self::History];
+    pub const ALL: [Self; 7] =
+        [Self::Input, Self::Speed, Self::Position, Self::Time, Self::Supply, Self::History, Self::SinceTurn];
 
     /// The word in files.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        self.dependence().name()
+        match self {
+            Self::SinceTurn => "since-turn",
+            _ => self.dependence().name(),
+        }
     }
 
     /// The word in reports.
@@ -51,7 +57,7 @@ impl Over {
             Self::Position => Dependence::Position,
             Self::Time => Dependence::Time,
             Self::Supply => Dependence::Supply,
-            Self::History => Dependence::History,
+            Self::History | Self::SinceTurn => Dependence::History,
         }
     }
 }
@@ -67,11 +73,13 @@ pub enum On {
     Gain,
     /// Added to the duty, behind all other input effects.
     Input,
+    /// A force against the way in which the motor side moved last, also at rest, N m or N.
+    Hysteresis,
 }
 
 impl On {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Force, Self::Friction, Self::Gain, Self::Input];
+    pub const ALL: [Self; 5] = [Self::Force, Self::Friction, Self::Gain, Self::Input, Self::Hysteresis];
 
     /// The word in files.
     #[must_use]
@@ -81,6 +89,7 @@ impl On {
             Self::Friction => "friction",
             Self::Gain => "gain",
             Self::Input => "input",
+            Self::Hysteresis => "hysteresis",
         }
     }
 }

@@ -293,6 +293,30 @@ fn a_table_over_history_counts_the_way_from_the_last_turn() {
 }
 
 #[test]
+fn a_table_over_time_since_a_turn_begins_anew_at_each() {
+    let mut plant = with_table((Over::SinceTurn, On::Friction, None, &[0.0, 1.0, 1.0], &[2.0, 2.0, 0.0]));
+    run(&mut plant, Drive::with_brake(0.5), 12.0, 900);
+    assert_close(plant.speed(), 6.0, 1e-8, "it has never turned"); // 22 time constants
+    run(&mut plant, Drive::with_brake(-0.5), 12.0, 900);
+    assert_close(plant.speed(), -4.0, 1e-8, "soon after a turn");
+    run(&mut plant, Drive::with_brake(-0.5), 12.0, 1100);
+    assert_close(plant.speed(), -6.0, 1e-8, "long after it");
+}
+
+#[test]
+fn a_hysteresis_is_against_the_last_way_and_lets_go_by_pushing() {
+    // Wound the other way for the first 2 rad after each turn.
+    let mut plant = with_table((Over::History, On::Hysteresis, None, &[0.0, 2.0], &[-0.5, 0.5]));
+    run(&mut plant, Drive::with_brake(0.5), 12.0, 2000);
+    assert_close(plant.speed(), 6.0 - 0.5, 1e-9, "far from its start"); // 25 time constants
+    let at = plant.position();
+    run(&mut plant, Drive::with_brake(-0.5), 12.0, 2000);
+    assert_close(plant.speed(), -6.0 + 0.5, 1e-9, "and far back");
+    let free = with_table((Over::History, On::Hysteresis, None, &[0.0], &[0.5]));
+    assert!(at > 2.0 && free.position() == 0.0, "at rest from the start nothing pushes");
+}
+
+#[test]
 fn a_table_of_the_input_over_time_and_place_adds_to_the_duty() {
     let mut plant = with_table((Over::Time, On::Input, None, &[0.0, 1.0, 1.0, 2.0], &[0.25, 0.25, 0.5, 0.5]));
     run(&mut plant, Drive::with_brake(0.25), 12.0, 900);

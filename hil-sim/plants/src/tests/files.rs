@@ -84,7 +84,7 @@ fn a_table_is_read_among_the_others_and_its_errors_name_its_fields() {
         (
             "period = 7",
             "on = \"duty\"",
-            "wheel.toml:15: effects[0].on: unknown; known are force, friction, gain, input",
+            "wheel.toml:15: effects[0].on: unknown; known are force, friction, gain, input, hysteresis",
         ),
         ("period = 7", "period = 1", "wheel.toml:15: effects[0].period: 1 is outside 1.5..="),
         ("period = 7", "period = \"turn\"", "wheel.toml:15: effects[0].period: not a number"),

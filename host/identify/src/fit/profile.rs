@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::family::{Family, Range, Term};
+use crate::family::{Model, Range, Term};
 
 use super::{Effort, Fit, Problem, Spread, flat, set_flat};
 
@@ -48,7 +48,7 @@ impl Fit {
     /// An end beyond the parameter's range is the end of the range. `None` where the data do not fix a parameter, where
     /// nothing within reach is bad enough on a side without end, and for the corners of curves.
     #[must_use]
-    pub fn intervals<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<[f64; 2]>> {
+    pub fn intervals<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<[f64; 2]>> {
         let spreads = self.spreads(family, runs);
         let corners = self.structure.terms.iter().zip(&self.structure.added);
         let is_corner: Vec<bool> = std::iter::repeat_n(false, self.structure.base.len())
@@ -67,7 +67,7 @@ impl Fit {
 }
 
 /// Of one parameter.
-struct Profile<'p, F: Family> {
+struct Profile<'p, F: Model> {
     fit: &'p Fit,
     family: &'p F,
     runs: &'p [&'p F::Run],
@@ -75,7 +75,7 @@ struct Profile<'p, F: Family> {
     spread: &'p Spread,
 }
 
-impl<F: Family> Profile<'_, F> {
+impl<F: Model> Profile<'_, F> {
     /// The end of the interval on one side.
     fn end(&self, upwards: bool) -> Option<f64> {
         let best = flat(&self.fit.structure).nth(self.parameter)?;

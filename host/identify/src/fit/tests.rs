@@ -4,7 +4,7 @@ use r4_plants::Dependence;
 use rand_distr::{Distribution, Normal};
 
 use super::{Effort, Fit, Problem, fit};
-use crate::family::{Candidate, Curve, Driver, Family, Parameter, Range, Structure};
+use crate::family::{Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure};
 
 /// A function of time with numbers.
 struct Formula {
@@ -18,7 +18,7 @@ struct Points {
     measured: Vec<f64>,
 }
 
-impl Family for Formula {
+impl Model for Formula {
     type Run = Points;
 
     fn base(&self) -> &[Parameter] {
@@ -27,14 +27,6 @@ impl Family for Formula {
 
     fn catalogue(&self) -> &[Candidate] {
         &[]
-    }
-
-    fn unit(&self) -> &'static str {
-        "1"
-    }
-
-    fn starts(&self, _: &[&Points]) -> Vec<Vec<f64>> {
-        vec![vec![1.0; self.base.len()]]
     }
 
     fn initial(&self, _: &Points) -> (Vec<f64>, Vec<f64>) {
@@ -49,6 +41,16 @@ impl Family for Formula {
 
     fn measured<'r>(&self, run: &'r Points) -> &'r [f64] {
         &run.measured
+    }
+}
+
+impl Family for Formula {
+    fn unit(&self) -> &'static str {
+        "1"
+    }
+
+    fn starts(&self, _: &[&Points]) -> Vec<Vec<f64>> {
+        vec![vec![1.0; self.base.len()]]
     }
 
     fn time_s<'r>(&self, run: &'r Points) -> &'r [f64] {

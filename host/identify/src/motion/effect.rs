@@ -6,6 +6,9 @@ use crate::family::{Candidate, Parameter, Range};
 
 use super::Scales;
 
+/// Neighbours among the periods that a search begins with differ by this share.
+pub(super) const PERIODS_APART: f64 = 0.015;
+
 /// Every effect, in the order of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
@@ -203,7 +206,7 @@ impl Effect {
                 vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
                 // Two neighbours differ by less than one slot over a recording.
                 (0..)
-                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
+                    .map(|n| 2.0 * s.period_s * (1.0 + PERIODS_APART).powi(n))
                     .take_while(|&hold_s| hold_s < 0.6)
                     .map(|hold_s| vec![hold_s])
                     .collect(),

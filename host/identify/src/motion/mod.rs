@@ -3,14 +3,17 @@
 //! All four are the same mechanics (`simulate.rs`) under different names for their two numbers, and with or without a
 //! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
 
+mod curve;
 mod effect;
 mod info;
 mod physical;
 mod run;
 mod simulate;
+mod smooth;
 mod start;
 #[cfg(test)]
 mod tests;
+mod weak;
 
 use std::{collections::BTreeMap, f64::consts::TAU};
 
@@ -20,11 +23,11 @@ pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Simulated, Structure},
+    family::{Candidate, Curve, Driver, Family, Model, Parameter, Range, Simulated, Structure},
     report::Estimate,
 };
 use effect::Effect;
-use simulate::{Observed, simulate, simulate_each};
+use simulate::{Observed, is_placed, simulate, simulate_each};
 
 /// Which of the models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,6 +209,8 @@ struct Places {
     offset: Option<usize>,
 }
 
+/// A position that is not recorded is first sought at so many places of a turn.
+const PLACES: u8 = 16;
 /// A supply whose voltage nobody told, V.
 const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
@@ -214,6 +219,12 @@ const GRAVITY_M_S2: f64 = 9.806_65;
 const NO_ARMATURE: f64 = 1.0;
 
 impl Motion {
+    /// Where an axis may have begun whose position is not recorded.
+    fn places(&self) -> impl Iterator<Item = f64> {
+        let round = if self.rotary { TAU } else { self.scales.distance };
+        (0..PLACES).map(move |place| f64::from(place) / f64::from(PLACES) * round)
+    }
+
     fn index(&self, effect: Effect) -> Option<usize> {
         self.effects.iter().position(|&other| other == effect)
     }
@@ -288,7 +299,7 @@ impl Motion {
     }
 }
 
-impl Family for Motion {
+impl Model for Motion {
     type Run = MotionRun;
 
     fn base(&self) -> &[Parameter] {
@@ -297,14 +308,6 @@ impl Family for Motion {
 
     fn catalogue(&self) -> &[Candidate] {
         &self.catalogue
-    }
-
-    fn unit(&self) -> &'static str {
-        if self.of_speed { self.scales.units.speed } else { self.scales.units.distance }
-    }
-
-    fn starts(&self, runs: &[&MotionRun]) -> Vec<Vec<f64>> {
-        self.starting_values(runs)
     }
 
     fn initial(&self, run: &MotionRun) -> (Vec<f64>, Vec<f64>) {
@@ -327,6 +330,32 @@ impl Family for Motion {
 
     fn measured<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
         &run.all.measured[run.from..run.to]
+    }
+
+    fn noise(&self, run: &MotionRun) -> f64 {
+        run.all.noise
+    }
+}
+
+impl Family for Motion {
+    fn unit(&self) -> &'static str {
+        if self.of_speed { self.scales.units.speed } else { self.scales.units.distance }
+    }
+
+    fn starts(&self, runs: &[&MotionRun]) -> Vec<Vec<f64>> {
+        self.starting_values(runs)
+    }
+
+    fn beginnings(&self, structure: &Structure, run: &MotionRun) -> Vec<Vec<f64>> {
+        let (guess, _) = self.initial(run);
+        if !self.of_speed || !is_placed(self, structure) {
+            return vec![guess];
+        }
+        self.places().map(|place| vec![place, guess[1]]).collect()
+    }
+
+    fn guess(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
+        self.weakly(starts, runs)
     }
 
     fn time_s<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
@@ -403,73 +432,6 @@ impl Family for Motion {
         (over, period): (Dependence, Option<f64>),
         runs: &[&MotionRun],
     ) -> Vec<Curve> {
-        let acts: &[Acts] = match over {
-            // A force by acceleration is inertia, which the model has; one by direction is friction by direction.
-            Dependence::Acceleration | Dependence::Direction => &[],
-            Dependence::Input | Dependence::Speed => &[Acts::Push],
-            Dependence::Position | Dependence::Time => &[Acts::Push, Acts::Friction, Acts::Gain],
-            Dependence::History => &[Acts::Friction],
-            Dependence::Supply => &[Acts::Gain],
-        };
-        let Some(at) = self.corners(structure, (over, period), runs).filter(|_| !acts.is_empty()) else {
-            return vec![];
-        };
-        let units = &self.scales.units;
-        let at_unit = match over {
-            Dependence::Input => units.input,
-            Dependence::Speed => units.speed,
-            Dependence::Time => "s",
-            Dependence::Supply => "V",
-            _ => units.distance,
-        };
-        acts.iter()
-            .map(|&acts| {
-                let gain = acts == Acts::Gain;
-                Curve {
-                    over,
-                    at_unit,
-                    unit: if gain { "1" } else { units.force },
-                    at: at.clone(),
-                    period,
-                    acts,
-                    scale: if gain { 0.1 } else { 0.1 * self.scales.acceleration },
-                }
-            })
-            .collect()
-    }
-}
-
-impl Motion {
-    /// Corners for a curve: none without data, and no long stretch without one.
-    fn corners(
-        &self,
-        structure: &Structure,
-        (over, period): (Dependence, Option<f64>),
-        runs: &[&MotionRun],
-    ) -> Option<Vec<f64>> {
-        const CORNERS: usize = 9;
-        const ROUND: u8 = 12;
-        if let Some(period) = period {
-            return Some((0..ROUND).map(|corner| f64::from(corner) * period / f64::from(ROUND)).collect());
-        }
-        let mut values: Vec<f64> = runs
-            .iter()
-            .flat_map(|run| self.drivers(structure, &run.initial(self.of_speed).0, run))
-            .filter(|driver| driver.over == over && driver.period.is_none())
-            .flat_map(|driver| driver.values)
-            .filter(|value| value.is_finite())
-            .collect();
-        values.sort_by(f64::total_cmp);
-        let (&low, &high) = (values.first()?, values.last()?);
-        if high - low <= f64::EPSILON * high.abs() {
-            return None;
-        }
-        // Half by range, half by how often.
-        let share = |index: usize| index as f64 / (CORNERS - 1) as f64;
-        let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
-        let mut at: Vec<f64> =
-            (0..CORNERS).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
-        at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
-        (at.len() >= 2).then_some(at)
+        self.empty_curves(structure, (over, period), runs)
     }
 }

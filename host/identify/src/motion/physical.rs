@@ -12,7 +12,7 @@ use crate::{
     report::Estimate,
 };
 
-use super::{ASSUMED_V, Kind, Motion, MotionRun, effect::Effect};
+use super::{ASSUMED_V, Kind, Motion, MotionRun, effect::Effect, smooth::Parabola};
 
 /// A winding whose resistance nobody told, ohm.
 const ASSUMED_OHM: f64 = 1.0;
@@ -150,16 +150,25 @@ impl Motion {
                         Dependence::Position => Some(Over::Position),
                         Dependence::Time => Some(Over::Time),
                         Dependence::Supply => Some(Over::Supply),
+                        Dependence::History if curve.acts == Acts::Settling => Some(Over::SinceTurn),
                         Dependence::History => Some(Over::History),
                         Dependence::Acceleration | Dependence::Direction => None,
                     };
                     let (on, scale) = match curve.acts {
                         Acts::Push => (On::Force, physical.inertia),
-                        Acts::Friction => (On::Friction, physical.inertia),
+                        Acts::Friction | Acts::Settling => (On::Friction, physical.inertia),
                         Acts::Gain => (On::Gain, 1.0),
+                        Acts::Hysteresis => (On::Hysteresis, physical.inertia),
                     };
-                    let values = values.iter().map(|value| value * scale).collect();
-                    let table = over.and_then(|over| Table::new(over, on, curve.period, curve.at.clone(), values).ok());
+                    let mut corners: Vec<(f64, f64)> =
+                        curve.at.iter().copied().zip(values.iter().map(|value| value * scale)).collect();
+                    if curve.over == Dependence::Speed && curve.acts == Acts::Friction {
+                        // It is over the speed without its sign.
+                        let backward: Vec<_> = corners.iter().rev().map(|&(at, value)| (-at, value)).collect();
+                        corners.splice(0..0, backward);
+                    }
+                    let (at, values) = corners.into_iter().unzip();
+                    let table = over.and_then(|over| Table::new(over, on, curve.period, at, values).ok());
                     match table {
                         Some(table) => tables.push(table),
                         None => left_out.push("a curve"),
@@ -280,32 +289,13 @@ impl Motion {
                 while to < residual.len() && times[to] <= middle_s + half_s {
                     to += 1;
                 }
-                let Some([value, slope, bend]) = parabola(&times[from..to], &residual[from..to], middle_s) else {
+                let Some(Parabola { value, slope, bend, .. }) =
+                    Parabola::through(&times[from..to], &residual[from..to], middle_s)
+                else {
                     return f64::NAN;
                 };
                 inertia * if self.of_speed { slope + b * value } else { bend + b * slope }
             })
             .collect()
     }
-}
-
-/// Value, first and second derivative at a moment of the parabola through points; `None` for fewer than four.
-fn parabola(times: &[f64], values: &[f64], at_s: f64) -> Option<[f64; 3]> {
-    let mut normal = nalgebra::Matrix3::<f64>::zeros();
-    let mut right = nalgebra::Vector3::<f64>::zeros();
-    let mut count = 0;
-    for (time_s, value) in times.iter().zip(values) {
-        if value.is_finite() {
-            let t = time_s - at_s;
-            let row = nalgebra::Vector3::new(1.0, t, 0.5 * t * t);
-            normal += row * row.transpose();
-            right += row * *value;
-            count += 1;
-        }
-    }
-    if count < 4 {
-        return None;
-    }
-    let found = normal.lu().solve(&right)?;
-    Some([found[0], found[1], found[2]])
 }

@@ -1,8 +1,10 @@
 //! A recorded run as the simulation wants it.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use crate::{data::Run, fit::robust_deviation};
+use crate::{data::Run, fit::white_noise};
+
+use super::weak::Windows;
 
 /// Steps of the simulation are no longer where friction or load change within a step's motion, and twice as long where
 /// they do not, s.
@@ -11,6 +13,9 @@ const LONGEST_STEP_S: f64 = 2.5e-3;
 const MOST_STEPS: f64 = 60.0;
 /// Steps whose lengths differ by less than this share are as long as each other: the difference is rounding.
 const SAME_STEP: f64 = 1e-10;
+
+/// Deviation of a position that nothing tells, rad or m: far more than any effect asks for.
+const ANYWHERE: f64 = 10.0;
 
 /// All of a recording.
 #[derive(Clone, Debug)]
@@ -27,11 +32,13 @@ pub(super) struct Recording {
     gain: Vec<f64>,
     pub(super) measured: Vec<f64>,
     /// Deviation of the noise on `measured`.
-    noise: f64,
+    pub(super) noise: f64,
     /// From each sample to the next in steps: how many, and how long each is. Long ones, and short ones.
-    steps: [Vec<(u32, f64)>; 2],
+    pub(super) steps: [Vec<(u32, f64)>; 2],
     /// Time at the first sample since the axis was switched on, if known.
     pub(super) origin_s: f64,
+    /// Made when they are first asked for.
+    pub(super) windows: OnceLock<Option<Arc<Windows>>>,
 }
 
 /// A recording, or a part of it; what was commanded before the part is known.
@@ -80,8 +87,9 @@ impl MotionRun {
                     |values| held(values).iter().map(|&value| value > 0.5).collect(),
                 ),
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
-                noise: noise(&measured),
+                noise: white_noise(&measured),
                 origin_s: 0.0,
+                windows: OnceLock::new(),
                 steps: [2.0 * LONGEST_STEP_S, LONGEST_STEP_S].map(|longest_s| steps(&time_s, longest_s)),
                 time_s,
                 input,
@@ -147,10 +155,9 @@ impl MotionRun {
         (until(from_s + duration_s) - before) / duration_s
     }
 
-    /// Guess and deviation of position and speed (or of speed alone) at the first sample.
+    /// Guess and deviation of position and speed at the first sample. Where speeds were recorded, the position is anywhere.
     pub(super) fn initial(&self, of_speed: bool) -> (Vec<f64>, Vec<f64>) {
         let all = &*self.all;
-        let states = if of_speed { 1 } else { 2 };
         let samples: Vec<(f64, f64)> = (self.from..self.to)
             .map(|sample| (all.time_s[sample] - all.time_s[self.from], all.measured[sample]))
             .filter(|(_, measured)| measured.is_finite())
@@ -160,7 +167,7 @@ impl MotionRun {
         let (low, high) = reach.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
         let smallest = (1e-4 * (high - low)).max(f64::MIN_POSITIVE);
         let noise = all.noise.max(smallest);
-        let Some(&(last_s, _)) = samples.last() else { return (vec![0.0; states], vec![1.0; states]) };
+        let Some(&(last_s, _)) = samples.last() else { return (vec![0.0; 2], vec![1.0; 2]) };
         let count = samples.len() as f64;
         let mean_s = samples.iter().map(|(time_s, _)| time_s).sum::<f64>() / count;
         let mean = samples.iter().map(|(_, value)| value).sum::<f64>() / count;
@@ -169,7 +176,7 @@ impl MotionRun {
         let slope = if square > 0.0 { product / square } else { 0.0 };
         let at_first = mean - slope * mean_s;
         if of_speed {
-            return (vec![at_first], vec![3.0 * noise + slope.abs() * last_s]);
+            return (vec![0.0, at_first], vec![ANYWHERE, 3.0 * noise + slope.abs() * last_s]);
         }
         let slope_deviation = if square > 0.0 { noise / square.sqrt() } else { 1.0 };
         (vec![at_first, slope], vec![3.0 * noise, 3.0 * slope_deviation + 0.3 * slope.abs()])
@@ -194,10 +201,4 @@ fn steps(time_s: &[f64], longest_s: f64) -> Vec<(u32, f64)> {
             (count as u32, last_s)
         })
         .collect()
-}
-
-/// Deviation of white noise on a smooth series, by its second differences.
-fn noise(values: &[f64]) -> f64 {
-    let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
-    robust_deviation(differences.collect()) / 6.0_f64.sqrt()
 }

@@ -134,18 +134,30 @@ impl Input {
         if command < 0.0 { -size * self.backward_gain } else { size }
     }
 
+    /// As what was commanded before the run left it.
     fn begin(&self, run: &MotionRun) -> InputState {
-        let command = run.input_at(run.from);
+        let remembers = self.rate.is_some() || self.lag_s > 0.0 || self.heating.is_some();
+        let from = if remembers { 0 } else { run.from };
+        let command = run.input_at(from);
         let shaped = self.shaped(command);
-        InputState {
+        let mut state = InputState {
             slewed: if self.rate.is_some() { shaped } else { 0.0 },
-            lagged: shaped * run.supply_at(run.from),
+            lagged: shaped * run.supply_at(from),
             heat: 0.0,
-            cursor: run.from,
+            cursor: from,
             shaped: (command, shaped),
             lag: PerStep::NONE,
             heating: PerStep::NONE,
+        };
+        for sample in from..run.from {
+            let (steps, step_s) = run.all.steps[0][sample];
+            for step in 0..steps {
+                let from_s = run.all.time_s[sample] + f64::from(step) * step_s;
+                let command = self.command(run, sample, from_s, step_s, &mut state.cursor);
+                self.drive(&mut state, command, (run.supply_at(sample), run.enabled_at(sample)), step_s, 0.0);
+            }
         }
+        state
     }
 
     /// The mean command over a step, as it was a delay ago.
@@ -263,6 +275,8 @@ struct Body {
     position: f64,
     speed: f64,
     reversal: f64,
+    /// Since it was switched on, like `on_s`.
+    turned_s: f64,
     direction: f64,
     decay: Decay,
 }
@@ -282,6 +296,7 @@ impl Mechanics<'_> {
             position: self.position,
             speed: self.speed,
             reversal: self.position,
+            turned_s: f64::NEG_INFINITY,
             direction: 0.0,
             decay: Decay { b: f64::NAN, step_s: f64::NAN, decayed: 0.0, per_b: 0.0 },
         }
@@ -349,18 +364,21 @@ impl Mechanics<'_> {
             for (curve, values) in &self.curves {
                 let at = match curve.over {
                     Dependence::Input => driven.command,
+                    Dependence::Speed if curve.acts == Acts::Friction => body.speed.abs(),
                     Dependence::Speed => body.speed,
                     Dependence::Time => on_s,
                     Dependence::Supply => supply_v,
                     Dependence::Direction => body.direction,
+                    Dependence::History if curve.acts == Acts::Settling => on_s - body.turned_s,
                     Dependence::History => (body.position - body.reversal).abs(),
                     _ => ahead,
                 };
                 let value = curve.value(values, at);
                 match curve.acts {
                     Acts::Push => push += value,
-                    Acts::Friction => level += value,
+                    Acts::Friction | Acts::Settling => level += value,
                     Acts::Gain => push += driving * value,
+                    Acts::Hysteresis => push -= body.direction * value,
                 }
             }
             if self.drag > 0.0 {
@@ -393,7 +411,7 @@ fn step<const LANES: usize, const PLAIN: bool>(
     mechanics: &[&Mechanics<'_>; LANES],
     bodies: &mut [Body; LANES],
     driven: [&Driven; LANES],
-    at @ (_, _, step_s): (f64, f64, f64),
+    at @ (on_s, _, step_s): (f64, f64, f64),
 ) {
     let (mut push, mut level) = ([0.0; LANES], [0.0; LANES]);
     for lane in 0..LANES {
@@ -436,6 +454,9 @@ fn step<const LANES: usize, const PLAIN: bool>(
         if !PLAIN {
             let moved = (body.position - before[lane]).signum();
             if body.position != before[lane] && moved != body.direction {
+                if body.direction != 0.0 {
+                    body.turned_s = on_s;
+                }
                 body.direction = moved;
                 body.reversal = before[lane];
             }
@@ -653,9 +674,8 @@ impl<'s> Plan<'s> {
             offset: one(Effect::EncoderOffset, 0.0),
         };
         let (position, speed) = match *initial {
-            [speed] => (0.0, speed),
             [position, speed, ..] => ((position - sensor.offset) / sensor.scale, speed),
-            [] => (0.0, 0.0),
+            _ => (0.0, 0.0),
         };
         let mechanics = Mechanics {
             k: base.k,
@@ -720,7 +740,7 @@ impl<'s> Plan<'s> {
             && !self.flows_back()
             && self.sensor.eccentricity.is_none()
             && self.mechanics.is_alike_everywhere();
-        alike.then_some(to - from)
+        alike.then_some(if self.sensor.of_speed { 0.0 } else { to - from })
     }
 
     /// What is told of a way.
@@ -771,6 +791,58 @@ impl<'s> Plan<'s> {
             }
         }
     }
+}
+
+/// How an axis moved from a sample to the next.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moved {
+    pub(super) position: f64,
+    pub(super) speed: f64,
+    /// Its speed cannot be told from none.
+    pub(super) rests: bool,
+    pub(super) direction: f64,
+    /// Where it last turned.
+    pub(super) reversal: f64,
+    /// When it last turned, s of the recording.
+    pub(super) turned_s: f64,
+}
+
+/// Whether an axis would move otherwise from elsewhere.
+pub(super) fn is_placed(motion: &Motion, structure: &Structure) -> bool {
+    let plan = Plan::new(motion, structure, &[]);
+    plan.sensor.eccentricity.is_some() || !plan.mechanics.is_alike_everywhere()
+}
+
+/// What a model says accelerates an axis that moves as it is told, from each sample to the next; it began so far from where
+/// it says it was.
+pub(super) fn accelerations(
+    motion: &Motion,
+    structure: &Structure,
+    run: &MotionRun,
+    (moved, offset): (&[Moved], f64),
+) -> Vec<f64> {
+    let Plan { input, mechanics, .. } = Plan::new(motion, structure, &[]);
+    let mut driving = input.begin(run);
+    let mut body = mechanics.begin();
+    let over = |(sample, moved): (usize, &Moved)| {
+        let (now_s, supply_v) = (run.all.time_s[sample], run.supply_at(sample));
+        let step_s = run.all.time_s[sample + 1] - now_s;
+        if step_s <= 0.0 {
+            return 0.0;
+        }
+        let command = input.command(run, sample, now_s, step_s, &mut driving.cursor);
+        let back_emf = moved.speed * mechanics.b / mechanics.k;
+        let driven = input.drive(&mut driving, command, (supply_v, run.enabled_at(sample)), step_s, back_emf);
+        body.speed = if moved.rests { 0.0 } else { moved.speed };
+        (body.position, body.direction, body.reversal) =
+            (moved.position + offset, moved.direction, moved.reversal + offset);
+        body.turned_s = run.all.origin_s + moved.turned_s;
+        let at = (run.all.origin_s + now_s + 0.5 * step_s, supply_v, 0.0);
+        let (push, level, b) = mechanics.forces::<false>(&body, &driven, at);
+        let friction = if moved.rests { push.clamp(-level, level) } else { level.copysign(moved.speed) };
+        push - friction - b * moved.speed
+    };
+    moved.iter().enumerate().map(over).collect()
 }
 
 /// Simulates a run from an initial position and speed (or only a speed), one output for each sample.

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use crate::{
     data::{Need, Quantity, Run, check},
     error::IdentifyError,
-    family::Family,
+    family::{Family, Model},
 };
 
 use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units};

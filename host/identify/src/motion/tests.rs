@@ -12,7 +12,7 @@ use super::{Kind, Known, Motion, MotionRun};
 use crate::{
     Task,
     data::{Quantity, Run, Signal},
-    family::{Family, Range, Simulated, Structure, Term},
+    family::{Family, Model, Range, Simulated, Structure, Term},
     identify,
 };
 
@@ -166,6 +166,33 @@ fn free_runs_together_are_as_alone() {
             });
             assert_eq!(told, others.len());
         }
+    }
+}
+
+/// An axis with friction by direction, from a base model that ran away without it: far too heavy, and without damping.
+#[test]
+fn a_guess_finds_back_from_a_model_that_ran_away() {
+    let made = experiment(Setup::AxisPosition, Draw::Listed, Length::STANDARD, 57);
+    let [truth] = made.hidden.truth() else { panic!("one effect") };
+    assert_eq!(truth.name, "direction-friction");
+    let r4_plants::Model::LinearActuator(axis) = made.base.model() else { panic!("an axis") };
+    let recordings = recorded(made.setup, &made.train);
+    let (model, runs, _) = Motion::new(Kind::Axis, &Known::default(), &recordings, &[]).expect("a model");
+    let index = model.catalogue().iter().position(|candidate| candidate.name == truth.name).expect("an effect");
+    let start = |values: &Vec<f64>| Structure {
+        base: vec![50.0 * axis.moving_mass_kg, 1e-6],
+        terms: vec![Term::Known(index)],
+        added: vec![values.clone()],
+    };
+    let starts = model.catalogue()[index].starts.iter().map(start).collect();
+    let (guess, _) = model.guess(starts, &runs.iter().collect::<Vec<_>>()).expect("a guess");
+    // Noise on the motion makes it a place to begin from.
+    let near =
+        |found: f64, truth: f64, share: f64| assert!((found / truth - 1.0).abs() < share, "{found}, not {truth}");
+    near(guess.base[0], axis.moving_mass_kg, 0.05);
+    near(guess.base[1], axis.viscous_n_s_per_m, 0.15);
+    for (level, truth) in guess.added[0].iter().zip(&truth.parameters) {
+        near(level * guess.base[0], truth.value, 0.15);
     }
 }
 

@@ -36,7 +36,7 @@ pub use run::SkidRun;
 
 use crate::{
     data,
-    family::{Acts, Candidate, Curve, Driver, Family, Parameter, Structure, Term},
+    family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Structure, Term},
     task::{ModelInfo, ParameterInfo, RoleInfo},
 };
 use effect::{Effect, Scales};
@@ -245,7 +245,7 @@ fn high(mut values: Vec<f64>) -> f64 {
     values.get(values.len() * 95 / 100).or(values.last()).copied().unwrap_or(0.0)
 }
 
-impl Family for SkidSteer {
+impl Model for SkidSteer {
     type Run = SkidRun;
 
     fn base(&self) -> &[Parameter] {
@@ -255,17 +255,6 @@ impl Family for SkidSteer {
 
     fn catalogue(&self) -> &[Candidate] {
         &self.catalogue
-    }
-
-    fn unit(&self) -> &'static str {
-        match self.output {
-            Output::YawRate => "rad/s",
-            Output::ForwardSpeed | Output::LateralSpeed => "m/s",
-        }
-    }
-
-    fn starts(&self, _runs: &[&SkidRun]) -> Vec<Vec<f64>> {
-        vec![vec![]]
     }
 
     fn initial(&self, _run: &SkidRun) -> (Vec<f64>, Vec<f64>) {
@@ -279,6 +268,19 @@ impl Family for SkidSteer {
 
     fn measured<'r>(&self, run: &'r SkidRun) -> &'r [f64] {
         &run.measured
+    }
+}
+
+impl Family for SkidSteer {
+    fn unit(&self) -> &'static str {
+        match self.output {
+            Output::YawRate => "rad/s",
+            Output::ForwardSpeed | Output::LateralSpeed => "m/s",
+        }
+    }
+
+    fn starts(&self, _runs: &[&SkidRun]) -> Vec<Vec<f64>> {
+        vec![vec![]]
     }
 
     fn time_s<'r>(&self, run: &'r SkidRun) -> &'r [f64] {

@@ -205,7 +205,7 @@ impl Body<'_> {
             };
             match curve.acts {
                 Acts::Gain => value * (1.0 + curve.value(values, at)),
-                Acts::Push | Acts::Friction => value + curve.value(values, at),
+                Acts::Push | Acts::Friction | Acts::Settling | Acts::Hysteresis => value + curve.value(values, at),
             }
         })
     }

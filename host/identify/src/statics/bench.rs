@@ -80,7 +80,7 @@ fn wheel_rows(folder: &Path, wheel: &str, at_least: f64) -> Result<[Row; 2], Ide
         let map = StaticMap::new(&fitted.iter().collect::<Vec<_>>(), "rad/s")?;
         let found = select::search(&map, fitted, &|_| ());
         let name = |step: &select::Step| match &step.term {
-            Term::Known(index) => Some(crate::family::Family::catalogue(&map)[*index].name),
+            Term::Known(index) => Some(crate::family::Model::catalogue(&map)[*index].name),
             Term::Curve(_) => None,
         };
         let names = found.steps.iter().filter_map(name).collect();

@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use super::map::{median, unit};
 use crate::data::Run;
-use crate::family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure};
 use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording shows no play.
@@ -472,7 +472,7 @@ impl HeldShaft {
     }
 }
 
-impl Family for HeldShaft {
+impl Model for HeldShaft {
     type Run = HeldRun;
 
     fn base(&self) -> &[Parameter] {
@@ -481,16 +481,6 @@ impl Family for HeldShaft {
 
     fn catalogue(&self) -> &[Candidate] {
         &self.catalogue
-    }
-
-    fn unit(&self) -> &'static str {
-        self.unit
-    }
-
-    fn starts(&self, runs: &[&HeldRun]) -> Vec<Vec<f64>> {
-        let mut all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
-        let Range::NotNegative { scale } = self.base[1].range else { return vec![] };
-        vec![vec![median(&mut all), 4.0 * scale]]
     }
 
     fn initial(&self, _: &HeldRun) -> (Vec<f64>, Vec<f64>) {
@@ -513,6 +503,18 @@ impl Family for HeldShaft {
 
     fn measured<'r>(&self, run: &'r HeldRun) -> &'r [f64] {
         &run.measured
+    }
+}
+
+impl Family for HeldShaft {
+    fn unit(&self) -> &'static str {
+        self.unit
+    }
+
+    fn starts(&self, runs: &[&HeldRun]) -> Vec<Vec<f64>> {
+        let mut all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
+        let Range::NotNegative { scale } = self.base[1].range else { return vec![] };
+        vec![vec![median(&mut all), 4.0 * scale]]
     }
 
     fn time_s<'r>(&self, run: &'r HeldRun) -> &'r [f64] {

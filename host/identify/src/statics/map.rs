@@ -6,7 +6,7 @@ use r4_plants::Dependence;
 use thiserror::Error;
 
 use crate::data::{Quantity, Run};
-use crate::family::{Acts, Candidate, Curve, Driver, Family, Parameter, Range, Structure, Term};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure, Term};
 use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording is no map.
@@ -99,7 +99,7 @@ impl MapRun {
         })
     }
 
-    /// Levels of the rows of [`Family::measured`].
+    /// Levels of the rows of [`Model::measured`].
     #[must_use]
     pub fn input(&self) -> &[f64] {
         &self.input[self.first..self.first + self.measured.len()]
@@ -690,7 +690,7 @@ impl Shape {
     }
 }
 
-impl Family for StaticMap {
+impl Model for StaticMap {
     type Run = MapRun;
 
     fn base(&self) -> &[Parameter] {
@@ -699,21 +699,6 @@ impl Family for StaticMap {
 
     fn catalogue(&self) -> &[Candidate] {
         &self.catalogue
-    }
-
-    fn unit(&self) -> &'static str {
-        self.unit
-    }
-
-    /// The slope of the straight line through zero, and steeper ones for maps that bend.
-    fn starts(&self, runs: &[&MapRun]) -> Vec<Vec<f64>> {
-        let (mut uy, mut uu) = (0.0, 0.0);
-        for (u, y) in runs.iter().flat_map(|run| run.rows()) {
-            uy += u * y;
-            uu += u * u;
-        }
-        let slope = if uu > 0.0 { uy / uu } else { 0.0 };
-        vec![vec![slope], vec![3.0 * slope]]
     }
 
     fn initial(&self, _: &MapRun) -> (Vec<f64>, Vec<f64>) {
@@ -774,6 +759,23 @@ impl Family for StaticMap {
 
     fn measured<'r>(&self, run: &'r MapRun) -> &'r [f64] {
         &run.measured
+    }
+}
+
+impl Family for StaticMap {
+    fn unit(&self) -> &'static str {
+        self.unit
+    }
+
+    /// The slope of the straight line through zero, and steeper ones for maps that bend.
+    fn starts(&self, runs: &[&MapRun]) -> Vec<Vec<f64>> {
+        let (mut uy, mut uu) = (0.0, 0.0);
+        for (u, y) in runs.iter().flat_map(|run| run.rows()) {
+            uy += u * y;
+            uu += u * u;
+        }
+        let slope = if uu > 0.0 { uy / uu } else { 0.0 };
+        vec![vec![slope], vec![3.0 * slope]]
     }
 
     fn time_s<'r>(&self, run: &'r MapRun) -> &'r [f64] {

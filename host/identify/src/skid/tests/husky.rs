@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use super::{Declared, Family, Geometry, Output, SkidRun, SkidSteer, run};
+use super::{Declared, Geometry, Model, Output, SkidRun, SkidSteer, run};
 use crate::{
     data::Run,
     family::{Structure, Term},

@@ -10,7 +10,7 @@ use r4_plants::Dependence;
 use super::{Declared, Geometry, Output, SkidError, SkidRun, SkidSteer};
 use crate::{
     data::{Quantity, Run, Signal},
-    family::{Acts, Curve, Family, Structure, Term},
+    family::{Acts, Curve, Family, Model, Structure, Term},
 };
 
 /// 50 Hz.

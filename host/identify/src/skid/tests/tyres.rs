@@ -3,7 +3,7 @@
 use rand_distr::{Distribution, Normal, Uniform};
 use rand_pcg::Pcg64Mcg;
 
-use super::{Declared, Family, GEOMETRY, Output, SkidRun, SkidSteer, Structure, Term, run};
+use super::{Declared, GEOMETRY, Model, Output, SkidRun, SkidSteer, Structure, Term, run};
 use crate::{
     data::Run,
     fit::residuals,

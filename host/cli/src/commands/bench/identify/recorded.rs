@@ -5,7 +5,7 @@ use std::slice::from_ref;
 use anyhow::{Context, ensure};
 use r4_identify::{
     data::{Mapping, Options, Run},
-    family::{Family, Term},
+    family::{Family, Model, Term},
     fit,
     motion::{Kind, Known, Motion},
     report::Report,

@@ -1,0 +1,138 @@
+//! Curves over what an axis does: what a model may lack that has no name.
+
+use r4_plants::Dependence;
+
+use crate::family::{Acts, Curve, Family, Structure, Term};
+
+use super::{Motion, MotionRun, simulate::Moved};
+
+/// Corners that are tried; the more of them, the more they have to explain.
+const CORNERS: [usize; 3] = [9, 17, 33];
+/// The same round a circle.
+const ROUND: [usize; 2] = [12, 24];
+
+impl Motion {
+    /// Curves of nothing over a driver, one for each way in which it can act.
+    pub(super) fn empty_curves(
+        &self,
+        structure: &Structure,
+        (over, period): (Dependence, Option<f64>),
+        runs: &[&MotionRun],
+    ) -> Vec<Curve> {
+        let acts: &[Acts] = match over {
+            // A force by acceleration is inertia, which the model has; one by direction is friction by direction.
+            Dependence::Acceleration | Dependence::Direction => &[],
+            Dependence::Input => &[Acts::Push],
+            Dependence::Speed => &[Acts::Push, Acts::Friction],
+            Dependence::Position | Dependence::Time => &[Acts::Push, Acts::Friction, Acts::Gain],
+            Dependence::History => &[Acts::Friction, Acts::Hysteresis, Acts::Settling],
+            Dependence::Supply => &[Acts::Gain],
+        };
+        if acts.is_empty() {
+            return vec![];
+        }
+        let curve = |acts: Acts| {
+            let mut values = self.values_of((over, acts), structure, runs);
+            values.sort_by(f64::total_cmp);
+            let counts = if period.is_some() { &ROUND[..] } else { &CORNERS };
+            let curves = counts.iter().filter_map(|&count| {
+                let at = match period {
+                    Some(period) => Some((0..count).map(|corner| corner as f64 * period / count as f64).collect()),
+                    None => corners(&values, count),
+                };
+                Some(self.curve(over, period, acts, at?))
+            });
+            self.fitting(structure, curves.collect(), runs)
+        };
+        acts.iter().filter_map(|&acts| curve(acts)).collect()
+    }
+
+    fn curve(&self, over: Dependence, period: Option<f64>, acts: Acts, at: Vec<f64>) -> Curve {
+        let (units, gain) = (&self.scales.units, acts == Acts::Gain);
+        let at_unit = match over {
+            Dependence::Input => units.input,
+            Dependence::Speed => units.speed,
+            Dependence::Time => "s",
+            Dependence::History if acts == Acts::Settling => "s",
+            Dependence::Supply => "V",
+            _ => units.distance,
+        };
+        Curve {
+            over,
+            at_unit,
+            unit: if gain { "1" } else { units.force },
+            at,
+            period,
+            acts,
+            scale: if gain { 0.1 } else { 0.1 * self.scales.acceleration },
+        }
+    }
+
+    /// Of curves with more and more corners, the last whose corners pay (twice Schwarz's criterion, without free runs).
+    fn fitting(&self, structure: &Structure, curves: Vec<Curve>, runs: &[&MotionRun]) -> Option<Curve> {
+        let price = |curve: &Curve| {
+            let mut with = structure.clone();
+            with.terms.push(Term::Curve(curve.clone()));
+            with.added.push(vec![0.0; curve.at.len()]);
+            let left = self.left_over_windows(with, runs)?;
+            let independent = self.independent_windows(runs)?;
+            Some(independent * left.ln() + 2.0 * curve.at.len() as f64 * independent.ln())
+        };
+        let mut best: Option<(Curve, f64)> = None;
+        for curve in curves {
+            let price = price(&curve).unwrap_or(f64::INFINITY);
+            if best.as_ref().is_some_and(|(_, least)| price >= *least) {
+                break;
+            }
+            best = Some((curve, price));
+        }
+        Some(best?.0)
+    }
+
+    /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
+    fn values_of(&self, (over, acts): (Dependence, Acts), structure: &Structure, runs: &[&MotionRun]) -> Vec<f64> {
+        let moved = self.moved(structure, runs);
+        let measured = |of: &dyn Fn(&Moved, f64) -> f64| {
+            let values = moved.iter().flatten().map(|(moved, time_s)| of(moved, *time_s));
+            values.filter(|value| value.is_finite()).collect()
+        };
+        match (over, acts) {
+            // Friction is alike both ways.
+            (Dependence::Speed, Acts::Friction) if moved.is_some() => measured(&|moved, _| moved.speed.abs()),
+            (Dependence::Speed, _) if moved.is_some() => measured(&|moved, _| moved.speed),
+            (Dependence::Position, _) if moved.is_some() => measured(&|moved, _| moved.position),
+            (Dependence::History, Acts::Settling) => measured(&|moved, time_s| time_s - moved.turned_s),
+            (Dependence::History, _) if moved.is_some() => {
+                measured(&|moved, _| (moved.position - moved.reversal).abs())
+            }
+            (Dependence::Speed, Acts::Friction) => {
+                self.simulated(over, structure, runs).into_iter().map(f64::abs).collect()
+            }
+            _ => self.simulated(over, structure, runs),
+        }
+    }
+
+    fn simulated(&self, over: Dependence, structure: &Structure, runs: &[&MotionRun]) -> Vec<f64> {
+        runs.iter()
+            .flat_map(|run| self.drivers(structure, &run.initial(self.of_speed).0, run))
+            .filter(|driver| driver.over == over && driver.period.is_none())
+            .flat_map(|driver| driver.values)
+            .filter(|value| value.is_finite())
+            .collect()
+    }
+}
+
+/// Corners over sorted values: none without data, and no long stretch without one.
+fn corners(values: &[f64], count: usize) -> Option<Vec<f64>> {
+    let (&low, &high) = (values.first()?, values.last()?);
+    if high - low <= f64::EPSILON * high.abs() {
+        return None;
+    }
+    // Half by range, half by how often.
+    let share = |index: usize| index as f64 / (count - 1) as f64;
+    let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
+    let mut at: Vec<f64> =
+        (0..count).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
+    at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
+    (at.len() >= 2).then_some(at)
+}

@@ -1,0 +1,417 @@
+//! An axis without free runs: what a model says pushes it, against what its motion says pushed it.
+//!
+//! A free run adds up whatever its model lacks, until a fit that begins far off follows the wrong things. Here the motion is
+//! taken as it was measured, and the equation of motion `q'' = a(q, q', t)` is compared over windows. Each window has a weight
+//! `w` that vanishes with its slope at both ends, so that no measurement is differentiated:
+//!
+//! ```text
+//! ∫ w'' q dt = ∫ w a dt        for a position
+//! -∫ w' v dt = ∫ w a dt        for a speed
+//! ```
+//!
+//! Noise on the motion makes such numbers a little wrong: they are places to begin from, no results.
+//!
+//! # Source
+//! M. Shinbrot, *On the analysis of linear and nonlinear systems*, Trans. ASME 79 (1957), 547-552 (modulating functions).
+
+use std::sync::Arc;
+
+use crate::{
+    family::{Candidate, Model, Parameter, Range, Structure},
+    fit::{Effort, Fit, cost, fit, parameters},
+};
+
+use super::{
+    Kind, Motion, MotionRun,
+    effect::{Effect, PERIODS_APART},
+    simulate::{Moved, accelerations, is_placed},
+    smooth::Smooth,
+};
+
+/// Half the lengths of windows, in the shortest.
+const LENGTHS: [f64; 3] = [1.0, 2.5, 6.0];
+/// Half the shortest window: so long, s, and so many samples.
+const SHORTEST_S: f64 = 0.06;
+const SHORTEST_SAMPLES: f64 = 8.0;
+/// Deviations of the noise beyond which a way back is one, and a speed is not rest.
+const CERTAIN: f64 = 4.0;
+/// Windows overlap by half, and the longer ones say again what the shortest say.
+const OVERLAP: f64 = 3.0;
+/// So many of several starts are fitted further.
+const FURTHER: usize = 2;
+/// The same of periods, in each of ever longer beginnings of the recordings.
+const PERIODS: usize = 5;
+const STRETCHES: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
+
+/// A recording as its windows see it.
+#[derive(Clone, Debug)]
+pub(super) struct Windows {
+    /// From each sample to the next.
+    moved: Vec<Moved>,
+    windows: Vec<Window>,
+    /// Of each window, in deviations that white noise on the measurements gives it.
+    measured: Vec<f64>,
+}
+
+#[derive(Clone, Debug)]
+struct Window {
+    from: usize,
+    /// From each sample to the next, in the inverse of that deviation.
+    weights: Vec<f64>,
+}
+
+/// `(1 - x²)³`, its first and second derivative.
+fn weight(x: f64) -> [f64; 3] {
+    let inside = 1.0 - x * x;
+    [inside.powi(3), -6.0 * x * inside.powi(2), inside * (30.0 * x * x - 6.0)]
+}
+
+impl Windows {
+    fn of(run: &MotionRun, of_speed: bool) -> Option<Self> {
+        let (time_s, measured) = (&run.all.time_s[..], &run.all.measured[..]);
+        let smooth = Smooth::of(time_s, measured)?;
+        let moved = moved(time_s, &smooth, of_speed);
+        let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let middle = steps.len() / 2;
+        let period_s = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let shortest_s = SHORTEST_S.max(SHORTEST_SAMPLES * period_s);
+        let (first_s, last_s) = (*time_s.first()?, *time_s.last()?);
+        let mut all = Self { moved, windows: vec![], measured: vec![] };
+        for half_s in LENGTHS.map(|length| length * shortest_s) {
+            let mut middle_s = first_s + half_s;
+            while middle_s + half_s <= last_s {
+                all.push(time_s, measured, &smooth, of_speed, (middle_s, half_s));
+                middle_s += 0.5 * half_s;
+            }
+        }
+        (!all.windows.is_empty()).then_some(all)
+    }
+
+    fn push(&mut self, time_s: &[f64], measured: &[f64], smooth: &Smooth, of_speed: bool, (at_s, half_s): (f64, f64)) {
+        let from = time_s.partition_point(|&time_s| time_s < at_s - half_s);
+        let to = time_s.partition_point(|&time_s| time_s <= at_s + half_s);
+        if to < from + 4 {
+            return;
+        }
+        // Of a line, the integrals are nothing; the sums over uneven samples are not.
+        let slope = (smooth.value[to - 1] - smooth.value[from]) / (time_s[to - 1] - time_s[from]);
+        let (mut sum, mut square) = (0.0, 0.0);
+        for sample in from..to {
+            let before_s = time_s[sample.saturating_sub(1).max(from)];
+            let after_s = time_s[(sample + 1).min(to - 1)];
+            let share_s = 0.5 * (after_s - before_s);
+            let [_, first, second] = weight((time_s[sample] - at_s) / half_s);
+            let factor = share_s * if of_speed { -first / half_s } else { second / (half_s * half_s) };
+            let line = smooth.value[from] + if of_speed { 0.0 } else { slope * (time_s[sample] - time_s[from]) };
+            let value = if measured[sample].is_finite() { measured[sample] } else { smooth.value[sample] };
+            sum += factor * (value - line);
+            square += factor * factor;
+        }
+        let weights = (from..to - 1).map(|sample| {
+            let middle_s = 0.5 * (time_s[sample] + time_s[sample + 1]);
+            weight((middle_s - at_s) / half_s)[0] * (time_s[sample + 1] - time_s[sample]) / square.sqrt()
+        });
+        self.windows.push(Window { from, weights: weights.collect() });
+        self.measured.push(sum / square.sqrt());
+    }
+}
+
+/// The motion between samples, with its turns.
+fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> Vec<Moved> {
+    let (position, speed, [position_noise, rest]) = if of_speed {
+        let mut position = vec![0.0; time_s.len()];
+        for sample in 1..time_s.len() {
+            let mean = 0.5 * (smooth.value[sample - 1] + smooth.value[sample]);
+            position[sample] = position[sample - 1] + mean * (time_s[sample] - time_s[sample - 1]);
+        }
+        let step_s = (time_s[time_s.len() - 1] - time_s[0]) / time_s.len() as f64;
+        (position, &smooth.value, [smooth.noise[0] * step_s, smooth.noise[0]])
+    } else {
+        (smooth.value.clone(), &smooth.slope, smooth.noise)
+    };
+    let turned = turns(&position, CERTAIN * position_noise);
+    (1..time_s.len())
+        .map(|sample| {
+            let middle = |values: &[f64]| 0.5 * (values[sample - 1] + values[sample]);
+            let Turn { direction, reversal, sample: turned_at } = turned[sample - 1];
+            let speed = middle(speed);
+            Moved {
+                position: middle(&position),
+                speed,
+                rests: speed.abs() < CERTAIN * rest,
+                direction,
+                reversal,
+                turned_s: turned_at.map_or(f64::NEG_INFINITY, |sample| time_s[sample]),
+            }
+        })
+        .collect()
+}
+
+/// How an axis last turned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Turn {
+    /// In which it goes since; 0 before it first moved.
+    direction: f64,
+    /// Where.
+    reversal: f64,
+    /// When; not known of the first motion.
+    sample: Option<usize>,
+}
+
+/// How the motion last turned, at each sample; a way back that is shorter than `certain` is none.
+fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
+    let first = position.first().copied().unwrap_or(0.0);
+    let mut turned = vec![Turn { direction: 0.0, reversal: first, sample: None }; position.len()];
+    let (mut direction, mut extreme) = (0.0, 0);
+    for sample in 1..position.len() {
+        let ahead = position[sample] - position[extreme];
+        if ahead * direction > 0.0 {
+            extreme = sample;
+        } else if ahead.abs() > certain {
+            // It turned at the extreme, which is known only now; if it held there, when it came there.
+            let held = (0..extreme).rev().take_while(|&at| (position[at] - position[extreme]).abs() < 0.5 * certain);
+            let came = held.last().unwrap_or(extreme);
+            let sample_turned = (direction != 0.0).then_some(came);
+            direction = ahead.signum();
+            let turn = Turn { direction, reversal: position[extreme], sample: sample_turned };
+            turned[if sample_turned.is_some() { came } else { extreme }..].fill(turn);
+            extreme = sample;
+        }
+    }
+    turned
+}
+
+/// A recording with its windows.
+#[derive(Clone, Debug)]
+struct Seen {
+    run: MotionRun,
+    windows: Arc<Windows>,
+}
+
+/// A model of an axis, windows for its output.
+struct Weak<'m> {
+    motion: &'m Motion,
+    /// The position is not recorded, and matters: where each recording began has to be found.
+    placed: bool,
+}
+
+impl Model for Weak<'_> {
+    type Run = Seen;
+
+    fn base(&self) -> &[Parameter] {
+        self.motion.base()
+    }
+
+    fn catalogue(&self) -> &[Candidate] {
+        self.motion.catalogue()
+    }
+
+    fn initial(&self, _: &Seen) -> (Vec<f64>, Vec<f64>) {
+        if self.placed { (vec![0.0], vec![1.0]) } else { (vec![], vec![]) }
+    }
+
+    fn predict(&self, structure: &Structure, initial: &[f64], seen: &Seen, predicted: &mut [f64]) {
+        let Windows { moved, windows, .. } = &*seen.windows;
+        let offset = initial.first().copied().unwrap_or(0.0);
+        let accelerations = accelerations(self.motion, structure, &seen.run, (moved, offset));
+        for (window, predicted) in windows.iter().zip(predicted) {
+            let pushed = window.weights.iter().zip(&accelerations[window.from..]);
+            *predicted = pushed.map(|(weight, acceleration)| weight * acceleration).sum();
+        }
+    }
+
+    fn measured<'r>(&self, seen: &'r Seen) -> &'r [f64] {
+        &seen.windows.measured
+    }
+
+    fn noise(&self, seen: &Seen) -> f64 {
+        seen.run.all.noise
+    }
+}
+
+impl Motion {
+    /// Whether what is recorded is the motion itself, and nothing but the model's pushes makes it.
+    fn is_seen(&self, structure: &Structure) -> bool {
+        const BEHIND: [Effect; 7] = [
+            Effect::Backlash,
+            Effect::Compliance,
+            Effect::SensorLag,
+            Effect::SensorHold,
+            Effect::Eccentricity,
+            Effect::EncoderScale,
+            Effect::EncoderOffset,
+        ];
+        let is_behind = |effect: &Effect| self.index(*effect).is_some_and(|index| structure.of(index).is_some());
+        !self.is_servo() && self.stops.is_none() && !BEHIND.iter().any(is_behind)
+    }
+
+    /// The recordings that runs are parts of.
+    fn seen(&self, runs: &[&MotionRun]) -> Option<Vec<Seen>> {
+        let mut recordings: Vec<&MotionRun> = Vec::new();
+        for run in runs {
+            if !recordings.iter().any(|other| Arc::ptr_eq(&other.all, &run.all)) {
+                recordings.push(run);
+            }
+        }
+        let seen = |run: &&MotionRun| {
+            let run = MotionRun { from: 0, to: run.all.time_s.len(), ..(*run).clone() };
+            let windows = run.all.windows.get_or_init(|| Windows::of(&run, self.of_speed).map(Arc::new)).clone()?;
+            Some(Seen { run, windows })
+        };
+        recordings.iter().map(seen).collect()
+    }
+
+    /// The motion of recordings, as it was measured, and when.
+    pub(super) fn moved(&self, structure: &Structure, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
+        let seen = self.is_seen(structure).then(|| self.seen(runs))??;
+        let timed = |seen: Seen| -> Vec<(Moved, f64)> {
+            seen.windows.moved.iter().copied().zip(seen.run.all.time_s.iter().copied()).collect()
+        };
+        Some(seen.into_iter().flat_map(timed).collect())
+    }
+
+    /// How many windows say as much as all that there are: of those that overlap, one.
+    pub(super) fn independent_windows(&self, runs: &[&MotionRun]) -> Option<f64> {
+        let all: usize = self.seen(runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
+        Some((all as f64 / OVERLAP).max(2.0))
+    }
+
+    /// A damping that a fit ran away from is one again that shows: from next to nothing, no slope leads back.
+    fn with_damping(&self, mut structure: Structure) -> Structure {
+        let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
+        if self.kind == Kind::Axis {
+            base[1] = base[1].max(base[0] / longest_s);
+        } else if base[1] > longest_s {
+            base[0] *= longest_s / base[1];
+            base[1] = longest_s;
+        }
+        structure
+    }
+
+    /// What a structure leaves of the windows, about.
+    pub(super) fn left_over_windows(&self, structure: Structure, runs: &[&MotionRun]) -> Option<f64> {
+        let seen = self.is_seen(&structure).then(|| self.seen(runs))??;
+        let placed = self.of_speed && is_placed(self, &structure);
+        let start = self.with_damping(structure);
+        Some(Weak { motion: self, placed }.best(vec![start], &seen, Effort::SCREEN, 1).pop()?.cost)
+    }
+
+    /// The best of some structures fitted to windows, and what it leaves.
+    pub(super) fn weakly(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
+        if !starts.iter().all(|structure| self.is_seen(structure)) {
+            return None;
+        }
+        let seen = self.seen(runs)?;
+        let placed = self.of_speed && starts.first().is_some_and(|structure| is_placed(self, structure));
+        let weak = Weak { motion: self, placed };
+        let starts: Vec<Structure> = starts.into_iter().map(|start| self.with_damping(start)).collect();
+        let is_coarse = |start: &Structure| {
+            parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == Range::Coarse)
+        };
+        let glanced = if starts.first().is_some_and(is_coarse) {
+            weak.by_stretches(starts, &seen)
+        } else {
+            weak.best(starts, &seen, Effort::GLANCE, FURTHER)
+        };
+        let further = glanced.into_iter().map(|fit| fit.structure).collect();
+        let best = weak.best(further, &seen, Effort::SCREEN, 1).pop()?;
+        Some((best.structure, best.cost))
+    }
+}
+
+impl Weak<'_> {
+    /// The best of some structures when each is fitted.
+    fn best(&self, starts: Vec<Structure>, seen: &[Seen], effort: Effort, count: usize) -> Vec<Fit> {
+        let seen: Vec<&Seen> = seen.iter().collect();
+        let fitted = |structure| {
+            let (structure, initial) = self.begun(structure, &seen, effort);
+            fit(self, &seen, structure, initial, effort)
+        };
+        let mut fits: Vec<Fit> = starts.into_iter().map(fitted).filter(|fit| fit.cost.is_finite()).collect();
+        fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        fits.truncate(count);
+        fits
+    }
+
+    /// Where each recording began: the first one at 0, and by a model of that the others.
+    fn begun(&self, structure: Structure, seen: &[&Seen], effort: Effort) -> (Structure, Vec<Vec<f64>>) {
+        let [first, others @ ..] = seen else { return (structure, vec![]) };
+        if !self.placed {
+            return (structure, vec![vec![]; seen.len()]);
+        }
+        let structure = fit(self, &[first], structure, vec![vec![0.0]], effort).structure;
+        let best = |seen: &&Seen| {
+            let left = |place: f64| cost(self, &[seen], &structure, &[vec![place]]);
+            let best = self.motion.places().map(|place| (left(place), place)).min_by(|a, b| a.0.total_cmp(&b.0));
+            vec![best.map_or(0.0, |best| best.1)]
+        };
+        let initial = std::iter::once(vec![0.0]).chain(others.iter().map(best)).collect();
+        (structure, initial)
+    }
+
+    /// The best of some structures whose last number is a period: one that is a little off is of no use at the end of a long
+    /// recording. So it is sought in the beginnings of the recordings, then closer by in more and more of them.
+    fn by_stretches(&self, mut starts: Vec<Structure>, seen: &[Seen]) -> Vec<Fit> {
+        let mut apart = 0.5 * PERIODS_APART;
+        let mut fits = vec![];
+        for share in STRETCHES {
+            let stretches: Vec<Seen> = seen.iter().map(|seen| seen.beginning(share)).collect();
+            fits = self.best(starts, &stretches, Effort::GLANCE, PERIODS);
+            let beside = |fit: &Fit| {
+                let by = |factor: f64| {
+                    let mut other = fit.structure.clone();
+                    if let Some(period) = other.added.last_mut().and_then(|values| values.last_mut()) {
+                        *period *= factor;
+                    }
+                    other
+                };
+                [1.0 - apart, 1.0, 1.0 + apart].map(by)
+            };
+            starts = fits.iter().flat_map(beside).collect();
+            apart *= 0.5;
+        }
+        fits.truncate(FURTHER);
+        fits
+    }
+}
+
+impl Seen {
+    /// So much of it from its first sample on.
+    fn beginning(&self, share: f64) -> Self {
+        let Windows { moved, windows, measured } = &*self.windows;
+        let steps = (share * moved.len() as f64) as usize;
+        let inside = windows.iter().zip(measured).filter(|(window, _)| window.from + window.weights.len() <= steps);
+        let (windows, measured) = inside.map(|(window, measured)| (window.clone(), *measured)).unzip();
+        let windows = Windows { moved: moved[..steps].to_vec(), windows, measured };
+        Self { run: self.run.clone(), windows: Arc::new(windows) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_turn_is_where_and_when_the_way_back_began() {
+        // There, a rest at 3, back to -1, with steps of noise that are no turns.
+        let position = [0.0, 1.0, 2.0, 1.9, 3.0, 3.02, 2.98, 3.0, 2.0, 1.0, 1.05, 0.0, -1.0];
+        let turned = turns(&position, 0.2);
+        assert_eq!(turned[0], Turn { direction: 1.0, reversal: 0.0, sample: None });
+        assert_eq!(turned[3], turned[0], "back by less than is certain");
+        let back = Turn { direction: -1.0, reversal: 3.02, sample: Some(4) };
+        assert!(turned[4..].iter().all(|turn| *turn == back), "{turned:?}");
+    }
+
+    #[test]
+    fn windows_vanish_with_their_slope_and_bend_by_their_derivative() {
+        for side in [-1.0, 1.0] {
+            assert_eq!(weight(side), [0.0; 3]);
+        }
+        for x in [-0.7, 0.0, 0.3, 0.9] {
+            let (step, [value, slope, bend]) = (1e-5, weight(x));
+            let [before, after] = [-step, step].map(|off| weight(x + off));
+            assert!(((after[0] - before[0]) / (2.0 * step) - slope).abs() < 1e-8, "{x}: {value}");
+            assert!(((after[1] - before[1]) / (2.0 * step) - bend).abs() < 1e-8, "{x}");
+        }
+    }
+}
