@@ -237,7 +237,7 @@ impl Plant {
         self.train.rest_at(position);
         self.position = self.train.motion.position;
         self.speed = 0.0;
-        self.turned_at = self.position;
+        (self.turned_at, self.turned_s) = (self.position, NEVER_S);
         self.went = 0.0;
         for stage in &mut self.transmission {
             stage.settle(self.position);

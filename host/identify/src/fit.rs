@@ -193,13 +193,14 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let measured = family.measured(&part);
     let mut predicted = vec![0.0; samples];
     let mut tried = predicted.clone();
-    let beginnings = family.beginnings(structure, run);
-    let costs = beginnings.iter().map(|state| {
-        family.predict(structure, state, &part, &mut predicted);
-        measured.iter().zip(&predicted).map(|(m, p)| (m - p).powi(2)).filter(|square| !square.is_nan()).sum::<f64>()
-    });
-    let least = costs.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(place, _)| place);
-    let mut state = beginnings.get(least).unwrap_or(&guess).clone();
+    let mut beginnings = family.beginnings(structure, run);
+    if beginnings.len() > 1 {
+        let left = |state: &Vec<f64>| cost(family, &[&part], structure, std::slice::from_ref(state));
+        let costs: Vec<f64> = beginnings.iter().map(left).collect();
+        let least = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0);
+        beginnings.swap(0, least);
+    }
+    let mut state = beginnings.into_iter().next().unwrap_or_else(|| guess.clone());
     family.predict(structure, &state, &part, &mut predicted);
     for _ in 0..SETTLING_STEPS {
         let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);

@@ -105,23 +105,15 @@ struct Trial {
     guess: f64,
 }
 
-/// Where a fit begins.
-struct Start {
-    structure: Structure,
-    initial: Vec<Vec<f64>>,
-    guess: f64,
-}
+/// Where a fit begins: its structure, and the initial states.
+type Start = (Structure, Vec<Vec<f64>>);
 
 /// A term that may be added, with where its fit may begin.
 struct Begun {
     term: Term,
     starts: Vec<Start>,
-}
-
-impl Begun {
-    fn guess(&self) -> f64 {
-        self.starts.first().map_or(f64::INFINITY, |start| start.guess)
-    }
+    /// What the family's guess leaves; infinite without one.
+    guess: f64,
 }
 
 struct Judged {
@@ -367,20 +359,20 @@ impl<F: Family> Search<'_, F> {
             .par_iter()
             .enumerate()
             .filter(|(_, candidate)| open(candidate))
-            .map(|(index, candidate)| Begun { term: Term::Known(index), starts: self.begin(current, index, candidate) })
+            .map(|(index, candidate)| self.begin(current, index, candidate))
             .collect()
     }
 
     /// Where an effect's fit begins: where the family guesses, with the rest of the model as it guesses and as it is; else of
     /// many places, those from which it has least to go.
-    fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Vec<Start> {
-        let with = |values: &Vec<f64>| Self::with(current, Term::Known(index), values);
+    fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Begun {
+        let term = Term::Known(index);
+        let with = |values: &Vec<f64>| Self::with(current, term.clone(), values);
+        let as_it_is = |structure| (structure, current.initial.clone());
         let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
-        let as_it_is = |structure, guess| Start { structure, initial: current.initial.clone(), guess };
-        if let Some(guessed) = self.guess(starts.clone()) {
-            let values = guessed.structure.added.last().cloned().unwrap_or_default();
-            let same_base = as_it_is(with(&values), guessed.guess);
-            return vec![guessed, same_base];
+        if let Some((guessed, guess)) = self.guess(starts.clone()) {
+            let same_base = with(guessed.0.added.last().unwrap_or(&vec![]));
+            return Begun { starts: vec![guessed, as_it_is(same_base)], guess, term };
         }
         if starts.len() > MOST_STARTS {
             let cost = |structure: &Structure| fit::cost(self.family, &self.runs, structure, &current.initial);
@@ -388,18 +380,18 @@ impl<F: Family> Search<'_, F> {
             costs.sort_by(|a, b| a.0.total_cmp(&b.0));
             starts = costs.into_iter().take(NEAREST).map(|(_, start)| start).collect();
         }
-        starts.into_iter().map(|start| as_it_is(start, f64::INFINITY)).collect()
+        Begun { starts: starts.into_iter().map(as_it_is).collect(), guess: f64::INFINITY, term }
     }
 
-    /// What the family guesses, with initial states by how each run begins.
-    fn guess(&self, starts: Vec<Structure>) -> Option<Start> {
+    /// What the family guesses, with initial states by how each run begins, and what the guess leaves.
+    fn guess(&self, starts: Vec<Structure>) -> Option<(Start, f64)> {
         let (structure, guess) = self.family.guess(starts, &self.runs)?;
         let settled = |run: &&F::Run| {
             let samples = self.family.measured(run).len();
             fit::settle(self.family, &structure, run, (samples / 4).max(LEAST_SAMPLES))
         };
         let initial = self.runs.iter().map(settled).collect();
-        Some(Start { structure, initial, guess })
+        Some(((structure, initial), guess))
     }
 
     fn curves(&self, current: &Fit) -> Vec<Begun> {
@@ -414,23 +406,21 @@ impl<F: Family> Search<'_, F> {
             .map(|curve| {
                 let term = Term::Curve(curve.clone());
                 let none = Self::with(current, term.clone(), &vec![0.0; curve.at.len()]);
-                let guessed = self.guess(vec![none.clone()]);
-                let guess = guessed.as_ref().map_or(f64::INFINITY, |start| start.guess);
-                let none = Start { structure: none, initial: current.initial.clone(), guess };
-                Begun { term, starts: guessed.into_iter().chain([none]).collect() }
+                let (guessed, guess) = self.guess(vec![none.clone()]).unzip();
+                let starts = guessed.into_iter().chain([(none, current.initial.clone())]).collect();
+                Begun { term, starts, guess: guess.unwrap_or(f64::INFINITY) }
             })
             .collect()
     }
 
     /// Those that no guess rules out, fitted from each of their starts; the best fit of each.
     fn tried(&self, mut begun: Vec<Begun>) -> Vec<Trial> {
-        let least = begun.iter().map(Begun::guess).fold(f64::INFINITY, f64::min);
-        begun.retain(|one| one.guess().is_infinite() || one.guess() <= HOPELESS * least);
-        let fitted = |Begun { term, starts }: Begun| {
-            let guess = starts.first()?.guess;
-            let fits = starts.into_par_iter().map(|Start { structure, initial, .. }| {
-                fit(self.family, &self.runs, structure, initial, Effort::GLANCE)
-            });
+        let least = begun.iter().map(|one| one.guess).fold(f64::INFINITY, f64::min);
+        begun.retain(|one| one.guess.is_infinite() || one.guess <= HOPELESS * least);
+        let fitted = |Begun { term, starts, guess }: Begun| {
+            let fits = starts
+                .into_par_iter()
+                .map(|(structure, initial)| fit(self.family, &self.runs, structure, initial, Effort::GLANCE));
             let fit = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
             Some(Trial { term, fit, guess })
         };
@@ -505,9 +495,10 @@ impl<F: Family> Search<'_, F> {
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
         // Of the one that leaves the whitest: the noise is the same for all.
-        let independent = match with_curves {
-            true => judged.iter().map(|one| independent(self.family, &self.runs, &one.trial.fit)).fold(0.0, f64::max),
-            false => 0.0,
+        let independent = if with_curves {
+            judged.iter().map(|one| independent(self.family, &self.runs, &one.trial.fit)).fold(0.0, f64::max)
+        } else {
+            0.0
         };
         for candidate in judged {
             let after = rmse(&candidate.blocked);
@@ -556,11 +547,18 @@ impl<F: Family> Search<'_, F> {
         if passed.is_empty() {
             return (None, others);
         }
-        // Among those that do as well as the best, the one with the fewest numbers.
-        let best = passed[0].1.blocked_rmse[1];
-        let numbers = |entry: &(Judged, Step)| entry.0.trial.fit.structure.added.last().map_or(0, Vec::len);
-        let alike = passed.iter().take_while(|entry| entry.1.blocked_rmse[1] <= best * (1.0 + ALIKE)).count();
-        let place = (0..alike).min_by_key(|&place| numbers(&passed[place])).unwrap_or(0);
+        // Among those that do as well as the best, the one with the fewest numbers. So does one with fewer numbers that
+        // explains more of what it was fitted to, and left-out blocks do not tell from the best: one block on which a model
+        // sticks where the axis did not outweighs all others.
+        let (best, its) = &passed[0];
+        let numbers = |judged: &Judged| corners(&judged.trial.fit);
+        let is_alike = |(judged, step): &(Judged, Step)| {
+            let explains_more = judged.trial.fit.cost < best.trial.fit.cost && numbers(judged) < numbers(best);
+            step.blocked_rmse[1] <= its.blocked_rmse[1] * (1.0 + ALIKE)
+                || (explains_more && paired(&judged.blocked, &best.blocked) >= CHANCE)
+        };
+        let alike = (0..passed.len()).filter(|&place| is_alike(&passed[place]));
+        let place = alike.min_by_key(|&place| numbers(&passed[place].0)).unwrap_or(0);
         let (winner, mut step) = passed.remove(place);
         let gain = rmse_before - step.blocked_rmse[1];
         for (rival, its) in passed {

@@ -138,7 +138,9 @@ impl Input {
     fn begin(&self, run: &MotionRun) -> InputState {
         let remembers = self.rate.is_some() || self.lag_s > 0.0 || self.heating.is_some();
         let from = if remembers { 0 } else { run.from };
-        let command = run.input_at(from);
+        // What a servo was told of itself then is what was recorded.
+        let mut told = run.all.measured.iter().skip(from).copied().find(|told| told.is_finite()).unwrap_or(0.0);
+        let command = self.looped(run, from, run.input_at(from), told);
         let shaped = self.shaped(command);
         let mut state = InputState {
             slewed: if self.rate.is_some() { shaped } else { 0.0 },
@@ -151,13 +153,25 @@ impl Input {
         };
         for sample in from..run.from {
             let (steps, step_s) = run.all.steps[0][sample];
+            let measured = run.all.measured[sample];
+            told = if measured.is_finite() { measured } else { told };
             for step in 0..steps {
                 let from_s = run.all.time_s[sample] + f64::from(step) * step_s;
                 let command = self.command(run, sample, from_s, step_s, &mut state.cursor);
+                let command = self.looped(run, sample, command, told);
                 self.drive(&mut state, command, (run.supply_at(sample), run.enabled_at(sample)), step_s, 0.0);
             }
         }
         state
+    }
+
+    /// What drives the motor under a command: a servo's loop makes a duty of it, by what it is told of its position.
+    #[inline(always)]
+    fn looped(&self, run: &MotionRun, sample: usize, command: f64, told: f64) -> f64 {
+        if self.loop_gain == 0.0 {
+            return command;
+        }
+        (self.loop_gain * run.gain_at(sample) * (command - told)).clamp(-self.duty_limit, self.duty_limit)
     }
 
     /// The mean command over a step, as it was a delay ago.
@@ -763,12 +777,8 @@ impl<'s> Plan<'s> {
             let of_sample = (supply_v, run.enabled_at(sample));
             for number in 0..steps {
                 let from_s = now_s + f64::from(number) * step_s;
-                let mut command = input.command(run, sample, from_s, step_s, &mut driving.cursor);
-                if input.loop_gain != 0.0 {
-                    let error = command - (sensing.held * sensor.scale + sensor.offset);
-                    let duty = input.loop_gain * run.gain_at(sample) * error;
-                    command = duty.clamp(-input.duty_limit, input.duty_limit);
-                }
+                let command = input.command(run, sample, from_s, step_s, &mut driving.cursor);
+                let command = input.looped(run, sample, command, sensing.held * sensor.scale + sensor.offset);
                 let back_emf = body.speed * mechanics.b / mechanics.k;
                 let driven = input.drive(&mut driving, command, of_sample, step_s, back_emf);
                 let at = (run.all.origin_s + from_s, supply_v, step_s);
@@ -831,6 +841,7 @@ pub(super) fn accelerations(
             return 0.0;
         }
         let command = input.command(run, sample, now_s, step_s, &mut driving.cursor);
+        let command = input.looped(run, sample, command, moved.position);
         let back_emf = moved.speed * mechanics.b / mechanics.k;
         let driven = input.drive(&mut driving, command, (supply_v, run.enabled_at(sample)), step_s, back_emf);
         body.speed = if moved.rests { 0.0 } else { moved.speed };
@@ -845,7 +856,7 @@ pub(super) fn accelerations(
     moved.iter().enumerate().map(over).collect()
 }
 
-/// Simulates a run from an initial position and speed (or only a speed), one output for each sample.
+/// Simulates a run from an initial position and speed, one output for each sample.
 pub(super) fn simulate(
     motion: &Motion,
     structure: &Structure,

@@ -14,10 +14,10 @@
 //! # Source
 //! M. Shinbrot, *On the analysis of linear and nonlinear systems*, Trans. ASME 79 (1957), 547-552 (modulating functions).
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use crate::{
-    family::{Candidate, Model, Parameter, Range, Structure},
+    family::{self, Candidate, Model, Parameter, Structure},
     fit::{Effort, Fit, cost, fit, parameters},
 };
 
@@ -78,21 +78,29 @@ impl Windows {
         let (first_s, last_s) = (*time_s.first()?, *time_s.last()?);
         let mut all = Self { moved, windows: vec![], measured: vec![] };
         for half_s in LENGTHS.map(|length| length * shortest_s) {
-            let mut middle_s = first_s + half_s;
-            while middle_s + half_s <= last_s {
-                all.push(time_s, measured, &smooth, of_speed, (middle_s, half_s));
-                middle_s += 0.5 * half_s;
+            let mut begin_s = first_s;
+            while last_s - begin_s >= 2.0 * half_s {
+                let samples = inside(time_s, (begin_s, begin_s + 2.0 * half_s));
+                if let Some(gap) = last_gap(time_s, begin_s, &samples, 0.5 * half_s) {
+                    begin_s = time_s[gap];
+                    continue;
+                }
+                all.push(time_s, measured, &smooth, of_speed, (begin_s + half_s, half_s), samples);
+                begin_s += 0.5 * half_s;
             }
         }
         (!all.windows.is_empty()).then_some(all)
     }
 
-    fn push(&mut self, time_s: &[f64], measured: &[f64], smooth: &Smooth, of_speed: bool, (at_s, half_s): (f64, f64)) {
-        let from = time_s.partition_point(|&time_s| time_s < at_s - half_s);
-        let to = time_s.partition_point(|&time_s| time_s <= at_s + half_s);
-        if to < from + 4 {
-            return;
-        }
+    fn push(
+        &mut self,
+        time_s: &[f64],
+        measured: &[f64],
+        smooth: &Smooth,
+        of_speed: bool,
+        (at_s, half_s): (f64, f64),
+        Range { start: from, end: to }: Range<usize>,
+    ) {
         // Of a line, the integrals are nothing; the sums over uneven samples are not.
         let slope = (smooth.value[to - 1] - smooth.value[from]) / (time_s[to - 1] - time_s[from]);
         let (mut sum, mut square) = (0.0, 0.0);
@@ -114,6 +122,17 @@ impl Windows {
         self.windows.push(Window { from, weights: weights.collect() });
         self.measured.push(sum / square.sqrt());
     }
+}
+
+/// The samples between two moments.
+fn inside(time_s: &[f64], (from_s, to_s): (f64, f64)) -> Range<usize> {
+    time_s.partition_point(|&time_s| time_s < from_s)..time_s.partition_point(|&time_s| time_s <= to_s)
+}
+
+/// The sample that ends the last step longer than `longest_s` of those that a window reaches into.
+fn last_gap(time_s: &[f64], begin_s: f64, samples: &Range<usize>, longest_s: f64) -> Option<usize> {
+    let first = samples.start.max(1) + usize::from(time_s.get(samples.start) == Some(&begin_s));
+    (first..(samples.end + 1).min(time_s.len())).rfind(|&sample| time_s[sample] - time_s[sample - 1] > longest_s)
 }
 
 /// The motion between samples, with its turns.
@@ -161,7 +180,8 @@ struct Turn {
 /// How the motion last turned, at each sample; a way back that is shorter than `certain` is none.
 fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
     let first = position.first().copied().unwrap_or(0.0);
-    let mut turned = vec![Turn { direction: 0.0, reversal: first, sample: None }; position.len()];
+    let mut turned = Vec::with_capacity(position.len());
+    let mut turn = Turn { direction: 0.0, reversal: first, sample: None };
     let (mut direction, mut extreme) = (0.0, 0);
     for sample in 1..position.len() {
         let ahead = position[sample] - position[extreme];
@@ -173,11 +193,12 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
             let came = held.last().unwrap_or(extreme);
             let sample_turned = (direction != 0.0).then_some(came);
             direction = ahead.signum();
-            let turn = Turn { direction, reversal: position[extreme], sample: sample_turned };
-            turned[if sample_turned.is_some() { came } else { extreme }..].fill(turn);
+            turned.resize(sample_turned.unwrap_or(extreme), turn);
+            turn = Turn { direction, reversal: position[extreme], sample: sample_turned };
             extreme = sample;
         }
     }
+    turned.resize(position.len(), turn);
     turned
 }
 
@@ -242,7 +263,7 @@ impl Motion {
             Effect::EncoderOffset,
         ];
         let is_behind = |effect: &Effect| self.index(*effect).is_some_and(|index| structure.of(index).is_some());
-        !self.is_servo() && self.stops.is_none() && !BEHIND.iter().any(is_behind)
+        self.stops.is_none() && !BEHIND.iter().any(is_behind)
     }
 
     /// The recordings that runs are parts of.
@@ -288,25 +309,24 @@ impl Motion {
         structure
     }
 
-    /// What a structure leaves of the windows, about.
-    pub(super) fn left_over_windows(&self, structure: Structure, runs: &[&MotionRun]) -> Option<f64> {
-        let seen = self.is_seen(&structure).then(|| self.seen(runs))??;
-        let placed = self.of_speed && is_placed(self, &structure);
-        let start = self.with_damping(structure);
-        Some(Weak { motion: self, placed }.best(vec![start], &seen, Effort::SCREEN, 1).pop()?.cost)
+    /// The recordings as windows see them, and a model for structures of the same terms; `None` where it cannot be.
+    fn weak(&self, structure: &Structure, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
+        let seen = self.is_seen(structure).then(|| self.seen(runs))??;
+        Some((Weak { motion: self, placed: self.of_speed && is_placed(self, structure) }, seen))
     }
 
-    /// The best of some structures fitted to windows, and what it leaves.
+    /// What a structure leaves of the windows, about.
+    pub(super) fn left_over_windows(&self, structure: Structure, runs: &[&MotionRun]) -> Option<f64> {
+        let (weak, seen) = self.weak(&structure, runs)?;
+        Some(weak.best(vec![self.with_damping(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
+    }
+
+    /// The best of some structures of the same terms fitted to windows, and what it leaves.
     pub(super) fn weakly(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        if !starts.iter().all(|structure| self.is_seen(structure)) {
-            return None;
-        }
-        let seen = self.seen(runs)?;
-        let placed = self.of_speed && starts.first().is_some_and(|structure| is_placed(self, structure));
-        let weak = Weak { motion: self, placed };
+        let (weak, seen) = self.weak(starts.first()?, runs)?;
         let starts: Vec<Structure> = starts.into_iter().map(|start| self.with_damping(start)).collect();
         let is_coarse = |start: &Structure| {
-            parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == Range::Coarse)
+            parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == family::Range::Coarse)
         };
         let glanced = if starts.first().is_some_and(is_coarse) {
             weak.by_stretches(starts, &seen)
@@ -356,6 +376,9 @@ impl Weak<'_> {
         let mut fits = vec![];
         for share in STRETCHES {
             let stretches: Vec<Seen> = seen.iter().map(|seen| seen.beginning(share)).collect();
+            if stretches.iter().all(|stretch| stretch.windows.windows.is_empty()) {
+                continue;
+            }
             fits = self.best(starts, &stretches, Effort::GLANCE, PERIODS);
             let beside = |fit: &Fit| {
                 let by = |factor: f64| {
@@ -390,6 +413,7 @@ impl Seen {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::data::{Quantity, Run, Signal};
 
     #[test]
     fn a_turn_is_where_and_when_the_way_back_began() {
@@ -400,6 +424,25 @@ mod tests {
         assert_eq!(turned[3], turned[0], "back by less than is certain");
         let back = Turn { direction: -1.0, reversal: 3.02, sample: Some(4) };
         assert!(turned[4..].iter().all(|turn| *turn == back), "{turned:?}");
+    }
+
+    #[test]
+    fn no_window_reaches_over_a_gap() {
+        // 200 Hz but for a pause, which may be a very long one.
+        for gap_s in [0.2, 5.0, 1e9] {
+            let time_s: Vec<f64> = (0..800).map(|n| 0.005 * f64::from(n) + if n < 400 { 0.0 } else { gap_s }).collect();
+            let value = |n: u32| (0.05 * f64::from(n)).sin() + 1e-3 * f64::from(n * n % 7);
+            let columns = [("input", Quantity::Number), ("output", Quantity::Angle)].map(|(name, quantity)| {
+                let values = (0..800).map(value).collect();
+                (name.to_owned(), Signal { quantity, values, column: name.to_owned() })
+            });
+            let run = Run { name: "paused".to_owned(), time_s, signals: columns.into() };
+            let run = MotionRun::new(&run, 12.0).expect("its columns");
+            let windows = Windows::of(&run, false).expect("windows on both sides");
+            let (before, after): (Vec<_>, Vec<_>) = windows.windows.iter().partition(|window| window.from < 400);
+            assert!(before.iter().all(|window| window.from + window.weights.len() < 400), "{gap_s}");
+            assert_eq!(before.len(), after.len(), "{gap_s}");
+        }
     }
 
     #[test]

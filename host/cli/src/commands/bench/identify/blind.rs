@@ -83,7 +83,7 @@ fn outcomes(bench: &Bench<'_>, count: u32, draw: impl Fn(u32) -> Draw) -> Vec<Ou
         }
         outcome
     };
-    (bench.from..bench.from + count).map(outcome).collect()
+    (bench.from..bench.from.saturating_add(count)).map(outcome).collect()
 }
 
 impl fmt::Display for Outcome {
