@@ -74,6 +74,8 @@ pub struct Plant {
     turned_at: f64,
     turned_s: f64,
     went: f64,
+    /// What hysteresis pushed back with there.
+    wound: f64,
     unlisted: Vec<Box<dyn Unlisted>>,
     source_ohm: f64,
     heats: Vec<Heat>,
@@ -102,7 +104,9 @@ struct Tables {
     friction: Vec<Table>,
     gain: Vec<Table>,
     input: Vec<Table>,
+    /// Those that [wind](winds), and the others.
     hysteresis: Vec<Table>,
+    against: Vec<Table>,
 }
 
 impl Tables {
@@ -114,12 +118,18 @@ impl Tables {
                 On::Friction => &mut tables.friction,
                 On::Gain => &mut tables.gain,
                 On::Input => &mut tables.input,
-                On::Hysteresis => &mut tables.hysteresis,
+                On::Hysteresis if winds(table) => &mut tables.hysteresis,
+                On::Hysteresis => &mut tables.against,
             };
             place.push(table.clone());
         }
         tables
     }
+}
+
+/// A hysteresis that comes to an end.
+fn winds(table: &Table) -> bool {
+    table.over() == Over::History && table.period().is_none()
 }
 
 fn is_speed_force(table: &Table) -> bool {
@@ -191,6 +201,7 @@ impl Plant {
             tables,
             turned_at: 0.0,
             turned_s: NEVER_S,
+            wound: 0.0,
             went: 0.0,
             arrived: 0.0,
             unlisted,
@@ -238,7 +249,7 @@ impl Plant {
         self.position = self.train.motion.position;
         self.speed = 0.0;
         (self.turned_at, self.turned_s) = (self.position, NEVER_S);
-        self.went = 0.0;
+        (self.went, self.wound) = (0.0, 0.0);
         for stage in &mut self.transmission {
             stage.settle(self.position);
         }
@@ -339,11 +350,25 @@ impl Plant {
     fn look_back(&mut self, before: f64) {
         let speed = self.train.motion.speed;
         if speed * self.went < 0.0 {
+            self.wound = self.hysteresis(before);
             (self.turned_at, self.turned_s) = (before, self.now_s);
         }
         if speed != 0.0 {
             self.went = speed;
         }
+    }
+
+    /// What hysteresis pushes back with at a place: from what it was at the last turn, less and less of which is left.
+    fn hysteresis(&self, position: f64) -> f64 {
+        let tables = &self.tables.hysteresis;
+        if tables.is_empty() || self.went == 0.0 {
+            return 0.0;
+        }
+        let after = |way: f64| tables.iter().map(|table| table.value(way)).sum::<f64>();
+        let (fresh, now, spent) = (after(0.0), after((position - self.turned_at).abs()), after(f64::INFINITY));
+        let left = if spent == fresh { 0.0 } else { ((spent - now) / (spent - fresh)).clamp(0.0, 1.0) };
+        let way = self.went.signum();
+        way * (now + (way * self.wound - fresh) * left)
     }
 
     fn step(&mut self, supply_v: f64, step_s: f64) {
@@ -356,8 +381,8 @@ impl Plant {
         let multiplies = |table: &Table| (1.0 + self.looked_up(table, self.arrived, supply_v, step_s)).max(0.0);
         let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
         let went = if self.went == 0.0 { 0.0 } else { self.went.signum() };
-        let wound = went * sum(&self.tables.hysteresis);
-        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - wound;
+        let against = went * sum(&self.tables.against) + self.hysteresis(position_half_way);
+        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - against;
         let rubbing = self.done.friction + self.tables.friction.iter().map(rubs).sum::<f64>();
         let supply_v = supply_v * self.tables.gain.iter().map(multiplies).product::<f64>();
         let before = self.train.motion.position;

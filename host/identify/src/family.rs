@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use r4_plants::Dependence;
 
-use crate::{fit::white_noise, report::Estimate};
+use crate::{fit::white_noise, report::Estimate, spline::Spline};
 
 /// What values a parameter may take. There is no way to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +69,7 @@ pub enum Acts {
     /// They are a friction, over the seconds since it last turned round.
     Settling,
     /// They are a force against the way in which it moved last, also at rest: over the way since it turned, a spring that is
-    /// wound anew each time.
+    /// wound anew each time, from where it was.
     Hysteresis,
 }
 
@@ -87,7 +87,7 @@ impl Acts {
     }
 }
 
-/// A curve of straight pieces over something the residual depends on; its values at the corners are the parameters.
+/// A smooth curve over something the residual depends on; its values at the corners are the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// What is on its axis.
@@ -107,24 +107,10 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// The value at `x`; constant beyond both ends, or round the circle.
+    /// With these values at its corners.
     #[must_use]
-    pub fn value(&self, values: &[f64], x: f64) -> f64 {
-        let Some((&first, &last)) = self.at.first().zip(self.at.last()) else { return 0.0 };
-        let x = self.period.map_or(x, |period| first + (x - first).rem_euclid(period));
-        // Few corners: counting them all is faster than looking for the right one.
-        let above = self.at.iter().filter(|&&at| at <= x).count();
-        let between = |(x0, y0): (f64, f64), (x1, y1): (f64, f64)| {
-            if x1 > x0 { y0 + (y1 - y0) * (x - x0) / (x1 - x0) } else { y0 }
-        };
-        match (above.checked_sub(1), self.period) {
-            (None, _) => values[0],
-            (Some(below), _) if above < self.at.len() => {
-                between((self.at[below], values[below]), (self.at[above], values[above]))
-            }
-            (Some(below), Some(period)) => between((last, values[below]), (first + period, values[0])),
-            (Some(below), None) => values[below],
-        }
+    pub fn spline(&self, values: &[f64]) -> Spline {
+        Spline::through(&self.at, values, self.period)
     }
 }
 

@@ -18,7 +18,7 @@ use crate::{
 /// what two correct programs differ by.
 pub(crate) const WORTH: f64 = 0.015;
 /// The same for a curve, which has many more numbers and no name.
-pub(crate) const CURVE_WORTH: f64 = 0.03;
+const CURVE_WORTH: f64 = 0.03;
 /// What is left is not looked into further when less than this share of it is anything but noise.
 const SMALL: f64 = 0.1;
 /// A term whose removal costs less than this share was superfluous.
@@ -59,7 +59,7 @@ pub struct Found<R> {
     pub deviations: Vec<Option<f64>>,
     /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
     pub rejected: Vec<(String, f64, String)>,
-    /// What was found before the first curve came in.
+    /// What named effects alone came to, if there are curves.
     pub named: Option<Box<Found<R>>>,
 }
 
@@ -156,7 +156,10 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         let from = on_blocks.on(&blocks, &base, Effort::COMPARE);
         let other = on_blocks.path(from, order);
         if !other.steps.is_empty() && search.prefers(&path, &other) {
-            path = other;
+            let before = std::mem::replace(&mut path, other);
+            if path.named.is_none() && path.has_curves() {
+                path.named = if before.has_curves() { before.named } else { Some(Box::new(before)) };
+            }
             path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
             if let Some(named) = &mut path.named {
                 named.current = search.on(&search.whole, &named.current, Effort::COMPARE);
@@ -225,8 +228,14 @@ struct Path {
     current: Fit,
     steps: Vec<Step>,
     rejected: Vec<(String, f64, String)>,
-    /// As it was before the first curve, if named effects came first.
+    /// What named effects alone came to, if there are curves.
     named: Option<Box<Path>>,
+}
+
+impl Path {
+    fn has_curves(&self) -> bool {
+        self.current.structure.curves().next().is_some()
+    }
 }
 
 /// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.

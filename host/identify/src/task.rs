@@ -12,7 +12,7 @@ use crate::{
     motion::{Kind, Known, Motion},
     report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{CURVE_WORTH, Found, WORTH, depends_on, search},
+    select::{Found, WORTH, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
@@ -295,8 +295,12 @@ fn assemble<F: Family>(
     Ok(Identified { report, figures, plant_toml })
 }
 
-/// What was found, or what had been before the first curve came in: that stays where the held-out recordings are no worse
-/// off, because it has a meaning, and fewer numbers.
+/// Errors on held-out recordings that differ by no more than this factor are alike: two recordings of one machine differ by
+/// as much.
+const AS_GOOD: f64 = 1.15;
+
+/// What was found, or what named effects alone came to: that stays where the held-out recordings are as well off, because it
+/// has a meaning, and fewer numbers.
 fn better_named<F: Family>(
     family: &F,
     mut found: Found<F::Run>,
@@ -306,7 +310,9 @@ fn better_named<F: Family>(
     let named = found.named.take().map(|named| veto(family, *named, train, &held_out_rmse));
     let found = veto(family, found, train, &held_out_rmse);
     match named {
-        Some(named) if held_out_rmse(&found.last) > held_out_rmse(&named.last) * (1.0 - CURVE_WORTH) => {
+        Some(named)
+            if !named.steps.is_empty() && held_out_rmse(&named.last) <= AS_GOOD * held_out_rmse(&found.last) =>
+        {
             let mut named = named;
             for step in found.steps.iter().filter(|step| matches!(step.term, Term::Curve(_))) {
                 let reason = "explains what it was fitted to, but the held-out recordings are no better off than with \

@@ -74,6 +74,14 @@ pub enum On {
     /// Added to the duty, behind all other input effects.
     Input,
     /// A force against the way in which the motor side moved last, also at rest, N m or N.
+    ///
+    /// Over [`Over::History`] without a period, the values are those after a long way to the other side. Its first value `h(0)` is not
+    /// jumped to: from the force `F` that there was at the turn, also one half-way, it goes to the last value `h(∞)` as
+    /// fast as the table does, `h(x) + (F - h(0)) (h(∞) - h(x)) / (h(∞) - h(0))`, forces being against the new way. With
+    /// `h(x) = c (1 - 2 exp(-x / s))` this is Dahl's friction.
+    ///
+    /// # Source
+    /// Dahl, *A solid friction model*, The Aerospace Corporation TOR-0158(3107-18)-1, 1968.
     Hysteresis,
 }
 

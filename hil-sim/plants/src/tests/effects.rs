@@ -317,6 +317,29 @@ fn a_hysteresis_is_against_the_last_way_and_lets_go_by_pushing() {
 }
 
 #[test]
+fn a_hysteresis_remembers_how_far_it_was_wound_at_a_turn() {
+    // Dahl: dF/dx = (c - F sign(v)) / s, whatever the ways are.
+    let (level, way) = (0.5, 0.2);
+    let at: Vec<f64> = (0..400).map(|corner| 0.005 * f64::from(corner)).collect();
+    let values: Vec<f64> = at.iter().map(|x| level * (1.0 - 2.0 * (-x / way).exp())).collect();
+    let mut plant = with_table((Over::History, On::Hysteresis, None, &at, &values));
+    let mut free = with_table((Over::History, On::Hysteresis, None, &[0.0], &[0.0]));
+    let (mut position, mut force) = (0.0_f64, 0.0_f64);
+    for step in 0..4000 {
+        let duty = 0.4 * (0.011 * f64::from(step)).sin() + 0.2 * (0.0037 * f64::from(step)).sin();
+        // The force as a push of its own, by the voltage that makes it.
+        run(&mut free, Drive::with_brake(duty - force / 12.0), 12.0, 1);
+        run(&mut plant, Drive::with_brake(duty), 12.0, 1);
+        let moved = free.position() - position;
+        position = free.position();
+        let slid = level.copysign(moved);
+        force = slid + (force - slid) * (-moved.abs() / way).exp();
+        // The table has corners, and the force is one step late: 12 rad/s of 1 ms, of 2.5 N m/rad, over a damping of 1.
+        assert_close(plant.position(), position, 0.01, "both");
+    }
+}
+
+#[test]
 fn a_table_of_the_input_over_time_and_place_adds_to_the_duty() {
     let mut plant = with_table((Over::Time, On::Input, None, &[0.0, 1.0, 1.0, 2.0], &[0.25, 0.25, 0.5, 0.5]));
     run(&mut plant, Drive::with_brake(0.25), 12.0, 900);

@@ -9,7 +9,7 @@ use super::{Motion, MotionRun, simulate::Moved};
 /// Corners that are tried; the more of them, the more they have to explain.
 const CORNERS: [usize; 3] = [9, 17, 33];
 /// The same round a circle.
-const ROUND: [usize; 2] = [12, 24];
+pub(super) const ROUND: [usize; 2] = [12, 24];
 
 impl Motion {
     /// Curves of nothing over a driver, one for each way in which it can act.
@@ -31,23 +31,32 @@ impl Motion {
         if acts.is_empty() {
             return vec![];
         }
-        let curve = |acts: Acts| {
+        let round =
+            |acts: Acts, period: f64| self.fitting(structure, ROUND.map(|count| self.round(acts, period, count)), runs);
+        let open = |acts: Acts| {
             let mut values = self.values_of((over, acts), structure, runs);
             values.sort_by(f64::total_cmp);
-            let counts = if period.is_some() { &ROUND[..] } else { &CORNERS };
-            let curves = counts.iter().filter_map(|&count| {
-                let at = match period {
-                    Some(period) => Some((0..count).map(|corner| corner as f64 * period / count as f64).collect()),
-                    None => corners(&values, count),
-                };
-                Some(self.curve(over, period, acts, at?))
-            });
-            self.fitting(structure, curves.collect(), runs)
+            let curves = CORNERS.iter().filter_map(|&count| corners(&values, count));
+            self.fitting(structure, curves.map(|at| self.curve(over, None, acts, at)), runs)
+        };
+        let curve = |acts: Acts| {
+            if let Some(period) = period {
+                return Some(round(acts, period)?.0);
+            }
+            let repeats = if over == Dependence::Position { self.repeats(structure, acts, runs) } else { None };
+            let both = repeats.and_then(|period| round(acts, period)).into_iter().chain(open(acts));
+            Some(both.min_by(|a, b| a.1.total_cmp(&b.1))?.0)
         };
         acts.iter().filter_map(|&acts| curve(acts)).collect()
     }
 
-    fn curve(&self, over: Dependence, period: Option<f64>, acts: Acts, at: Vec<f64>) -> Curve {
+    /// A curve over the position that repeats itself.
+    pub(super) fn round(&self, acts: Acts, period: f64, count: usize) -> Curve {
+        let at = (0..count).map(|corner| corner as f64 * period / count as f64).collect();
+        self.curve(Dependence::Position, Some(period), acts, at)
+    }
+
+    pub(super) fn curve(&self, over: Dependence, period: Option<f64>, acts: Acts, at: Vec<f64>) -> Curve {
         let (units, gain) = (&self.scales.units, acts == Acts::Gain);
         let at_unit = match over {
             Dependence::Input => units.input,
@@ -68,13 +77,16 @@ impl Motion {
         }
     }
 
-    /// Of curves with more and more corners, the last whose corners pay (twice Schwarz's criterion, without free runs).
-    fn fitting(&self, structure: &Structure, curves: Vec<Curve>, runs: &[&MotionRun]) -> Option<Curve> {
+    /// Of curves with more and more corners, the last whose corners pay, and its price (twice Schwarz's criterion, without
+    /// free runs).
+    fn fitting(
+        &self,
+        structure: &Structure,
+        curves: impl IntoIterator<Item = Curve>,
+        runs: &[&MotionRun],
+    ) -> Option<(Curve, f64)> {
         let price = |curve: &Curve| {
-            let mut with = structure.clone();
-            with.terms.push(Term::Curve(curve.clone()));
-            with.added.push(vec![0.0; curve.at.len()]);
-            let left = self.left_over_windows(with, runs)?;
+            let left = self.left_over_windows(with(structure, curve), runs)?;
             let independent = self.independent_windows(runs)?;
             Some(independent * left.ln() + 2.0 * curve.at.len() as f64 * independent.ln())
         };
@@ -86,7 +98,7 @@ impl Motion {
             }
             best = Some((curve, price));
         }
-        Some(best?.0)
+        best
     }
 
     /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
@@ -120,6 +132,14 @@ impl Motion {
             .filter(|value| value.is_finite())
             .collect()
     }
+}
+
+/// A structure with a curve of nothing.
+pub(super) fn with(structure: &Structure, curve: &Curve) -> Structure {
+    let mut with = structure.clone();
+    with.terms.push(Term::Curve(curve.clone()));
+    with.added.push(vec![0.0; curve.at.len()]);
+    with
 }
 
 /// Corners over sorted values: none without data, and no long stretch without one.

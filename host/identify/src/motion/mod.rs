@@ -7,6 +7,7 @@ mod curve;
 mod effect;
 mod info;
 mod physical;
+mod repeat;
 mod run;
 mod simulate;
 mod smooth;

@@ -30,6 +30,9 @@ pub(super) struct Physical {
     viscous: f64,
 }
 
+/// Plant files have straight pieces: so many for each of a curve, which then is off by less than 1 % of what it bends.
+const STRAIGHT: u32 = 8;
+
 impl Motion {
     pub(super) fn physical(&self, structure: &Structure) -> Physical {
         let dynamics = self.dynamics(&structure.base);
@@ -160,8 +163,9 @@ impl Motion {
                         Acts::Gain => (On::Gain, 1.0),
                         Acts::Hysteresis => (On::Hysteresis, physical.inertia),
                     };
+                    let (at, values) = curve.spline(values).corners(STRAIGHT);
                     let mut corners: Vec<(f64, f64)> =
-                        curve.at.iter().copied().zip(values.iter().map(|value| value * scale)).collect();
+                        at.into_iter().zip(values.into_iter().map(|value| value * scale)).collect();
                     if curve.over == Dependence::Speed && curve.acts == Acts::Friction {
                         // It is over the speed without its sign.
                         let backward: Vec<_> = corners.iter().rev().map(|&(at, value)| (-at, value)).collect();

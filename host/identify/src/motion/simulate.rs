@@ -13,7 +13,10 @@
 
 use std::f64::consts::TAU;
 
-use crate::family::{Acts, Curve, Simulated, Structure};
+use crate::{
+    family::{Acts, Curve, Simulated, Structure},
+    spline::Spline,
+};
 use r4_plants::Dependence;
 
 use super::{Motion, MotionRun, effect::Effect};
@@ -278,7 +281,7 @@ struct Mechanics<'s> {
     load: f64,
     gravity: Option<Wave>,
     cogging: Option<Wave>,
-    curves: Vec<(&'s Curve, &'s [f64])>,
+    curves: Vec<(&'s Curve, Spline)>,
     stops: Option<(f64, f64)>,
     position: f64,
     speed: f64,
@@ -292,6 +295,8 @@ struct Body {
     /// Since it was switched on, like `on_s`.
     turned_s: f64,
     direction: f64,
+    /// What hysteresis pulled back with at the last reversal.
+    wound: f64,
     decay: Decay,
 }
 
@@ -312,6 +317,7 @@ impl Mechanics<'_> {
             reversal: self.position,
             turned_s: f64::NEG_INFINITY,
             direction: 0.0,
+            wound: 0.0,
             decay: Decay { b: f64::NAN, step_s: f64::NAN, decayed: 0.0, per_b: 0.0 },
         }
     }
@@ -350,6 +356,27 @@ impl Mechanics<'_> {
             })
     }
 
+    /// What hysteresis pulls back with at a place. Its curves tell it after a long way to the other side; what it was at the
+    /// turn instead is left in the same measure as they have not come to their end.
+    fn hysteresis(&self, body: &Body, position: f64) -> f64 {
+        let mut curves = self.curves.iter().filter(|(curve, _)| curve.acts == Acts::Hysteresis).peekable();
+        if body.direction == 0.0 || curves.peek().is_none() {
+            return 0.0;
+        }
+        let way = (position - body.reversal).abs();
+        let [fresh, now, spent] = curves.fold([0.0; 3], |[fresh, now, spent], (_, curve)| {
+            [fresh + curve.value(0.0), now + curve.value(way), spent + curve.value(f64::INFINITY)]
+        });
+        let left = if spent == fresh { 0.0 } else { ((spent - now) / (spent - fresh)).clamp(0.0, 1.0) };
+        body.direction * (now + (body.direction * body.wound - fresh) * left)
+    }
+
+    /// It goes another way from a place on.
+    fn turn(&self, body: &mut Body, direction: f64, reversal: f64) {
+        body.wound = self.hysteresis(body, reversal);
+        (body.direction, body.reversal) = (direction, reversal);
+    }
+
     /// Push, level of friction and damping over a step; `on_s` is how long the axis has been on when it begins. `PLAIN`
     /// leaves out what [`Self::is_plain`] says is not there.
     #[inline(always)]
@@ -375,7 +402,7 @@ impl Mechanics<'_> {
             if let Some(cogging) = &self.cogging {
                 push -= cogging.at(ahead);
             }
-            for (curve, values) in &self.curves {
+            for (curve, spline) in &self.curves {
                 let at = match curve.over {
                     Dependence::Input => driven.command,
                     Dependence::Speed if curve.acts == Acts::Friction => body.speed.abs(),
@@ -387,14 +414,16 @@ impl Mechanics<'_> {
                     Dependence::History => (body.position - body.reversal).abs(),
                     _ => ahead,
                 };
-                let value = curve.value(values, at);
+                let value = spline.value(at);
                 match curve.acts {
                     Acts::Push => push += value,
                     Acts::Friction | Acts::Settling => level += value,
                     Acts::Gain => push += driving * value,
-                    Acts::Hysteresis => push -= body.direction * value,
+                    // All of them together, below.
+                    Acts::Hysteresis => {}
                 }
             }
+            push -= self.hysteresis(body, body.position);
             if self.drag > 0.0 {
                 b += self.drag * body.speed.abs();
             }
@@ -471,8 +500,7 @@ fn step<const LANES: usize, const PLAIN: bool>(
                 if body.direction != 0.0 {
                     body.turned_s = on_s;
                 }
-                body.direction = moved;
-                body.reversal = before[lane];
+                mechanics[lane].turn(body, moved, before[lane]);
             }
         }
     }
@@ -602,7 +630,8 @@ impl Sensor {
     #[inline(always)]
     fn step(&self, state: &mut SensorState, (position, speed): (f64, f64), step_s: f64) {
         let gap = 0.5 * self.gap;
-        let output = state.output.0.clamp(position - gap, position + gap);
+        // No clamp, which panics where a run has come to no number.
+        let output = state.output.0.max(position - gap).min(position + gap);
         state.output = (output, if self.gap > 0.0 && output == state.output.0 { 0.0 } else { speed });
         if let Some(compliance) = self.compliance {
             swing(compliance, state, speed, step_s);
@@ -707,7 +736,7 @@ impl<'s> Plan<'s> {
             load: one(Effect::ConstantLoad, 0.0),
             gravity: wave(Effect::Gravity),
             cogging: wave(Effect::Cogging),
-            curves: structure.curves().collect(),
+            curves: structure.curves().map(|(curve, values)| (curve, curve.spline(values))).collect(),
             stops: motion.stops,
             position,
             speed,
@@ -845,12 +874,14 @@ pub(super) fn accelerations(
         let back_emf = moved.speed * mechanics.b / mechanics.k;
         let driven = input.drive(&mut driving, command, (supply_v, run.enabled_at(sample)), step_s, back_emf);
         body.speed = if moved.rests { 0.0 } else { moved.speed };
-        (body.position, body.direction, body.reversal) =
-            (moved.position + offset, moved.direction, moved.reversal + offset);
+        body.position = moved.position + offset;
+        if (body.direction, body.reversal) != (moved.direction, moved.reversal + offset) {
+            mechanics.turn(&mut body, moved.direction, moved.reversal + offset);
+        }
         body.turned_s = run.all.origin_s + moved.turned_s;
         let at = (run.all.origin_s + now_s + 0.5 * step_s, supply_v, 0.0);
         let (push, level, b) = mechanics.forces::<false>(&body, &driven, at);
-        let friction = if moved.rests { push.clamp(-level, level) } else { level.copysign(moved.speed) };
+        let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
         push - friction - b * moved.speed
     };
     moved.iter().enumerate().map(over).collect()

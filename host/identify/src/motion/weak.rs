@@ -31,7 +31,7 @@ use super::{
 /// Half the lengths of windows, in the shortest.
 const LENGTHS: [f64; 3] = [1.0, 2.5, 6.0];
 /// Half the shortest window: so long, s, and so many samples.
-const SHORTEST_S: f64 = 0.06;
+pub(super) const SHORTEST_S: f64 = 0.06;
 const SHORTEST_SAMPLES: f64 = 8.0;
 /// Deviations of the noise beyond which a way back is one, and a speed is not rest.
 const CERTAIN: f64 = 4.0;
@@ -47,7 +47,7 @@ const STRETCHES: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     /// From each sample to the next.
-    moved: Vec<Moved>,
+    pub(super) moved: Vec<Moved>,
     windows: Vec<Window>,
     /// Of each window, in deviations that white noise on the measurements gives it.
     measured: Vec<f64>,
@@ -90,6 +90,14 @@ impl Windows {
             }
         }
         (!all.windows.is_empty()).then_some(all)
+    }
+
+    /// What a series from each sample to the next comes to in each window.
+    pub(super) fn sums<'w>(&'w self, series: &'w [f64]) -> impl Iterator<Item = f64> + 'w {
+        self.windows.iter().map(|window| {
+            let inside = window.weights.iter().zip(&series[window.from..]);
+            inside.map(|(weight, value)| weight * value).sum()
+        })
     }
 
     fn push(
@@ -204,9 +212,9 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
 
 /// A recording with its windows.
 #[derive(Clone, Debug)]
-struct Seen {
+pub(super) struct Seen {
     run: MotionRun,
-    windows: Arc<Windows>,
+    pub(super) windows: Arc<Windows>,
 }
 
 /// A model of an axis, windows for its output.
@@ -232,12 +240,9 @@ impl Model for Weak<'_> {
     }
 
     fn predict(&self, structure: &Structure, initial: &[f64], seen: &Seen, predicted: &mut [f64]) {
-        let Windows { moved, windows, .. } = &*seen.windows;
-        let offset = initial.first().copied().unwrap_or(0.0);
-        let accelerations = accelerations(self.motion, structure, &seen.run, (moved, offset));
-        for (window, predicted) in windows.iter().zip(predicted) {
-            let pushed = window.weights.iter().zip(&accelerations[window.from..]);
-            *predicted = pushed.map(|(weight, acceleration)| weight * acceleration).sum();
+        let accelerations = seen.accelerations(self.motion, structure, initial);
+        for (predicted, sum) in predicted.iter_mut().zip(seen.windows.sums(&accelerations)) {
+            *predicted = sum;
         }
     }
 
@@ -321,6 +326,18 @@ impl Motion {
         Some(weak.best(vec![self.with_damping(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
+    /// A structure fitted to windows, the recordings, and what it leaves of the windows of each.
+    pub(super) fn left_in_windows(
+        &self,
+        structure: &Structure,
+        runs: &[&MotionRun],
+    ) -> Option<(Fit, Vec<Seen>, Vec<Vec<f64>>)> {
+        let (weak, seen) = self.weak(structure, runs)?;
+        let fit = weak.best(vec![self.with_damping(structure.clone())], &seen, Effort::SCREEN, 1).pop()?;
+        let left = fit.residuals(&weak, &seen.iter().collect::<Vec<_>>());
+        Some((fit, seen, left))
+    }
+
     /// The best of some structures of the same terms fitted to windows, and what it leaves.
     pub(super) fn weakly(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
         let (weak, seen) = self.weak(starts.first()?, runs)?;
@@ -399,6 +416,12 @@ impl Weak<'_> {
 }
 
 impl Seen {
+    /// What a model says accelerates it, from each sample to the next; `initial` is empty, or where it began.
+    pub(super) fn accelerations(&self, motion: &Motion, structure: &Structure, initial: &[f64]) -> Vec<f64> {
+        let offset = initial.first().copied().unwrap_or(0.0);
+        accelerations(motion, structure, &self.run, (&self.windows.moved, offset))
+    }
+
     /// So much of it from its first sample on.
     fn beginning(&self, share: f64) -> Self {
         let Windows { moved, windows, measured } = &*self.windows;

@@ -5,7 +5,10 @@ use std::f64::consts::TAU;
 use r4_plants::Dependence;
 
 use super::{Geometry, Output, SkidSteer, effect::Effect, run::SkidRun};
-use crate::family::{Acts, Curve, Structure, Term};
+use crate::{
+    family::{Acts, Curve, Structure, Term},
+    spline::Spline,
+};
 
 /// Below this share of the usual speed a body hardly counts as driving forwards or backwards.
 const TRAVEL_KNEE: f64 = 0.01;
@@ -112,7 +115,7 @@ impl Sampled<'_> {
 struct Body<'f> {
     family: &'f SkidSteer,
     values: Values<'f>,
-    curves: Vec<(&'f Curve, &'f [f64])>,
+    curves: Vec<(&'f Curve, Spline)>,
     /// s from the run's beginning to its end.
     begin_s: f64,
 }
@@ -196,7 +199,7 @@ impl Body<'_> {
 
     fn curved(&self, ideal: &Ideal, time_s: f64, value: f64) -> f64 {
         let geometry = &self.family.geometry;
-        self.curves.iter().fold(value, |value, (curve, values)| {
+        self.curves.iter().fold(value, |value, (curve, spline)| {
             let at = match curve.over {
                 Dependence::Input => ideal.turn,
                 Dependence::Speed => ideal.forward,
@@ -204,8 +207,8 @@ impl Body<'_> {
                 _ => time_s - self.begin_s,
             };
             match curve.acts {
-                Acts::Gain => value * (1.0 + curve.value(values, at)),
-                Acts::Push | Acts::Friction | Acts::Settling | Acts::Hysteresis => value + curve.value(values, at),
+                Acts::Gain => value * (1.0 + spline.value(at)),
+                Acts::Push | Acts::Friction | Acts::Settling | Acts::Hysteresis => value + spline.value(at),
             }
         })
     }
@@ -223,7 +226,12 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
         }
     }
     let sides = &*run.sides;
-    let body = Body { family, values, curves: structure.curves().collect(), begin_s: sides.time_s[0] };
+    let body = Body {
+        family,
+        values,
+        curves: structure.curves().map(|(curve, values)| (curve, curve.spline(values))).collect(),
+        begin_s: sides.time_s[0],
+    };
     let delay_s = values.one(Effect::InputDelay).unwrap_or(0.0) - values.one(Effect::EncoderDelay).unwrap_or(0.0);
     let mut sampled = Sampled { run, delay_s, below: 0 };
     let (slew, lag) = (values.one(Effect::SlewLimit), values.one(Effect::DriveLag));

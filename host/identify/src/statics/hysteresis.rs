@@ -495,8 +495,9 @@ impl Model for HeldShaft {
             *out = middle + 0.5 * gap * run.last_pull[row] + gives_way * run.pull[row] + drift * run.time_s[row];
         }
         for (curve, values) in structure.curves() {
+            let spline = curve.spline(values);
             for (row, out) in predicted.iter_mut().enumerate() {
-                *out += curve.value(values, run.time_s[row]);
+                *out += spline.value(run.time_s[row]);
             }
         }
     }

@@ -751,8 +751,9 @@ impl Model for StaticMap {
             }
         }
         for (curve, values) in structure.curves() {
+            let spline = curve.spline(values);
             for (at, out) in predicted.iter_mut().enumerate() {
-                *out += curve.value(values, run.driver(curve.over, run.first + at, self.supply_ref));
+                *out += spline.value(run.driver(curve.over, run.first + at, self.supply_ref));
             }
         }
     }
