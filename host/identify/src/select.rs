@@ -135,8 +135,9 @@ struct Search<'s, F: Family> {
 /// Searches for what the base model lacks.
 ///
 /// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
-/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, on blocks with a
-/// curve first: an effect that has no name makes named ones look good that it has nothing to do with.
+/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, or it takes names
+/// and curves, on blocks with a curve first: an effect that has no name makes named ones look good that it has nothing to do
+/// with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
     let halves = halves(family, train);
     let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
@@ -149,9 +150,11 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         let left = path.current.residuals(family, &search.whole);
         is_white(&left) || largest_correlation(&left) < SMALL
     };
-    for order in [&[false, true][..], &[true, false, true]] {
-        if is_explained(&path) {
-            break;
+    for (order, curves_first) in [(&[false, true][..], false), (&[true, false, true], true)] {
+        // A name beside a curve may only mend what was learned after it.
+        let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
+        if is_explained(&path) && !(curves_first && is_mixed) {
+            continue;
         }
         let from = on_blocks.on(&blocks, &base, Effort::COMPARE);
         let other = on_blocks.path(from, order);

@@ -285,6 +285,17 @@ struct Mechanics<'s> {
     stops: Option<(f64, f64)>,
     position: f64,
     speed: f64,
+    before: Before,
+}
+
+/// What it did before a run: which way it went last, how far and since when, and what hysteresis pulled back with where it
+/// turned to go there.
+#[derive(Clone, Copy, PartialEq)]
+struct Before {
+    direction: f64,
+    way: f64,
+    turned_s: f64,
+    wound: f64,
 }
 
 #[derive(Clone, Copy)]
@@ -314,11 +325,37 @@ impl Mechanics<'_> {
         Body {
             position: self.position,
             speed: self.speed,
-            reversal: self.position,
-            turned_s: f64::NEG_INFINITY,
-            direction: 0.0,
-            wound: 0.0,
+            reversal: self.position - self.before.way,
+            turned_s: self.before.turned_s,
+            direction: self.before.direction,
+            wound: self.before.wound,
             decay: Decay { b: f64::NAN, step_s: f64::NAN, decayed: 0.0, per_b: 0.0 },
+        }
+    }
+
+    /// What was recorded before a part of a recording is how it moved.
+    fn remember(&mut self, motion: &Motion, run: &MotionRun) {
+        if run.from == 0 || !self.curves.iter().any(|(curve, _)| curve.over == Dependence::History) {
+            return;
+        }
+        let Some(moved) = motion.moved_before(run) else { return };
+        let mut body = self.begin();
+        for moved in moved {
+            self.follow(&mut body, moved, 0.0);
+        }
+        self.before = Before {
+            direction: body.direction,
+            way: body.position - body.reversal,
+            turned_s: run.all.origin_s + body.turned_s,
+            wound: body.wound,
+        };
+    }
+
+    /// A body goes where it was seen to go, from an offset on.
+    fn follow(&self, body: &mut Body, moved: &Moved, offset: f64) {
+        (body.position, body.turned_s) = (moved.position + offset, moved.turned_s);
+        if (body.direction, body.reversal) != (moved.direction, moved.reversal + offset) {
+            self.turn(body, moved.direction, moved.reversal + offset);
         }
     }
 
@@ -740,6 +777,7 @@ impl<'s> Plan<'s> {
             stops: motion.stops,
             position,
             speed,
+            before: Before { direction: 0.0, way: 0.0, turned_s: f64::NEG_INFINITY, wound: 0.0 },
         };
         let input = Input {
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
@@ -768,6 +806,13 @@ impl<'s> Plan<'s> {
                 || mechanics.curves.iter().any(|(curve, _)| curve.over != Dependence::Input),
         };
         Self { input, mechanics, sensor }
+    }
+
+    /// The same for a run, with what was before it.
+    fn of(motion: &Motion, structure: &'s Structure, initial: &[f64], run: &MotionRun) -> Self {
+        let mut plan = Self::new(motion, structure, initial);
+        plan.mechanics.remember(motion, run);
+        plan
     }
 
     /// What moves, or is told, changes what drives.
@@ -874,11 +919,8 @@ pub(super) fn accelerations(
         let back_emf = moved.speed * mechanics.b / mechanics.k;
         let driven = input.drive(&mut driving, command, (supply_v, run.enabled_at(sample)), step_s, back_emf);
         body.speed = if moved.rests { 0.0 } else { moved.speed };
-        body.position = moved.position + offset;
-        if (body.direction, body.reversal) != (moved.direction, moved.reversal + offset) {
-            mechanics.turn(&mut body, moved.direction, moved.reversal + offset);
-        }
-        body.turned_s = run.all.origin_s + moved.turned_s;
+        mechanics.follow(&mut body, moved, offset);
+        body.turned_s += run.all.origin_s;
         let at = (run.all.origin_s + now_s + 0.5 * step_s, supply_v, 0.0);
         let (push, level, b) = mechanics.forces::<false>(&body, &driven, at);
         let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
@@ -896,7 +938,7 @@ pub(super) fn simulate(
     predicted: &mut [f64],
     observed: Option<&mut Observed>,
 ) {
-    let plan = Plan::new(motion, structure, initial);
+    let plan = Plan::of(motion, structure, initial, run);
     if plan.flows_back() || observed.is_some() {
         plan.simulate(run, predicted, observed);
     } else {
@@ -914,7 +956,7 @@ pub(super) fn simulate_each(
     run: &MotionRun,
     told: &mut dyn FnMut(usize, &[f64]),
 ) {
-    let plan = Plan::new(motion, known.structure, known.initial);
+    let plan = Plan::of(motion, known.structure, known.initial, run);
     let mut predicted = vec![0.0; known.predicted.len()];
     let mut left: Vec<(usize, Plan<'_>)> = Vec::new();
     for (index, &(structure, initial)) in others.iter().enumerate() {
@@ -923,7 +965,7 @@ pub(super) fn simulate_each(
             told(index, &predicted);
             continue;
         }
-        let other = Plan::new(motion, structure, initial);
+        let other = Plan::of(motion, structure, initial, run);
         if other.flows_back() {
             other.simulate(run, &mut predicted, None);
             told(index, &predicted);

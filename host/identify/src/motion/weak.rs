@@ -281,10 +281,21 @@ impl Motion {
         }
         let seen = |run: &&MotionRun| {
             let run = MotionRun { from: 0, to: run.all.time_s.len(), ..(*run).clone() };
-            let windows = run.all.windows.get_or_init(|| Windows::of(&run, self.of_speed).map(Arc::new)).clone()?;
+            let windows = self.windows(&run)?.clone();
             Some(Seen { run, windows })
         };
         recordings.iter().map(seen).collect()
+    }
+
+    /// Of all of the recording that a run is a part of.
+    fn windows<'r>(&self, run: &'r MotionRun) -> Option<&'r Arc<Windows>> {
+        let windows = run.all.windows.get_or_init(|| Windows::of(run, self.of_speed).map(Arc::new));
+        windows.as_ref()
+    }
+
+    /// How a recording moved before a run that is a part of it, as far as that is seen.
+    pub(super) fn moved_before<'r>(&self, run: &'r MotionRun) -> Option<&'r [Moved]> {
+        self.windows(run)?.moved.get(..=run.from)
     }
 
     /// The motion of recordings, as it was measured, and when.
