@@ -315,8 +315,8 @@ fn better_named<F: Family>(
         {
             let mut named = named;
             for step in found.steps.iter().filter(|step| matches!(step.term, Term::Curve(_))) {
-                let reason = "explains what it was fitted to, but the held-out recordings are no better off than with \
-                              named effects alone";
+                let reason = "explains what it was fitted to, but the held-out recordings are not clearly better off than \
+                              with named effects alone";
                 named.rejected.insert(0, (name(family, &step.term), step.blocked_rmse[1], reason.to_owned()));
             }
             named
@@ -343,7 +343,7 @@ fn veto<F: Family>(
         let reason = format!(
             "explains what it was fitted to, but changes the error on held-out recordings by {:+.0} %: they differ by more \
              than noise",
-            100.0 * (errors[place + 1] / errors[place] - 1.0)
+            100.0 * (errors[place + 1] / errors[least] - 1.0)
         );
         found.rejected.push((name(family, &step.term), step.blocked_rmse[1], reason));
     }
