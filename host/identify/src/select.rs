@@ -27,6 +27,8 @@ const SUPERFLUOUS: f64 = 0.004;
 const CHANCE: f64 = 0.05;
 /// An effect's size in its own standard deviations.
 const LEAST_Z: f64 = 3.0;
+/// The same by what it explains, beyond which nothing else is asked.
+const PLAIN_Z: f64 = 12.0;
 /// Effects whose errors differ by less than this share are rivals.
 const ALIKE: f64 = 0.01;
 /// So many effects of each round are looked at on blocks.
@@ -517,7 +519,7 @@ impl<F: Family> Search<'_, F> {
             let name = self.term_name(&candidate.trial.term);
             let worth = if with_curves { CURVE_WORTH } else { WORTH };
             let p_value = self.chance(current, before, &candidate) * tried as f64;
-            let z = self.size(&candidate);
+            let z = self.size(current, &candidate);
             let better = before
                 .blocks
                 .iter()
@@ -607,8 +609,10 @@ impl<F: Family> Search<'_, F> {
         by_variance.min(paired(before, &candidate.blocked))
     }
 
-    /// Least distance from no effect of what tells the effect's size, in standard deviations.
-    fn size(&self, candidate: &Judged) -> f64 {
+    /// Distance from no effect of what tells the effect's size, in standard deviations. A size that stands in for another
+    /// number, as one of two lags that are alike does, has a wide deviation on its own; that it is there all the same is told
+    /// by what is left without it.
+    fn size(&self, current: &Fit, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
         if matches!(candidate.trial.term, Term::Curve(_)) {
             // Its corners share what the base model has too, a slope and a mean: no corner alone has a size.
@@ -623,8 +627,13 @@ impl<F: Family> Search<'_, F> {
             Some(deviation.map_or(0.0, |deviation| (value - absent).abs() / deviation.max(f64::MIN_POSITIVE)))
         });
         // Of several sizes (both directions, corners of a curve) one must be there.
-        z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))))
-            .unwrap_or(f64::INFINITY)
+        let largest = z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))));
+        let z = largest.unwrap_or(f64::INFINITY);
+        if z >= LEAST_Z {
+            return z;
+        }
+        let explained = independent(self.family, &self.runs, fit) * (current.cost / fit.cost).ln().max(0.0);
+        if explained.sqrt() >= PLAIN_Z { explained.sqrt() } else { z }
     }
 
     /// Takes out again what later terms made superfluous.
