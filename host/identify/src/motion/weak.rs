@@ -139,7 +139,8 @@ fn inside(time_s: &[f64], (from_s, to_s): (f64, f64)) -> Range<usize> {
 
 /// The sample that ends the last step longer than `longest_s` of those that a window reaches into.
 fn last_gap(time_s: &[f64], begin_s: f64, samples: &Range<usize>, longest_s: f64) -> Option<usize> {
-    let first = samples.start.max(1) + usize::from(time_s.get(samples.start) == Some(&begin_s));
+    let begins_there = time_s.get(samples.start) == Some(&begin_s);
+    let first = if begins_there { samples.start + 1 } else { samples.start.max(1) };
     (first..(samples.end + 1).min(time_s.len())).rfind(|&sample| time_s[sample] - time_s[sample - 1] > longest_s)
 }
 
@@ -462,19 +463,21 @@ mod tests {
 
     #[test]
     fn no_window_reaches_over_a_gap() {
-        // 200 Hz but for a pause, which may be a very long one.
+        // 200 Hz but for two pauses, which may be very long ones; one is right behind the first sample.
         for gap_s in [0.2, 5.0, 1e9] {
-            let time_s: Vec<f64> = (0..800).map(|n| 0.005 * f64::from(n) + if n < 400 { 0.0 } else { gap_s }).collect();
+            let paused_s = |n: u32| gap_s * f64::from(u8::from(n >= 1) + u8::from(n >= 401));
+            let time_s: Vec<f64> = (0..801).map(|n| 0.005 * f64::from(n) + paused_s(n)).collect();
             let value = |n: u32| (0.05 * f64::from(n)).sin() + 1e-3 * f64::from(n * n % 7);
             let columns = [("input", Quantity::Number), ("output", Quantity::Angle)].map(|(name, quantity)| {
-                let values = (0..800).map(value).collect();
+                let values = (0..801).map(value).collect();
                 (name.to_owned(), Signal { quantity, values, column: name.to_owned() })
             });
             let run = Run { name: "paused".to_owned(), time_s, signals: columns.into() };
             let run = MotionRun::new(&run, 12.0).expect("its columns");
             let windows = Windows::of(&run, false).expect("windows on both sides");
-            let (before, after): (Vec<_>, Vec<_>) = windows.windows.iter().partition(|window| window.from < 400);
-            assert!(before.iter().all(|window| window.from + window.weights.len() < 400), "{gap_s}");
+            let (before, after): (Vec<_>, Vec<_>) = windows.windows.iter().partition(|window| window.from < 401);
+            let inside = |window: &&Window| window.from > 0 && window.from + window.weights.len() < 401;
+            assert!(before.iter().all(inside), "{gap_s}");
             assert_eq!(before.len(), after.len(), "{gap_s}");
         }
     }
