@@ -4,7 +4,11 @@ use std::collections::BTreeMap;
 
 use r4_plants::Dependence;
 
-use crate::{fit::white_noise, report::Estimate, spline::Spline};
+use crate::{
+    fit::{Fit, white_noise},
+    report::Estimate,
+    spline::Spline,
+};
 
 /// What values a parameter may take. There is no way to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -253,10 +257,10 @@ pub trait Family: Model {
         vec![self.initial(run).0]
     }
 
-    /// The most promising of some structures, with values from which a fit has less far to go, and what they leave (a sum of
-    /// squares, to be compared with other guesses for the same runs): found without free runs. `None` where there is no such
-    /// way.
-    fn guess(&self, _starts: Vec<Structure>, _runs: &[&Self::Run]) -> Option<(Structure, f64)> {
+    /// The most promising of some structures that add to a model as it is, with values from which a fit has less far to go,
+    /// and what they leave (a sum of squares, to be compared with other guesses for the same runs): found without free runs.
+    /// `None` where there is no such way.
+    fn guess(&self, _starts: Vec<Structure>, _current: &Fit, _runs: &[&Self::Run]) -> Option<(Structure, f64)> {
         None
     }
 
@@ -314,6 +318,6 @@ pub trait Family: Model {
     /// The model as a file.
     fn plant_toml(&self, structure: &Structure, source: &str) -> String;
 
-    /// Empty curves over a driver, one for each way in which the model can take one up.
-    fn curves(&self, structure: &Structure, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
+    /// Empty curves over a driver, one for each way in which a model as it is can take one up.
+    fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
 }

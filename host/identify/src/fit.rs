@@ -582,8 +582,14 @@ impl Fit {
         let structure = self.structure.clone();
         let samples = |run| family.measured(run).len();
         let initial: Vec<_> = runs.iter().map(|run| settle(family, &structure, run, samples(run))).collect();
+        Self::at(family, runs, structure, initial)
+    }
+
+    /// A model with the values that it has.
+    pub(crate) fn at<F: Model>(family: &F, runs: &[&F::Run], structure: Structure, initial: Vec<Vec<f64>>) -> Self {
         let cost = cost(family, runs, &structure, &initial);
-        Self { structure, initial, cost, weights: runs.iter().map(|run| vec![1.0; samples(run)]).collect() }
+        let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
+        Self { structure, initial, cost, weights }
     }
 
     /// Measured minus predicted, run by run; NaN where nothing was measured.

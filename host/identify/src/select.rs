@@ -152,14 +152,14 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         let left = path.current.residuals(family, &search.whole);
         is_white(&left) || largest_correlation(&left) < SMALL
     };
-    for (order, curves_first) in [(&[false, true][..], false), (&[true, false, true], true)] {
+    let base_on_blocks = std::cell::LazyCell::new(|| on_blocks.on(&blocks, &base, Effort::COMPARE));
+    for order in [&[false, true][..], &[true, false, true]] {
         // A name beside a curve may only mend what was learned after it.
         let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
-        if is_explained(&path) && !(curves_first && is_mixed) {
+        if is_explained(&path) && !(order[0] && is_mixed) {
             continue;
         }
-        let from = on_blocks.on(&blocks, &base, Effort::COMPARE);
-        let other = on_blocks.path(from, order);
+        let other = on_blocks.path(base_on_blocks.clone(), order);
         if !other.steps.is_empty() && search.prefers(&path, &other) {
             let before = std::mem::replace(&mut path, other);
             if path.named.is_none() && path.has_curves() {
@@ -384,7 +384,7 @@ impl<F: Family> Search<'_, F> {
         let with = |values: &Vec<f64>| Self::with(current, term.clone(), values);
         let as_it_is = |structure| (structure, current.initial.clone());
         let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
-        if let Some((guessed, guess)) = self.guess(starts.clone()) {
+        if let Some((guessed, guess)) = self.guess(starts.clone(), current) {
             let same_base = with(guessed.0.added.last().unwrap_or(&vec![]));
             return Begun { starts: vec![guessed, as_it_is(same_base)], guess, term };
         }
@@ -398,8 +398,8 @@ impl<F: Family> Search<'_, F> {
     }
 
     /// What the family guesses, with initial states by how each run begins, and what the guess leaves.
-    fn guess(&self, starts: Vec<Structure>) -> Option<(Start, f64)> {
-        let (structure, guess) = self.family.guess(starts, &self.runs)?;
+    fn guess(&self, starts: Vec<Structure>, current: &Fit) -> Option<(Start, f64)> {
+        let (structure, guess) = self.family.guess(starts, current, &self.runs)?;
         let settled = |run: &&F::Run| {
             let samples = self.family.measured(run).len();
             fit::settle(self.family, &structure, run, (samples / 4).max(LEAST_SAMPLES))
@@ -416,11 +416,11 @@ impl<F: Family> Search<'_, F> {
         };
         drivers
             .par_iter()
-            .flat_map(|driver| self.family.curves(&current.structure, (driver.over, driver.period), &self.runs))
+            .flat_map(|driver| self.family.curves(current, (driver.over, driver.period), &self.runs))
             .map(|curve| {
                 let term = Term::Curve(curve.clone());
                 let none = Self::with(current, term.clone(), &vec![0.0; curve.at.len()]);
-                let (guessed, guess) = self.guess(vec![none.clone()]).unzip();
+                let (guessed, guess) = self.guess(vec![none.clone()], current).unzip();
                 let starts = guessed.into_iter().chain([(none, current.initial.clone())]).collect();
                 Begun { term, starts, guess: guess.unwrap_or(f64::INFINITY) }
             })

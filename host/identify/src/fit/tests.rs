@@ -73,7 +73,7 @@ impl Family for Formula {
         String::new()
     }
 
-    fn curves(&self, _: &Structure, _: (Dependence, Option<f64>), _: &[&Points]) -> Vec<Curve> {
+    fn curves(&self, _: &Fit, _: (Dependence, Option<f64>), _: &[&Points]) -> Vec<Curve> {
         vec![]
     }
 }

@@ -2,7 +2,10 @@
 
 use r4_plants::Dependence;
 
-use crate::family::{Acts, Curve, Family, Structure, Term};
+use crate::{
+    family::{Acts, Curve, Family, Structure, Term},
+    fit::Fit,
+};
 
 use super::{Motion, MotionRun, simulate::Moved};
 
@@ -15,7 +18,7 @@ impl Motion {
     /// Curves of nothing over a driver, one for each way in which it can act.
     pub(super) fn empty_curves(
         &self,
-        structure: &Structure,
+        current: &Fit,
         (over, period): (Dependence, Option<f64>),
         runs: &[&MotionRun],
     ) -> Vec<Curve> {
@@ -32,22 +35,23 @@ impl Motion {
             return vec![];
         }
         let round =
-            |acts: Acts, period: f64| self.fitting(structure, ROUND.map(|count| self.round(acts, period, count)), runs);
+            |acts: Acts, period: f64| self.fitting(current, ROUND.map(|count| self.round(acts, period, count)), runs);
         let open = |acts: Acts| {
-            let mut values = self.values_of((over, acts), structure, runs);
+            let mut values = self.values_of((over, acts), current, runs);
             values.sort_by(f64::total_cmp);
             let curves = CORNERS.iter().filter_map(|&count| corners(&values, count));
-            self.fitting(structure, curves.map(|at| self.curve(over, None, acts, at)), runs)
+            self.fitting(current, curves.map(|at| self.curve(over, None, acts, at)), runs)
         };
-        let curve = |acts: Acts| {
-            if let Some(period) = period {
-                return Some(round(acts, period)?.0);
-            }
-            let repeats = if over == Dependence::Position { self.repeats(structure, acts, runs) } else { None };
+        if let Some(period) = period {
+            return acts.iter().filter_map(|&acts| Some(round(acts, period)?.0)).collect();
+        }
+        let repeats = if over == Dependence::Position { self.repeats(current, acts, runs) } else { vec![] };
+        let curve = |(place, &acts): (usize, &Acts)| {
+            let repeats = repeats.get(place).copied().flatten();
             let both = repeats.and_then(|period| round(acts, period)).into_iter().chain(open(acts));
             Some(both.min_by(|a, b| a.1.total_cmp(&b.1))?.0)
         };
-        acts.iter().filter_map(|&acts| curve(acts)).collect()
+        acts.iter().enumerate().filter_map(curve).collect()
     }
 
     /// A curve over the position that repeats itself.
@@ -56,6 +60,7 @@ impl Motion {
         self.curve(Dependence::Position, Some(period), acts, at)
     }
 
+    /// A curve of these corners; its values are per unit of inertia.
     pub(super) fn curve(&self, over: Dependence, period: Option<f64>, acts: Acts, at: Vec<f64>) -> Curve {
         let (units, gain) = (&self.scales.units, acts == Acts::Gain);
         let at_unit = match over {
@@ -81,13 +86,13 @@ impl Motion {
     /// free runs).
     fn fitting(
         &self,
-        structure: &Structure,
+        current: &Fit,
         curves: impl IntoIterator<Item = Curve>,
         runs: &[&MotionRun],
     ) -> Option<(Curve, f64)> {
         let price = |curve: &Curve| {
-            let left = self.left_over_windows(with(structure, curve), runs)?;
-            let independent = self.independent_windows(runs)?;
+            let left = self.left_over_windows(with(&current.structure, curve), current, runs)?;
+            let independent = self.independent_windows(current, runs)?;
             Some(independent * left.ln() + 2.0 * curve.at.len() as f64 * independent.ln())
         };
         let mut best: Option<(Curve, f64)> = None;
@@ -102,8 +107,8 @@ impl Motion {
     }
 
     /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
-    fn values_of(&self, (over, acts): (Dependence, Acts), structure: &Structure, runs: &[&MotionRun]) -> Vec<f64> {
-        let moved = self.moved(structure, runs);
+    fn values_of(&self, (over, acts): (Dependence, Acts), current: &Fit, runs: &[&MotionRun]) -> Vec<f64> {
+        let moved = self.moved(current, runs);
         let measured = |of: &dyn Fn(&Moved, f64) -> f64| {
             let values = moved.iter().flatten().map(|(moved, time_s)| of(moved, *time_s));
             values.filter(|value| value.is_finite()).collect()
@@ -118,15 +123,16 @@ impl Motion {
                 measured(&|moved, _| (moved.position - moved.reversal).abs())
             }
             (Dependence::Speed, Acts::Friction) => {
-                self.simulated(over, structure, runs).into_iter().map(f64::abs).collect()
+                self.simulated(over, current, runs).into_iter().map(f64::abs).collect()
             }
-            _ => self.simulated(over, structure, runs),
+            _ => self.simulated(over, current, runs),
         }
     }
 
-    fn simulated(&self, over: Dependence, structure: &Structure, runs: &[&MotionRun]) -> Vec<f64> {
+    fn simulated(&self, over: Dependence, current: &Fit, runs: &[&MotionRun]) -> Vec<f64> {
         runs.iter()
-            .flat_map(|run| self.drivers(structure, &run.initial(self.of_speed).0, run))
+            .zip(&current.initial)
+            .flat_map(|(run, initial)| self.drivers(&current.structure, initial, run))
             .filter(|driver| driver.over == over && driver.period.is_none())
             .flat_map(|driver| driver.values)
             .filter(|value| value.is_finite())

@@ -25,6 +25,7 @@ pub use run::MotionRun;
 use crate::{
     data::Quantity,
     family::{Candidate, Curve, Driver, Family, Model, Parameter, Range, Simulated, Structure},
+    fit::Fit,
     report::Estimate,
 };
 use effect::Effect;
@@ -355,8 +356,8 @@ impl Family for Motion {
         self.places().map(|place| vec![place, guess[1]]).collect()
     }
 
-    fn guess(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        self.weakly(starts, runs)
+    fn guess(&self, starts: Vec<Structure>, current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
+        self.weakly(starts, current, runs)
     }
 
     fn time_s<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
@@ -427,12 +428,7 @@ impl Family for Motion {
         self.plant_file(structure, source)
     }
 
-    fn curves(
-        &self,
-        structure: &Structure,
-        (over, period): (Dependence, Option<f64>),
-        runs: &[&MotionRun],
-    ) -> Vec<Curve> {
-        self.empty_curves(structure, (over, period), runs)
+    fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&MotionRun]) -> Vec<Curve> {
+        self.empty_curves(current, driver, runs)
     }
 }

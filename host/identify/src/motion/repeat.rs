@@ -2,9 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::Complex;
 use r4_plants::Dependence;
 
-use crate::family::{Acts, Structure};
+use crate::{family::Acts, fit::Fit};
 
 use super::{
     Motion, MotionRun,
@@ -16,10 +17,10 @@ use super::{
 /// Times that it has to repeat itself over the longest way, at least and at most.
 const LEAST: f64 = 2.0;
 const MOST: f64 = 300.0;
-/// Neighbours among the numbers of times that are tried: a wave that is off by so much is a quarter off at the end.
-const APART: f64 = 0.25;
+/// Neighbours among the numbers of times that are tried: between two, a wave is a quarter off at the end.
+const APART: f64 = 0.5;
 /// A search closer by has so many steps on each side, twice.
-const CLOSER: i32 = 10;
+const CLOSER: u32 = 10;
 /// A wave that explains less than this share of what is left is not looked at closer.
 const SHARE: f64 = 0.2;
 /// The share of one time by which periods differ that are tried in the end, and how often closer by.
@@ -29,10 +30,13 @@ const REFINED: usize = 3;
 /// A recording, where a wave over its way would show.
 struct Carrier {
     seen: Seen,
-    /// What a curve of ones would do, from each sample to the next.
-    one: Vec<f64>,
+    /// What a curve of ones would do from each sample to the next, for each way in which it acts.
+    ones: Vec<Vec<f64>>,
     left: Vec<f64>,
 }
+
+/// Numbers of times that something may repeat itself: the first, how far they are apart, how many they are.
+type Times = (f64, f64, u32);
 
 impl Carrier {
     fn positions(&self) -> impl Iterator<Item = f64> {
@@ -45,11 +49,15 @@ impl Carrier {
         high - low
     }
 
-    /// How much of what is left a wave explains, whatever its phase.
-    fn explained(&self, rate: f64) -> f64 {
-        let waves: Vec<(f64, f64)> = self.positions().map(|at| (rate * at).sin_cos()).collect();
-        let [sine, cosine] = [|wave: &(f64, f64)| wave.0, |wave: &(f64, f64)| wave.1].map(|of| {
-            let series: Vec<f64> = waves.iter().zip(&self.one).map(|(wave, one)| of(wave) * one).collect();
+    /// A wave over the position at each sample.
+    fn waves(&self, rate: f64) -> Vec<Complex<f64>> {
+        self.positions().map(|at| Complex::cis(rate * at)).collect()
+    }
+
+    /// How much of what is left a wave explains where it acts on `one`, whatever its phase.
+    fn explained(&self, waves: &[Complex<f64>], one: &[f64]) -> f64 {
+        let [sine, cosine] = [|wave: &Complex<f64>| wave.im, |wave: &Complex<f64>| wave.re].map(|of| {
+            let series: Vec<f64> = waves.iter().zip(one).map(|(wave, one)| of(wave) * one).collect();
             self.seen.windows.sums(&series).collect::<Vec<f64>>()
         });
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -63,55 +71,83 @@ impl Carrier {
     }
 }
 
+/// Of numbers of times, the one whose wave explains most where it acts in the ways asked for, and how much: one for each way.
+fn best(carriers: &[Carrier], ways: &[usize], reach: f64, (first, apart, count): Times) -> Vec<(f64, f64)> {
+    let mut explained = vec![vec![0.0; ways.len()]; count as usize];
+    for carrier in carriers {
+        let rate = |times: f64| TAU * times / reach;
+        let (mut waves, turns) = (carrier.waves(rate(first)), carrier.waves(rate(apart)));
+        for explained in &mut explained {
+            for (explained, &way) in explained.iter_mut().zip(ways) {
+                *explained += carrier.explained(&waves, &carrier.ones[way]);
+            }
+            waves.iter_mut().zip(&turns).for_each(|(wave, turn)| *wave *= turn);
+        }
+    }
+    let all = |way: usize| explained.iter().enumerate().map(move |(step, of)| (of[way], step as f64));
+    let best = |way| all(way).max_by(|a, b| a.0.total_cmp(&b.0));
+    (0..ways.len()).filter_map(best).map(|(explained, step)| (first + apart * step, explained)).collect()
+}
+
 impl Motion {
-    /// The way after which a curve over the position would best repeat itself; `None` where nothing is seen of that.
-    pub(super) fn repeats(&self, structure: &Structure, acts: Acts, runs: &[&MotionRun]) -> Option<f64> {
-        let (fit, seen, left) = self.left_in_windows(structure, runs)?;
-        let ones = self.curve(Dependence::Position, None, acts, vec![0.0]);
-        let mut bent = with(&fit.structure, &ones);
-        bent.added.last_mut()?.fill(ones.scale);
-        let carriers = seen.into_iter().zip(left).zip(&fit.initial).map(|((seen, left), initial)| {
-            let [straight, bent] =
-                [&fit.structure, &bent].map(|structure| seen.accelerations(self, structure, initial));
-            let one = bent.iter().zip(straight).map(|(bent, straight)| (bent - straight) / ones.scale).collect();
-            Carrier { seen, one, left }
-        });
-        let carriers: Vec<Carrier> = carriers.collect();
+    /// The way after which a curve over the position would best repeat itself, for each way in which it may act; `None` where
+    /// nothing is seen of that.
+    pub(super) fn repeats(&self, current: &Fit, acts: &[Acts], runs: &[&MotionRun]) -> Vec<Option<f64>> {
+        let nothing = vec![None; acts.len()];
+        let Some(carriers) = self.carriers(current, acts, runs) else { return nothing };
         let reach = carriers.iter().map(Carrier::reach).fold(0.0, f64::max);
         // A wave that passes within a window is not seen in it.
         let moved = || carriers.iter().flat_map(|carrier| &carrier.seen.windows.moved);
         let speed = moved().map(|Moved { speed, .. }| speed.abs()).sum::<f64>() / moved().count() as f64;
         let most = (reach / (2.0 * SHORTEST_S * speed)).min(MOST);
         if !most.is_finite() || most < LEAST {
-            return None;
+            return nothing;
         }
-        let explained = |times: f64| carriers.iter().map(|carrier| carrier.explained(TAU * times / reach)).sum::<f64>();
-        let best = |all: &mut dyn Iterator<Item = f64>| {
-            all.map(|times| (explained(times), times)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|best| best.1)
-        };
-        let count = ((most - LEAST) / APART) as u32;
-        let mut times = best(&mut (0..=count).map(|step| LEAST + APART * f64::from(step)))?;
-        let mut apart = APART;
-        for _ in 0..2 {
-            apart /= f64::from(CLOSER);
-            times = best(&mut (-CLOSER..=CLOSER).map(|step| times + apart * f64::from(step)))?;
-        }
-        // The rest of the model was not fitted with it: now both are.
         let all: f64 = carriers.iter().flat_map(|carrier| &carrier.left).map(|left| left * left).sum();
-        if explained(times) < SHARE * all {
-            return None;
-        }
-        let (mut period, mut apart) = (reach / times, NEARER / times);
+        let ways: Vec<usize> = (0..acts.len()).collect();
+        let count = ((most - LEAST) / APART) as u32 + 1;
+        let found = best(&carriers, &ways, reach, (LEAST, APART, count));
+        let closer = |(way, (mut times, mut explained)): (usize, (f64, f64))| {
+            let mut apart = APART;
+            for _ in 0..2 {
+                apart /= f64::from(CLOSER);
+                let around = (times - apart * f64::from(CLOSER), apart, 2 * CLOSER + 1);
+                (times, explained) = *best(&carriers, &[way], reach, around).first()?;
+            }
+            (explained >= SHARE * all).then(|| self.nearer(current, acts[way], reach / times, NEARER / times, runs))
+        };
+        found.into_iter().enumerate().map(closer).collect()
+    }
+
+    fn carriers(&self, current: &Fit, acts: &[Acts], runs: &[&MotionRun]) -> Option<Vec<Carrier>> {
+        let (fit, seen, left) = self.left_in_windows(current, runs)?;
+        let carrier = |((seen, left), initial): ((Seen, Vec<f64>), &Vec<f64>)| {
+            let straight = seen.accelerations(self, &fit.structure, initial);
+            let ones = |&acts: &Acts| {
+                let ones = self.curve(Dependence::Position, None, acts, vec![0.0]);
+                let mut bent = with(&fit.structure, &ones);
+                bent.added.last_mut().into_iter().flatten().for_each(|value| *value = ones.scale);
+                let bent = seen.accelerations(self, &bent, initial);
+                bent.iter().zip(&straight).map(|(bent, straight)| (bent - straight) / ones.scale).collect()
+            };
+            Carrier { ones: acts.iter().map(ones).collect(), seen, left }
+        };
+        Some(seen.into_iter().zip(left).zip(&fit.initial).map(carrier).collect())
+    }
+
+    /// A period, of those around it the one at which most is explained. The rest of the model was not fitted with the wave
+    /// before: now both are.
+    fn nearer(&self, current: &Fit, acts: Acts, mut period: f64, mut apart: f64, runs: &[&MotionRun]) -> f64 {
         for _ in 0..REFINED {
             let left_over = |step: i32| {
                 let period = period * (1.0 + apart * f64::from(step));
-                let left = self.left_over_windows(with(structure, &self.round(acts, period, ROUND[0])), runs);
-                (left.unwrap_or(f64::INFINITY), period)
+                let structure = with(&current.structure, &self.round(acts, period, ROUND[0]));
+                (self.left_over_windows(structure, current, runs).unwrap_or(f64::INFINITY), period)
             };
             period = (-3..=3).map(left_over).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(period, |best| best.1);
             apart /= 4.0;
         }
-        Some(period)
+        period
     }
 }
 
@@ -123,6 +159,8 @@ mod tests {
     use super::*;
     use crate::{
         data::{Quantity, Run, Signal},
+        family::Structure,
+        fit::guessed,
         motion::{Kind, Known},
     };
 
@@ -157,8 +195,10 @@ mod tests {
         for rate in [3.0, 11.0] {
             let runs = [1, 2].map(|seed| rippled(seed, rate));
             let (model, runs, _) = Motion::new(Kind::Axis, &Known::default(), &runs, &[]).expect("a model");
+            let runs: Vec<&MotionRun> = runs.iter().collect();
             let structure = Structure { base: vec![2.0, 3.0], ..Structure::default() };
-            let found = model.repeats(&structure, Acts::Gain, &runs.iter().collect::<Vec<_>>()).expect("a period");
+            let current = Fit::at(&model, &runs, structure, guessed(&model, &runs));
+            let found = model.repeats(&current, &[Acts::Gain], &runs)[0].expect("a period");
             // A wave of this rate is off by less than a tenth of its length at the end of 5 m.
             assert!((found - TAU / rate).abs() < 0.1 * (TAU / rate).powi(2) / 5.0, "{rate}: {found}");
         }

@@ -13,6 +13,7 @@ use crate::{
     Task,
     data::{Quantity, Run, Signal},
     family::{Family, Model, Range, Simulated, Structure, Term},
+    fit::{Fit, guessed},
     identify,
 };
 
@@ -185,7 +186,10 @@ fn a_guess_finds_back_from_a_model_that_ran_away() {
         added: vec![values.clone()],
     };
     let starts = model.catalogue()[index].starts.iter().map(start).collect();
-    let (guess, _) = model.guess(starts, &runs.iter().collect::<Vec<_>>()).expect("a guess");
+    let runs: Vec<&MotionRun> = runs.iter().collect();
+    let base = Structure { base: start(&vec![]).base, ..Structure::default() };
+    let current = Fit::at(&model, &runs, base, guessed(&model, &runs));
+    let (guess, _) = model.guess(starts, &current, &runs).expect("a guess");
     // Noise on the motion makes it a place to begin from.
     let near =
         |found: f64, truth: f64, share: f64| assert!((found / truth - 1.0).abs() < share, "{found}, not {truth}");

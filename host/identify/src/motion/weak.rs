@@ -216,13 +216,25 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
 pub(super) struct Seen {
     run: MotionRun,
     pub(super) windows: Arc<Windows>,
+    /// By how much it began elsewhere than it says, by the model that it is looked at with.
+    began: f64,
 }
 
 /// A model of an axis, windows for its output.
 struct Weak<'m> {
     motion: &'m Motion,
-    /// The position is not recorded, and matters: where each recording began has to be found.
-    placed: bool,
+    began: Began,
+}
+
+/// Where recordings began whose position is not recorded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Began {
+    /// It does not matter, or is recorded.
+    Anywhere,
+    /// Where the model has it that is added to.
+    There,
+    /// That model knows nothing of it: it is sought.
+    Somewhere,
 }
 
 impl Model for Weak<'_> {
@@ -237,7 +249,7 @@ impl Model for Weak<'_> {
     }
 
     fn initial(&self, _: &Seen) -> (Vec<f64>, Vec<f64>) {
-        if self.placed { (vec![0.0], vec![1.0]) } else { (vec![], vec![]) }
+        if self.began == Began::Anywhere { (vec![], vec![]) } else { (vec![0.0], vec![1.0]) }
     }
 
     fn predict(&self, structure: &Structure, initial: &[f64], seen: &Seen, predicted: &mut [f64]) {
@@ -273,17 +285,18 @@ impl Motion {
     }
 
     /// The recordings that runs are parts of.
-    fn seen(&self, runs: &[&MotionRun]) -> Option<Vec<Seen>> {
-        let mut recordings: Vec<&MotionRun> = Vec::new();
-        for run in runs {
-            if !recordings.iter().any(|other| Arc::ptr_eq(&other.all, &run.all)) {
-                recordings.push(run);
+    fn seen(&self, initial: &[Vec<f64>], runs: &[&MotionRun]) -> Option<Vec<Seen>> {
+        let mut recordings: Vec<(&MotionRun, &Vec<f64>)> = Vec::new();
+        for (run, initial) in runs.iter().zip(initial) {
+            if !recordings.iter().any(|(other, _)| Arc::ptr_eq(&other.all, &run.all)) {
+                recordings.push((run, initial));
             }
         }
-        let seen = |run: &&MotionRun| {
+        let seen = |(run, initial): &(&MotionRun, &Vec<f64>)| {
+            let windows = self.windows(run)?.clone();
+            let began = if self.of_speed { initial.first()? - windows.moved.get(run.from)?.position } else { 0.0 };
             let run = MotionRun { from: 0, to: run.all.time_s.len(), ..(*run).clone() };
-            let windows = self.windows(&run)?.clone();
-            Some(Seen { run, windows })
+            Some(Seen { run, windows, began })
         };
         recordings.iter().map(seen).collect()
     }
@@ -300,17 +313,22 @@ impl Motion {
     }
 
     /// The motion of recordings, as it was measured, and when.
-    pub(super) fn moved(&self, structure: &Structure, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
-        let seen = self.is_seen(structure).then(|| self.seen(runs))??;
+    pub(super) fn moved(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
+        let seen = self.is_seen(&current.structure).then(|| self.seen(&current.initial, runs))??;
         let timed = |seen: Seen| -> Vec<(Moved, f64)> {
-            seen.windows.moved.iter().copied().zip(seen.run.all.time_s.iter().copied()).collect()
+            let there = |moved: &Moved| Moved {
+                position: moved.position + seen.began,
+                reversal: moved.reversal + seen.began,
+                ..*moved
+            };
+            seen.windows.moved.iter().map(there).zip(seen.run.all.time_s.iter().copied()).collect()
         };
         Some(seen.into_iter().flat_map(timed).collect())
     }
 
     /// How many windows say as much as all that there are: of those that overlap, one.
-    pub(super) fn independent_windows(&self, runs: &[&MotionRun]) -> Option<f64> {
-        let all: usize = self.seen(runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
+    pub(super) fn independent_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
+        let all: usize = self.seen(&current.initial, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
@@ -326,33 +344,47 @@ impl Motion {
         structure
     }
 
-    /// The recordings as windows see them, and a model for structures of the same terms; `None` where it cannot be.
-    fn weak(&self, structure: &Structure, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
-        let seen = self.is_seen(structure).then(|| self.seen(runs))??;
-        Some((Weak { motion: self, placed: self.of_speed && is_placed(self, structure) }, seen))
+    /// The recordings as windows see them, and a model for structures of the same terms, which add to `current`; `None` where
+    /// it cannot be.
+    fn weak(&self, structure: &Structure, current: &Fit, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
+        let seen = self.is_seen(structure).then(|| self.seen(&current.initial, runs))??;
+        let began = if !self.of_speed || !is_placed(self, structure) {
+            Began::Anywhere
+        } else if is_placed(self, &current.structure) {
+            Began::There
+        } else {
+            Began::Somewhere
+        };
+        Some((Weak { motion: self, began }, seen))
     }
 
-    /// What a structure leaves of the windows, about.
-    pub(super) fn left_over_windows(&self, structure: Structure, runs: &[&MotionRun]) -> Option<f64> {
-        let (weak, seen) = self.weak(&structure, runs)?;
+    /// What a structure that adds to `current` leaves of the windows, about.
+    pub(super) fn left_over_windows(&self, structure: Structure, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
+        let (weak, seen) = self.weak(&structure, current, runs)?;
         Some(weak.best(vec![self.with_damping(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
-    /// A structure fitted to windows, the recordings, and what it leaves of the windows of each.
+    /// A model fitted to windows, the recordings, and what it leaves of the windows of each.
     pub(super) fn left_in_windows(
         &self,
-        structure: &Structure,
+        current: &Fit,
         runs: &[&MotionRun],
     ) -> Option<(Fit, Vec<Seen>, Vec<Vec<f64>>)> {
-        let (weak, seen) = self.weak(structure, runs)?;
-        let fit = weak.best(vec![self.with_damping(structure.clone())], &seen, Effort::SCREEN, 1).pop()?;
+        let (weak, seen) = self.weak(&current.structure, current, runs)?;
+        let structure = self.with_damping(current.structure.clone());
+        let fit = weak.best(vec![structure], &seen, Effort::SCREEN, 1).pop()?;
         let left = fit.residuals(&weak, &seen.iter().collect::<Vec<_>>());
         Some((fit, seen, left))
     }
 
     /// The best of some structures of the same terms fitted to windows, and what it leaves.
-    pub(super) fn weakly(&self, starts: Vec<Structure>, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        let (weak, seen) = self.weak(starts.first()?, runs)?;
+    pub(super) fn weakly(
+        &self,
+        starts: Vec<Structure>,
+        current: &Fit,
+        runs: &[&MotionRun],
+    ) -> Option<(Structure, f64)> {
+        let (weak, seen) = self.weak(starts.first()?, current, runs)?;
         let starts: Vec<Structure> = starts.into_iter().map(|start| self.with_damping(start)).collect();
         let is_coarse = |start: &Structure| {
             parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == family::Range::Coarse)
@@ -382,11 +414,13 @@ impl Weak<'_> {
         fits
     }
 
-    /// Where each recording began: the first one at 0, and by a model of that the others.
+    /// Where each recording began; where that is sought, the first one at 0, and by a model of that the others.
     fn begun(&self, structure: Structure, seen: &[&Seen], effort: Effort) -> (Structure, Vec<Vec<f64>>) {
         let [first, others @ ..] = seen else { return (structure, vec![]) };
-        if !self.placed {
-            return (structure, vec![vec![]; seen.len()]);
+        match self.began {
+            Began::Anywhere => return (structure, vec![vec![]; seen.len()]),
+            Began::There => return (structure, seen.iter().map(|seen| vec![seen.began]).collect()),
+            Began::Somewhere => {}
         }
         let structure = fit(self, &[first], structure, vec![vec![0.0]], effort).structure;
         let best = |seen: &&Seen| {
@@ -441,7 +475,7 @@ impl Seen {
         let inside = windows.iter().zip(measured).filter(|(window, _)| window.from + window.weights.len() <= steps);
         let (windows, measured) = inside.map(|(window, measured)| (window.clone(), *measured)).unzip();
         let windows = Windows { moved: moved[..steps].to_vec(), windows, measured };
-        Self { run: self.run.clone(), windows: Arc::new(windows) }
+        Self { run: self.run.clone(), windows: Arc::new(windows), began: self.began }
     }
 }
 

@@ -37,6 +37,7 @@ pub use run::SkidRun;
 use crate::{
     data,
     family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Structure, Term},
+    fit::Fit,
     task::{ModelInfo, ParameterInfo, RoleInfo},
 };
 use effect::{Effect, Scales};
@@ -353,9 +354,9 @@ impl Family for SkidSteer {
         ]
     }
 
-    fn curves(&self, structure: &Structure, driver: (Dependence, Option<f64>), runs: &[&SkidRun]) -> Vec<Curve> {
+    fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&SkidRun]) -> Vec<Curve> {
         let (over, period) = driver;
-        if structure.curves().any(|(curve, _)| curve.over == over) {
+        if current.structure.curves().any(|(curve, _)| curve.over == over) {
             return vec![];
         }
         let line = |low: f64, high: f64| {

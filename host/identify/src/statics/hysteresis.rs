@@ -13,6 +13,7 @@ use thiserror::Error;
 use super::map::{median, unit};
 use crate::data::Run;
 use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure};
+use crate::fit::Fit;
 use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording shows no play.
@@ -553,7 +554,7 @@ impl Family for HeldShaft {
     }
 
     /// Pulls and sides have two values each, which the effects exhaust; time may have any shape.
-    fn curves(&self, _: &Structure, (over, _): (Dependence, Option<f64>), runs: &[&HeldRun]) -> Vec<Curve> {
+    fn curves(&self, _: &Fit, (over, _): (Dependence, Option<f64>), runs: &[&HeldRun]) -> Vec<Curve> {
         let mut at: Vec<f64> = runs.iter().flat_map(|run| run.time_s.iter().copied()).collect();
         at.sort_unstable_by(f64::total_cmp);
         let Range::Any { scale } = self.base[0].range else { return vec![] };

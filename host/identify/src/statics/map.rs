@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::data::{Quantity, Run};
 use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure, Term};
+use crate::fit::Fit;
 use crate::task::{ModelInfo, RoleInfo};
 
 /// Why a recording is no map.
@@ -819,7 +820,7 @@ impl Family for StaticMap {
         super::to_toml(StaticMap::NAME, self, structure, source)
     }
 
-    fn curves(&self, _: &Structure, (over, period): (Dependence, Option<f64>), runs: &[&MapRun]) -> Vec<Curve> {
+    fn curves(&self, _: &Fit, (over, period): (Dependence, Option<f64>), runs: &[&MapRun]) -> Vec<Curve> {
         use Dependence::{History, Input, Supply, Time};
         let at_unit = match over {
             Time | History if self.one_way => return vec![],

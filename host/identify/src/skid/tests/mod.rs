@@ -11,6 +11,7 @@ use super::{Declared, Geometry, Output, SkidError, SkidRun, SkidSteer};
 use crate::{
     data::{Quantity, Run, Signal},
     family::{Acts, Curve, Family, Model, Structure, Term},
+    fit::Fit,
 };
 
 /// 50 Hz.
@@ -310,8 +311,9 @@ fn what_touches_a_gap_is_not_compared() {
 fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
     let (family, run) = model(&step(-5.0, 5.0, 20));
     let mut tried = 0;
-    let without = Structure::default();
-    for driver in family.drivers(&without, &[], &run) {
+    let fitted = |structure| Fit::at(&family, &[&run], structure, vec![vec![]]);
+    let without = fitted(Structure::default());
+    for driver in family.drivers(&without.structure, &[], &run) {
         assert_eq!(driver.values.len(), 20);
         let over = (driver.over, driver.period);
         for curve in family.curves(&without, over, &[&run]) {
@@ -321,7 +323,7 @@ fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
             let values = vec![0.1; curve.at.len()];
             let structure = Structure { terms: vec![Term::Curve(curve)], base: vec![], added: vec![values] };
             close(free_run(&family, &structure, &run)[19], expected);
-            assert!(family.curves(&structure, over, &[&run]).is_empty());
+            assert!(family.curves(&fitted(structure), over, &[&run]).is_empty());
             tried += 1;
         }
     }
@@ -332,8 +334,8 @@ fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
 #[test]
 fn the_plant_file_holds_what_was_declared_and_found() {
     let (family, _) = model(&step(-5.0, 5.0, 20));
-    let curve =
-        Curve { at: vec![-1.0, 1.0], ..family.curves(&Structure::default(), (Dependence::Input, None), &[]).remove(0) };
+    let fitted = Fit::at(&family, &[], Structure::default(), vec![]);
+    let curve = Curve { at: vec![-1.0, 1.0], ..family.curves(&fitted, (Dependence::Input, None), &[]).remove(0) };
     let structure = Structure {
         terms: vec![Term::Known(index(&family, "slip-track")), Term::Curve(curve)],
         base: vec![],

@@ -128,7 +128,8 @@ fn what_is_absent_changes_nothing() {
 fn a_part_is_predicted_as_in_the_whole() {
     let (run, map) = sweep();
     let mut structure = with(&map, 2.0, &[("hysteresis", &[10.0]), ("slow-settling", &[2.0])]);
-    structure.terms.push(Term::Curve(map.curves(&structure, (Dependence::History, None), &[&run]).remove(0)));
+    let fitted = Fit::at(&map, &[&run], structure.clone(), vec![map.initial(&run).0]);
+    structure.terms.push(Term::Curve(map.curves(&fitted, (Dependence::History, None), &[&run]).remove(0)));
     let Some(Term::Curve(curve)) = structure.terms.last() else { unreachable!() };
     structure.added.push(curve.at.iter().map(|at| 0.1 * at).collect());
     let whole = predicted(&map, &structure, &run);
