@@ -295,8 +295,8 @@ fn assemble<F: Family>(
     Ok(Identified { report, figures, plant_toml })
 }
 
-/// Errors on held-out recordings that differ by no more than this factor are alike: two recordings of one machine differ by
-/// as much.
+/// Named effects may leave so many times what a model with curves leaves of held-out recordings: a choice of what their
+/// meaning is worth.
 const AS_GOOD: f64 = 1.15;
 
 /// What was found, or what named effects alone came to: that stays where the held-out recordings are as well off, because it

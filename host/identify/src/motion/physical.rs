@@ -30,7 +30,7 @@ pub(super) struct Physical {
     viscous: f64,
 }
 
-/// Plant files have straight pieces: so many for each of a curve, which then is off by less than 1 % of what it bends.
+/// Plant files have straight pieces: so many for each of a curve, which then is off by a 64th of what that bends.
 const STRAIGHT: u32 = 8;
 
 impl Motion {
