@@ -17,6 +17,10 @@ use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term}
 const DIFFERENCE: f64 = 3e-5;
 /// The same where the free run changes in steps only.
 const COARSE: f64 = 2e-4;
+/// Beside what such a parameter came to, so many places on each side are looked at: the first so far off in its variable, each
+/// other half as far.
+const BESIDE: i32 = 7;
+const FARTHEST: f64 = 1e-3;
 /// The same for an initial state alone, in deviations of its guess.
 const SETTLING: f64 = 1e-3;
 /// Steps by which an initial state is found, at most, and the relative gain of one that is the last.
@@ -153,7 +157,10 @@ pub fn fit<F: Model>(
     effort: Effort,
 ) -> Fit {
     let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
-    let first = Problem::new(family, runs, structure, initial, weights).solved(effort);
+    let mut first = Problem::new(family, runs, structure, initial, weights).solved(effort);
+    if effort.evaluations > Effort::SCREEN.evaluations {
+        first = first.beside(effort);
+    }
     if !effort.robust {
         return first.into_fit();
     }
@@ -163,6 +170,20 @@ pub fn fit<F: Model>(
     }
     let Problem { structure, initial, .. } = first;
     Problem::new(family, runs, structure, initial, weights).solved(effort).into_fit()
+}
+
+/// Fits all of a structure but its last number, which stays as it is.
+pub(crate) fn fit_but_last<F: Model>(
+    family: &F,
+    runs: &[&F::Run],
+    structure: Structure,
+    initial: Vec<Vec<f64>>,
+    effort: Effort,
+) -> Fit {
+    let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
+    let mut problem = Problem::new(family, runs, structure, initial, weights);
+    problem.held = problem.parameters.len().checked_sub(1);
+    problem.solved(effort).into_fit()
 }
 
 /// Sum of squares of a structure as it is.
@@ -364,12 +385,12 @@ impl<'p, F: Model> Problem<'p, F> {
             weights,
             rows,
             held: None,
+            best: (f64::INFINITY, variables.clone()),
             variables,
             predicted: vec![0.0; count],
             cost: f64::INFINITY,
             absurd,
             left: usize::MAX,
-            best: (f64::INFINITY, DVector::zeros(0)),
         };
         let variables = problem.variables.clone();
         problem.set_params(&variables);
@@ -378,6 +399,7 @@ impl<'p, F: Model> Problem<'p, F> {
 
     fn solved(mut self, effort: Effort) -> Self {
         self.left = effort.evaluations;
+        self.best = (self.cost, self.variables.clone());
         let solver = LevenbergMarquardt::new()
             .with_ftol(effort.tolerance)
             .with_xtol(effort.tolerance)
@@ -386,12 +408,39 @@ impl<'p, F: Model> Problem<'p, F> {
             .with_patience(effort.evaluations);
         let mut solved = solver.minimize(self).0;
         solved.left = usize::MAX;
-        if !solved.best.1.is_empty() {
-            // The solver ends where it looked last.
-            let best = std::mem::replace(&mut solved.best.1, DVector::zeros(0));
-            solved.set_params(&best);
-        }
+        // The solver ends where it looked last.
+        let best = solved.best.1.clone();
+        solved.set_params(&best);
         solved
+    }
+
+    /// What is predicted changes in steps with some parameters, and the solver stays at the next best place: it goes on from
+    /// where the cost is least around.
+    fn beside(mut self, effort: Effort) -> Self {
+        for column in 0..self.parameters.len() {
+            if self.parameters[column].range != Range::Coarse {
+                continue;
+            }
+            let from = self.variables.clone();
+            let mut best = (self.cost, from.clone());
+            self.held = Some(column);
+            for off in (0..BESIDE).flat_map(|half| [-FARTHEST, FARTHEST].map(|farthest| farthest * 0.5_f64.powi(half)))
+            {
+                let mut variables = from.clone();
+                variables[column] += off;
+                self.set_params(&variables);
+                self = self.solved(Effort::SCREEN);
+                if self.cost < best.0 {
+                    best = (self.cost, self.variables.clone());
+                }
+            }
+            self.held = None;
+            self.set_params(&best.1);
+            if best.1 != from {
+                self = self.solved(effort);
+            }
+        }
+        self
     }
 
     fn into_fit(self) -> Fit {
@@ -596,6 +645,12 @@ impl Fit {
     #[must_use]
     pub fn residuals<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
         runs.iter().zip(&self.initial).map(|(run, initial)| residuals(family, &self.structure, initial, run)).collect()
+    }
+
+    /// By how much what is predicted of each run changes with the variables that stand for the structure's parameters, then
+    /// with the run's initial state: a row for each sample.
+    pub(crate) fn slopes<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<DMatrix<f64>> {
+        Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone()).slopes()
     }
 
     /// Standard deviations of the structure's parameters, in the order of [`parameters()`]; `None` where the data do not

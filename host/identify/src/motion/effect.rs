@@ -6,9 +6,6 @@ use crate::family::{Candidate, Parameter, Range};
 
 use super::Scales;
 
-/// Neighbours among the periods that a search begins with differ by this share.
-pub(super) const PERIODS_APART: f64 = 0.015;
-
 /// Every effect, in the order of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
@@ -202,11 +199,15 @@ impl Effect {
                 vec![sized("delay_s", "s", level(s.period_s))],
                 vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
             ),
-            Self::InputHold | Self::SensorHold => (
+            Self::SensorHold => (
                 vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
-                // Two neighbours differ by less than one slot over a recording.
+                s.stairs_s.iter().map(|&hold_s| vec![hold_s]).collect(),
+            ),
+            Self::InputHold => (
+                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                // So fine only matters where no better place is found without free runs.
                 (0..)
-                    .map(|n| 2.0 * s.period_s * (1.0 + PERIODS_APART).powi(n))
+                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
                     .take_while(|&hold_s| hold_s < 0.6)
                     .map(|hold_s| vec![hold_s])
                     .collect(),

@@ -6,11 +6,13 @@
 mod curve;
 mod effect;
 mod info;
+mod period;
 mod physical;
 mod repeat;
 mod run;
 mod simulate;
 mod smooth;
+mod stairs;
 mod start;
 #[cfg(test)]
 mod tests;
@@ -151,6 +153,8 @@ struct Scales {
     periods: Vec<f64>,
     /// The same for teeth and slots.
     cogging: Vec<f64>,
+    /// At which the output looks most like stairs, s.
+    stairs_s: Vec<f64>,
 }
 
 /// What the base parameters mean for the mechanics.

@@ -9,7 +9,7 @@ use crate::{
     family::{Family, Model},
 };
 
-use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units};
+use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs};
 
 /// Fewer tell nothing.
 const LEAST_SAMPLES: usize = 50;
@@ -308,5 +308,6 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
         duration_s: duration_s / runs.len() as f64,
         periods: slow,
         cogging: teeth,
+        stairs_s: stairs::periods(runs, period_s),
     })
 }

@@ -200,6 +200,29 @@ fn a_guess_finds_back_from_a_model_that_ran_away() {
     }
 }
 
+#[test]
+fn the_period_of_a_held_command_is_guessed() {
+    let made = experiment(Setup::MotorPosition, Draw::Listed, Length::STANDARD, 181);
+    let [truth] = made.hidden.truth() else { panic!("one effect") };
+    assert_eq!(truth.name, "input-hold");
+    let recordings = recorded(made.setup, &made.train);
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &Known::default(), &recordings, &[]).expect("a model");
+    let runs: Vec<&MotionRun> = runs.iter().collect();
+    let index = model.catalogue().iter().position(|candidate| candidate.name == truth.name).expect("an effect");
+    let base = Structure { base: model.starts(&runs).remove(0), ..Structure::default() };
+    let start = |values: &Vec<f64>| Structure {
+        terms: vec![Term::Known(index)],
+        added: vec![values.clone()],
+        base: base.base.clone(),
+    };
+    let current = Fit::at(&model, &runs, base.clone(), guessed(&model, &runs));
+    let starts = model.catalogue()[index].starts.iter().map(start).collect();
+    let (guess, _) = model.guess(starts, &current, &runs).expect("a guess");
+    // At the end of 12 s a step is off by less than three samples of 5 ms.
+    let share = guess.added[0][0] / truth.parameters[0].value - 1.0;
+    assert!(share.abs() < 0.015 / 12.0, "{share}");
+}
+
 /// A push of so many rad/s² is a torque by the inertia, and so is its interval.
 #[test]
 fn numbers_are_told_in_their_units_with_what_is_assumed() {

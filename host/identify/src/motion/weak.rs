@@ -16,14 +16,17 @@
 
 use std::{ops::Range, sync::Arc};
 
+use nalgebra::{DMatrix, DVector};
+
 use crate::{
     family::{self, Candidate, Model, Parameter, Structure},
-    fit::{Effort, Fit, cost, fit, parameters},
+    fit::{Effort, Fit, cost, fit, fit_but_last, parameters},
 };
 
 use super::{
     Kind, Motion, MotionRun,
-    effect::{Effect, PERIODS_APART},
+    effect::Effect,
+    period::Search,
     simulate::{Moved, accelerations, is_placed},
     smooth::Smooth,
 };
@@ -39,9 +42,8 @@ const CERTAIN: f64 = 4.0;
 const OVERLAP: f64 = 3.0;
 /// So many of several starts are fitted further.
 const FURTHER: usize = 2;
-/// The same of periods, in each of ever longer beginnings of the recordings.
-const PERIODS: usize = 5;
-const STRETCHES: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
+/// The same of periods that stand out.
+const PERIODS: usize = 4;
 
 /// A recording as its windows see it.
 #[derive(Clone, Debug)]
@@ -58,6 +60,16 @@ struct Window {
     from: usize,
     /// From each sample to the next, in the inverse of that deviation.
     weights: Vec<f64>,
+}
+
+impl Window {
+    fn sum(&self, series: &[f64]) -> f64 {
+        self.weights.iter().zip(&series[self.from..]).map(|(weight, value)| weight * value).sum()
+    }
+
+    fn ends_within(&self, series: &[f64]) -> bool {
+        self.from + self.weights.len() <= series.len()
+    }
 }
 
 /// `(1 - x²)³`, its first and second derivative.
@@ -94,10 +106,7 @@ impl Windows {
 
     /// What a series from each sample to the next comes to in each window.
     pub(super) fn sums<'w>(&'w self, series: &'w [f64]) -> impl Iterator<Item = f64> + 'w {
-        self.windows.iter().map(|window| {
-            let inside = window.weights.iter().zip(&series[window.from..]);
-            inside.map(|(weight, value)| weight * value).sum()
-        })
+        self.windows.iter().map(|window| window.sum(series))
     }
 
     fn push(
@@ -130,6 +139,21 @@ impl Windows {
         self.windows.push(Window { from, weights: weights.collect() });
         self.measured.push(sum / square.sqrt());
     }
+}
+
+/// The share of the last series that the one before it explains beyond the others, by the (lower) products of all; nothing
+/// where it would have to be turned round.
+fn explained(products: DMatrix<f64>) -> f64 {
+    let others = products.nrows() - 2;
+    let smallest = 1e-9 * products.diagonal().rows(0, others).max();
+    let mut gram = products.view((0, 0), (others, others)).into_owned();
+    gram.fill_upper_triangle_with_lower_triangle();
+    gram.set_diagonal(&gram.diagonal().add_scalar(smallest));
+    let across = products.view((others, 0), (2, others)).transpose();
+    let Some(gram) = gram.cholesky() else { return 0.0 };
+    let beyond = products.view((others, others), (2, 2)) - across.transpose() * gram.solve(&across);
+    let (one, product, left) = (beyond[(0, 0)], beyond[(1, 0)], beyond[(1, 1)]);
+    if one > 0.0 && product > 0.0 && left > 0.0 { product * product / one / left } else { 0.0 }
 }
 
 /// The samples between two moments.
@@ -385,17 +409,69 @@ impl Motion {
         runs: &[&MotionRun],
     ) -> Option<(Structure, f64)> {
         let (weak, seen) = self.weak(starts.first()?, current, runs)?;
-        let starts: Vec<Structure> = starts.into_iter().map(|start| self.with_damping(start)).collect();
         let is_coarse = |start: &Structure| {
             parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == family::Range::Coarse)
         };
-        let glanced = if starts.first().is_some_and(is_coarse) {
-            weak.by_stretches(starts, &seen)
-        } else {
-            weak.best(starts, &seen, Effort::GLANCE, FURTHER)
-        };
-        let further = glanced.into_iter().map(|fit| fit.structure).collect();
+        if starts.first().is_some_and(is_coarse) {
+            return self.by_periods(&starts, current, runs);
+        }
+        let starts = starts.into_iter().map(|start| self.with_damping(start)).collect();
+        let further = weak.best(starts, &seen, Effort::GLANCE, FURTHER).into_iter().map(|fit| fit.structure).collect();
         let best = weak.best(further, &seen, Effort::SCREEN, 1).pop()?;
+        Some((best.structure, best.cost))
+    }
+
+    /// Of structures that add a term with a period, between those of the first and the last of them: the best when all the
+    /// rest is fitted, of some whose term is most like what is left without.
+    fn by_periods(&self, starts: &[Structure], current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
+        let (fit, seen, left) = self.left_in_windows(current, runs)?;
+        let (first, last) = (starts.first()?, starts.last()?);
+        let with = |period_s: f64| {
+            let mut structure = fit.structure.clone();
+            structure.terms.extend(first.terms.last().cloned());
+            structure.added.push(vec![period_s]);
+            structure
+        };
+        let (weak, _) = self.weak(&current.structure, current, runs)?;
+        let slopes = fit.slopes(&weak, &seen.iter().collect::<Vec<_>>());
+        let others = parameters(&weak, &fit.structure.terms).len();
+        let recordings = || seen.iter().zip(&fit.initial);
+        let without: Vec<Vec<f64>> =
+            recordings().map(|(seen, initial)| seen.accelerations(self, &fit.structure, initial)).collect();
+        // Only what the rest of the model cannot do as well.
+        let stands_out = |period_s: f64, stretch_s: f64| {
+            let with = with(period_s);
+            let mut products = DMatrix::<f64>::zeros(others + 2, others + 2);
+            let mut count = 0.0;
+            for ((((seen, initial), without), left), slopes) in recordings().zip(&without).zip(&left).zip(&slopes) {
+                let with = seen.accelerations_until(stretch_s, self, &with, initial);
+                let differs: Vec<f64> = with.iter().zip(without).map(|(with, without)| with - without).collect();
+                for ((window, left), slopes) in seen.windows.windows.iter().zip(left).zip(slopes.row_iter()) {
+                    if window.ends_within(&differs) {
+                        let row: Vec<f64> =
+                            slopes.iter().take(others).copied().chain([window.sum(&differs), *left]).collect();
+                        let row = DVector::from_vec(row);
+                        products.syger(1.0, &row, &row, 1.0);
+                        count += 1.0;
+                    }
+                }
+            }
+            explained(products) * count
+        };
+        let [shortest_s, longest_s] = [first, last].map(|start| start.added.last()?.last().copied());
+        let lengths_s = seen.iter().filter_map(|seen| Some(seen.run.all.time_s.last()? - seen.run.all.time_s.first()?));
+        let search = Search {
+            between_s: [shortest_s?, longest_s?],
+            recording_s: lengths_s.fold(0.0, f64::max),
+            // Steps of the command are late by 0.3 periods, more or less.
+            noticed: [0.2, f64::INFINITY],
+            offered: PERIODS,
+        };
+        let seen: Vec<&Seen> = seen.iter().collect();
+        let fits = search.best(stands_out).into_iter().map(|period_s| {
+            fit_but_last(&weak, &seen, self.with_damping(with(period_s)), fit.initial.clone(), Effort::SCREEN)
+        });
+        let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         Some((best.structure, best.cost))
     }
 }
@@ -431,51 +507,19 @@ impl Weak<'_> {
         let initial = std::iter::once(vec![0.0]).chain(others.iter().map(best)).collect();
         (structure, initial)
     }
-
-    /// The best of some structures whose last number is a period: one that is a little off is of no use at the end of a long
-    /// recording. So it is sought in the beginnings of the recordings, then closer by in more and more of them.
-    fn by_stretches(&self, mut starts: Vec<Structure>, seen: &[Seen]) -> Vec<Fit> {
-        let mut apart = 0.5 * PERIODS_APART;
-        let mut fits = vec![];
-        for share in STRETCHES {
-            let stretches: Vec<Seen> = seen.iter().map(|seen| seen.beginning(share)).collect();
-            if stretches.iter().all(|stretch| stretch.windows.windows.is_empty()) {
-                continue;
-            }
-            fits = self.best(starts, &stretches, Effort::GLANCE, PERIODS);
-            let beside = |fit: &Fit| {
-                let by = |factor: f64| {
-                    let mut other = fit.structure.clone();
-                    if let Some(period) = other.added.last_mut().and_then(|values| values.last_mut()) {
-                        *period *= factor;
-                    }
-                    other
-                };
-                [1.0 - apart, 1.0, 1.0 + apart].map(by)
-            };
-            starts = fits.iter().flat_map(beside).collect();
-            apart *= 0.5;
-        }
-        fits.truncate(FURTHER);
-        fits
-    }
 }
 
 impl Seen {
     /// What a model says accelerates it, from each sample to the next; `initial` is empty, or where it began.
     pub(super) fn accelerations(&self, motion: &Motion, structure: &Structure, initial: &[f64]) -> Vec<f64> {
-        let offset = initial.first().copied().unwrap_or(0.0);
-        accelerations(motion, structure, &self.run, (&self.windows.moved, offset))
+        self.accelerations_until(f64::INFINITY, motion, structure, initial)
     }
 
-    /// So much of it from its first sample on.
-    fn beginning(&self, share: f64) -> Self {
-        let Windows { moved, windows, measured } = &*self.windows;
-        let steps = (share * moved.len() as f64) as usize;
-        let inside = windows.iter().zip(measured).filter(|(window, _)| window.from + window.weights.len() <= steps);
-        let (windows, measured) = inside.map(|(window, measured)| (window.clone(), *measured)).unzip();
-        let windows = Windows { moved: moved[..steps].to_vec(), windows, measured };
-        Self { run: self.run.clone(), windows: Arc::new(windows), began: self.began }
+    /// The same until a moment.
+    fn accelerations_until(&self, until_s: f64, motion: &Motion, structure: &Structure, initial: &[f64]) -> Vec<f64> {
+        let offset = initial.first().copied().unwrap_or(0.0);
+        let steps = self.run.all.time_s.partition_point(|&time_s| time_s <= until_s).min(self.windows.moved.len());
+        accelerations(motion, structure, &self.run, (&self.windows.moved[..steps], offset))
     }
 }
 

@@ -1,0 +1,69 @@
+//! Search for a period, in time, of which one that is a little off is of no use at the end of a long recording.
+
+/// So many periods of a recording are looked at first.
+const COUNT: f64 = 100.0;
+/// Neighbours are apart by what shifts the last period by this share of what is noticed; closer by, at last.
+const APART: f64 = 0.5;
+const CLOSER: f64 = 0.1;
+/// Parts of a period that are tried in its place.
+const PARTS: u32 = 8;
+
+/// What is sought.
+pub(super) struct Search {
+    /// Shortest and longest period, s.
+    pub(super) between_s: [f64; 2],
+    /// Of the longest recording, s.
+    pub(super) recording_s: f64,
+    /// A shift that would be noticed, in periods and s: the lesser.
+    pub(super) noticed: [f64; 2],
+    /// So many are offered.
+    pub(super) offered: usize,
+}
+
+impl Search {
+    /// The periods that stand out most, s; best first. `stands_out` is given a period and a stretch of the recordings, s; what
+    /// it returns does not grow by chance with the stretch.
+    pub(super) fn best(&self, stands_out: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+        let [shortest_s, longest_s] = self.between_s;
+        let noticed_s = |period_s: f64| (self.noticed[0] * period_s).min(self.noticed[1]);
+        let all = |period_s: f64| self.recording_s / period_s;
+        if !(shortest_s > 0.0 && noticed_s(shortest_s) > 0.0) {
+            return vec![];
+        }
+        let mut tried: Vec<(f64, f64)> = vec![];
+        let mut period_s = shortest_s;
+        while period_s <= longest_s.min(self.recording_s) {
+            let count = COUNT.min(all(period_s));
+            tried.push((stands_out(period_s, count * period_s), period_s));
+            period_s += APART * noticed_s(period_s) / count;
+        }
+        let is_peak = |place: &usize| {
+            let around = place.saturating_sub(1)..(place + 2).min(tried.len());
+            tried[around].iter().all(|other| other.0 <= tried[*place].0)
+        };
+        let mut peaks: Vec<(f64, f64)> = (0..tried.len()).filter(is_peak).map(|place| tried[place]).collect();
+        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.truncate(self.offered);
+        let best = |periods_s: &mut dyn Iterator<Item = (f64, f64)>| {
+            periods_s
+                .map(|(period_s, stretch_s)| (stands_out(period_s, stretch_s), period_s))
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        for peak in &mut peaks {
+            let mut count = COUNT.min(all(peak.1));
+            let mut apart_s = APART * noticed_s(peak.1) / count;
+            while apart_s * all(peak.1) > CLOSER * noticed_s(peak.1) {
+                apart_s *= 0.5;
+                count = (2.0 * count).min(all(peak.1));
+                let around = [peak.1 - apart_s, peak.1, peak.1 + apart_s];
+                *peak = best(&mut around.into_iter().map(|period_s| (period_s, count * period_s))).unwrap_or(*peak);
+            }
+            // A multiple of a short period was looked at over a longer stretch.
+            let parts = (1..=PARTS).map(|part| peak.1 / f64::from(part)).filter(|&part_s| part_s >= shortest_s);
+            *peak = best(&mut parts.map(|part_s| (part_s, self.recording_s))).unwrap_or(*peak);
+        }
+        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.dedup_by(|a, b| (a.1 - b.1).abs() * all(b.1) < noticed_s(b.1));
+        peaks.into_iter().map(|(_, period_s)| period_s).collect()
+    }
+}
