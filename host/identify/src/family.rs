@@ -15,8 +15,12 @@ use crate::{
 pub enum Range {
     /// Above zero, over many decades.
     Positive,
-    /// Above zero, and what is predicted changes in steps only: a period of sampling.
-    Coarse,
+    /// Above zero, and what is predicted changes in steps only: a period of sampling. `step` is the share of it by which some
+    /// of these are seen.
+    Coarse {
+        /// A share.
+        step: f64,
+    },
     /// Zero and above; `scale` is a size that would be noticed.
     NotNegative {
         /// In the parameter's unit.

@@ -15,12 +15,10 @@ use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term}
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
 /// below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
-/// The same where the free run changes in steps only.
-const COARSE: f64 = 2e-4;
-/// Beside what such a parameter came to, so many places on each side are looked at: the first so far off in its variable, each
-/// other half as far.
-const BESIDE: i32 = 7;
-const FARTHEST: f64 = 1e-3;
+/// Beside what a parameter came to with which the free run changes in steps only, both sides are looked at so often: first so
+/// many steps off, then half as far from the better place.
+const BESIDE: i32 = 8;
+const FARTHEST: f64 = 5.0;
 /// The same for an initial state alone, in deviations of its guess.
 const SETTLING: f64 = 1e-3;
 /// Steps by which an initial state is found, at most, and the relative gain of one that is the last.
@@ -37,7 +35,7 @@ impl Range {
     /// The unbounded variable that stands for `value`.
     fn variable(self, value: f64) -> f64 {
         match self {
-            Self::Positive | Self::Coarse => value.max(f64::MIN_POSITIVE).ln(),
+            Self::Positive | Self::Coarse { .. } => value.max(f64::MIN_POSITIVE).ln(),
             // The inverse of ln(1 + e^z).
             Self::NotNegative { scale } => {
                 let share = (value / scale).max(1e-9);
@@ -54,7 +52,7 @@ impl Range {
     /// The value that a variable stands for; in range for every finite one.
     fn value(self, variable: f64) -> f64 {
         match self {
-            Self::Positive | Self::Coarse => variable.clamp(-80.0, 80.0).exp(),
+            Self::Positive | Self::Coarse { .. } => variable.clamp(-80.0, 80.0).exp(),
             Self::NotNegative { scale } => {
                 scale * if variable > 30.0 { variable } else { variable.max(-40.0).exp().ln_1p() }
             }
@@ -65,14 +63,14 @@ impl Range {
 
     /// Step of the variable for differences.
     fn difference(self) -> f64 {
-        if self == Self::Coarse { COARSE } else { DIFFERENCE }
+        if let Self::Coarse { step } = self { step } else { DIFFERENCE }
     }
 
     /// A small step of the value that stays in range.
     fn small(self, value: f64) -> f64 {
         match self {
             Self::Positive => value * 1e-4,
-            Self::Coarse => value * COARSE,
+            Self::Coarse { step } => value * step,
             Self::NotNegative { scale } => 1e-4 * value.max(scale),
             Self::Between(lower, upper) => {
                 let step = 1e-4 * (upper - lower);
@@ -418,20 +416,21 @@ impl<'p, F: Model> Problem<'p, F> {
     /// where the cost is least around.
     fn beside(mut self, effort: Effort) -> Self {
         for column in 0..self.parameters.len() {
-            if self.parameters[column].range != Range::Coarse {
-                continue;
-            }
+            let Range::Coarse { step } = self.parameters[column].range else { continue };
             let from = self.variables.clone();
             let mut best = (self.cost, from.clone());
             self.held = Some(column);
-            for off in (0..BESIDE).flat_map(|half| [-FARTHEST, FARTHEST].map(|farthest| farthest * 0.5_f64.powi(half)))
-            {
-                let mut variables = from.clone();
-                variables[column] += off;
-                self.set_params(&variables);
-                self = self.solved(Effort::SCREEN);
-                if self.cost < best.0 {
-                    best = (self.cost, self.variables.clone());
+            for level in 0..BESIDE {
+                let off = FARTHEST * step * 0.5_f64.powi(level);
+                let from = best.1.clone();
+                for off in [-off, off] {
+                    let mut variables = from.clone();
+                    variables[column] += off;
+                    self.set_params(&variables);
+                    self = self.solved(Effort::SCREEN);
+                    if self.cost < best.0 {
+                        best = (self.cost, self.variables.clone());
+                    }
                 }
             }
             self.held = None;

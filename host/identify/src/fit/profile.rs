@@ -19,7 +19,7 @@ impl Range {
     /// Where the range ends, and the last value before that can be simulated; `None` where it goes on without end.
     fn end(self, value: f64, upwards: bool) -> Option<(f64, f64)> {
         match (self, upwards) {
-            (Self::Positive | Self::Coarse, false) => Some((0.0, NOTHING * value)),
+            (Self::Positive | Self::Coarse { .. }, false) => Some((0.0, NOTHING * value)),
             (Self::NotNegative { .. }, false) => Some((0.0, 0.0)),
             (Self::Between(lower, _), false) => Some((lower, lower)),
             (Self::Between(_, upper), true) => Some((upper, upper)),
@@ -30,7 +30,7 @@ impl Range {
     /// A value changed by `by`, or by less where that would leave the range.
     fn moved(self, value: f64, by: f64) -> f64 {
         match self {
-            Self::Positive | Self::Coarse => value * (by / value).clamp(-3.0, 3.0).exp(),
+            Self::Positive | Self::Coarse { .. } => value * (by / value).clamp(-3.0, 3.0).exp(),
             Self::NotNegative { .. } => (value + by).max(0.1 * value),
             Self::Between(lower, upper) => {
                 (value + by).clamp(0.9 * lower + 0.1 * value.min(upper), 0.9 * upper + 0.1 * value.max(lower))

@@ -184,7 +184,7 @@ impl Effect {
     }
 
     /// Page of the catalogue, with numbers to begin from by the size of things in the data.
-    pub(super) fn candidate(self, scales: &Scales) -> Candidate {
+    pub(super) fn candidate(self, scales: &Scales, of_speed: bool) -> Candidate {
         let s = scales;
         let (distance, speed, force) = (s.units.distance, s.units.speed, s.units.force);
         // What a push of a tenth of the command's size gives.
@@ -200,11 +200,11 @@ impl Effect {
                 vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
             ),
             Self::SensorHold => (
-                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                vec![shaped("period_s", "s", Range::Coarse { step: 2e-4 })],
                 s.stairs_s.iter().map(|&hold_s| vec![hold_s]).collect(),
             ),
             Self::InputHold => (
-                vec![Parameter { name: "period_s", unit: "s", range: Range::Coarse, absent: None }],
+                vec![shaped("period_s", "s", Range::Coarse { step: 2e-4 })],
                 // So fine only matters where no better place is found without free runs.
                 (0..)
                     .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
@@ -301,6 +301,11 @@ impl Effect {
                     shaped(s.units.periods_name, s.units.periods, Range::Positive),
                 ],
                 s.cogging.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
+            ),
+            // A speed is there or not, from one sample to the next.
+            Self::Backlash if of_speed => (
+                vec![sized(s.units.gap_name, distance, Range::Coarse { step: 0.06 })],
+                [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Backlash => (
                 vec![sized(s.units.gap_name, distance, level(0.02 * s.distance))],

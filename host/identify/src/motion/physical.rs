@@ -236,7 +236,7 @@ impl Motion {
     fn listed(&self, effect: Effect, values: &[f64], physical: &Physical, kind: PlantKind) -> Option<Listed> {
         let info = EffectInfo::named(effect.name())?;
         let mut listed = info.typical;
-        let candidate = effect.candidate(&self.scales);
+        let candidate = effect.candidate(&self.scales, self.of_speed);
         let mut set = |name: &str, value: f64| listed.set(kind, name, value).ok();
         if effect == Effect::SupplySag {
             set("source_ohm", values[0] * physical.resistance_ohm)?;

@@ -76,7 +76,7 @@ impl Motion {
         };
         let seen = |effect: &Effect| model.can_be_seen(*effect, is_duty && !recorded);
         model.effects = Effect::ALL.into_iter().filter(seen).collect();
-        model.catalogue = model.effects.iter().map(|effect| effect.candidate(&model.scales)).collect();
+        model.catalogue = model.effects.iter().map(|effect| effect.candidate(&model.scales, model.of_speed)).collect();
         Ok((model, train, holdout))
     }
 

@@ -278,7 +278,7 @@ proptest! {
         let values = model.catalogue()[index].parameters.iter().zip(&shares).map(|(parameter, share)| {
             match parameter.range {
                 Range::Between(lower, upper) => lower + (upper - lower) * share,
-                Range::Positive | Range::Coarse => 10.0_f64.powf(6.0 * share - 3.0),
+                Range::Positive | Range::Coarse { .. } => 10.0_f64.powf(6.0 * share - 3.0),
                 Range::NotNegative { scale } => 100.0 * scale * share,
                 Range::Any { scale } => 200.0 * scale * (share - 0.5),
             }

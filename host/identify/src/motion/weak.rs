@@ -410,7 +410,8 @@ impl Motion {
     ) -> Option<(Structure, f64)> {
         let (weak, seen) = self.weak(starts.first()?, current, runs)?;
         let is_coarse = |start: &Structure| {
-            parameters(&weak, &start.terms).last().is_some_and(|parameter| parameter.range == family::Range::Coarse)
+            let last = parameters(&weak, &start.terms).pop();
+            last.is_some_and(|parameter| matches!(parameter.range, family::Range::Coarse { .. }))
         };
         if starts.first().is_some_and(is_coarse) {
             return self.by_periods(&starts, current, runs);
