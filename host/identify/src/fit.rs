@@ -154,8 +154,7 @@ pub fn fit<F: Model>(
     initial: Vec<Vec<f64>>,
     effort: Effort,
 ) -> Fit {
-    let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
-    let mut first = Problem::new(family, runs, structure, initial, weights).solved(effort);
+    let mut first = Problem::new(family, runs, structure, initial, even(family, runs)).solved(effort);
     if effort.evaluations > Effort::SCREEN.evaluations {
         first = first.beside(effort);
     }
@@ -178,10 +177,14 @@ pub(crate) fn fit_but_last<F: Model>(
     initial: Vec<Vec<f64>>,
     effort: Effort,
 ) -> Fit {
-    let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
-    let mut problem = Problem::new(family, runs, structure, initial, weights);
+    let mut problem = Problem::new(family, runs, structure, initial, even(family, runs));
     problem.held = problem.parameters.len().checked_sub(1);
     problem.solved(effort).into_fit()
+}
+
+/// Weights by which no sample is held down.
+fn even<F: Model>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+    runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect()
 }
 
 /// Sum of squares of a structure as it is.
@@ -636,8 +639,7 @@ impl Fit {
     /// A model with the values that it has.
     pub(crate) fn at<F: Model>(family: &F, runs: &[&F::Run], structure: Structure, initial: Vec<Vec<f64>>) -> Self {
         let cost = cost(family, runs, &structure, &initial);
-        let weights = runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect();
-        Self { structure, initial, cost, weights }
+        Self { structure, initial, cost, weights: even(family, runs) }
     }
 
     /// Measured minus predicted, run by run; NaN where nothing was measured.

@@ -205,7 +205,7 @@ impl Effect {
             ),
             Self::InputHold => (
                 vec![shaped("period_s", "s", Range::Coarse { step: 2e-4 })],
-                // So fine only matters where no better place is found without free runs.
+                // All of them are only tried where no period is found without free runs.
                 (0..)
                     .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
                     .take_while(|&hold_s| hold_s < 0.6)

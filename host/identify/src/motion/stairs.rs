@@ -48,6 +48,10 @@ impl Changes {
             sum += self.size[place];
             count += 1.0;
             next_s = (((time_s + ALMOST_S) / period_s).floor() + 1.0) * period_s;
+            if next_s <= *time_s {
+                // So late that a period more is the same number.
+                break;
+            }
         }
         (sum, count)
     }
@@ -107,5 +111,11 @@ mod tests {
             // The last step is where it is by less than a sample.
             assert!((found / period_s - 1.0).abs() < 0.005 / 12.0, "{period_s}: {found}");
         }
+    }
+
+    #[test]
+    fn a_pause_without_end_ends() {
+        let changes = Changes { time_s: vec![0.01, 0.02, 1e17, 2e17], size: vec![1.0; 4] };
+        assert_eq!(changes.at_steps(0.01, f64::INFINITY), (3.0, 3.0));
     }
 }
