@@ -316,7 +316,8 @@ impl<F: Family> Search<'_, F> {
         let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
         let more = numbers(other).saturating_sub(numbers(named));
         let whole = self.on(&self.whole, &other.current, Effort::FULL);
-        more == 0 || pays(independent(self.family, &self.whole, &whole), named.current.cost, whole.cost, more)
+        let independent = independent(self.family, &self.whole, &whole);
+        more == 0 || price(independent, whole.cost, more) < price(independent, named.current.cost, 0)
     }
 
     /// The same model fitted to other runs.
@@ -532,7 +533,8 @@ impl<F: Family> Search<'_, F> {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
             } else if with_curves
-                && !pays(independent, current.cost, candidate.trial.fit.cost, corners(&candidate.trial.fit))
+                && price(independent, candidate.trial.fit.cost, corners(&candidate.trial.fit))
+                    >= price(independent, current.cost, 0)
             {
                 Some("explains too little for a curve of so many corners".to_owned())
             } else if p_value >= CHANCE {
@@ -686,11 +688,11 @@ fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
     samples / correlated(&residuals)
 }
 
-/// Whether a model with so many more numbers explains more than they cost: twice Schwarz's criterion, with only as many
-/// samples as are `independent`. What is left of a long free run is so correlated that any few corners would explain some
-/// of it.
-fn pays(independent: f64, cost_before: f64, cost: f64, more: usize) -> bool {
-    independent * (cost_before / cost).ln() > 2.0 * more as f64 * independent.max(2.0).ln()
+/// What a model costs, of which less is better, but for a constant: twice Schwarz's criterion for its numbers, with only as many
+/// samples as are `independent`. What is left of a long free run is so correlated that any few corners would explain some of
+/// it.
+pub(crate) fn price(independent: f64, cost: f64, numbers: usize) -> f64 {
+    independent * cost.ln() + 2.0 * numbers as f64 * independent.max(2.0).ln()
 }
 
 /// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).

@@ -5,6 +5,7 @@ use r4_plants::Dependence;
 use crate::{
     family::{Acts, Curve, Family, Structure, Term},
     fit::Fit,
+    select::price,
 };
 
 use super::{Motion, MotionRun, simulate::Moved};
@@ -82,22 +83,21 @@ impl Motion {
         }
     }
 
-    /// Of curves with more and more corners, the last whose corners pay, and its price (twice Schwarz's criterion, without
-    /// free runs).
+    /// Of curves with more and more corners, the last whose corners pay, and its price, without free runs.
     fn fitting(
         &self,
         current: &Fit,
         curves: impl IntoIterator<Item = Curve>,
         runs: &[&MotionRun],
     ) -> Option<(Curve, f64)> {
-        let price = |curve: &Curve| {
+        let priced = |curve: &Curve| {
             let left = self.left_over_windows(with(&current.structure, curve), current, runs)?;
             let independent = self.independent_windows(current, runs)?;
-            Some(independent * left.ln() + 2.0 * curve.at.len() as f64 * independent.ln())
+            Some(price(independent, left, curve.at.len()))
         };
         let mut best: Option<(Curve, f64)> = None;
         for curve in curves {
-            let price = price(&curve).unwrap_or(f64::INFINITY);
+            let price = priced(&curve).unwrap_or(f64::INFINITY);
             if best.as_ref().is_some_and(|(_, least)| price >= *least) {
                 break;
             }

@@ -5,6 +5,7 @@
 
 mod curve;
 mod effect;
+mod held;
 mod info;
 mod period;
 mod physical;

@@ -9,23 +9,23 @@ const CLOSER: f64 = 0.1;
 const PARTS: u32 = 8;
 
 /// What is sought.
-pub(super) struct Search {
+pub(super) struct Search<N> {
     /// Shortest and longest period, s.
     pub(super) between_s: [f64; 2],
     /// Of the longest recording, s.
     pub(super) recording_s: f64,
-    /// A shift that would be noticed, in periods and s: the lesser.
-    pub(super) noticed: [f64; 2],
+    /// The shift that would be noticed at a period, s.
+    pub(super) noticed_s: N,
     /// So many are offered.
     pub(super) offered: usize,
 }
 
-impl Search {
+impl<N: Fn(f64) -> f64> Search<N> {
     /// The periods that stand out most, s; best first. `stands_out` is given a period and a stretch of the recordings, s; what
     /// it returns does not grow by chance with the stretch.
     pub(super) fn best(&self, stands_out: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         let [shortest_s, longest_s] = self.between_s;
-        let noticed_s = |period_s: f64| (self.noticed[0] * period_s).min(self.noticed[1]);
+        let noticed_s = &self.noticed_s;
         let all = |period_s: f64| self.recording_s / period_s;
         if !(shortest_s > 0.0 && noticed_s(shortest_s) > 0.0) {
             return vec![];

@@ -11,7 +11,7 @@ use super::{
     Motion, MotionRun,
     curve::{ROUND, with},
     simulate::Moved,
-    weak::{SHORTEST_S, Seen},
+    weak::{Rest, SHORTEST_S, Seen},
 };
 
 /// Times that it has to repeat itself over the longest way, at least and at most.
@@ -120,7 +120,7 @@ impl Motion {
     }
 
     fn carriers(&self, current: &Fit, acts: &[Acts], runs: &[&MotionRun]) -> Option<Vec<Carrier>> {
-        let (fit, seen, left) = self.left_in_windows(current, runs)?;
+        let Rest { fit, seen, left, .. } = self.left_in_windows(current, runs)?;
         let carrier = |((seen, left), initial): ((Seen, Vec<f64>), &Vec<f64>)| {
             let straight = seen.accelerations(self, &fit.structure, initial);
             let ones = |&acts: &Acts| {

@@ -70,12 +70,11 @@ pub(super) fn periods(runs: &[MotionRun], sample_s: f64) -> Vec<f64> {
         sum / count.max(1.0).sqrt()
     };
     let recording_s = runs.iter().filter_map(|run| run.all.time_s.last()).copied().fold(0.0, f64::max);
-    // A step that is a sample late is none.
-    let noticed = [1.0, sample_s];
     Search {
         between_s: [SHORTEST * sample_s, LONGEST_S.min(LONGEST * sample_s)],
         recording_s,
-        noticed,
+        // A step that is a sample late is none.
+        noticed_s: |period_s: f64| period_s.min(sample_s),
         offered: OFFERED,
     }
     .best(stands_out)

@@ -16,17 +16,14 @@
 
 use std::{ops::Range, sync::Arc};
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::{
     family::{self, Candidate, Model, Parameter, Structure},
-    fit::{Effort, Fit, cost, fit, fit_but_last, parameters},
+    fit::{Effort, Fit, cost, fit, parameters},
 };
 
 use super::{
     Kind, Motion, MotionRun,
     effect::Effect,
-    period::Search,
     simulate::{Moved, accelerations, is_placed},
     smooth::Smooth,
 };
@@ -42,32 +39,30 @@ const CERTAIN: f64 = 4.0;
 const OVERLAP: f64 = 3.0;
 /// So many of several starts are fitted further.
 const FURTHER: usize = 2;
-/// The same of periods that stand out.
-const PERIODS: usize = 4;
 
 /// A recording as its windows see it.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     /// From each sample to the next.
     pub(super) moved: Vec<Moved>,
-    windows: Vec<Window>,
+    pub(super) windows: Vec<Window>,
     /// Of each window, in deviations that white noise on the measurements gives it.
     measured: Vec<f64>,
 }
 
 #[derive(Clone, Debug)]
-struct Window {
+pub(super) struct Window {
     from: usize,
     /// From each sample to the next, in the inverse of that deviation.
     weights: Vec<f64>,
 }
 
 impl Window {
-    fn sum(&self, series: &[f64]) -> f64 {
+    pub(super) fn sum(&self, series: &[f64]) -> f64 {
         self.weights.iter().zip(&series[self.from..]).map(|(weight, value)| weight * value).sum()
     }
 
-    fn ends_within(&self, series: &[f64]) -> bool {
+    pub(super) fn ends_within(&self, series: &[f64]) -> bool {
         self.from + self.weights.len() <= series.len()
     }
 }
@@ -139,21 +134,6 @@ impl Windows {
         self.windows.push(Window { from, weights: weights.collect() });
         self.measured.push(sum / square.sqrt());
     }
-}
-
-/// The share of the last series that the one before it explains beyond the others, by the (lower) products of all; nothing
-/// where it would have to be turned round.
-fn explained(products: DMatrix<f64>) -> f64 {
-    let others = products.nrows() - 2;
-    let smallest = 1e-9 * products.diagonal().rows(0, others).max();
-    let mut gram = products.view((0, 0), (others, others)).into_owned();
-    gram.fill_upper_triangle_with_lower_triangle();
-    gram.set_diagonal(&gram.diagonal().add_scalar(smallest));
-    let across = products.view((others, 0), (2, others)).transpose();
-    let Some(gram) = gram.cholesky() else { return 0.0 };
-    let beyond = products.view((others, others), (2, 2)) - across.transpose() * gram.solve(&across);
-    let (one, product, left) = (beyond[(0, 0)], beyond[(1, 0)], beyond[(1, 1)]);
-    if one > 0.0 && product > 0.0 && left > 0.0 { product * product / one / left } else { 0.0 }
 }
 
 /// The samples between two moments.
@@ -238,16 +218,25 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
 /// A recording with its windows.
 #[derive(Clone, Debug)]
 pub(super) struct Seen {
-    run: MotionRun,
+    pub(super) run: MotionRun,
     pub(super) windows: Arc<Windows>,
     /// By how much it began elsewhere than it says, by the model that it is looked at with.
     began: f64,
 }
 
 /// A model of an axis, windows for its output.
-struct Weak<'m> {
+pub(super) struct Weak<'m> {
     motion: &'m Motion,
     began: Began,
+}
+
+/// A model as it was fitted to windows.
+pub(super) struct Rest<'m> {
+    pub(super) weak: Weak<'m>,
+    pub(super) fit: Fit,
+    pub(super) seen: Vec<Seen>,
+    /// What it leaves of each window of each recording.
+    pub(super) left: Vec<Vec<f64>>,
 }
 
 /// Where recordings began whose position is not recorded.
@@ -357,7 +346,7 @@ impl Motion {
     }
 
     /// A damping that a fit ran away from is one again that shows: from next to nothing, no slope leads back.
-    fn with_damping(&self, mut structure: Structure) -> Structure {
+    pub(super) fn with_damping(&self, mut structure: Structure) -> Structure {
         let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
         if self.kind == Kind::Axis {
             base[1] = base[1].max(base[0] / longest_s);
@@ -388,17 +377,13 @@ impl Motion {
         Some(weak.best(vec![self.with_damping(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
-    /// A model fitted to windows, the recordings, and what it leaves of the windows of each.
-    pub(super) fn left_in_windows(
-        &self,
-        current: &Fit,
-        runs: &[&MotionRun],
-    ) -> Option<(Fit, Vec<Seen>, Vec<Vec<f64>>)> {
+    /// A model fitted to windows, and what it leaves of them.
+    pub(super) fn left_in_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Rest<'_>> {
         let (weak, seen) = self.weak(&current.structure, current, runs)?;
         let structure = self.with_damping(current.structure.clone());
         let fit = weak.best(vec![structure], &seen, Effort::SCREEN, 1).pop()?;
         let left = fit.residuals(&weak, &seen.iter().collect::<Vec<_>>());
-        Some((fit, seen, left))
+        Some(Rest { weak, fit, seen, left })
     }
 
     /// The best of some structures of the same terms fitted to windows, and what it leaves.
@@ -414,65 +399,11 @@ impl Motion {
             last.is_some_and(|parameter| matches!(parameter.range, family::Range::Coarse { .. }))
         };
         if starts.first().is_some_and(is_coarse) {
-            return self.by_periods(&starts, current, runs);
+            return self.by_periods(&starts, &self.left_in_windows(current, runs)?);
         }
         let starts = starts.into_iter().map(|start| self.with_damping(start)).collect();
         let further = weak.best(starts, &seen, Effort::GLANCE, FURTHER).into_iter().map(|fit| fit.structure).collect();
         let best = weak.best(further, &seen, Effort::SCREEN, 1).pop()?;
-        Some((best.structure, best.cost))
-    }
-
-    /// Of structures that add a term with a period, between those of the first and the last of them: the best when all the
-    /// rest is fitted, of some whose term is most like what is left without.
-    fn by_periods(&self, starts: &[Structure], current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        let (fit, seen, left) = self.left_in_windows(current, runs)?;
-        let (first, last) = (starts.first()?, starts.last()?);
-        let with = |period_s: f64| {
-            let mut structure = fit.structure.clone();
-            structure.terms.extend(first.terms.last().cloned());
-            structure.added.push(vec![period_s]);
-            structure
-        };
-        let (weak, _) = self.weak(&current.structure, current, runs)?;
-        let slopes = fit.slopes(&weak, &seen.iter().collect::<Vec<_>>());
-        let others = parameters(&weak, &fit.structure.terms).len();
-        let recordings = || seen.iter().zip(&fit.initial);
-        let without: Vec<Vec<f64>> =
-            recordings().map(|(seen, initial)| seen.accelerations(self, &fit.structure, initial)).collect();
-        // Only what the rest of the model cannot do as well.
-        let stands_out = |period_s: f64, stretch_s: f64| {
-            let with = with(period_s);
-            let mut products = DMatrix::<f64>::zeros(others + 2, others + 2);
-            let mut count = 0.0;
-            for ((((seen, initial), without), left), slopes) in recordings().zip(&without).zip(&left).zip(&slopes) {
-                let with = seen.accelerations_until(stretch_s, self, &with, initial);
-                let differs: Vec<f64> = with.iter().zip(without).map(|(with, without)| with - without).collect();
-                for ((window, left), slopes) in seen.windows.windows.iter().zip(left).zip(slopes.row_iter()) {
-                    if window.ends_within(&differs) {
-                        let row: Vec<f64> =
-                            slopes.iter().take(others).copied().chain([window.sum(&differs), *left]).collect();
-                        let row = DVector::from_vec(row);
-                        products.syger(1.0, &row, &row, 1.0);
-                        count += 1.0;
-                    }
-                }
-            }
-            explained(products) * count
-        };
-        let [shortest_s, longest_s] = [first, last].map(|start| start.added.last()?.last().copied());
-        let lengths_s = seen.iter().filter_map(|seen| Some(seen.run.all.time_s.last()? - seen.run.all.time_s.first()?));
-        let search = Search {
-            between_s: [shortest_s?, longest_s?],
-            recording_s: lengths_s.fold(0.0, f64::max),
-            // Steps of the command are late by 0.3 periods, more or less.
-            noticed: [0.2, f64::INFINITY],
-            offered: PERIODS,
-        };
-        let seen: Vec<&Seen> = seen.iter().collect();
-        let fits = search.best(stands_out).into_iter().map(|period_s| {
-            fit_but_last(&weak, &seen, self.with_damping(with(period_s)), fit.initial.clone(), Effort::SCREEN)
-        });
-        let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         Some((best.structure, best.cost))
     }
 }
@@ -517,7 +448,13 @@ impl Seen {
     }
 
     /// The same until a moment.
-    fn accelerations_until(&self, until_s: f64, motion: &Motion, structure: &Structure, initial: &[f64]) -> Vec<f64> {
+    pub(super) fn accelerations_until(
+        &self,
+        until_s: f64,
+        motion: &Motion,
+        structure: &Structure,
+        initial: &[f64],
+    ) -> Vec<f64> {
         let offset = initial.first().copied().unwrap_or(0.0);
         let steps = self.run.all.time_s.partition_point(|&time_s| time_s <= until_s).min(self.windows.moved.len());
         accelerations(motion, structure, &self.run, (&self.windows.moved[..steps], offset))

@@ -31,9 +31,9 @@ struct Outcome {
     report: Option<Report>,
 }
 
-fn drawn(number: u32, draw: Draw, seed: u64) -> Experiment {
+fn drawn(number: u32, draw: Draw, length: Length, seed: u64) -> Experiment {
     let seed = seed.wrapping_add(number.into());
-    experiment(Setup::ALL[number as usize % Setup::ALL.len()], draw, Length::STANDARD, seed)
+    experiment(Setup::ALL[number as usize % Setup::ALL.len()], draw, length, seed)
 }
 
 fn run(setup: Setup, name: String, recording: &Recording) -> Run {
@@ -68,7 +68,7 @@ fn identify(bench: &Bench<'_>, experiment: &Experiment) -> Result<Report, r4_ide
 
 fn outcomes(bench: &Bench<'_>, count: u32, draw: impl Fn(u32) -> Draw) -> Vec<Outcome> {
     let outcome = |number| {
-        let experiment = drawn(number, draw(number), bench.seed);
+        let experiment = drawn(number, draw(number), Length::STANDARD, bench.seed);
         let started = Instant::now();
         let report = identify(bench, &experiment);
         let truth = experiment.hidden.truth().to_vec();
@@ -215,22 +215,59 @@ pub(super) fn unlisted(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// The slowest of one plant of each setup, on two cores.
+/// Plants whose identification is timed.
+const TIMED: u32 = 3;
+/// Recordings that are so many times as long as others tell how the time grows with the samples.
+const LONGER: u32 = 4;
+/// What speed weighs for the progress bar.
+pub(super) const TIMED_WEIGHT: u64 = (TIMED * (1 + 1 + LONGER)) as u64;
+
+/// On two cores: the slowest of one plant of each setup, and how the time grows with the samples.
 pub(super) fn speed(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
+    /// A cost that grows with the square of the samples would be four times as much; two measurements of the same differ by
+    /// less than this where nothing else runs.
+    const LINEAR: f64 = 1.25;
     let cores = rayon::ThreadPoolBuilder::new().num_threads(2).build().context("no threads")?;
-    let mut slowest = (0.0, String::new());
-    for number in 0..3 {
-        let experiment = drawn(number, Draw::Pair, bench.seed);
+    let timed = |experiment: &Experiment, weight: u32| -> anyhow::Result<(f64, Report)> {
         let started = Instant::now();
-        let report = cores.install(|| identify(bench, &experiment))?;
+        let report = cores.install(|| identify(bench, experiment))?;
         let seconds = started.elapsed().as_secs_f64();
-        bench.progress.inc(1);
+        bench.progress.inc(weight.into());
+        Ok((seconds, report))
+    };
+    let mut slowest = (0.0, String::new());
+    // With nothing hidden, short and long recordings take the same rounds: all effects and all curves, once.
+    let (mut short_s, mut long_s) = (0.0, 0.0);
+    let long = Length { seconds: f64::from(LONGER) * Length::STANDARD.seconds, ..Length::STANDARD };
+    for number in 0..TIMED {
+        let experiment = drawn(number, Draw::Pair, Length::STANDARD, bench.seed);
+        let (seconds, report) = timed(&experiment, 1)?;
         if seconds > slowest.0 {
             slowest = (seconds, format!("slowest of three: {:?}, {}", experiment.setup, names(&report)));
         }
+        let mut experiment = drawn(number, Draw::Nothing, long, bench.seed);
+        long_s += timed(&experiment, LONGER)?.0;
+        for recording in experiment.train.iter_mut().chain(&mut experiment.holdout) {
+            for series in [&mut recording.time_s, &mut recording.input, &mut recording.output] {
+                series.truncate(series.len() / LONGER as usize);
+            }
+        }
+        short_s += timed(&experiment, 1)?.0;
     }
-    let row = Row::error("3 runs, 12 s, 200 Hz", "whole catalogue, two threads", "s", [f64::NAN, slowest.0, 20.0]);
-    Ok(vec![row.with(slowest.1).simulated()])
+    let growth = long_s / short_s / f64::from(LONGER);
+    Ok(vec![
+        Row::error("3 runs, 12 s, 200 Hz", "whole catalogue, two threads", "s", [f64::NAN, slowest.0, 20.0])
+            .with(slowest.1)
+            .simulated(),
+        Row::error(
+            "3 runs, 48 s, 200 Hz",
+            "time a sample over that of the first 12 s",
+            "1",
+            [f64::NAN, growth, LINEAR],
+        )
+        .with(format!("nothing hidden, three plants: {short_s:.1} s, then {long_s:.1} s"))
+        .simulated(),
+    ])
 }
 
 #[cfg(test)]
@@ -239,11 +276,12 @@ mod tests {
 
     #[test]
     fn what_is_drawn_is_what_is_meant() {
-        let truths =
-            |draw| -> Vec<usize> { (0..3).map(|number| drawn(number, draw, 1).hidden.truth().len()).collect() };
+        let truths = |draw| -> Vec<usize> {
+            (0..3).map(|number| drawn(number, draw, Length::STANDARD, 1).hidden.truth().len()).collect()
+        };
         assert_eq!(truths(Draw::Nothing), [0; 3]);
         assert!(truths(Draw::Listed).contains(&1));
-        let experiment = drawn(2, Draw::Nothing, 1);
+        let experiment = drawn(2, Draw::Nothing, Length::STANDARD, 1);
         assert_eq!((experiment.setup, experiment.train.len()), (Setup::AxisPosition, 3));
         let run = run(experiment.setup, String::new(), &experiment.train[0]);
         assert_eq!(run.values("output").map(<[f64]>::len), Some(2400));

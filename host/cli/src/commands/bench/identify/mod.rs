@@ -160,7 +160,7 @@ impl IdentifyRows {
         match self {
             Self::Blind => seeds as u64,
             Self::Clean | Self::Unlisted => blind::half(seeds) as u64,
-            Self::Speed => 3,
+            Self::Speed => blind::TIMED_WEIGHT,
             _ => 2,
         }
     }

@@ -1,0 +1,111 @@
+//! A command that is held at a period nobody told: which one, by what a model fitted to windows leaves of them.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::{
+    family::{Structure, Term},
+    fit::{Effort, fit_but_last, parameters},
+};
+
+use super::{
+    Motion,
+    period::Search,
+    weak::{Rest, Seen},
+};
+
+/// So many periods are fitted.
+const OFFERED: usize = 4;
+/// Steps of the command are late by 0.3 periods, more or less: less than that, in periods, is not noticed.
+const NOTICED: f64 = 0.2;
+
+/// A model that lacks a term whose one number is a period.
+struct Lacking<'r, 'm> {
+    motion: &'m Motion,
+    rest: &'r Rest<'m>,
+    term: Term,
+    /// What moves with each of the model's numbers, in the windows of each recording.
+    slopes: Vec<DMatrix<f64>>,
+    /// What accelerates each recording without the term.
+    without: Vec<Vec<f64>>,
+}
+
+impl Lacking<'_, '_> {
+    fn with(&self, period_s: f64) -> Structure {
+        let mut structure = self.rest.fit.structure.clone();
+        structure.terms.push(self.term.clone());
+        structure.added.push(vec![period_s]);
+        structure
+    }
+
+    /// How much of what is left the term explains over a first stretch of the recordings: only what the rest of the model
+    /// cannot do as well.
+    fn stands_out(&self, period_s: f64, stretch_s: f64) -> f64 {
+        let Rest { weak, fit, seen, left } = self.rest;
+        let numbers = parameters(weak, &fit.structure.terms).len();
+        let with = self.with(period_s);
+        let mut products = DMatrix::zeros(numbers + 2, numbers + 2);
+        let mut count = 0.0;
+        for (place, (seen, initial)) in seen.iter().zip(&fit.initial).enumerate() {
+            let with = seen.accelerations_until(stretch_s, self.motion, &with, initial);
+            let differs: Vec<f64> =
+                with.iter().zip(&self.without[place]).map(|(with, without)| with - without).collect();
+            let windows = seen.windows.windows.iter().zip(&left[place]).zip(self.slopes[place].row_iter());
+            for ((window, left), slopes) in windows.filter(|((window, _), _)| window.ends_within(&differs)) {
+                let slopes = slopes.iter().take(numbers).copied();
+                let row = DVector::from_iterator(numbers + 2, slopes.chain([window.sum(&differs), *left]));
+                products.syger(1.0, &row, &row, 1.0);
+                count += 1.0;
+            }
+        }
+        explained(products) * count
+    }
+}
+
+/// The share of the last series that the one before it explains beyond the others, by the (lower) products of all; nothing
+/// where it would have to be turned round.
+fn explained(products: DMatrix<f64>) -> f64 {
+    let others = products.nrows() - 2;
+    let smallest = 1e-9 * products.diagonal().rows(0, others).max();
+    let mut gram = products.view((0, 0), (others, others)).into_owned();
+    gram.fill_upper_triangle_with_lower_triangle();
+    gram.set_diagonal(&gram.diagonal().add_scalar(smallest));
+    let across = products.view((others, 0), (2, others)).transpose();
+    let Some(gram) = gram.cholesky() else { return 0.0 };
+    let beyond = products.view((others, others), (2, 2)) - across.transpose() * gram.solve(&across);
+    let (one, product, left) = (beyond[(0, 0)], beyond[(1, 0)], beyond[(1, 1)]);
+    if one > 0.0 && product > 0.0 && left > 0.0 { product * product / one / left } else { 0.0 }
+}
+
+impl Motion {
+    /// Of structures that add a term with a period, between those of the first and the last of them: the best when all the
+    /// rest is fitted, of some whose term is most like what is left without; and what it leaves.
+    pub(super) fn by_periods(&self, starts: &[Structure], rest: &Rest<'_>) -> Option<(Structure, f64)> {
+        let (first, last) = (starts.first()?, starts.last()?);
+        let [shortest_s, longest_s] = [first, last].map(|start| start.added.last()?.last().copied());
+        let Rest { weak, fit, seen, .. } = rest;
+        let all: Vec<&Seen> = seen.iter().collect();
+        let without =
+            seen.iter().zip(&fit.initial).map(|(seen, initial)| seen.accelerations(self, &fit.structure, initial));
+        let lacking = Lacking {
+            motion: self,
+            rest,
+            term: first.terms.last()?.clone(),
+            slopes: fit.slopes(weak, &all),
+            without: without.collect(),
+        };
+        let lengths_s = seen.iter().filter_map(|seen| Some(seen.run.all.time_s.last()? - seen.run.all.time_s.first()?));
+        let search = Search {
+            between_s: [shortest_s?, longest_s?],
+            recording_s: lengths_s.fold(0.0, f64::max),
+            noticed_s: |period_s| NOTICED * period_s,
+            offered: OFFERED,
+        };
+        let fits =
+            search.best(|period_s, stretch_s| lacking.stands_out(period_s, stretch_s)).into_iter().map(|period_s| {
+                let structure = self.with_damping(lacking.with(period_s));
+                fit_but_last(weak, &all, structure, fit.initial.clone(), Effort::SCREEN)
+            });
+        let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        Some((best.structure, best.cost))
+    }
+}
