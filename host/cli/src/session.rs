@@ -345,29 +345,31 @@ fn run_on<T>(
     Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
 }
 
-/// The same for `work` that only looks: on a board at the other end of a link it is run again each time that a lost link is
-/// back, and stderr says so. Of what ends by itself after `seconds` a link that is not back by then is the error.
+/// The same for what a person watches: on a board at the other end of a link `work` is run again each time that a lost link is
+/// back, and `tell` is told of both. Without a link there is `meanwhile`; where that ends, all does.
+///
+/// A recording is of one session: with one, a lost link is an error.
 pub(crate) fn keep<T>(
     args: &Args,
     default_pace: Pace,
-    seconds: Option<f64>,
     mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+    tell: impl FnMut(Event),
+    meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    // A recording is of one session.
     let (Target::Link(address), None) = (&args.board, &args.record) else {
         return Ok(run(args, default_pace, work)?.0);
     };
     warn_of_virtual_options(args);
     catch_interrupts();
     let clock = HostClock::Real(RealClock);
-    let end_us = seconds.map_or(u64::MAX, |seconds| clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64);
-    let mut lost = None;
     let key = key(args)?;
+    let has_session = Cell::new(false);
     let connected = with_reconnect(
         address,
         key.as_ref(),
         clock.clone(),
         async |board| {
+            has_session.set(true);
             let session = Session {
                 board,
                 gains_at_end: Cell::new(None),
@@ -376,32 +378,30 @@ pub(crate) fn keep<T>(
                 clock: clock.clone(),
                 tap: None,
             };
-            logged(args, &session, work(&session)).await
+            let result = unless_interrupted(&session, clock.clone(), logged(args, &session, work(&session))).await;
+            has_session.set(false);
+            result
         },
         |error| error.downcast_ref().filter(|error| is_of_link(error)).cloned(),
-        |event| {
-            eprintln!("r4: {}", told(&event));
-            lost = if let Event::Lost { why } = event { Some(why) } else { None };
-        },
+        tell,
     );
     let ended = r4_links::block_on(async {
-        let (interrupt, end) = (pin!(interrupted(&clock)), pin!(clock.sleep_until(end_us)));
-        match select(pin!(connected), select(interrupt, end)).await {
-            Either::Left((result, _)) => Some(result),
-            // Nothing was armed.
-            Either::Right((Either::Left(_), _)) => Some(Err(Interrupted.into())),
-            Either::Right((Either::Right(_), _)) => None,
+        // A session disarms first.
+        let interrupted = async {
+            while !is_interrupted() || has_session.get() {
+                clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
+            }
+        };
+        match select(pin!(connected), select(pin!(interrupted), pin!(meanwhile(&clock)))).await {
+            Either::Left((result, _)) | Either::Right((Either::Right((result, _)), _)) => result,
+            Either::Right((Either::Left(_), _)) => Err(Interrupted.into()),
         }
     });
-    ended
-        .unwrap_or_else(|| Err(lost.map_or_else(|| anyhow!("no answer"), Into::into)))
-        .with_context(|| args.board.to_string())
+    ended.with_context(|| args.board.to_string())
 }
 
-/// What is over in time has this long to say so itself.
-const GRACE_S: f64 = 1.0;
-
-fn told(event: &Event) -> String {
+/// What became of a link, in a line.
+pub(crate) fn told(event: &Event) -> String {
     match event {
         Event::Lost { why } => format!("{why}; trying again"),
         Event::Back { after, restart } => {

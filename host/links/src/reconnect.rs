@@ -94,7 +94,7 @@ where
                 None => return Err(error),
             },
             // There, but not answering yet.
-            Err(error) if lost.is_some() && may_come_back(&error) => {
+            Err(error) if lost.is_some() && is_of_link(&error) => {
                 Timer::after(RETRY_EVERY).await;
                 continue;
             }
@@ -105,14 +105,10 @@ where
     }
 }
 
-/// The link is the reason.
+/// The link is the reason, or may be: it may be better once it is opened again.
 #[must_use]
 pub fn is_of_link(error: &Error) -> bool {
-    matches!(error, Error::LinkLost { .. } | Error::LinkFailed { .. })
-}
-
-fn may_come_back(error: &Error) -> bool {
-    is_of_link(error) || matches!(error, Error::TimedOut { .. })
+    matches!(error, Error::LinkLost { .. } | Error::LinkFailed { .. } | Error::TimedOut { .. })
 }
 
 fn restart<C: Clock>(board: &Board<C>, since: Instant, expected_us: u64) -> Option<Restart> {

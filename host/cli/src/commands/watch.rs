@@ -1,5 +1,10 @@
 //! `r4 watch`
 
+use std::{cell::RefCell, future::pending};
+
+use anyhow::anyhow;
+use r4_driver::Clock;
+use r4_links::Event;
 use r4_protocol::{ChannelId, ChannelInfo, Mode, Quality, Sample, Telemetry, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
@@ -9,7 +14,7 @@ use crate::{
     args::{Args, Watch},
     output,
     quantity::{Quantity, human},
-    session,
+    session::{self, HostClock, Session},
 };
 
 /// One line of `--json`: an object per sample time.
@@ -114,7 +119,20 @@ impl Watched {
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
     let mut end_s = None;
-    session::keep(args, Pace::RealTime(1.0), watch.seconds, async |session| {
+    let lost = RefCell::new(None);
+    let tell = |event| {
+        eprintln!("r4: {}", session::told(&event));
+        lost.replace(if let Event::Lost { why } = event { Some(why) } else { None });
+    };
+    // What is over in time says so itself, but without a link.
+    let meanwhile = async |clock: &HostClock| {
+        match watch.seconds {
+            Some(seconds) => clock.sleep_until(clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64).await,
+            None => pending().await,
+        }
+        Err(lost.take().map_or_else(|| anyhow!("no answer"), Into::into))
+    };
+    let work = async |session: &Session<'_>| {
         let board = session.board;
         let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
             [] => board.channels().to_vec(),
@@ -154,9 +172,13 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
                 print_line(&watched.infos, &frame, &samples)?;
             }
         }
-    })?;
+    };
+    session::keep(args, Pace::RealTime(1.0), work, tell, meanwhile)?;
     Ok(true)
 }
+
+/// What is over in time has this long to say so itself.
+const GRACE_S: f64 = 1.0;
 
 /// The header is printed again after so many lines, about a screen.
 const HEADER_EVERY: usize = 20;

@@ -109,3 +109,42 @@ impl Motion {
         Some((best.structure, best.cost))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn products(series: &[Vec<f64>]) -> DMatrix<f64> {
+        DMatrix::from_fn(series.len(), series.len(), |a, b| series[a].iter().zip(&series[b]).map(|(a, b)| a * b).sum())
+    }
+
+    proptest! {
+        #[test]
+        fn what_others_explain_is_no_merit(
+            one in prop::collection::vec(-1.0..1.0, 8),
+            other in prop::collection::vec(-1.0..1.0, 8),
+            [left, share] in [0.1..1.0_f64, -3.0..3.0_f64],
+        ) {
+            // Of eight places, the first two are one's own alone, the next two nobody's, the rest the other's.
+            let part = |of: &[f64], range: std::ops::Range<usize>| -> Vec<f64> {
+                (0..8).map(|place| if range.contains(&place) { of[place] } else { 0.0 }).collect()
+            };
+            let (own, others) = (part(&[1.0; 8], 0..2), part(&other, 4..8));
+            prop_assume!(others.iter().map(|value| value * value).sum::<f64>() > 0.1);
+            let mixed: Vec<f64> = own.iter().zip(&others).map(|(own, other)| own + share * other).collect();
+            let nobody: Vec<f64> = part(&one, 2..4);
+            let noise: f64 = nobody.iter().map(|value| value * value).sum();
+            let sum = |sign: f64| -> Vec<f64> {
+                (0..8).map(|place| sign * left * own[place] + nobody[place] + 7.0 * others[place]).collect()
+            };
+            let found = |sign| explained(products(&[others.clone(), mixed.clone(), sum(sign)]));
+            // Of what is left beyond the others, 2 left² is own.
+            let expected = 2.0 * left * left / (2.0 * left * left + noise);
+            // 1e-9 of the others' product (4 at most) is added to it and counts 7² times, beside 2 left² (0.02 at least).
+            prop_assert!((found(1.0) - expected).abs() < 3e-5, "{} {expected}", found(1.0));
+            prop_assert_eq!(found(-1.0), 0.0);
+        }
+    }
+}

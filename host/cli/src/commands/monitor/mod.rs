@@ -6,21 +6,21 @@ mod state;
 mod tests;
 
 use std::{
-    cell::RefCell,
+    cell::{OnceCell, RefCell},
     pin::pin,
     time::{Duration, Instant},
 };
 
-use anyhow::Context;
 use crossterm::event::{KeyCode, KeyEvent};
 use futures::future::{Either, select};
-use r4_driver::Error;
+use r4_driver::{Clock, Error};
+use r4_links::Event;
 use r4_sim::Pace;
 
 use crate::{
     args::Args,
     screen::{self, Commands, Screen},
-    session::{self, Interrupted, Session, Target},
+    session::{self, HostClock, Session},
 };
 
 use draw::draw;
@@ -40,8 +40,6 @@ const LOOK_EVERY_S: f64 = 0.02;
 const DRAW_EVERY: Duration = Duration::from_millis(50);
 /// How often the board is asked what it has counted, s.
 const MEASURE_EVERY_S: f64 = 0.5;
-/// How long is waited before a lost board is looked for again.
-const RETRY_AFTER: Duration = Duration::from_millis(300);
 
 /// What a key means.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -88,82 +86,75 @@ fn meaning(key: KeyEvent) -> Option<Key> {
     })
 }
 
+/// The terminal, and what is on it.
+struct Seen {
+    screen: Screen,
+    state: State,
+    drawn: Option<Instant>,
+}
+
+impl Seen {
+    /// Draws, and does what keys say, of the board by `ask`; whether one says to quit.
+    fn look(&mut self, mut ask: impl FnMut(Ask)) -> anyhow::Result<bool> {
+        while let Some(key) = self.screen.key(Duration::ZERO)? {
+            match meaning(key) {
+                Some(Key::Ask(what)) => ask(what),
+                Some(Key::Select(down)) => self.state.select(down),
+                Some(Key::Quit) => return Ok(true),
+                None => {}
+            }
+        }
+        if self.drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
+            self.drawn = Some(Instant::now());
+            self.screen.draw(|frame| draw(frame, &self.state))?;
+        }
+        Ok(false)
+    }
+}
+
 pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     screen::check(args, "r4 monitor", "`r4 watch` prints lines, and with --json objects")?;
-    let mut args = args.clone();
-    let mut seen: Option<(Screen, State)> = None;
-    loop {
-        let watched = session::run(&args, Pace::RealTime(1.0), async |session| {
-            let now_s = session.board.now_s();
-            let (info, channels) = (session.board.info(), session.board.channels());
-            let (screen, state) = match &mut seen {
-                Some((screen, state)) => {
-                    state.reconnected(info, channels, now_s);
-                    (screen, state)
-                }
-                seen => {
-                    let state = State::new(args.board.to_string(), info, channels, now_s);
-                    let (screen, state) = seen.insert((Screen::open()?, state));
-                    (screen, state)
-                }
-            };
-            watch(session, monitor, screen, state).await
-        });
-        let (error, (screen, state)) = match (watched, &mut seen) {
-            (Ok(_), _) => return Ok(true),
-            (Err(error), Some(seen)) if is_lost(&args, &error) => (error, seen),
-            (Err(error), _) => return Err(error),
-        };
-        // Said once, and not over the screen.
-        (args.flash, args.pace) = (None, None);
-        state.lost(format!("{error:#}"));
-        if wait(screen, state)? {
-            return Ok(true);
+    let seen: OnceCell<RefCell<Seen>> = OnceCell::new();
+    let work = async |session: &Session<'_>| {
+        let now_s = session.board.now_s();
+        let (info, channels) = (session.board.info(), session.board.channels());
+        if let Some(seen) = seen.get() {
+            seen.borrow_mut().state.reconnected(info, channels, now_s);
+            return watch(session, monitor, seen).await;
         }
-    }
-}
-
-/// Whether the board may come back.
-fn is_lost(args: &Args, error: &anyhow::Error) -> bool {
-    matches!(args.board, Target::Link(_)) && !error.is::<Interrupted>() && !error.is::<Broken>()
-}
-
-/// The screen cannot go on, whatever the board does.
-#[derive(Debug, thiserror::Error)]
-#[error("the screen ended")]
-struct Broken;
-
-/// Shows that there is no board, for a while; true when somebody quits.
-fn wait(screen: &mut Screen, state: &mut State) -> anyhow::Result<bool> {
-    let begin = Instant::now();
-    screen.draw(|frame| draw(frame, state))?;
-    while let Some(left) = RETRY_AFTER.checked_sub(begin.elapsed()) {
-        let key = screen.key(left)?;
-        if session::is_interrupted() {
-            return Err(Interrupted.into());
+        let state = State::new(args.board.to_string(), info, channels, now_s);
+        let new = Seen { screen: Screen::open()?, state, drawn: None };
+        watch(session, monitor, seen.get_or_init(|| RefCell::new(new))).await
+    };
+    let tell = |event: Event| {
+        let Some(mut seen) = seen.get().map(RefCell::borrow_mut) else { return };
+        match &event {
+            Event::Lost { why } => seen.state.lost(why.to_string()),
+            Event::Back { .. } => seen.state.back(session::told(&event)),
         }
-        match key.and_then(meaning) {
-            Some(Key::Quit) => return Ok(true),
-            Some(Key::Select(down)) => state.select(down),
-            Some(Key::Ask(_)) | None => {}
+    };
+    let meanwhile = async |clock: &HostClock| loop {
+        clock.sleep_until(clock.now_us() + (LOOK_EVERY_S * 1e6) as u64).await;
+        let Some(mut seen) = seen.get().map(RefCell::borrow_mut) else { continue };
+        if seen.state.link.lost.is_some() && seen.look(|_| {})? {
+            return Ok(());
         }
-        screen.draw(|frame| draw(frame, state))?;
-    }
-    Ok(false)
+    };
+    session::keep(args, Pace::RealTime(1.0), work, tell, meanwhile)?;
+    Ok(true)
 }
 
 /// Until somebody quits, or the link ends.
-async fn watch(session: &Session<'_>, monitor: &Monitor, screen: &mut Screen, state: &mut State) -> anyhow::Result<()> {
+async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -> anyhow::Result<()> {
     let mut telemetry = session.board.telemetry();
     for channel in session.board.channels() {
         session.board.subscribe(channel.id, 1000 / monitor.rate).await?;
     }
-    let state = RefCell::new(state);
     let listen = async {
         loop {
             match telemetry.next().await {
                 Ok(frame) => {
-                    let state = &mut *state.borrow_mut();
+                    let state = &mut seen.borrow_mut().state;
                     state.telemetry(&frame, session.board.now_s());
                     (state.link.bad, state.link.dropped) = (session.board.bad_frames(), telemetry.dropped());
                 }
@@ -171,55 +162,47 @@ async fn watch(session: &Session<'_>, monitor: &Monitor, screen: &mut Screen, st
             }
         }
     };
-    let (listen, measure) = (pin!(listen), pin!(measure(session, &state)));
-    match select(pin!(steer(session, screen, &state)), select(listen, measure)).await {
-        Either::Left((result, _)) => result.context(Broken),
+    let (listen, measure) = (pin!(listen), pin!(measure(session, seen)));
+    match select(pin!(steer(session, seen)), select(listen, measure)).await {
+        Either::Left((result, _)) => result,
         Either::Right((Either::Left((error, _)) | Either::Right((error, _)), _)) => Err(error.into()),
     }
 }
 
 /// Asks the board again and again what it has counted, which is a round trip too.
-async fn measure(session: &Session<'_>, state: &RefCell<&mut State>) -> Error {
+async fn measure(session: &Session<'_>, seen: &RefCell<Seen>) -> Error {
     loop {
         let begin_s = session.board.now_s();
         match session.board.stats().await {
-            Ok(stats) => state.borrow_mut().measured(session.board.now_s() - begin_s, stats),
+            Ok(stats) => seen.borrow_mut().state.measured(session.board.now_s() - begin_s, stats),
             Err(error @ (Error::LinkLost { .. } | Error::LinkFailed { .. })) => return error,
-            Err(_) => state.borrow_mut().link.unanswered += 1,
+            Err(_) => seen.borrow_mut().state.link.unanswered += 1,
         }
         session.board.sleep_s(MEASURE_EVERY_S).await;
     }
 }
 
 /// Draws, and does what keys say, until one says to quit.
-async fn steer(session: &Session<'_>, screen: &mut Screen, state: &RefCell<&mut State>) -> anyhow::Result<()> {
+async fn steer(session: &Session<'_>, seen: &RefCell<Seen>) -> anyhow::Result<()> {
     let board = session.board;
     let mut commands = Commands::default();
-    let mut drawn: Option<Instant> = None;
     loop {
-        while let Some(key) = screen.key(Duration::ZERO)? {
-            match meaning(key) {
-                Some(Key::Ask(ask)) => commands.begin(ask.name(), async move {
-                    match ask {
-                        Ask::Arm => board.arm().await,
-                        Ask::Disarm => board.disarm().await,
-                        Ask::Clear => board.clear().await,
-                        Ask::Stop => board.stop().await,
-                    }
-                }),
-                Some(Key::Select(down)) => state.borrow_mut().select(down),
-                Some(Key::Quit) => return Ok(()),
-                None => {}
-            }
-        }
-        if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
-            drawn = Some(Instant::now());
-            let state = &mut *state.borrow_mut();
-            state.now_s = board.now_s();
-            screen.draw(|frame| draw(frame, state))?;
+        let begin = |ask: Ask| {
+            commands.begin(ask.name(), async move {
+                match ask {
+                    Ask::Arm => board.arm().await,
+                    Ask::Disarm => board.disarm().await,
+                    Ask::Clear => board.clear().await,
+                    Ask::Stop => board.stop().await,
+                }
+            });
+        };
+        seen.borrow_mut().state.now_s = board.now_s();
+        if seen.borrow_mut().look(begin)? {
+            return Ok(());
         }
         if let Some((name, result)) = commands.until(board.sleep_s(LOOK_EVERY_S)).await {
-            state.borrow_mut().done(name, result);
+            seen.borrow_mut().state.done(name, result);
         }
     }
 }

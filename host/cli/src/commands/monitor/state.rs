@@ -110,10 +110,10 @@ impl State {
         }
     }
 
-    /// A board is there again: the same, or another.
+    /// There is a board again: the same, or another.
     pub(crate) fn reconnected(&mut self, info: &DeviceInfo, channels: &[ChannelInfo], now_s: f64) {
         let mut new = Self::new(std::mem::take(&mut self.board), info, channels, now_s);
-        new.message = Some(Message { text: "connected again; the board is disarmed".into(), is_error: false });
+        new.message = self.message.take();
         let same =
             channels.len() == self.rows.len() && self.rows.iter().zip(channels).all(|(row, info)| row.info == *info);
         if same {
@@ -121,6 +121,11 @@ impl State {
             new.selected = self.selected;
         }
         *self = new;
+    }
+
+    /// The link is there again, which `how` tells.
+    pub(crate) fn back(&mut self, how: String) {
+        self.message = Some(Message { text: how, is_error: false });
     }
 
     /// The link is gone.
