@@ -36,6 +36,8 @@ pub mod sensing;
 mod shared;
 pub mod storage;
 mod telemetry;
+#[cfg(test)]
+mod testing;
 mod within;
 
 pub use shared::{MotorStatus, ResetCause, Shared};

@@ -265,6 +265,12 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| SafetyView { state: s.safety.state(), causes: s.safety.causes(), epoch: s.epoch })
     }
 
+    /// The state that a test begins with.
+    #[cfg(test)]
+    pub(crate) fn set_safety(&self, safety: Safety) {
+        self.with(|s| s.safety = safety);
+    }
+
     /// Puts `event` to the state machine with the causes that are present, and wakes whoever must act on a change.
     pub(crate) fn request(&self, event: Event) -> Result<(), Refusal> {
         let (changed, result) = self.with(|s| s.apply(event));
@@ -598,3 +604,6 @@ impl State {
         (changed, result)
     }
 }
+
+#[cfg(test)]
+mod tests;

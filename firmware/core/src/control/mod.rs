@@ -6,6 +6,8 @@ pub mod motor;
 pub mod pid;
 pub mod profile;
 mod task;
+#[cfg(test)]
+mod tests;
 mod watch;
 
 pub use task::{BoardIo, run};

@@ -98,3 +98,127 @@ impl Watch {
         if travelled < config.stall.travel { Causes::only(Cause::Stalled) } else { Causes::NONE }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::config::{Feedback, FollowConfig, StallConfig};
+
+    use super::*;
+
+    const PERIOD_S: f32 = 1e-3;
+    const RESOLUTION: f32 = 1e-3;
+
+    /// The bench's motor with round numbers: friction 0.25, stall at 0.75 without 0.02 rad in 300 ms, the path followed to
+    /// 1 rad or for 100 ms off it.
+    fn config() -> ControlConfig {
+        let robot = crate::testing::robot("osmc-bench");
+        let mut config = robot.motors[0].control.expect("it is measured");
+        assert!(matches!(config.feedback, Feedback::Encoder { .. }));
+        config.stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 300 };
+        config.follow = FollowConfig { error: 1.0, time_ms: 100 };
+        config.feed_forward.static_duty = 0.25;
+        config.speed_max = 5.0;
+        config
+    }
+
+    const AT_REST: Seen = Seen { duty: 0.0, position: 0.0, path_error: 0.0, wants_motion: false };
+
+    /// Periods until a cause shows, and which, of a motor that looks like `seen` says in each.
+    fn until(at_most: u32, seen: impl Fn(u32) -> Seen) -> Option<(u32, Causes)> {
+        let (mut watch, config) = (Watch::default(), config());
+        let mut step = |period| watch.step(seen(period), RESOLUTION, PERIOD_S, &config);
+        (0..at_most).map(|period| (period, step(period))).find(|(_, causes)| !causes.is_empty())
+    }
+
+    /// The time is counted in f32, whose rounding over 300 periods may be worth one.
+    #[track_caller]
+    fn at(found: Option<(u32, Causes)>, period: u32, cause: Cause) {
+        let (when, causes) = found.expect("a cause shows");
+        assert!(when.abs_diff(period) <= 1, "after {when} periods");
+        assert_eq!(causes, Causes::only(cause));
+    }
+
+    #[test]
+    fn a_stall_is_duty_without_travel_for_its_time() {
+        for duty in [0.75, 1.0, -0.75, -1.0] {
+            at(until(1000, |_| Seen { duty, ..AT_REST }), 300, Cause::Stalled);
+        }
+        assert_eq!(until(1000, |_| Seen { duty: 0.749, ..AT_REST }), None);
+        // Travel in the direction of the drive counts, from where the drive became hard.
+        for (travel, stalls) in [(0.0199, true), (0.0201, false)] {
+            for sign in [1.0, -1.0] {
+                let moving = |period: u32| Seen {
+                    duty: sign,
+                    position: f64::from(sign * travel * period as f32 / 300.0),
+                    ..AT_REST
+                };
+                assert_eq!(until(400, moving).is_some(), stalls, "{travel}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_stall_begins_anew_with_each_pause_and_turn() {
+        let paused = |period: u32| Seen { duty: if period.is_multiple_of(299) { 0.0 } else { 1.0 }, ..AT_REST };
+        assert_eq!(until(3000, paused), None);
+        let turned = |period: u32| Seen { duty: if (period / 298).is_multiple_of(2) { 1.0 } else { -1.0 }, ..AT_REST };
+        assert_eq!(until(3000, turned), None);
+    }
+
+    /// 150 ms to come round, then less than the stall's travel against the drive.
+    #[test]
+    fn a_motor_may_run_on_and_then_not_against_its_drive() {
+        let backwards = |rad_s: f32| {
+            move |period: u32| Seen { duty: 1.0, position: f64::from(-rad_s * PERIOD_S * period as f32), ..AT_REST }
+        };
+        // 2 rad/s: 10 periods for 0.02 rad.
+        at(until(1000, backwards(2.0)), 150 + 10, Cause::EncoderImplausible);
+        // One that is still then has turned.
+        let stops = |period: u32| Seen { position: backwards(2.0)(period.min(149)).position, duty: 1.0, ..AT_REST };
+        at(until(1000, stops), 300, Cause::Stalled);
+    }
+
+    /// Four times the highest speed for a period, and eight counts: 0.028 rad.
+    #[test]
+    fn a_jump_is_more_than_any_motor_moves() {
+        for sign in [1.0, -1.0] {
+            let jumping = |rad: f64| move |period: u32| Seen { position: sign * rad * f64::from(period), ..AT_REST };
+            assert_eq!(until(1000, jumping(0.0279)), None);
+            at(until(1000, jumping(0.0281)), 1, Cause::EncoderImplausible);
+        }
+    }
+
+    /// Off its path for 100 ms: misread if it goes away from it, too slow otherwise. A moment on it ends the time.
+    #[test]
+    fn a_motor_off_its_path_is_slow_or_misread() {
+        let lags = |period: u32| Seen { path_error: 1.01, position: f64::from(period) * 1e-3, ..AT_REST };
+        at(until(1000, lags), 99, Cause::Stalled);
+        let leaves = |period: u32| Seen { path_error: 1.01, position: f64::from(period) * -1e-3, ..AT_REST };
+        at(until(1000, leaves), 99, Cause::EncoderImplausible);
+        let mirrored = |period: u32| Seen { path_error: -1.01, position: f64::from(period) * 1e-3, ..AT_REST };
+        at(until(1000, mirrored), 99, Cause::EncoderImplausible);
+        assert_eq!(until(1000, |_| Seen { path_error: 1.0, ..AT_REST }), None);
+        let back = |period: u32| Seen { path_error: if period.is_multiple_of(99) { 1.0 } else { 1.01 }, ..AT_REST };
+        assert_eq!(until(1000, back), None);
+    }
+
+    /// Four stalls' worth of duty beyond friction, 4 · (0.75 − 0.25) · 0.3 s: the harder, the sooner.
+    #[test]
+    fn duty_that_moves_nothing_adds_up() {
+        for (duty, periods) in [(0.5f32, 2400), (0.7, 1333), (-0.7, 1333)] {
+            at(until(3000, |_| Seen { duty, wants_motion: true, ..AT_REST }), periods, Cause::Stalled);
+        }
+        assert_eq!(until(10_000, |_| Seen { duty: 0.25, wants_motion: true, ..AT_REST }), None);
+        assert_eq!(until(10_000, |_| Seen { duty: 0.7, wants_motion: false, ..AT_REST }), None);
+        // Motion that the sensor shows begins the sum anew: 0.004 rad, the bench's settling error.
+        for (rad, moves) in [(0.0041, true), (0.0039, false)] {
+            let creeps = |period: u32| Seen {
+                duty: 0.7,
+                position: f64::from(period / 1000) * rad,
+                wants_motion: true,
+                ..AT_REST
+            };
+            assert_eq!(until(2000, creeps).is_none(), moves, "{rad}");
+        }
+    }
+}

@@ -2,6 +2,8 @@
 
 pub mod machine;
 mod task;
+#[cfg(test)]
+mod tests;
 
 pub use machine::{Event, Safety};
 pub use task::{SafetyPins, supervise};

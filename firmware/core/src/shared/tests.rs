@@ -1,0 +1,360 @@
+//! [`State::apply`] in full, and what the tasks ask of [`Shared`] at its limits.
+
+use r4_protocol::{ChannelId, ChannelKind};
+
+use super::*;
+use crate::testing::{Board, board, robot};
+
+const LINK: u8 = 1;
+const MS: Duration = Duration::from_millis(1);
+const US: Duration = Duration::from_micros(1);
+const DUTY: Setpoint = Setpoint { mode: Mode::Duty, value: 0.25 };
+const MOTOR: Place = Place::Motor(0);
+
+fn every_interface() -> Board {
+    board(robot("every-interface"), ResetCause::Normal)
+}
+
+fn armed() -> Board {
+    let board = every_interface();
+    assert_eq!(board.request(Event::Arm), Ok(()));
+    board
+}
+
+/// No cause, each alone, and each with the next.
+fn some_causes() -> impl Iterator<Item = Causes> + Clone {
+    let pairs = (0..Cause::ALL.len())
+        .map(|first| Causes::only(Cause::ALL[first]).union(Causes::only(Cause::ALL[(first + 1) % Cause::ALL.len()])));
+    [Causes::NONE].into_iter().chain(Cause::ALL.map(Causes::only)).chain(pairs)
+}
+
+/// What [`State::apply`] adds to the pure machine, for every state, event, set of one or two present causes, whether or not
+/// arming is held back and a host has been heard of.
+#[test]
+fn every_event_in_every_state_keeps_the_books() {
+    let board = every_interface();
+    let tripped = some_causes().filter(|causes| !causes.is_empty()).map(|causes| Safety::Tripped { causes });
+    let states = [Safety::Disarmed, Safety::Armed].into_iter().chain(tripped);
+    let trips = Cause::ALL.map(|cause| Event::Trip(Causes::only(cause)));
+    let events = [Event::Tick, Event::Arm, Event::Disarm, Event::Clear].into_iter().chain(trips);
+    for before in states {
+        for (event, present) in events.clone().flat_map(|event| some_causes().map(move |present| (event, present))) {
+            for (arming_held, next_session) in
+                [(0, FIRST_SESSION), (1, FIRST_SESSION), (0, FIRST_SESSION + 1), (2, FIRST_SESSION + 1)]
+            {
+                board.with(|s| {
+                    (s.safety, s.present, s.arming_held, s.next_session) = (before, present, arming_held, next_session);
+                    (s.epoch, s.trips, s.trip_causes) = (u16::MAX, 7, Causes::NONE);
+                    s.commands[slot(MOTOR)] = Some((s.epoch, DUTY));
+                    let _ = s.leases.push(Lease { place: MOTOR, mode: Mode::Duty, until: Instant::now() });
+                    let (changed, result) = s.apply(event);
+                    let told = format_args!("{before:?} {event:?} {present:?} {arming_held} {next_session}");
+
+                    let would_arm = before == Safety::Disarmed && event == Event::Arm && present.is_empty();
+                    let (after, answer) = if would_arm && arming_held > 0 {
+                        (before, Err(Refusal::Busy))
+                    } else {
+                        before.next(event, present)
+                    };
+                    assert_eq!((s.safety, result), (after, answer), "{told}");
+                    // Only what leads to other outputs is a change; one cause more is none.
+                    assert_eq!(changed, after.state() != before.state(), "{told}");
+                    // Only an arming makes what was commanded before worthless.
+                    let armed = changed && after == Safety::Armed;
+                    assert_eq!(s.epoch, if armed { 0 } else { u16::MAX }, "{told}");
+                    assert_eq!(s.commands[slot(MOTOR)].is_none(), armed, "{told}");
+                    assert_eq!(s.leases.is_empty(), armed, "{told}");
+                    // A trip counts once, and not before a host could have armed the board.
+                    let trips = changed && after.state() == SafetyState::Tripped && next_session != FIRST_SESSION;
+                    assert_eq!(s.trips, 7 + u32::from(trips), "{told}");
+                    // The causes of the last trip outlive it, and grow while it lasts.
+                    assert_eq!(s.trip_causes, after.causes(), "{told}");
+                    s.leases.clear();
+                });
+            }
+        }
+    }
+}
+
+#[test]
+fn the_causes_of_the_last_trip_outlive_it() {
+    let board = armed();
+    board.trip(Cause::Stalled);
+    board.trip(Cause::HostStop);
+    assert_eq!(board.request(Event::Clear), Ok(()));
+    assert_eq!(board.safety().causes, Causes::NONE);
+    assert_eq!(board.trip_causes(), Causes::only(Cause::Stalled).union(Causes::only(Cause::HostStop)));
+}
+
+#[test]
+fn trips_are_counted_from_the_first_host_on() {
+    let board = every_interface();
+    board.trip(Cause::HostStop);
+    assert_eq!(board.trips(), 0);
+    assert_eq!(board.request(Event::Clear), Ok(()));
+    board.open_session(LINK, Instant::now()).expect("nobody else is here");
+    board.trip(Cause::HostStop);
+    board.trip(Cause::Stalled);
+    assert_eq!(board.trips(), 1);
+    // The firmware hung: that is remembered whoever was there.
+    let hung = crate::testing::board(robot("osmc-bench"), ResetCause::Watchdog);
+    assert_eq!((hung.trips(), hung.trip_causes()), (1, Causes::only(Cause::WatchdogReset)));
+}
+
+#[test]
+fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
+    let board = every_interface();
+    assert_eq!(board.command(MOTOR, DUTY), Err(Refusal::NotArmed { state: SafetyState::Disarmed }));
+    assert_eq!(board.request(Event::Arm), Ok(()));
+    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    let epoch = board.safety().epoch;
+    // Of a later arming: it stays for the period that knows of it.
+    assert_eq!(board.take_command(MOTOR, epoch.wrapping_sub(1)), None);
+    assert_eq!(board.take_command(Place::Motor(1), epoch), None);
+    assert_eq!(board.take_command(MOTOR, epoch), Some(DUTY));
+    assert_eq!(board.take_command(MOTOR, epoch), None);
+    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    board.trip(Cause::HostStop);
+    assert_eq!(board.command(MOTOR, DUTY), Err(Refusal::NotArmed { state: SafetyState::Tripped }));
+    assert_eq!(board.request(Event::Clear), Ok(()));
+    assert_eq!(board.request(Event::Arm), Ok(()));
+    assert_eq!(board.safety().epoch, epoch + 1);
+    assert_eq!(board.take_command(MOTOR, epoch + 1), None, "it was of the arming before");
+}
+
+/// Each channel has a place of its own, and a brake one beside its drive's.
+#[test]
+fn no_two_channels_share_a_place() {
+    let config = robot("every-interface");
+    let mut taken = [false; CHANNELS];
+    for (id, place) in config.channels() {
+        assert!(!core::mem::replace(&mut taken[slot(place)], true), "{id}");
+    }
+    let lasts = [
+        Place::Motor(MAX_MOTORS - 1),
+        Place::Bldc(MAX_BLDCS - 1),
+        Place::Servo(MAX_SERVOS - 1),
+        Place::Stepper(STEPPERS - 1),
+        Place::Relay(MAX_RELAYS - 1),
+        Place::Dac(DAC_OUTPUTS - 1),
+        Place::Encoder(ENCODERS - 1),
+        Place::Switch(SWITCHES - 1),
+        Place::Range(RANGE_SENSORS - 1),
+        Place::Analog(ANALOG_INPUTS - 1),
+        Place::Supply(MAX_SUPPLIES - 1),
+        Place::DeadMan(1),
+    ];
+    let first = |place| match place {
+        Place::Motor(_) => Place::Motor(0),
+        Place::Bldc(_) => Place::Bldc(0),
+        Place::Servo(_) => Place::Servo(0),
+        Place::Stepper(_) => Place::Stepper(0),
+        Place::Relay(_) => Place::Relay(0),
+        Place::Dac(_) => Place::Dac(0),
+        Place::Encoder(_) => Place::Encoder(0),
+        Place::Switch(_) => Place::Switch(0),
+        Place::Range(_) => Place::Range(0),
+        Place::Analog(_) => Place::Analog(0),
+        Place::Supply(_) => Place::Supply(0),
+        Place::DeadMan(_) => Place::DeadMan(0),
+    };
+    // Kind by kind without a gap, up to the last place of all.
+    assert_eq!(slot(Place::Motor(0)), 0);
+    for [one, next] in lasts.array_windows() {
+        assert_eq!(slot(*one) + 1, slot(first(*next)), "{next:?}");
+    }
+    assert_eq!(slot(Place::DeadMan(1)), CHANNELS - 1);
+    // Brakes come behind the last output.
+    assert_eq!(command_slot(Place::Bldc(0), Mode::Brake), slot(Place::Dac(DAC_OUTPUTS - 1)) + 1);
+    assert_eq!(command_slot(Place::Bldc(MAX_BLDCS - 1), Mode::Brake), OUTPUTS - 1);
+    assert_eq!(command_slot(Place::Bldc(1), Mode::Duty), slot(Place::Bldc(1)));
+}
+
+#[test]
+fn a_brake_is_commanded_beside_its_drive() {
+    let board = armed();
+    let epoch = board.safety().epoch;
+    for (value, applied) in [(1.0, true), (0.0, false)] {
+        assert_eq!(board.command(Place::Bldc(2), Setpoint { mode: Mode::Brake, value }), Ok(()));
+        assert_eq!(board.command(Place::Bldc(2), DUTY), Ok(()));
+        assert_eq!(board.take_brake(1, epoch), None);
+        assert_eq!(board.take_brake(2, epoch), Some(applied));
+        assert_eq!(board.take_brake(2, epoch), None);
+        assert_eq!(board.take_command(Place::Bldc(2), epoch), Some(DUTY));
+    }
+}
+
+/// A lease ends after its last µs, with rest in the manner of what it followed, and counts.
+#[test]
+fn a_lease_that_is_not_renewed_ends_in_rest() {
+    let now = Instant::now();
+    for (mode, rest) in [
+        (Mode::Duty, Setpoint::NONE),
+        (Mode::Speed, Setpoint { mode: Mode::Speed, value: 0.0 }),
+        (Mode::Position, Setpoint { mode: Mode::Speed, value: 0.0 }),
+    ] {
+        let board = armed();
+        let epoch = board.safety().epoch;
+        let follow = |place| (place, Setpoint { mode, value: 0.25 });
+        assert_eq!(board.lease(&[follow(MOTOR), follow(Place::Motor(1))], now), Ok(()));
+        assert_eq!(board.lease(&[follow(Place::Motor(1))], now + US), Ok(()));
+        board.end_leases(now);
+        assert_eq!(board.take_command(MOTOR, epoch), Some(follow(MOTOR).1));
+        board.end_leases(now + US);
+        assert_eq!(board.take_command(MOTOR, epoch), Some(rest));
+        assert_eq!(board.take_command(Place::Motor(1), epoch), Some(follow(MOTOR).1));
+        assert_eq!(board.stats().setpoints_expired, 1);
+        board.end_leases(now + US * 2);
+        assert_eq!(board.take_command(Place::Motor(1), epoch), Some(rest));
+        board.end_leases(now + MS);
+        assert_eq!((board.take_command(MOTOR, epoch), board.stats().setpoints_expired), (None, 2));
+    }
+}
+
+/// What is commanded by itself is followed until something else is.
+#[test]
+fn a_command_ends_the_lease_of_its_channel() {
+    let board = armed();
+    let epoch = board.safety().epoch;
+    let now = Instant::now();
+    assert_eq!(board.lease(&[(MOTOR, DUTY), (Place::Motor(1), DUTY)], now), Ok(()));
+    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    board.end_leases(now + MS);
+    assert_eq!(board.take_command(MOTOR, epoch), Some(DUTY));
+    assert_eq!(board.take_command(Place::Motor(1), epoch), Some(Setpoint::NONE));
+    board.trip(Cause::HostStop);
+    let refused = Refusal::NotArmed { state: SafetyState::Tripped };
+    assert_eq!(board.lease(&[(MOTOR, DUTY)], now), Err(refused));
+}
+
+/// Another host gets the session once the first has been silent for longer than the timeout, and not before.
+#[test]
+fn a_board_has_one_host() {
+    let board = every_interface();
+    let timeout = Duration::from_millis(board.config().link_timeout_ms.into());
+    let now = Instant::now();
+    let first = board.open_session(LINK, now).expect("nobody else is here");
+    assert!(board.has_session(LINK) && !board.has_session(LINK + 1));
+    assert_eq!(board.open_session(LINK + 1, now + timeout), Err(Refusal::InUse));
+    // The same link starts anew whenever it likes, and its old session is over.
+    let second = board.open_session(LINK, now).expect("its own link");
+    assert_ne!(first, second);
+    assert!(!board.heartbeat(LINK, first, now));
+    assert!(!board.heartbeat(LINK + 1, second, now));
+    assert!(board.heartbeat(LINK, second, now + MS));
+    assert_eq!(board.open_session(LINK + 1, now + MS + timeout), Err(Refusal::InUse));
+    let third = board.open_session(LINK + 1, now + MS + timeout + US).expect("the other is silent");
+    assert!(!board.has_session(LINK) && board.has_session(LINK + 1));
+    assert!(!board.heartbeat(LINK, second, now) && board.heartbeat(LINK + 1, third, now));
+}
+
+#[test]
+fn a_host_is_there_while_it_is_heard() {
+    let board = every_interface();
+    let timeout = Duration::from_millis(board.config().link_timeout_ms.into());
+    assert!(!board.has_host());
+    assert_eq!(board.heartbeat_age(), None);
+    let now = Instant::now();
+    board.open_session(LINK, now - timeout).expect("nobody else is here");
+    assert!(board.has_host());
+    assert_eq!(board.heartbeat_age(), Some(timeout));
+    board.open_session(LINK, now - timeout - US).expect("its own link");
+    assert!(!board.has_host());
+}
+
+/// A host that starts anew, or goes, leaves nothing running; one that is not the host ends nothing.
+#[test]
+fn sessions_begin_and_end_disarmed() {
+    let board = armed();
+    board.open_session(LINK, Instant::now()).expect("nobody else is here");
+    assert_eq!(board.safety().state, SafetyState::Disarmed);
+    assert_eq!(board.request(Event::Arm), Ok(()));
+    board.close_session(LINK + 1);
+    assert_eq!(board.safety().state, SafetyState::Armed);
+    assert!(board.has_session(LINK));
+    board.close_session(LINK);
+    assert_eq!(board.safety().state, SafetyState::Disarmed);
+    assert!(!board.has_session(LINK));
+}
+
+#[test]
+fn arming_waits_for_all_that_hold_it_back() {
+    let board = armed();
+    let armed = Refusal::NotWhile { state: SafetyState::Armed };
+    assert_eq!(board.hold_arming().err(), Some(armed));
+    assert_eq!(board.restart(), Err(armed));
+    assert_eq!(board.request(Event::Disarm), Ok(()));
+    let (one, other) = (board.hold_arming().expect("disarmed"), board.hold_arming().expect("disarmed"));
+    assert_eq!(board.request(Event::Arm), Err(Refusal::Busy));
+    drop(one);
+    assert_eq!(board.request(Event::Arm), Err(Refusal::Busy));
+    drop(other);
+    assert_eq!(board.request(Event::Arm), Ok(()));
+    assert_eq!(board.request(Event::Disarm), Ok(()));
+    assert_eq!(board.restart(), Ok(()));
+    assert!(board.restart.try_take().is_some());
+    assert_eq!(board.request(Event::Arm), Err(Refusal::Busy), "it is about to restart");
+}
+
+#[test]
+fn gains_reach_the_loop_they_are_for() {
+    let board = every_interface();
+    let gains = |kp| PidGains { kp, ki: 0.0, kd: 0.0 };
+    board.change_gains(3, Mode::Speed, gains(1.0));
+    board.change_gains(3, Mode::Speed, gains(2.0));
+    board.change_gains(1, Mode::Position, gains(3.0));
+    board.change_gains(2, Mode::Duty, gains(4.0));
+    assert_eq!(board.take_gains(), Some((1, Mode::Position, gains(3.0))));
+    assert_eq!(board.take_gains(), Some((3, Mode::Speed, gains(2.0))));
+    assert_eq!(board.take_gains(), None);
+}
+
+/// Hosts are answered once outputs are known and every sensor that can stop the board has been heard.
+#[test]
+fn the_board_has_started_when_its_guards_are_heard() {
+    let mut config = robot("every-interface");
+    config.ranges.iter_mut().for_each(|range| range.stop_below_m = None);
+    config.ranges[1].stop_below_m = Some(0.3);
+    let board = board(config, ResetCause::Normal);
+    let heard = RangeReading { quality: Quality::NoAnswer, ..RangeReading::NONE };
+    board.publish_range(0, heard);
+    board.set_started();
+    assert!(!board.has_started());
+    board.publish_range(1, heard);
+    assert!(board.has_started());
+    let board = crate::testing::board(robot("osmc-bench"), ResetCause::Normal);
+    assert!(!board.has_started());
+    board.set_started();
+    assert!(board.has_started());
+}
+
+#[test]
+fn a_changed_configuration_waits_for_the_next_start() {
+    let board = every_interface();
+    let mut changed = board.config().clone();
+    changed.link_timeout_ms += 1;
+    board.set_pending(changed.clone());
+    assert_eq!(board.pending(), changed);
+    assert_ne!(board.config(), &changed);
+    assert_eq!(board.built_in(), board.config());
+}
+
+/// Of each kind of channel, before its sensor or output has said anything.
+#[test]
+fn a_board_begins_at_rest() {
+    let board = every_interface();
+    for (id, place) in board.config().channels() {
+        let expected = match id.kind {
+            ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb | ChannelKind::Stepper => {
+                Status::Motor(MotorStatus::IDLE)
+            }
+            ChannelKind::Encoder => Status::Encoder { position: 0, speed: 0.0, illegal: 0 },
+            ChannelKind::Range | ChannelKind::Analog => {
+                Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
+            }
+            _ => Status::Scalar(0.0),
+        };
+        assert_eq!(board.status(place), expected, "{id}");
+    }
+    assert!(board.config().place(ChannelId::new(ChannelKind::DeadMan, 1)).is_some());
+}

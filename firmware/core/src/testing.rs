@@ -1,0 +1,403 @@
+//! What this crate's tests run tasks on: a clock they move themselves, lines and chips that only remember.
+
+extern crate std;
+
+use core::{
+    cell::{Cell, RefCell},
+    future::{Future, poll_fn},
+    pin::Pin,
+    task::{Context, Poll},
+};
+use std::{
+    boxed::Box,
+    collections::BTreeMap,
+    rc::Rc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    task::{Wake, Waker},
+    vec::Vec,
+};
+
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Instant};
+use embedded_hal::{
+    digital::{ErrorKind, ErrorType, InputPin, OutputPin},
+    i2c,
+};
+use embedded_hal_async::{digital::Wait, i2c::I2c};
+use r4_protocol::config::BoardConfig;
+
+use crate::{
+    platform::{AnalogInputs, AnalogOutputs, Bus, Encoders, StepEvent, Steppers, SwitchInputs},
+    shared::{ResetCause, Shared},
+};
+
+/// State of a board that lives as long as its test.
+pub(crate) type Board = &'static Shared<NoopRawMutex>;
+
+/// A robot's configuration, as users have it.
+pub(crate) fn robot(name: &str) -> BoardConfig {
+    r4_boards::load(name).expect("the robot is part of the program").config
+}
+
+pub(crate) fn board(config: BoardConfig, reset: ResetCause) -> Board {
+    Box::leak(Box::new(Shared::new(config.clone(), config, reset)))
+}
+
+std::thread_local! {
+    /// Begins late enough that no age reaches back beyond it.
+    static NOW_US: Cell<u64> = const { Cell::new(1_000_000_000) };
+    static SLEEPERS: RefCell<Vec<(u64, Waker)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// One clock for each thread: tests run side by side.
+struct Clock;
+
+impl embassy_time_driver::Driver for Clock {
+    fn now(&self) -> u64 {
+        NOW_US.get()
+    }
+
+    fn schedule_wake(&self, at_us: u64, waker: &Waker) {
+        SLEEPERS.with_borrow_mut(|sleepers| sleepers.push((at_us, waker.clone())));
+    }
+}
+
+embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock);
+
+struct Woken(AtomicBool);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Tasks at descending priority. Each is polled only when it has been woken, so that a missing signal shows.
+#[derive(Default)]
+pub(crate) struct Tasks(Vec<(Task, Arc<Woken>)>);
+
+type Task = Pin<Box<dyn Future<Output = ()>>>;
+
+impl Tasks {
+    /// Adds a task; it first runs with the next [`Tasks::settle`] or [`Tasks::advance`].
+    pub(crate) fn spawn(&mut self, task: impl Future + 'static) {
+        let task = async {
+            task.await;
+        };
+        self.0.push((Box::pin(task), Arc::new(Woken(AtomicBool::new(true)))));
+    }
+
+    /// Runs what has been woken, until all sleep. No time passes.
+    pub(crate) fn settle(&mut self) {
+        while let Some((task, woken)) = self.0.iter_mut().find(|(_, woken)| woken.0.swap(false, Ordering::Relaxed)) {
+            let waker = Waker::from(woken.clone());
+            // Tasks of a board never end.
+            assert!(task.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+        }
+    }
+
+    /// Lets time pass, from one sleeper's moment to the next.
+    pub(crate) fn advance(&mut self, duration: Duration) {
+        let end_us = NOW_US.get() + duration.as_micros();
+        loop {
+            self.settle();
+            let due = |sleepers: &mut Vec<(u64, Waker)>| {
+                let next = (0..sleepers.len()).min_by_key(|index| sleepers[*index].0)?;
+                (sleepers[next].0 <= end_us).then(|| sleepers.swap_remove(next))
+            };
+            let Some((at_us, waker)) = SLEEPERS.with_borrow_mut(due) else { break };
+            NOW_US.set(NOW_US.get().max(at_us));
+            waker.wake();
+        }
+        NOW_US.set(end_us);
+    }
+
+    /// As [`Tasks::advance`], up to a moment.
+    pub(crate) fn advance_to(&mut self, moment: Instant) {
+        self.advance(moment - Instant::now());
+    }
+}
+
+/// A line of the processor, seen from both sides.
+#[derive(Clone, Default)]
+pub(crate) struct Line(Rc<LineState>);
+
+#[derive(Default)]
+struct LineState {
+    high: Cell<bool>,
+    /// Changes since power-up.
+    edges: Cell<u32>,
+    broken: Cell<bool>,
+    waiting: RefCell<Vec<Waker>>,
+}
+
+impl Line {
+    pub(crate) fn new(high: bool) -> Self {
+        let line = Self::default();
+        line.0.high.set(high);
+        line
+    }
+
+    pub(crate) fn set(&self, high: bool) {
+        if self.0.high.replace(high) != high {
+            self.0.edges.set(self.0.edges.get() + 1);
+            self.0.waiting.take().into_iter().for_each(Waker::wake);
+        }
+    }
+
+    pub(crate) fn level(&self) -> bool {
+        self.0.high.get()
+    }
+
+    pub(crate) fn edges(&self) -> u32 {
+        self.0.edges.get()
+    }
+
+    /// From now on it can neither be read nor waited for, whatever its level is.
+    pub(crate) fn break_off(&self) {
+        self.0.broken.set(true);
+    }
+
+    /// Ready at `level`, or when the line has been there since the wait began.
+    async fn wait(&self, level: bool) {
+        let edges = self.edges();
+        poll_fn(|context| {
+            if !self.0.broken.get() && (self.level() == level || self.edges() != edges) {
+                return Poll::Ready(());
+            }
+            self.0.waiting.borrow_mut().push(context.waker().clone());
+            Poll::Pending
+        })
+        .await;
+    }
+}
+
+impl ErrorType for Line {
+    type Error = ErrorKind;
+}
+
+impl InputPin for Line {
+    fn is_high(&mut self) -> Result<bool, ErrorKind> {
+        if self.0.broken.get() { Err(ErrorKind::Other) } else { Ok(self.level()) }
+    }
+
+    fn is_low(&mut self) -> Result<bool, ErrorKind> {
+        self.is_high().map(|high| !high)
+    }
+}
+
+impl OutputPin for Line {
+    fn set_low(&mut self) -> Result<(), ErrorKind> {
+        self.set(false);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), ErrorKind> {
+        self.set(true);
+        Ok(())
+    }
+}
+
+impl Wait for Line {
+    async fn wait_for_high(&mut self) -> Result<(), ErrorKind> {
+        self.wait(true).await;
+        Ok(())
+    }
+
+    async fn wait_for_low(&mut self) -> Result<(), ErrorKind> {
+        self.wait(false).await;
+        Ok(())
+    }
+
+    async fn wait_for_rising_edge(&mut self) -> Result<(), ErrorKind> {
+        self.wait(false).await;
+        self.wait_for_high().await
+    }
+
+    async fn wait_for_falling_edge(&mut self) -> Result<(), ErrorKind> {
+        self.wait(true).await;
+        self.wait_for_low().await
+    }
+
+    async fn wait_for_any_edge(&mut self) -> Result<(), ErrorKind> {
+        let high = self.level();
+        self.wait(!high).await;
+        Ok(())
+    }
+}
+
+/// A bus with chips that keep what is written to their registers, with a pointer that counts up. It takes no time.
+#[derive(Clone, Default)]
+pub(crate) struct Registers(Rc<RegistersState>);
+
+#[derive(Default)]
+struct RegistersState {
+    /// By chip and register.
+    values: RefCell<BTreeMap<(u8, u8), u8>>,
+    /// So many of the transfers to come are not acknowledged.
+    failing: Cell<u32>,
+    recoveries: Cell<u32>,
+    /// What each transfer takes.
+    transfer: Cell<Option<Duration>>,
+}
+
+/// Nobody acknowledges.
+#[derive(Debug)]
+pub(crate) struct NoAnswer;
+
+impl i2c::Error for NoAnswer {
+    fn kind(&self) -> i2c::ErrorKind {
+        i2c::ErrorKind::Other
+    }
+}
+
+impl i2c::ErrorType for Registers {
+    type Error = NoAnswer;
+}
+
+/// First of the four registers by which a PCA9685 (addresses 0x40 and up) sets all its outputs (datasheet 7.3.4).
+const ALL_OUTPUTS: u8 = 0xFA;
+
+impl Registers {
+    pub(crate) fn get(&self, chip: u8, register: u8) -> u8 {
+        self.0.values.borrow().get(&(chip, register)).copied().unwrap_or_default()
+    }
+
+    pub(crate) fn set(&self, chip: u8, register: u8, value: u8) {
+        self.0.values.borrow_mut().insert((chip, register), value);
+    }
+
+    pub(crate) fn fail(&self, transfers: u32) {
+        self.0.failing.set(transfers);
+    }
+
+    pub(crate) fn recoveries(&self) -> u32 {
+        self.0.recoveries.get()
+    }
+
+    /// From now on each transfer takes so long.
+    pub(crate) fn slow_down(&self, transfer: Duration) {
+        self.0.transfer.set(Some(transfer));
+    }
+
+    fn take(&self, chip: u8, bytes: &[u8]) {
+        let [register, values @ ..] = bytes else { return };
+        // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
+        for (value, register) in values.iter().zip(*register..) {
+            if chip >= 0x40 && (ALL_OUTPUTS..ALL_OUTPUTS + 4).contains(&register) {
+                (0..16).for_each(|output| self.set(chip, 6 + 4 * output + (register - ALL_OUTPUTS), *value));
+            } else {
+                self.set(chip, register, *value);
+            }
+        }
+    }
+}
+
+impl I2c for Registers {
+    async fn transaction(&mut self, chip: u8, operations: &mut [i2c::Operation<'_>]) -> Result<(), NoAnswer> {
+        if let Some(transfer) = self.0.transfer.get() {
+            embassy_time::Timer::after(transfer).await;
+        }
+        let failing = self.0.failing.get();
+        if failing > 0 {
+            self.0.failing.set(failing.saturating_sub(1));
+            return Err(NoAnswer);
+        }
+        let mut pointer = 0;
+        for operation in operations {
+            match operation {
+                i2c::Operation::Write(bytes) => {
+                    pointer = bytes.first().copied().unwrap_or(pointer);
+                    self.take(chip, bytes);
+                }
+                i2c::Operation::Read(bytes) => {
+                    bytes.iter_mut().zip(pointer..).for_each(|(byte, register)| *byte = self.get(chip, register));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Bus for Registers {
+    async fn recover(&mut self) {
+        self.0.recoveries.set(self.0.recoveries.get() + 1);
+    }
+}
+
+/// What a test lets the processor's own peripherals show.
+#[derive(Clone, Default)]
+pub(crate) struct Peripherals(Rc<PeripheralsState>);
+
+#[derive(Default)]
+pub(crate) struct PeripheralsState {
+    pub(crate) counts: [Cell<u16>; 4],
+    pub(crate) codes: [Cell<u16>; 6],
+    pub(crate) dacs: [Cell<u16>; 2],
+}
+
+impl core::ops::Deref for Peripherals {
+    type Target = PeripheralsState;
+
+    fn deref(&self) -> &PeripheralsState {
+        &self.0
+    }
+}
+
+impl Encoders for Peripherals {
+    fn count(&mut self, index: u8) -> u16 {
+        self.counts[usize::from(index)].get()
+    }
+
+    fn illegal(&mut self, _: u8) -> u32 {
+        0
+    }
+}
+
+impl SwitchInputs for Peripherals {
+    fn is_high(&mut self, _: u8) -> bool {
+        true
+    }
+}
+
+impl AnalogOutputs for Peripherals {
+    fn set(&mut self, index: u8, code: u16) {
+        self.dacs[usize::from(index)].set(code);
+    }
+}
+
+impl AnalogInputs for Peripherals {
+    fn code(&mut self, index: u8) -> u16 {
+        self.codes[usize::from(index)].get()
+    }
+}
+
+/// Without steppers.
+impl Steppers for Peripherals {
+    const TICK_HZ: u32 = 1_000_000;
+    const PULSE_TICKS: u32 = 5;
+    const DIRECTION_LATENCY_TICKS: u32 = 0;
+
+    fn now(&mut self) -> u32 {
+        Instant::now().as_micros() as u32
+    }
+
+    fn enable(&mut self, _: bool) {}
+
+    fn queue(&mut self, _: u8, _: &[StepEvent]) -> usize {
+        0
+    }
+
+    fn pending(&mut self, _: u8) -> u32 {
+        0
+    }
+
+    fn position(&mut self, _: u8) -> i32 {
+        0
+    }
+
+    fn stop(&mut self, _: u8) {}
+}
