@@ -9,12 +9,14 @@
 //! | `size` | `cargo xtask size`: what that image takes, and whether it may |
 //! | `protocol` | `cargo xtask size --protocol`: what frames take, encoded and decoded |
 //! | `image` | what an ELF file takes in flash and RAM |
+//! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `summary` | what became of each step, as a table |
 
 mod firmware;
 mod flash;
 mod image;
+mod mutants;
 mod protocol;
 mod size;
 mod summary;
@@ -27,6 +29,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 
 use firmware::Firmware;
 use flash::Flash;
+use mutants::Mutants;
 use size::Size;
 
 const USAGE: &str = "\
@@ -43,7 +46,10 @@ usage: cargo xtask <task>
   size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--json]
   size --protocol
-                what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]";
+                what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]
+  mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
+                (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
+                [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
 
 /// The exit code for a command line that means nothing here.
 const USAGE_ERROR: u8 = 2;
@@ -57,6 +63,7 @@ enum Task {
     Flash(Flash),
     Size(Size),
     Protocol { json: bool },
+    Mutants(Mutants),
 }
 
 fn main() -> ExitCode {
@@ -72,6 +79,7 @@ fn main() -> ExitCode {
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
         Ok(Task::Protocol { json }) => protocol::run(&root(), json),
+        Ok(Task::Mutants(mutants)) => mutants.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -82,7 +90,9 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash" | "size", "--help" | "-h"] => Ok(Task::Help),
+        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash" | "size" | "mutants", "--help" | "-h"] => {
+            Ok(Task::Help)
+        }
         ["test"] => Ok(Task::Test { fast: false }),
         ["test", "--fast"] => Ok(Task::Test { fast: true }),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
@@ -90,6 +100,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
         ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
+        ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),
         [] => Err("no task given".into()),
         ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         ["probe"] => Ok(Task::Probe),
