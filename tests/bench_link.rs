@@ -1,9 +1,7 @@
 //! `r4 bench link` on boards that are served on a pseudo-terminal. How fast a link is depends on the machine and on what else
 //! it does, so no time is asserted here: that is what running the program is for.
 
-mod program;
-
-use program::*;
+use crate::program::*;
 
 #[test]
 fn a_served_board_is_measured_over_its_pseudo_terminal() {

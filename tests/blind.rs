@@ -1,10 +1,8 @@
 //! Boards with other physics than their files say: told by `--plant`, hidden by `--blind`.
 
-mod program;
-
 use std::fs;
 
-use program::*;
+use crate::program::*;
 use tempfile::TempDir;
 
 const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");

@@ -1,10 +1,8 @@
 //! The network protocol of the R4 firmware of before, from the host's side.
 
-mod program;
-
 use std::{io::ErrorKind, net::UdpSocket};
 
-use program::*;
+use crate::program::*;
 use r4_links::legacy::Packet;
 
 struct Host {

@@ -7,8 +7,6 @@
 
 #![cfg(target_os = "linux")]
 
-mod program;
-
 use std::{
     collections::BTreeMap,
     env, fs,
@@ -21,7 +19,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use program::*;
+use crate::program::{self, *};
 use r4_driver::{Board, with_board};
 use r4_links::{Address, Descriptor, Link, RealClock, Receiver, Transmitter, bus::End, slcan};
 use r4_protocol::{
@@ -154,7 +152,7 @@ impl Parts {
              ip link set fd0 mtu 72\n\
              ip link set classic0 up\n\
              ip link set fd0 up\n\
-             {test} --ignored --nocapture --test-threads=1\n\
+             {test} can:: --ignored --nocapture --test-threads=1\n\
              echo guest: $?\n\
              poweroff -f\n"
         );

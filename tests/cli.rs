@@ -1,7 +1,5 @@
 //! What a user does with `r4`, done to the program itself.
 
-mod program;
-
 use std::{
     fmt::Write as _,
     fs,
@@ -10,7 +8,7 @@ use std::{
     time::Instant,
 };
 
-use program::*;
+use crate::program::*;
 use r4_log::Log;
 use serde_json::Value;
 use sha2::{Digest, Sha256};

@@ -1,10 +1,8 @@
 //! The program on emulated boards: what a user sees of the firmware's own image.
 
-mod program;
-
 use std::{fs, path::Path, process::Command};
 
-use program::{next, object, start, text};
+use crate::program::{self, next, object, start, text};
 use serde_json::Value;
 
 /// Runs `r4` and gives what it printed as JSON; it must succeed.

@@ -1,10 +1,8 @@
 //! `r4 flash`, without a debug probe.
 
-mod program;
-
 use std::{fs, path::PathBuf};
 
-use program::*;
+use crate::program::*;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 

@@ -11,11 +11,9 @@
 //! | `…` | lines that are left out |
 //! | another | the next line that the command prints, but for its numbers and the width of its columns |
 
-mod program;
-
 use std::{path::Path, process::Command, time::Instant};
 
-use program::*;
+use crate::program::*;
 use tempfile::TempDir;
 
 const GUIDE: &str = include_str!("../docs/guide.md");

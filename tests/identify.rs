@@ -1,8 +1,7 @@
 //! `r4 identify` as a user runs it: recordings in, a report, a page and a plant file out. What is found in data is tested in
 //! `r4-identify`.
 
-mod program;
-
+use crate::program;
 use std::{fmt::Write as _, fs, process::Output};
 
 use serde_json::Value;

@@ -1,10 +1,8 @@
 //! `r4 identify close` and `check`: from a board to a plant file that makes the simulated board more like it.
 
-mod program;
-
 use std::fs;
 
-use program::*;
+use crate::program::*;
 use tempfile::TempDir;
 
 const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");

@@ -1,7 +1,5 @@
 //! The program on boards at the other end of links: served by `r4 sim serve`, in real time.
 
-mod program;
-
 use std::{
     fs::{self, File, OpenOptions},
     io::{Read, Write},
@@ -17,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use program::*;
+use crate::program::*;
 use r4_links::{Address, blocking, pty::Pty};
 use r4_protocol::{ChannelId, ChannelKind, Sample};
 use rand_pcg::{

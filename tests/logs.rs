@@ -1,7 +1,6 @@
 //! Recordings, as a user makes and uses them.
 
-mod program;
-
+use crate::program;
 use std::{
     fs,
     io::{BufRead, BufReader},

@@ -1,8 +1,7 @@
 //! What a user sees of `r4` on a whole terminal, and how the terminal is left; and what shells and `man` get.
 #![cfg(unix)]
 
-mod program;
-
+use crate::program;
 use std::{
     collections::BTreeSet,
     fs::{self, File},

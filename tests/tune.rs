@@ -1,7 +1,6 @@
 //! `r4 tune` and `r4 calibrate`, as the program runs them.
 
-mod program;
-
+use crate::program;
 use std::{fs, path::Path, process::Output};
 
 use serde_json::Value;

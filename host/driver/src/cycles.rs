@@ -261,7 +261,7 @@ impl<C: Clock> Board<C> {
     /// to 0.03 rad. [`Board::set`] sends the number itself.
     ///
     /// ```
-    /// # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+    /// # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
     /// # bench::simulated(async |board| {
     /// use r4_protocol::Mode;
     ///

@@ -3,7 +3,7 @@
 //! [`with_board`] opens a session on a link, keeps its heartbeat, runs what you give it and closes the session again:
 //!
 //! ```
-//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
 //! # bench::simulated_link(async |rx, tx, clock| {
 //! use r4_driver::with_board;
 //!
@@ -21,7 +21,7 @@
 //! What a board keeps over a restart, and what it remembers of its trips:
 //!
 //! ```
-//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
 //! # bench::simulated(async |board| {
 //! let key = "osmc0.position_kp".parse().expect("a parameter");
 //! board.set_parameter(key, 4.0).await?;
@@ -36,7 +36,7 @@
 //! Telemetry of one channel, and errors that say who said no:
 //!
 //! ```
-//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/simulated/mod.rs")); }
+//! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
 //! # bench::simulated(async |board| {
 //! use r4_driver::Error;
 //! use r4_protocol::{Mode, Refusal, Setpoint};

@@ -1,0 +1,522 @@
+//! What is said about a file with a mistake: file, line, field, and what is expected.
+
+use std::{fs, path::Path};
+
+use proptest::prelude::*;
+use r4_boards::{BoardError, Robot, load, load_carrier};
+use tempfile::TempDir;
+
+const ROBOT: &str = include_str!("../../osmc-bench.toml");
+const ALL: &str = include_str!("../../every-interface.toml");
+const CAR: &str = include_str!("../../openpodcar.toml");
+const SKID_STEERED: &str = include_str!("../../openscout.toml");
+const CARRIER: &str = include_str!("../../r4-carrier.toml");
+
+/// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
+/// `to` is.
+struct Mistake {
+    from: &'static str,
+    to: &'static str,
+    line: Option<&'static str>,
+    lines_below: usize,
+    field: &'static str,
+    says: &'static str,
+}
+
+const fn mistake(
+    from: &'static str,
+    to: &'static str,
+    line: &'static str,
+    field: &'static str,
+    says: &'static str,
+) -> Mistake {
+    Mistake { from, to, line: Some(line), lines_below: 0, field, says }
+}
+
+/// The mistake made in the line where it is reported.
+const fn there(from: &'static str, to: &'static str, field: &'static str, says: &'static str) -> Mistake {
+    Mistake { from, to, line: None, lines_below: 0, field, says }
+}
+
+impl Mistake {
+    /// Reported one line after `line`, or after the first of `to`.
+    const fn on_the_next_line(mut self) -> Self {
+        self.lines_below = 1;
+        self
+    }
+}
+
+const ROBOT_MISTAKES: &[Mistake] = &[
+    // Not TOML.
+    there("speed_max_rad_s = 5.0", "speed_max_rad_s = ", "osmc[0].speed_max_rad_s", "string values must be quoted"),
+    there("kp_duty_per_rad = 4.0", "kp_duty_per_rad = 4.0.0", "osmc[0].position_pid.kp_duty_per_rad", "invalid float"),
+    there("[osmc.profile]", "[osmc.profile", "", "expected"),
+    mistake(
+        "kp_duty_per_rad = 4.0",
+        "kp_duty_per_rad = 4.0\nkp_duty_per_rad = 3.0",
+        "kp_duty_per_rad = 3.0",
+        "",
+        "duplicate key",
+    ),
+    // Wrong types, unknown and missing fields.
+    there("link_timeout_ms = 200", "link_timeout_ms = \"200\"", "link_timeout_ms", "expected"),
+    there("control_period_us = 1000", "control_period_us = -1", "control_period_us", "expected u32"),
+    there("speed_filter_s = 0.010", "speed_filter_ms = 10", "osmc[0].speed_filter_ms", "unknown field"),
+    there("static_duty = 0.35", "static_duti = 0.35", "osmc[0].feed_forward.static_duti", "expected `static_duty`"),
+    there("emf_v = 24.0", "emf = 24.0", "simulation.rail[0].emf", "unknown field `emf`"),
+    mistake("speed_max_rad_s = 5.0\n", "", "[[osmc]]", "osmc[0]", "missing field `speed_max_rad_s`"),
+    mistake("travel_rad = 0.02\n", "", "[osmc.stall]", "osmc[0].stall", "missing field `travel_rad`"),
+    mistake("name = \"osmc-bench\"\n", "", "# The bench", "", "missing field `name`"),
+    there("name = \"osmc-bench\"", "name = \"a name that is longer than thirty-two bytes\"", "name", "32"),
+    // Numbers out of their range.
+    there("control_period_us = 1000", "control_period_us = 100", "control_period_us", "must be 500 to 20000"),
+    there("link_timeout_ms = 200", "link_timeout_ms = 2000", "link_timeout_ms", "must be 20 to 1000"),
+    there(
+        "duty_max = 0.902",
+        "duty_max = 0.99",
+        "osmc[0].duty_max",
+        "0.99 is out of range, must be above 0 and at most",
+    ),
+    there("duty_max = 0.784", "duty_max = nan", "actuator[0].duty_max", "must be above 0"),
+    there("kp_duty_per_rad = 4.0", "kp_duty_per_rad = -4.0", "osmc[0].position_pid.kp_duty_per_rad", "0 or above"),
+    there("ki_duty_per_m_s = 400.0", "ki_duty_per_m_s = inf", "actuator[0].position_pid.ki_duty_per_m_s", "0 or above"),
+    there("speed_m_s = 0.008", "speed_m_s = 1e300", "actuator[0].profile.speed_m_s", "above 0"),
+    there("counts_per_turn = 2400", "counts_per_turn = 0", "osmc[0].encoder.counts_per_turn", "above 0"),
+    there("code_16bit = 63357", "code_16bit = 65536", "actuator[0].potentiometer.high.code_16bit", "u16"),
+    there("code_10bit = 989.0", "code_10bit = 1024", "simulation.linear[0].potentiometer.high.code_10bit", "0 to 1023"),
+    there("min = 20.0, max = 30.0", "min = 30.0, max = 20.0", "supply[0].range_v", "min must be below max"),
+    there("max = 0.1 }\nspeed", "max = 1e39 }\nspeed", "actuator[0].position_m", "32-bit"),
+    // References to what is not there.
+    there("channel = \"osmc0\" #", "channel = \"osmc7\" #", "osmc[0].channel", "no OSMC connector `7`, write 0 to 3"),
+    there("channel = \"osmc0\" #", "channel = \"motor0\" #", "osmc[0].channel", "`motor0` is not a channel name"),
+    there("channel = \"osmc0\" #", "channel = \"actuator0\" #", "osmc[0].channel", "named osmc"),
+    there(
+        "channel = \"actuator1\"\nposition",
+        "channel = \"osmc1\"\nposition",
+        "actuator[0].channel",
+        "named actuator",
+    ),
+    there("channel = \"supply0\" #", "channel = \"analog0\" #", "supply[0].channel", "named supply"),
+    there("input = 0\ncounts", "input = 9\ncounts", "osmc[0].encoder.input", "no encoder `9`, write 0 to 3"),
+    there("input = 0\nlow = { code_16", "input = 6\nlow = { code_16", "actuator[0].potentiometer.input", "0 to 5"),
+    there("analog = 5\nrange_v", "analog = 6\nrange_v", "supply[1].analog", "no analog input `6`, write 0 to 5"),
+    there("carrier = \"r4-carrier\"", "carrier = \"r5\"", "carrier", "no carrier `r5`, write r4-carrier"),
+    there("plants/osmc-bench-rotary.toml", "plants/no.toml", "simulation.rotary[0].plant", "cannot be read"),
+    there("rail = \"supply0\"", "rail = \"supply2\"", "simulation.rotary[0].rail", "write supply0 or supply1"),
+    there(
+        "encoder = { input = 0, lines",
+        "encoder = { input = 4, lines",
+        "simulation.rotary[0].encoder.input",
+        "no encoder `4`",
+    ),
+    there(
+        "channel = \"osmc0\"\nplant",
+        "channel = \"osmc1\"\nplant",
+        "simulation.rotary[0].channel",
+        "no channel of that kind `osmc1`, write osmc0",
+    ),
+    // Used twice.
+    mistake(
+        "analog = 5\nrange_v",
+        "analog = 4\nrange_v",
+        "analog = 4\nrange_v = { min = 10",
+        "supply[1].analog",
+        "`4`",
+    ),
+    mistake("\"supply1\" #", "\"supply0\" #", "\"supply0\" # 12 V", "supply[1].channel", "`supply0` is already used"),
+    there(
+        "channel = \"actuator1\"\nposition",
+        "channel = \"actuator0\"\nposition",
+        "actuator[0].channel",
+        "`0` is already",
+    ),
+    mistake(
+        "analog = 5\nemf",
+        "analog = 4\nemf",
+        "analog = 4\nemf_v = 12",
+        "simulation.rail[1].analog",
+        "already used",
+    ),
+    // Rules between fields.
+    mistake(
+        "static_duty = 0.35",
+        "static_duty = 0.95",
+        "[[osmc]]",
+        "osmc[0]",
+        "osmc0: feed-forward must not be negative",
+    ),
+    mistake("code_16bit = 63357", "code_16bit = 1858", "[[actuator]]", "actuator[0]", "need different codes"),
+    mistake(
+        "time_ms = 300\n\n[osmc.follow]",
+        "time_ms = 0\n\n[osmc.follow]",
+        "time_ms = 0",
+        "osmc[0].stall.time_ms",
+        "above 0",
+    ),
+    mistake(
+        "high = { code_10bit = 989.0, position_m = 0.1 }",
+        "high = { code_10bit = 989.0, position_m = -0.1 }",
+        "high = { code_10bit",
+        "simulation.linear[0].potentiometer.high.position_m",
+        "above the low point",
+    ),
+];
+
+const ALL_MISTAKES: &[Mistake] = &[
+    // Motors without feedback.
+    there("channel = \"dhb1\"", "channel = \"dhb0\"", "dhb[1].channel", "DHB connector `0` is already used in line"),
+    there("channel = \"dhb3\"", "channel = \"dhb4\"", "dhb[3].channel", "no DHB connector `4`, write 0 to 3"),
+    there("channel = \"dhb3\"", "channel = \"osmc3\"", "dhb[3].channel", "named dhb and a number, as in dhb0"),
+    there(
+        "channel = \"dhb3\"",
+        "channel = \"dhb3\"\nduty = 0.5",
+        "dhb[3].duty",
+        "unknown field `duty`, expected one of `channel`, `inverted`, `duty_max`, `duty_slew_per_s`",
+    )
+    .on_the_next_line(),
+    mistake(
+        "channel = \"dhb3\"",
+        "channel = \"dhb3\"\nposition_rad = { min = 0, max = 1 }\nspeed_max_rad_s = 1.0\nspeed_filter_s = 0.0",
+        "[[dhb]]\nchannel = \"dhb3\"",
+        "dhb[3]",
+        "missing field `encoder`",
+    ),
+    // Brushless drives.
+    there("rest_ms = 4000 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),
+    mistake(
+        "brake = { active_low = true }",
+        "brake = { active_low = true }\nreverse_v = 1.0",
+        "reverse_v = 1.0",
+        "bldc[3].reverse_v",
+        "leave one out",
+    ),
+    mistake("forward_v = 3.07", "forward_v = 5.5", "[[bldc]]\nchannel = \"bldc3\"", "bldc[3]", "the DAC's full scale"),
+    mistake(
+        "forward_v = 3.07",
+        "forward_v = 2.08",
+        "[[simulation.rotary]]",
+        "simulation",
+        "forwards above its dead_zone_v",
+    ),
+    // Servos.
+    there("oscillator_hz = 25.6e6", "oscillator_hz = 25.6", "servo_chip.oscillator_hz", "20e6 to 30e6"),
+    mistake(
+        "[servo_chip]\nhold_when_safe = true\noscillator_hz = 25.6e6",
+        "",
+        "[[servo]]",
+        "servo[0]",
+        "need a [servo_chip]",
+    ),
+    there("pulse_s = 0.0024", "pulse_s = 0.0026", "servo[15].high.pulse_s", "inside servo.pulse_hard_s"),
+    mistake("pulse_s = 0.0024", "pulse_s = 0.0006", "[[servo]] # a wide one", "servo[15]", "the low point's shorter"),
+    there("channel = \"servo15\"", "channel = \"servo16\"", "servo[15].channel", "no servo output `16`, write 0 to 15"),
+    // Steppers.
+    mistake(
+        "[stepper_bank]\nenable_active_low = false",
+        "[stepper_bank]",
+        "[stepper_bank]",
+        "stepper_bank",
+        "missing field `enable_active_low`",
+    ),
+    mistake(
+        "steps_per_turn = 1600",
+        "steps_per_turn = 160000",
+        "[[stepper]]",
+        "stepper[0]",
+        "no more than rate_max_hz pulses per second",
+    ),
+    there(
+        "homing = { switch = 1",
+        "homing = { switch = 4",
+        "stepper[0].homing.switch",
+        "no switch table for `switch4`",
+    ),
+    mistake("position_rad = -0.5", "position_rad = -20.5", "[[stepper]]", "stepper[0]", "a position in range"),
+    // Relays and analog outputs.
+    there("channel = \"relay7\"", "channel = \"relay6\"", "relay[7].channel", "relay output `6` is already used"),
+    mistake(
+        "channel = \"relay7\"\nactive_low = true",
+        "channel = \"relay7\"\nactive_low = true\nrole = \"motor-power\"",
+        "channel = \"relay7\"",
+        "relay[7].channel",
+        "relay.motor_power",
+    ),
+    there("channel = \"dac1\"", "channel = \"dac2\"", "dac[1].channel", "no DAC output `2`, write 0 to 1"),
+    mistake("max = 2.8 }", "max = 5.0 }", "[[dac]] # a device", "dac[1]", "between 0 and 3.3 V"),
+    // Inputs.
+    there("channel = \"encoder3\"", "channel = \"encoder4\"", "encoder[3].channel", "no encoder `4`"),
+    there("channel = \"switch3\"", "channel = \"switch2\"", "switch[3].channel", "switch `2` is already used"),
+    there("stop_below_m = 0.3", "stop_below_m = -0.3", "range[0].stop_below_m", "above 0"),
+    mistake("stop_below_m = 0.3", "stop_below_m = 4.5", "[[range]]", "range[0]", "must lie within range_m"),
+    there("channel = \"analog3\"", "channel = \"analog6\"", "analog[3].channel", "no analog input `6`, write 0 to 5"),
+    mistake("analog = 4", "analog = 3", "analog = 3", "supply[0].analog", "analog input `3` is already used"),
+    there("air_temperature_c = 20.0", "air_temperature_c = 293.0", "air_temperature_c", "-40 to 60"),
+    there("auxiliary_stop = true", "auxiliary_stop = 1", "auxiliary_stop", "expected a boolean"),
+    // The truth.
+    there("volts = 5.0", "volts = inf", "simulation.analog[0].volts", "must be finite"),
+    mistake(
+        "[[simulation.analog]]\nchannel = \"analog3\"",
+        "[[simulation.analog]]\nchannel = \"analog2\"",
+        "[[simulation.analog]]\nchannel = \"analog2\"\nvolts = 20",
+        "simulation.analog[3].channel",
+        "already used",
+    )
+    .on_the_next_line(),
+    mistake("rail = \"supply0\"\n", "", "[[simulation.rotary]]", "simulation.rotary[0]", "needs a rail"),
+];
+
+const CAR_MISTAKES: &[Mistake] = &[
+    mistake(
+        "track_m = 0.70",
+        "tracks_m = 0.70",
+        "tracks_m",
+        "drive.ackermann.tracks_m",
+        "expected one of `wheelbase_m`",
+    ),
+    mistake("\ncontrol_period", "\nactuator = 3\ncontrol_period", "actuator = 3", "actuator", "write [[actuator]]"),
+    there("steering = \"dhb0\"", "steering = \"osmc0\"", "drive.ackermann.steering", "write dhb0"),
+    there("drive = \"osmc0\"", "drive = \"dhb0\"", "drive.ackermann.drive", "no motor that turns `dhb0`, write osmc0"),
+    mistake(
+        "full_speed_m_s = 2.04",
+        "",
+        "[drive.ackermann]",
+        "drive.ackermann.full_speed_m_s",
+        "for a drive without an encoder, which needs it",
+    ),
+    there("max = 0.436 }", "max = 0.5 }", "drive.ackermann.steering_rad", "outside the position_m"),
+    mistake("rad_per_m = 19.080", "rad_per_m = 0.0", "steering_rad", "drive.ackermann.steering_rad", "outside"),
+    mistake(
+        "[dhb.follow]\n",
+        "[dhb.homing]\nswitch = 0\n\n[dhb.follow]\n",
+        "[dhb.homing]",
+        "dhb[0].homing",
+        "needs no homing",
+    ),
+    mistake(
+        "[dhb.potentiometer]",
+        "[dhb.potentiometre]",
+        "[dhb.potentiometre]",
+        "dhb[0].potentiometre",
+        "unknown field",
+    ),
+];
+
+const SKID_MISTAKES: &[Mistake] = &[
+    there(
+        "right = [\"dhb1\", \"dhb3\"]",
+        "right = [\"dhb1\", \"dhb2\"]",
+        "drive.skid-steer.right[1]",
+        "wheel `dhb2` is already used",
+    ),
+    there("left = [\"dhb0\", \"dhb2\"]", "left = []", "drive.skid-steer.left", "a wheel on each side"),
+    there("left = [\"dhb0\",", "left = [\"osmc0\",", "drive.skid-steer.left[0]", "no motor with an encoder `osmc0`"),
+    there("left = [\"dhb0\",", "left = [\"wheel\",", "drive.skid-steer.left[0]", "not a channel name"),
+    there("input = 3", "input = 2", "dhb[3].encoder.input", "motor's encoder `2` is already used"),
+];
+
+const CARRIER_MISTAKES: &[Mistake] = &[
+    there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
+    there(
+        "kind = \"gpio\" },\n\n    # Stepper",
+        "kind = \"gpoi\" },\n\n    # Stepper",
+        "pins[11].kind",
+        "expected one of",
+    ),
+    there("\"PJ6\"", "\"PJ8\"", "pins[1].stm32", "pin `PJ8` is already used in line 23"),
+    there("header = \"D37\"", "header = \"D4\"", "pins[1].header", "header pin `D4` is already used"),
+    there("id = \"dir0\"", "id = \"step0\"", "pins[13].id", "function `step0` is already used"),
+    there(
+        "\"PI11\", signal = \"EXTI11\"",
+        "\"PA10\", signal = \"EXTI10\"",
+        "pins[7].stm32",
+        "EXTI line `10` is already used",
+    ),
+    there("\"PI11\", signal = \"EXTI11\"", "\"PI11\", signal = \"EXTI10\"", "pins[7].signal", "its own number"),
+    there("\"TIM8_CH2\"", "\"TIM8_CH1\"", "pins[1].signal", "signal `TIM8_CH1` is already used"),
+    there("signal = \"TIM8_CH2\", af = 3", "signal = \"TIM8_CH2\"", "pins[1].af", "cap and bus pins have an af"),
+    there("signal = \"TIM8_CH2\"", "signal = \"TIM5_CH2\"", "pins[1].signal", "keeps the time"),
+    there("address = 0x40", "address = 0x18", "i2c.devices[1].address", "0x40 to 0x77"),
+    there("address = 0x20", "address = 0x78", "i2c.devices[0].address", "0x08 to 0x77"),
+    there("rate_hz = 400_000", "rate_hz = 1_000_000", "i2c.rate_hz", "at most 400000"),
+    there("frequency_hz = 1526.0\n# Used", "frequency_hz = 2000.0\n# Used", "osmc.frequency_hz", "24 to 1526"),
+    there("duty_max_hard = 0.98\n# PCA", "duty_max_hard = 0.99\n# PCA", "osmc.duty_max_hard", "at most 0.98"),
+    there("address = 0x41", "address = 0x40", "i2c.devices[2].address", "I2C address `0x40` is already used"),
+    mistake(
+        "address = 0x41",
+        "address = 0x70",
+        "{ address = 0x70",
+        "i2c.reserved[0].address",
+        "`0x70` is already used",
+    ),
+    mistake(
+        "duty_max_hard = 0.98\n# PCA",
+        "duty_max_hard = 0.9\n# PCA",
+        "duty_max_default",
+        "osmc.duty_max_default",
+        "at most osmc.duty_max_hard",
+    ),
+    there("ali = 13", "ali = 12", "osmc.connectors[3].ali", "PWM output `12 of osmc_pwm` is already used"),
+    mistake(
+        "direction = 6, brake",
+        "direction = 8, brake",
+        "outputs = [8",
+        "relay.outputs[0]",
+        "expander bit `8 of expander` is already used",
+    ),
+    there("b = \"enc1_b\"", "b = \"enc1_a\"", "encoder.connectors[1].b", "`enc1_a` is already used"),
+    there("bli = 15", "bli = 16", "osmc.connectors[3].bli", "no PWM output `16`, write 0 to 15"),
+    there("disable = \"osmc_dis\"", "disable = \"osmc_off\"", "osmc.disable", "no pin `osmc_off`"),
+    there("disable = \"osmc_dis\"", "disable = \"ain0\"", "osmc.disable", "a kind that cannot do this"),
+    there("pwm = \"dhb_pwm\"", "pwm = \"expander\"", "dhb.pwm", "a kind that cannot do this"),
+    there("motor_power = 0", "motor_power = 8", "relay.motor_power", "number of a relay"),
+    there("ignition = 1", "ignition = 0", "relay.ignition", "relay `0` is already used"),
+    there("full_scale_v = 50.0", "full_scale_v = 3.0", "analog.full_scale_v", "a divider cannot amplify"),
+    there(
+        "min = 0.001, max = 0.002",
+        "min = 0.0001, max = 0.002",
+        "servo.pulse_default_s",
+        "inside servo.pulse_hard_s",
+    ),
+];
+
+/// A robot file in a folder of its own, and what loading it says.
+fn load_text(folder: &Path, text: &str) -> Result<Robot, BoardError> {
+    let path = folder.join("robot.toml");
+    fs::write(&path, text).expect("a writable folder");
+    load(path.to_str().expect("UTF-8"))
+}
+
+fn load_carrier_text(folder: &Path, text: &str) -> Result<(), BoardError> {
+    let path = folder.join("carrier.toml");
+    fs::write(&path, text).expect("a writable folder");
+    load_carrier(path.to_str().expect("UTF-8")).map(drop)
+}
+
+fn line_of(text: &str, part: &str) -> usize {
+    let offset = text.find(part).unwrap_or_else(|| panic!("no `{part}` in the file"));
+    1 + text[..offset].matches('\n').count()
+}
+
+/// What is not as expected.
+fn check(
+    mistake: &Mistake,
+    original: &str,
+    file: &str,
+    load: impl Fn(&str) -> Result<(), BoardError>,
+) -> Option<String> {
+    let Mistake { from, to, line, lines_below, field, says } = mistake;
+    let line = match line {
+        Some(line) => line_of(&original.replacen(from, to, 1), line),
+        None => line_of(original, from),
+    } + lines_below;
+    let Err(error) = load(&original.replacen(from, to, 1)) else { return Some(format!("`{to}` was taken")) };
+    let said = error.to_string();
+    let colon = if field.is_empty() { "" } else { ": " };
+    let place = format!("{file}:{line}{colon}{field}");
+    let expected = said.contains(&place) && said.contains(says);
+    (!expected).then(|| format!("`{to}`\n  expected `{place}` … `{says}`\n  said     `{said}`"))
+}
+
+#[test]
+fn mistakes_in_a_robot_file() {
+    let folder = TempDir::new().unwrap();
+    let load = |text: &str| load_text(folder.path(), text).map(drop);
+    let robots = [(ROBOT, ROBOT_MISTAKES), (ALL, ALL_MISTAKES), (CAR, CAR_MISTAKES), (SKID_STEERED, SKID_MISTAKES)];
+    let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
+    let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn mistakes_in_a_carrier_file() {
+    let folder = TempDir::new().unwrap();
+    let load = |text: &str| load_carrier_text(folder.path(), text);
+    let wrong: Vec<_> = CARRIER_MISTAKES.iter().filter_map(|m| check(m, CARRIER, "carrier.toml", load)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_mistake_in_a_carrier_beside_the_robot_names_the_carrier() {
+    let folder = TempDir::new().unwrap();
+    let carrier = CARRIER.replacen("rate_hz = 400_000", "rate_hz = 0", 1);
+    fs::write(folder.path().join("r4-carrier.toml"), &carrier).unwrap();
+    let said = load_text(folder.path(), ROBOT).unwrap_err().to_string();
+    assert!(said.contains(&format!("r4-carrier.toml:{}: i2c.rate_hz", line_of(&carrier, "rate_hz = 0"))), "{said}");
+}
+
+#[test]
+fn a_robot_may_have_less_than_its_carrier() {
+    let folder = TempDir::new().unwrap();
+    let header = &ROBOT[..ROBOT.find("# 73ZYT").unwrap()];
+    let robot = load_text(folder.path(), header).unwrap();
+    assert!(robot.config.motors.is_empty() && robot.simulation.is_empty());
+    let without_simulation = &ROBOT[..ROBOT.find("[[simulation.rotary]]").unwrap()];
+    let robot = load_text(folder.path(), without_simulation).unwrap();
+    assert!(robot.config.motors.len() == 2 && robot.simulation.is_empty());
+}
+
+#[test]
+fn what_exists_is_simulated() {
+    let folder = TempDir::new().unwrap();
+    let without_actuator = &ROBOT[..ROBOT.find("[[simulation.linear]]").unwrap()];
+    let said = load_text(folder.path(), without_actuator).unwrap_err().to_string();
+    assert!(said.contains("simulation: needs one rotary or linear table for each motor"), "{said}");
+    // rails have a default for everything
+    let without_rails = &ROBOT[..ROBOT.find("[[simulation.rail]]").unwrap()];
+    let rails = load_text(folder.path(), without_rails).unwrap().simulation.rails;
+    assert_eq!([rails[0].emf_v, rails[1].emf_v], [25.0, 12.5]);
+}
+
+#[test]
+fn nothing_there() {
+    let said = load("osmc_bench").unwrap_err().to_string();
+    let names: Vec<_> = r4_boards::names().collect();
+    let known = names.join(", ");
+    assert_eq!(said, format!("there is no robot `osmc_bench`: write {known}, or the path of a .toml file"));
+    let said = load("no/such.toml").unwrap_err().to_string();
+    assert!(said.starts_with("no/such.toml: cannot be read"), "{said}");
+    assert!(matches!(load("/tmp"), Err(BoardError::UnknownName { .. })));
+    assert!(load_carrier("r5").unwrap_err().to_string().contains("write r4-carrier"));
+}
+
+fn without_line(text: &str, gone: usize) -> String {
+    let lines = text.lines().enumerate().filter(|(index, _)| *index != gone);
+    lines.map(|(_, line)| format!("{line}\n")).collect()
+}
+
+fn places(error: &BoardError) -> bool {
+    let said = error.to_string();
+    ["robot.toml:", "carrier.toml:"].iter().any(|file| {
+        let line = said.find(file).and_then(|at| said[at + file.len()..].split(':').next());
+        line.is_some_and(|line| line.parse::<usize>().is_ok_and(|line| line > 0))
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+
+    #[test]
+    fn damaged_files_are_refused_with_a_place_or_taken(
+        start in 0..CARRIER.len().max(ALL.len()),
+        length in 0..60_usize,
+        inserted in "[\\[\\]{}=\",.0-9a-z\n-]{0,4}",
+        line in 0..600_usize,
+    ) {
+        let folder = TempDir::new().unwrap();
+        for (text, is_robot) in [(ROBOT, true), (ALL, true), (CARRIER, false)] {
+            let load = |text: &str| {
+                if is_robot { load_text(folder.path(), text).map(drop) } else { load_carrier_text(folder.path(), text) }
+            };
+            let mut bytes = text.as_bytes().to_vec();
+            let start = start % bytes.len();
+            let end = (start + length).min(bytes.len());
+            bytes.splice(start..end, inserted.bytes());
+            // what is left of a character that was cut is replaced: a file that is no UTF-8 is not readable at all
+            for damaged in [String::from_utf8_lossy(&bytes).into_owned(), without_line(text, line)] {
+                if let Err(error) = load(&damaged) {
+                    prop_assert!(places(&error), "{error}");
+                }
+            }
+        }
+    }
+}

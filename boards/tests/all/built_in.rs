@@ -1,0 +1,240 @@
+//! The files that are part of the program, against what they are made from.
+
+use std::{collections::HashSet, fs};
+
+use r4_boards::{
+    Drive, SimulatedSensor,
+    carrier::{Chip, PinKind},
+    carrier_names, load, load_carrier, names,
+};
+use r4_protocol::{
+    channel::{ChannelId, ChannelKind},
+    config::{BridgeConfig, DhbLines, Feedback, MotorConfig, PotPoint, PwmConfig, RelayRole, Reverse},
+};
+
+fn osmc_lines(motor: &MotorConfig) -> [u8; 4] {
+    let BridgeConfig::Osmc(lines) = motor.bridge else { panic!("{motor:?}") };
+    lines.all()
+}
+
+const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
+const ACTUATOR1: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
+
+#[test]
+fn every_built_in_name_loads() {
+    for name in names() {
+        let robot = load(name).unwrap();
+        assert_eq!(robot.config.robot.as_str(), name);
+        assert_eq!(robot.file, format!("boards/{name}.toml"));
+        assert_eq!(robot.config.validate(), Ok(()));
+    }
+    for name in carrier_names() {
+        assert_eq!(load_carrier(name).unwrap().name, name);
+    }
+}
+
+#[test]
+fn the_bench_has_the_published_numbers() {
+    let robot = load("osmc-bench").unwrap();
+    let [rotary, actuator] = robot.config.motors.as_slice() else { panic!("two motors") };
+    assert_eq!([rotary.id, actuator.id], [OSMC0, ACTUATOR1]);
+    assert_eq!([osmc_lines(rotary), osmc_lines(actuator)], [[0, 1, 2, 3], [4, 5, 6, 7]]);
+    // 230 and 200 of 255, to the three digits of the file
+    assert!((rotary.duty_max - 230.0 / 255.0).abs() < 5e-4 && (actuator.duty_max - 200.0 / 255.0).abs() < 5e-4);
+    let code_16bit = |code_10bit: f64| (code_10bit / 1023.0 * 65535.0).round() as u16;
+    let expected = Feedback::Potentiometer {
+        analog: 0,
+        low: PotPoint { code: code_16bit(29.0), position_m: 0.0 },
+        high: PotPoint { code: code_16bit(989.0), position_m: 0.1 },
+    };
+    assert_eq!(actuator.control.unwrap().feedback, expected);
+    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false };
+    assert_eq!(rotary.control.unwrap().feedback, encoder);
+    assert_eq!(robot.config.osmc_pwm, Some(PwmConfig { address: 0x40, frequency_hz: 1526.0 }));
+    for supply in &robot.config.supplies {
+        // 50 V at the highest of 65536 codes; f32 has 6e-8
+        assert!((f64::from(supply.volts_per_code) * 65535.0 / 50.0 - 1.0).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_simulated_bench_is_wired_as_the_controller_believes() {
+    let robot = load("osmc-bench").unwrap();
+    let [rotary, actuator] = robot.simulation.motors.as_slice() else { panic!("two motors") };
+    assert_eq!([rotary.channel, actuator.channel], [OSMC0, ACTUATOR1]);
+    assert_eq!(rotary.sensor, Some(SimulatedSensor::Encoder { input: 0, lines_per_turn: 600 }));
+    let Some(SimulatedSensor::Potentiometer { input: 0, low, high, .. }) = actuator.sensor else {
+        panic!("{actuator:?}")
+    };
+    assert_eq!([low.share(), high.share()], [29.0 / 1023.0, 989.0 / 1023.0]);
+    for motor in &robot.simulation.motors {
+        assert!(motor.plant.text.contains("[parameters]") && motor.plant.name.starts_with("boards/plants/"));
+    }
+    let rails: Vec<_> = robot.simulation.rails.iter().map(|rail| (rail.channel.to_string(), rail.emf_v)).collect();
+    assert_eq!(rails, [("supply0".to_owned(), 24.0), ("supply1".to_owned(), 12.0)]);
+}
+
+#[test]
+fn a_copy_elsewhere_uses_what_is_beside_it_and_else_what_is_built_in() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("mine.toml");
+    fs::write(&path, include_str!("../../osmc-bench.toml")).unwrap();
+    let mine = load(path.to_str().unwrap()).unwrap();
+    let built_in = load("osmc-bench").unwrap();
+    assert_eq!(
+        (&mine.config, &mine.simulation, &mine.carrier),
+        (&built_in.config, &built_in.simulation, &built_in.carrier)
+    );
+
+    fs::create_dir(folder.path().join("plants")).unwrap();
+    fs::write(folder.path().join("plants/osmc-bench-rotary.toml"), "model = \"mine\"").unwrap();
+    let changed = load(path.to_str().unwrap()).unwrap();
+    assert_eq!(changed.simulation.motors[0].plant.text, "model = \"mine\"");
+    assert_eq!(changed.simulation.motors[1], built_in.simulation.motors[1]);
+}
+
+#[test]
+fn the_carrier_uses_every_pin_and_every_exti_line_once() {
+    let carrier = load_carrier("r4-carrier").unwrap();
+    let pins: HashSet<_> = carrier.pins.iter().map(|pin| pin.stm32).collect();
+    let headers: HashSet<_> = carrier.pins.iter().map(|pin| &pin.header).collect();
+    assert_eq!((pins.len(), headers.len()), (carrier.pins.len(), carrier.pins.len()));
+    let exti = carrier.pins.iter().filter(|pin| pin.kind == PinKind::Exti);
+    let mut lines: Vec<_> = exti.map(|pin| pin.stm32.number).collect();
+    lines.sort_unstable();
+    assert_eq!(lines, [7, 10, 11, 14, 15]);
+}
+
+#[test]
+fn the_carrier_has_what_the_paper_lists() {
+    // R4 paper: the number of each kind of channel, and which chip does what
+    let carrier = load_carrier("r4-carrier").unwrap();
+    assert_eq!(carrier.dhb.connectors.len(), 4);
+    assert_eq!(carrier.bldc.connectors.len(), 4);
+    assert_eq!(carrier.stepper.connectors.len(), 4);
+    assert_eq!(carrier.encoder.connectors.len(), 4);
+    assert_eq!(carrier.range.connectors.len(), 4);
+    assert_eq!(carrier.servo.outputs.len(), 16);
+    assert_eq!(carrier.relay.outputs.len(), 8);
+    assert_eq!(carrier.analog.inputs.len(), 6);
+    assert_eq!(carrier.dac.outputs.len(), 2);
+    let count = |chip| carrier.i2c.devices.iter().filter(|device| device.chip == chip).count();
+    assert_eq!([count(Chip::Pca9685), count(Chip::Mcp23017), count(Chip::Mcp4728)], [3, 1, 1]);
+    // divider 3.3 V to 50 V
+    assert!((carrier.analog.divider_ratio() - 15.15).abs() < 0.005);
+    // our choice: connector k has the outputs 4k to 4k + 3
+    for (connector, lines) in (0u8..).zip(&carrier.osmc.connectors) {
+        assert_eq!(lines.all(), [0, 1, 2, 3].map(|line| 4 * connector + line));
+    }
+    assert_eq!(carrier.osmc.connectors.len(), 4);
+}
+
+#[test]
+fn a_board_has_the_chips_that_its_robot_uses() {
+    let chips = |name: &str| {
+        let config = load(name).unwrap().config;
+        let outputs = [config.osmc_pwm.is_some(), config.dhb_pwm.is_some(), config.servo_pwm.is_some()];
+        (outputs, [config.bldc_dac.is_some(), config.expander.is_some(), config.stepper_bank.is_some()])
+    };
+    assert_eq!(chips("osmc-bench"), ([true, false, false], [false, true, false]));
+    assert_eq!(chips("openscout"), ([false, true, false], [false, true, false]));
+    assert_eq!(chips("openpodcar"), ([true, true, false], [false, true, false]));
+    assert_eq!(chips("every-interface"), ([true; 3], [true; 3]));
+}
+
+#[test]
+fn every_interface_uses_every_channel_of_the_carrier() {
+    let robot = load("every-interface").unwrap();
+    let count = |kind| robot.config.channels().filter(|(id, _)| id.kind == kind).count();
+    use ChannelKind::{Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range, Relay, Servo, Stepper, Supply, Switch};
+    assert_eq!([count(Osmc), count(Dhb), count(Bldc), count(Servo), count(Stepper)], [4, 4, 4, 16, 4]);
+    assert_eq!([count(Relay), count(Dac), count(Encoder), count(Switch), count(Range)], [8, 2, 4, 4, 4]);
+    // six divided inputs; the dead-man's handle and the auxiliary stop
+    assert_eq!([count(Analog), count(Supply), count(DeadMan)], [4, 2, 2]);
+    let config = &robot.config;
+    let homed = config.motors.iter().filter_map(|motor| motor.control?.homing).count();
+    assert_eq!((homed, config.steppers.iter().filter(|stepper| stepper.homing.is_some()).count()), (1, 2));
+    assert_eq!(config.relays[0].role, RelayRole::MotorPower);
+}
+
+#[test]
+fn wiring_and_times_come_from_the_carrier() {
+    let config = load("every-interface").unwrap().config;
+    let BridgeConfig::Dhb(lines) = config.motors[7].bridge else { panic!("a DHB after four OSMC") };
+    assert_eq!(lines, DhbLines { in1: 9, in2: 10, en: 11 });
+    let Reverse::Line { line, .. } = config.bldcs[3].reverse else { panic!("a direction line") };
+    assert_eq!((config.bldcs[3].output, line.bit, config.bldcs[3].brake.unwrap().bit), (3, 6, 7));
+    assert_eq!(config.relays.iter().map(|relay| relay.bit).collect::<Vec<_>>(), (8..16).collect::<Vec<_>>());
+    assert_eq!(
+        (config.servos[15].output, config.servos[0].low.pulse_s, config.servos[0].high.pulse_s),
+        (15, 1e-3, 2e-3)
+    );
+    let chips = (config.dhb_pwm.unwrap().address, config.servo_pwm.unwrap().address, config.bldc_dac.unwrap().address);
+    assert_eq!((chips, config.expander.unwrap().address), ((0x41, 0x42, 0x60), 0x20));
+    let bank = config.stepper_bank.unwrap();
+    assert_eq!((bank.enable_setup_us, bank.direction_setup_us, bank.rate_max_hz), (5000, 5, 100e3));
+    assert_eq!((config.ranges[0].range_m.min, config.ranges[0].range_m.max), (0.02, 4.0));
+}
+
+#[test]
+fn what_is_not_said_about_the_truth_is_as_configured() {
+    let robot = load("every-interface").unwrap();
+    let (config, truth) = (&robot.config, &robot.simulation);
+    assert_eq!(truth.motors.len(), config.motors.len());
+    for (motor, simulated) in config.motors.iter().zip(&truth.motors) {
+        let expected = motor.control.map(|_| SimulatedSensor::Encoder { input: motor.id.index, lines_per_turn: 600 });
+        assert_eq!((simulated.channel, simulated.sensor), (motor.id, expected));
+    }
+    assert_eq!(truth.servo_oscillator_hz, f64::from(config.servo_pwm.unwrap().oscillator_hz));
+    for (servo, simulated) in config.servos.iter().zip(&truth.servos) {
+        let configured =
+            [servo.low.pulse_s, servo.high.pulse_s, servo.low.angle_rad, servo.high.angle_rad].map(f64::from);
+        let real = [simulated.pulse_min_s, simulated.pulse_max_s, simulated.angle_min_rad, simulated.angle_max_rad];
+        assert_eq!((simulated.channel, real), (servo.id, configured));
+    }
+    for (bldc, simulated) in config.bldcs.iter().zip(&truth.bldcs) {
+        let neutral_v = f64::from(bldc.neutral_v);
+        assert_eq!(simulated.dead_zone_v, [neutral_v - 0.05, neutral_v + 0.05]);
+        assert_eq!((simulated.forward_v, simulated.reverse_v), (bldc.forward_v.into(), None));
+    }
+    // 1 rad/s of 1600 steps a turn, and twice that
+    let start_rate_hz = 2.0 * 1600.0 / std::f64::consts::TAU;
+    assert!(truth.steppers.iter().all(|stepper| (stepper.start_rate_hz / start_rate_hz - 1.0).abs() < 1e-12));
+    let axes: Vec<_> = truth.switches.iter().map(|s| (s.axis.map(|axis| axis.to_string()), s.closed_below)).collect();
+    let homed = |axis: &str, closed_below| (Some(axis.to_owned()), closed_below);
+    assert_eq!(axes, [homed("osmc0", -1.0), homed("stepper0", -0.5), homed("stepper1", -0.5), (None, 0.0)]);
+    // no range sensor stops the board from the start
+    let nearest = config.ranges.iter().map(|range| f64::from(range.stop_below_m.unwrap_or(range.range_m.min)));
+    assert!(truth.ranges.iter().zip(nearest).all(|(range, nearest_m)| range.distance_m > nearest_m));
+    let scale = |volts_per_code: f32| f64::from(volts_per_code);
+    assert!(truth.analogs.iter().zip(&config.analogs).all(|(t, c)| t.volts_per_code == scale(c.volts_per_code)));
+}
+
+#[test]
+fn wheels_can_reach_what_their_robot_may_be_asked_for() {
+    for name in ["openscout", "openagribot"] {
+        let robot = load(name).unwrap();
+        let Some(Drive::SkidSteer(drive)) = robot.drive else { panic!("{name}") };
+        for wheel in drive.left.iter().chain(&drive.right) {
+            let motor = robot.config.motors.iter().find(|motor| motor.id == *wheel).unwrap();
+            let speed_rad_s = f64::from(motor.control.unwrap().speed_max);
+            assert!(speed_rad_s * drive.wheel_radius_m >= drive.speed_max_m_s, "{name} {wheel}");
+        }
+    }
+}
+
+#[test]
+fn openpodcar_steers_by_the_published_calibration() {
+    let Some(Drive::Ackermann(drive)) = load("openpodcar").unwrap().drive else { panic!("a car") };
+    // 10-bit codes 29 and 989 at 0 and 0.1 m, 5 V; angle = 0.40665 V - 0.50843 (OpenPodCar2)
+    for position_m in [0.0, 0.0236, 0.05] {
+        let feedback_v = (29.0 + position_m / 0.1 * 960.0) / 1023.0 * 5.0;
+        let published_rad = 0.40665 * feedback_v - 0.50843;
+        let law = drive.steering_law;
+        // five digits in the file
+        assert!((law.angle_rad(position_m) - published_rad).abs() < 2e-5);
+        assert!((law.position_m(published_rad) - position_m).abs() < 2e-6);
+    }
+    // 25 degrees, and so a turning radius of 2.25 m at the rear axle
+    assert!((drive.wheelbase_m / drive.steering_rad.max.tan() - 2.25).abs() < 0.01);
+}

@@ -1,0 +1,102 @@
+//! Hosts of the version before, by what they were recorded to say: the board tells them so, and nothing moves.
+
+use crate::harness::{Device, RawHost, osmc_bench, raw_bench};
+use r4_protocol::{CycleOutcome, Refusal, Reply, SCHEMA_HASH, SafetyState, ToHost, VERSION};
+
+/// Frames of every message, direction, name and bytes.
+const GOLDEN: &str = include_str!("../../../../protocol/tests/golden/v4.txt");
+/// A session of a host with a board, who and bytes.
+const SESSION: &str = include_str!("../../../../protocol/tests/golden/v4-session.txt");
+
+/// Bytes of the rows that begin with `who`.
+fn rows(table: &str, who: &str) -> Vec<Vec<u8>> {
+    let rows = table.lines().filter(|line| line.starts_with(who)).filter_map(|line| line.rsplit(' ').next());
+    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hex")).collect())
+        .collect()
+}
+
+fn mismatch() -> Refusal {
+    Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }
+}
+
+fn nothing_moved(device: &Device) {
+    let robot = osmc_bench();
+    for (motor, simulated) in robot.config.motors.iter().zip(&robot.simulation.motors) {
+        let position = device.board.world().position(motor.id).expect("the bench has it");
+        assert!(position == simulated.start && device.duty(motor.id) == 0.0, "{} at {position}", motor.id);
+    }
+}
+
+/// What the board says in the next 2 ms to `bytes`.
+async fn heard(host: &mut RawHost, bytes: &[u8]) -> Vec<ToHost> {
+    host.send_bytes(bytes).await;
+    host.listen(2).await
+}
+
+#[test]
+fn a_host_of_version_4_is_told_the_boards_version() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.listen(5).await;
+        let [hello] = &rows(SESSION, "hello")[..] else { panic!("one row") };
+        let told = heard(host, hello).await;
+        assert_eq!(told, [ToHost::Response { seq: 0, result: Err(mismatch()) }]);
+        // And goes on as if it had heard nothing: arms, commands half of the supply.
+        let said = rows(SESSION, "host");
+        assert!(said.len() > 10, "a whole session");
+        for bytes in said {
+            for message in heard(host, &bytes).await {
+                let ToHost::Response { result, .. } = message else { panic!("{message:?} without a session") };
+                // The goodbye at the end is taken, from whoever it is.
+                assert!(matches!(result, Err(Refusal::NoSession) | Ok(Reply::Done)) || result == Err(mismatch()));
+            }
+            nothing_moved(device);
+        }
+        assert_eq!(host.hello().await.state, SafetyState::Disarmed);
+    });
+}
+
+/// Not an error of the host, who is one of today: bytes that another one left on the line, or a recording that is played.
+#[test]
+fn no_message_of_version_4_moves_anything() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.listen(5).await;
+        let said = rows(GOLDEN, "to-device");
+        assert!(said.len() > 60, "{} messages", said.len());
+        let (mut done, mut answers) = (0, 0);
+        for bytes in &said {
+            for message in heard(host, bytes).await {
+                // A cycle of channels that nobody has bound.
+                if let ToHost::Cycle(cycle) = message {
+                    assert_eq!(cycle.outcome(), CycleOutcome::Unbound, "{bytes:02x?}");
+                    continue;
+                }
+                let ToHost::Response { result, .. } = message else { panic!("{message:?} to {bytes:02x?}") };
+                answers += 1;
+                match result {
+                    Err(Refusal::NoSession) => {}
+                    Ok(Reply::Done) => done += 1,
+                    Err(refusal) => assert_eq!(refusal, mismatch()),
+                    Ok(reply) => panic!("{reply:?} to {bytes:02x?}"),
+                }
+            }
+            nothing_moved(device);
+        }
+        // Stop and goodbye; heartbeats are not answered.
+        assert_eq!(done, 2);
+        assert!(answers > 50 && answers < said.len(), "{answers} answers to {}", said.len());
+        assert_eq!(host.hello().await.state, SafetyState::Tripped);
+    });
+}
+
+/// What boards say to hosts is no message to a board.
+#[test]
+fn no_answer_of_version_4_moves_anything() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        for bytes in rows(GOLDEN, "to-host") {
+            host.send_bytes(&bytes).await;
+            host.listen(2).await;
+            nothing_moved(device);
+        }
+    });
+}

@@ -1,0 +1,686 @@
+//! Bytes straight into the board's link: whatever comes is survived, counted or refused, and moves nothing; the next good
+//! frame is taken.
+
+use crate::harness::{
+    Device, LINEAR, MS, ROTARY, RawHost, SUPPLY_24, bench, frame, osmc_bench, power_up, raw_bench, raw_bench_of,
+};
+use proptest::prelude::*;
+use r4_boards::Robot;
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Mode, Range,
+    Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, VERSION,
+    config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
+};
+use r4_sim::{Simulation, uart::LineNoise};
+
+const NO_MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 3);
+const GAINS: PidGains = PidGains { kp: 1.0, ki: 0.0, kd: 0.0 };
+
+/// A command that is decided now, as the board's clock is the simulation's.
+fn set(device: &Device, channel: ChannelId, mode: Mode, value: f32) -> Request {
+    set_at(device.clock.now_ns() / 1000, channel, mode, value)
+}
+
+fn set_at(sent_us: u64, channel: ChannelId, mode: Mode, value: f32) -> Request {
+    Request::Set { channel, setpoint: Setpoint { mode, value }, sent_us, ttl_ms: 50 }
+}
+
+fn nothing_moved(device: &Device) {
+    for (channel, start) in [(ROTARY, 0.0), (LINEAR, osmc_bench().simulation.motors[1].start)] {
+        let position = device.board.world().position(channel).expect("the bench has the channel");
+        assert!(position == start && device.duty(channel) == 0.0, "{channel} at {position}");
+    }
+}
+
+/// A bit error in 5000 bits: of 400 requests of about ten bytes each about one in fifty is lost. Not one is misunderstood,
+/// and when the line is quiet again everything is as before.
+#[test]
+fn a_noisy_line_loses_frames_and_says_so() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        let before = host.stats().await.bad_frames;
+        device.board.disturb_link(Some(LineNoise::new(2e-4, 0.0, 1)), None);
+        let mut answers = 0;
+        for seq in 1000..1400_u16 {
+            host.send(&ToDevice::Request { seq, request: Request::Stats }).await;
+            let heard = host.listen(2).await;
+            answers += heard.iter().filter(|message| matches!(message, ToHost::Response { result: Ok(_), .. })).count();
+        }
+        device.board.disturb_link(None, None);
+        let lost = host.stats().await.bad_frames - before;
+        assert!((1..40).contains(&lost), "{lost} frames lost");
+        assert_eq!(answers + lost as usize, 400, "each frame is taken or counted");
+        nothing_moved(device);
+    });
+}
+
+#[test]
+fn before_a_hello_everything_but_stopping_is_refused() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        let requests = [
+            Request::Describe { index: 0 },
+            Request::Arm,
+            Request::Disarm,
+            Request::Clear,
+            set(device, ROTARY, Mode::Duty, 0.8),
+            Request::Subscribe { channel: ROTARY, period_ms: 1 },
+            Request::SetGains { channel: ROTARY, mode: Mode::Position, gains: GAINS },
+            Request::Stats,
+        ];
+        for request in requests {
+            assert_eq!(host.ask(request.clone()).await, Err(Refusal::NoSession), "{request:?}");
+        }
+        host.send(&ToDevice::Heartbeat { session: 1, host_us: 0 }).await;
+        assert_eq!(host.listen(20).await, [], "a heartbeat without a session is not answered");
+        assert_eq!(host.ask(Request::Bye).await, Ok(Reply::Done));
+        assert_eq!(host.hello().await.state, SafetyState::Disarmed);
+        assert_eq!(host.ask(Request::Bye).await, Ok(Reply::Done));
+        assert_eq!(host.ask(Request::Stop).await, Ok(Reply::Done), "anyone may stop the board");
+        let info = host.hello().await;
+        assert_eq!((info.state, info.causes), (SafetyState::Tripped, Causes::only(Cause::HostStop)));
+        nothing_moved(device);
+    });
+}
+
+#[test]
+fn another_version_or_schema_gets_no_session() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        for (version, schema) in [(VERSION + 1, SCHEMA_HASH), (VERSION, SCHEMA_HASH ^ 1), (0, 0)] {
+            let refused = host.ask(Request::Hello { version, schema }).await;
+            assert_eq!(refused, Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }));
+            assert_eq!(host.ask(Request::Arm).await, Err(Refusal::NoSession));
+        }
+        // A refused one does not end the session there is.
+        host.hello().await;
+        host.ask(Request::Hello { version: VERSION + 1, schema: SCHEMA_HASH }).await.unwrap_err();
+        host.stats().await;
+    });
+}
+
+#[test]
+fn a_simulated_board_has_no_log_and_says_so() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        assert_eq!(host.ask(Request::Log { on: true }).await, Err(Refusal::NoSession));
+        host.hello().await;
+        for on in [true, false] {
+            assert_eq!(host.ask(Request::Log { on }).await, Err(Refusal::NoLog));
+        }
+        assert!(host.listen(50).await.iter().all(|message| !matches!(message, ToHost::Log(_))));
+    });
+}
+
+/// A frame with one of its bytes changed, and still without a delimiter inside.
+fn changed(mut bytes: Vec<u8>, place: usize) -> Vec<u8> {
+    bytes[place] = if bytes[place] == 0xFF { 1 } else { bytes[place] + 1 };
+    bytes
+}
+
+#[test]
+fn damaged_frames_are_counted_and_the_next_good_one_is_taken() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        let arm = frame(&ToDevice::Request { seq: 999, request: Request::Arm });
+        let repeated = [&arm[..3], &arm[2..]].concat();
+        let swapped = [&arm[..1], &[arm[2], arm[1]], &arm[3..]].concat();
+        let cases: [(&str, Vec<u8>, u32); 12] = [
+            ("only delimiters", vec![0; 50], 0),
+            ("garbage", b"\x01\x02 no frame at all \xFF\xFE\0".to_vec(), 1),
+            ("one byte", vec![7, 0], 1),
+            ("a CRC without a message", vec![3, 0xFF, 0xFF, 0], 1),
+            ("a frame cut short", [&arm[..arm.len() - 3], &[0]].concat(), 1),
+            ("a frame without its beginning", arm[2..].to_vec(), 1),
+            ("a changed byte of the message", changed(arm.clone(), 2), 1),
+            ("a changed byte of the CRC", changed(arm.clone(), arm.len() - 2), 1),
+            ("a repeated byte", repeated, 1),
+            ("bytes in the wrong order", swapped, 1),
+            ("a frame longer than any", [vec![1; MAX_FRAME + 1], vec![0]].concat(), 1),
+            ("a frame far longer than any", [vec![0xAA; 5000], vec![0]].concat(), 1),
+        ];
+        for (what, bytes, bad) in cases {
+            let before = host.stats().await;
+            host.send_bytes(&bytes).await;
+            let after = host.stats().await;
+            assert_eq!(after.bad_frames - before.bad_frames, bad, "{what}");
+            // The one that asked.
+            assert_eq!(after.frames - before.frames, 1, "{what}");
+            host.listen(10).await;
+        }
+        assert_eq!(host.hello().await.state, SafetyState::Disarmed);
+        nothing_moved(device);
+    });
+}
+
+/// A frame that lost its delimiter takes the next one with it; the one after is taken.
+#[test]
+fn a_lost_delimiter_costs_one_more_frame() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        host.hello().await;
+        let stats = |seq| frame(&ToDevice::Request { seq, request: Request::Stats });
+        let first = stats(1);
+        host.send_bytes(&[&first[..first.len() - 1], &stats(2), &stats(3)].concat()).await;
+        let heard = host.listen(20).await;
+        assert!(matches!(heard[..], [ToHost::Response { seq: 3, result: Ok(Reply::Stats(_)) }]), "{heard:?}");
+    });
+}
+
+/// What a motor of the bench takes.
+fn range_of(motor: usize, mode: Mode) -> Range {
+    let motor = osmc_bench().config.motors[motor];
+    let control = motor.control.expect("a measured motor");
+    match mode {
+        Mode::Position => control.position,
+        Mode::Speed => Range::symmetric(control.speed_max),
+        Mode::Duty => Range::symmetric(motor.duty_max),
+        other => unreachable!("no motor has the mode {other}"),
+    }
+}
+
+#[test]
+fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(Request::Arm).await.unwrap();
+        for (index, channel) in [(0, ROTARY), (1, LINEAR)] {
+            for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
+                let range = range_of(index, mode);
+                for asked in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                    let refused = host.ask(set(device, channel, mode, asked)).await;
+                    assert_eq!(refused, Err(Refusal::NotFinite { channel }), "{mode} {asked}");
+                }
+                for asked in [range.max * 1.001, range.min - 0.001, f32::MAX, f32::MIN] {
+                    let refused = host.ask(set(device, channel, mode, asked)).await;
+                    assert_eq!(refused, Err(Refusal::OutOfRange { channel, asked, range }), "{mode}");
+                }
+            }
+        }
+        // 51 ms old with 50 ms to live; a board that has run for less would be asked from before its start.
+        host.listen(100).await;
+        let late = set_at(device.clock.now_ns() / 1000 - 51_000, ROTARY, Mode::Duty, 0.8);
+        let bad_gains = PidGains { kp: f32::NAN, ..GAINS };
+        let cases = [
+            (late, Refusal::Expired { age_ms: 51, ttl_ms: 50 }),
+            (set(device, NO_MOTOR, Mode::Duty, 0.8), Refusal::UnknownChannel { channel: NO_MOTOR }),
+            (set(device, SUPPLY_24, Mode::Duty, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Duty }),
+            (set(device, SUPPLY_24, Mode::Speed, 0.8), Refusal::WrongMode { channel: SUPPLY_24, mode: Mode::Speed }),
+            (Request::Describe { index: 7 }, Refusal::NoSuchIndex { index: 7 }),
+            (Request::Describe { index: 255 }, Refusal::NoSuchIndex { index: 255 }),
+            (Request::Subscribe { channel: NO_MOTOR, period_ms: 1 }, Refusal::UnknownChannel { channel: NO_MOTOR }),
+            (
+                Request::SetGains { channel: ROTARY, mode: Mode::Duty, gains: GAINS },
+                Refusal::WrongMode { channel: ROTARY, mode: Mode::Duty },
+            ),
+            (
+                Request::SetGains { channel: ROTARY, mode: Mode::Speed, gains: bad_gains },
+                Refusal::BadGains { channel: ROTARY },
+            ),
+        ];
+        let before = host.stats().await.refused;
+        for (place, (request, refusal)) in (1..).zip(cases) {
+            assert_eq!(host.ask(request.clone()).await, Err(refusal), "{request:?}");
+            assert_eq!(host.stats().await.refused - before, place);
+        }
+        nothing_moved(device);
+        // Not because nothing could move: the same with numbers that fit does.
+        host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await.unwrap();
+        host.listen(20).await;
+        assert!(device.duty(ROTARY) > 0.0);
+    });
+}
+
+#[test]
+fn commands_are_refused_unless_armed() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        for (request, state) in [(Request::Disarm, SafetyState::Disarmed), (Request::Stop, SafetyState::Tripped)] {
+            host.ask(request).await.unwrap();
+            let refused = host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await;
+            assert_eq!(refused, Err(Refusal::NotArmed { state }));
+        }
+        host.ask(Request::Clear).await.unwrap();
+        host.ask(Request::Arm).await.unwrap();
+        host.listen(20).await;
+        nothing_moved(device);
+    });
+}
+
+#[test]
+fn a_heartbeat_of_another_session_does_not_keep_the_link() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        for (other, state) in [(0, SafetyState::Armed), (1, SafetyState::Tripped)] {
+            let session = host.hello().await.session;
+            host.ask(Request::Arm).await.unwrap();
+            // 300 ms, longer than the link timeout of 200 ms.
+            let mut answers = 0;
+            for _ in 0..6 {
+                host.send(&ToDevice::Heartbeat { session: session.wrapping_add(other), host_us: 7 }).await;
+                let heard = host.listen(50).await;
+                answers += heard.iter().filter(|m| matches!(m, ToHost::Heartbeat { host_us: 7, .. })).count();
+            }
+            assert_eq!(answers, if other == 0 { 6 } else { 0 });
+            let armed = host.ask(set(device, ROTARY, Mode::Duty, 0.0)).await;
+            assert_eq!(armed, if other == 0 { Ok(Reply::Done) } else { Err(Refusal::NotArmed { state }) });
+        }
+    });
+}
+
+#[test]
+fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
+    bench(&osmc_bench(), async |bench| {
+        bench.host.arm().await.unwrap();
+        let mut telemetry = bench.host.telemetry();
+        let channels: Vec<_> = bench.host.channels().iter().map(|channel| channel.id).collect();
+        for channel in &channels {
+            bench.host.subscribe(*channel, 1).await.unwrap();
+        }
+        // Both motors under way, and turning around.
+        for (rotary, linear) in [(3.0, 0.02), (-3.0, 0.005)] {
+            bench.set(ROTARY, Mode::Position, rotary).await.unwrap();
+            bench.set(LINEAR, Mode::Position, linear).await.unwrap();
+            while telemetry.try_next().is_some() {}
+            let begin_ns = bench.clock.now_ns();
+            bench.sleep_ms(1000).await;
+            let mut samples = vec![0; channels.len()];
+            while let Some(frame) = telemetry.try_next() {
+                for sample in frame.samples {
+                    samples[channels.iter().position(|channel| *channel == sample.channel()).unwrap()] += 1;
+                }
+            }
+            // One each millisecond, but for those under way at either end.
+            let expected = (bench.clock.now_ns() - begin_ns) / MS;
+            assert!(samples.iter().all(|count| expected.abs_diff(*count) <= 2), "{samples:?} in {expected} ms");
+        }
+        let stats = bench.host.stats().await.unwrap();
+        assert_eq!((stats.late_ticks, stats.telemetry_dropped), (0, 0), "the longest took {} us", stats.worst_tick_us);
+    });
+}
+
+/// What the cycles of these tests mean: the bench's rotary motor by its speed, 1 mrad/s a step, its actuator by its position,
+/// 1 um a step.
+fn bind(ttl_ms: u16) -> Request {
+    let channels = [of_cycle(ROTARY, Mode::Speed), of_cycle(LINEAR, Mode::Position)];
+    Request::Bind { channels: channels.into_iter().collect(), ttl_ms }
+}
+
+fn of_cycle(channel: ChannelId, mode: Mode) -> CycleChannel {
+    CycleChannel { channel, mode, position_scale: if channel == LINEAR { 1e-6 } else { 1e-3 }, speed_scale: 1e-3 }
+}
+
+/// Set points for the two channels of [`bind`].
+fn steps(rotary: i16, linear: i16) -> [i16; 4] {
+    [rotary, linear, 1234, 5678]
+}
+
+/// Sends `cycle` and gives its answer; panics when there is none, or another message.
+async fn turn(host: &mut RawHost, cycle: Cycle) -> CycleState {
+    host.send(&ToDevice::Cycle(cycle)).await;
+    match host.listen(2).await[..] {
+        [ToHost::Cycle(state)] if state.seq == cycle.seq => state,
+        ref other => panic!("{other:?} to {cycle:?}"),
+    }
+}
+
+fn now_us(device: &Device) -> u64 {
+    device.clock.now_ns() / 1000
+}
+
+#[test]
+fn a_cycle_moves_what_is_bound_and_tells_what_it_does() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(bind(50)).await.unwrap();
+        host.ask(Request::Arm).await.unwrap();
+        let start_us = device.board.world().position(LINEAR).unwrap() * 1e6;
+        let mut last = None;
+        // 1.5 s: 2 rad/s, and 20 mm from where the rod is.
+        for turn_number in 0..150_u64 {
+            let target = start_us as i16 + 10_000;
+            let cycle = Cycle::new(turn_number as u8, None, Some(now_us(device)), steps(2000, target));
+            let state = turn(host, cycle).await;
+            assert_eq!((state.outcome(), state.state()), (CycleOutcome::Taken, Ok(SafetyState::Armed)));
+            assert_eq!(state.causes(), Causes::NONE);
+            let age_us = now_us(device) - state.device_us(now_us(device));
+            assert!(age_us <= 2000, "the board's clock is the simulation's: {age_us} us");
+            if turn_number % 5 == 0 {
+                let session = 1;
+                host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
+            }
+            host.listen(8).await;
+            last = Some(state);
+        }
+        let [rotary, linear, unbound, last] = last.unwrap().motors();
+        assert!((1900..2100).contains(&rotary.speed), "{rotary:?}");
+        let resolution = std::f64::consts::TAU / 2400.0;
+        let position = device.board.world().position(ROTARY).unwrap();
+        assert!((f64::from(rotary.position) * resolution - position).abs() < 0.1, "{rotary:?} at {position} rad");
+        assert!((f64::from(rotary.duty) / 32_767.0 - device.duty(ROTARY)).abs() < 0.05, "{rotary:?}");
+        assert!(f64::from(linear.position) - start_us > 5_000.0, "{linear:?} from {start_us} um");
+        assert_eq!([unbound, last], [CycleMotor::NONE; 2]);
+        assert_eq!(host.stats().await.cycles_refused, 0);
+    });
+}
+
+#[test]
+fn a_cycle_is_refused_whole_and_always_answered() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        let cycle = |seq, rotary, linear| Cycle::new(seq, None, Some(now_us(device)), steps(rotary, linear));
+        let mut refused = 0;
+        let mut expect = async |host: &mut RawHost, what: &str, cycle, outcome| {
+            let state = turn(host, cycle).await;
+            assert_eq!(state.outcome(), outcome, "{what}");
+            refused += u32::from(outcome != CycleOutcome::Taken);
+            if outcome != CycleOutcome::Taken {
+                // A period has passed, in which it would have moved.
+                nothing_moved(device);
+            }
+            state
+        };
+        // Nothing is taken before the board has started.
+        host.listen(100).await;
+        let unbound = expect(host, "no session", cycle(1, 100, 0), CycleOutcome::Unbound).await;
+        assert_eq!(unbound.motors(), [CycleMotor::NONE; 4]);
+        host.hello().await;
+        expect(host, "nothing bound", cycle(2, 100, 0), CycleOutcome::Unbound).await;
+        host.ask(bind(50)).await.unwrap();
+        let disarmed = expect(host, "not armed", cycle(3, 100, 0), CycleOutcome::Refused).await;
+        assert_eq!(disarmed.state(), Ok(SafetyState::Disarmed));
+        expect(host, "only asked", cycle(4, NOTHING, NOTHING), CycleOutcome::Taken).await;
+        host.ask(Request::Arm).await.unwrap();
+        host.listen(60).await;
+
+        // 5.001 rad/s where 5 is the most, and 1 um below the rod's range: the other set point is good each time.
+        expect(host, "too fast", cycle(5, 5001, 50_00), CycleOutcome::Refused).await;
+        expect(host, "too short", cycle(6, 100, -1), CycleOutcome::Refused).await;
+        for mode in [Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home] {
+            let other = Cycle::new(7, Some(mode), Some(now_us(device)), steps(100, NOTHING));
+            expect(host, "a mode no cycle has", other, CycleOutcome::Refused).await;
+        }
+        for (age_us, outcome) in [(51_000, CycleOutcome::Stale), (-52_000, CycleOutcome::Stale)] {
+            let sent_us = now_us(device).checked_add_signed(-age_us).unwrap();
+            expect(host, "old, or dated ahead", Cycle::new(8, None, Some(sent_us), steps(100, NOTHING)), outcome).await;
+        }
+        let stats = host.stats().await;
+        assert_eq!((stats.cycles_refused, stats.refused), (refused, 0));
+
+        // Not because nothing could move: in either of the other modes, and without a date.
+        let duty = Cycle::new(9, Some(Mode::Duty), Some(now_us(device)), steps(20_000, NOTHING));
+        assert_eq!(turn(host, duty).await.outcome(), CycleOutcome::Taken);
+        host.listen(20).await;
+        assert!(device.duty(ROTARY) > 0.3 && device.duty(LINEAR) == 0.0);
+        let undated = Cycle::new(10, Some(Mode::Position), None, steps(-1000, NOTHING));
+        assert_eq!(turn(host, undated).await.outcome(), CycleOutcome::Taken);
+        // The end of the session ends the binding.
+        host.hello().await;
+        assert_eq!(turn(host, cycle(11, 0, 0)).await.outcome(), CycleOutcome::Unbound);
+    });
+}
+
+#[test]
+fn what_no_cycle_can_move_is_not_bound() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        let bind =
+            |channels: &[CycleChannel]| Request::Bind { channels: channels.iter().copied().collect(), ttl_ms: 50 };
+        assert_eq!(host.ask(bind(&[])).await, Err(Refusal::NoSession));
+        host.hello().await;
+        let relay = ChannelId::new(ChannelKind::Relay, 1);
+        let wrong = |channel, mode| Refusal::WrongMode { channel, mode };
+        let bad = Refusal::BadBinding { channel: ROTARY };
+        let good = of_cycle(ROTARY, Mode::Speed);
+        let no_motor = of_cycle(NO_MOTOR, Mode::Duty);
+        let cases = [
+            (vec![good, no_motor], Refusal::UnknownChannel { channel: NO_MOTOR }),
+            (vec![of_cycle(relay, Mode::Switch)], wrong(relay, Mode::Switch)),
+            (vec![of_cycle(SUPPLY_24, Mode::Duty)], wrong(SUPPLY_24, Mode::Duty)),
+            (vec![of_cycle(ROTARY, Mode::Home)], wrong(ROTARY, Mode::Home)),
+            (vec![of_cycle(ROTARY, Mode::Voltage)], wrong(ROTARY, Mode::Voltage)),
+            (vec![good, of_cycle(ROTARY, Mode::Duty)], bad),
+            (vec![CycleChannel { speed_scale: 0.0, ..good }], bad),
+            (vec![CycleChannel { speed_scale: f32::NAN, ..good }], bad),
+            (vec![CycleChannel { position_scale: f32::INFINITY, ..good }], bad),
+            (vec![CycleChannel { position_scale: -1.0, ..good }], bad),
+        ];
+        for (channels, refusal) in cases {
+            assert_eq!(host.ask(bind(&channels)).await, Err(refusal), "{channels:?}");
+            assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Unbound);
+        }
+        assert_eq!(host.ask(bind(&[good])).await, Ok(Reply::Done));
+        assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Taken);
+        assert_eq!(host.ask(bind(&[])).await, Ok(Reply::Done));
+        assert_eq!(turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await.outcome(), CycleOutcome::Unbound);
+    });
+}
+
+/// Of two channels whose cycles stop coming, the one that has had a single command since goes on.
+#[test]
+fn the_set_points_of_cycles_that_stop_coming_end() {
+    const TTL_MS: u64 = 50;
+    for mode in [Mode::Position, Mode::Speed, Mode::Duty] {
+        raw_bench(&osmc_bench(), async |host, device| {
+            let session = host.hello().await.session;
+            let heartbeat = ToDevice::Heartbeat { session, host_us: 0 };
+            let channels = [of_cycle(ROTARY, mode), of_cycle(LINEAR, Mode::Duty)];
+            let bind = Request::Bind { channels: channels.into_iter().collect(), ttl_ms: TTL_MS as u16 };
+            host.ask(bind).await.unwrap();
+            host.ask(Request::Arm).await.unwrap();
+            host.ask(Request::Subscribe { channel: ROTARY, period_ms: 1 }).await.unwrap();
+            let mut sent_us = 0;
+            for turn in 0..50 {
+                sent_us = now_us(device);
+                let rotary = if mode == Mode::Duty { 26_000 } else { 3000 };
+                host.send(&ToDevice::Cycle(Cycle::new(turn, None, Some(sent_us), steps(rotary, 10_000)))).await;
+                host.send(&heartbeat).await;
+                host.listen(if turn == 49 { 1 } else { 20 }).await;
+            }
+            let speed = device.board.world().speed(ROTARY).unwrap();
+            assert!(speed > 0.5, "{mode}: it must run before it can stop: {speed} rad/s");
+            host.ask(set(device, LINEAR, Mode::Duty, 0.3)).await.unwrap();
+            host.send(&heartbeat).await;
+
+            let at_rest = Setpoint { mode: if mode == Mode::Duty { mode } else { Mode::Speed }, value: 0.0 };
+            let stopped_us = host.listen(100).await.into_iter().find_map(|message| match message {
+                ToHost::Telemetry(Telemetry { device_us, samples, .. }) => match samples[..] {
+                    [Sample::Motor { setpoint, .. }] if setpoint == at_rest => Some(device_us),
+                    _ => None,
+                },
+                _ => None,
+            });
+            // Looked at each millisecond, as is what telemetry tells.
+            let after_us = stopped_us.expect("it stops") - sent_us;
+            assert!((TTL_MS * 1000..TTL_MS * 1000 + 3000).contains(&after_us), "{mode}: after {after_us} us");
+            for _ in 0..15 {
+                host.send(&heartbeat).await;
+                host.listen(100).await;
+            }
+            let speed = device.board.world().speed(ROTARY).unwrap();
+            assert!(speed.abs() < 0.05, "{mode}: {speed} rad/s");
+            assert!(device.duty(LINEAR) > 0.2, "a single command holds");
+            assert_eq!(host.stats().await.setpoints_expired, 1);
+            host.ask(Request::Subscribe { channel: ROTARY, period_ms: 0 }).await.unwrap();
+            host.listen(10).await;
+            let state = turn(host, Cycle::new(0, None, None, [NOTHING; 4])).await;
+            assert_eq!(state.state(), Ok(SafetyState::Armed), "cycles that stop coming are no trip");
+        });
+    }
+}
+
+/// The board's clock in a cycle has 32 bits, which wrap after 71 minutes.
+#[test]
+fn cycles_go_on_when_the_32_bits_of_their_clock_wrap() {
+    const WRAP_US: u64 = 1 << 32;
+    // Time has been counting before the board is there: it is on for a second when they wrap.
+    let late = |simulation: &mut Simulation, robot: &Robot| {
+        let clock = simulation.clock();
+        simulation.block_on(clock.sleep((WRAP_US - 1_000_000) * 1000)).expect("time goes on");
+        power_up(simulation, robot)
+    };
+    raw_bench_of(&late, &osmc_bench(), async |host, device| {
+        host.hello().await;
+        host.ask(bind(50)).await.unwrap();
+        // Nobody is heard meanwhile, which trips; cycles that only ask are answered all the same.
+        host.listen((WRAP_US - 20_000 - now_us(device)) / 1000).await;
+        let mut outcomes = Vec::new();
+        for seq in 250..=260_u32 {
+            let sent_us = now_us(device);
+            let state = turn(host, Cycle::new(seq as u8, None, Some(sent_us), [NOTHING; 4])).await;
+            let device_us = state.device_us(now_us(device));
+            assert!((sent_us..sent_us + 2000).contains(&device_us), "{device_us}, sent at {sent_us}");
+            outcomes.push((sent_us < WRAP_US, state.outcome()));
+            host.listen(3).await;
+        }
+        assert!(outcomes.iter().any(|(before, _)| *before) && outcomes.iter().any(|(before, _)| !before));
+        assert!(outcomes.iter().all(|(_, outcome)| *outcome == CycleOutcome::Taken), "{outcomes:?}");
+        let sent_us = now_us(device) - 60_000;
+        assert!(sent_us < WRAP_US && now_us(device) > WRAP_US);
+        let old = turn(host, Cycle::new(1, None, Some(sent_us), [NOTHING; 4])).await;
+        assert_eq!(old.outcome(), CycleOutcome::Stale, "also over the wrap");
+    });
+}
+
+/// Whole frames, pieces of frames and noise, but never a whole request to arm.
+fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
+    let message = prop_oneof![
+        any::<u64>().prop_map(|schema| Request::Hello { version: VERSION, schema }),
+        Just(Request::Hello { version: VERSION, schema: SCHEMA_HASH }),
+        Just(Request::Clear),
+        Just(Request::Bye),
+        Just(Request::Stats),
+        (any::<u8>()).prop_map(|index| Request::Describe { index }),
+        (any::<u8>(), any::<u16>()).prop_map(|(index, period_ms)| Request::Subscribe {
+            channel: ChannelId::new(ChannelKind::Osmc, index),
+            period_ms,
+        }),
+        (any::<f32>(), any::<u64>(), any::<u16>()).prop_map(|(value, sent_us, ttl_ms)| Request::Set {
+            channel: ROTARY,
+            setpoint: Setpoint { mode: Mode::Duty, value },
+            sent_us,
+            ttl_ms,
+        }),
+        Just(bind(50)),
+        any::<[f32; 3]>().prop_map(|[kp, ki, kd]| Request::SetGains {
+            channel: ROTARY,
+            mode: Mode::Speed,
+            gains: PidGains { kp, ki, kd },
+        }),
+    ];
+    let whole = (any::<u16>(), message).prop_map(|(seq, request)| frame(&ToDevice::Request { seq, request }));
+    let beat =
+        (any::<u16>(), any::<u64>()).prop_map(|(session, host_us)| frame(&ToDevice::Heartbeat { session, host_us }));
+    let cycle = (any::<u8>(), any::<Option<u64>>(), any::<[i16; 4]>())
+        .prop_map(|(seq, sent_us, set)| frame(&ToDevice::Cycle(Cycle::new(seq, None, sent_us, set))));
+    // COBS makes the damage visible to the CRC, never invisible: a flipped bit gives no other valid frame.
+    let damaged = (any::<u16>(), any::<prop::sample::Index>(), 0..8u8).prop_map(|(seq, place, bit)| {
+        let mut arm = frame(&ToDevice::Request { seq, request: Request::Arm });
+        let place = place.index(arm.len() - 1);
+        arm[place] ^= 1 << bit;
+        arm
+    });
+    let noise = prop::collection::vec(any::<u8>(), 0..300);
+    let piece = prop_oneof![3 => whole, 1 => beat, 1 => cycle, 2 => damaged, 2 => noise];
+    prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
+}
+
+/// Whether the bench takes `set` for the channels of [`bind`], and what they follow then.
+fn followed(mode: Option<Mode>, set: [i16; 4]) -> Option<[Option<Setpoint>; 2]> {
+    let of = |motor: usize, bound: CycleChannel| {
+        if set[motor] == NOTHING {
+            return Some(None);
+        }
+        let mode = mode.unwrap_or(bound.mode);
+        let value = f32::from(set[motor]) * bound.scale(mode)?;
+        range_of(motor, mode).contains(value).then_some(Some(Setpoint { mode, value }))
+    };
+    Some([of(0, of_cycle(ROTARY, Mode::Speed))?, of(1, of_cycle(LINEAR, Mode::Position))?])
+}
+
+/// Mode, age in µs, set points.
+type AnyCycle = (Option<Mode>, Option<i64>, [i16; 4]);
+
+fn any_cycle() -> impl Strategy<Value = AnyCycle> {
+    let modes = vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+    let mode = proptest::option::of(proptest::sample::select(modes));
+    let steps = || prop_oneof![3 => -50..50_i16, 2 => any::<i16>(), 1 => Just(NOTHING)];
+    // Looking at both motors takes some 10 ms of the time to live.
+    let age_us = prop_oneof![3 => -30_000..30_000_i64, 1 => 51_000..1_000_000_i64, 1 => -1_000_000..-52_000_i64];
+    (mode, proptest::option::of(age_us), [steps(), steps(), steps(), steps()])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, cases: 48, ..ProptestConfig::default() })]
+
+    /// Whatever is in a cycle, the motors follow what single commands could have told them, or what they followed before.
+    #[test]
+    fn any_cycle_is_followed_as_single_commands_are_or_not_at_all(cycles in prop::collection::vec(any_cycle(), 1..12)) {
+        raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
+            let session = host.hello().await.session;
+            host.ask(bind(50)).await.unwrap();
+            host.listen(1000).await;
+            host.hello().await;
+            host.ask(bind(50)).await.unwrap();
+            host.ask(Request::Clear).await.unwrap();
+            host.ask(Request::Arm).await.unwrap();
+            for (seq, (mode, age_us, set)) in cycles.iter().copied().enumerate() {
+                let sent_us = age_us.map(|age_us| now_us(device).checked_add_signed(-age_us).unwrap());
+                let state = turn(host, Cycle::new(seq as u8, mode, sent_us, set)).await;
+                let expected = match (age_us, followed(mode, set)) {
+                    (Some(age_us), _) if age_us.abs() > 50_000 => CycleOutcome::Stale,
+                    (_, None) => CycleOutcome::Refused,
+                    (_, Some(_)) => CycleOutcome::Taken,
+                };
+                assert_eq!(state.outcome(), expected, "{mode:?} {age_us:?} {set:?}");
+                let told = [setpoint_of(host, ROTARY).await, setpoint_of(host, LINEAR).await];
+                if expected == CycleOutcome::Taken {
+                    for (told, followed) in told.iter().zip(followed(mode, set).unwrap()) {
+                        assert!(followed.is_none_or(|followed| *told == followed), "{told:?}, not {followed:?}");
+                    }
+                }
+                for (motor, told) in told.iter().enumerate() {
+                    assert!(range_of(motor, told.mode).contains(told.value), "{told:?}");
+                }
+                host.send(&ToDevice::Heartbeat { session: session + 1, host_us: 0 }).await;
+                host.listen(1).await;
+            }
+            assert_eq!(host.hello().await.causes, Causes::NONE);
+        });
+    }
+}
+
+/// What a motor follows, by its telemetry.
+async fn setpoint_of(host: &mut RawHost, channel: ChannelId) -> Setpoint {
+    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
+    let heard = host.listen(2).await;
+    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.expect("a channel");
+    host.listen(1).await;
+    let last = heard.into_iter().rev().find_map(|message| match message {
+        ToHost::Telemetry(Telemetry { samples, .. }) => match samples[..] {
+            [Sample::Motor { setpoint, .. }] => Some(setpoint),
+            _ => None,
+        },
+        _ => None,
+    });
+    last.expect("a sample each millisecond")
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_bytes_are_survived_and_never_arm(bytes in any_bytes(), chunk in 1..100usize, session: bool) {
+        raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
+            if session {
+                host.hello().await;
+            }
+            for chunk in bytes.chunks(chunk) {
+                host.send_bytes(chunk).await;
+                assert!(device.is_off(ROTARY) && device.is_off(LINEAR));
+            }
+            // Ends whatever frame is open.
+            host.send_bytes(&[0]).await;
+            host.listen(50).await;
+            // Armed without a command is braked, not off.
+            assert!(device.is_off(ROTARY) && device.is_off(LINEAR), "armed");
+            let causes = host.hello().await.causes;
+            assert!(causes == Causes::NONE || causes == Causes::only(Cause::LinkLost), "{causes}");
+            nothing_moved(device);
+            assert_eq!(device.board.world().misuse(), []);
+        });
+    }
+}

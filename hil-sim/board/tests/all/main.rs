@@ -1,0 +1,18 @@
+//! Tests of the firmware on the chips of a simulated board.
+
+mod compatibility;
+mod control;
+mod dac_and_servo;
+mod harness;
+mod link;
+mod outputs;
+mod passthrough;
+mod published_defects;
+mod ranging;
+mod restart;
+mod safety;
+mod screen;
+mod stop_watch;
+mod storage;
+mod whole_board;
+mod wires;

@@ -1,0 +1,82 @@
+//! The processor's crystal: missing at the start, and off its frequency.
+
+use crate::emulated::{
+    Setup,
+    harness::{MS, ROTARY},
+};
+use r4_mcu::peripherals::rcc::Oscillators;
+use r4_protocol::{Causes, Mode, SafetyState};
+
+/// Backup register that says what the clock is made from (see `reset.rs` of the firmware): 1 crystal, 2 internal.
+const CLOCK_SOURCE: usize = 21;
+
+/// Without a crystal the board starts from the internal oscillator, says so by three flashes of red and blue, and then does
+/// all that it does otherwise.
+#[test]
+fn without_a_crystal_the_board_works_from_the_internal_oscillator_and_says_so() {
+    let setup = Setup::osmc_bench().prepared(|board| board.machine().chip.rcc().fit_crystals(false, false));
+    let (_, misuse) = setup.raw(async |host, device, board| {
+        // The crystal's time-out is below 0.1 s; the flashes take 0.9 s.
+        let (mut flashes, mut lit) = (0, false);
+        for _ in 0..140 {
+            let lights = board.lights();
+            let now = lights.red && lights.blue;
+            flashes += u32::from(now && !lit);
+            lit = now;
+            device.clock.sleep(10 * MS).await;
+        }
+        assert_eq!(flashes, 3);
+        let info = host.hello().await;
+        assert_eq!((info.state, info.causes), (SafetyState::Disarmed, Causes::NONE));
+        assert_eq!(board.machine().chip.backup_register(CLOCK_SOURCE), Some(2));
+        // The control loop runs at 1 kHz of true time, for here the internal oscillator is exact.
+        let before = host.stats().await;
+        host.listen(100).await;
+        let after = host.stats().await;
+        assert!((98..=104).contains(&(after.ticks - before.ticks)), "{} ticks in 0.1 s", after.ticks - before.ticks);
+        assert_eq!(after.late_ticks, before.late_ticks);
+    });
+    assert_eq!(misuse, Vec::<String>::new());
+}
+
+/// With its crystal it does not flash, and notes that it has one.
+#[test]
+fn with_a_crystal_it_uses_it() {
+    Setup::osmc_bench().bench(async |emu| {
+        assert_eq!(emu.emulated.machine().chip.backup_register(CLOCK_SOURCE), Some(1));
+        assert!(!emu.board.lights().red);
+    });
+}
+
+/// Cheap crystals are within 100 ppm: bytes arrive, waits end, and the driver knows the board's clock.
+#[test]
+fn a_crystal_that_is_100_ppm_off_does_no_harm() {
+    for ppm in [-100_i64, 100] {
+        let drift = move |hz: u64| hz.saturating_add_signed(hz as i64 * ppm / 1_000_000);
+        let setup = Setup::osmc_bench().prepared(move |board| {
+            let exact = Oscillators::default();
+            board.machine().chip.rcc().set_oscillators(Oscillators { hse_hz: drift(exact.hse_hz), ..exact });
+        });
+        setup.bench(async |emu| {
+            let begin = (emu.clock.now_ns(), emu.host.stats().await.expect("it answers").ticks);
+            let mut stream = emu.host.telemetry();
+            emu.host.subscribe(ROTARY, 10).await.expect("there is room");
+            emu.host.arm().await.expect("nothing is wrong");
+            emu.set(ROTARY, Mode::Speed, 2.0).await.expect("fresh by the board's clock too");
+            emu.sleep_ms(2000).await;
+            assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE));
+            // The board's own time of the latest sample, and what the driver takes it for: a sample is at most 10 ms old,
+            // and has been on its way for 1 ms.
+            let sample = std::iter::from_fn(|| stream.try_next()).last().expect("samples come");
+            let behind_us = emu.host.device_us().saturating_sub(sample.device_us);
+            assert!(behind_us < 13_000, "{ppm} ppm: {behind_us} us between the clocks");
+            // Its seconds are longer or shorter than true ones: in two of them 200 us, a fifth of a tick.
+            let ticks = f64::from(emu.host.stats().await.expect("it answers").ticks - begin.1);
+            let expected = (emu.clock.now_ns() - begin.0) as f64 / 1e6 * (1.0 + ppm as f64 * 1e-6);
+            assert!((ticks - expected).abs() < 3.0, "{ppm} ppm: {ticks} ticks, {expected} expected");
+            assert_eq!(emu.host.bad_frames(), 0);
+            let speed = emu.board.world().speed(ROTARY).expect("the bench has it");
+            assert!((speed - 2.0).abs() < 0.3, "{ppm} ppm: {speed} rad/s");
+        });
+    }
+}

@@ -1,0 +1,216 @@
+//! The firmware's image on an emulated board with a host connected to it.
+//!
+//! Images are built by `cargo xtask firmware --robot <robot> [--image hosted]`. A test whose image is missing fails and
+//! says so. Times are virtual.
+#![allow(dead_code, unused_imports, reason = "each test file uses its part")]
+
+#[path = "../../../../board/tests/all/harness/mod.rs"]
+pub(crate) mod harness;
+
+use std::{cell::RefCell, ops::Deref, path::Path, rc::Rc};
+
+use harness::{Bench, Device, MS, RawHost, bench_of, left_alone_of, raw_bench_of};
+use r4_boards::Robot;
+use r4_emu::{EmuBoard, Image};
+use r4_mcu::{Chip, Settings, soc::Soc};
+use r4_sim::{Pace, Simulation, VirtualBoard, flash::Flash};
+use r4_thumb::ThumbCore;
+
+/// The board under test.
+pub(crate) type Board = EmuBoard<ThumbCore>;
+
+/// From power-on until the supervisor runs, more than any start takes, ms: clocks, the expander's and PWM chips' set-up.
+pub(crate) const BOOT_MS: u64 = 100;
+
+/// Bytes of a Thumb instruction that goes nowhere: `b .` (DDI0403E, A7.7.12, encoding T2, offset -4).
+pub(crate) const LOOP_FOR_EVER: [u8; 2] = [0xFE, 0xE7];
+/// `udf #0` (A7.7.194, encoding T1).
+pub(crate) const UNDEFINED: [u8; 2] = [0x00, 0xDE];
+
+/// How a board is powered up.
+pub(crate) struct Setup {
+    robot: Robot,
+    image: Image,
+    kept: RefCell<Option<Flash>>,
+    seed: u64,
+    prepare: Box<dyn Fn(&Board)>,
+    board: Rc<RefCell<Option<Rc<Board>>>>,
+}
+
+/// The image that is built for `robot`; `kind` is `bare` or `hosted`.
+pub(crate) fn image(robot: &str, kind: &str) -> Image {
+    if kind == "bare" {
+        return Image::find(robot).unwrap_or_else(|error| panic!("{error}"));
+    }
+    let bare = Image::find(robot).unwrap_or_else(|error| panic!("{error}"));
+    let path = bare.path().with_file_name(format!("{robot}-{kind}.elf"));
+    Image::read(&path)
+        .unwrap_or_else(|error| panic!("{error}: build it with `cargo xtask firmware --robot {robot} --image {kind}`"))
+}
+
+impl Setup {
+    /// A built-in robot with its bare image, nothing kept.
+    pub(crate) fn new(robot: &str) -> Self {
+        Self::of(r4_boards::load(robot).expect("built in"), image(robot, "bare"))
+    }
+
+    /// The bench.
+    pub(crate) fn osmc_bench() -> Self {
+        Self::new("osmc-bench")
+    }
+
+    pub(crate) fn of(robot: Robot, image: Image) -> Self {
+        Self { robot, image, kept: RefCell::default(), seed: 1, prepare: Box::new(|_| {}), board: Rc::default() }
+    }
+
+    /// With another world around the same firmware.
+    pub(crate) fn with_robot(mut self, change: impl FnOnce(&mut Robot)) -> Self {
+        change(&mut self.robot);
+        self
+    }
+
+    /// With what another board has kept.
+    pub(crate) fn with_flash(self, flash: Flash) -> Self {
+        self.kept.replace(Some(flash));
+        self
+    }
+
+    pub(crate) fn with_seed(self, seed: u64) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// With something done to the board before its first instruction.
+    pub(crate) fn prepared(self, prepare: impl Fn(&Board) + 'static) -> Self {
+        Self { prepare: Box::new(prepare), ..self }
+    }
+
+    /// The robot around it.
+    pub(crate) fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    pub(crate) fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// See [`harness::PowerUp`].
+    pub(crate) fn power_up(&self, simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
+        let core = ThumbCore::new();
+        let kept = self.kept.borrow_mut().take();
+        let started = EmuBoard::start(simulation, robot, self.seed, &self.image, core, kept, Settings::default());
+        let board = Rc::new(started.unwrap_or_else(|error| panic!("{error}")));
+        (self.prepare)(&board);
+        self.board.replace(Some(board.clone()));
+        board
+    }
+
+    /// Runs `work` with a connected host; at the end nobody may have done anything against a manual or a datasheet.
+    pub(crate) fn bench<T>(&self, work: impl AsyncFnOnce(&Emu<'_>) -> T) -> T {
+        let (result, misuse) = self.bench_with_misuse(work);
+        assert_eq!(misuse, Vec::<String>::new(), "what a chip would have suffered or ignored in silence");
+        result
+    }
+
+    /// The same for tests that break something, and so may expect misuse: of the board's chips, then of the processor.
+    pub(crate) fn bench_with_misuse<T>(&self, work: impl AsyncFnOnce(&Emu<'_>) -> T) -> (T, Vec<String>) {
+        self.paced_bench(Pace::Free, work)
+    }
+
+    pub(crate) fn paced_bench<T>(&self, pace: Pace, work: impl AsyncFnOnce(&Emu<'_>) -> T) -> (T, Vec<String>) {
+        let _told = TellFailure(self.board.clone());
+        let (result, mut misuse) = bench_of(
+            &|simulation, robot| self.power_up(simulation, robot),
+            Simulation::new(pace),
+            &self.robot,
+            async |bench| {
+                let board = self.board.borrow().clone().expect("it is powered up");
+                work(&Emu { bench, emulated: board }).await
+            },
+        );
+        misuse.extend(self.misuse_of_the_chip());
+        (result, misuse)
+    }
+
+    /// Runs `work` with a host that speaks bytes, once the board has come up.
+    pub(crate) fn raw<T>(&self, work: impl AsyncFnOnce(&mut RawHost, &Device, &Board) -> T) -> (T, Vec<String>) {
+        let _told = TellFailure(self.board.clone());
+        let power_up = |simulation: &mut Simulation, robot: &Robot| self.power_up(simulation, robot);
+        let result = raw_bench_of(&power_up, &self.robot, async |host, device| {
+            let board = self.board.borrow().clone().expect("it is powered up");
+            device.clock.sleep(BOOT_MS * MS).await;
+            work(host, device, &board).await
+        });
+        let world: Vec<_> =
+            self.last().world().misuse().iter().map(ToString::to_string).chain(self.misuse_of_the_chip()).collect();
+        (result, world)
+    }
+
+    /// As [`Setup::bench`], but after `work` the host is gone without a word, and `alone` goes on with the board.
+    pub(crate) fn left_alone<A, T>(
+        &self,
+        work: impl AsyncFnOnce(&Bench<'_>) -> A,
+        alone: impl AsyncFnOnce(&Device, A) -> T,
+    ) -> T {
+        let _told = TellFailure(self.board.clone());
+        let power_up = |simulation: &mut Simulation, robot: &Robot| self.power_up(simulation, robot);
+        let result = left_alone_of(&power_up, &self.robot, work, alone);
+        assert_eq!(self.misuse_of_the_chip(), Vec::<String>::new());
+        result
+    }
+
+    /// The board that was powered up last.
+    pub(crate) fn last(&self) -> Rc<Board> {
+        self.board.borrow().clone().expect("one was powered up")
+    }
+
+    fn misuse_of_the_chip(&self) -> Vec<String> {
+        self.last().machine().chip.misuse().iter().map(|misuse| format!("{misuse:?}")).collect()
+    }
+}
+
+/// Why the processor stopped for ever, if a test fails for that.
+struct TellFailure(Rc<RefCell<Option<Rc<Board>>>>);
+
+impl Drop for TellFailure {
+    fn drop(&mut self) {
+        if std::thread::panicking()
+            && let Some(board) = &*self.0.borrow()
+            && let Some(failure) = board.failure()
+        {
+            eprintln!("the processor stopped: {failure}");
+        }
+    }
+}
+
+/// A connected host, the world, and the processor.
+pub(crate) struct Emu<'b> {
+    bench: &'b Bench<'b>,
+    pub(crate) emulated: Rc<Board>,
+}
+
+impl<'b> Deref for Emu<'b> {
+    type Target = Bench<'b>;
+
+    fn deref(&self) -> &Bench<'b> {
+        self.bench
+    }
+}
+
+/// Writes code, as a debugger would; what was there before.
+pub(crate) fn patch<const N: usize>(board: &Board, address: u32, code: [u8; N]) -> [u8; N] {
+    let machine = board.machine();
+    let mut before = [0; N];
+    machine.chip.memory().read_slice(address, &mut before).expect("code is in flash");
+    machine.chip.memory().write_slice(address, &code).expect("code is in flash");
+    before
+}
+
+/// Where a function begins.
+pub(crate) fn address_of(board: &Board, name: &str) -> u32 {
+    board.machine().symbols().address(name).unwrap_or_else(|| panic!("the image has no {name}"))
+}
+
+/// The path of the image, short.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

@@ -1,0 +1,13 @@
+//! Tests of the board's image on the emulated processor. The images are built by `cargo xtask firmware`.
+
+mod boot;
+mod crystal;
+mod debugging;
+mod determinism;
+mod emulated;
+mod faults;
+mod flash;
+mod gdb;
+mod hung;
+mod log;
+mod stops;

@@ -1,0 +1,5 @@
+//! Tests of the driver on a simulated bench.
+
+mod compatibility;
+mod simulated;
+mod streams;

@@ -1,0 +1,196 @@
+//! What is recorded of the bytes on a link.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+use std::io::Cursor;
+
+use crate::common::{OSMC, header};
+use r4_log::{About, Log, LoggedRequest, Tap};
+use r4_protocol::{
+    Cause, Causes, DeviceInfo, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, ToHost, VERSION, config::PidGains, encode_frame, frame::MAX_FRAME,
+};
+use serde::Serialize;
+
+fn frame(message: &impl Serialize) -> Vec<u8> {
+    encode_frame(message, &mut [0; MAX_FRAME]).unwrap().to_vec()
+}
+
+fn tap() -> Tap<Cursor<Vec<u8>>> {
+    Tap::new(Cursor::new(Vec::new()), About { board: "sim:osmc-bench".into(), seed: Some(3) })
+}
+
+/// A tap and both ends of its link. The board's clock is 5 s ahead.
+struct Link {
+    tap: Tap<Cursor<Vec<u8>>>,
+    seq: u16,
+}
+
+const AHEAD_US: u64 = 5_000_000;
+
+impl Link {
+    fn ask(&mut self, now_us: u64, request: Request) {
+        self.seq += 1;
+        self.tap.sent(now_us, &frame(&ToDevice::Request { seq: self.seq, request }));
+    }
+
+    fn answer(&mut self, now_us: u64, result: Result<Reply, Refusal>) {
+        self.tap.received(now_us, &frame(&ToHost::Response { seq: self.seq, result }));
+    }
+
+    /// Says hello at 100 us and describes every channel until 1 ms.
+    fn open() -> Self {
+        let mut link = Self { tap: tap(), seq: 65_000 };
+        link.ask(100, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
+        let channels = header().channels;
+        let info = DeviceInfo {
+            robot: "bench \"A\"".try_into().unwrap(),
+            firmware: "0.1.0".try_into().unwrap(),
+            session: 1,
+            channels: channels.len() as u8,
+            link_timeout_ms: 200,
+            device_us: AHEAD_US + 150,
+            state: SafetyState::Disarmed,
+            causes: Causes::NONE,
+        };
+        link.answer(200, Ok(Reply::Hello(info)));
+        for (index, channel) in channels.into_iter().enumerate() {
+            link.ask(300 + index as u64, Request::Describe { index: index as u8 });
+            link.answer(400 + index as u64, Ok(Reply::Channel(channel)));
+        }
+        link
+    }
+
+    fn log(self) -> Log {
+        Log::from_bytes(self.tap.finish().unwrap().unwrap().get_ref()).unwrap()
+    }
+}
+
+#[test]
+fn a_session_is_recorded_with_everything_that_was_asked_for() {
+    let mut link = Link::open();
+    let gains = PidGains { kp: 2.0, ki: 0.5, kd: 0.0 };
+    let setpoint = Setpoint { mode: Mode::Position, value: 1.5 };
+    let set = Request::Set { channel: OSMC, setpoint, sent_us: AHEAD_US + 3_900, ttl_ms: 100 };
+    link.ask(1_000, Request::Subscribe { channel: OSMC, period_ms: 1 });
+    link.ask(2_000, Request::Arm);
+    link.answer(2_100, Ok(Reply::Done));
+    link.ask(3_000, Request::SetGains { channel: OSMC, mode: Mode::Position, gains });
+    link.ask(4_000, set);
+    link.answer(4_100, Err(Refusal::NotArmed { state: SafetyState::Disarmed }));
+    let sample =
+        Sample::Motor { channel: OSMC, setpoint, position: 7, speed: 0.5, duty: 0.25, settled: false, homed: true };
+    let telemetry = Telemetry {
+        device_us: AHEAD_US + 5_000,
+        state: SafetyState::Armed,
+        causes: Causes::NONE,
+        samples: [sample].into_iter().collect(),
+    };
+    link.tap.received(5_100, &frame(&ToHost::Telemetry(telemetry)));
+    let causes = Causes::only(Cause::HostStop);
+    let (device_us, state) = (AHEAD_US + 6_000, SafetyState::Tripped);
+    link.tap.received(6_100, &frame(&ToHost::Heartbeat { host_us: 5_900, device_us, state, causes }));
+    // A question that every program asks anew.
+    link.ask(6_200, Request::Fault { index: 0 });
+    link.ask(7_000, Request::Bye);
+    assert_eq!((link.tap.samples(), link.tap.bad_frames(), link.tap.began_us()), (1, 0, Some(100)));
+    let log = link.log();
+    assert_eq!(log.header, r4_log::Header { seed: Some(3), ..header() });
+    assert_eq!(log.warnings, []);
+    let asked: Vec<_> = log.requests.iter().map(|logged| (logged.sent_us, logged.to_string())).collect();
+    let expected = [
+        (900, "subscribe osmc0 1 ms"),
+        (1_900, "arm"),
+        (2_900, "set-gains osmc0 position kp 2 ki 0.5 kd 0"),
+        (3_900, "set osmc0 position 1.5"),
+        (6_900, "bye"),
+    ];
+    assert_eq!(asked, expected.map(|(sent_us, text)| (Some(sent_us), text.to_owned())));
+    let LoggedRequest { time_s, request, .. } = &log.requests[2];
+    assert_eq!(*request, Request::SetGains { channel: OSMC, mode: Mode::Position, gains });
+    assert_eq!(*time_s, 5.003, "by the board's clock");
+    assert_eq!((log.commands.len(), log.commands[0].time_s), (1, 5.0039), "as the set point itself says");
+    assert_eq!(log.refusals[0].request, "set osmc0 position 1.5");
+    assert!(log.refusals[0].reason.contains("arm it first"), "{}", log.refusals[0].reason);
+    let states: Vec<_> = log.states.iter().map(|change| (change.time_s, change.state, change.causes)).collect();
+    let none = Causes::NONE;
+    assert_eq!(
+        states,
+        [
+            (5.00015, SafetyState::Disarmed, none),
+            (5.005, SafetyState::Armed, none),
+            (5.006, SafetyState::Tripped, causes)
+        ]
+    );
+    assert_eq!(log.motor(OSMC).unwrap().samples[0].time_s, 5.005);
+}
+
+#[test]
+fn a_recording_does_not_depend_on_how_the_bytes_come() {
+    let (mut whole, mut single) = (Link::open(), Link::open());
+    let bytes = frame(&ToHost::Heartbeat {
+        host_us: 900,
+        device_us: AHEAD_US + 950,
+        state: SafetyState::Armed,
+        causes: Causes::NONE,
+    });
+    whole.tap.received(1_000, &bytes);
+    bytes.iter().for_each(|byte| single.tap.received(1_000, &[*byte]));
+    assert_eq!(whole.log(), single.log());
+}
+
+#[test]
+fn damaged_frames_are_counted_and_the_next_good_one_is_recorded() {
+    let mut link = Link::open();
+    let state = |device_us, state| ToHost::Heartbeat { host_us: 900, device_us, state, causes: Causes::NONE };
+    let mut damaged = frame(&state(AHEAD_US + 1_000, SafetyState::Tripped));
+    damaged[3] ^= 0x55;
+    link.tap.received(1_000, &damaged);
+    link.tap.received(1_100, &frame(&state(AHEAD_US + 1_100, SafetyState::Armed)));
+    assert_eq!(link.tap.bad_frames(), 1);
+    let states: Vec<_> = link.log().states.iter().map(|change| change.state).collect();
+    assert_eq!(states, [SafetyState::Disarmed, SafetyState::Armed]);
+}
+
+#[test]
+fn without_a_board_nothing_is_written() {
+    let mut link = Link { tap: tap(), seq: 0 };
+    link.ask(0, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
+    link.tap.received(10, b"login: \0\0ATZ\0");
+    assert!(link.tap.failure().is_none() && link.tap.finish().unwrap().is_none());
+}
+
+#[test]
+fn a_full_disk_ends_the_recording_and_says_so() {
+    #[derive(Debug)]
+    struct Full;
+    impl std::io::Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::ErrorKind::StorageFull.into())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    impl std::io::Seek for Full {
+        fn seek(&mut self, _: std::io::SeekFrom) -> std::io::Result<u64> {
+            Ok(0)
+        }
+    }
+    let mut tap = Tap::new(Full, About { board: "tcp:localhost:1".into(), seed: None });
+    let info = DeviceInfo {
+        robot: "a".try_into().unwrap(),
+        firmware: "0.1.0".try_into().unwrap(),
+        session: 1,
+        channels: 0,
+        link_timeout_ms: 200,
+        device_us: 0,
+        state: SafetyState::Disarmed,
+        causes: Causes::NONE,
+    };
+    let request = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+    tap.sent(0, &frame(&ToDevice::Request { seq: 1, request }));
+    tap.received(1, &frame(&ToHost::Response { seq: 1, result: Ok(Reply::Hello(info)) }));
+    assert!(tap.failure().is_some());
+    let error = tap.finish().unwrap_err().to_string();
+    assert!(error.contains("free space"), "{error}");
+}
