@@ -177,9 +177,10 @@ pub struct NotThisVersion;
 pub enum CycleOutcome {
     /// Its set points are followed.
     Taken = 0,
-    /// A set point the channel does not take, or the board is not armed.
+    /// A set point the channel does not take, or the board is not armed. The channels it has set points for are stopped, unless
+    /// they follow later ones.
     Refused = 1,
-    /// Older than its time-to-live, or dated as far ahead.
+    /// Older than its time-to-live, or dated as far ahead. Stops channels as [`CycleOutcome::Refused`] does.
     Stale = 2,
     /// No session over this link, or no channels bound.
     Unbound = 3,

@@ -95,7 +95,7 @@ pub enum Request {
     Clear,
     /// Trips the board: outputs safe, latched.
     Stop,
-    /// Commands one channel.
+    /// Commands one channel. One that is refused stops the channel, unless the channel follows a set point that was decided later.
     Set {
         /// Which.
         channel: ChannelId,

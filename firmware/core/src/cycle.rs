@@ -1,7 +1,8 @@
 //! Cycles: set points for the channels that the host of one link has bound, and what these do.
 //!
 //! A cycle is taken whole or not at all, by the same checks as a single command, and always answered. Its set points are
-//! leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out.
+//! leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out. A cycle that is refused stops the
+//! channels it has set points for, unless they follow something newer.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
@@ -80,12 +81,19 @@ impl Bound {
         }
         // Neither is longer than 66 s.
         let (age_us, ttl_us) = (i64::from(cycle.age_us(now.as_micros())), self.ttl.as_micros() as i64);
-        if age_us.abs() > ttl_us {
-            return CycleOutcome::Stale;
-        }
-        let until = now + Duration::from_micros((ttl_us - age_us) as u64);
-        let followed = self.setpoints(shared, cycle).is_ok_and(|setpoints| shared.lease(&setpoints, until).is_ok());
-        if followed { CycleOutcome::Taken } else { CycleOutcome::Refused }
+        let sent_us = now.as_micros().saturating_add_signed(-age_us);
+        let follow = || {
+            if age_us.abs() > ttl_us {
+                return Err(CycleOutcome::Stale);
+            }
+            let until = now + Duration::from_micros((ttl_us - age_us) as u64);
+            let setpoints = self.setpoints(shared, cycle).map_err(|Refused| CycleOutcome::Refused)?;
+            shared.lease(&setpoints, sent_us, until).map_err(|_| CycleOutcome::Refused)
+        };
+        let Err(outcome) = follow() else { return CycleOutcome::Taken };
+        let asked = self.channels.iter().zip(cycle.set()).filter(|(_, steps)| *steps != NOTHING);
+        asked.for_each(|((_, place), _)| shared.withdraw(*place, sent_us, outcome == CycleOutcome::Stale));
+        outcome
     }
 
     fn setpoints<M: RawMutex>(
@@ -107,10 +115,10 @@ impl Bound {
 /// Which set point, and why, is not told in a cycle: a single command of the same does.
 struct Refused;
 
-/// What a channel follows when the set points of its cycles have ended: rest, in the manner of what it followed.
+/// Set point of a motor that stops, by the mode it followed.
 pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
     match mode {
-        Mode::Position | Mode::Speed => Setpoint { mode: Mode::Speed, value: 0.0 },
+        Mode::Position | Mode::Speed | Mode::Home => Setpoint { mode: Mode::Speed, value: 0.0 },
         _ => Setpoint::NONE,
     }
 }

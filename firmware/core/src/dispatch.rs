@@ -163,18 +163,15 @@ fn answer<M: RawMutex>(
         Request::Disarm => shared.request(Event::Disarm)?,
         Request::Clear => shared.request(Event::Clear)?,
         Request::Set { channel, setpoint, sent_us, ttl_ms } => {
-            let ahead_ms = sent_us.saturating_sub(now.as_micros()) / 1000;
-            if ahead_ms > ttl_ms.into() {
-                return Err(Refusal::ClockAhead { ahead_ms: u32::try_from(ahead_ms).unwrap_or(u32::MAX) });
-            }
-            let age_ms = now.as_micros().saturating_sub(sent_us) / 1000;
-            if age_ms > ttl_ms.into() {
-                let age_ms = u32::try_from(age_ms).unwrap_or(u32::MAX);
-                return Err(Refusal::Expired { age_ms, ttl_ms });
-            }
             let place = place(shared, channel)?;
-            check_setpoint(channel, &modes_of(shared.config(), place), setpoint)?;
-            shared.command(place, setpoint)?;
+            let taken = check_age(sent_us, ttl_ms, now)
+                .and_then(|()| check_setpoint(channel, &modes_of(shared.config(), place), setpoint))
+                .and_then(|()| shared.command(place, setpoint, sent_us));
+            if let Err(refusal) = taken {
+                // The host wants something else by now, whatever it is: what it wanted before ends.
+                shared.withdraw(place, sent_us, matches!(refusal, Refusal::Expired { .. }));
+                return Err(refusal);
+            }
         }
         Request::SetGains { channel, mode, gains } => {
             let place = place(shared, channel)?;
@@ -225,6 +222,17 @@ fn answer<M: RawMutex>(
 
 pub(crate) fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<Place, Refusal> {
     shared.config().place(channel).ok_or(Refusal::UnknownChannel { channel })
+}
+
+/// Whether a set point decided at `sent_us` is neither too old nor dated too far ahead.
+fn check_age(sent_us: u64, ttl_ms: u16, now: Instant) -> Result<(), Refusal> {
+    let ms = |us: u64| u32::try_from(us / 1000).unwrap_or(u32::MAX);
+    let (ahead_ms, age_ms) = (ms(sent_us.saturating_sub(now.as_micros())), ms(now.as_micros().saturating_sub(sent_us)));
+    match (ahead_ms > ttl_ms.into(), age_ms > ttl_ms.into()) {
+        (true, _) => Err(Refusal::ClockAhead { ahead_ms }),
+        (_, true) => Err(Refusal::Expired { age_ms, ttl_ms }),
+        (false, false) => Ok(()),
+    }
 }
 
 pub(crate) fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
@@ -358,3 +366,6 @@ fn home_mode(homing: Option<HomingConfig>) -> Option<ModeInfo> {
     let range = Range::symmetric(homing?.speed_max);
     Some(ModeInfo { mode: Mode::Home, unit: Unit::RadPerS, range })
 }
+
+#[cfg(test)]
+mod tests;

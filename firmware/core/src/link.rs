@@ -25,7 +25,7 @@ const START_POLL: Duration = Duration::from_millis(1);
 
 /// Serves one link until it fails. `number` tells the links of a board apart.
 ///
-/// Waits for the outputs to be in a known state before it takes the first message.
+/// Waits for the outputs to be in a known state before it takes the first message, and says nothing before it has answered one.
 pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u8, rx: R, tx: W) {
     while !shared.has_started() {
         Timer::after(START_POLL).await;
@@ -88,10 +88,7 @@ async fn transmit<M: RawMutex, W: Write>(
     host: &SharedHost,
 ) {
     let mut buffer = [0; MAX_FRAME];
-    // Ends whatever half a frame the host may still hold from before.
-    if tx.write_all(&[0]).await.is_err() {
-        return;
-    }
+    let mut silent = true;
     loop {
         let (due, log_due) = host.lock(|host| (host.borrow().subscriptions.next_due(), host.borrow().log.next_due()));
         // The first that is ready: the log only where there is nothing else.
@@ -106,6 +103,11 @@ async fn transmit<M: RawMutex, W: Write>(
         };
         // Every message fits: a test encodes the largest of each kind.
         let Some(Ok(frame)) = message.map(|message| encode_frame(&message, &mut buffer)) else { continue };
+        // Ends whatever half a frame the host may still hold from before. Not sooner: on a bus that others share a board says
+        // nothing until it is spoken to, and all it says is asked for.
+        if core::mem::take(&mut silent) && tx.write_all(&[0]).await.is_err() {
+            return;
+        }
         if tx.write_all(frame).await.is_err() {
             return;
         }

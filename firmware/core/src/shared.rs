@@ -125,6 +125,14 @@ struct Session {
     last_heartbeat: Instant,
 }
 
+/// A set point that was taken.
+#[derive(Clone, Copy, Debug)]
+struct Given {
+    setpoint: Setpoint,
+    /// When the host decided it, on the board's clock; never later than its arrival.
+    sent_us: u64,
+}
+
 /// A set point of a cycle: followed for so long, unless another comes.
 #[derive(Clone, Copy, Debug)]
 struct Lease {
@@ -149,6 +157,8 @@ struct State {
     next_session: u16,
     /// With the arming they were given in.
     commands: [Option<(u16, Setpoint)>; OUTPUTS],
+    /// Newest set point that each output was given in this arming.
+    given: [Option<Given>; OUTPUTS],
     /// One for each channel at most.
     leases: Vec<Lease, LEASES>,
     /// Of the position and of the speed loop.
@@ -216,6 +226,7 @@ impl<M: RawMutex> Shared<M> {
                 session: None,
                 next_session: FIRST_SESSION,
                 commands: [None; OUTPUTS],
+                given: [None; OUTPUTS],
                 leases: Vec::new(),
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
@@ -358,7 +369,7 @@ impl<M: RawMutex> Shared<M> {
             while let Some(place) = s.leases.iter().position(|lease| lease.until < now) {
                 let Lease { place, mode, .. } = s.leases.swap_remove(place);
                 // Leases are of the present arming.
-                let _ = s.command(place, at_rest(mode));
+                let _ = s.command(place, at_rest(mode), now.as_micros());
                 s.stats.setpoints_expired = s.stats.setpoints_expired.wrapping_add(1);
             }
         });
@@ -463,16 +474,54 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.stats)
     }
 
-    /// Stores a command for the control loop's next period; a later one replaces it.
-    pub(crate) fn command(&self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
-        self.with(|s| s.command(output, setpoint))
+    /// Stores a command, decided at `sent_us`, for the control loop's next period; a later one replaces it.
+    pub(crate) fn command(&self, output: Place, setpoint: Setpoint, sent_us: u64) -> Result<(), Refusal> {
+        self.with(|s| s.command(output, setpoint, not_ahead(sent_us)))
+    }
+
+    /// Stops `output` because a set point for it, decided at `sent_us`, was refused: the one it follows is not what the host
+    /// wants any more. An output that follows a set point decided later goes on, so that an old frame that comes late or
+    /// twice stops nothing. Of one that `expired` the same date is the same set point, and it goes on, too.
+    ///
+    /// Only for requests of the link that holds the session: nobody else commands outputs, and who has none may still stop
+    /// the whole board.
+    pub(crate) fn withdraw(&self, output: Place, sent_us: u64, expired: bool) {
+        self.with(|s| {
+            let Some(given) = s.given(output) else { return };
+            let superseded = if expired { sent_us <= given.sent_us } else { sent_us < given.sent_us };
+            if superseded {
+                return;
+            }
+            if let Some(stop) = self.stop_of(output, given.setpoint, s.statuses[slot(output)]) {
+                // Nothing is in force unless the board is armed.
+                let _ = s.command(output, stop, not_ahead(sent_us));
+            }
+        });
+    }
+
+    /// Set point that stops `output`, which follows `follows` and shows `status`; `None` when that is a stop.
+    fn stop_of(&self, output: Place, follows: Setpoint, status: Status) -> Option<Setpoint> {
+        let setpoint = |mode, value| Some(Setpoint { mode, value });
+        match (output, status) {
+            (Place::Motor(_), _) => Some(at_rest(follows.mode)),
+            (Place::Stepper(_), _) => setpoint(Mode::Speed, 0.0),
+            // Neutral would release the brake.
+            (Place::Bldc(_), _) if follows.mode == Mode::Brake && follows.value != 0.0 => None,
+            (Place::Bldc(_), _) => setpoint(Mode::Duty, 0.0),
+            // Where it is, on its way.
+            (Place::Servo(_), Status::Scalar(angle_rad)) => setpoint(Mode::Position, angle_rad),
+            // As in the safe state.
+            (Place::Relay(_), _) => setpoint(Mode::Switch, 0.0),
+            (Place::Dac(index), _) => setpoint(Mode::Voltage, self.config.dacs[index].safe_v),
+            _ => None,
+        }
     }
 
     /// Stores the commands of a cycle, each as [`Shared::command`] does, to be followed until then if no other comes.
-    pub(crate) fn lease(&self, setpoints: &[(Place, Setpoint)], until: Instant) -> Result<(), Refusal> {
+    pub(crate) fn lease(&self, setpoints: &[(Place, Setpoint)], sent_us: u64, until: Instant) -> Result<(), Refusal> {
         self.with(|s| {
             for (place, setpoint) in setpoints {
-                s.command(*place, *setpoint)?;
+                s.command(*place, *setpoint, not_ahead(sent_us))?;
                 // There is room for every channel, and the command has ended the lease it had.
                 let _ = s.leases.push(Lease { place: *place, mode: setpoint.mode, until });
             }
@@ -563,6 +612,11 @@ fn since(then: Instant, now: Instant) -> Duration {
     now.saturating_duration_since(then)
 }
 
+/// The date of a set point that arrives now: one dated ahead must not make all that follow look older.
+fn not_ahead(sent_us: u64) -> u64 {
+    sent_us.min(Instant::now().as_micros())
+}
+
 /// Number of the first session since the board started.
 const FIRST_SESSION: u16 = 1;
 /// The control loop counts as dead after this many periods without a tick.
@@ -570,13 +624,21 @@ const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
 impl State {
     /// Ends the lease of the channel, too: the newest command counts.
-    fn command(&mut self, output: Place, setpoint: Setpoint) -> Result<(), Refusal> {
+    fn command(&mut self, output: Place, setpoint: Setpoint, sent_us: u64) -> Result<(), Refusal> {
         if self.safety != Safety::Armed {
             return Err(Refusal::NotArmed { state: self.safety.state() });
         }
         self.leases.retain(|lease| lease.place != output);
-        self.commands[command_slot(output, setpoint.mode)] = Some((self.epoch, setpoint));
+        let slot = command_slot(output, setpoint.mode);
+        self.commands[slot] = Some((self.epoch, setpoint));
+        self.given[slot] = Some(Given { setpoint, sent_us });
         Ok(())
+    }
+
+    /// Newest set point that `output`, or its brake, was given in this arming.
+    fn given(&self, output: Place) -> Option<Given> {
+        let slots = [command_slot(output, Mode::Duty), command_slot(output, Mode::Brake)];
+        slots.into_iter().filter_map(|slot| *self.given.get(slot)?).max_by_key(|given| given.sent_us)
     }
 
     /// Returns whether the state changed.
@@ -595,6 +657,7 @@ impl State {
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];
+            self.given = [None; OUTPUTS];
             self.leases.clear();
         }
         if next.state() == SafetyState::Tripped {

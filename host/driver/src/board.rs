@@ -230,10 +230,10 @@ impl<C: Clock> Board<C> {
     /// Commands a channel. The board follows it from its next control period on.
     ///
     /// # Errors
-    /// A refusal that says what the channel takes, besides what befalls any request.
+    /// A refusal that says what the channel takes, besides the errors of any request. A refused set point stops the channel:
+    /// it does not go on with the one before.
     pub async fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Result<(), Error> {
-        let sent_us = self.device_us();
-        self.wire.done("set", Request::Set { channel, setpoint, sent_us, ttl_ms: SETPOINT_TTL_MS }).await
+        self.wire.done("set", self.wire.set(channel, setpoint)).await
     }
 
     /// Changes the gains of one loop until power-down.
@@ -594,6 +594,12 @@ impl<C: Clock> Wire<C> {
             Reply::Bytes(bytes) => Ok(bytes.to_vec()),
             _ => Err(Error::WrongReply { request: name }),
         }
+    }
+
+    /// A set point that is decided now.
+    pub(crate) fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Request {
+        let sent_us = lock(&self.state).date_us(self.clock.now_us());
+        Request::Set { channel, setpoint, sent_us, ttl_ms: SETPOINT_TTL_MS }
     }
 
     /// Sends a request whose answer nobody waits for.

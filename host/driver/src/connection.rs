@@ -48,6 +48,8 @@ pub(crate) struct State {
     pub(crate) subscriptions: Vec<(ChannelId, u16)>,
     /// What the board takes cycles for, as it was last told.
     bound: heapless::Vec<CycleChannel, CYCLE_CHANNELS>,
+    /// Date of the newest set point, on the board's clock, µs.
+    dated_us: u64,
     session: Option<Session>,
 }
 
@@ -59,6 +61,13 @@ struct Session {
 }
 
 impl State {
+    /// Date of a set point decided now, on the board's clock, µs. Later than all before, also when the estimate of that clock
+    /// was corrected backwards: the board tells by it whether a refused set point is newer than the one in force.
+    pub(crate) fn date_us(&mut self, now_us: u64) -> u64 {
+        self.dated_us = self.clock.device_us(now_us).max(self.dated_us + 1);
+        self.dated_us
+    }
+
     /// Takes the session that the board opened, and returns the heartbeat that keeps it.
     pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) -> ToDevice {
         self.clock.seen(sent_us, info.device_us, now_us);

@@ -302,7 +302,8 @@ impl<C: Clock> Cycles<'_, C> {
     /// Those before that have not left yet are replaced. Answers are read by [`Cycles::next`].
     ///
     /// # Errors
-    /// [`Refusal::OutOfRange`], [`Refusal::NotFinite`] or [`Error::CycleLength`], when nothing is sent; why the link ended.
+    /// [`Refusal::OutOfRange`], [`Refusal::NotFinite`] or [`Error::CycleLength`], when no set point is sent and the channels
+    /// are stopped; why the link ended.
     pub fn set(&mut self, values: &[f64]) -> Result<(), Error> {
         let set = self.steps(values)?;
         self.plan(set).map(|_| ())
@@ -371,6 +372,27 @@ impl<C: Clock> Cycles<'_, C> {
     }
 
     fn steps(&self, values: &[f64]) -> Result<[i16; CYCLE_CHANNELS], Error> {
+        let steps = self.rounded(values);
+        if steps.is_err() {
+            self.withdraw();
+        }
+        steps
+    }
+
+    /// Stops the channels of the stream: what they were sent before is not wanted any more, and what would come instead cannot
+    /// be sent.
+    fn withdraw(&self) {
+        {
+            let queue = &mut lock(&self.wire.state).cycles;
+            queue.counters.replaced += u64::from(queue.slot.take().is_some());
+        }
+        for Bound { asked: CycleChannel { channel, mode, .. }, .. } in &self.channels {
+            let mode = if *mode == Mode::Duty { Mode::Duty } else { Mode::Speed };
+            self.wire.tell(self.wire.set(*channel, Setpoint { mode, value: 0.0 }));
+        }
+    }
+
+    fn rounded(&self, values: &[f64]) -> Result<[i16; CYCLE_CHANNELS], Error> {
         if values.len() != self.channels.len() {
             return Err(Error::CycleLength { asked: values.len(), expected: self.channels.len() });
         }
@@ -386,7 +408,7 @@ impl<C: Clock> Cycles<'_, C> {
         if let Some(end) = &state.end {
             return Err(end.clone());
         }
-        let device_us = state.clock.device_us(self.wire.clock.now_us());
+        let device_us = state.date_us(self.wire.clock.now_us());
         let queue = &mut state.cycles;
         let number = queue.next_number;
         queue.next_number += 1;

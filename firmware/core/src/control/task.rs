@@ -373,10 +373,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 // Dispatch lets nothing else through.
                 _ => continue,
             };
-            // Dispatch has checked the same limits; what the axis does not take changes nothing, and telemetry shows that.
-            if bank.command(index, command).is_ok() {
-                self.stepper_setpoints[index] = setpoint;
-            }
+            // Dispatch has checked the same limits. What the axis refuses all the same, because no counter counts as far,
+            // does not leave it on its way to somewhere else; telemetry shows the stop.
+            self.stepper_setpoints[index] = if bank.command(index, command).is_ok() {
+                setpoint
+            } else {
+                let _ = bank.command(index, StepperCommand::Speed(0.0));
+                Setpoint { mode: Mode::Speed, value: 0.0 }
+            };
         }
     }
 

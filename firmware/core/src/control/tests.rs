@@ -108,7 +108,8 @@ impl Bench {
     }
 
     fn drive(&self, motor: usize, duty: f32) {
-        assert_eq!(self.shared.command(Place::Motor(motor), Setpoint { mode: Mode::Duty, value: duty }), Ok(()));
+        let setpoint = Setpoint { mode: Mode::Duty, value: duty };
+        assert_eq!(self.shared.command(Place::Motor(motor), setpoint, Instant::now().as_micros()), Ok(()));
     }
 }
 
@@ -288,6 +289,7 @@ fn ten_late_periods_in_a_row_are_an_overrun() {
         let _ = bench.shared.command(
             Place::Motor(0),
             Setpoint { mode: Mode::Duty, value: 0.1 + begin.elapsed().as_millis() as f32 * 1e-3 },
+            Instant::now().as_micros(),
         );
     }
     bench.is_tripped_by(Cause::ControlOverrun);

@@ -104,18 +104,18 @@ fn trips_are_counted_from_the_first_host_on() {
 #[test]
 fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
     let board = every_interface();
-    assert_eq!(board.command(MOTOR, DUTY), Err(Refusal::NotArmed { state: SafetyState::Disarmed }));
+    assert_eq!(board.command(MOTOR, DUTY, 0), Err(Refusal::NotArmed { state: SafetyState::Disarmed }));
     assert_eq!(board.request(Event::Arm), Ok(()));
-    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    assert_eq!(board.command(MOTOR, DUTY, 0), Ok(()));
     let epoch = board.safety().epoch;
     // Of a later arming: it stays for the period that knows of it.
     assert_eq!(board.take_command(MOTOR, epoch.wrapping_sub(1)), None);
     assert_eq!(board.take_command(Place::Motor(1), epoch), None);
     assert_eq!(board.take_command(MOTOR, epoch), Some(DUTY));
     assert_eq!(board.take_command(MOTOR, epoch), None);
-    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    assert_eq!(board.command(MOTOR, DUTY, 0), Ok(()));
     board.trip(Cause::HostStop);
-    assert_eq!(board.command(MOTOR, DUTY), Err(Refusal::NotArmed { state: SafetyState::Tripped }));
+    assert_eq!(board.command(MOTOR, DUTY, 0), Err(Refusal::NotArmed { state: SafetyState::Tripped }));
     assert_eq!(board.request(Event::Clear), Ok(()));
     assert_eq!(board.request(Event::Arm), Ok(()));
     assert_eq!(board.safety().epoch, epoch + 1);
@@ -175,8 +175,8 @@ fn a_brake_is_commanded_beside_its_drive() {
     let board = armed();
     let epoch = board.safety().epoch;
     for (value, applied) in [(1.0, true), (0.0, false)] {
-        assert_eq!(board.command(Place::Bldc(2), Setpoint { mode: Mode::Brake, value }), Ok(()));
-        assert_eq!(board.command(Place::Bldc(2), DUTY), Ok(()));
+        assert_eq!(board.command(Place::Bldc(2), Setpoint { mode: Mode::Brake, value }, 0), Ok(()));
+        assert_eq!(board.command(Place::Bldc(2), DUTY, 0), Ok(()));
         assert_eq!(board.take_brake(1, epoch), None);
         assert_eq!(board.take_brake(2, epoch), Some(applied));
         assert_eq!(board.take_brake(2, epoch), None);
@@ -196,8 +196,8 @@ fn a_lease_that_is_not_renewed_ends_in_rest() {
         let board = armed();
         let epoch = board.safety().epoch;
         let follow = |place| (place, Setpoint { mode, value: 0.25 });
-        assert_eq!(board.lease(&[follow(MOTOR), follow(Place::Motor(1))], now), Ok(()));
-        assert_eq!(board.lease(&[follow(Place::Motor(1))], now + US), Ok(()));
+        assert_eq!(board.lease(&[follow(MOTOR), follow(Place::Motor(1))], 0, now), Ok(()));
+        assert_eq!(board.lease(&[follow(Place::Motor(1))], 0, now + US), Ok(()));
         board.end_leases(now);
         assert_eq!(board.take_command(MOTOR, epoch), Some(follow(MOTOR).1));
         board.end_leases(now + US);
@@ -217,14 +217,14 @@ fn a_command_ends_the_lease_of_its_channel() {
     let board = armed();
     let epoch = board.safety().epoch;
     let now = Instant::now();
-    assert_eq!(board.lease(&[(MOTOR, DUTY), (Place::Motor(1), DUTY)], now), Ok(()));
-    assert_eq!(board.command(MOTOR, DUTY), Ok(()));
+    assert_eq!(board.lease(&[(MOTOR, DUTY), (Place::Motor(1), DUTY)], 0, now), Ok(()));
+    assert_eq!(board.command(MOTOR, DUTY, 0), Ok(()));
     board.end_leases(now + MS);
     assert_eq!(board.take_command(MOTOR, epoch), Some(DUTY));
     assert_eq!(board.take_command(Place::Motor(1), epoch), Some(Setpoint::NONE));
     board.trip(Cause::HostStop);
     let refused = Refusal::NotArmed { state: SafetyState::Tripped };
-    assert_eq!(board.lease(&[(MOTOR, DUTY)], now), Err(refused));
+    assert_eq!(board.lease(&[(MOTOR, DUTY)], 0, now), Err(refused));
 }
 
 /// Another host gets the session once the first has been silent for longer than the timeout, and not before.

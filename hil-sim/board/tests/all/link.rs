@@ -7,9 +7,9 @@ use crate::harness::{
 use proptest::prelude::*;
 use r4_boards::Robot;
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Mode, Range,
-    Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, VERSION,
-    config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
+    Mode, ModeInfo, Range, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice,
+    ToHost, VERSION, config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
 };
 use r4_sim::{Simulation, uart::LineNoise};
 
@@ -51,6 +51,19 @@ fn a_noisy_line_loses_frames_and_says_so() {
         assert!((1..40).contains(&lost), "{lost} frames lost");
         assert_eq!(answers + lost as usize, 400, "each frame is taken or counted");
         nothing_moved(device);
+    });
+}
+
+/// Not even a delimiter: on a CAN bus others would hear it, and alone on one a controller would repeat it for ever.
+#[test]
+fn a_board_says_nothing_until_it_is_spoken_to() {
+    raw_bench(&osmc_bench(), async |host, _| {
+        assert_eq!(host.bytes(500).await, 0);
+        host.send_bytes(b"\x05noise\0").await;
+        host.send(&ToDevice::Heartbeat { session: 1, host_us: 0 }).await;
+        assert_eq!(host.bytes(500).await, 0, "neither is answered");
+        assert_eq!(host.ask(Request::Stats).await, Err(Refusal::NoSession));
+        assert_eq!(host.bytes(500).await, 0);
     });
 }
 
@@ -224,6 +237,231 @@ fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
         host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await.unwrap();
         host.listen(20).await;
         assert!(device.duty(ROTARY) > 0.0);
+    });
+}
+
+/// Why a set point is refused that is newer than the one in force.
+#[derive(Clone, Copy, Debug)]
+enum Refused {
+    NotFinite,
+    AboveRange,
+    BelowRange,
+    WrongMode,
+    Expired,
+    Ahead,
+}
+
+impl Refused {
+    const ALL: [Self; 6] =
+        [Self::NotFinite, Self::AboveRange, Self::BelowRange, Self::WrongMode, Self::Expired, Self::Ahead];
+
+    /// A set point for a channel that is refused for this reason at `now_us`.
+    fn request(self, info: &ChannelInfo, mode: &ModeInfo, now_us: u64) -> Request {
+        let Range { min, max } = mode.range;
+        let other = [Mode::Voltage, Mode::Switch].into_iter().find(|other| info.mode(*other).is_none());
+        let (mode, value, sent_us) = match self {
+            Self::NotFinite => (mode.mode, f32::NAN, now_us),
+            Self::AboveRange => (mode.mode, max + 1.0, now_us),
+            Self::BelowRange => (mode.mode, min - 1.0, now_us),
+            Self::WrongMode => (other.expect("no channel has both"), max, now_us),
+            Self::Expired => (mode.mode, max, now_us - 51_000),
+            Self::Ahead => (mode.mode, max, now_us + 60_000),
+        };
+        set_at(sent_us, info.id, mode, value)
+    }
+}
+
+/// What a channel shows.
+async fn sample_of(host: &mut RawHost, channel: ChannelId) -> Sample {
+    host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
+    let heard = host.listen(3).await;
+    host.ask(Request::Subscribe { channel, period_ms: 0 }).await.expect("a channel");
+    host.listen(1).await;
+    let samples = heard.into_iter().rev().filter_map(|message| match message {
+        ToHost::Telemetry(Telemetry { samples, .. }) => samples.first().copied(),
+        _ => None,
+    });
+    samples.into_iter().next().expect("a sample each millisecond")
+}
+
+/// Keeps the session for `ms`.
+async fn wait(host: &mut RawHost, session: u16, ms: u64) {
+    for part in 0..ms.div_ceil(50) {
+        host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
+        host.listen((ms - 50 * part).min(50)).await;
+    }
+}
+
+/// Disarms and arms `channel`, sets `setpoint`, and lets `then` happen once it is followed; whether it is followed 100 ms
+/// later. A channel that stops does so within them: what ends a ramp at rest counts from its last 0.06 s.
+async fn is_followed_after(
+    host: &mut RawHost,
+    device: &Device,
+    info: &ChannelInfo,
+    setpoint: Setpoint,
+    then: impl AsyncFnOnce(&mut RawHost, u64),
+) -> bool {
+    let session = host.hello().await.session;
+    host.ask(Request::Clear).await.unwrap();
+    host.ask(Request::Arm).await.unwrap();
+    let sent_us = now_us(device);
+    host.ask(set_at(sent_us, info.id, setpoint.mode, setpoint.value)).await.unwrap();
+    // The supply of the motors comes 50 ms after arming.
+    wait(host, session, 110).await;
+    then(host, sent_us).await;
+    host.listen(5).await;
+    let first = sample_of(host, info.id).await;
+    wait(host, session, 100).await;
+    let last = sample_of(host, info.id).await;
+    assert_eq!(host.hello().await.causes, Causes::NONE, "{setpoint:?} of {}", info.id);
+    match (first, last) {
+        (Sample::Motor { .. }, Sample::Motor { setpoint: last, .. }) if last == setpoint => true,
+        (Sample::Motor { .. }, Sample::Motor { setpoint: last, .. }) => {
+            assert_eq!(last.value, 0.0, "{}: {last:?}", info.id);
+            assert!(last.mode == if setpoint.mode == Mode::Duty { Mode::Duty } else { Mode::Speed }, "{last:?}");
+            false
+        }
+        (Sample::Scalar { value: first, .. }, Sample::Scalar { value: last, .. }) => match info.id.kind {
+            ChannelKind::Bldc if last == 0.0 => false,
+            ChannelKind::Bldc => {
+                assert!(last > first, "{first} then {last}");
+                true
+            }
+            ChannelKind::Dac if last == setpoint.value => true,
+            ChannelKind::Dac => {
+                assert_eq!(last, 0.0, "its safe voltage");
+                false
+            }
+            _ => last == setpoint.value,
+        },
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Every kind of output in every mode, whatever the reason: a set point that is refused ends the older one, but one that is
+/// older itself, or the same again, ends nothing.
+#[test]
+fn a_refused_set_point_never_leaves_the_older_one_in_force() {
+    raw_bench(&r4_boards::load("every-interface").expect("built in"), async |host, device| {
+        // It answers when all its range sensors have been heard.
+        host.listen(1000).await;
+        let count = host.hello().await.channels;
+        let mut outputs: Vec<ChannelInfo> = Vec::new();
+        for index in 0..count {
+            let Ok(Reply::Channel(info)) = host.ask(Request::Describe { index }).await else { panic!("described") };
+            // One of each kind: all are built alike. But for servos, which have arrived before anything could be refused.
+            let stays = info.modes.is_empty() || info.id.kind == ChannelKind::Servo;
+            if !stays && outputs.iter().all(|known| known.id.kind != info.id.kind) {
+                outputs.push(info);
+            }
+        }
+        let kinds: Vec<_> = outputs.iter().map(|info| info.id.kind).collect();
+        for kind in [ChannelKind::Osmc, ChannelKind::Dhb, ChannelKind::Bldc, ChannelKind::Stepper] {
+            assert!(kinds.contains(&kind), "{kinds:?}");
+        }
+        assert!(kinds.contains(&ChannelKind::Relay) && kinds.contains(&ChannelKind::Dac), "{kinds:?}");
+        let mut cases = 0;
+        for info in &outputs {
+            for mode in info.modes.iter().filter(|mode| mode.mode != Mode::Brake) {
+                let value = match mode.mode {
+                    Mode::Switch => 1.0,
+                    // Slow, so that nothing is found within the test.
+                    Mode::Home => 0.5,
+                    _ => mode.range.max * 0.4,
+                };
+                let setpoint = Setpoint { mode: mode.mode, value };
+                for refused in Refused::ALL {
+                    let what = format!("{} in {}, {refused:?}", info.id, mode.mode);
+                    let newer = async |host: &mut RawHost, _| {
+                        let request = refused.request(info, mode, now_us(device));
+                        host.ask(request).await.expect_err("refused");
+                    };
+                    assert!(!is_followed_after(host, device, info, setpoint, newer).await, "{what}: goes on");
+                    cases += 1;
+                }
+                let older = async |host: &mut RawHost, sent_us: u64| {
+                    // The same once more, after its time; one from before it, after its time; one from before it that is wrong.
+                    for (sent_us, value) in [(sent_us, setpoint.value), (sent_us - 1, 0.0), (sent_us - 1, f32::NAN)] {
+                        host.ask(set_at(sent_us, info.id, mode.mode, value)).await.expect_err("refused");
+                    }
+                };
+                let followed = is_followed_after(host, device, info, setpoint, older).await;
+                assert!(followed, "{} in {}: stopped by an older one", info.id, mode.mode);
+            }
+        }
+        // 4 modes of a motor that can seek its home, 3 of such a stepper, and 4 others.
+        assert_eq!(cases, 6 * 11, "{kinds:?}");
+    });
+}
+
+/// A brake that is on stays on: neutral would release it.
+#[test]
+fn a_refused_set_point_releases_no_brake() {
+    raw_bench(&r4_boards::load("every-interface").expect("built in"), async |host, device| {
+        host.listen(1000).await;
+        let channel = ChannelId::new(ChannelKind::Bldc, 0);
+        let braked = || device.board.world().bldc(channel).expect("a drive").is_braking();
+        for (mode, value) in [(Mode::Duty, 2.0), (Mode::Brake, 0.5)] {
+            let session = host.hello().await.session;
+            host.ask(Request::Arm).await.unwrap();
+            host.ask(set(device, channel, Mode::Duty, 0.3)).await.unwrap();
+            wait(host, session, 110).await;
+            assert!(!braked());
+            host.ask(set(device, channel, Mode::Brake, 1.0)).await.unwrap();
+            wait(host, session, 20).await;
+            assert!(braked());
+            host.ask(set(device, channel, mode, value)).await.expect_err("refused");
+            wait(host, session, 50).await;
+            assert!(braked());
+        }
+    });
+}
+
+/// A cycle that is refused ends what its channels followed, be it leased or not; one that is older ends nothing.
+#[test]
+fn a_refused_cycle_never_leaves_older_set_points_in_force() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        for leased in [true, false] {
+            let too_fast = |seq, sent_us| Cycle::new(seq, None, Some(sent_us), steps(5001, NOTHING));
+            for (case, outcome, ends) in [
+                ("newer and wrong", CycleOutcome::Refused, true),
+                ("newer and wrong, undated", CycleOutcome::Refused, true),
+                ("newer and late", CycleOutcome::Stale, true),
+                ("older and wrong", CycleOutcome::Refused, false),
+                ("older and late", CycleOutcome::Stale, false),
+                ("wrong for the other channel alone", CycleOutcome::Refused, false),
+            ] {
+                let session = host.hello().await.session;
+                host.listen(60).await;
+                host.ask(bind(if outcome == CycleOutcome::Stale { 50 } else { 500 })).await.unwrap();
+                host.ask(Request::Arm).await.unwrap();
+                let sent_us = now_us(device);
+                if leased {
+                    let cycle = Cycle::new(0, None, Some(sent_us), steps(2000, NOTHING));
+                    assert_eq!(turn(host, cycle).await.outcome(), CycleOutcome::Taken);
+                } else {
+                    host.ask(set_at(sent_us, ROTARY, Mode::Speed, 2.0)).await.unwrap();
+                }
+                host.listen(5).await;
+                assert_eq!(setpoint_of(host, ROTARY).await, Setpoint { mode: Mode::Speed, value: 2.0 });
+                let late = outcome == CycleOutcome::Stale;
+                if late {
+                    wait(host, session, 80).await;
+                }
+                let refused = match case {
+                    "newer and wrong" => too_fast(1, now_us(device)),
+                    "newer and wrong, undated" => Cycle::new(1, None, None, steps(5001, NOTHING)),
+                    "newer and late" => too_fast(1, sent_us + 1000),
+                    "wrong for the other channel alone" => Cycle::new(1, None, None, steps(NOTHING, -1)),
+                    _ => too_fast(1, sent_us - 1000),
+                };
+                assert_eq!(turn(host, refused).await.outcome(), outcome, "{case}");
+                let told = setpoint_of(host, ROTARY).await;
+                // What is leased ends with its time to live in any case.
+                let value = if ends || (leased && late) { 0.0 } else { 2.0 };
+                assert_eq!(told, Setpoint { mode: Mode::Speed, value }, "{case}, leased: {leased}");
+            }
+        }
     });
 }
 

@@ -347,6 +347,18 @@ impl RawHost {
         self.send_bytes(&frame(message)).await;
     }
 
+    /// How many bytes arrive in the next `ms`, whatever they are.
+    pub(crate) async fn bytes(&mut self, ms: u64) -> usize {
+        let mut buffer = [0; 256];
+        let mut count = 0;
+        let until_ns = self.clock.now_ns() + ms * MS;
+        while let Some(left_ns @ 1..) = until_ns.checked_sub(self.clock.now_ns()) {
+            let Some(Ok(len)) = within(&self.clock, left_ns, self.port.rx.read(&mut buffer)).await else { continue };
+            count += len;
+        }
+        count
+    }
+
     /// Everything that arrives in the next `ms`.
     pub(crate) async fn listen(&mut self, ms: u64) -> Vec<ToHost> {
         let until_ns = self.clock.now_ns() + ms * MS;
