@@ -102,6 +102,19 @@ impl<C: Core + 'static> EmuBoard<C> {
         self.machine.borrow_mut()
     }
 
+    /// The processor's main crystal stops at `at_ns` of virtual time, or at once if that is past. It does not start again.
+    pub fn stop_crystal_at(&self, at_ns: u64) {
+        self.machine().chip.stop_crystal_at(at_ns);
+    }
+
+    /// The processor's 3.3 V fall to `volts` at `at_ns` of virtual time, and are back `for_ns` later. What the chip makes of it
+    /// follows from its detectors and option bytes; the other chips of the board do not notice.
+    pub fn dip_supply(&self, at_ns: u64, volts: f64, for_ns: u64) {
+        let mut machine = self.machine();
+        machine.chip.supply_at(at_ns, (volts * 1e3).round().max(0.0) as u32);
+        machine.chip.supply_at(at_ns.saturating_add(for_ns), r4_mcu::peripherals::pwr::NOMINAL_MV);
+    }
+
     /// The same, for those who keep it.
     #[must_use]
     pub fn shared_machine(&self) -> SharedMachine<C> {

@@ -63,6 +63,16 @@ pub trait Chip {
         false
     }
 
+    /// Level of the non-maskable interrupt's input.
+    fn nmi(&self) -> bool {
+        false
+    }
+
+    /// The core cannot execute: it has no clock, or is held in reset. Time passes up to [`Chip::next_event_ns`].
+    fn is_halted(&self) -> bool {
+        self.core_hz() == 0
+    }
+
     /// Frequency of the core clock, for SysTick and the cycle counter; 0 is stopped.
     fn core_hz(&self) -> u64;
 

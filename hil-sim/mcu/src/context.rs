@@ -41,6 +41,10 @@ pub struct Clocks {
     pub hsi48_hz: u64,
     /// Low-speed crystal.
     pub lse_hz: u64,
+    /// The watchdogs' oscillator where the program has turned it on itself (RCC_CSR): what timers can capture.
+    pub lsi_ready_hz: u64,
+    /// The main crystal divided by RTCPRE.
+    pub hse_rtc_hz: u64,
 }
 
 const SECOND: u64 = 1_000_000_000;
@@ -134,6 +138,18 @@ pub enum Signal {
         /// When: may lie before the present moment, by what was not looked at since.
         at_ns: u64,
         /// The level.
+        high: bool,
+    },
+    /// The non-maskable interrupt's input (RM0399, 9.5.3: the clock security system).
+    Nmi {
+        /// Asserted.
+        level: bool,
+    },
+    /// An input of EXTI that is no pin (RM0399, 21.4, table of the lines).
+    Exti {
+        /// From 16 on.
+        line: u8,
+        /// The level from now on.
         high: bool,
     },
     /// The clock tree has changed.

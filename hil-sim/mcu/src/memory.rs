@@ -225,6 +225,18 @@ impl Memory {
         self.code.get()
     }
 
+    /// RAM has been without power, the backup SRAM too.
+    pub fn lose_power(&self) {
+        for region in self.regions.iter().filter(|region| !region.bank.is_flash()) {
+            for (cell, byte) in region.bytes.iter().zip(Self::POWER_ON.to_le_bytes().into_iter().cycle()) {
+                cell.set(byte);
+            }
+            if region.direct().execute {
+                self.code.set(self.code.get().wrapping_add(1));
+            }
+        }
+    }
+
     /// Reads a value; `None` where no memory is, or not all of it. Clocks do not matter here.
     #[must_use]
     pub fn read(&self, address: u32, size: Size) -> Option<u32> {

@@ -134,6 +134,8 @@ impl Default for Bench {
             lsi_hz: 32_000,
             hsi48_hz: 48_000_000,
             lse_hz: 32_768,
+            lsi_ready_hz: 32_000,
+            hse_rtc_hz: 0,
         };
         Self { now_ns: 0, clocks, outside: Recorder::default(), signals: Vec::new(), misuse: Vec::new() }
     }

@@ -196,6 +196,14 @@ impl Exceptions {
         self.lines.set(exception, level);
     }
 
+    /// Sets the level of the NMI's input, which behaves as an interrupt's line does (B1.5.1, B3.2.4).
+    pub fn set_nmi(&mut self, level: bool) {
+        if level && !self.lines.get(number::NMI) {
+            self.set_pending(number::NMI);
+        }
+        self.lines.set(number::NMI, level);
+    }
+
     /// Makes an exception pending.
     pub fn set_pending(&mut self, exception: u16) {
         self.pending.set(exception, true);

@@ -28,6 +28,7 @@ impl Unanswered {
 /// Tells the processor about interrupt lines.
 pub(super) fn take_irqs<S: Chip>(chip: &mut S, cpu: &mut Processor, irqs: &mut Vec<(u16, bool)>) {
     chip.take_irqs(irqs);
+    cpu.exceptions.set_nmi(chip.nmi());
     for (irq, level) in irqs.drain(..) {
         let exception = crate::cpu::number::IRQ0 + irq;
         let was_pending = cpu.exceptions.is_pending(exception);
@@ -122,6 +123,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             || requests.fpu
             || self.chip.outside_waits()
             || self.chip.wants_reset()
+            || self.chip.is_halted()
             || self.code_version != self.chip.memory().code_version()
             || *self.mapping_version != self.chip.memory().mapping_version();
         if now {

@@ -251,6 +251,10 @@ impl<C: Core, S: Chip> Machine<C, S> {
             if self.now_ns() >= t_ns {
                 return Ok(self.stopped(Reason::Time));
             }
+            if self.chip.is_halted() {
+                self.time.jump(self.next_event_ns().clamp(self.now_ns(), t_ns));
+                continue;
+            }
             if let Some(sleep) = self.sleep {
                 if self.wakes(sleep) {
                     self.sleep = None;

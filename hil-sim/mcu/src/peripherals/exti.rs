@@ -1,8 +1,8 @@
-//! Extended interrupt controller (RM0399, 21): lines 0 to 15, which are pins, for the Cortex-M7.
+//! Extended interrupt controller (RM0399, 21): lines 0 to 15, which are pins, and 16, for the Cortex-M7.
 //!
 //! An edge that RTSR or FTSR chooses sets its bit of C1PR1, whether C1IMR1 lets it through or not; the interrupt lines
-//! follow both. Lines 16 to 21 can be set up and are raised by software only. Events (EMR), the D3 domain, the lines from
-//! 32 on and the registers of the Cortex-M4 are not modelled.
+//! follow both. Line 16 is the voltage detector of PWR; lines 17 to 21 can be set up and are raised by software only. Events (EMR),
+//! the D3 domain, the lines from 32 on and the registers of the Cortex-M4 are not modelled.
 
 use crate::{
     Context, Edge, Peripheral, Pin, Size, Unmodelled,
@@ -27,7 +27,8 @@ const PINS: u32 = 0xFFFF;
 const MASK_AT_RESET: u32 = 0xFFC0_0000;
 
 /// NVIC positions with the lines that raise them.
-const IRQS: [(u16, u32); 7] = [(6, 1), (7, 1 << 1), (8, 1 << 2), (9, 1 << 3), (10, 1 << 4), (23, 0x03E0), (40, 0xFC00)];
+const IRQS: [(u16, u32); 8] =
+    [(1, 1 << 16), (6, 1), (7, 1 << 1), (8, 1 << 2), (9, 1 << 3), (10, 1 << 4), (23, 0x03E0), (40, 0xFC00)];
 
 /// EXTI.
 pub struct Exti {
@@ -59,6 +60,13 @@ impl Exti {
             self.pending |= 1 << edge.pin.number;
             self.raise(context);
         }
+    }
+
+    /// A line from 16 on changes its level.
+    pub fn line(&mut self, line: u8, high: bool, context: &mut Context<'_>) {
+        let chosen = if high { self.rising } else { self.falling };
+        self.pending |= chosen & CONFIGURABLE & 1 << (line & 31);
+        self.raise(context);
     }
 
     /// Whether a write there may change [`Exti::watched`]: to RTSR, FTSR or IMR, not to the pending bits.
@@ -186,14 +194,26 @@ mod tests {
     #[test]
     fn each_line_has_the_interrupt_of_the_vector_table() {
         let (mut exti, mut bench) = (Exti::new(), Bench::default());
-        bench.write(&mut exti, C1IMR1, 0xFFFF);
-        for line in 0..16 {
-            // RM0399, table of the vectors: 6 to 10, 23, 40.
-            let number = [6, 7, 8, 9, 10, 23, 23, 23, 23, 23, 40, 40, 40, 40, 40, 40][line];
+        bench.write(&mut exti, C1IMR1, 0x1FFFF);
+        for line in 0..17 {
+            // RM0399, table of the vectors: 6 to 10, 23, 40, and PVD_PVM is 1.
+            let number = [6, 7, 8, 9, 10, 23, 23, 23, 23, 23, 40, 40, 40, 40, 40, 40, 1][line];
             bench.write(&mut exti, SWIER1, 1 << line);
             bench.write(&mut exti, C1PR1, 1 << line);
             assert_eq!(bench.take_signals(), [true, false].map(|level| Signal::Irq { number, level }));
         }
+    }
+
+    #[test]
+    fn a_line_that_is_no_pin_has_the_edges_that_were_chosen() {
+        let (mut exti, mut bench) = (Exti::new(), Bench::default());
+        bench.write(&mut exti, RTSR1, 1 << 16);
+        bench.modify(&mut exti, C1IMR1, 0, 1 << 16);
+        exti.line(16, false, &mut bench.context());
+        assert_eq!(bench.take_signals(), []);
+        exti.line(16, true, &mut bench.context());
+        assert_eq!(bench.take_signals(), [Signal::Irq { number: 1, level: true }]);
+        assert_eq!(bench.read(&mut exti, C1PR1), 1 << 16);
     }
 
     #[test]

@@ -145,6 +145,10 @@ impl Iwdg {
             return;
         }
         register.next = Some((lsi.when_ns(UPDATE_CYCLES), value & mask));
+        // "Write to the window register. This automatically refreshes the counter" (RM0399, 49.3.3), inside the window or not.
+        if offset == WINR && self.counter.is_some() {
+            self.count_from(self.reload.value, context.now_ns, context);
+        }
     }
 }
 
@@ -293,6 +297,17 @@ mod tests {
         bench.run(&mut iwdg, 1_000_000 + 50_000_000);
         bench.write(&mut iwdg, KR, REFRESH);
         assert_eq!(bench.take_signals(), []);
+    }
+
+    #[test]
+    fn a_write_of_the_window_refreshes_the_count() {
+        let (mut iwdg, mut bench) = running();
+        bench.run(&mut iwdg, 51_000_000);
+        bench.write(&mut iwdg, KR, UNLOCK);
+        bench.write(&mut iwdg, WINR, 49);
+        assert_eq!(iwdg.next_event_ns(), 151_000_000);
+        assert_eq!(bench.take_signals(), []);
+        bench.assert_no_misuse();
     }
 
     #[test]

@@ -5,11 +5,20 @@
 //! power is cut: it ends the run. Scale 0 is scale 1 with the overdrive of SYSCFG_PWRCR.
 //!
 //! A change of the scale takes 20 µs. The manual gives no time; this is only so that a program has to wait.
-//! Low-power modes, voltage detectors and the monitors of battery and temperature are not modelled: their settings are
-//! kept, and nothing comes of them. Turning on a detector ends the run.
+//!
+//! **Supply.** The 3.3 V at VDD follow a list of changes ([`Pwr::supply_at`]). Below the brown-out level of the option bytes the chip
+//! is held in reset, up to 377 µs after the supply is back above it; below 1.62 V that is a power-on reset, in which RAM and what
+//! no battery keeps are lost. The programmable voltage detector (CR1.PVDEN, PLS) compares with a hysteresis of 100 mV and tells
+//! EXTI line 16. Thresholds are the typical ones of DS12930, "Reset and power control block characteristics" (recalled, not looked
+//! up).
+//!
+//! Low-power modes, the analog voltage detector (turning it on ends the run) and the monitors of battery and temperature are not
+//! modelled: settings of the latter are kept, and nothing comes of them.
+
+use std::collections::VecDeque;
 
 use crate::{
-    Context, Peripheral, Size, Unmodelled,
+    Context, Peripheral, ResetCause, Signal, Size, Unmodelled,
     peripherals::access::{merged, part},
 };
 
@@ -44,6 +53,22 @@ const USB33DEN: u32 = 1 << 24;
 
 const SETTLE_NS: u64 = 20_000;
 
+/// CR1 and CSR1.
+const PVDEN: u32 = 1 << 4;
+const AVDEN: u32 = 1 << 16;
+const PVDO: u32 = 1 << 4;
+/// EXTI line of the detectors.
+const PVD_LINE: u8 = 16;
+/// Rising thresholds of the detector by PLS, mV; code 7 compares a pin (PWR_CR1).
+const PVD_RISING_MV: [u32; 7] = [1950, 2100, 2250, 2400, 2550, 2700, 2850];
+const PVD_HYSTERESIS_MV: u32 = 100;
+/// Falling and rising thresholds of the brown-out reset by BOR_LEV, mV; level 0 is power-on and power-down reset alone.
+const BROWN_OUT_MV: [(u32, u32); 4] = [(1620, 1670), (2000, 2100), (2310, 2410), (2610, 2700)];
+/// The reset lasts so long after the supply is back.
+const RESET_NS: u64 = 377_000;
+/// The supply of a board that nothing is wrong with, mV.
+pub const NOMINAL_MV: u32 = 3300;
+
 /// PWR.
 pub struct Pwr {
     cr1: u32,
@@ -61,6 +86,23 @@ pub struct Pwr {
     settled_ns: u64,
     /// Advanced since then.
     seen: bool,
+    supply: Supply,
+    /// PVDO.
+    low: bool,
+    /// BOR_LEV of the option bytes.
+    brown_out_level: u8,
+}
+
+/// VDD, and what follows from it alone.
+#[derive(Clone, Debug)]
+struct Supply {
+    now_mv: u32,
+    /// Still to come, in order of time.
+    changes: VecDeque<(u64, u32)>,
+    /// The chip is in reset; until then, `u64::MAX` while the supply is too low.
+    held_until_ns: Option<u64>,
+    /// It fell below the power-down threshold since somebody asked.
+    lost: bool,
 }
 
 impl Default for Pwr {
@@ -85,6 +127,75 @@ impl Pwr {
             from: VoltageScale::Vos3,
             settled_ns: 0,
             seen: true,
+            supply: Supply { now_mv: NOMINAL_MV, changes: VecDeque::new(), held_until_ns: None, lost: false },
+            low: false,
+            brown_out_level: 0,
+        }
+    }
+
+    /// VDD is so high from `at_ns` on. Changes are told in order of time; an earlier one that is still to come and is later than
+    /// this one is forgotten.
+    pub fn supply_at(&mut self, at_ns: u64, millivolts: u32) {
+        self.supply.changes.retain(|(other_ns, _)| *other_ns < at_ns);
+        self.supply.changes.push_back((at_ns, millivolts));
+    }
+
+    /// VDD, mV.
+    #[must_use]
+    pub fn supply_mv(&self) -> u32 {
+        self.supply.now_mv
+    }
+
+    /// The chip is held in reset by its supply.
+    #[must_use]
+    pub fn is_held(&self) -> bool {
+        self.supply.held_until_ns.is_some()
+    }
+
+    /// Whether VDD fell so low since the last time that RAM has lost its content.
+    pub fn take_power_loss(&mut self) -> bool {
+        std::mem::take(&mut self.supply.lost)
+    }
+
+    /// Power was lost: the supply configuration and CR2 go too.
+    pub fn power_on(&mut self) {
+        let (supply, brown_out_level) = (self.supply.clone(), self.brown_out_level);
+        *self = Self { supply, brown_out_level, ..Self::new() };
+    }
+
+    /// BOR_LEV of the option bytes, 0 to 3.
+    pub fn set_brown_out_level(&mut self, level: u8) {
+        self.brown_out_level = level & 3;
+    }
+
+    fn follow_supply(&mut self, context: &mut Context<'_>) {
+        while let Some((_, millivolts)) = self.supply.changes.pop_front_if(|(at_ns, _)| *at_ns <= context.now_ns) {
+            self.supply.now_mv = millivolts;
+            let (falling, rising) = BROWN_OUT_MV[usize::from(self.brown_out_level)];
+            if millivolts < BROWN_OUT_MV[0].0 && !self.supply.lost {
+                (self.supply.held_until_ns, self.supply.lost) = (Some(u64::MAX), true);
+                context.signals.push(Signal::Reset(ResetCause::PowerOn));
+            } else if millivolts < falling && self.supply.held_until_ns != Some(u64::MAX) {
+                if self.supply.held_until_ns.is_none() {
+                    context.signals.push(Signal::Reset(ResetCause::BrownOut));
+                }
+                self.supply.held_until_ns = Some(u64::MAX);
+            } else if millivolts >= rising && self.supply.held_until_ns == Some(u64::MAX) {
+                self.supply.held_until_ns = Some(context.now_ns + RESET_NS);
+            }
+        }
+        self.supply.held_until_ns = self.supply.held_until_ns.filter(|until_ns| *until_ns > context.now_ns);
+        self.compare(context);
+    }
+
+    /// The detector.
+    fn compare(&mut self, context: &mut Context<'_>) {
+        let rising = PVD_RISING_MV.get((self.cr1 >> 5 & 7) as usize).copied().filter(|_| self.cr1 & PVDEN != 0);
+        let threshold = rising.map(|rising| if self.low { rising } else { rising - PVD_HYSTERESIS_MV });
+        let low = threshold.is_some_and(|threshold| self.supply.now_mv < threshold);
+        if low != self.low {
+            self.low = low;
+            context.signals.push(Signal::Exti { line: PVD_LINE, high: low });
         }
     }
 
@@ -146,7 +257,7 @@ impl Pwr {
                     VoltageScale::Vos2 => 2,
                     VoltageScale::Vos3 => 1,
                 };
-                Some(settled << 13 | actual << 14)
+                Some(settled << 13 | actual << 14 | if self.low { PVDO } else { 0 })
             }
             // BRRDY follows BREN.
             CR2 => Some(self.cr2 | brought(1 << 16)),
@@ -189,10 +300,16 @@ impl Peripheral for Pwr {
         let before = self.value(offset & !3, context.now_ns).ok_or_else(|| Unmodelled::register("PWR", offset))?;
         let value = merged(before, offset, size, value);
         match offset & !3 {
-            CR1 if value & (1 << 4 | 1 << 16) != 0 => {
-                return Err(Unmodelled { peripheral: "PWR", what: "voltage detectors (CR1.PVDEN, AVDEN)".into() });
+            CR1 if value & AVDEN != 0 => {
+                return Err(Unmodelled { peripheral: "PWR", what: "the analog voltage detector (CR1.AVDEN)".into() });
             }
-            CR1 => self.cr1 = value & 0x0007_C3F1 | 0xF000_0000,
+            CR1 if value & PVDEN != 0 && value >> 5 & 7 == 7 => {
+                return Err(Unmodelled { peripheral: "PWR", what: "the detector's own pin (CR1.PLS = 7)".into() });
+            }
+            CR1 => {
+                self.cr1 = value & 0x0007_C3F1 | 0xF000_0000;
+                self.compare(context);
+            }
             CR2 if !self.backup_writable() => {
                 context.misuse("PWR", "CR2 is written while CR1.DBP is 0; the chip ignores it (PWR_CR2)");
             }
@@ -225,17 +342,21 @@ impl Peripheral for Pwr {
 
     /// When the voltage arrives: the limits of clocks and flash are others from then on.
     fn next_event_ns(&self) -> u64 {
-        if self.seen { u64::MAX } else { self.settled_ns }
+        let settled_ns = if self.seen { u64::MAX } else { self.settled_ns };
+        let change_ns = self.supply.changes.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
+        settled_ns.min(change_ns).min(self.supply.held_until_ns.unwrap_or(u64::MAX))
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {
         self.seen |= context.now_ns >= self.settled_ns;
+        self.follow_supply(context);
     }
 
     /// A reset of the chip. The supply configuration and CR2 outlive it.
     fn reset(&mut self, context: &mut Context<'_>) {
         let kept = (self.cr2, self.cr3, self.supply_written);
-        *self = Self::new();
+        let (supply, brown_out_level) = (self.supply.clone(), self.brown_out_level);
+        *self = Self { supply, brown_out_level, ..Self::new() };
         (self.cr2, self.cr3, self.supply_written) = (kept.0, SUPPLY_AT_RESET & !SUPPLY | kept.1 & SUPPLY, kept.2);
         self.settled_ns = context.now_ns;
     }
@@ -301,6 +422,78 @@ mod tests {
         bench.run(&mut pwr, bench.now_ns + SETTLE_NS);
         assert_eq!(pwr.scale(bench.now_ns), VoltageScale::Vos0);
         bench.assert_no_misuse();
+    }
+
+    const EVENT: fn(bool) -> Signal = |high| Signal::Exti { line: 16, high };
+
+    #[test]
+    fn the_detector_tells_a_falling_supply_and_its_return_with_hysteresis() {
+        let (mut pwr, mut bench) = supplied();
+        let start_ns = bench.now_ns;
+        // PLS 5: 2.7 V rising, 2.6 V falling.
+        bench.write(&mut pwr, CR1, 5 << 5 | PVDEN);
+        for (ms, millivolts) in [(1, 2_650), (2, 2_599), (3, 2_690), (4, 2_700)] {
+            pwr.supply_at(start_ns + ms * 1_000_000, millivolts);
+        }
+        bench.run(&mut pwr, start_ns + 1_500_000);
+        assert_eq!((bench.read(&mut pwr, CSR1) & PVDO, bench.take_signals()), (0, vec![]));
+        bench.run(&mut pwr, start_ns + 2_000_000);
+        assert_eq!((bench.read(&mut pwr, CSR1) & PVDO, bench.take_signals()), (PVDO, vec![EVENT(true)]));
+        bench.run(&mut pwr, start_ns + 3_500_000);
+        assert_eq!(bench.take_signals(), []);
+        bench.run(&mut pwr, start_ns + 4_000_000);
+        assert_eq!((bench.read(&mut pwr, CSR1) & PVDO, bench.take_signals()), (0, vec![EVENT(false)]));
+    }
+
+    #[test]
+    fn a_detector_that_is_turned_on_too_late_tells_at_once_and_one_that_is_off_never() {
+        let (mut pwr, mut bench) = supplied();
+        pwr.supply_at(bench.now_ns, 2_000);
+        bench.run(&mut pwr, bench.now_ns + 1);
+        assert_eq!((bench.read(&mut pwr, CSR1) & PVDO, bench.take_signals()), (0, vec![]));
+        bench.write(&mut pwr, CR1, 5 << 5 | PVDEN);
+        assert_eq!(bench.take_signals(), [EVENT(true)]);
+        for refused in [7 << 5 | PVDEN, AVDEN] {
+            assert!(bench.try_write(&mut pwr, CR1, Size::Word, refused).is_err());
+        }
+    }
+
+    #[test]
+    fn a_supply_below_the_level_of_the_option_bytes_holds_the_chip_in_reset_until_it_is_back() {
+        for (level, falling_mv, rising_mv) in [(1, 2_000, 2_100), (2, 2_310, 2_410), (3, 2_610, 2_700)] {
+            let (mut pwr, mut bench) = supplied();
+            pwr.set_brown_out_level(level);
+            pwr.supply_at(bench.now_ns + 1_000, falling_mv);
+            pwr.supply_at(bench.now_ns + 2_000, falling_mv - 1);
+            pwr.supply_at(bench.now_ns + 3_000, rising_mv - 1);
+            pwr.supply_at(bench.now_ns + 4_000, rising_mv);
+            let start_ns = bench.now_ns;
+            bench.run(&mut pwr, start_ns + 1_999);
+            assert!(!pwr.is_held());
+            bench.run(&mut pwr, start_ns + 2_000);
+            assert_eq!(bench.take_signals(), [Signal::Reset(ResetCause::BrownOut)]);
+            // The machine carries the reset out.
+            pwr.reset(&mut bench.context());
+            bench.run(&mut pwr, start_ns + 4_000 + RESET_NS - 1);
+            assert!(pwr.is_held());
+            bench.run(&mut pwr, start_ns + 4_000 + RESET_NS);
+            assert!(!pwr.is_held() && !pwr.take_power_loss());
+            assert_eq!(bench.take_signals(), []);
+        }
+    }
+
+    #[test]
+    fn a_supply_that_goes_altogether_is_a_power_on_and_loses_everything() {
+        let (mut pwr, mut bench) = supplied();
+        pwr.set_brown_out_level(3);
+        pwr.supply_at(bench.now_ns + 1_000, 2_500);
+        pwr.supply_at(bench.now_ns + 2_000, 1_619);
+        pwr.supply_at(bench.now_ns + 3_000, NOMINAL_MV);
+        bench.run(&mut pwr, bench.now_ns + 3_000 + RESET_NS);
+        assert_eq!(bench.take_signals(), [ResetCause::BrownOut, ResetCause::PowerOn].map(Signal::Reset));
+        assert!(!pwr.is_held() && pwr.take_power_loss());
+        pwr.power_on();
+        assert_eq!(bench.read(&mut pwr, CR3) & SUPPLY, SUPPLY_AT_RESET, "to be configured again");
     }
 
     #[test]

@@ -32,6 +32,7 @@ impl<C: FlashCells> Wired<'_, C> {
         self.pwr.set_overdrive(self.syscfg.overdrive(), context);
         let scale = self.pwr.scale(context.now_ns);
         self.rcc.set_voltage_scale(scale, context);
+        self.pwr.set_brown_out_level(self.flash.brown_out_level());
         self.rcc.set_backup_writable(self.pwr.backup_writable());
         self.backup.set_writable(self.pwr.backup_writable());
         if self.rcc.take_backup_reset() {

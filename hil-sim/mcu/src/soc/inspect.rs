@@ -29,6 +29,30 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.settle();
     }
 
+    /// The main crystal stops at `at_ns`, or has stopped if that is past: broken solder, a crack, damp. It does not start
+    /// again.
+    pub fn stop_crystal_at(&mut self, at_ns: u64) {
+        self.call(Id::Rcc as usize, |devices, _| devices.rcc.stop_hse_at(at_ns));
+    }
+
+    /// VDD is `millivolts` from `at_ns` on, until a later change. What that does: see the first comment of `peripherals/pwr.rs`.
+    pub fn supply_at(&mut self, at_ns: u64, millivolts: u32) {
+        self.call(Id::Pwr as usize, |devices, _| devices.pwr.supply_at(at_ns, millivolts));
+    }
+
+    /// VDD, mV.
+    #[must_use]
+    pub fn supply_mv(&self) -> u32 {
+        self.devices.pwr.supply_mv()
+    }
+
+    /// The option bytes (OPTSR) are these from now on, as a programmer has left them.
+    pub fn set_option_bytes(&mut self, options: u32) {
+        self.devices.flash.set_options(options);
+        self.link_power();
+        self.settle();
+    }
+
     /// Node 1 or 2 goes bus-off now, as after 32 frames that somebody destroyed.
     pub fn inject_can_bus_off(&mut self, bus: u8) {
         self.call(Id::Fdcan as usize, |devices, context| devices.fdcan.inject_bus_off(bus, context));

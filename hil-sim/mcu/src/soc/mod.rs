@@ -164,6 +164,8 @@ pub struct Soc<O, F> {
     /// Inputs of timers that are watched, a bit for each, by the timer's place.
     watching: [u8; TIMERS.len()],
     irqs: Vec<(u16, bool)>,
+    /// The NMI's input.
+    nmi: bool,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
     boot: u32,
@@ -218,6 +220,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             asserted: Vec::new(),
             watching: [0; TIMERS.len()],
             irqs: Vec::new(),
+            nmi: false,
             reset: None,
             edges: Vec::new(),
             boot: BANK_1,
@@ -306,7 +309,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 let function = Function::Timer(timer, channel);
                 self.devices.gpio.timer_output(function, Some(high), at_ns, &mut self.outside);
             }
+            Signal::Nmi { level } => self.nmi = level,
+            Signal::Exti { line, high } => {
+                self.call(Id::Exti as usize, |devices, context| devices.exti.line(line, high, context));
+            }
             Signal::Clocks => self.follow_clocks(),
+            // Of two at one moment the one that loses more.
+            Signal::Reset(ResetCause::PowerOn) => self.reset = Some(ResetCause::PowerOn),
             Signal::Reset(cause) => self.reset = self.reset.or(Some(cause)),
         }
     }
@@ -654,13 +663,22 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         self.now_ns = self.now_ns.max(now_ns);
         self.reset = None;
         self.devices.rcc.note_reset(cause);
+        if self.devices.pwr.take_power_loss() {
+            // Nothing is known to be soldered to VBAT: the backup domain goes with VDD.
+            self.devices.pwr.power_on();
+            self.devices.rcc.reset_backup();
+            self.devices.backup.clear();
+            self.memory.lose_power();
+        }
         for id in 0..Id::COUNT {
             self.with(id, |device, context| device.reset(context));
         }
         // What was under way between peripherals is gone with them; what they tell of their lines is not.
         for index in 0..self.signals.len() {
-            if let Signal::Irq { number, level } = self.signals[index] {
-                self.interrupt(number, level, self.sources[index]);
+            match self.signals[index] {
+                Signal::Irq { number, level } => self.interrupt(number, level, self.sources[index]),
+                Signal::Nmi { level } => self.nmi = level,
+                _ => {}
             }
         }
         self.signals.clear();
@@ -673,6 +691,14 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn outside_waits(&self) -> bool {
         self.outside.wants_to_run()
+    }
+
+    fn nmi(&self) -> bool {
+        self.nmi
+    }
+
+    fn is_halted(&self) -> bool {
+        self.clocks.core_hz == 0 || self.devices.pwr.is_held()
     }
 
     fn core_hz(&self) -> u64 {

@@ -72,6 +72,8 @@ pub struct Flash<C> {
     /// The bank that the core's code is in.
     running_bank: Option<usize>,
     conditions: (u64, VoltageScale),
+    /// OPTSR.
+    options: u32,
     raised: bool,
     power_lost: bool,
 }
@@ -86,6 +88,7 @@ impl<C: FlashCells> Flash<C> {
             banks: [Bank::new(0), Bank::new(1)],
             running_bank: Some(0),
             conditions: (0, VoltageScale::Vos3),
+            options: OPTIONS,
             raised: false,
             power_lost: false,
         }
@@ -94,6 +97,17 @@ impl<C: FlashCells> Flash<C> {
     /// Says in which bank (0, 1) the core's code is, if it is in the flash.
     pub fn set_running_bank(&mut self, bank: Option<usize>) {
         self.running_bank = bank;
+    }
+
+    /// BOR_LEV of the option bytes in force, 0 to 3.
+    #[must_use]
+    pub fn brown_out_level(&self) -> u8 {
+        (self.options >> 2 & 3) as u8
+    }
+
+    /// The option bytes (OPTSR) as a programmer has left them.
+    pub fn set_options(&mut self, options: u32) {
+        self.options = options;
     }
 
     /// Whether the cells told that the power went during a step. The chip is off then, and nobody should run it.
@@ -191,7 +205,7 @@ impl<C: FlashCells> Flash<C> {
             ECC_FA => Some(bank.fault_word),
             // Option bytes are locked, no sector is protected.
             OPTCR => Some(1),
-            OPTSR_CUR | OPTSR_PRG => Some(OPTIONS),
+            OPTSR_CUR | OPTSR_PRG => Some(self.options),
             WPSN_CUR => Some(0xFF),
             _ => None,
         }

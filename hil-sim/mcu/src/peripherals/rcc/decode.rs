@@ -133,11 +133,13 @@ impl Rcc {
             |source: Oscillator, frequency: Hertz| if self.is_ready(source) { frequency } else { Hertz::default() };
         let hsi = when_ready(Oscillator::Hsi, self.hsi(oscillators));
         let csi = when_ready(Oscillator::Csi, Hertz::new(oscillators.csi_hz));
-        let hse = when_ready(Oscillator::Hse, Hertz::new(oscillators.hse_hz));
+        let hse = if self.hse_swings() { Hertz::new(oscillators.hse_hz) } else { Hertz::default() };
         let hsi48 = when_ready(Oscillator::Hsi48, Hertz::new(oscillators.hsi48_hz));
         let lse = when_ready(Oscillator::Lse, Hertz::new(oscillators.lse_hz));
         let pll = |index: usize| {
-            if self.is_ready(Oscillator::PLLS[index]) { self.pll_settings(oscillators, index) } else { Pll::default() }
+            let fed = self.pll_source() != Some(Oscillator::Hse) || self.hse_swings();
+            let runs = fed && self.is_ready(Oscillator::PLLS[index]);
+            if runs { self.pll_settings(oscillators, index) } else { Pll::default() }
         };
         let plls = [pll(0), pll(1), pll(2)];
 
@@ -179,6 +181,11 @@ impl Rcc {
             lsi_hz: oscillators.lsi_hz,
             hsi48_hz: hsi48.hz(),
             lse_hz: lse.hz(),
+            lsi_ready_hz: when_ready(Oscillator::Lsi, Hertz::new(oscillators.lsi_hz)).hz(),
+            hse_rtc_hz: match self.register(offset::CFGR) >> 8 & 0x3F {
+                0 | 1 => 0,
+                divider => hse.divided(divider).hz(),
+            },
         };
         (clocks, usb.hz())
     }

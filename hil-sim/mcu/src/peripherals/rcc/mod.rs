@@ -9,9 +9,16 @@
 //!
 //! The chip ignores writes to PLLSRC, DIVMx, DIVx and DIVxEN of a PLL that is on, and so does the model; an attempt to put
 //! another value than 0 there is reported as misuse. (A program that writes the fields of one PLL plainly puts zeros into
-//! those of the others, which changes nothing.) Reserved bits cannot be written. The clock security system, the wake-up
-//! clock selection, autonomous mode and clock outputs do nothing; starting the Cortex-M4 and turning on the security
-//! system are not modelled and say so.
+//! those of the others, which changes nothing.) Reserved bits cannot be written.
+//!
+//! A crystal can stop while it is used ([`Rcc::stop_hse_at`]). With the clock security system on (CR.HSECSSON, 9.5.3) HSE and the
+//! PLLs that run on it are turned off, the core goes over to HSI, and the NMI is raised until CICR.HSECSSC. That takes no time
+//! here; the manual gives none. Without it everything that runs on the crystal stands still, the core too: what a PLL gives
+//! without a reference is not specified, and this is the worst. HSERDY stays as it is then, for the manual names nothing that
+//! clears it.
+//!
+//! Not modelled, and said so when they are turned on: the Cortex-M4, the security system of LSE, clock outputs (MCO1, MCO2), the
+//! high-resolution timer's clock. Wake-up clocks and autonomous mode have no meaning without low-power modes: they are kept.
 
 mod decode;
 mod enable;
@@ -68,6 +75,16 @@ mod offset {
 
 /// NVIC position of the RCC interrupt.
 const IRQ: u16 = 5;
+
+/// CR.
+const HSEON: u32 = 1 << 16;
+const HSECSSON: u32 = 1 << 19;
+/// CFGR: MCO1 and MCO2 are off while their prescalers are 0.
+const MCO1PRE: u32 = 0xF << 18;
+const MCO2PRE: u32 = 0xF << 25;
+const HRTIMSEL: u32 = 1 << 14;
+/// CIFR, CICR.
+const HSECSSF: u32 = 1 << 10;
 
 /// What starts and becomes ready, numbered as its flag in RCC_CIFR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,6 +167,8 @@ const PLAIN: [(u32, u32, u32); 17] = [
 pub struct Rcc {
     oscillators: Oscillators,
     hse_fitted: bool,
+    /// When the main crystal stops; `u64::MAX` is never.
+    hse_stops_ns: u64,
     lse_fitted: bool,
     states: [State; 9],
     /// Everything below 0xD0, by offset / 4; CR without its ready bits, CFGR without SWS.
@@ -177,6 +196,7 @@ impl Rcc {
         let mut rcc = Self {
             oscillators,
             hse_fitted: true,
+            hse_stops_ns: u64::MAX,
             lse_fitted: true,
             states: [State::Off; 9],
             registers: [0; 0xD0 / 4],
@@ -238,10 +258,22 @@ impl Rcc {
         (self.hse_fitted, self.lse_fitted) = (hse, lse);
         for (oscillator, fitted) in [(Oscillator::Hse, hse), (Oscillator::Lse, lse)] {
             let state = &mut self.states[oscillator as usize];
-            if !fitted && *state != State::Off {
+            // HSERDY stays as it is: see the top of this module.
+            let told_ready = oscillator == Oscillator::Hse && *state == State::Ready;
+            if !fitted && *state != State::Off && !told_ready {
                 *state = State::Starting(u64::MAX);
             }
         }
+    }
+
+    /// The main crystal stops at a moment, and does not start again.
+    pub fn stop_hse_at(&mut self, at_ns: u64) {
+        self.hse_stops_ns = at_ns;
+    }
+
+    /// The crystal of HSE swings: what RCC says of it may be something else.
+    fn hse_swings(&self) -> bool {
+        self.hse_fitted && self.is_ready(Oscillator::Hse)
     }
 
     /// Other frequencies: a crystal drifts. What depends on them follows at the next [`Peripheral::advance`].
@@ -395,11 +427,9 @@ impl Rcc {
 
     fn write_cr(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         const WRITABLE: u32 = 0x150D_129B;
-        if value & 1 << 19 != 0 {
-            return Err(Unmodelled { peripheral: "RCC", what: "clock security system of HSE (CR.HSECSSON)".into() });
-        }
         let before = self.register(offset::CR);
-        let mut value = value & WRITABLE;
+        // HSECSSON is cleared by a reset only (RCC_CR).
+        let mut value = value & (WRITABLE | HSECSSON) | before & HSECSSON;
         // The chip keeps what the core runs on, and what a PLL that is on runs on.
         for (oscillator, number) in
             [(Oscillator::Hsi, 0), (Oscillator::Csi, 1), (Oscillator::Hse, 2), (Oscillator::Pll1, 3)]
@@ -443,7 +473,8 @@ impl Rcc {
             context.misuse("RCC", fault);
         }
         self.latched_fraction[index] = self.register(offset::PLL1FRACR + 8 * index as u32) >> 3;
-        if !self.pll_source().is_some_and(|source| self.is_ready(source)) {
+        let runs = |source| if source == Oscillator::Hse { self.hse_swings() } else { self.is_ready(source) };
+        if !self.pll_source().is_some_and(runs) {
             context.misuse(
                 "RCC",
                 format!("PLL{} is turned on while its source is not ready: it does not lock", index + 1),
@@ -501,12 +532,16 @@ impl Rcc {
         }
     }
 
-    fn write_bdcr(&mut self, value: u32, context: &mut Context<'_>) {
-        const WRITABLE: u32 = 0x0001_833D;
+    fn write_bdcr(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
+        const WRITABLE: u32 = 0x0001_831D;
+        const LSECSSON: u32 = 1 << 5;
         const SELECT: u32 = 0b11 << 8;
         if !self.backup_writable {
             context.misuse("RCC", "BDCR is written while PWR_CR1.DBP is 0; the chip ignores it (RM0399, 7.4.4)");
-            return;
+            return Ok(());
+        }
+        if value & LSECSSON != 0 {
+            return Err(Unmodelled { peripheral: "RCC", what: "clock security system of LSE (BDCR.LSECSSON)".into() });
         }
         let before = self.register(offset::BDCR);
         let mut value = value & WRITABLE;
@@ -514,7 +549,7 @@ impl Rcc {
             self.backup_reset |= before & 1 << 16 == 0;
             self.reset_backup();
             *self.register_mut(offset::BDCR) = 1 << 16;
-            return;
+            return Ok(());
         }
         if before & SELECT != 0 && (before ^ value) & SELECT != 0 {
             context.misuse(
@@ -525,6 +560,7 @@ impl Rcc {
         }
         *self.register_mut(offset::BDCR) = value;
         self.switch(Oscillator::Lse, value & 1 != 0, context.now_ns);
+        Ok(())
     }
 
     fn write_of_core(&mut self, core: usize, index: usize, value: u32) {
@@ -547,7 +583,42 @@ impl Rcc {
         }
     }
 
+    /// The crystal stops; with the security system that is seen at once (RM0399, 9.5.3).
+    fn follow_crystal(&mut self, context: &mut Context<'_>) {
+        if self.hse_stops_ns <= context.now_ns {
+            (self.hse_fitted, self.hse_stops_ns) = (false, u64::MAX);
+        }
+        let cr = self.register(offset::CR);
+        // The detector works while HSE is on and was ready.
+        if cr & HSECSSON == 0 || !self.is_ready(Oscillator::Hse) || self.hse_fitted {
+            return;
+        }
+        let mut off = HSEON;
+        self.states[Oscillator::Hse as usize] = State::Off;
+        if self.pll_source() == Some(Oscillator::Hse) {
+            for pll in Oscillator::PLLS {
+                off |= pll.bits().map_or(0, |(on, _)| on);
+                self.states[pll as usize] = State::Off;
+            }
+        }
+        *self.register_mut(offset::CR) = cr & !off;
+        // Used directly or through a PLL: hardware writes HSION and SW (RCC_CR, RCC_CFGR). HSI runs within microseconds, which
+        // the switch waits for.
+        let source = [None, None, Some(Oscillator::Hse), Some(Oscillator::Pll1)];
+        let lost = source.get(self.system_source as usize).copied().flatten();
+        if lost.is_some_and(|source| !self.is_ready(source)) {
+            *self.register_mut(offset::CR) |= 1;
+            *self.register_mut(offset::CFGR) &= !7;
+            if self.states[Oscillator::Hsi as usize] == State::Off {
+                self.start(Oscillator::Hsi, context.now_ns);
+            }
+        }
+        self.flags |= HSECSSF;
+        context.signals.push(Signal::Nmi { level: true });
+    }
+
     fn settle(&mut self, context: &mut Context<'_>) {
+        self.follow_crystal(context);
         for oscillator in Oscillator::ALL {
             let bit = 1 << oscillator as u32;
             if let State::Starting(ready_ns) = self.states[oscillator as usize]
@@ -579,7 +650,7 @@ impl Rcc {
 
     /// Judged by the nominal frequencies: that a crystal runs fast within its tolerance is allowed for in the limits.
     fn check_limits(&self, context: &mut Context<'_>) {
-        if self.nominal.core_hz == 0 {
+        if self.nominal.core_hz == 0 && self.hse_fitted {
             context.misuse("RCC", "the core's clock stops: its source gives none");
         }
         for fault in limits::too_fast(&self.nominal, self.scale) {
@@ -618,12 +689,15 @@ impl Peripheral for Rcc {
             offset::CIFR | offset::CRRCR => {}
             offset::CICR => {
                 let raised = self.flags & self.register(offset::CIER) != 0;
+                if value & self.flags & HSECSSF != 0 {
+                    context.signals.push(Signal::Nmi { level: false });
+                }
                 self.flags &= !value;
                 if raised {
                     context.irq(IRQ, self.flags & self.register(offset::CIER) != 0);
                 }
             }
-            offset::BDCR => self.write_bdcr(value, context),
+            offset::BDCR => self.write_bdcr(value, context)?,
             offset::CSR => {
                 *self.register_mut(at) = value & 1;
                 self.switch(Oscillator::Lsi, value & 1 != 0, context.now_ns);
@@ -637,6 +711,15 @@ impl Peripheral for Rcc {
             }
             offset::GCR if value & 0b1000 != 0 => {
                 return Err(Unmodelled { peripheral: "RCC", what: "the Cortex-M4 (GCR.BOOT_C2)".into() });
+            }
+            offset::CFGR if value & (MCO1PRE | MCO2PRE) != 0 => {
+                return Err(Unmodelled { peripheral: "RCC", what: "clock outputs (CFGR.MCO1PRE, MCO2PRE)".into() });
+            }
+            offset::CFGR if value & HRTIMSEL != 0 => {
+                return Err(Unmodelled {
+                    peripheral: "RCC",
+                    what: "the high-resolution timer's clock (CFGR.HRTIMSEL)".into(),
+                });
             }
             _ => {
                 let mask = PLAIN.iter().find(|(plain, ..)| *plain == at).map_or(0, |(.., mask)| *mask);
@@ -652,7 +735,7 @@ impl Peripheral for Rcc {
 
     fn next_event_ns(&self) -> u64 {
         let starting = |state: &State| if let State::Starting(ready_ns) = state { *ready_ns } else { u64::MAX };
-        self.states.iter().map(starting).min().unwrap_or(u64::MAX)
+        self.states.iter().map(starting).min().unwrap_or(u64::MAX).min(self.hse_stops_ns)
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {
@@ -670,6 +753,7 @@ impl Peripheral for Rcc {
         self.scale = VoltageScale::Vos3;
         self.backup_writable = false;
         context.irq(IRQ, false);
+        context.signals.push(Signal::Nmi { level: false });
         self.settle(context);
     }
 }

@@ -265,7 +265,6 @@ fn what_is_not_modelled_ends_the_run() {
     assert!(bench.try_read(&mut rcc, 0x14, Size::Word).is_err());
     assert!(bench.try_write(&mut rcc, 0x1FC, Size::Word, 0).is_err());
     assert!(bench.try_write(&mut rcc, offset::GCR, Size::Word, 1 << 3).is_err(), "starts the other core");
-    assert!(bench.try_write(&mut rcc, offset::CR, Size::Word, 1 | 1 << 19).is_err(), "clock security");
 }
 
 proptest! {
@@ -284,4 +283,92 @@ proptest! {
         }
         prop_assert!(clocks.tim_apb1_hz >= clocks.apb1_hz && clocks.tim_apb1_hz <= clocks.ahb_hz);
     }
+}
+
+/// Full speed, the security system on, HSI off.
+fn guarded() -> (Rcc, Bench) {
+    let (mut rcc, mut bench) = bench();
+    full_speed(&mut rcc, &mut bench);
+    bench.modify(&mut rcc, offset::CR, 0, HSECSSON);
+    bench.modify(&mut rcc, offset::CR, 1, 0);
+    bench.take_signals();
+    (rcc, bench)
+}
+
+#[test]
+fn a_crystal_that_stops_under_the_security_system_raises_the_nmi_and_leaves_the_core_on_hsi() {
+    let (mut rcc, mut bench) = guarded();
+    let stops_ns = bench.now_ns + 1_000_000;
+    rcc.stop_hse_at(stops_ns);
+    bench.run(&mut rcc, stops_ns - 1);
+    assert_eq!((bench.take_signals(), rcc.clocks().core_hz), (vec![], 480_000_000));
+    bench.run(&mut rcc, stops_ns + 10_000);
+    assert_eq!(bench.take_signals().first(), Some(&Signal::Nmi { level: true }));
+    // HSI runs, HSE and the PLL are off and not ready; SW and SWS say HSI; dividers stay.
+    assert_eq!(bench.read(&mut rcc, offset::CR) & 0x0303_0005, 0x0000_0005);
+    assert_eq!(bench.read(&mut rcc, offset::CFGR) & 0x3F, 0);
+    assert_eq!((rcc.clocks().core_hz, rcc.clocks().ahb_hz, rcc.clocks().apb1_hz), (64_000_000, 32_000_000, 16_000_000));
+    assert_eq!(bench.read(&mut rcc, offset::CIFR) & HSECSSF, HSECSSF);
+    // The NMI stays until it is cleared here.
+    bench.write(&mut rcc, offset::CICR, 0x3FF);
+    assert_eq!(bench.take_signals().iter().filter(|signal| matches!(signal, Signal::Nmi { .. })).count(), 0);
+    bench.write(&mut rcc, offset::CICR, HSECSSF);
+    assert_eq!(bench.take_signals(), [Signal::Nmi { level: false }]);
+    // The crystal never comes again, and its security system is still on.
+    bench.modify(&mut rcc, offset::CR, 0, HSEON);
+    bench.run(&mut rcc, bench.now_ns + 1_000_000_000);
+    assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b1011, 0b1001);
+    assert_eq!(bench.take_signals(), []);
+    bench.assert_no_misuse();
+}
+
+#[test]
+fn a_crystal_that_stops_without_the_security_system_stops_everything_that_runs_on_it() {
+    let (mut rcc, mut bench) = bench();
+    full_speed(&mut rcc, &mut bench);
+    bench.take_signals();
+    rcc.stop_hse_at(bench.now_ns + 500);
+    bench.run(&mut rcc, bench.now_ns + 500);
+    assert_eq!((rcc.clocks().core_hz, rcc.clocks().ahb_hz, rcc.clocks().spi123_hz), (0, 0, 0));
+    assert_eq!(rcc.clocks().lsi_hz, 32_000);
+    assert_eq!(bench.take_signals(), [Signal::Clocks]);
+    assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b11, 0b11, "nothing tells");
+    // A reset is the way out: HSI, and no HSE.
+    rcc.reset(&mut bench.context());
+    assert_eq!(rcc.clocks().core_hz, 64_000_000);
+    bench.modify(&mut rcc, offset::CR, 0, HSEON);
+    bench.run(&mut rcc, bench.now_ns + 1_000_000_000);
+    assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b11, 0b01);
+    bench.assert_no_misuse();
+}
+
+#[test]
+fn the_security_system_is_turned_off_by_a_reset_only_and_minds_a_crystal_in_use_only() {
+    let (mut rcc, mut bench) = guarded();
+    bench.modify(&mut rcc, offset::CR, HSECSSON, 0);
+    assert_eq!(bench.read(&mut rcc, offset::CR) & HSECSSON, HSECSSON);
+    rcc.reset(&mut bench.context());
+    bench.take_signals();
+    assert_eq!(bench.read(&mut rcc, offset::CR) & HSECSSON, 0);
+    // On before HSE is; a crystal that never starts is no failure of a running one.
+    bench.modify(&mut rcc, offset::CR, 0, HSECSSON);
+    rcc.fit_crystals(false, true);
+    bench.modify(&mut rcc, offset::CR, 0, HSEON);
+    bench.run(&mut rcc, bench.now_ns + 1_000_000_000);
+    assert_eq!(bench.take_signals(), []);
+}
+
+#[test]
+fn clock_outputs_and_other_clocks_that_are_not_modelled_end_the_run() {
+    let (mut rcc, mut bench) = bench();
+    rcc.set_backup_writable(true);
+    for (at, bits) in
+        [(offset::CFGR, 1 << 18), (offset::CFGR, 1 << 25), (offset::CFGR, 1 << 14), (offset::BDCR, 1 << 5)]
+    {
+        let error = bench.try_write(&mut rcc, at, Size::Word, bits).unwrap_err();
+        assert!(error.to_string().starts_with("RCC: "), "{error}");
+    }
+    // The choice of what an output that is off would give is nothing.
+    bench.write(&mut rcc, offset::CFGR, 0b010 << 22 | 0b001 << 29);
+    bench.assert_no_misuse();
 }

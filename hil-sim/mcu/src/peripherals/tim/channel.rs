@@ -211,6 +211,20 @@ impl Tim {
         }
     }
 
+    /// Half periods of a clock at TI1, of which `told` are behind, up to the channel's next capture.
+    pub(super) fn halves_to_capture(&self, index: usize, told: u64) -> u64 {
+        let every = 1_u64 << (self.mode_byte(index) >> 2 & 3);
+        let edges = every.saturating_sub(self.channels[index].edges.into()).max(1);
+        match self.polarity(index) {
+            (_, true) => edges,
+            // Odd ones rise.
+            (inverted, false) => {
+                let first = if (told & 1 != 0) == inverted { 1 } else { 2 };
+                first + 2 * (edges - 1)
+            }
+        }
+    }
+
     fn capture_edge(&mut self, index: usize, context: &mut Context<'_>) {
         let every = 1 << (self.mode_byte(index) >> 2 & 3);
         let channel = &mut self.channels[index];

@@ -20,16 +20,25 @@ impl Tim {
     /// Works everything out up to `now_ns`: counts, and what filters have let through meanwhile.
     pub(super) fn run_to(&mut self, now_ns: u64, context: &mut Context<'_>) {
         loop {
-            let passing = self.inputs.iter().enumerate().filter_map(|(n, input)| Some((input.passes_ns?, n))).min();
-            let Some((at_ns, index)) = passing.filter(|&(at_ns, _)| at_ns <= now_ns) else { break };
+            let passing = self.inputs.iter().enumerate().filter_map(|(n, input)| Some((input.passes_ns?, Some(n))));
+            let ticking = self.next_source_ns().map(|at_ns| (at_ns, None));
+            let Some((at_ns, index)) = passing.chain(ticking).min().filter(|&(at_ns, _)| at_ns <= now_ns) else {
+                break;
+            };
             let at_ns = at_ns.max(self.now_ns);
             self.count_to(at_ns, context);
             self.now_ns = at_ns;
-            self.inputs[index].pass();
-            self.input_changed(index, at_ns, context);
+            match index {
+                Some(index) => {
+                    self.inputs[index].pass();
+                    self.input_changed(index, at_ns, context);
+                }
+                None => self.source_edge(at_ns, context),
+            }
         }
         self.count_to(now_ns, context);
         self.now_ns = self.now_ns.max(now_ns);
+        self.skip_source(self.now_ns);
     }
 
     fn count_to(&mut self, to_ns: u64, context: &mut Context<'_>) {
@@ -209,6 +218,7 @@ impl Tim {
     pub(super) fn find_next_event(&self) -> u64 {
         let filtered = self.inputs.iter().enumerate().filter(|&(n, _)| self.watches(n as u8 + 1));
         let filtered_ns = filtered.filter_map(|(_, input)| input.passes_ns).min().unwrap_or(u64::MAX);
+        let filtered_ns = filtered_ns.min(self.source_event_ns());
         if !self.is_running() || self.arr == 0 {
             return filtered_ns;
         }

@@ -11,7 +11,8 @@
 //! order, and before anything that an access does. A disabled output counts as low ([`Tim::drives`] tells whether it drives).
 //!
 //! **Inputs.** [`Tim::edge`] takes the edges of the pins, each before the timer is accessed at a later time. Behind the filter
-//! they are captured, or move an encoder's count. Two clock periods of synchronization are left out.
+//! they are captured, or move an encoder's count. Two clock periods of synchronization are left out. TI1 of TIM15, 16 and 17 can be
+//! an oscillator (TISEL, `source`), by which a program compares one clock with another.
 //!
 //! Not modelled, and refused: center-aligned and down counting, slave modes other than the encoder's, capture of TRC, the
 //! external trigger, combined and retriggerable modes, channels 5 and 6, complementary outputs, commutation. Break inputs are
@@ -22,12 +23,14 @@ mod count;
 mod input;
 mod kind;
 mod registers;
+mod source;
 #[cfg(test)]
 mod tests;
 
 use channel::Channel;
 use input::Input;
 use kind::Kind;
+use source::Source;
 
 use crate::context::{Context, Signal, Ticks};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -80,6 +83,8 @@ pub struct Tim {
     count: u64,
     channels: [Channel; 4],
     inputs: [Input; 4],
+    /// What TI1 is instead of the pin.
+    source: Option<Source>,
     /// The timer's clock since counting began, and how much of it was counted.
     clock: Ticks,
     done: u64,
@@ -133,6 +138,7 @@ impl Tim {
             count: 0,
             channels: Default::default(),
             inputs: Default::default(),
+            source: None,
             clock: Ticks { start_ns: 0, frequency_hz: 0, divider: 1 },
             done: 0,
             prescaled: 0,
@@ -153,6 +159,9 @@ impl Tim {
         let Some(index) = usize::from(channel).checked_sub(1).filter(|&index| index < self.kind.channels) else {
             return;
         };
+        if index == 0 && self.source.is_some() {
+            return;
+        }
         let at_ns = at_ns.max(self.now_ns);
         self.run_to(at_ns, context);
         if self.inputs[index].raw == high {
@@ -201,7 +210,8 @@ impl Tim {
         if self.dier & 0x1f1f == 0 {
             return 0;
         }
-        (0..4).filter(|index| self.watches(index + 1)).fold(0, |bits, index| bits | 1 << index)
+        let first = u8::from(self.source.is_some());
+        (first..4).filter(|index| self.watches(index + 1)).fold(0, |bits, index| bits | 1 << index)
     }
 
     /// The level of output OC`channel` (1 to 4); low when it does not drive.
@@ -221,6 +231,9 @@ impl Tim {
     fn enter(&mut self, context: &mut Context<'_>) {
         let now_ns = context.now_ns.max(self.now_ns);
         self.run_to(now_ns, context);
+        if let Some(source) = &mut self.source {
+            source.follow(self.kind.number, now_ns, context.clocks);
+        }
         let frequency_hz = self.kind.hz(context.clocks);
         if frequency_hz != self.clock.frequency_hz {
             self.clock = Ticks { start_ns: now_ns, frequency_hz, divider: 1 };

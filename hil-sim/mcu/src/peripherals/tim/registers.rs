@@ -1,6 +1,6 @@
 //! Registers: what can be read, written, and what is refused.
 
-use super::{ARPE, CEN, CMS, DIR, MOE, Tim, UDE, UIF, UIFREMAP};
+use super::{ARPE, CEN, CMS, DIR, MOE, Source, Tim, UDE, UIF, UIFREMAP};
 use crate::context::{Context, Ticks};
 use crate::peripheral::{Size, Unmodelled};
 use crate::peripherals::width;
@@ -90,7 +90,8 @@ impl Tim {
             DCR => self.dcr,
             AF1 => self.af[0],
             AF2 => self.af[1],
-            // EGR is write-only, TISEL is always 0 here.
+            TISEL => self.source.map_or(0, |source| source.select()),
+            // EGR is write-only.
             _ => 0,
         })
     }
@@ -158,8 +159,14 @@ impl Tim {
             }
             AF1 => self.af[0] = value,
             AF2 => self.af[1] = value,
-            _ if value != 0 => return self.refuse("an input other than the pin (TISEL)"),
-            _ => {}
+            _ if value == 0 => self.source = None,
+            _ => match Source::new(self.kind.number, value, self.now_ns, context.clocks) {
+                Some(source) if self.source.is_none_or(|before| before.select() != value) => self.source = Some(source),
+                Some(_) => {}
+                None => {
+                    return self.refuse(format!("an input other than the pin, LSI, LSE and HSE (TISEL {value:#x})"));
+                }
+            },
         }
         Ok(())
     }

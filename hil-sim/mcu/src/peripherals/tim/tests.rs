@@ -689,3 +689,71 @@ proptest! {
         prop_assert_eq!(bench.read(&mut tim, CNT), (start as i32 + position).rem_euclid(0x1_0000) as u32);
     }
 }
+
+const TISEL: u32 = 0x68;
+
+/// TIM16 in microseconds, which captures every eighth rising edge of LSI with an interrupt.
+fn against_lsi(lsi_hz: u64) -> (Bench, Tim) {
+    let (mut bench, mut tim) = microseconds(16, 0xffff);
+    bench.clocks.lsi_ready_hz = lsi_hz;
+    for (at, value) in [(TISEL, 1), (CCMR1, 3 << 2 | 1), (DIER, 2), (CCER, 1), (CR1, 1)] {
+        bench.write(&mut tim, at, value);
+    }
+    (bench, tim)
+}
+
+#[test]
+fn eight_periods_of_the_low_speed_oscillator_are_captured_in_the_timer_s_own_clock() {
+    for (lsi_hz, expected_us) in [(32_000, 250), (31_400, 254), (32_600, 245)] {
+        let (mut bench, mut tim) = against_lsi(lsi_hz);
+        let mut captures = Vec::new();
+        for _ in 0..20 {
+            let next_ns = tim.next_event_ns();
+            bench.run(&mut tim, next_ns);
+            assert_eq!(irqs(&mut bench), [(117, true)]);
+            captures.push(bench.read(&mut tim, CCR1));
+            assert_eq!(irqs(&mut bench), [(117, false)]);
+        }
+        for pair in captures.windows(2) {
+            // One count is 1 us; the edges fall anywhere within it.
+            assert!((expected_us..=expected_us + 1).contains(&(pair[1] - pair[0])), "{lsi_hz}: {captures:?}");
+        }
+        bench.assert_no_misuse();
+    }
+}
+
+#[test]
+fn an_oscillator_that_stops_or_is_not_on_is_never_captured() {
+    let (mut bench, mut tim) = against_lsi(0);
+    bench.run(&mut tim, 10 * MS);
+    assert_eq!((tim.next_event_ns(), bench.read(&mut tim, SR)), (u64::MAX, 0));
+    bench.clocks.lsi_ready_hz = 32_000;
+    tim.clocks_changed(&mut bench.context());
+    let first_ns = tim.next_event_ns();
+    // Seven whole periods and half of one to the eighth rising edge.
+    assert_eq!(first_ns, 10 * MS + 7_500_000_000 / 32_000);
+    bench.run(&mut tim, first_ns);
+    bench.clocks.lsi_ready_hz = 0;
+    tim.clocks_changed(&mut bench.context());
+    bench.read(&mut tim, CCR1);
+    assert_eq!(tim.next_event_ns(), u64::MAX);
+}
+
+#[test]
+fn a_pin_is_not_heard_while_the_oscillator_is_chosen() {
+    let (mut bench, mut tim) = against_lsi(0);
+    input(&mut bench, &mut tim, 1, true, MS);
+    assert_eq!(bench.read(&mut tim, SR) & 2, 0);
+    assert_eq!(tim.watching(), 0);
+    for (number, select) in [(16, 3), (17, 1), (17, 3), (15, 5), (2, 1)] {
+        let (mut bench, mut tim) = microseconds(number, 0xffff);
+        assert!(bench.try_write(&mut tim, TISEL, Size::Word, select).is_err(), "TIM{number} {select}");
+    }
+    let (mut bench, mut tim) = microseconds(17, 0xffff);
+    bench.clocks.hse_rtc_hz = 1_000_000;
+    for (at, value) in [(TISEL, 2), (CCMR1, 1), (CCER, 1), (CR1, 1)] {
+        bench.write(&mut tim, at, value);
+    }
+    bench.run(&mut tim, bench.now_ns + 10 * US);
+    assert_eq!(bench.read(&mut tim, SR) & 2, 2, "HSE divided by RTCPRE");
+}
