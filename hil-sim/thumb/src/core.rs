@@ -1,7 +1,7 @@
 //! [`ThumbCore`].
 
 use r4_mcu::Region;
-use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Register, Why};
+use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Protection, Register, Why};
 
 use crate::blocks::{Block, Blocks};
 use crate::decode::What;
@@ -175,6 +175,11 @@ impl Core for ThumbCore {
     fn code_changed(&mut self) -> Result<(), CoreError> {
         self.forget();
         Ok(())
+    }
+
+    fn protect(&mut self, protection: Option<&Protection>) -> Result<(), CoreError> {
+        self.forget();
+        self.state.memory.protect(protection.cloned())
     }
 
     fn get(&self, register: Register) -> u32 {

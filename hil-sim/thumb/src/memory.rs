@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 use r4_mcu::Region;
-use r4_mcu::cpu::CoreError;
+use r4_mcu::cpu::{CoreError, Protection, Purpose};
 
 /// Memories at most; a power of two, so that an index needs no check.
 const REGIONS: usize = 16;
@@ -17,23 +17,57 @@ struct Mapped {
     writable: bool,
 }
 
-/// The address space in pieces of 64 KiB, each of one memory at most: which one, for loads, stores and fetches. Zero is
-/// none: the bus is asked.
+/// Bytes of a page, as a power of 2. Small, so that a guard below a stack makes little of what is around it slow; no list of
+/// registers is longer than a page.
+const PAGE_BITS: u32 = 10;
+const PAGES: usize = 1 << (32 - PAGE_BITS);
+
+type Table = Box<[u8; PAGES]>;
+
+/// The address space in pages, each of one memory at most: which one, for loads, stores and fetches. Zero is none: the bus is
+/// asked.
 pub(crate) struct Memory {
     mapped: [Mapped; REGIONS],
-    loads: Box<[u8; 1 << 16]>,
-    stores: Box<[u8; 1 << 16]>,
-    fetches: Box<[u8; 1 << 16]>,
+    loads: Table,
+    stores: Table,
+    fetches: Table,
+    /// What is mapped.
+    regions: Vec<Region>,
+    protection: Option<Protection>,
 }
 
-fn nowhere() -> Box<[u8; 1 << 16]> {
-    Box::new([0; 1 << 16])
+fn nowhere() -> Table {
+    // Zeroed by the system, page by page as they are used: most never are.
+    let table = vec![0; PAGES].into_boxed_slice();
+    table.try_into().unwrap_or_else(|_| Box::new([0; PAGES]))
+}
+
+#[inline(always)]
+fn page(address: u32) -> usize {
+    (address >> PAGE_BITS) as usize
 }
 
 impl Memory {
     pub(crate) fn new() -> Self {
         let none = || Mapped { base: 0, bytes: Rc::new([]), writable: false };
-        Self { mapped: std::array::from_fn(|_| none()), loads: nowhere(), stores: nowhere(), fetches: nowhere() }
+        Self {
+            mapped: std::array::from_fn(|_| none()),
+            loads: nowhere(),
+            stores: nowhere(),
+            fetches: nowhere(),
+            regions: Vec::new(),
+            protection: None,
+        }
+    }
+
+    /// What may be accessed from now on.
+    ///
+    /// # Errors
+    /// As [`Memory::map`].
+    pub(crate) fn protect(&mut self, protection: Option<Protection>) -> Result<(), CoreError> {
+        self.protection = protection;
+        let regions = self.regions.clone();
+        self.map(&regions)
     }
 
     /// Maps memories, in place of those before.
@@ -41,28 +75,41 @@ impl Memory {
     /// # Errors
     /// More than there is room for, or two within 64 KiB.
     pub(crate) fn map(&mut self, regions: &[Region]) -> Result<(), CoreError> {
-        *self = Self::new();
+        for region in std::mem::replace(&mut self.regions, regions.to_vec()) {
+            let pages = page(region.base)..=page(region.base + (region.len() - 1));
+            for table in [&mut self.loads, &mut self.stores, &mut self.fetches] {
+                table[pages.clone()].fill(0);
+            }
+        }
         if regions.len() >= REGIONS {
             return Err(CoreError(format!("{} memories", regions.len())));
         }
         for ((number, mapped), region) in (0_u8..).zip(&mut self.mapped).skip(1).zip(regions) {
-            if region.base & 0xFFFF != 0 || region.is_empty() {
-                return Err(CoreError(format!("{:?} does not begin at a multiple of 64 KiB", region.bank)));
+            if (region.base | region.len()) & ((1 << PAGE_BITS) - 1) != 0 || region.is_empty() {
+                return Err(CoreError(format!("{:?} does not begin and end with a page", region.bank)));
             }
             let direct = region.direct();
             *mapped = Mapped { base: region.base, bytes: Rc::clone(region.bytes()), writable: direct.write };
-            let first = region.base >> 16;
-            for piece in first..=first + ((region.len() - 1) >> 16) {
-                let piece = (piece & 0xFFFF) as usize;
-                for (allowed, table) in [
-                    (direct.read, &mut self.loads),
+            for piece in page(region.base)..=page(region.base + (region.len() - 1)) {
+                let address = (piece as u32) << PAGE_BITS;
+                for (allowed, purpose, table) in [
+                    (direct.read, Purpose::Load, &mut self.loads),
                     // Where there can be code, stores are looked at.
-                    (direct.write && !direct.execute, &mut self.stores),
-                    (direct.execute, &mut self.fetches),
+                    (direct.write && !direct.execute, Purpose::Store, &mut self.stores),
                 ] {
-                    if allowed {
+                    // An access that begins in this page may end in the next.
+                    let free = |protection: &Protection| {
+                        [address, address.wrapping_add(1 << PAGE_BITS)]
+                            .iter()
+                            .all(|page| protection.is_uniform(*page, PAGE_BITS) && protection.allows(*page, purpose))
+                    };
+                    if allowed && self.protection.as_ref().is_none_or(free) {
                         table[piece] = number;
                     }
+                }
+                // Each instruction is looked at, once.
+                if direct.execute {
+                    self.fetches[piece] = number;
                 }
             }
         }
@@ -70,8 +117,8 @@ impl Memory {
     }
 
     #[inline(always)]
-    fn bytes(&self, table: &[u8; 1 << 16], address: u32) -> (&[Cell<u8>], usize) {
-        let mapped = &self.mapped[usize::from(table[(address >> 16) as usize]) % REGIONS];
+    fn bytes(&self, table: &[u8; PAGES], address: u32) -> (&[Cell<u8>], usize) {
+        let mapped = &self.mapped[usize::from(table[page(address)]) % REGIONS];
         (&mapped.bytes, address.wrapping_sub(mapped.base) as usize)
     }
 
@@ -112,19 +159,28 @@ impl Memory {
     pub(crate) fn store_code(&self, address: u32, value: &[u8]) -> Option<()> {
         let (bytes, offset) = self.bytes(&self.fetches, address);
         let cells = bytes.get(offset..offset + value.len()).filter(|_| self.is_changeable_code(address))?;
+        let refuses =
+            |protection: &Protection| protection.refuses(address, value.len() as u32, Purpose::Store).is_some();
+        if self.protection.as_ref().is_some_and(refuses) {
+            // The bus says what comes of it.
+            return None;
+        }
         cells.iter().zip(value).for_each(|(cell, byte)| cell.set(*byte));
         Some(())
     }
 
     /// Code that the program may change.
     pub(crate) fn is_changeable_code(&self, address: u32) -> bool {
-        self.mapped[usize::from(self.fetches[(address >> 16) as usize]) % REGIONS].writable
+        self.mapped[usize::from(self.fetches[page(address)]) % REGIONS].writable
     }
 
     /// A halfword of code.
     pub(crate) fn fetch(&self, address: u32) -> Option<u16> {
         let (bytes, offset) = self.bytes(&self.fetches, address);
         let [low, high] = bytes.get(offset..offset + 2)?.first_chunk()?;
+        if self.protection.as_ref().is_some_and(|protection| !protection.allows(address, Purpose::Fetch)) {
+            return None;
+        }
         Some(u16::from_le_bytes([low.get(), high.get()]))
     }
 }

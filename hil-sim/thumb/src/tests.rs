@@ -17,7 +17,9 @@ impl CoreBus for Silent {
         Err(NoResult)
     }
 
-    fn write(&mut self, _: &Access, _: u32) {}
+    fn write(&mut self, _: &Access, _: u32) -> Result<(), NoResult> {
+        Ok(())
+    }
 
     fn limits(&self) -> Limits {
         Limits { instructions: 1000, mask_changes: false }
@@ -42,7 +44,9 @@ impl CoreBus for Limited {
         Ok(0)
     }
 
-    fn write(&mut self, _: &Access, _: u32) {}
+    fn write(&mut self, _: &Access, _: u32) -> Result<(), NoResult> {
+        Ok(())
+    }
 
     fn limits(&self) -> Limits {
         Limits { instructions: self.instructions, mask_changes: false }

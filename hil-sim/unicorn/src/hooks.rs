@@ -196,7 +196,8 @@ fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) 
     let (size, count) = parts(bytes);
     for part in 0..count {
         let access = access(engine, address.wrapping_add(part * 4), size);
-        engine.get_data_mut().bus().write(&access, (value >> (part * 32)) as u32);
+        // Nothing is refused: this core has no memory protection (see `Core::protect`).
+        let _ = engine.get_data_mut().bus().write(&access, (value >> (part * 32)) as u32);
     }
     let unaligned = address & (bytes - 1) != 0;
     engine.get_data_mut().window.repeated = if unaligned { (address, address.saturating_add(bytes)) } else { (0, 0) };

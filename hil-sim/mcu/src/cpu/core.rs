@@ -4,6 +4,7 @@
 //! knows no time: it counts instructions. What it cannot do by itself — an access that is not direct (see
 //! [`Region::direct`]), sleeping, a fault, a return from an exception — it asks the [`CoreBus`] for, or stops with.
 
+use super::mpu::Protection;
 use crate::memory::Region;
 use crate::peripheral::Size;
 
@@ -51,7 +52,7 @@ pub struct Access {
     pub instructions: u64,
 }
 
-/// A load has no result: the core stops at the instruction, which has no effect, with [`Fault::Load`].
+/// An access is refused: the core stops at the instruction, which has no further effect, with [`Fault::Load`] or [`Fault::Store`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoResult;
 
@@ -73,9 +74,12 @@ pub trait CoreBus {
     /// The load is abandoned.
     fn read(&mut self, access: &Access) -> Result<u32, NoResult>;
 
-    /// A store that is not direct, aligned or not. It always ends: an error takes effect later, as on the Cortex-M7, which
+    /// A store that is not direct, aligned or not. An error of the bus takes effect later, as on the Cortex-M7, which
     /// buffers its stores (imprecise bus faults).
-    fn write(&mut self, access: &Access, value: u32);
+    ///
+    /// # Errors
+    /// The memory protection unit forbids it.
+    fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult>;
 
     /// Asked at the start of a run, after each access and after [`CoreBus::reached`], which may change them.
     fn limits(&self) -> Limits;
@@ -96,6 +100,8 @@ pub trait CoreBus {
 pub enum Fault {
     /// [`CoreBus::read`] gave no result to the instruction at PC.
     Load,
+    /// [`CoreBus::write`] refused the instruction at PC.
+    Store,
     /// An instruction cannot be fetched from PC.
     Fetch,
     /// Undefined instruction at PC.
@@ -166,6 +172,18 @@ pub trait Core {
     /// # Errors
     /// The backend's.
     fn code_changed(&mut self) -> Result<(), CoreError>;
+
+    /// The memory protection unit has changed, is on where it was off, or the other way round: what it forbids is not accessed
+    /// directly from now on, but by the [`CoreBus`], and not executed.
+    ///
+    /// # Errors
+    /// The backend's, which need not have it.
+    fn protect(&mut self, protection: Option<&Protection>) -> Result<(), CoreError> {
+        match protection {
+            None => Ok(()),
+            Some(_) => Err(CoreError("the memory protection unit is not modelled by this core".into())),
+        }
+    }
 
     /// Reads a register.
     fn get(&self, register: Register) -> u32;

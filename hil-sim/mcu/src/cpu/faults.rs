@@ -9,6 +9,15 @@ use super::exceptions::number;
 pub enum Cause {
     /// Instruction fetch from where nothing may be executed: IACCVIOL.
     FetchViolation,
+    /// Load or store that the memory protection unit forbids: DACCVIOL and MMFAR.
+    DataViolation {
+        /// The address.
+        address: u32,
+    },
+    /// The memory protection unit forbids to save registers at exception entry: MSTKERR.
+    StackingViolation,
+    /// The same at exception return: MUNSTKERR.
+    UnstackingViolation,
     /// Instruction fetch that the bus refused: IBUSERR.
     FetchError,
     /// Load that the bus refused: PRECISERR and BFAR.
@@ -39,7 +48,9 @@ impl Cause {
     #[must_use]
     pub const fn exception(self) -> u16 {
         match self {
-            Self::FetchViolation => number::MEM_MANAGE,
+            Self::FetchViolation | Self::DataViolation { .. } | Self::StackingViolation | Self::UnstackingViolation => {
+                number::MEM_MANAGE
+            }
             Self::FetchError | Self::Load { .. } | Self::Store | Self::Stacking | Self::Unstacking => number::BUS_FAULT,
             Self::Undefined | Self::InvalidState | Self::InvalidReturn | Self::NoCoprocessor | Self::Unaligned => {
                 number::USAGE_FAULT
@@ -51,6 +62,9 @@ impl Cause {
     const fn bit(self) -> u32 {
         match self {
             Self::FetchViolation => 1 << 0,
+            Self::DataViolation { .. } => 1 << 1,
+            Self::UnstackingViolation => 1 << 3,
+            Self::StackingViolation => 1 << 4,
             Self::FetchError => 1 << 8,
             Self::Load { .. } => 1 << 9,
             Self::Store => 1 << 10,
@@ -65,6 +79,7 @@ impl Cause {
     }
 }
 
+const MMFAR_VALID: u32 = 1 << 7;
 const BFAR_VALID: u32 = 1 << 15;
 
 /// HFSR.VECTTBL.
@@ -94,14 +109,25 @@ impl FaultStatus {
             self.bus_address = address;
             self.configurable |= BFAR_VALID;
         }
+        if let Cause::DataViolation { address } = cause {
+            self.memory_address = address;
+            self.configurable |= MMFAR_VALID;
+        }
     }
 }
 
 impl fmt::Display for FaultStatus {
-    /// The registers that are not zero; the address of a bus fault where it is valid.
+    /// The registers that are not zero; the addresses of faults where they are valid.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let bus_address = if self.configurable & BFAR_VALID == 0 { 0 } else { self.bus_address };
-        let registers = [("CFSR", self.configurable), ("HFSR", self.hard), ("DFSR", self.debug), ("BFAR", bus_address)];
+        let memory_address = if self.configurable & MMFAR_VALID == 0 { 0 } else { self.memory_address };
+        let registers = [
+            ("CFSR", self.configurable),
+            ("HFSR", self.hard),
+            ("DFSR", self.debug),
+            ("MMFAR", memory_address),
+            ("BFAR", bus_address),
+        ];
         let mut separator = "";
         for (name, value) in registers.into_iter().filter(|(_, value)| *value != 0) {
             write!(f, "{separator}{name} {value:#010x}")?;

@@ -6,7 +6,7 @@
 //!
 //! Two simplifications a program can notice: registers of floating point are saved on exception entry at once where the
 //! processor would do so when the handler uses them (FPCCR.LSPACT is never set), and a processor in unprivileged mode may
-//! do everything.
+//! do what a privileged one may.
 
 mod bits;
 pub mod core;
@@ -24,4 +24,5 @@ pub mod take;
 pub use core::{Access, Core, CoreBus, CoreError, CoreStop, Fault, Limits, NoResult, Register, Why};
 pub use exceptions::{Exceptions, Masks, number};
 pub use faults::{Cause, FaultStatus};
+pub use mpu::{Protection, Purpose};
 pub use registers::{Processor, Requests};

@@ -1,17 +1,118 @@
-//! The memory protection unit (DDI0403E B3.5): its registers.
+//! The memory protection unit (DDI0403E B3.5): its registers, and what they forbid.
 //!
-//! Regions are kept and read back. What they would change for a privileged program's loads and stores is not modelled:
-//! switching on a configuration that forbids some of them is refused. Attributes (cacheability) change nothing here.
+//! What it forbids is judged for privileged code; code in unprivileged mode is taken for privileged, here as everywhere.
+//! Attributes (cacheability, shareability) change nothing.
 
 /// Regions of the chip's Cortex-M7 (RM0399 2.1: 16).
 const REGIONS: usize = 16;
 
-/// Why a write is refused.
-pub(super) const NOT_MODELLED: &str =
-    "MPU: only regions with full access for privileged code, and PRIVDEFENA, are modelled";
-
 const ENABLE: u32 = 1;
+const IN_FAULT_HANDLERS: u32 = 1 << 1;
 const DEFAULT_MAP: u32 = 1 << 2;
+
+/// The system address space: always as in the default map.
+const SYSTEM: u32 = 0xE000_0000;
+
+/// What an access is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// A load.
+    Load,
+    /// A store.
+    Store,
+    /// A fetch of an instruction.
+    Fetch,
+}
+
+/// One enabled region.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Rule {
+    base: u32,
+    /// The last address.
+    last: u32,
+    /// SRD: eighths that do not belong to it.
+    without: u32,
+    /// Bytes within which nothing changes, as a power of 2.
+    granule: u32,
+    load: bool,
+    store: bool,
+    fetch: bool,
+}
+
+impl Rule {
+    fn new(base: u32, attributes: u32) -> Option<Self> {
+        if attributes & 1 == 0 {
+            return None;
+        }
+        // Sizes below 32 bytes are reserved.
+        let bits = (attributes >> 1 & 0x1F).max(4) + 1;
+        let mask = ((1_u64 << bits) - 1) as u32;
+        let divided = bits >= 8;
+        let (load, store) = match attributes >> 24 & 7 {
+            1..=3 => (true, true),
+            5..=7 => (true, false),
+            _ => (false, false),
+        };
+        Some(Self {
+            base: base & !mask,
+            last: base | mask,
+            without: if divided { attributes >> 8 & 0xFF } else { 0 },
+            granule: if divided { bits - 3 } else { bits },
+            load,
+            store,
+            fetch: load && attributes >> 28 & 1 == 0,
+        })
+    }
+
+    fn holds(&self, address: u32) -> bool {
+        let eighth = address.wrapping_sub(self.base) >> self.granule;
+        (self.base..=self.last).contains(&address) && self.without >> (eighth & 7) & 1 == 0
+    }
+}
+
+/// What may be accessed, while the unit is on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Protection {
+    /// The one that decides comes first: the highest number.
+    rules: Vec<Rule>,
+    default_map: bool,
+}
+
+impl Protection {
+    /// Whether a privileged program may do this with the byte at an address.
+    #[must_use]
+    pub fn allows(&self, address: u32, purpose: Purpose) -> bool {
+        if address >= SYSTEM {
+            return purpose != Purpose::Fetch;
+        }
+        match self.rules.iter().find(|rule| rule.holds(address)) {
+            Some(rule) => match purpose {
+                Purpose::Load => rule.load,
+                Purpose::Store => rule.store,
+                Purpose::Fetch => rule.fetch,
+            },
+            // Peripherals and devices are never executed from (B3.1).
+            None => {
+                let never = matches!(address, 0x4000_0000..0x6000_0000 | 0xA000_0000..);
+                self.default_map && (purpose != Purpose::Fetch || !never)
+            }
+        }
+    }
+
+    /// The same for some bytes: the first that it is not allowed for.
+    #[must_use]
+    pub fn refuses(&self, address: u32, bytes: u32, purpose: Purpose) -> Option<u32> {
+        let last = address.wrapping_add(bytes.wrapping_sub(1));
+        [address, last].into_iter().find(|address| !self.allows(*address, purpose))
+    }
+
+    /// Whether every byte of an aligned block of 2^`bits` bytes is allowed the same.
+    #[must_use]
+    pub fn is_uniform(&self, address: u32, bits: u32) -> bool {
+        let last = address | ((1_u64 << bits) - 1) as u32;
+        self.rules.iter().all(|rule| rule.granule >= bits || last < rule.base || address > rule.last)
+    }
+}
 
 /// Registers.
 #[derive(Clone, Debug, Default)]
@@ -37,39 +138,49 @@ impl Mpu {
         })
     }
 
-    /// Writes a register; `None` where none is, or for what is not modelled.
+    /// Writes a register; `None` where none is.
     pub fn write(&mut self, offset: u32, value: u32) -> Option<()> {
-        let mut next = self.clone();
         match offset {
-            0x04 => next.control = value & 7,
-            0x08 => next.number = ((value & 0xFF) as usize).min(REGIONS - 1) as u32,
+            0x04 => self.control = value & 7,
+            0x08 => self.number = ((value & 0xFF) as usize).min(REGIONS - 1) as u32,
             0x0C | 0x14 | 0x1C | 0x24 => {
                 // VALID: the region's number is in the low bits.
                 if value & 0x10 != 0 {
-                    next.number = value & 15;
+                    self.number = value & 15;
                 }
-                next.base[next.number as usize] = value & !0x1F;
+                self.base[self.number as usize] = value & !0x1F;
             }
-            0x10 | 0x18 | 0x20 | 0x28 => next.attributes[next.number as usize] = value & 0x173F_FF3F,
+            0x10 | 0x18 | 0x20 | 0x28 => self.attributes[self.number as usize] = value & 0x173F_FF3F,
             _ => return None,
         }
-        if next.restricts() {
-            return None;
-        }
-        *self = next;
         Some(())
     }
 
-    fn restricts(&self) -> bool {
-        // AP: 1, 2 and 3 let privileged code read and write (B3.5.9).
-        let forbids = |attributes: &u32| attributes & 1 != 0 && !matches!(attributes >> 24 & 7, 1..=3);
-        let enabled = self.control & ENABLE != 0;
-        enabled && (self.control & DEFAULT_MAP == 0 || self.attributes.iter().any(forbids))
+    /// MPU_CTRL.ENABLE.
+    #[must_use]
+    pub fn is_on(&self) -> bool {
+        self.control & ENABLE != 0
+    }
+
+    /// MPU_CTRL.HFNMIENA: also where the execution priority is negative.
+    #[must_use]
+    pub fn is_on_in_fault_handlers(&self) -> bool {
+        self.control & IN_FAULT_HANDLERS != 0
+    }
+
+    /// What it allows while it is on.
+    #[must_use]
+    pub fn protection(&self) -> Protection {
+        let regions = self.base.iter().zip(&self.attributes).rev();
+        let rules = regions.filter_map(|(base, attributes)| Rule::new(*base, *attributes)).collect();
+        Protection { rules, default_map: self.control & DEFAULT_MAP != 0 }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -86,14 +197,67 @@ mod tests {
         assert_eq!(mpu.read(0x04), Some(5));
     }
 
+    fn region(mpu: &mut Mpu, number: u32, base: u32, attributes: u32) {
+        mpu.write(0x0C, base | 0x10 | number).unwrap();
+        mpu.write(0x10, attributes).unwrap();
+    }
+
     #[test]
-    fn what_would_forbid_an_access_is_refused() {
+    fn the_region_with_the_highest_number_decides_and_eighths_can_be_left_out() {
         let mut mpu = Mpu::default();
-        assert_eq!(mpu.write(0x04, 1), None, "no default map");
-        mpu.write(0x04, 5).unwrap();
-        assert_eq!(mpu.write(0x10, 0x0000_0011), None, "no access");
-        assert_eq!(mpu.write(0x10, 0x0500_0011), None, "read-only");
-        assert_eq!(mpu.read(0x10), Some(0));
-        mpu.write(0x10, 0x0000_0010).unwrap();
+        mpu.write(0x04, ENABLE | DEFAULT_MAP).unwrap();
+        // 32 bytes at 0 without access; 64 KiB of DTCM read-only and not executable, of which the second eighth is left out; in
+        // the first eighth 1 KiB with everything.
+        region(&mut mpu, 0, 0, 4 << 1 | 1);
+        region(&mut mpu, 1, 0x2000_0000, 1 << 28 | 5 << 24 | 0b10 << 8 | 15 << 1 | 1);
+        region(&mut mpu, 2, 0x2000_0400, 3 << 24 | 9 << 1 | 1);
+        let protection = mpu.protection();
+        let allowed = |address| {
+            [Purpose::Load, Purpose::Store, Purpose::Fetch].map(|purpose| protection.allows(address, purpose))
+        };
+        for (address, expected) in [
+            (0x0000_0000, [false; 3]),
+            (0x0000_001F, [false; 3]),
+            (0x0000_0020, [true; 3]),
+            (0x2000_03FF, [true, false, false]),
+            (0x2000_0400, [true; 3]),
+            (0x2000_07FF, [true; 3]),
+            (0x2000_0800, [true, false, false]),
+            (0x2000_1FFF, [true, false, false]),
+            (0x2000_2000, [true; 3]),
+            (0x2000_3FFF, [true; 3]),
+            (0x2000_4000, [true, false, false]),
+            (0x2000_FFFF, [true, false, false]),
+            (0x2001_0000, [true; 3]),
+            (0x4000_0000, [true, true, false]),
+            (0xE000_ED94, [true, true, false]),
+        ] {
+            assert_eq!(allowed(address), expected, "{address:#010x}");
+        }
+        assert_eq!(protection.refuses(0x2000_03FE, 4, Purpose::Store), Some(0x2000_03FE));
+        assert_eq!(protection.refuses(0x2000_07FE, 4, Purpose::Store), Some(0x2000_0801));
+        assert_eq!(protection.refuses(0x2000_07FC, 4, Purpose::Store), None);
+        // Without the default map nothing else is left, but the system space.
+        mpu.write(0x04, ENABLE).unwrap();
+        let protection = mpu.protection();
+        assert!(!protection.allows(0x0800_0000, Purpose::Fetch) && protection.allows(0xE000_ED94, Purpose::Store));
+    }
+
+    proptest! {
+        #[test]
+        fn a_uniform_block_is_the_same_at_each_of_its_bytes(
+            regions in proptest::collection::vec((0..0x40_u32, 0..0x20_u32, 0..8_u32, any::<u8>()), 1..6), block in 0..0x40_u32, offset in 0..0x400_u32,
+        ) {
+            let mut mpu = Mpu::default();
+            mpu.write(0x04, ENABLE | DEFAULT_MAP).unwrap();
+            for (number, (base, size, access, without)) in (0..).zip(regions) {
+                region(&mut mpu, number, 0x2000_0000 + base * 0x100, access << 24 | u32::from(without) << 8 | size << 1 | 1);
+            }
+            let (protection, block) = (mpu.protection(), 0x2000_0000 + block * 0x400);
+            prop_assume!(protection.is_uniform(block, 10));
+            for purpose in [Purpose::Load, Purpose::Store, Purpose::Fetch] {
+                prop_assert_eq!(protection.allows(block, purpose), protection.allows(block + offset, purpose));
+            }
+        }
     }
 }

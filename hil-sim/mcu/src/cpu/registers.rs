@@ -1,9 +1,9 @@
 //! The private peripheral bus: registers of the system control space, and the processor's state behind them.
 
 use super::debug::Debug;
-use super::exceptions::{Exceptions, number};
+use super::exceptions::{Exceptions, Masks, number};
 use super::faults::FaultStatus;
-use super::mpu::{Mpu, NOT_MODELLED};
+use super::mpu::{Mpu, Protection};
 use super::nvic;
 use super::systick::SysTick;
 use crate::peripheral::{Size, Unmodelled};
@@ -39,6 +39,8 @@ pub struct Requests {
     pub reset: bool,
     /// CPACR changed.
     pub fpu: bool,
+    /// The memory protection unit was written.
+    pub protection: bool,
 }
 
 /// The state of a processor around its instructions.
@@ -125,6 +127,24 @@ impl Processor {
         self.coprocessors >> 20 & 0b0101 == 0b0101
     }
 
+    /// The memory protection unit is on, for code that is executed at this priority (B3.5.2: HFNMIENA).
+    #[must_use]
+    pub fn is_protected(&self, masks: Masks) -> bool {
+        self.mpu.is_on() && (self.mpu.is_on_in_fault_handlers() || self.exceptions.execution_priority(masks) >= 0)
+    }
+
+    /// What the memory protection unit allows while it is on.
+    #[must_use]
+    pub fn protection(&self) -> Protection {
+        self.mpu.protection()
+    }
+
+    /// MPU_CTRL.ENABLE.
+    #[must_use]
+    pub fn has_protection(&self) -> bool {
+        self.mpu.is_on()
+    }
+
     /// FPCCR.ASPEN: exceptions save registers of floating point.
     #[must_use]
     pub fn saves_float(&self) -> bool {
@@ -191,12 +211,9 @@ impl Processor {
             _ => None,
         };
         let value = value.ok_or_else(|| unmodelled(address, size))?;
-        self.write_word(word, value, now_ns).ok_or_else(|| match word {
-            0xE000_ED90..0xE000_EDC0 => Unmodelled { peripheral: "PPB", what: NOT_MODELLED.into() },
-            _ => Unmodelled {
-                peripheral: "PPB",
-                what: format!("write of {value:#010x} to {address:#010x} is not modelled"),
-            },
+        self.write_word(word, value, now_ns).ok_or_else(|| {
+            let what = format!("write of {value:#010x} to {address:#010x} is not modelled");
+            Unmodelled { peripheral: "PPB", what }
         })
     }
 
@@ -294,7 +311,10 @@ impl Processor {
                 self.coprocessors = value & 0x00F0_0000;
                 self.requests.fpu = true;
             }
-            0xD90..0xDBC => self.mpu.write(offset - 0xD90, value)?,
+            0xD90..0xDBC => {
+                self.mpu.write(offset - 0xD90, value)?;
+                self.requests.protection = true;
+            }
             0xDFC => self.debug.set_demcr(value, now_ns)?,
             0xF00 => nvic::trigger(&mut self.exceptions, value),
             // LSPACT and what goes with it is state of lazy saving, which does not happen here.

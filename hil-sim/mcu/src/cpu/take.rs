@@ -3,6 +3,7 @@
 use super::core::{Core, CoreError, Register};
 use super::exceptions::{Masks, number};
 use super::faults::{BREAKPOINT, Cause, DEBUG_EVENT, FORCED, VECTOR_TABLE};
+use super::mpu::{Protection, Purpose};
 use super::registers::Processor;
 use crate::memory::Memory;
 use crate::peripheral::Size;
@@ -51,6 +52,8 @@ pub struct Taker<'a, C> {
     pub cpu: &'a mut Processor,
     /// Where stacks and the vector table are.
     pub memory: &'a Memory,
+    /// What the memory protection unit allows, while it is on.
+    pub protection: Option<&'a Protection>,
 }
 
 /// The masks a core holds.
@@ -85,9 +88,9 @@ impl<C: Core> Taker<'_, C> {
             exc_return &= !RETURN_BASIC;
         }
         let mut exception = exception;
-        if self.push(float).is_none() {
-            self.cpu.faults.note(Cause::Stacking);
-            let derived = self.escalate(number::BUS_FAULT, "the stack cannot be written")?;
+        if let Err(cause) = self.push(float) {
+            self.cpu.faults.note(cause);
+            let derived = self.escalate(cause.exception(), "the stack cannot be written")?;
             // The one that was to be taken waits, unless it is the more urgent one.
             self.cpu.exceptions.set_pending(exception);
             if self.cpu.exceptions.priority(derived) < self.cpu.exceptions.priority(exception) {
@@ -173,8 +176,9 @@ impl<C: Core> Taker<'_, C> {
         let process = exc_return & 0xF == 0xD;
         let bank = if process { Register::Psp } else { Register::Msp };
         let float = exc_return & RETURN_BASIC == 0;
-        let Some(frame) = self.pop(self.core.get(bank), float) else {
-            return self.refuse(Cause::Unstacking, exc_return);
+        let frame = match self.pop(self.core.get(bank), float) {
+            Ok(frame) => frame,
+            Err(cause) => return self.refuse(cause, exc_return),
         };
         if (frame.xpsr & EXCEPTION == 0) != to_thread {
             return self.refuse(Cause::InvalidReturn, exc_return);
@@ -261,32 +265,46 @@ impl<C: Core> Taker<'_, C> {
         self.memory.write(address, Size::Word, value)
     }
 
-    /// Saves registers (`PushStack`). `None`: some could not be stored; the stack pointer has moved nevertheless.
-    fn push(&mut self, float: bool) -> Option<()> {
+    /// A word onto the stack.
+    fn save(&self, address: u32, value: u32) -> Result<(), Cause> {
+        if self.protection.is_some_and(|protection| !protection.allows(address, Purpose::Store)) {
+            return Err(Cause::StackingViolation);
+        }
+        self.store(address, value).ok_or(Cause::Stacking)
+    }
+
+    /// Saves registers (`PushStack`). `Err`: some could not be stored; the stack pointer has moved nevertheless.
+    fn push(&mut self, float: bool) -> Result<(), Cause> {
         let sp = self.core.get(Register::Sp);
         let padding = sp >> 2 & 1;
         let frame = sp.wrapping_sub(if float { EXTENDED } else { BASIC }) & !7;
         let xpsr = self.core.get(Register::Xpsr) & !PADDED | (padding * PADDED);
         self.core.set(Register::Sp, frame);
         for (word, register) in (0_u32..).zip(CALLER_SAVED) {
-            self.store(frame.wrapping_add(4 * word), self.core.get(register))?;
+            self.save(frame.wrapping_add(4 * word), self.core.get(register))?;
         }
-        self.store(frame.wrapping_add(0x18), self.core.get(Register::Pc))?;
-        self.store(frame.wrapping_add(0x1C), xpsr)?;
+        self.save(frame.wrapping_add(0x18), self.core.get(Register::Pc))?;
+        self.save(frame.wrapping_add(0x1C), xpsr)?;
         if float {
             let at = frame.wrapping_add(BASIC);
             for index in 0..16 {
-                self.store(at.wrapping_add(4 * u32::from(index)), self.core.get(Register::S(index)))?;
+                self.save(at.wrapping_add(4 * u32::from(index)), self.core.get(Register::S(index)))?;
             }
-            self.store(at.wrapping_add(0x40), self.core.get(Register::Fpscr))?;
+            self.save(at.wrapping_add(0x40), self.core.get(Register::Fpscr))?;
             self.cpu.float_frame = at;
         }
-        Some(())
+        Ok(())
     }
 
     /// Reads what [`Taker::push`] saved.
-    fn pop(&self, frame: u32, float: bool) -> Option<Frame> {
-        let word = |index: u32| self.load(frame.wrapping_add(4 * index));
+    fn pop(&self, frame: u32, float: bool) -> Result<Frame, Cause> {
+        let word = |index: u32| {
+            let address = frame.wrapping_add(4 * index);
+            if self.protection.is_some_and(|protection| !protection.allows(address, Purpose::Load)) {
+                return Err(Cause::UnstackingViolation);
+            }
+            self.load(address).ok_or(Cause::Unstacking)
+        };
         let mut registers = [0; 6];
         for (index, register) in (0_u32..).zip(&mut registers) {
             *register = word(index)?;
@@ -304,7 +322,7 @@ impl<C: Core> Taker<'_, C> {
         let size = if float.is_some() { EXTENDED } else { BASIC };
         let padding = if xpsr & PADDED == 0 { 0 } else { 4 };
         let sp = frame.wrapping_add(size) | padding;
-        Some(Frame { registers, pc, xpsr, float, sp })
+        Ok(Frame { registers, pc, xpsr, float, sp })
     }
 
     fn restore(&mut self, frame: &Frame, bank: Register, process: bool) {

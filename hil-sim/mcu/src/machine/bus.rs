@@ -3,7 +3,7 @@
 use super::error::MachineError;
 use super::time::Instructions;
 use crate::chip::{AccessError, Chip};
-use crate::cpu::{Access, Cause, CoreBus, Limits, Masks, NoResult, Processor};
+use crate::cpu::{Access, Cause, CoreBus, Limits, Masks, NoResult, Processor, Protection, Purpose};
 use crate::memory::Region;
 use crate::peripheral::{Size, Unmodelled};
 
@@ -68,7 +68,10 @@ pub(super) struct Bus<'a, S> {
     /// A moment, and how many instructions of this run are before it: most accesses do not change what is next.
     next: (u64, u64),
     pub(super) store_fault: bool,
-    pub(super) load_fault: Option<Cause>,
+    /// Why the access was refused with which the run ended.
+    pub(super) refused: Option<Cause>,
+    /// What the memory protection unit allows, while it is on.
+    protection: Option<&'a Protection>,
     /// A load from here was refused before, and is not to be made again.
     pub(super) ignored_load: Option<u32>,
     pub(super) failure: Option<Unanswered>,
@@ -85,6 +88,7 @@ impl<'a, S: Chip> Bus<'a, S> {
         irqs: &'a mut Vec<(u16, bool)>,
         core_hz: &'a mut u64,
         mapping_version: &'a mut u32,
+        protection: Option<&'a Protection>,
     ) -> Self {
         let (code_version, exceptions_version) = (chip.memory().code_version(), cpu.exceptions.version());
         let mut bus = Self {
@@ -103,7 +107,8 @@ impl<'a, S: Chip> Bus<'a, S> {
             limit: 0,
             next: (0, 0),
             store_fault: false,
-            load_fault: None,
+            refused: None,
+            protection,
             ignored_load: None,
             failure: None,
         };
@@ -121,6 +126,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             || newly_pending
             || requests.reset
             || requests.fpu
+            || requests.protection
             || self.chip.outside_waits()
             || self.chip.wants_reset()
             || self.chip.is_halted()
@@ -152,6 +158,13 @@ impl<'a, S: Chip> Bus<'a, S> {
         if address >= PRIVATE {
             return Ok(self.cpu.read(address, size, now_ns, self.active)?);
         }
+        let memory = self.chip.memory();
+        if let Some(value) =
+            memory.locate(address).filter(|(region, _)| region.direct().read).and_then(|_| memory.read(address, size))
+        {
+            // Protection keeps the core from reading it by itself.
+            return Ok(value);
+        }
         self.chip.read(now_ns, address, size)
     }
 
@@ -159,7 +172,25 @@ impl<'a, S: Chip> Bus<'a, S> {
         if address >= PRIVATE {
             return Ok(self.cpu.write(address, size, value, now_ns)?);
         }
+        let memory = self.chip.memory();
+        if memory.locate(address).is_some_and(|(region, _)| region.direct().write)
+            && memory.write(address, size, value).is_some()
+        {
+            return Ok(());
+        }
         self.chip.write(now_ns, address, size, value)
+    }
+
+    /// What the memory protection unit says of an access.
+    fn check(&mut self, access: &Access, purpose: Purpose) -> Result<(), NoResult> {
+        let Some(protection) = self.protection else { return Ok(()) };
+        match protection.refuses(access.address, access.size.bytes(), purpose) {
+            Some(address) => {
+                self.refused = Some(Cause::DataViolation { address });
+                Err(NoResult)
+            }
+            None => Ok(()),
+        }
     }
 
     fn fail(&mut self, access: &Access, write: bool, at_ns: u64, cause: Unmodelled) {
@@ -173,13 +204,14 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
             // What hardware gives here is unknown.
             return Ok(0);
         }
+        self.check(access, Purpose::Load)?;
         let Access { address, size, instructions, .. } = *access;
         let now_ns = self.time.after_ns(instructions);
         let unaligned = address & (size.bytes() - 1) != 0;
         let result = if !unaligned {
             self.read_one(address, size, now_ns)
         } else if Self::is_device(address) {
-            self.load_fault = Some(Cause::Unaligned);
+            self.refused = Some(Cause::Unaligned);
             return Err(NoResult);
         } else {
             (0..size.bytes()).try_fold(0, |value, byte| {
@@ -191,7 +223,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
         match result {
             Ok(value) => Ok(value),
             Err(AccessError::Bus) => {
-                self.load_fault = Some(Cause::Load { address });
+                self.refused = Some(Cause::Load { address });
                 Err(NoResult)
             }
             Err(AccessError::Unmodelled(cause)) => {
@@ -202,10 +234,11 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
         }
     }
 
-    fn write(&mut self, access: &Access, value: u32) {
+    fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult> {
         if self.failure.is_some() {
-            return;
+            return Ok(());
         }
+        self.check(access, Purpose::Store)?;
         let Access { address, size, instructions, .. } = *access;
         let now_ns = self.time.after_ns(instructions);
         let unaligned = address & (size.bytes() - 1) != 0;
@@ -226,6 +259,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
             Err(AccessError::Unmodelled(cause)) => self.fail(access, true, now_ns, cause),
         }
         self.accessed(now_ns);
+        Ok(())
     }
 
     fn limits(&self) -> Limits {

@@ -24,7 +24,7 @@ pub use trace::{Change, Trace};
 use crate::chip::Chip;
 use crate::context::ResetCause;
 use crate::cpu::take::{Failure, Taker, active, masks};
-use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Register, Why};
+use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Protection, Purpose, Register, Requests, Why};
 use bus::Bus;
 use time::Instructions;
 
@@ -67,6 +67,8 @@ pub struct Machine<C, S> {
     observed: Vec<u32>,
     /// An observed instruction that was told, and is to be executed.
     told: Option<u32>,
+    /// What the memory protection unit allows, while it is on.
+    protection: Option<Protection>,
     /// A load that was refused, and whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
     runs: u64,
@@ -98,6 +100,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             just_reset: None,
             observed: Vec::new(),
             told: None,
+            protection: None,
             ignored_load: None,
             runs: 0,
             core,
@@ -293,7 +296,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         bus::take_irqs(&mut self.chip, &mut self.cpu, &mut self.irqs);
         bus::follow_clock(&self.chip, &mut self.cpu, &mut self.core_hz, now_ns);
         self.follow_memory()?;
-        let requests = std::mem::take(&mut self.cpu.requests);
+        let protection = self.cpu.requests.protection;
+        let requests = std::mem::replace(&mut self.cpu.requests, Requests { protection, ..Requests::default() });
         if requests.fpu {
             self.core.set_fpu(self.cpu.fpu_enabled());
         }
@@ -314,6 +318,21 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if self.code_version != memory.code_version() {
             self.code_version = memory.code_version();
             self.core.code_changed()?;
+        }
+        Ok(())
+    }
+
+    /// The memory protection unit, at the priority of what is executed next. FAULTMASK that changes within a run counts from the
+    /// next one on.
+    fn follow_protection(&mut self) -> Result<(), MachineError> {
+        let changed = std::mem::take(&mut self.cpu.requests.protection);
+        if !changed && self.protection.is_none() && !self.cpu.has_protection() {
+            return Ok(());
+        }
+        let on = self.cpu.is_protected(masks(&self.core));
+        if changed || on != self.protection.is_some() {
+            self.protection = on.then(|| self.cpu.protection());
+            self.core.protect(self.protection.as_ref())?;
         }
         Ok(())
     }
@@ -341,6 +360,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         } else if self.observed.contains(&pc) {
             return Ok(Some(self.observed(pc)));
         }
+        self.follow_protection()?;
         let executing = active(&self.core);
         let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let mut bus = Bus::new(
@@ -352,6 +372,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             &mut self.irqs,
             &mut self.core_hz,
             &mut self.mapping_version,
+            self.protection.as_ref(),
         );
         bus.watch_masks = masked;
         bus.rest_of_block = std::mem::take(&mut self.unfinished);
@@ -359,7 +380,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.runs += 1;
         let run = if self.stepping { self.core.step(&mut bus) } else { self.core.run(&mut bus) };
         let CoreStop { instructions, why } = run?;
-        let (store_fault, load_fault, failure) = (bus.store_fault, bus.load_fault.take(), bus.failure.take());
+        let (store_fault, refused, failure) = (bus.store_fault, bus.refused.take(), bus.failure.take());
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
             self.time.execute(failure.access.instructions.min(instructions));
@@ -393,13 +414,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
             Why::Svc => self.take(|taker| taker.supervisor_call().map(|()| false))?,
             Why::ExceptionReturn(exc_return) => self.take(|taker| taker.leave(exc_return))?,
             Why::Fault(fault) => {
-                let cause = match (fault, load_fault) {
+                let cause = match (fault, refused) {
                     (Fault::Load, Some(Cause::Load { address })) if self.ignores_bus_errors() => {
                         self.cpu.faults.note(Cause::Load { address });
                         self.ignored_load = Some(address);
                         return Ok(None);
                     }
-                    (Fault::Load, cause) => cause.unwrap_or(Cause::Unaligned),
+                    (Fault::Load | Fault::Store, cause) => cause.unwrap_or(Cause::Unaligned),
                     (Fault::Fetch, _) => self.fetch_fault()?,
                     (Fault::Undefined, _) => Cause::Undefined,
                     (Fault::NoCoprocessor, _) => Cause::NoCoprocessor,
@@ -424,6 +445,11 @@ impl<C: Core, S: Chip> Machine<C, S> {
     /// Execution from where code cannot be: an error of the program, or a restriction of this machine.
     fn fetch_fault(&self) -> Result<Cause, MachineError> {
         let pc = self.core.get(Register::Pc);
+        // A wide instruction may lie in two regions.
+        let refused = |protection: &Protection| protection.refuses(pc, 4, Purpose::Fetch).is_some();
+        if self.protection.as_ref().is_some_and(refused) {
+            return Ok(Cause::FetchViolation);
+        }
         if let Some((region, _)) = self.chip.memory().locate(pc)
             && region.direct().read
         {
@@ -453,7 +479,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
     }
 
     fn taker(&mut self) -> Taker<'_, C> {
-        Taker { core: &mut self.core, cpu: &mut self.cpu, memory: self.chip.memory() }
+        Taker {
+            core: &mut self.core,
+            cpu: &mut self.cpu,
+            memory: self.chip.memory(),
+            protection: self.protection.as_ref(),
+        }
     }
 
     /// Takes or leaves exceptions; `true` from `how` is to sleep.

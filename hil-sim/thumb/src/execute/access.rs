@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use r4_mcu::Size;
-use r4_mcu::cpu::{Access, CoreBus, Fault};
+use r4_mcu::cpu::{Access, CoreBus, Fault, NoResult};
 
 use super::Context;
 use crate::float::Transfer;
@@ -65,18 +65,19 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) {
+    ) -> Result<(), Fault> {
         let bytes = size.bytes() as usize;
         if self.memory.store_code(address, &value.to_le_bytes()[..bytes]).is_some() {
             if self.changeable {
                 self.set_stale();
             }
-            return;
+            return Ok(());
         }
         let access = self.access(address, size, index, context);
         let value = if bytes == 4 { value } else { value & ((1 << (8 * bytes)) - 1) };
-        bus.write(&access, value);
+        let result = bus.write(&access, value);
         self.accessed(bus);
+        result.map_err(|NoResult| Fault::Store)
     }
 
     pub(super) fn load_byte(
@@ -166,8 +167,7 @@ impl State {
             }
             return Ok(());
         }
-        self.store_words_by_bus(address, words, index, context, bus);
-        Ok(())
+        self.store_words_by_bus(address, words, index, context, bus)
     }
 
     #[cold]
@@ -179,13 +179,14 @@ impl State {
         index: usize,
         context: &Context<'_>,
         bus: &mut dyn CoreBus,
-    ) {
+    ) -> Result<(), Fault> {
         for (offset, value) in (0..).step_by(4).zip(words) {
             let address = address.wrapping_add(offset);
             if self.memory.store::<4>(address, value.to_le_bytes()).is_none() {
-                self.store_by_bus(address, Size::Word, *value, index, context, bus);
+                self.store_by_bus(address, Size::Word, *value, index, context, bus)?;
             }
         }
+        Ok(())
     }
 
     /// Loads the registers of a list, all or none; PC as [`LOADED`].
@@ -245,8 +246,7 @@ impl State {
             *value = self.r[left.trailing_zeros() as usize % COUNT];
             left &= left.wrapping_sub(1);
         }
-        self.store_words_by_bus(address, &words[..count], index, context, bus);
-        Ok(())
+        self.store_words_by_bus(address, &words[..count], index, context, bus)
     }
 
     /// LDREX and relatives: the monitor watches the address (A3.4).
@@ -298,7 +298,7 @@ impl State {
             Width::Word => (self.memory.store(address, bytes), Size::Word),
         };
         if direct.is_none() {
-            self.store_by_bus(address, size, value, index, context, bus);
+            self.store_by_bus(address, size, value, index, context, bus)?;
         }
         Ok(false)
     }
@@ -326,9 +326,9 @@ impl State {
                 self.float.s[first] = low;
             }
             (false, words) => {
-                self.store_word(address, self.float.s[first], index, context, bus);
+                self.store_word(address, self.float.s[first], index, context, bus)?;
                 if words == 2 {
-                    self.store_word(address.wrapping_add(4), self.float.s[second], index, context, bus);
+                    self.store_word(address.wrapping_add(4), self.float.s[second], index, context, bus)?;
                 }
             }
         }
@@ -350,9 +350,17 @@ impl State {
     }
 
     #[inline(always)]
-    fn store_word(&mut self, address: u32, value: u32, index: usize, context: &Context<'_>, bus: &mut dyn CoreBus) {
-        if self.memory.store(address, value.to_le_bytes()).is_none() {
-            self.store_by_bus(address, Size::Word, value, index, context, bus);
+    fn store_word(
+        &mut self,
+        address: u32,
+        value: u32,
+        index: usize,
+        context: &Context<'_>,
+        bus: &mut dyn CoreBus,
+    ) -> Result<(), Fault> {
+        match self.memory.store(address, value.to_le_bytes()) {
+            Some(()) => Ok(()),
+            None => self.store_by_bus(address, Size::Word, value, index, context, bus),
         }
     }
 

@@ -157,7 +157,7 @@ pub(crate) fn execute(
             let address: u32 = $address;
             let value = r!($t);
             if state.memory.store::<$bytes>(address, (value as $type).to_le_bytes()).is_none() {
-                state.store_by_bus(address, Size::$size, value, here!(), &context, bus);
+                words!(state.store_by_bus(address, Size::$size, value, here!(), &context, bus));
             }
         }};
     }

@@ -26,12 +26,13 @@ impl CoreBus for Bus {
         self.accesses.push(('r', *access, 0));
         if self.refuse == Some(access.address) { Err(NoResult) } else { Ok(access.address ^ 0xA500_0000) }
     }
-    fn write(&mut self, access: &Access, value: u32) {
+    fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult> {
         self.accesses.push(('w', *access, value));
         if let Some((memory, bank)) = &self.switch_on {
             memory.set_enabled(*bank, true);
             self.remap = true;
         }
+        Ok(())
     }
     fn limits(&self) -> Limits {
         let now = self.stop_at_access && !self.accesses.is_empty();

@@ -38,7 +38,7 @@ impl Bench {
     }
 
     fn taker(&mut self) -> Taker<'_, FakeCore> {
-        Taker { core: &mut self.core, cpu: &mut self.cpu, memory: &self.memory }
+        Taker { core: &mut self.core, cpu: &mut self.cpu, memory: &self.memory, protection: None }
     }
 
     fn pend(&mut self, irq: u16, priority: u8) -> u16 {

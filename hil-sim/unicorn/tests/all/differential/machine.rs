@@ -33,9 +33,10 @@ impl CoreBus for Bus {
         let mask = u32::MAX >> (32 - 8 * access.size.bytes());
         if self.refused { Err(NoResult) } else { Ok(value & mask) }
     }
-    fn write(&mut self, access: &Access, value: u32) {
+    fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult> {
         let mask = u32::MAX >> (32 - 8 * access.size.bytes());
         self.accesses.push(('w', *access, value & mask));
+        Ok(())
     }
     fn limits(&self) -> Limits {
         self.limits
