@@ -10,6 +10,12 @@ pub enum AccessError {
     /// The bus answers with an error: the program sees a BusFault.
     #[error("bus error")]
     Bus,
+    /// The bus waits, and the core with it: the access is to be made again then.
+    #[error("the bus waits until {until_ns} ns")]
+    Busy {
+        /// Virtual time.
+        until_ns: u64,
+    },
     /// The run ends.
     #[error(transparent)]
     Unmodelled(#[from] Unmodelled),
@@ -61,6 +67,11 @@ pub trait Chip {
     /// early. Asked after each access and advance.
     fn outside_waits(&self) -> bool {
         false
+    }
+
+    /// Until when a fetch of an instruction from here waits.
+    fn fetch_waits_until_ns(&self, _address: u32) -> Option<u64> {
+        None
     }
 
     /// Level of the non-maskable interrupt's input.

@@ -4,10 +4,12 @@
 //! at a time (the emulator has one thread). Values are little-endian, as the processor's.
 //!
 //! What the core may do by itself is said by a [`Region`]: everything else — a store to flash, any access to the part of
-//! flash that is modelled access by access, any access to a memory without clock — goes to
-//! [`Chip::read`](crate::Chip::read) and [`Chip::write`](crate::Chip::write).
+//! flash that is modelled access by access or to words whose error correction has something to say, any access to a memory
+//! without clock or to a bank that programs or erases — goes to [`Chip::read`](crate::Chip::read) and
+//! [`Chip::write`](crate::Chip::write).
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::ops::Range;
 use std::rc::Rc;
 
 use crate::peripheral::Size;
@@ -100,9 +102,12 @@ pub struct Direct {
     pub read: bool,
     /// Stores.
     pub write: bool,
-    /// Fetches of instructions. RAM other than ITCM is not executed from: a model's restriction, for speed.
+    /// Fetches of instructions.
     pub execute: bool,
 }
+
+/// What is kept together about code, as a power of 2 of bytes.
+const CODE_BITS: u32 = 10;
 
 /// A memory.
 #[derive(Clone, Debug)]
@@ -113,6 +118,10 @@ pub struct Region {
     pub base: u32,
     bytes: Rc<[Cell<u8>]>,
     enabled: Cell<bool>,
+    /// Addresses that are never accessed directly, in order.
+    holes: RefCell<Vec<Range<u32>>>,
+    /// Blocks of 1 KiB from which a core has decoded instructions.
+    code: Rc<[Cell<bool>]>,
 }
 
 impl Region {
@@ -138,8 +147,32 @@ impl Region {
     #[must_use]
     pub fn direct(&self) -> Direct {
         let on = self.enabled.get() && self.bank != Bank::Storage;
-        let execute = on && matches!(self.bank, Bank::Itcm | Bank::Flash1 | Bank::Flash2);
-        Direct { read: on, write: on && !self.bank.is_flash(), execute }
+        Direct { read: on, write: on && !self.bank.is_flash(), execute: on }
+    }
+
+    /// Some of these bytes are not accessed directly whatever [`Region::direct`] says: flash words that are not what was
+    /// programmed.
+    #[must_use]
+    pub fn has_hole(&self, address: u32, bytes: u32) -> bool {
+        let end = address.saturating_add(bytes);
+        self.holes.borrow().iter().any(|hole| hole.start < end && address < hole.end)
+    }
+
+    /// A core has decoded what is at an address: changes of it are told from now on ([`Memory::code_version`]).
+    pub fn mark_code(&self, address: u32) {
+        if let Some(mark) = self.code.get((address.wrapping_sub(self.base) >> CODE_BITS) as usize) {
+            mark.set(true);
+        }
+    }
+
+    /// A core knows no decoded instructions any more.
+    pub fn forget_code(&self) {
+        self.code.iter().for_each(|mark| mark.set(false));
+    }
+
+    fn holds_code(&self, offset: usize, bytes: usize) -> bool {
+        let last = (offset + bytes.saturating_sub(1)) >> CODE_BITS;
+        self.code.get(offset >> CODE_BITS..=last).is_some_and(|marks| marks.iter().any(Cell::get))
     }
 }
 
@@ -169,7 +202,8 @@ impl Memory {
             let (base, len) = bank.span();
             let fill = if bank.is_flash() { [0xFF; 4] } else { Self::POWER_ON.to_le_bytes() };
             let bytes = fill.into_iter().cycle().take(len as usize).map(Cell::new).collect();
-            Region { bank, base, bytes, enabled: Cell::new(true) }
+            let code = (0..len >> CODE_BITS).map(|_| Cell::new(false)).collect();
+            Region { bank, base, bytes, enabled: Cell::new(true), holes: RefCell::default(), code }
         };
         Self { regions: Bank::ALL.into_iter().map(region).collect(), mapping: Cell::new(0), code: Cell::new(0) }
     }
@@ -207,6 +241,19 @@ impl Memory {
         }
     }
 
+    /// Says which bytes of a memory are never accessed directly, in order of address.
+    pub fn set_holes(&self, bank: Bank, holes: Vec<Range<u32>>) {
+        let before = self.region(bank).holes.replace(holes);
+        if before != *self.region(bank).holes.borrow() {
+            self.mapping.set(self.mapping.get().wrapping_add(1));
+        }
+    }
+
+    /// Code was changed otherwise than by this type's functions.
+    pub fn code_changed(&self) {
+        self.code.set(self.code.get().wrapping_add(1));
+    }
+
     /// The clock of a memory is on.
     #[must_use]
     pub fn is_enabled(&self, bank: Bank) -> bool {
@@ -219,7 +266,7 @@ impl Memory {
         self.mapping.get()
     }
 
-    /// Changes whenever flash that can be executed was written by this type's functions.
+    /// Changes whenever instructions that a core has decoded are written by this type's functions.
     #[must_use]
     pub fn code_version(&self) -> u32 {
         self.code.get()
@@ -231,10 +278,8 @@ impl Memory {
             for (cell, byte) in region.bytes.iter().zip(Self::POWER_ON.to_le_bytes().into_iter().cycle()) {
                 cell.set(byte);
             }
-            if region.direct().execute {
-                self.code.set(self.code.get().wrapping_add(1));
-            }
         }
+        self.code_changed();
     }
 
     /// Reads a value; `None` where no memory is, or not all of it. Clocks do not matter here.
@@ -262,8 +307,8 @@ impl Memory {
     pub fn write_slice(&self, address: u32, bytes: &[u8]) -> Option<()> {
         let (region, cells) = self.cells(address, bytes.len())?;
         cells.iter().zip(bytes).for_each(|(cell, byte)| cell.set(*byte));
-        if region.direct().execute {
-            self.code.set(self.code.get().wrapping_add(1));
+        if region.holds_code((address - region.base) as usize, bytes.len()) {
+            self.code_changed();
         }
         Some(())
     }
@@ -315,7 +360,7 @@ mod tests {
         assert_ne!(memory.mapping_version(), before);
         let off = Direct { read: false, write: false, execute: false };
         assert_eq!(memory.region(Bank::Sram1).direct(), off);
-        assert_eq!(memory.region(Bank::Sram2).direct(), Direct { read: true, write: true, execute: false });
+        assert_eq!(memory.region(Bank::Sram2).direct(), Direct { read: true, write: true, execute: true });
         assert_eq!(memory.read(0x3000_0010, Size::Word), Some(7));
         let unchanged = memory.mapping_version();
         memory.set_enabled(Bank::Sram1, false);
@@ -326,10 +371,27 @@ mod tests {
     fn only_writes_of_code_count_as_such() {
         let memory = Memory::new();
         let before = memory.code_version();
+        memory.region(Bank::Axi).mark_code(0x2400_07FE);
         memory.write(0x2400_0000, Size::Word, 0).unwrap();
-        memory.write(0x0818_0000, Size::Word, 0).unwrap();
+        memory.write(0x2400_0800, Size::Word, 0).unwrap();
+        memory.write(0x0800_0400, Size::Word, 0).unwrap();
         assert_eq!(memory.code_version(), before);
-        memory.write(0x0800_0000, Size::Word, 0).unwrap();
+        memory.write_slice(0x2400_03F0, &[0; 32]).unwrap();
         assert_ne!(memory.code_version(), before);
+        let before = memory.code_version();
+        memory.region(Bank::Axi).forget_code();
+        memory.write(0x2400_0400, Size::Word, 0).unwrap();
+        assert_eq!(memory.code_version(), before);
+    }
+
+    #[test]
+    fn a_hole_is_told_by_any_byte_of_it() {
+        let memory = Memory::new();
+        let before = memory.mapping_version();
+        memory.set_holes(Bank::Flash1, vec![0x0800_0020..0x0800_0040]);
+        assert_ne!(memory.mapping_version(), before);
+        let flash = memory.region(Bank::Flash1);
+        assert!(!flash.has_hole(0x0800_001C, 4) && flash.has_hole(0x0800_001E, 4));
+        assert!(flash.has_hole(0x0800_003F, 1) && !flash.has_hole(0x0800_0040, 4));
     }
 }

@@ -33,7 +33,7 @@ impl ThumbCore {
     fn forget(&mut self) {
         self.blocks.clear();
         self.state.stale = false;
-        self.state.changeable = false;
+        self.state.memory.forget_code();
     }
 
     /// What is not looked at before every block: `Some` ends the run.
@@ -59,8 +59,7 @@ impl ThumbCore {
     /// Decodes what is at PC, if need be: the block's number. `None` where nothing can be fetched.
     #[cold]
     fn find(&mut self) -> Option<u32> {
-        let State { memory, it, changeable, pc, .. } = &mut self.state;
-        *changeable |= memory.is_changeable_code(*pc);
+        let State { memory, it, pc, .. } = &mut self.state;
         let what = What { memory, observed: &self.observed, it: *it, one: false };
         if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
     }

@@ -1,6 +1,6 @@
 //! From addresses to bytes: what the core accesses by itself.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use r4_mcu::Region;
@@ -29,17 +29,22 @@ type Table = Box<[u8; PAGES]>;
 pub(crate) struct Memory {
     mapped: [Mapped; REGIONS],
     loads: Table,
-    stores: Table,
+    /// Without pages from which instructions were decoded, and those before them: there stores are looked at.
+    stores: Box<[Cell<u8>; PAGES]>,
     fetches: Table,
+    /// Pages that are missing in `stores` for that reason, with what was there.
+    decoded: RefCell<Vec<(usize, u8)>>,
     /// What is mapped.
     regions: Vec<Region>,
     protection: Option<Protection>,
 }
 
-fn nowhere() -> Table {
+fn nowhere<T: Clone>(zero: T) -> Box<[T; PAGES]> {
     // Zeroed by the system, page by page as they are used: most never are.
-    let table = vec![0; PAGES].into_boxed_slice();
-    table.try_into().unwrap_or_else(|_| Box::new([0; PAGES]))
+    match vec![zero.clone(); PAGES].into_boxed_slice().try_into() {
+        Ok(table) => table,
+        Err(_) => Box::new(std::array::from_fn(|_| zero.clone())),
+    }
 }
 
 #[inline(always)]
@@ -52,9 +57,10 @@ impl Memory {
         let none = || Mapped { base: 0, bytes: Rc::new([]), writable: false };
         Self {
             mapped: std::array::from_fn(|_| none()),
-            loads: nowhere(),
-            stores: nowhere(),
-            fetches: nowhere(),
+            loads: nowhere(0),
+            stores: nowhere(Cell::new(0)),
+            fetches: nowhere(0),
+            decoded: RefCell::default(),
             regions: Vec::new(),
             protection: None,
         }
@@ -77,10 +83,12 @@ impl Memory {
     pub(crate) fn map(&mut self, regions: &[Region]) -> Result<(), CoreError> {
         for region in std::mem::replace(&mut self.regions, regions.to_vec()) {
             let pages = page(region.base)..=page(region.base + (region.len() - 1));
-            for table in [&mut self.loads, &mut self.stores, &mut self.fetches] {
-                table[pages.clone()].fill(0);
-            }
+            self.loads[pages.clone()].fill(0);
+            self.fetches[pages.clone()].fill(0);
+            self.stores[pages].iter().for_each(|entry| entry.set(0));
+            region.forget_code();
         }
+        self.decoded.get_mut().clear();
         if regions.len() >= REGIONS {
             return Err(CoreError(format!("{} memories", regions.len())));
         }
@@ -92,20 +100,21 @@ impl Memory {
             *mapped = Mapped { base: region.base, bytes: Rc::clone(region.bytes()), writable: direct.write };
             for piece in page(region.base)..=page(region.base + (region.len() - 1)) {
                 let address = (piece as u32) << PAGE_BITS;
-                for (allowed, purpose, table) in [
-                    (direct.read, Purpose::Load, &mut self.loads),
-                    // Where there can be code, stores are looked at.
-                    (direct.write && !direct.execute, Purpose::Store, &mut self.stores),
-                ] {
-                    // An access that begins in this page may end in the next.
-                    let free = |protection: &Protection| {
-                        [address, address.wrapping_add(1 << PAGE_BITS)]
-                            .iter()
-                            .all(|page| protection.is_uniform(*page, PAGE_BITS) && protection.allows(*page, purpose))
+                // An access that begins in this page may end in the next.
+                let both = [address, address.wrapping_add(1 << PAGE_BITS)];
+                let whole = !region.has_hole(address, 2 << PAGE_BITS);
+                let free = |purpose| {
+                    let allows = |protection: &Protection| {
+                        let mut pages = both.iter();
+                        pages.all(|page| protection.is_uniform(*page, PAGE_BITS) && protection.allows(*page, purpose))
                     };
-                    if allowed && self.protection.as_ref().is_none_or(free) {
-                        table[piece] = number;
-                    }
+                    whole && self.protection.as_ref().is_none_or(allows)
+                };
+                if direct.read && free(Purpose::Load) {
+                    self.loads[piece] = number;
+                }
+                if direct.write && free(Purpose::Store) {
+                    self.stores[piece].set(number);
                 }
                 // Each instruction is looked at, once.
                 if direct.execute {
@@ -117,15 +126,15 @@ impl Memory {
     }
 
     #[inline(always)]
-    fn bytes(&self, table: &[u8; PAGES], address: u32) -> (&[Cell<u8>], usize) {
-        let mapped = &self.mapped[usize::from(table[page(address)]) % REGIONS];
+    fn bytes(&self, number: u8, address: u32) -> (&[Cell<u8>], usize) {
+        let mapped = &self.mapped[usize::from(number) % REGIONS];
         (&mapped.bytes, address.wrapping_sub(mapped.base) as usize)
     }
 
     /// Bytes that a load reaches directly.
     #[inline(always)]
     pub(crate) fn load<const BYTES: usize>(&self, address: u32) -> Option<[u8; BYTES]> {
-        let (bytes, offset) = self.bytes(&self.loads, address);
+        let (bytes, offset) = self.bytes(self.loads[page(address)], address);
         let cells: &[Cell<u8>; BYTES] = bytes.get(offset..offset + BYTES)?.first_chunk()?;
         Some(std::array::from_fn(|index| cells[index].get()))
     }
@@ -133,7 +142,7 @@ impl Memory {
     /// Stores directly; `None` where that is not allowed.
     #[inline(always)]
     pub(crate) fn store<const BYTES: usize>(&self, address: u32, value: [u8; BYTES]) -> Option<()> {
-        let (bytes, offset) = self.bytes(&self.stores, address);
+        let (bytes, offset) = self.bytes(self.stores[page(address)].get(), address);
         let cells: &[Cell<u8>; BYTES] = bytes.get(offset..offset + BYTES)?.first_chunk()?;
         for (cell, byte) in cells.iter().zip(value) {
             cell.set(byte);
@@ -144,20 +153,20 @@ impl Memory {
     /// Words that loads reach directly.
     #[inline(always)]
     pub(crate) fn load_words(&self, address: u32, words: usize) -> Option<&[Cell<u8>]> {
-        let (bytes, offset) = self.bytes(&self.loads, address);
+        let (bytes, offset) = self.bytes(self.loads[page(address)], address);
         bytes.get(offset..offset + 4 * words)
     }
 
     /// Words that stores reach directly.
     #[inline(always)]
     pub(crate) fn store_words(&self, address: u32, words: usize) -> Option<&[Cell<u8>]> {
-        let (bytes, offset) = self.bytes(&self.stores, address);
+        let (bytes, offset) = self.bytes(self.stores[page(address)].get(), address);
         bytes.get(offset..offset + 4 * words)
     }
 
-    /// Stores where code may be; `None` elsewhere.
-    pub(crate) fn store_code(&self, address: u32, value: &[u8]) -> Option<()> {
-        let (bytes, offset) = self.bytes(&self.fetches, address);
+    /// Stores where code may be; `None` elsewhere. `true` where some was decoded.
+    pub(crate) fn store_code(&self, address: u32, value: &[u8]) -> Option<bool> {
+        let (bytes, offset) = self.bytes(self.fetches[page(address)], address);
         let cells = bytes.get(offset..offset + value.len()).filter(|_| self.is_changeable_code(address))?;
         let refuses =
             |protection: &Protection| protection.refuses(address, value.len() as u32, Purpose::Store).is_some();
@@ -166,7 +175,8 @@ impl Memory {
             return None;
         }
         cells.iter().zip(value).for_each(|(cell, byte)| cell.set(*byte));
-        Some(())
+        let last = page(address.wrapping_add(value.len() as u32 - 1));
+        Some(self.decoded.borrow().iter().any(|(decoded, _)| (page(address)..=last).contains(decoded)))
     }
 
     /// Code that the program may change.
@@ -174,13 +184,37 @@ impl Memory {
         self.mapped[usize::from(self.fetches[page(address)]) % REGIONS].writable
     }
 
-    /// A halfword of code.
+    /// A halfword of code, which is decoded.
     pub(crate) fn fetch(&self, address: u32) -> Option<u16> {
-        let (bytes, offset) = self.bytes(&self.fetches, address);
+        let number = self.fetches[page(address)];
+        let (bytes, offset) = self.bytes(number, address);
         let [low, high] = bytes.get(offset..offset + 2)?.first_chunk()?;
         if self.protection.as_ref().is_some_and(|protection| !protection.allows(address, Purpose::Fetch)) {
             return None;
         }
+        let region = self.regions.get(usize::from(number).checked_sub(1)?)?;
+        if region.has_hole(address, 2) {
+            return None;
+        }
+        region.mark_code(address);
+        if self.is_changeable_code(address) {
+            let mut decoded = self.decoded.borrow_mut();
+            // A store that begins in the page before may reach this one.
+            for page in page(address).saturating_sub(1)..=page(address) {
+                let before = self.stores[page].take();
+                if before != 0 {
+                    decoded.push((page, before));
+                }
+            }
+        }
         Some(u16::from_le_bytes([low.get(), high.get()]))
+    }
+
+    /// Nothing that was decoded is used any more.
+    pub(crate) fn forget_code(&self) {
+        for (page, number) in self.decoded.take() {
+            self.stores[page].set(number);
+        }
+        self.regions.iter().for_each(Region::forget_code);
     }
 }

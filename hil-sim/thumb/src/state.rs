@@ -91,8 +91,6 @@ pub(crate) struct State {
     pub(crate) memory: Memory,
     /// What was decoded may not be what is in memory now, or in the memory map.
     pub(crate) stale: bool,
-    /// Code that the program may change was decoded.
-    pub(crate) changeable: bool,
     /// Instructions of this run before the present block.
     pub(crate) executed: u64,
     pub(crate) limits: Limits,
@@ -125,7 +123,6 @@ impl State {
             exclusive: None,
             memory: Memory::new(),
             stale: false,
-            changeable: false,
             executed: 0,
             limits: Limits { instructions: 0, mask_changes: false },
             attention_at: 0,

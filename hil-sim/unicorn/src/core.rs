@@ -11,7 +11,7 @@ use unicorn_engine::{Arch, ArmCpuModel, Mode, RegisterARM, UcHookId, Unicorn, uc
 use crate::blocks::{WFE, WFI, YIELD, halfword, is_hint};
 use crate::conditional;
 use crate::hooks::{Engine, install, refresh_limits, stop};
-use crate::mapping::{STUB, map_all};
+use crate::mapping::{STUB, executes, map_all};
 use crate::registers::number;
 use crate::state::State;
 
@@ -175,7 +175,7 @@ impl UnicornCore {
 impl Core for UnicornCore {
     fn map(&mut self, regions: &[Region]) -> Result<(), CoreError> {
         self.mapped = regions.iter().map(|region| Rc::clone(region.bytes())).collect();
-        let code = |region: &Region| region.direct().execute.then(|| (region.base, Rc::clone(region.bytes())));
+        let code = |region: &Region| executes(region).then(|| (region.base, Rc::clone(region.bytes())));
         self.engine.get_data_mut().code = regions.iter().filter_map(code).collect();
         map_all(&mut self.engine, regions).map_err(|error| failed("map", error))
     }

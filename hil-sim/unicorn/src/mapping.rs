@@ -49,6 +49,11 @@ pub(crate) fn remap(engine: &mut Unicorn<'_, State>, regions: &[Region]) -> Resu
     Ok(())
 }
 
+/// This core executes from ITCM and flash only: stores to what can be executed take several times as long.
+pub(crate) fn executes(region: &Region) -> bool {
+    region.direct().execute && matches!(region.bank, Bank::Itcm | Bank::Flash1 | Bank::Flash2)
+}
+
 fn span(bank: Bank) -> (u64, u64) {
     let (base, len) = bank.span();
     (base.into(), len.into())
@@ -72,7 +77,7 @@ fn map_region(engine: &mut Unicorn<'_, State>, region: &Region) -> Result<(), uc
     if direct.write {
         prot |= Prot::WRITE;
     }
-    if direct.execute {
+    if executes(region) {
         prot |= Prot::EXEC;
     }
     // SAFETY: the bytes are cells, so that they may change behind shared references; `UnicornCore` keeps a reference to

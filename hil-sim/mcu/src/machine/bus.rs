@@ -75,6 +75,8 @@ pub(super) struct Bus<'a, S> {
     /// A load from here was refused before, and is not to be made again.
     pub(super) ignored_load: Option<u32>,
     pub(super) failure: Option<Unanswered>,
+    /// The access with which the run ended is made again then.
+    pub(super) waits_until_ns: Option<u64>,
 }
 
 impl<'a, S: Chip> Bus<'a, S> {
@@ -111,6 +113,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             protection,
             ignored_load: None,
             failure: None,
+            waits_until_ns: None,
         };
         bus.limit = bus.instructions();
         bus
@@ -159,10 +162,11 @@ impl<'a, S: Chip> Bus<'a, S> {
             return Ok(self.cpu.read(address, size, now_ns, self.active)?);
         }
         let memory = self.chip.memory();
-        if let Some(value) =
-            memory.locate(address).filter(|(region, _)| region.direct().read).and_then(|_| memory.read(address, size))
+        // Protection keeps the core from reading it by itself.
+        let direct = |region: &Region| region.direct().read && !region.has_hole(address, size.bytes());
+        if memory.locate(address).is_some_and(|(region, _)| direct(region))
+            && let Some(value) = memory.read(address, size)
         {
-            // Protection keeps the core from reading it by itself.
             return Ok(value);
         }
         self.chip.read(now_ns, address, size)
@@ -226,6 +230,11 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
                 self.refused = Some(Cause::Load { address });
                 Err(NoResult)
             }
+            Err(AccessError::Busy { until_ns }) => {
+                self.waits_until_ns = Some(until_ns);
+                self.limit = 0;
+                Err(NoResult)
+            }
             Err(AccessError::Unmodelled(cause)) => {
                 self.fail(access, false, now_ns, cause);
                 self.limit = 0;
@@ -256,6 +265,11 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
         match result {
             Ok(()) => {}
             Err(AccessError::Bus) => self.store_fault = true,
+            Err(AccessError::Busy { until_ns }) => {
+                self.waits_until_ns = Some(until_ns);
+                self.limit = 0;
+                return Err(NoResult);
+            }
             Err(AccessError::Unmodelled(cause)) => self.fail(access, true, now_ns, cause),
         }
         self.accessed(now_ns);

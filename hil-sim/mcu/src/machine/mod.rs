@@ -25,6 +25,7 @@ use crate::chip::Chip;
 use crate::context::ResetCause;
 use crate::cpu::take::{Failure, Taker, active, masks};
 use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Protection, Purpose, Register, Requests, Why};
+use crate::memory::{Bank, Region};
 use bus::Bus;
 use time::Instructions;
 
@@ -50,6 +51,8 @@ pub struct Machine<C, S> {
     settings: Settings,
     time: Instructions,
     sleep: Option<Sleep>,
+    /// The core waits for the bus, and takes no exceptions meanwhile.
+    waits_until_ns: Option<u64>,
     core_hz: u64,
     mapping_version: u32,
     code_version: u32,
@@ -87,6 +90,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             settings,
             time: Instructions::new(settings.instructions_per_second),
             sleep: None,
+            waits_until_ns: None,
             core_hz,
             mapping_version: chip.memory().mapping_version(),
             code_version: chip.memory().code_version(),
@@ -128,6 +132,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         let table = self.chip.vector_table();
         self.cpu.reset(now_ns, self.core_hz, table);
         self.sleep = None;
+        self.waits_until_ns = None;
         self.unfinished = false;
         self.follow_memory()?;
         let memory = self.chip.memory();
@@ -253,6 +258,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
             }
             if self.now_ns() >= t_ns {
                 return Ok(self.stopped(Reason::Time));
+            }
+            if let Some(until_ns) = self.waits_until_ns {
+                if until_ns > self.now_ns() {
+                    self.time.jump(self.next_event_ns().min(until_ns).clamp(self.now_ns(), t_ns));
+                    continue;
+                }
+                self.waits_until_ns = None;
             }
             if self.chip.is_halted() {
                 self.time.jump(self.next_event_ns().clamp(self.now_ns(), t_ns));
@@ -380,6 +392,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.runs += 1;
         let run = if self.stepping { self.core.step(&mut bus) } else { self.core.run(&mut bus) };
         let CoreStop { instructions, why } = run?;
+        let waits_until_ns = bus.waits_until_ns;
         let (store_fault, refused, failure) = (bus.store_fault, bus.refused.take(), bus.failure.take());
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
@@ -413,6 +426,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
             Why::Breakpoint(_) => self.take(|taker| taker.breakpoint().map(|()| false))?,
             Why::Svc => self.take(|taker| taker.supervisor_call().map(|()| false))?,
             Why::ExceptionReturn(exc_return) => self.take(|taker| taker.leave(exc_return))?,
+            Why::Fault(_) if waits_until_ns.is_some() => self.waits_until_ns = waits_until_ns,
+            Why::Fault(Fault::Fetch) if self.fetch_waits().is_some() => self.waits_until_ns = self.fetch_waits(),
             Why::Fault(fault) => {
                 let cause = match (fault, refused) {
                     (Fault::Load, Some(Cause::Load { address })) if self.ignores_bus_errors() => {
@@ -442,6 +457,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Reason::Observed { address }
     }
 
+    /// The flash that holds the next instruction is at work.
+    fn fetch_waits(&self) -> Option<u64> {
+        let pc = self.core.get(Register::Pc);
+        // A wide instruction may reach into another bank.
+        self.chip.fetch_waits_until_ns(pc).or_else(|| self.chip.fetch_waits_until_ns(pc.wrapping_add(2)))
+    }
+
     /// Execution from where code cannot be: an error of the program, or a restriction of this machine.
     fn fetch_fault(&self) -> Result<Cause, MachineError> {
         let pc = self.core.get(Register::Pc);
@@ -450,8 +472,15 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if self.protection.as_ref().is_some_and(refused) {
             return Ok(Cause::FetchViolation);
         }
+        let unreadable = |region: &Region| [pc, pc.wrapping_add(2)].iter().any(|at| region.has_hole(*at, 2));
         if let Some((region, _)) = self.chip.memory().locate(pc)
             && region.direct().read
+            && !unreadable(region)
+        {
+            return Err(self.processor_error(format!("execution from {:?} at {pc:#010x} is not modelled", region.bank)));
+        }
+        if let Some((region, _)) = self.chip.memory().locate(pc)
+            && region.bank == Bank::Storage
         {
             return Err(self.processor_error(format!("execution from {:?} at {pc:#010x} is not modelled", region.bank)));
         }

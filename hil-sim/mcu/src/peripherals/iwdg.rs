@@ -94,6 +94,13 @@ impl Iwdg {
         self.counter.is_some()
     }
 
+    /// Starts it: by its key, or by the option bytes (IWDG1_SW) at each reset.
+    pub fn start(&mut self, context: &mut Context<'_>) {
+        if self.counter.is_none() {
+            self.count_from(COUNT_AT_START, context.now_ns, context);
+        }
+    }
+
     /// LSI cycles per count.
     fn divider(&self) -> u64 {
         4 << self.prescaler.value.min(6)
@@ -108,8 +115,7 @@ impl Iwdg {
         self.unlocked = key == UNLOCK;
         match key {
             UNLOCK => {}
-            START if self.counter.is_none() => self.count_from(COUNT_AT_START, context.now_ns, context),
-            START => {}
+            START => self.start(context),
             REFRESH => {
                 let Some(counter) = self.counter else { return };
                 if counter.count(context.now_ns) > self.window.value {

@@ -5,11 +5,13 @@
 //! clock tree to everybody. DMA takes no time; what it waits for does.
 
 mod activity;
+mod cells;
 mod inspect;
 mod map;
 
 pub use activity::{Accesses, Activity};
 
+use cells::Cells;
 use map::Id;
 
 use crate::{
@@ -52,7 +54,7 @@ struct Devices<F> {
     gpio: Gpio,
     exti: Exti,
     syscfg: Syscfg,
-    flash: Flash<F>,
+    flash: Flash<Cells<F>>,
     iwdg: Iwdg,
     backup: Backup,
     dbgmcu: Dbgmcu,
@@ -73,7 +75,7 @@ struct Devices<F> {
 }
 
 impl<F: FlashCells> Devices<F> {
-    fn new(oscillators: Oscillators, cells: F) -> Self {
+    fn new(oscillators: Oscillators, cells: Cells<F>) -> Self {
         Self {
             rcc: Rcc::new(oscillators),
             pwr: Pwr::new(),
@@ -188,6 +190,9 @@ const PERIPHERALS: u32 = 0x4000_0000;
 const DOMAIN_3: u32 = 0x3800_0000;
 /// Peripherals that see pins.
 const EXTI: usize = Id::Exti as usize;
+const FLASH: usize = Id::Flash as usize;
+/// What the processor reads directly of each bank.
+const FLASH_BANKS: [(usize, Bank); 2] = [(0, Bank::Flash1), (1, Bank::Flash2)];
 const TIM1: usize = Id::Tim1 as usize;
 const TIM17: usize = Id::Tim17 as usize;
 /// Places for blocks that are known to have their clock.
@@ -197,15 +202,17 @@ const NO_BLOCK: u32 = u32::MAX;
 const MISUSE_KEPT: usize = 1000;
 
 impl<O: Outside, F: FlashCells> Soc<O, F> {
-    /// A chip that power has just come to, with erased flash but for what `cells` hold in bank 2's last four sectors.
+    /// A chip that power has just come to, with erased flash but for what `cells` hold in bank 2's last four sectors: they are
+    /// asked for nothing else.
     #[must_use]
     pub fn new(outside: O, oscillators: Oscillators, cells: F) -> Self {
-        let devices = Devices::new(oscillators, cells);
+        let memory = Memory::new();
+        let devices = Devices::new(oscillators, Cells::new(&memory, cells));
         let mut soc = Self {
             clocks: devices.rcc.clocks(),
             devices,
             outside,
-            memory: Memory::new(),
+            memory,
             map: map::AddressMap::new(),
             bases: map::bases(),
             now_ns: 0,
@@ -371,6 +378,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     fn bus_access(&mut self, beat: dma::Beat) -> Result<u32, dma::BusError> {
         if let Some((region, _)) = self.memory.locate(beat.address) {
             let bank = region.bank;
+            let in_bank = usize::from(bank != Bank::Flash1);
+            if bank.is_flash() && self.devices.flash.busy_until_ns(in_bank).is_some() {
+                let what = format!("DMA reads {:#010x} while the bank programs or erases: it would wait", beat.address);
+                self.unmodelled = self.unmodelled.take().or(Some(Unmodelled { peripheral: "FLASH", what }));
+                return Err(dma::BusError);
+            }
             if !bank.on_bus() || !self.memory.is_enabled(bank) || bank == Bank::Storage {
                 let at_ns = self.now_ns;
                 let what = format!("DMA cannot reach {bank:?} at {:#010x} (RM0399, 2.1; 9.5)", beat.address);
@@ -416,6 +429,20 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     fn update_memory_clocks(&mut self) {
         for bank in [Bank::Sram1, Bank::Sram2, Bank::Sram3, Bank::Backup] {
             self.memory.set_enabled(bank, self.devices.rcc.is_enabled(bank.span().0));
+        }
+    }
+
+    /// What the flash has become, and whether it can be read, after an access to it or an event in it.
+    fn follow_flash(&mut self) {
+        let flash = &mut self.devices.flash;
+        if flash.cells.take_changed() {
+            for (number, bank) in FLASH_BANKS {
+                self.memory.set_holes(bank, flash.cells.holes(number));
+            }
+            self.memory.code_changed();
+        }
+        for (number, bank) in FLASH_BANKS {
+            self.memory.set_enabled(bank, flash.busy_until_ns(number).is_none());
         }
     }
 
@@ -574,8 +601,8 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn read(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
         if let Some((region, _)) = self.memory.locate(address) {
-            let bank = region.bank;
-            return if bank == Bank::Storage { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
+            let is_flash = region.bank.is_flash();
+            return if is_flash { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
         }
         let (value, _) =
             self.access(now_ns, address, false, |device, offset, context| device.read(offset, size, context))?;
@@ -593,6 +620,9 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         let ((), id) = self.access(now_ns, address, true, write)?;
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();
+        }
+        if id == FLASH {
+            self.follow_flash();
         }
         if id == EXTI && Exti::chooses(address & 0x3FF) || id == Id::Syscfg as usize {
             self.update_watched();
@@ -633,8 +663,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
                 if self.next_ns[id] <= self.now_ns {
                     self.activity.advanced(id);
                     self.with(id, |device, context| device.advance(context));
-                    if id == Id::Rcc as usize || id == Id::Pwr as usize {
+                    if id == Id::Rcc as usize || id == Id::Pwr as usize || id == FLASH {
                         self.link_power();
+                    }
+                    if id == FLASH {
+                        self.follow_flash();
                     }
                 }
             }
@@ -685,6 +718,10 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         self.sources.clear();
         self.follow_clocks();
         self.link_power();
+        self.follow_flash();
+        if self.devices.flash.starts_watchdog() {
+            self.call(Id::Iwdg as usize, |devices, context| devices.iwdg.start(context));
+        }
         self.update_watched();
         self.settle();
     }
@@ -695,6 +732,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn nmi(&self) -> bool {
         self.nmi
+    }
+
+    fn fetch_waits_until_ns(&self, address: u32) -> Option<u64> {
+        let (region, _) = self.memory.locate(address).filter(|(region, _)| region.bank.is_flash())?;
+        self.devices.flash.busy_until_ns(usize::from(region.bank != Bank::Flash1))
     }
 
     fn is_halted(&self) -> bool {
@@ -717,16 +759,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.settle();
         result.map_err(|error| match error {
             LoadError::Ecc | LoadError::Outside => AccessError::Bus,
-            LoadError::Busy { until_ns } => {
-                let what = format!("a read of a bank that programs or erases until {until_ns} ns would halt the core");
-                Unmodelled { peripheral: "FLASH", what }.into()
-            }
+            LoadError::Busy { until_ns } => AccessError::Busy { until_ns },
         })
     }
 
     fn program_flash(&mut self, now_ns: u64, address: u32, size: Size, value: u32) -> Result<(), AccessError> {
         self.advance(now_ns);
-        self.call(Id::Flash as usize, |devices, context| devices.flash.store(address, size, value, context));
+        self.call(FLASH, |devices, context| devices.flash.store(address, size, value, context));
+        self.follow_flash();
         self.settle();
         Ok(())
     }

@@ -67,8 +67,8 @@ impl State {
         bus: &mut dyn CoreBus,
     ) -> Result<(), Fault> {
         let bytes = size.bytes() as usize;
-        if self.memory.store_code(address, &value.to_le_bytes()[..bytes]).is_some() {
-            if self.changeable {
+        if let Some(decoded) = self.memory.store_code(address, &value.to_le_bytes()[..bytes]) {
+            if decoded {
                 self.set_stale();
             }
             return Ok(());

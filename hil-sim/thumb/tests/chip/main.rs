@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
 mod faults;
+mod flash;
 mod protection;
 
 use r4_mcu::cpu::{Core, Register};

@@ -120,7 +120,7 @@ impl Bank {
         self.flags &= !(flags & FLAGS);
     }
 
-    pub(super) fn write_cr(&mut self, value: u32, runs_here: bool, context: &mut Context<'_>) {
+    pub(super) fn write_cr(&mut self, value: u32, context: &mut Context<'_>) {
         if self.cr & LOCK != 0 {
             if (value ^ self.cr) & CR_WRITABLE != 0 {
                 context.misuse("FLASH", "CR is written while it is locked; the chip ignores it (RM0399, 4.5.1)");
@@ -141,7 +141,7 @@ impl Bank {
             self.force(context.now_ns);
         }
         if value & START != 0 {
-            self.start_erase(runs_here, context);
+            self.start_erase(context.now_ns);
         }
     }
 
@@ -153,7 +153,7 @@ impl Bank {
         }
     }
 
-    fn start_erase(&mut self, runs_here: bool, context: &mut Context<'_>) {
+    fn start_erase(&mut self, now_ns: u64) {
         let size = (self.cr >> 4 & 3) as usize;
         let (first, words, takes_ns) = if self.cr & BER != 0 {
             (self.base, BANK_WORDS, ERASE_BANK_NS[size])
@@ -167,13 +167,7 @@ impl Bank {
             self.flags |= PGSERR;
             return;
         }
-        if runs_here {
-            context.misuse(
-                "FLASH",
-                "an erase of the bank that the code is in: the core stands still until it ends (RM0399, 4.3.11)",
-            );
-        }
-        self.enqueue(Operation { step: Step::Erase, first, words, takes_ns, ends_ns: 0 }, context.now_ns);
+        self.enqueue(Operation { step: Step::Erase, first, words, takes_ns, ends_ns: 0 }, now_ns);
     }
 
     fn start_program(&mut self, buffer: Buffer, now_ns: u64) {
@@ -188,17 +182,11 @@ impl Bank {
     }
 
     /// A store of the core: `word` in the bank, `at` in the word.
-    pub(super) fn store(&mut self, word: u32, at: usize, bytes: &[u8], runs_here: bool, context: &mut Context<'_>) {
+    pub(super) fn store(&mut self, word: u32, at: usize, bytes: &[u8], context: &mut Context<'_>) {
         let erasing = self.cr & (SER | BER) != 0;
         if self.cr & LOCK != 0 || self.cr & PG == 0 || erasing || self.flags & PROGRAM_ERRORS != 0 {
             self.flags |= PGSERR;
             return;
-        }
-        if runs_here {
-            context.misuse(
-                "FLASH",
-                "programming in the bank that the code is in: the core stands still meanwhile (RM0399, 4.3.11)",
-            );
         }
         if self.queue.len() > 1 {
             context.misuse(

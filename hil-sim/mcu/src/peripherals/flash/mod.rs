@@ -2,9 +2,14 @@
 //!
 //! Programming and erasing take the typical times of DS12930 for the parallelism chosen by PSIZE. Stores of the core come
 //! through [`Flash::store`], reads through [`Flash::load`]. Reading a bank that is at work waits on the chip:
-//! [`LoadError::Busy`] says until when, and the caller lets that time pass. SR is read-only, as in the manual (flags are
-//! cleared by CCR); a write to it does nothing. Not modelled: option byte changes, protections (read-out, PCROP, secure
-//! areas, write protection), CRC, bank swap; their registers end the run.
+//! [`LoadError::Busy`] says until when, and the caller lets that time pass; so do fetches, wherefore a program that erases the
+//! bank it is in stands still, and one that erases itself then meets ones. SR is read-only, as in the manual (flags are
+//! cleared by CCR); a write to it does nothing.
+//!
+//! **Option bytes** (4.4): OPTSR_PRG is unlocked by OPTKEYR and goes into force by OPTCR.OPTSTART, which takes 100 ms (the manual
+//! gives no time; this is only so that a program has to wait). Of its bits the brown-out level and the watchdog's hardware mode
+//! do something; bank swap, read-out protection, security and other boot settings end the run. Not modelled either: write
+//! protection, PCROP and secure areas, CRC, mass erase (OPTCR.MER); their registers and bits end the run.
 
 mod bank;
 mod cells;
@@ -29,9 +34,11 @@ pub const BASE: u32 = 0x0800_0000;
 pub const BYTES: u32 = 2 * BANK_WORDS * WORD_BYTES as u32;
 
 const ACR: u32 = 0x00;
+const OPTKEYR: u32 = 0x08;
 const OPTCR: u32 = 0x18;
 const OPTSR_CUR: u32 = 0x1C;
 const OPTSR_PRG: u32 = 0x20;
+const OPTCCR: u32 = 0x24;
 const BANK_2: u32 = 0x100;
 /// Within a bank.
 const KEYR: u32 = 0x04;
@@ -44,6 +51,16 @@ const ECC_FA: u32 = 0x60;
 /// As the Arduino Giga is delivered: RDP level 0, the Cortex-M7 boots and the Cortex-M4 does not, software watchdogs, banks
 /// not swapped.
 const OPTIONS: u32 = 0x0B86_AAF0;
+const OPTION_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
+const OPTION_NS: u64 = 100_000_000;
+/// OPTCR.
+const OPTLOCK: u32 = 1;
+const OPTSTART: u32 = 1 << 1;
+/// OPTSR: OPT_BUSY, which is not programmed; what can be changed here: BOR_LEV, IWDG1_SW and IWDG2_SW, and resets, freezes and I/O
+/// speed, which have no meaning without low-power modes.
+const OPT_BUSY: u32 = 1;
+const CHANGEABLE: u32 = 0b11 << 2 | 0b1111 << 4 | 0b11 << 17 | 0b11 << 24 | 1 << 29;
+const IWDG1_SW: u32 = 1 << 4;
 /// LATENCY 7, WRHIGHFREQ 3.
 const ACR_AT_RESET: u32 = 0x37;
 
@@ -69,34 +86,48 @@ pub struct Flash<C> {
     pub cells: C,
     acr: u32,
     banks: [Bank; 2],
-    /// The bank that the core's code is in.
-    running_bank: Option<usize>,
     conditions: (u64, VoltageScale),
-    /// OPTSR.
+    /// OPTSR_CUR, and OPTSR_PRG.
     options: u32,
+    options_next: u32,
+    /// How many of the keys were given; `None` after a wrong one, until a reset.
+    option_keys: Option<usize>,
+    options_unlocked: bool,
+    /// When the change is in force.
+    options_at_ns: u64,
     raised: bool,
     power_lost: bool,
 }
 
 impl<C: FlashCells> Flash<C> {
-    /// After a reset; code is in bank 1.
+    /// After a reset.
     #[must_use]
     pub fn new(cells: C) -> Self {
         Self {
             cells,
             acr: ACR_AT_RESET,
             banks: [Bank::new(0), Bank::new(1)],
-            running_bank: Some(0),
             conditions: (0, VoltageScale::Vos3),
             options: OPTIONS,
+            options_next: OPTIONS,
+            option_keys: Some(0),
+            options_unlocked: false,
+            options_at_ns: u64::MAX,
             raised: false,
             power_lost: false,
         }
     }
 
-    /// Says in which bank (0, 1) the core's code is, if it is in the flash.
-    pub fn set_running_bank(&mut self, bank: Option<usize>) {
-        self.running_bank = bank;
+    /// Until when bank 0 or 1 programs or erases, and cannot be read.
+    #[must_use]
+    pub fn busy_until_ns(&self, bank: usize) -> Option<u64> {
+        self.banks.get(bank).map(Bank::busy_until_ns).filter(|until_ns| *until_ns != u64::MAX)
+    }
+
+    /// IWDG1_SW is cleared: the watchdog runs from each reset on.
+    #[must_use]
+    pub fn starts_watchdog(&self) -> bool {
+        self.options & IWDG1_SW == 0
     }
 
     /// BOR_LEV of the option bytes in force, 0 to 3.
@@ -107,7 +138,59 @@ impl<C: FlashCells> Flash<C> {
 
     /// The option bytes (OPTSR) as a programmer has left them.
     pub fn set_options(&mut self, options: u32) {
-        self.options = options;
+        (self.options, self.options_next) = (options, options);
+    }
+
+    fn write_option_key(&mut self, key: u32, context: &mut Context<'_>) {
+        self.option_keys = match self.option_keys {
+            Some(given) if !self.options_unlocked && OPTION_KEYS.get(given) == Some(&key) => Some(given + 1),
+            _ => {
+                let what = "a wrong key: option bytes stay locked until a reset (RM0399, 4.5.1)";
+                context.misuse("FLASH", what);
+                self.options_unlocked = false;
+                None
+            }
+        };
+        if self.option_keys == Some(OPTION_KEYS.len()) {
+            (self.options_unlocked, self.option_keys) = (true, Some(0));
+        }
+    }
+
+    fn write_option_control(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
+        let refuse = |what: &str| Err(Unmodelled { peripheral: "FLASH", what: what.into() });
+        if !self.options_unlocked {
+            if value & !OPTLOCK != 0 {
+                let what = "OPTCR is written while it is locked; the chip ignores it (RM0399, 4.5.1)";
+                context.misuse("FLASH", what);
+            }
+            return Ok(());
+        }
+        if value & 1 << 4 != 0 {
+            return refuse("the erase of both banks (OPTCR.MER)");
+        }
+        if value & 1 << 30 != 0 {
+            return refuse("the interrupt of option bytes (OPTCR.OPTCHANGEERRIE)");
+        }
+        if value & OPTSTART != 0 && self.options_at_ns == u64::MAX {
+            self.options_at_ns = context.now_ns + OPTION_NS;
+        }
+        self.options_unlocked = value & OPTLOCK == 0;
+        Ok(())
+    }
+
+    fn write_options(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
+        if !self.options_unlocked {
+            let what = "OPTSR_PRG is written while OPTCR is locked; the chip ignores it (RM0399, 4.4.3)";
+            context.misuse("FLASH", what);
+            return Ok(());
+        }
+        let refused = (value ^ self.options_next) & !(CHANGEABLE | OPT_BUSY);
+        if refused != 0 {
+            let what = format!("option bytes {refused:#010x} of OPTSR_PRG (bank swap, protection or boot settings)");
+            return Err(Unmodelled { peripheral: "FLASH", what });
+        }
+        self.options_next = value & !OPT_BUSY;
+        Ok(())
     }
 
     /// Whether the cells told that the power went during a step. The chip is off then, and nobody should run it.
@@ -179,7 +262,7 @@ impl<C: FlashCells> Flash<C> {
         self.advance(context);
         let Some((number, word, at)) = Self::locate(address) else { return };
         let bytes = &value.to_le_bytes()[..size.bytes() as usize];
-        self.banks[number].store(word, at, bytes, self.running_bank == Some(number), context);
+        self.banks[number].store(word, at, bytes, context);
         self.raise(context);
     }
 
@@ -203,9 +286,11 @@ impl<C: FlashCells> Flash<C> {
             CR => Some(bank.cr),
             SR => Some(bank.status()),
             ECC_FA => Some(bank.fault_word),
-            // Option bytes are locked, no sector is protected.
-            OPTCR => Some(1),
-            OPTSR_CUR | OPTSR_PRG => Some(self.options),
+            OPTKEYR | OPTCCR => Some(0),
+            OPTCR => Some(u32::from(!self.options_unlocked)),
+            OPTSR_CUR => Some(self.options | u32::from(self.options_at_ns != u64::MAX)),
+            OPTSR_PRG => Some(self.options_next),
+            // No sector is protected.
             WPSN_CUR => Some(0xFF),
             _ => None,
         }
@@ -224,7 +309,6 @@ impl<C: FlashCells> Peripheral for Flash<C> {
         self.advance(context);
         let (number, at) = Self::split(offset);
         let bank = &mut self.banks[number];
-        let runs_here = self.running_bank == Some(number);
         match at {
             ACR => {
                 self.acr = merged(self.acr, offset, size, value) & 0x3F;
@@ -234,12 +318,17 @@ impl<C: FlashCells> Peripheral for Flash<C> {
             CR if merged(0, offset, size, value) & bank::CRC_EN != 0 => {
                 return Err(Unmodelled { peripheral: "FLASH", what: "the CRC unit (CR.CRC_EN)".into() });
             }
-            CR => bank.write_cr(merged(bank.cr, offset, size, value), runs_here, context),
+            CR => bank.write_cr(merged(bank.cr, offset, size, value), context),
             SR => {}
             CCR => bank.clear(merged(0, offset, size, value)),
-            OPTCR | OPTSR_PRG => {
-                return Err(Unmodelled { peripheral: "FLASH", what: "changing option bytes".into() });
+            OPTKEYR => self.write_option_key(value, context),
+            OPTCR => {
+                let before = u32::from(!self.options_unlocked);
+                self.write_option_control(merged(before, offset, size, value), context)?;
             }
+            OPTSR_PRG => self.write_options(merged(self.options_next, offset, size, value), context)?,
+            // It clears OPTCHANGEERR, which is never set.
+            OPTCCR => {}
             _ => return Err(Unmodelled::register("FLASH", offset)),
         }
         self.raise(context);
@@ -247,7 +336,8 @@ impl<C: FlashCells> Peripheral for Flash<C> {
     }
 
     fn next_event_ns(&self) -> u64 {
-        if self.power_lost { u64::MAX } else { self.banks[0].busy_until_ns().min(self.banks[1].busy_until_ns()) }
+        let banks_ns = self.banks[0].busy_until_ns().min(self.banks[1].busy_until_ns());
+        if self.power_lost { u64::MAX } else { banks_ns.min(self.options_at_ns) }
     }
 
     fn advance(&mut self, context: &mut Context<'_>) {
@@ -256,6 +346,9 @@ impl<C: FlashCells> Peripheral for Flash<C> {
         }
         for bank in &mut self.banks {
             self.power_lost |= bank.advance(&mut self.cells, context).is_err();
+        }
+        if self.options_at_ns <= context.now_ns {
+            (self.options, self.options_at_ns) = (self.options_next, u64::MAX);
         }
         self.raise(context);
     }
@@ -267,6 +360,9 @@ impl<C: FlashCells> Peripheral for Flash<C> {
             bank.reset(&mut self.cells);
         }
         (self.acr, self.power_lost) = (ACR_AT_RESET, false);
+        // A change that was not finished is none.
+        (self.options_next, self.options_at_ns) = (self.options, u64::MAX);
+        (self.option_keys, self.options_unlocked) = (Some(0), false);
         self.raise(context);
     }
 }

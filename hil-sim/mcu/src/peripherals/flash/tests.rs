@@ -169,14 +169,6 @@ fn a_wrong_key_locks_until_a_reset() {
 }
 
 #[test]
-fn erasing_where_the_code_is_is_misuse() {
-    let (mut flash, mut bench) = unlocked();
-    flash.set_running_bank(Some(1));
-    bench.write(&mut flash, CR2, X64 | ERASE_SECTOR_4);
-    assert_eq!(bench.take_misuse().len(), 1);
-}
-
-#[test]
 fn a_reset_during_an_erase_leaves_nothing_that_can_be_trusted() {
     let (mut flash, mut bench) = unlocked();
     flash.cells.load(SECTOR - BASE, &[1; 64]);
@@ -230,11 +222,65 @@ fn too_few_wait_states_are_misuse() {
     assert!(bench.take_misuse()[0].contains("needed are Some((4, 2))"));
 }
 
+/// BOR_LEV 3 and the hardware watchdog.
+const OTHER_OPTIONS: u32 = OPTIONS & !IWDG1_SW | 0b11 << 2;
+
 #[test]
-fn option_bytes_are_those_of_a_giga_and_cannot_be_changed() {
+fn option_bytes_are_those_of_a_giga_and_change_by_keys_and_a_start() {
     let (mut flash, mut bench) = unlocked();
-    assert_eq!(bench.read(&mut flash, OPTSR_CUR), 0x0B86_AAF0);
-    assert!(bench.try_write(&mut flash, 0x08, Size::Word, 0x0819_2A3B).is_err());
-    assert!(bench.try_write(&mut flash, OPTSR_PRG, Size::Word, 0).is_err());
-    assert!(bench.try_write(&mut flash, CR2, Size::Word, X64 | CRC_EN).is_err());
+    assert_eq!((bench.read(&mut flash, OPTSR_CUR), bench.read(&mut flash, OPTCR)), (0x0B86_AAF0, OPTLOCK));
+    bench.write(&mut flash, OPTSR_PRG, OTHER_OPTIONS);
+    bench.write(&mut flash, OPTCR, OPTSTART);
+    assert_eq!(bench.take_misuse().len(), 2, "locked");
+    for key in OPTION_KEYS {
+        bench.write(&mut flash, OPTKEYR, key);
+    }
+    bench.write(&mut flash, OPTSR_PRG, OTHER_OPTIONS);
+    bench.write(&mut flash, OPTCR, OPTSTART);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS | OPT_BUSY);
+    bench.run(&mut flash, bench.now_ns + OPTION_NS);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OTHER_OPTIONS);
+    assert_eq!((flash.brown_out_level(), flash.starts_watchdog()), (3, true));
+    bench.write(&mut flash, OPTCR, OPTLOCK);
+    assert_eq!(bench.read(&mut flash, OPTCR), OPTLOCK);
+    flash.reset(&mut bench.context());
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OTHER_OPTIONS, "they stay");
+    bench.assert_no_misuse();
+}
+
+#[test]
+fn a_wrong_option_key_and_a_change_that_a_reset_interrupts_change_nothing() {
+    let (mut flash, mut bench) = unlocked();
+    for key in [OPTION_KEYS[0], 1, OPTION_KEYS[0], OPTION_KEYS[1]] {
+        bench.write(&mut flash, OPTKEYR, key);
+    }
+    assert_eq!((bench.read(&mut flash, OPTCR), bench.take_misuse().len()), (OPTLOCK, 3));
+    flash.reset(&mut bench.context());
+    for key in OPTION_KEYS {
+        bench.write(&mut flash, OPTKEYR, key);
+    }
+    bench.write(&mut flash, OPTSR_PRG, OTHER_OPTIONS);
+    bench.write(&mut flash, OPTCR, OPTSTART);
+    bench.run(&mut flash, bench.now_ns + OPTION_NS - 1);
+    flash.reset(&mut bench.context());
+    bench.run(&mut flash, bench.now_ns + OPTION_NS);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS);
+}
+
+#[test]
+fn what_is_not_modelled_of_the_flash_ends_the_run() {
+    let (mut flash, mut bench) = unlocked();
+    for key in OPTION_KEYS {
+        bench.write(&mut flash, OPTKEYR, key);
+    }
+    // Swap, read-out protection, the other core's boot; mass erase; CRC.
+    for (at, value) in [
+        (OPTSR_PRG, OPTIONS ^ 1 << 31),
+        (OPTSR_PRG, OPTIONS ^ 1 << 8),
+        (OPTSR_PRG, OPTIONS ^ 1 << 22),
+        (OPTCR, 1 << 4),
+        (CR2, X64 | CRC_EN),
+    ] {
+        assert!(bench.try_write(&mut flash, at, Size::Word, value).is_err(), "{at:#x} {value:#x}");
+    }
 }
