@@ -69,6 +69,12 @@ pub trait Chip {
         false
     }
 
+    /// Until when loads from an address give the same again and change nothing, if nothing is stored; at most
+    /// [`Chip::next_event_ns`]. `None` where that is not known.
+    fn stable_until_ns(&self, _now_ns: u64, _address: u32) -> Option<u64> {
+        None
+    }
+
     /// Until when a fetch of an instruction from here waits.
     fn fetch_waits_until_ns(&self, _address: u32) -> Option<u64> {
         None

@@ -388,7 +388,7 @@ mod tests {
     fn a_hole_is_told_by_any_byte_of_it() {
         let memory = Memory::new();
         let before = memory.mapping_version();
-        memory.set_holes(Bank::Flash1, vec![0x0800_0020..0x0800_0040]);
+        memory.set_holes(Bank::Flash1, vec![0x0800_0020..0x0800_0030, 0x0800_0030..0x0800_0040]);
         assert_ne!(memory.mapping_version(), before);
         let flash = memory.region(Bank::Flash1);
         assert!(!flash.has_hole(0x0800_001C, 4) && flash.has_hole(0x0800_001E, 4));

@@ -65,6 +65,12 @@ pub trait Peripheral {
         u64::MAX
     }
 
+    /// Until when reads of a register give the same again and change nothing, if nothing is written and no pin changes: at most
+    /// [`Peripheral::next_event_ns`]. `None` where that is not known.
+    fn stable_until_ns(&self, _offset: u32, _now_ns: u64) -> Option<u64> {
+        None
+    }
+
     /// Brings it to `context.now_ns`.
     fn advance(&mut self, _context: &mut Context<'_>) {}
 

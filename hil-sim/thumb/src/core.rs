@@ -6,6 +6,7 @@ use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Protection, Registe
 use crate::blocks::{Block, Blocks};
 use crate::decode::What;
 use crate::execute::execute;
+use crate::operation::Op;
 use crate::state::State;
 
 /// A Cortex-M7 by an interpreter.
@@ -214,6 +215,14 @@ impl Core for ThumbCore {
         self.begin(bus);
         let why = self.one(bus);
         self.finish(why)
+    }
+
+    fn only_looks(&self) -> bool {
+        let number = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
+        let block = number.and_then(|number| self.blocks.by_number(number));
+        // What follows in its stretch is another block, before which limits are looked at.
+        let own = |op: &&Op| !matches!(op, Op::Onward { .. });
+        block.is_some_and(|block| self.blocks.ops(block).iter().take_while(own).all(Op::only_looks))
     }
 
     fn is_within_block(&self) -> bool {

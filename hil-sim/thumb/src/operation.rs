@@ -764,5 +764,38 @@ pub(crate) enum Op {
     FloatUndefined,
 }
 
+impl Op {
+    /// Loads, computes or branches, and nothing else.
+    pub(crate) fn only_looks(&self) -> bool {
+        !matches!(
+            self,
+            Self::Str { .. }
+                | Self::Strb { .. }
+                | Self::Strh { .. }
+                | Self::StrBy { .. }
+                | Self::StrbBy { .. }
+                | Self::StrhBy { .. }
+                | Self::Strd { .. }
+                | Self::Stm { .. }
+                | Self::Push { .. }
+                | Self::Ldrex { .. }
+                | Self::Strex { .. }
+                | Self::Clrex
+                | Self::Msr { .. }
+                | Self::Cps { .. }
+                | Self::Wfi
+                | Self::Wfe
+                | Self::Yield
+                | Self::Sev
+                | Self::Svc
+                | Self::Bkpt { .. }
+                | Self::Undefined
+                | Self::NoCoprocessor
+                | Self::Float { .. }
+                | Self::FloatUndefined
+        )
+    }
+}
+
 /// Small, as there are many, and they are read one after the other.
 const _: () = assert!(size_of::<Op>() == 8);

@@ -221,6 +221,12 @@ pub trait Core {
     /// The backend's.
     fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
 
+    /// Everything from PC to the end of the block loads, computes and branches, and does nothing else. A core that does not know
+    /// says no.
+    fn only_looks(&self) -> bool {
+        false
+    }
+
     /// The last run stopped within a block of instructions: some of it were executed, and some not.
     fn is_within_block(&self) -> bool;
 }

@@ -1,6 +1,7 @@
 //! What the core's accesses reach: the private peripheral bus, and the chip.
 
 use super::error::MachineError;
+use super::poll::Polls;
 use super::time::Instructions;
 use crate::chip::{AccessError, Chip};
 use crate::cpu::{Access, Cause, CoreBus, Limits, Masks, NoResult, Processor, Protection, Purpose};
@@ -75,6 +76,11 @@ pub(super) struct Bus<'a, S> {
     /// A load from here was refused before, and is not to be made again.
     pub(super) ignored_load: Option<u32>,
     pub(super) failure: Option<Unanswered>,
+    /// One block, and no more: what it reads is told in `reads`.
+    pub(super) one_block: bool,
+    pub(super) reads: Vec<u32>,
+    pub(super) wrote: bool,
+    pub(super) polls: &'a mut Polls,
     /// The access with which the run ended is made again then.
     pub(super) waits_until_ns: Option<u64>,
 }
@@ -91,6 +97,7 @@ impl<'a, S: Chip> Bus<'a, S> {
         core_hz: &'a mut u64,
         mapping_version: &'a mut u32,
         protection: Option<&'a Protection>,
+        polls: &'a mut Polls,
     ) -> Self {
         let (code_version, exceptions_version) = (chip.memory().code_version(), cpu.exceptions.version());
         let mut bus = Self {
@@ -113,6 +120,10 @@ impl<'a, S: Chip> Bus<'a, S> {
             protection,
             ignored_load: None,
             failure: None,
+            one_block: false,
+            reads: Vec::new(),
+            wrote: false,
+            polls,
             waits_until_ns: None,
         };
         bus.limit = bus.instructions();
@@ -125,6 +136,7 @@ impl<'a, S: Chip> Bus<'a, S> {
         let newly_pending = self.exceptions_version != self.cpu.exceptions.version()
             && self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let now = self.failure.is_some()
+            || self.polls.suspected()
             || self.store_fault
             || newly_pending
             || requests.reset
@@ -223,9 +235,17 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
                 Ok(value | self.read_one(at, Size::Byte, now_ns)? << (8 * byte))
             })
         };
+        if let Ok(value) = result {
+            self.polls.read((access.pc, address, value));
+        }
         self.accessed(now_ns);
         match result {
-            Ok(value) => Ok(value),
+            Ok(value) => {
+                if self.one_block {
+                    self.reads.push(address);
+                }
+                Ok(value)
+            }
             Err(AccessError::Bus) => {
                 self.refused = Some(Cause::Load { address });
                 Err(NoResult)
@@ -248,6 +268,8 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
             return Ok(());
         }
         self.check(access, Purpose::Store)?;
+        self.wrote = true;
+        self.polls.wrote();
         let Access { address, size, instructions, .. } = *access;
         let now_ns = self.time.after_ns(instructions);
         let unaligned = address & (size.bytes() - 1) != 0;
@@ -279,6 +301,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
     fn limits(&self) -> Limits {
         // Up to the next block is at least one instruction.
         let instructions = if self.rest_of_block { 1 } else { self.limit };
+        let instructions = if self.one_block { instructions.min(1) } else { instructions };
         Limits { instructions, mask_changes: self.watch_masks }
     }
 

@@ -13,12 +13,14 @@ pub struct Settings {
     pub instructions_per_second: u64,
     /// BKPT ends a run ([`Reason::Breakpoint`]), as with a debugger; without, it is the program's HardFault.
     pub stop_at_breakpoints: bool,
+    /// Loops that look at registers until something happens are not executed again and again. No result depends on it.
+    pub leave_out_polling: bool,
 }
 
 impl Default for Settings {
     /// One instruction every two cycles of a 480 MHz core; no debugger.
     fn default() -> Self {
-        Self { instructions_per_second: 240_000_000, stop_at_breakpoints: false }
+        Self { instructions_per_second: 240_000_000, stop_at_breakpoints: false, leave_out_polling: true }
     }
 }
 

@@ -11,6 +11,7 @@
 mod bus;
 mod debugger;
 mod error;
+mod poll;
 mod profile;
 mod symbols;
 mod time;
@@ -27,6 +28,7 @@ use crate::cpu::take::{Failure, Taker, active, masks};
 use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Protection, Purpose, Register, Requests, Why};
 use crate::memory::{Bank, Region};
 use bus::Bus;
+use poll::{OneBlock, Polls};
 use time::Instructions;
 
 /// Times around the loop at one moment, before that is an error: far more than nested exceptions can need.
@@ -72,6 +74,8 @@ pub struct Machine<C, S> {
     told: Option<u32>,
     /// What the memory protection unit allows, while it is on.
     protection: Option<Protection>,
+    polls: Polls,
+    one_block: OneBlock,
     /// A load that was refused, and whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
     runs: u64,
@@ -105,6 +109,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
             observed: Vec::new(),
             told: None,
             protection: None,
+            polls: Polls::new(settings.leave_out_polling),
+            one_block: OneBlock::default(),
             ignored_load: None,
             runs: 0,
             core,
@@ -286,6 +292,14 @@ impl<C: Core, S: Chip> Machine<C, S> {
                     return Ok(self.stopped(Reason::Stepped));
                 }
             }
+            if self.polls.suspected() {
+                // Who steps or observes is told of each instruction.
+                if !self.stepping && self.observed.is_empty() {
+                    self.leave_out_polling(t_ns)?;
+                    continue;
+                }
+                self.polls.wrote();
+            }
             if let Some(reason) = self.execute(t_ns)? {
                 return Ok(self.stopped(reason));
             }
@@ -385,7 +399,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
             &mut self.core_hz,
             &mut self.mapping_version,
             self.protection.as_ref(),
+            &mut self.polls,
         );
+        bus.one_block = self.one_block.is_on();
         bus.watch_masks = masked;
         bus.rest_of_block = std::mem::take(&mut self.unfinished);
         bus.ignored_load = self.ignored_load.take();
@@ -393,6 +409,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         let run = if self.stepping { self.core.step(&mut bus) } else { self.core.run(&mut bus) };
         let CoreStop { instructions, why } = run?;
         let waits_until_ns = bus.waits_until_ns;
+        let (reads, wrote) = (std::mem::take(&mut bus.reads), bus.wrote);
         let (store_fault, refused, failure) = (bus.store_fault, bus.refused.take(), bus.failure.take());
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
@@ -402,6 +419,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.time.execute(instructions);
         if let Some(profile) = &mut self.profile {
             profile.executed(executing, instructions);
+        }
+        if self.one_block.is_on() {
+            self.one_block.executed(&reads, why == Why::Limit && !wrote && !store_fault);
         }
         self.unfinished = why == Why::Observed && self.core.is_within_block();
         if store_fault && self.ignores_bus_errors() {

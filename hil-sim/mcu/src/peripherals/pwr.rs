@@ -347,6 +347,12 @@ impl Peripheral for Pwr {
         settled_ns.min(change_ns).min(self.supply.held_until_ns.unwrap_or(u64::MAX))
     }
 
+    fn stable_until_ns(&self, _: u32, now_ns: u64) -> Option<u64> {
+        // The supply's first settling is no event.
+        let settled_ns = if now_ns < self.settled_ns { self.settled_ns } else { u64::MAX };
+        Some(self.next_event_ns().min(settled_ns))
+    }
+
     fn advance(&mut self, context: &mut Context<'_>) {
         self.seen |= context.now_ns >= self.settled_ns;
         self.follow_supply(context);

@@ -103,6 +103,21 @@ impl<F: FlashCells> Devices<F> {
         }
     }
 
+    /// [`Peripheral::stable_until_ns`] of the peripherals that know it.
+    fn stable_until_ns(&self, id: usize, offset: u32, now_ns: u64) -> Option<u64> {
+        const USART: usize = Id::Usart1 as usize;
+        const I2C: usize = Id::I2c1 as usize;
+        const FDCAN: usize = Id::Fdcan as usize;
+        match id {
+            0 => self.rcc.stable_until_ns(offset, now_ns),
+            1 => self.pwr.stable_until_ns(offset, now_ns),
+            FLASH => self.flash.stable_until_ns(offset, now_ns),
+            USART..I2C => self.usarts[id - USART].stable_until_ns(offset, now_ns),
+            I2C..FDCAN => self.i2cs[id - I2C].stable_until_ns(offset, now_ns),
+            _ => None,
+        }
+    }
+
     /// By the place of its [`Id`].
     fn get(&mut self, id: usize) -> &mut dyn Peripheral {
         const TIM: usize = Id::Tim1 as usize;
@@ -732,6 +747,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn nmi(&self) -> bool {
         self.nmi
+    }
+
+    fn stable_until_ns(&self, now_ns: u64, address: u32) -> Option<u64> {
+        let id = self.map.find(address)?;
+        self.devices.stable_until_ns(id, address - self.bases[id], now_ns)
     }
 
     fn fetch_waits_until_ns(&self, address: u32) -> Option<u64> {

@@ -4,6 +4,7 @@
 
 mod faults;
 mod flash;
+mod polling;
 mod protection;
 
 use r4_mcu::cpu::{Core, Register};
@@ -64,8 +65,12 @@ fn handler(exception: u16) -> u32 {
 
 /// A chip after power-on, about to execute `code`; every handler stays where it is.
 fn board(code: &[u16]) -> Board {
+    board_with(code, Settings::default())
+}
+
+fn board_with(code: &[u16], settings: Settings) -> Board {
     let soc = Soc::new(Nothing, Oscillators::default(), PlainCells::new());
-    let mut board = Machine::new(ThumbCore::new(), soc, Settings::default()).unwrap();
+    let mut board = Machine::new(ThumbCore::new(), soc, settings).unwrap();
     write(&board, TABLE, &halves(&[STACK, CODE | 1]));
     for exception in 2..100 {
         write(&board, TABLE + 4 * u32::from(exception), &halves(&[handler(exception) | 1]));

@@ -340,6 +340,10 @@ impl<C: FlashCells> Peripheral for Flash<C> {
         if self.power_lost { u64::MAX } else { banks_ns.min(self.options_at_ns) }
     }
 
+    fn stable_until_ns(&self, _: u32, _: u64) -> Option<u64> {
+        Some(self.next_event_ns())
+    }
+
     fn advance(&mut self, context: &mut Context<'_>) {
         if self.power_lost {
             return;

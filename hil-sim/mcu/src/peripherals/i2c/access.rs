@@ -220,6 +220,12 @@ impl Peripheral for I2c {
         self.next_ns()
     }
 
+    fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
+        // While nothing of our own is on the wire, the lines are looked at by each read.
+        let under_way = self.owns_bus && self.phase.end_ns().is_some();
+        (offset == register::ISR && under_way).then(|| self.next_ns())
+    }
+
     fn advance(&mut self, context: &mut Context<'_>) {
         self.bring_to_now(context);
         self.update_lines(context);

@@ -35,7 +35,7 @@ pub(super) enum Phase {
 }
 
 impl Phase {
-    fn end_ns(self) -> Option<u64> {
+    pub(super) fn end_ns(self) -> Option<u64> {
         match self {
             Self::Waiting { until_ns: end_ns }
             | Self::Address { end_ns }

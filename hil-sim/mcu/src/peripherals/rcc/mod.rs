@@ -738,6 +738,10 @@ impl Peripheral for Rcc {
         self.states.iter().map(starting).min().unwrap_or(u64::MAX).min(self.hse_stops_ns)
     }
 
+    fn stable_until_ns(&self, _: u32, _: u64) -> Option<u64> {
+        Some(self.next_event_ns())
+    }
+
     fn advance(&mut self, context: &mut Context<'_>) {
         let raised = self.flags & self.register(offset::CIER) != 0;
         self.settle(context);

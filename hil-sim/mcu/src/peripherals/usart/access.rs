@@ -207,6 +207,12 @@ impl Peripheral for Usart {
         self.transmitter.next_ns().unwrap_or(u64::MAX).min(received_ns)
     }
 
+    fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
+        // BUSY begins between events while something is on its way in; reading RDR takes.
+        let quiet = self.receiver_next().is_none();
+        (offset & !3 == register::ISR && quiet).then(|| self.next_event_ns())
+    }
+
     fn advance(&mut self, context: &mut Context<'_>) {
         self.bring_to_now(context);
         self.update_lines(context);
