@@ -23,8 +23,9 @@ impl CoreBus for Bus {
         Ok(0)
     }
 
-    fn write(&mut self, _: &Access, _: u32) {
+    fn write(&mut self, _: &Access, _: u32) -> Result<(), NoResult> {
         self.accesses += 1;
+        Ok(())
     }
 
     fn limits(&self) -> Limits {

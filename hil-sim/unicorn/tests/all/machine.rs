@@ -309,10 +309,10 @@ fn uses_of_the_processor_that_are_not_modelled_say_so<C: Tested>() {
     let mut machine = program::<C>(&[0xF64E, 0x5010, 0xF2CE, 0x0000, 0x2104, 0x6001, 0xBF30, 0xE7FE], &SPIN);
     let error = machine.run_until(MILLISECOND).unwrap_err().to_string();
     assert_eq!(error, "at 21 ns, 0x0800020e: SLEEPDEEP: stop and standby modes are not modelled");
-    // movw r6,#1; movt r6,#0x2400; bx r6
-    let mut machine = program::<C>(&[0xF240, 0x0601, 0xF2C2, 0x4600, 0x4730], &SPIN);
+    // movw r6,#1; movt r6,#0x0818; bx r6
+    let mut machine = program::<C>(&[0xF240, 0x0601, 0xF6C0, 0x0618, 0x4730], &SPIN);
     let error = machine.run_until(MILLISECOND).unwrap_err().to_string();
-    assert_eq!(error, "at 13 ns, 0x24000000: execution from Axi at 0x24000000 is not modelled");
+    assert_eq!(error, "at 13 ns, 0x08180000: execution from Storage at 0x08180000 is not modelled");
 }
 
 fn sleep_on_exit_does_not_go_back_to_the_main_program<C: Tested>() {

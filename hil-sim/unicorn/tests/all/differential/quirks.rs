@@ -25,6 +25,7 @@ type Quirk = (&'static str, fn(&Case, &Outcome, &mut Outcome) -> bool);
 
 /// In this order: why two outcomes may differ, and what makes the second one as the first where they may.
 const QUIRKS: &[Quirk] = &[
+    ("code in RAM", code_in_ram),
     ("unaligned", unaligned),
     ("end of the address space", end_of_addresses),
     ("the page of the core", own_page),
@@ -59,6 +60,13 @@ fn dropped(applies: bool, ours: &Outcome, theirs: &mut Outcome) -> bool {
         theirs.clone_from(ours);
     }
     applies
+}
+
+/// This crate's core executes from ITCM and flash only (`mapping::executes`).
+fn code_in_ram(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
+    let pc = theirs.register(Register::Pc);
+    let ram = (0x2000_0000..0x4000_0000).contains(&pc);
+    dropped(ram && why(theirs) == Some(Why::Fault(Fault::Fetch)), ours, theirs)
 }
 
 /// README.md: unaligned LDM, LDRD, VLDR work there, and are UsageFaults on hardware (DDI0403E A3.2.1).
