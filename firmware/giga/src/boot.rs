@@ -46,7 +46,7 @@ use crate::{
     },
     executors,
     flash::Bank2,
-    i2c::{Bounce, Bus, Timing, Wiring},
+    i2c::{self, Bounce, Bus, Timing, Wiring},
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     log,
     peripherals::Processor,
@@ -123,7 +123,8 @@ bind_interrupts!(struct Irqs {
     USART1 => usart::InterruptHandler<stm32::USART1>, uart::OnLine;
     USART2 => usart::InterruptHandler<stm32::USART2>, uart::OnLine;
     UART4 => usart::InterruptHandler<stm32::UART4>, uart::OnLine;
-    DMA1_STREAM0 => dma::InterruptHandler<stm32::DMA1_CH0>;
+    // What is sent to the board's chips. In this order: the second sees what the first leaves.
+    DMA1_STREAM0 => i2c::Sent, dma::InterruptHandler<stm32::DMA1_CH0>;
     DMA1_STREAM1 => dma::InterruptHandler<stm32::DMA1_CH1>;
     DMA1_STREAM2 => dma::InterruptHandler<stm32::DMA1_CH2>;
     DMA1_STREAM3 => dma::InterruptHandler<stm32::DMA1_CH3>;
@@ -201,6 +202,9 @@ fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
         Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
         Saved::Damaged => defmt::error!("saved parameters are damaged"),
     }
+    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
+    #[unsafe(link_section = ".dtcm.shared")]
     static SHARED: StaticCell<Board> = StaticCell::new();
     SHARED.init_with(|| Shared::new(loaded.config, built_in, reset).with_log(log::for_hosts()))
 }

@@ -1,10 +1,11 @@
-//! The I2C controllers: embassy's asynchronous driver, with an own deadline, and a way to free the bus.
+//! The I2C controllers: embassy's asynchronous driver, and a way to free the bus.
 //!
 //! What embassy-stm32 0.6.0 does not do, and is done here:
 //!
 //! - A read that nobody acknowledges ends only by its timeout there. Here the NACK flag ends every transfer at once.
-//! - After a read the next start may be written while the stop is still going out, and clobbers it. Here a transfer ends when
-//!   the bus is free.
+//! - After a read the next start may be written while the stop is still going out, and clobbers it. Here a transfer begins when
+//!   the bus is free. It does not end so: to wait for its own stop took 780 instructions of each, and what is computed between
+//!   two transfers takes longer than a stop.
 //! - Giving a transfer up leaves the controller in the middle of it. Here the controller is switched off and on, which lets go
 //!   of both lines (RM0399, 50.4.6), whenever a transfer fails or is dropped.
 //! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] has them from the formulas of
@@ -16,11 +17,12 @@ use core::{
     task::Poll,
 };
 
-use embassy_futures::select::{Either3, select3};
+use embassy_futures::select::{Either, select};
 use embassy_stm32::{
     i2c::{Config, Error, I2c, Master},
+    interrupt::typelevel,
     mode::Async,
-    pac::{gpio::vals::Moder, i2c::I2c as Registers},
+    pac::{self, gpio::vals::Moder, i2c::I2c as Registers},
     time::Hertz,
 };
 use embassy_time::{Duration, Instant, Timer};
@@ -41,9 +43,9 @@ pub(crate) struct Timing {
     frequency: Hertz,
     /// TIMINGR: PRESC, SCLDEL, SDADEL, SCLH, SCLL.
     register: u32,
-    /// For one transfer.
+    /// For one transfer; embassy's driver gives it up then.
     deadline: Duration,
-    /// For the stop that ends it.
+    /// For the stop of the transfer before.
     stop: Duration,
 }
 
@@ -80,7 +82,8 @@ impl Timing {
     pub(crate) fn config(self, pull_up: bool) -> Config {
         let mut config = Config::default();
         config.frequency = self.frequency;
-        // It waits for a free bus without letting go of the processor; here it has been free before it begins.
+        // From its beginning to its end. The driver would wait for a free bus without letting go of the processor; here it has
+        // been free before it begins.
         config.timeout = self.deadline;
         config.scl_pullup = pull_up;
         config.sda_pullup = pull_up;
@@ -119,7 +122,7 @@ impl Wiring {
         self.registers.cr1().modify(|w| w.set_pe(true));
     }
 
-    /// Waits for the end of a stop. It is microseconds away, or the line is held.
+    /// Waits for the end of a stop. It is microseconds away, or past, or the line is held.
     fn is_free(&self) -> bool {
         let mut until = None;
         while self.registers.isr().read().busy() {
@@ -133,7 +136,7 @@ impl Wiring {
     }
 }
 
-/// A transfer that has its deadline, and leaves the controller idle whatever comes of it: it is forgotten when it is given up.
+/// A transfer that leaves the controller idle whatever comes of it: it is forgotten when it is given up.
 /// Must be dropped after what embassy has of it, which ends its DMA first.
 struct Transfer<'w> {
     wiring: &'w Wiring,
@@ -146,24 +149,23 @@ impl<'w> Transfer<'w> {
         if wiring.is_free() { Ok(Self { wiring, ended: false }) } else { Err(BusError::Held) }
     }
 
-    /// Carries it out within its deadline.
+    /// Carries it out. A deadline of its own would cost each poll another timer: embassy's is that of [`Timing::config`].
     async fn wait(&self, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
         let registers = self.wiring.registers;
         // embassy's handler wakes this task on a NACK; it is looked for first, before embassy clears it.
         let refused = poll_fn(|_| if registers.isr().read().nackf() { Poll::Ready(()) } else { Poll::Pending });
-        match select3(refused, transfer, Timer::after(self.wiring.timing.deadline)).await {
-            Either3::First(()) => Err(BusError::NoAcknowledge),
-            Either3::Second(done) => done.map_err(BusError::from),
-            Either3::Third(()) => Err(BusError::Held),
+        match select(refused, transfer).await {
+            Either::First(()) => Err(BusError::NoAcknowledge),
+            Either::Second(done) => done.map_err(BusError::from),
         }
     }
 
-    /// Waits for its stop.
+    /// What became of it. The stop of one that went well is still going out.
     fn end(mut self, result: Result<(), BusError>) -> Result<(), BusError> {
         match result {
             Ok(()) => {
-                self.ended = self.wiring.is_free();
-                if self.ended { Ok(()) } else { Err(BusError::Held) }
+                self.ended = true;
+                Ok(())
             }
             Err(BusError::NoAcknowledge) => {
                 // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
@@ -245,6 +247,19 @@ impl Bounce {
     /// Nothing in it.
     pub(crate) const fn new() -> Self {
         Self { out: [0; MAX_RAW], back: [0; MAX_RAW] }
+    }
+}
+
+/// The end of the DMA that sends to the board's chips, before embassy's handler.
+///
+/// The transfer ends with the controller's own interrupt, two bytes later, and asks the stream itself then. embassy's handler
+/// would wake the control loop here in vain: 600 instructions of each transfer. Errors of the stream are left to it.
+pub(crate) struct Sent;
+
+impl typelevel::Handler<typelevel::DMA1_STREAM0> for Sent {
+    #[allow(unsafe_code, reason = "an interrupt handler is declared so")]
+    unsafe fn on_interrupt() {
+        pac::DMA1.ifcr(0).write(|w| w.set_tcif(0, true));
     }
 }
 

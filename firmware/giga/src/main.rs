@@ -16,6 +16,7 @@
 //! | `peripherals` | counters, converters, pulses: what the control loop uses |
 //! | `encoders`, `steppers`, `ranging`, `analog`, `switches` | its parts |
 //! | `flash` | what keeps parameters and trips |
+//! | `tcm` | code and data in the memories that are as fast as the processor |
 //! | `log` | what defmt writes, for probes and hosts |
 #![no_std]
 #![no_main]
@@ -37,11 +38,14 @@ mod reset;
 mod safety_pins;
 mod steppers;
 mod switches;
+mod tcm;
 mod watchdog;
 
 use cortex_m_rt::entry;
 
 #[entry]
 fn main() -> ! {
+    // Before anything that may lie there.
+    tcm::load();
     boot::run()
 }

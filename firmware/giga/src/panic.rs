@@ -77,8 +77,8 @@ extern "C" fn HardFault() -> ! {
     )
 }
 
-/// AXI SRAM, where the stack is.
-const RAM: core::ops::Range<usize> = 0x2400_0000..0x2408_0000;
+/// DTCM, where the stack is.
+const RAM: core::ops::Range<usize> = 0x2000_0000..0x2002_0000;
 /// Places of LR and PC in what the processor stacks (ARMv7-M ARM, B1.5.6).
 const STACKED_LR: usize = 5;
 const STACKED_PC: usize = 6;

@@ -43,7 +43,8 @@ usage: cargo xtask <task>
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
                 or by dfu-util over USB (--dfu: the hosted image; press reset twice before).
                 --dry-run prints the commands
-  size          what that image takes in flash and RAM; fails over 256 KiB of flash or 128 KiB of RAM:
+  size          what that image takes of flash, RAM and the processor; fails over 768 KiB, 128 KiB, or 4 % of it for a control
+                tick:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--json]
   size --protocol
                 what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]

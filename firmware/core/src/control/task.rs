@@ -112,9 +112,10 @@ struct Control<B, P> {
     safe: bool,
     bad_configuration: bool,
     sensors: Causes,
-    /// The last moments, and how many trips have been made of them.
+    /// The last moments, how many trips have been made of them, and when one was seen that is still to be made.
     recorder: Recorder,
     trips: u32,
+    tripped_us: Option<u64>,
     /// Periods between two moments.
     moment_every: u32,
 }
@@ -143,6 +144,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             sensors: Causes::NONE,
             recorder: Recorder::default(),
             trips: 0,
+            tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
         }
     }
@@ -170,6 +172,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
     fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let now_us = Instant::now().as_micros();
+        // Copying the moments takes as long as four transfers, so not in the period that made the outputs safe.
+        if let Some(tripped_us) = self.tripped_us.take() {
+            shared.storage.record(self.recorder.freeze(tripped_us, shared.trip_causes()));
+        }
         if self.tick.is_multiple_of(self.moment_every) {
             let motors = self.motors.iter().map(|motor| {
                 let MotorStatus { position, speed, duty, .. } = motor.status();
@@ -180,7 +186,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let trips = shared.trips();
         if trips != self.trips {
             self.trips = trips;
-            shared.storage.record(self.recorder.freeze(now_us, shared.trip_causes()));
+            self.tripped_us = Some(now_us);
         }
     }
 

@@ -54,8 +54,8 @@ pub struct Recorder {
 #[derive(Clone, Debug)]
 struct Moment {
     device_us: u64,
-    motors: Vec<MotorSnapshot, MAX_MOTORS>,
-    supplies_v: Vec<f32, MAX_SUPPLIES>,
+    /// How long before the trip is not known yet.
+    snapshot: FaultSnapshot,
 }
 
 impl Recorder {
@@ -72,18 +72,21 @@ impl Recorder {
         let motors = motors.into_iter().take(MAX_MOTORS).collect();
         let supplies_v = supplies_v.into_iter().take(MAX_SUPPLIES).collect();
         // There is room: one went, or there has always been some.
-        let _ = self.moments.push_back(Moment { device_us, motors, supplies_v });
+        let snapshot = FaultSnapshot { before_ms: 0, motors, supplies_v };
+        let _ = self.moments.push_back(Moment { device_us, snapshot });
     }
 
     /// What was noted, as seen from a trip at `device_us`.
     #[must_use]
     pub fn freeze(&self, device_us: u64, causes: Causes) -> Trip {
-        let snapshot = |moment: &Moment| FaultSnapshot {
-            before_ms: u16::try_from(device_us.saturating_sub(moment.device_us) / 1000).unwrap_or(u16::MAX),
-            motors: moment.motors.clone(),
-            supplies_v: moment.supplies_v.clone(),
-        };
-        Trip { device_us, causes, snapshots: self.moments.iter().map(snapshot).collect() }
+        let mut trip = Trip { device_us, causes, snapshots: Vec::new() };
+        // Copied whole, once: the control loop does this.
+        trip.snapshots.extend(self.moments.iter().map(|moment| moment.snapshot.clone()));
+        for (snapshot, moment) in trip.snapshots.iter_mut().zip(&self.moments) {
+            let before_ms = device_us.saturating_sub(moment.device_us) / 1000;
+            snapshot.before_ms = u16::try_from(before_ms).unwrap_or(u16::MAX);
+        }
+        trip
     }
 }
 

@@ -222,11 +222,11 @@ fn a_panic_stops_leaves_a_record_and_restarts() {
     assert_eq!((location, line), (LOCATION, LINE));
 }
 
-/// The stack grows down from 0x2402_0000 to the beginning of the memory, below which there is nothing. It must end there,
+/// The stack grows down from 0x2001_8000 to the beginning of DTCM, below which there is nothing. It must end there,
 /// and not in what the tasks know.
 #[test]
 fn a_stack_overflow_ends_safely() {
-    // push {r0-r7}; b to it (A7.7.101, A7.7.12): 128 KiB are full after 4096 times.
+    // push {r0-r7}; b to it (A7.7.101, A7.7.12): 96 KiB are full after 3072 times.
     let (_, _, cfsr) = ended_by("stack overflow", &[0xFF, 0xB4, 0xFD, 0xE7]);
     // A store that found nothing, and then a frame that could not be stacked: IMPRECISERR or PRECISERR, STKERR.
     assert!(cfsr & 0x1600 != 0, "{cfsr:#x}");
