@@ -1,10 +1,10 @@
-//! The processor's crystal: missing at the start, and off its frequency.
+//! The processor's crystal and supply: missing at the start, off its frequency, gone at run time; a dip.
 
 use crate::emulated::{
     Setup,
     harness::{MS, ROTARY},
 };
-use r4_mcu::peripherals::rcc::Oscillators;
+use r4_mcu::{Chip, peripherals::rcc::Oscillators};
 use r4_protocol::{Causes, Mode, SafetyState};
 
 /// Backup register that says what the clock is made from (see `reset.rs` of the firmware): 1 crystal, 2 internal.
@@ -79,4 +79,41 @@ fn a_crystal_that_is_100_ppm_off_does_no_harm() {
             assert!((speed - 2.0).abs() < 0.3, "{ppm} ppm: {speed} rad/s");
         });
     }
+}
+
+/// The crystal stops while the board runs: whatever the firmware does at once, it starts again from the internal oscillator.
+#[test]
+fn a_crystal_that_stops_at_run_time_ends_in_a_start_from_the_internal_oscillator() {
+    let setup = Setup::osmc_bench();
+    setup.raw(async |host, device, board| {
+        host.hello().await;
+        board.stop_crystal_at(device.clock.now_ns() + MS);
+        // The watchdog, the crystal's time-out and the flashes.
+        device.clock.sleep(3_000 * MS).await;
+        assert_eq!(board.machine().chip.backup_register(CLOCK_SOURCE), Some(2));
+        assert_eq!(board.machine().chip.core_hz(), 480_000_000);
+        host.bad_frames = 0;
+        host.hello().await;
+    });
+}
+
+/// The processor's supply sags below the brown-out level of its option bytes: it is reset, holds still, and starts again.
+#[test]
+fn a_dip_of_the_supply_restarts_the_processor() {
+    // BOR_LEV 3, the rest as the Giga is delivered.
+    let setup = Setup::osmc_bench().prepared(|board| board.machine().chip.set_option_bytes(0x0B86_AAFC));
+    setup.raw(async |host, device, board| {
+        host.hello().await;
+        let (now_ns, executed) = (device.clock.now_ns(), board.machine().instructions());
+        board.dip_supply(now_ns + MS, 2.5, 50 * MS);
+        device.clock.sleep(40 * MS).await;
+        let held = board.machine().instructions();
+        device.clock.sleep(10 * MS).await;
+        assert_eq!(board.machine().instructions(), held, "held in reset");
+        assert!(held > executed);
+        device.clock.sleep(500 * MS).await;
+        host.bad_frames = 0;
+        let info = host.hello().await;
+        assert!(info.device_us < 600_000, "its clock began anew: {} us", info.device_us);
+    });
 }
