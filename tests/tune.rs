@@ -24,7 +24,7 @@ fn json(args: &[&str]) -> Value {
 /// What a run that must fail says.
 fn complaint(args: &[&str]) -> String {
     let output = r4(args);
-    assert_eq!(output.status.code(), Some(1), "{args:?}: {}", text(&output.stdout));
+    assert!(matches!(output.status.code(), Some(1 | 3)), "{args:?}: {}", text(&output.stdout));
     assert!(output.stdout.is_empty(), "{args:?}");
     text(&output.stderr).to_owned()
 }
@@ -104,6 +104,15 @@ fn speed_loops_too() {
             assert_eq!((&report["mode"], &report["method"]), (&"speed".into(), &method.into()));
         }
     }
+}
+
+#[test]
+fn the_speed_loop_of_the_bench_is_tuned() {
+    let report = check("sim:osmc-bench", "osmc0", "1", &["--mode", "speed"]);
+    let present = &report["present"];
+    // Seen: 15 % and 0.34 s; a third more is for other noise.
+    assert!(present["overshoot"].as_f64().is_some_and(|overshoot| overshoot <= 0.2), "{present}");
+    assert!(present["settling_s"].as_f64().is_some_and(|settling_s| settling_s <= 0.45), "{present}");
 }
 
 #[test]
