@@ -135,7 +135,7 @@ fn a_port_is_for_one_program() {
     let mut watching = start(command(&["--board", &served.board, "watch"]));
     next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
     let refused = served.r4(&["info"]);
-    assert!(refused.code == Some(1) && refused.err.contains("another program"), "{refused:?}");
+    assert!(refused.code == Some(4) && refused.err.contains("another program"), "{refused:?}");
     watching.out = None;
 }
 
@@ -161,6 +161,32 @@ fn a_lost_link_comes_back_and_says_why_it_was_lost() {
     let line =
         std::iter::from_fn(|| next(out, watching.begin)).find(|line| object(line)["time_s"].as_f64() < Some(2.0));
     assert!(line.is_some(), "lines of the board that has started anew");
+}
+
+#[test]
+fn a_name_belongs_to_one_server() {
+    let folder = TempDir::new().expect("a folder");
+    let name = folder.path().join("board");
+    for kind in ["pty", "slcan"] {
+        let how = format!("--{kind}={}", path(&name));
+        let first = Served::new("osmc-bench", &how);
+        for second in ["pty", "slcan"] {
+            let second = r4(&["sim", "serve", "osmc-bench", &format!("--{second}={}", path(&name))]);
+            let told = second.err.contains(path(&name)) && second.err.contains("another program serves");
+            assert!(second.code != Some(0) && second.out.is_empty() && told, "{second:?}");
+        }
+        first.good(&["disarm"]);
+        // Killed, it leaves the name behind, which the next one takes.
+        drop(first);
+        assert!(name.is_symlink());
+        Served::new("osmc-bench", &how).good(&["disarm"]);
+    }
+    // Links of other kinds are somebody's.
+    fs::remove_file(&name).expect("a name");
+    std::os::unix::fs::symlink("/dev/null", &name).expect("a link");
+    let refused = r4(&["sim", "serve", "osmc-bench", &format!("--pty={}", path(&name))]);
+    assert!(refused.code != Some(0) && refused.err.contains("no terminal of a board"), "{refused:?}");
+    assert_eq!(fs::read_link(&name).expect("still there"), Path::new("/dev/null"));
 }
 
 // Faults on the way.
@@ -407,7 +433,7 @@ fn without_the_key_nothing_is_told() {
     served.good(&["--key", &ours, "move", "osmc0", "5deg"]);
     for arguments in [&["--key", &theirs, "info"][..], &["info"]] {
         let refused = served.r4(arguments);
-        assert!(refused.code == Some(1) && refused.out.is_empty(), "{refused:?}");
+        assert!(refused.code == Some(4) && refused.out.is_empty(), "{refused:?}");
     }
     // Not a byte but the server's nonce, whatever is said.
     let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");

@@ -9,7 +9,7 @@ pub enum Error {
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// No answer in time, though the link is alive. What was asked may or may not have been done.
-    #[error("the board did not answer `{request}` within {after_ms} ms: it is busy, or frames are being lost")]
+    #[error("the board did not answer `{request}` within {after_ms} ms: {}", silence(request))]
     TimedOut {
         /// What was asked.
         request: &'static str,
@@ -88,6 +88,15 @@ pub enum Error {
         /// How long was waited.
         after_s: f64,
     },
+}
+
+/// What keeps a board from answering.
+fn silence(request: &str) -> &'static str {
+    // A served board lets the next host wait; the board itself refuses it.
+    match request {
+        "hello" => "another program may be connected to it, which has to end first, or this is no R4 board",
+        _ => "it is busy, or frames are being lost",
+    }
 }
 
 fn advice(causes: Causes) -> String {

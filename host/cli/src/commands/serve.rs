@@ -23,6 +23,7 @@ use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
 use serde::Serialize;
+use sha2::{Digest, Sha256};
 
 use crate::{
     args::{Args, Serve},
@@ -100,27 +101,80 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     served.map(|()| true)
 }
 
-/// Paths that lead to the served board and are gone with it.
+/// Symbolic links to the terminal of the served board, removed when it ends.
 #[derive(Default)]
-struct Links(RefCell<Vec<PathBuf>>);
+struct Links(RefCell<Vec<(PathBuf, PathBuf, Claim)>>);
+
+/// Why a served board cannot have a name.
+#[derive(Debug, thiserror::Error)]
+enum NameTaken {
+    #[error("{} is the name of a board that another program serves: end that, or choose another name", .0.display())]
+    Served(PathBuf),
+    #[error("{} leads to {}, which is no terminal of a board: choose another name, or remove it", .0.display(), .1.display())]
+    Other(PathBuf, PathBuf),
+}
+
+/// The right to a name: a socket in Linux's abstract namespace, which is gone with the process however that ends. A lock of
+/// the terminal would not do: the number of a dead server's terminal is soon another's.
+#[cfg(target_os = "linux")]
+type Claim = std::os::unix::net::UnixListener;
+
+#[cfg(target_os = "linux")]
+fn claim(name: &Path) -> anyhow::Result<Claim> {
+    use std::os::{linux::net::SocketAddrExt, unix::ffi::OsStrExt, unix::net::SocketAddr};
+    let absolute = match (name.parent(), name.file_name()) {
+        (Some(folder), Some(file)) => {
+            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+            fs::canonicalize(folder).with_context(|| format!("no folder for {}", name.display()))?.join(file)
+        }
+        _ => bail!("{} is no name of a file", name.display()),
+    };
+    // A name of this kind has at most 107 bytes.
+    let digest = Sha256::digest(absolute.as_os_str().as_bytes());
+    let socket = digest.iter().fold("r4-served-".to_owned(), |name, byte| format!("{name}{byte:02x}"));
+    let address = SocketAddr::from_abstract_name(socket).context("cannot claim a name")?;
+    Claim::bind_addr(&address).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => NameTaken::Served(name.to_owned()).into(),
+        _ => anyhow::Error::new(error).context("cannot claim a name"),
+    })
+}
+
+#[cfg(not(target_os = "linux"))]
+type Claim = ();
+
+/// Elsewhere a name that leads to a terminal counts as served.
+#[cfg(not(target_os = "linux"))]
+fn claim(name: &Path) -> anyhow::Result<Claim> {
+    use std::os::unix::fs::FileTypeExt;
+    match fs::metadata(name).is_ok_and(|found| found.file_type().is_char_device()) {
+        true => Err(NameTaken::Served(name.to_owned()).into()),
+        false => Ok(()),
+    }
+}
 
 impl Links {
-    /// A symbolic link at `from`, in the place of one that was left there.
+    /// Makes a symbolic link at `from`. It replaces one that a server left there when it was killed.
     fn add(&self, from: &Path, to: &Path) -> anyhow::Result<()> {
-        if fs::symlink_metadata(from).is_ok_and(|found| found.is_symlink()) {
+        let claim = claim(from)?;
+        if let Ok(old) = fs::read_link(from) {
+            if old.parent() != to.parent() {
+                return Err(NameTaken::Other(from.to_owned(), old).into());
+            }
             fs::remove_file(from).with_context(|| format!("cannot remove the old link {}", from.display()))?;
         }
         std::os::unix::fs::symlink(to, from).with_context(|| format!("cannot make the link {}", from.display()))?;
-        self.0.borrow_mut().push(from.to_owned());
+        self.0.borrow_mut().push((from.to_owned(), to.to_owned(), claim));
         Ok(())
     }
 }
 
 impl Drop for Links {
     fn drop(&mut self) {
-        for link in self.0.take() {
-            // What is not there any more need not be removed.
-            let _ = fs::remove_file(link);
+        for (link, to, _claim) in self.0.take() {
+            // Not one that leads elsewhere by now. What is not there any more need not be removed.
+            if fs::read_link(&link).is_ok_and(|at| at == to) {
+                let _ = fs::remove_file(link);
+            }
         }
     }
 }
