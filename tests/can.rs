@@ -409,7 +409,7 @@ fn boards_on_one_bus_are_driven_at_once() {
         }
     });
     let seen = r4(&["--board", "can:classic0#3", "info"]);
-    assert!(seen.code == Some(1) && seen.err.contains("did not answer"), "{seen:?}");
+    assert!(seen.code == Some(4) && seen.err.contains("did not answer"), "{seen:?}");
 }
 
 #[test]

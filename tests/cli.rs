@@ -346,7 +346,10 @@ fn a_relay_is_switched_and_told_of() {
         let outcome = good_json(&["relay", "relay1", state, "--json"]);
         assert_eq!((text(&outcome, "channel"), &outcome["closed"]), ("relay1", &closed.into()));
     }
-    assert_eq!(good(&["relay", "relay1", "on", "--for", "1"]), "relay1 was closed for 1 s; now open\n");
+    assert_eq!(
+        good(&["relay", "relay1", "on", "--for", "1"]),
+        "relay1 was closed for 1 s, on sim:osmc-bench (simulated); now open\n"
+    );
     all_refused([
         // The motors' supply is the board's own.
         (&["relay", "relay0", "on"][..], &["relay0", "cannot be switched"][..]),
@@ -368,7 +371,7 @@ fn arm_for_a_time_then_disarm_and_clear() {
     assert!(seen.err.contains("Ctrl-C disarms"), "{seen:?}");
     for verb in ["disarm", "clear"] {
         assert_eq!(text(&good_json(&[verb, "--json"]), "state"), "disarmed");
-        assert_eq!(good(&[verb]), "sim:osmc-bench is disarmed\n");
+        assert_eq!(good(&[verb]), "sim:osmc-bench (simulated) is disarmed\n");
     }
 }
 
@@ -507,7 +510,10 @@ fn a_servo_is_held_at_an_angle() {
     // Angles travel as 32-bit floats.
     assert!((number(&end, "value") + 30f64.to_radians()).abs() < 1e-6 && number(&end, "seconds") == 1.0, "{end}");
     let seen = every(&["servo", "servo3", "30deg"]);
-    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "servo3 was told 30.00 deg for 2 s; now disarmed\n"));
+    assert_eq!(
+        (seen.code, seen.out.as_str()),
+        (Some(0), "servo3 was told 30.00 deg for 2 s, on sim:every-interface (simulated); now disarmed\n")
+    );
     every_refused([
         (&["servo", "servo3", "60deg"][..], &["servo3", "position from -44.98 deg to 44.98 deg"][..]),
         (&["servo", "servo3", "10mm"], &["servo3", "angle"]),
@@ -542,7 +548,10 @@ fn a_voltage_is_given() {
         assert!((number(&end, "value") - 1.2).abs() < 1e-6 && end["held"] == true, "{end}");
     }
     let seen = every(&["dac", "dac1", "0.5V", "--for", "1"]);
-    assert_eq!((seen.code, seen.out.as_str()), (Some(0), "dac1 was told 0.50 V for 1 s; now at its safe voltage\n"));
+    assert_eq!(
+        (seen.code, seen.out.as_str()),
+        (Some(0), "dac1 was told 0.50 V for 1 s, on sim:every-interface (simulated); now at its safe voltage\n")
+    );
     every_refused([
         (&["dac", "dac1", "0.1V"][..], &["dac1", "0.50 V to 2.80 V"][..]),
         (&["dac", "dac0", "1.2"], &["dac0", "1.2V"]),
@@ -560,7 +569,7 @@ fn a_stepper_moves_steps_turns_and_finds_its_home() {
     }
     let end = every_json(&["speed", "stepper2", "-2rad/s"]);
     assert!((number(&end, "speed") + 2.0).abs() < 1e-3 && end["held"] == true, "{end}");
-    assert!(every(&["speed", "stepper2", "2rad/s"]).out.contains("moving at 114.6 deg/s, after 2.0"));
+    assert!(every(&["speed", "stepper2", "2rad/s"]).out.contains("moving at 2.000 rad/s, after 2.0"));
 
     // The configured place of each switch; the osmc comes to rest within what counts as settled there.
     for (channel, home_rad, within) in [("stepper0", -0.5, 0.01), ("stepper1", -0.5, 0.01), ("osmc0", -1.0, 0.02)] {
@@ -572,7 +581,7 @@ fn a_stepper_moves_steps_turns_and_finds_its_home() {
     assert!(seen.code == Some(0) && seen.out.starts_with("stepper0 has found its home and rests at -28"), "{seen:?}");
     every_refused([
         (&["home", "stepper2", "--speed", "-1rad/s"][..], &["stepper2", "home", "`r4 info`"][..]),
-        (&["home", "stepper0", "--speed", "5rad/s"], &["stepper0", "114.6 deg/s"]),
+        (&["home", "stepper0", "--speed", "5rad/s"], &["stepper0", "2.000 rad/s"]),
         (&["home", "osmc0", "--speed", "-1rad/s", "--for", "0.2"], &["osmc0", "home switch after 0.2 s", "direction"]),
         (&["step", "stepper0", "1000000"], &["stepper0", " to "]),
     ]);
@@ -625,7 +634,8 @@ impl Kept {
     fn refused(&self, args: &[&str], says: &[&str]) {
         let seen = self.r4(args);
         let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
-        assert!(told && seen.code == Some(1) && seen.out.is_empty(), "{args:?} should say {says:?}: {seen:?}");
+        let refused = matches!(seen.code, Some(1 | 3 | 5)) && seen.out.is_empty();
+        assert!(told && refused, "{args:?} should say {says:?}: {seen:?}");
     }
 }
 
@@ -947,6 +957,69 @@ fn a_robot_without_a_simulation_exists_as_hardware_only() {
     let (hardware, _) = ROBOT.split_once("\n[[simulation").unwrap();
     let own = Own::new(hardware, ACTUATOR);
     all_refused([(&["--board", &own.robot, "info"][..], &["robot.toml", "[simulation]"][..])]);
+}
+
+#[test]
+fn a_failure_says_what_kind_it_is() {
+    for (args, code, kind, channel) in [
+        (&["move", "osmc0", "90"][..], 3, "refused", Some("osmc0")),
+        (&["move", "osmc0", "400turns"], 3, "refused", Some("osmc0")),
+        (&["relay", "relay7", "on"], 3, "refused", Some("relay7")),
+        (&["move", "osmc0", "90deg", "--for", "0.1"], 1, "not-reached", Some("osmc0")),
+        (&["--board", "serial:/dev/nothing-here", "info"], 4, "no-board", None),
+        (&["--board", "tcp:127.0.0.1:9", "move", "osmc0", "1deg"], 4, "no-board", None),
+        (&["log", "info", "nothing.mcap"], 1, "failed", None),
+        (&["move", "osmc0", "90parsec"], 2, "usage", None),
+        (&["fly"], 2, "usage", None),
+    ] {
+        let seen = r4(&[args, &["--json"]].concat());
+        assert_eq!(seen.code, Some(code), "{args:?}: {seen:?}");
+        let error = &object(&seen.out)["error"];
+        assert_eq!(text(error, "kind"), kind, "{args:?}: {seen:?}");
+        assert_eq!(error["channel"].as_str(), channel, "{args:?}: {seen:?}");
+        assert_eq!(error["board"].is_string(), !matches!(kind, "failed" | "usage"), "{args:?}: {seen:?}");
+        assert!(seen.err.contains(text(error, "message")), "{args:?}: {seen:?}");
+        let seen = r4(args);
+        assert!(seen.code == Some(code) && seen.out.is_empty(), "{args:?}: {seen:?}");
+    }
+    let own = Own::new(ROBOT, &stuck());
+    let seen = r4(&["--board", &own.robot, "move", "actuator1", "25mm", "--json"]);
+    assert_eq!((seen.code, text(&object(&seen.out)["error"], "kind")), (Some(5), "stopped"), "{seen:?}");
+}
+
+#[test]
+fn what_moves_says_where() {
+    let without = |args: &[&str]| {
+        let mut command = command(args);
+        command.env_remove("R4_BOARD");
+        start(command).finish()
+    };
+    for args in [
+        &["move", "osmc0", "5deg"][..],
+        &["speed", "osmc0", "60deg/s"],
+        &["duty", "osmc0", "60%", "--for", "0.2"],
+        &["relay", "relay1", "on", "--for", "0.1"],
+        &["disarm"],
+    ] {
+        let named = good(args);
+        assert!(named.contains("sim:osmc-bench (simulated)"), "{args:?}: {named}");
+        // This machine of tests has no board connected.
+        let seen = without(args);
+        assert!(seen.code == Some(0) && seen.out == named, "{args:?}: {seen:?}");
+        let said = "r4: no board was named: this is sim:osmc-bench (simulated); --board or R4_BOARD names another";
+        assert_eq!(seen.err.lines().next(), Some(said), "{args:?}");
+    }
+    for args in [&["log", "info", "nothing.mcap"][..], &["ports"]] {
+        assert!(!without(args).err.contains("no board was named"), "{args:?}");
+    }
+}
+
+#[test]
+fn a_speed_is_printed_in_the_unit_it_was_typed_in() {
+    let told = good(&["--board", "sim:openscout", "speed", "dhb0", "60rpm", "--for", "1"]);
+    assert!(told.contains(" of speed 60.00 rpm") && told.contains(" rpm, duty "), "{told}");
+    let told = good(&["move", "osmc0", "0.25turns"]);
+    assert!(told.contains("asked for 0.2500 turns") && told.contains("rests at 0.2"), "{told}");
 }
 
 #[test]

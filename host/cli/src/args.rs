@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use clap::{ArgGroup, Parser, Subcommand};
+use clap::{ArgGroup, CommandFactory, FromArgMatches, Parser, Subcommand, parser::ValueSource};
 use r4_protocol::{ChannelId, message::MAX_RAW};
 
 use crate::{
@@ -18,8 +18,8 @@ use crate::{
 
 /// Drives R4 boards, real and simulated.
 ///
-/// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 130 after
-/// Ctrl-C, which disarms first.
+/// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 3 when it was refused;
+/// 4 when there is no link to the board, or not any more; 5 when the board stopped; 130 after Ctrl-C, which disarms first.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Args {
@@ -28,6 +28,9 @@ pub(crate) struct Args {
     /// can:slcan:/dev/ttyACM1 (#NODE behind them for another board than 0)
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
+    /// Whether `--board` or `R4_BOARD` named it
+    #[arg(skip)]
+    pub(crate) is_board_named: bool,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -69,6 +72,18 @@ pub(crate) struct Args {
     pub(crate) record: Option<PathBuf>,
     #[command(subcommand)]
     pub(crate) command: Command,
+}
+
+impl Args {
+    /// What was typed.
+    ///
+    /// # Errors
+    /// What clap says of it; also the text of `--help` and `--version`.
+    pub(crate) fn typed() -> Result<Self, clap::Error> {
+        let matches = Self::command().try_get_matches()?;
+        let is_board_named = matches.value_source("board").is_some_and(|source| source != ValueSource::DefaultValue);
+        Ok(Self { is_board_named, ..Self::from_arg_matches(&matches)? })
+    }
 }
 
 /// How much a record of the firmware's log matters; in order.
@@ -609,8 +624,6 @@ fn escaped(text: &str) -> Result<Bytes, String> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]

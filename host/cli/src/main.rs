@@ -2,8 +2,10 @@
 
 mod args;
 mod cable;
+mod choice;
 mod commands;
 mod emulated;
+mod failure;
 mod link_log;
 mod output;
 mod plants;
@@ -14,9 +16,8 @@ mod screen;
 mod session;
 mod table;
 
-use std::process::ExitCode;
+use std::{env, process::ExitCode};
 
-use clap::Parser;
 use r4_protocol::Mode;
 
 use args::{Args, Command};
@@ -24,8 +25,12 @@ use output::OutputError;
 use session::Interrupted;
 
 fn main() -> ExitCode {
-    let args = Args::parse();
-    let result = plants::check(&args).and_then(|()| run(&args));
+    let args = match Args::typed() {
+        Ok(args) => args,
+        // Not understood, so neither is `--json`, but it can be seen.
+        Err(error) => return failure::report_usage(&error, env::args_os().any(|typed| typed == "--json")),
+    };
+    let result = choice::check(&args).map_err(Into::into).and_then(|()| plants::check(&args)).and_then(|()| run(&args));
     match result {
         Ok(_) if args.record.is_some() && !record::is_recorded() => {
             eprintln!("r4: nothing was recorded: this command opens no session with a board");
@@ -46,10 +51,7 @@ fn main() -> ExitCode {
         {
             ExitCode::SUCCESS
         }
-        Err(error) => {
-            eprintln!("r4: {error:#}");
-            if error.is::<Interrupted>() { ExitCode::from(130) } else { ExitCode::FAILURE }
-        }
+        Err(error) => failure::report(&args, &error),
     }
 }
 

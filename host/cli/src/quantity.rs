@@ -4,32 +4,43 @@ use std::{f64::consts::TAU, fmt, str::FromStr};
 
 use r4_protocol::Unit;
 
-/// A number in SI with what it measures.
+/// A number in SI with what it measures and how it is printed: in the unit in which it was typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Quantity {
     pub(crate) value: f64,
     pub(crate) unit: Unit,
+    pub(crate) shown: Shown,
 }
 
-/// How a unit is written, what it measures, and how many of the SI unit it is.
-const UNITS: [(&str, Unit, f64); 17] = [
-    ("deg/s", Unit::RadPerS, TAU / 360.0),
-    ("rad/s", Unit::RadPerS, 1.0),
-    ("rpm", Unit::RadPerS, TAU / 60.0),
-    ("mm/s", Unit::MPerS, 1e-3),
-    ("m/s", Unit::MPerS, 1.0),
-    ("deg", Unit::Rad, TAU / 360.0),
-    ("°", Unit::Rad, TAU / 360.0),
-    ("rad", Unit::Rad, 1.0),
-    ("turns", Unit::Rad, TAU),
-    ("turn", Unit::Rad, TAU),
-    ("mm", Unit::M, 1e-3),
-    ("cm", Unit::M, 1e-2),
-    ("m", Unit::M, 1.0),
-    ("mV", Unit::V, 1e-3),
-    ("V", Unit::V, 1.0),
-    ("%", Unit::Duty, 1e-2),
-    ("", Unit::Duty, 1.0),
+/// How a quantity is printed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shown {
+    /// Numbers printed for one SI unit.
+    per_si: f64,
+    name: &'static str,
+    decimals: usize,
+}
+
+/// How a unit is written, what it measures, how many of the SI unit it is, and decimals that show what the board resolves.
+const UNITS: [(&str, Unit, f64, usize); 17] = [
+    ("deg/s", Unit::RadPerS, TAU / 360.0, 1),
+    ("rad/s", Unit::RadPerS, 1.0, 3),
+    ("rpm", Unit::RadPerS, TAU / 60.0, 2),
+    ("mm/s", Unit::MPerS, 1e-3, 2),
+    ("m/s", Unit::MPerS, 1.0, 5),
+    ("deg", Unit::Rad, TAU / 360.0, 2),
+    ("°", Unit::Rad, TAU / 360.0, 2),
+    ("rad", Unit::Rad, 1.0, 4),
+    ("turns", Unit::Rad, TAU, 4),
+    ("turn", Unit::Rad, TAU, 4),
+    ("mm", Unit::M, 1e-3, 2),
+    ("cm", Unit::M, 1e-2, 3),
+    ("m", Unit::M, 1.0, 5),
+    ("mV", Unit::V, 1e-3, 0),
+    ("V", Unit::V, 1.0, 2),
+    // A share is printed as one, without a unit.
+    ("%", Unit::Duty, 1e-2, 3),
+    ("", Unit::Duty, 1.0, 3),
 ];
 
 impl FromStr for Quantity {
@@ -40,22 +51,37 @@ impl FromStr for Quantity {
         // The longest unit that fits: `deg/s` before nothing, `mm` before `m`.
         let split = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
         let (number, unit) = text.split_at(split);
-        let (_, unit, factor) = UNITS.into_iter().find(|(name, ..)| *name == unit.trim()).ok_or_else(|| {
-            let known: Vec<_> = UNITS.iter().map(|(name, ..)| *name).filter(|name| !name.is_empty()).collect();
-            format!("write a number and its unit without a space, as in 90deg; units are {}", known.join(" "))
-        })?;
+        let (name, unit, factor, decimals) =
+            UNITS.into_iter().find(|(name, ..)| *name == unit.trim()).ok_or_else(|| {
+                let known: Vec<_> = UNITS.iter().map(|(name, ..)| *name).filter(|name| !name.is_empty()).collect();
+                format!("write a number and its unit without a space, as in 90deg; units are {}", known.join(" "))
+            })?;
         match number.trim().parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(Self { value: value * factor, unit }),
+            Ok(value) if value.is_finite() && unit == Unit::Duty => Ok(Self::new(value * factor, unit)),
+            Ok(value) if value.is_finite() => {
+                Ok(Self { value: value * factor, unit, shown: Shown { per_si: 1.0 / factor, name, decimals } })
+            }
             _ => Err(format!("`{number}` is not a number")),
         }
     }
 }
 
 impl Quantity {
-    /// The number in the unit people read it in, without that unit.
+    /// Printed in the unit that people read it in.
+    pub(crate) fn new(value: f64, unit: Unit) -> Self {
+        let (per_si, name, decimals) = human(unit);
+        Self { value, unit, shown: Shown { per_si, name, decimals } }
+    }
+
+    /// `value` in `unit`, printed as this one if that is its unit.
+    pub(crate) fn like(self, value: f64, unit: Unit) -> Self {
+        if unit == self.unit { Self { value, ..self } } else { Self::new(value, unit) }
+    }
+
+    /// The number as it is printed, without its unit.
     pub(crate) fn number(self) -> String {
-        let (factor, _, decimals) = human(self.unit);
-        let number = format!("{:.decimals$}", self.value * factor);
+        let Shown { per_si, decimals, .. } = self.shown;
+        let number = format!("{:.decimals$}", self.value * per_si);
         // What rounds to zero has no sign.
         let is_zero = !number.contains(|digit: char| ('1'..='9').contains(&digit));
         if is_zero { number.trim_start_matches('-').to_owned() } else { number }
@@ -64,7 +90,7 @@ impl Quantity {
 
 impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match human(self.unit).1 {
+        match self.shown.name {
             "" => f.write_str(&self.number()),
             unit => write!(f, "{} {unit}", self.number()),
         }
@@ -111,8 +137,27 @@ mod tests {
     }
 
     #[test]
+    fn what_was_typed_is_what_is_printed() {
+        for (typed, printed) in [
+            ("60rpm", "60.00 rpm"),
+            ("1.5rad/s", "1.500 rad/s"),
+            ("90deg", "90.00 deg"),
+            ("-0.25turns", "-0.2500 turns"),
+            ("2cm", "2.000 cm"),
+            ("1200mV", "1200 mV"),
+            ("30%", "0.300"),
+        ] {
+            let quantity: Quantity = typed.parse().unwrap();
+            assert_eq!(quantity.to_string(), printed);
+        }
+        let typed: Quantity = "60rpm".parse().unwrap();
+        assert_eq!(typed.like(TAU / 60.0, Unit::RadPerS).to_string(), "1.00 rpm");
+        assert_eq!(typed.like(TAU / 4.0, Unit::Rad).to_string(), "90.00 deg");
+    }
+
+    #[test]
     fn shown_millimetres_are_not_truncated() {
-        let shown = |value| Quantity { value, unit: Unit::M }.to_string();
+        let shown = |value| Quantity::new(value, Unit::M).to_string();
         assert_eq!(shown(0.02499), "24.99 mm");
         assert_eq!(shown(0.009_996), "10.00 mm");
         assert_eq!(shown(-0.000_001), "0.00 mm");

@@ -13,10 +13,11 @@ use anyhow::{Context, bail};
 use embedded_io_async::{ErrorType, Read};
 use r4_driver::Clock as _;
 use r4_log::{About, Tap};
+use r4_sim::Pace;
 
 use crate::{
     args::Args,
-    session::{HostClock, Target},
+    session::{self, Elapsed, HostClock, Session, Target},
 };
 
 /// Where a recording goes.
@@ -70,9 +71,36 @@ pub(crate) fn is_recorded() -> bool {
     RECORDED.load(Ordering::Relaxed)
 }
 
-/// Says that what `--record` asked for is written.
-pub(crate) fn mark_recorded() {
-    RECORDED.store(true, Ordering::Relaxed);
+/// A session and its recording.
+pub(crate) struct Recorded<T> {
+    /// Result of the session; where that went well, why the recording is not complete.
+    pub(crate) result: anyhow::Result<(T, Elapsed)>,
+    /// The log as far as it came; empty if the board never described itself.
+    pub(crate) log: Vec<u8>,
+}
+
+/// Runs `work` in a session as [`session::run`] does and records it in memory, for verbs that read their own log. `--record`
+/// gets the same bytes.
+pub(crate) fn in_memory<T>(
+    args: &Args,
+    default_pace: Pace,
+    work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
+) -> Recorded<T> {
+    let tap = tap(args, Output::Memory(Cursor::new(Vec::new())));
+    let result = session::run_with(args, default_pace, Some(tap.clone()), work);
+    let (log, closed) = match finish(tap) {
+        Ok(Some(Output::Memory(memory))) => {
+            let log = memory.into_inner();
+            let kept = args.record.as_ref().map_or(Ok(()), |path| {
+                RECORDED.store(true, Ordering::Relaxed);
+                fs::write(path, &log).with_context(|| format!("cannot write {}", path.display()))
+            });
+            (log, kept)
+        }
+        Ok(Some(Output::File(_)) | None) => (Vec::new(), Ok(())),
+        Err(error) => (Vec::new(), Err(error)),
+    };
+    Recorded { result: result.and_then(|value| closed.map(|()| value)), log }
 }
 
 /// The recording of one session to a file.

@@ -50,6 +50,15 @@ impl Target {
         }
     }
 
+    /// Its name, and that it is not a real board.
+    pub(crate) fn described(&self) -> String {
+        match self {
+            Self::Sim(_) => format!("{self} (simulated)"),
+            Self::Emu(_) => format!("{self} (emulated)"),
+            Self::Link(_) => self.to_string(),
+        }
+    }
+
     /// The robot's name or file, of a virtual board.
     pub(crate) fn robot(&self) -> Result<&str, NotVirtual> {
         match self {

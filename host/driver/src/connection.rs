@@ -187,7 +187,7 @@ async fn receive<C: Clock, R: Read>(state: &Mutex<State>, clock: &C, mut rx: R) 
         let len = match rx.read(&mut buffer).await {
             Ok(0) => return Error::LinkFailed { reason: "closed by the other end".into() },
             Ok(len) => len,
-            Err(error) => return Error::LinkFailed { reason: format!("{:?}", error) },
+            Err(error) => return Error::LinkFailed { reason: error.to_string() },
         };
         let now_us = clock.now_us();
         let mut state = lock(state);
@@ -229,7 +229,7 @@ async fn transmit<C: Clock, W: Write>(
     mut tx: W,
     mut messages: mpsc::UnboundedReceiver<ToDevice>,
 ) -> Error {
-    let failed = |error: W::Error| Error::LinkFailed { reason: format!("{error:?}") };
+    let failed = |error: W::Error| Error::LinkFailed { reason: error.to_string() };
     // Ends whatever half a frame the board may still hold from a host before us.
     if let Err(error) = tx.write_all(&[0]).await {
         return failed(error);

@@ -82,7 +82,7 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
     if args.json {
         output::json(&Listening { udp })?;
     } else {
-        output::line(format_args!("{} answers at {udp}", args.board))?;
+        output::line(format_args!("{} answers at {udp}", args.board.described()))?;
     }
     let (counts, _) = session::run(args, Pace::RealTime(1.0), async |session| {
         let mut hosts = Hosts {

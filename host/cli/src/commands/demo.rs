@@ -2,15 +2,13 @@
 
 use std::{
     fs,
-    io::Cursor,
     path::{Path, PathBuf},
 };
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
-use r4_driver::TelemetryStream;
-use r4_log::{Header, Log, Recorder};
-use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint, Unit};
+use r4_log::Log;
+use r4_protocol::{ChannelId, ChannelKind, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -19,8 +17,9 @@ use crate::{
     args::{Args, Demo},
     output,
     quantity::human,
+    record::{self, Recorded},
     report::{self, Align, Cell, Column},
-    session::{self, Elapsed, Session},
+    session::{Elapsed, Session},
     table,
 };
 
@@ -73,15 +72,13 @@ struct Report {
     report: PathBuf,
 }
 
-/// A log in memory: it is hashed and drawn before it is written.
-type MemoryLog = Recorder<Cursor<Vec<u8>>>;
-
 pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
         ProgressStyle::with_template("{bar:30} {pos}/{len} set points, {msg}").unwrap_or(ProgressStyle::default_bar()),
     );
-    let ((rows, log), elapsed) = session::run(args, Pace::Free, async |session| drive(args, session, &progress).await)?;
+    let Recorded { result, log } = record::in_memory(args, Pace::Free, async |session| drive(session, &progress).await);
     progress.finish_and_clear();
+    let (rows, elapsed) = result?;
 
     let log_path = demo.out.join("log.mcap");
     let report_path = demo.out.join("report.html");
@@ -115,28 +112,18 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Drives all set points and returns what came of each, and the log.
-async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<(Vec<Row>, Vec<u8>)> {
+/// Drives all set points and returns a row for each that was tried.
+async fn drive(session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<Vec<Row>> {
     let board = session.board;
     for channel in [ROTARY.1, LINEAR.1] {
         board.channel(channel).context("the demo needs the channels of osmc-bench")?;
     }
-    let header = Header {
-        robot: board.info().robot.to_string(),
-        board: args.board.to_string(),
-        firmware: board.info().firmware.to_string(),
-        protocol_version: r4_protocol::VERSION,
-        channels: board.channels().to_vec(),
-        seed: args.board.robot().ok().map(|_| args.seed),
-    };
-    let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
-    let mut telemetry = board.telemetry();
     for channel in board.channels() {
         board.subscribe(channel.id, LOG_EVERY_MS).await?;
     }
     // An encoder's zero is where power came on, wherever the shaft stood; a potentiometer's is its calibration.
     let zero = session.true_position(ROTARY.1).unwrap_or(0.0);
-    let rows = session
+    session
         .armed(async || {
             let mut rows = Vec::new();
             let rotary = ROTARY.0.iter().map(|point| (ROTARY.1, *point));
@@ -144,7 +131,7 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
                 progress.set_message(format!("{channel} to {set}"));
                 let zero = if channel == ROTARY.1 { zero } else { 0.0 };
                 let point = SetPoint { channel, set, paper, zero };
-                let (row, stopped) = set_point(session, &mut recorder, &mut telemetry, point).await?;
+                let (row, stopped) = set_point(session, point).await?;
                 rows.push(row);
                 progress.inc(1);
                 if let Some(error) = stopped {
@@ -154,9 +141,7 @@ async fn drive(args: &Args, session: &Session<'_>, progress: &ProgressBar) -> an
             }
             Ok(rows)
         })
-        .await?;
-    record(&mut recorder, &mut telemetry)?;
-    Ok((rows, recorder.finish()?.into_inner()))
+        .await
 }
 
 /// What to drive to, and what to compare with.
@@ -172,8 +157,6 @@ struct SetPoint {
 
 async fn set_point(
     session: &Session<'_>,
-    recorder: &mut MemoryLog,
-    telemetry: &mut TelemetryStream,
     SetPoint { channel, set, paper, zero }: SetPoint,
 ) -> anyhow::Result<(Row, Option<r4_driver::Error>)> {
     let board = session.board;
@@ -181,8 +164,6 @@ async fn set_point(
     let (per_si, unit, _) = human(info.unit);
     let within = if info.unit == Unit::M { WITHIN_MM } else { WITHIN_DEG };
     let target = set / per_si;
-    let setpoint = Setpoint { mode: Mode::Position, value: target as f32 };
-    recorder.command(board.device_us(), channel, setpoint)?;
     let (settling_s, measured, stopped) = match board.move_to(channel, target, TIMEOUT_S).await {
         Ok(reached) => (Some(reached.after_s), Some(reached.position), None),
         // A row that says so, and the other set points are still tried.
@@ -191,7 +172,6 @@ async fn set_point(
         Err(error) => return Err(error.into()),
     };
     board.sleep_s(HOLD_S).await;
-    record(recorder, telemetry)?;
     let measured = measured.map(|position| position * per_si);
     let ours =
         session.true_position(channel).map(|position| (position - zero) * per_si).or(measured).unwrap_or(f64::NAN);
@@ -210,19 +190,6 @@ async fn set_point(
         met: settling_s.is_some() && error_ours.abs() <= within,
     };
     Ok((row, stopped))
-}
-
-/// Writes what has arrived since the last call.
-fn record(recorder: &mut MemoryLog, telemetry: &mut TelemetryStream) -> anyhow::Result<()> {
-    while let Some(frame) = telemetry.try_next() {
-        recorder.telemetry(&frame)?;
-    }
-    anyhow::ensure!(
-        telemetry.dropped() == 0,
-        "{} telemetry frames were lost before they were logged",
-        telemetry.dropped()
-    );
-    Ok(())
 }
 
 fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {

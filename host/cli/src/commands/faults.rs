@@ -192,8 +192,8 @@ impl Watched {
             let mut row = vec![snapshot.before_ms.to_string()];
             for (info, motor) in self.motors.iter().zip(&snapshot.motors) {
                 if let Some(value) = position(info, motor.position) {
-                    row.push(Quantity { value, unit: info.unit }.number());
-                    row.push(Quantity { value: motor.speed.into(), unit: speed_unit(info.unit) }.number());
+                    row.push(Quantity::new(value, info.unit).number());
+                    row.push(Quantity::new(motor.speed.into(), speed_unit(info.unit)).number());
                 }
                 row.push(format!("{:.3}", motor.duty));
             }

@@ -1,11 +1,10 @@
 //! `r4 servo`, `r4 bldc`, `r4 dac`: outputs that are told one number, and tell no more than that.
 
-use anyhow::{bail, ensure};
 use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::setpoint;
+use super::{Unsuitable, setpoint};
 use crate::{
     args::{Args, Bldc, Held},
     output,
@@ -68,16 +67,22 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     let Order { channel, kind, mode, value: asked, seconds, afterwards } = order;
     let ((unit, value), _) = session::run(args, Pace::Free, async |session| {
         let info = session.board.channel(channel)?;
-        ensure!(channel.kind == kind, "{channel} is no {}: `r4 info` lists the channels", kind.name());
+        let unsuitable = |why| Unsuitable { channel, why };
+        if channel.kind != kind {
+            return Err(unsuitable(format!("is no {}: `r4 info` lists the channels", kind.name())).into());
+        }
         let setpoint = match asked {
             Some(asked) => setpoint(session, channel, mode, asked)?,
-            None if info.mode(mode).is_none() => bail!("{channel} has no {mode}: `r4 info` lists what it can take"),
+            None if info.mode(mode).is_none() => {
+                return Err(unsuitable(format!("has no {mode}: `r4 info` lists what it can take")).into());
+            }
             None => Setpoint { mode, value: 1.0 },
         };
         let hold = async || Ok(session.board.hold(channel, setpoint, seconds).await?);
         Ok((info.unit, session.armed(hold).await?))
     })?;
-    let set = asked.unwrap_or(Quantity { value: 0.0, unit: Unit::Duty });
+    let board = args.board.described();
+    let set = asked.unwrap_or(Quantity::new(0.0, Unit::Duty));
     let held = (value - set.value).abs() <= WITHIN;
     let what = if asked.is_some() { set.to_string() } else { mode.to_string() };
     if args.json {
@@ -92,13 +97,13 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
             held,
         })?;
     } else {
-        output::line(format_args!("{channel} was told {what} for {seconds} s; {afterwards}"))?;
+        output::line(format_args!("{channel} was told {what} for {seconds} s, on {board}; {afterwards}"))?;
     }
     if !held {
-        let reached = Quantity { value, unit };
+        let reached = set.like(value, unit);
         // A servo without pulses is at no angle that anyone knows.
         let reached = if value.is_nan() { "nothing".to_owned() } else { reached.to_string() };
-        eprintln!("r4: {channel} had only come to {reached} after {seconds} s: allow more time with --for");
+        eprintln!("r4: {channel} had only come to {reached} after {seconds} s, on {board}: allow more time with --for");
     }
     Ok(held)
 }

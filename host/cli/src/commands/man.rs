@@ -26,10 +26,13 @@ pub(crate) struct Manual {
 }
 
 /// What the program's exit code says, in every page and in `docs/program.md`.
-const EXIT_STATUS: [(&str, &str); 4] = [
+const EXIT_STATUS: [(&str, &str); 7] = [
     ("0", "What the command promises held."),
-    ("1", "It did not: the board refused, a motor did not arrive, the link was lost. A message on stderr says why."),
+    ("1", "It did not. A message on stderr says why."),
     ("2", "What was typed was not understood; nothing was done."),
+    ("3", "It was refused."),
+    ("4", "There is no link to the board, or not any more."),
+    ("5", "The board stopped."),
     ("130", "Ctrl-C, after which the board was disarmed."),
 ];
 

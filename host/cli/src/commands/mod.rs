@@ -28,16 +28,33 @@ pub(crate) mod state;
 pub(crate) mod tune;
 pub(crate) mod watch;
 
-use anyhow::bail;
 use r4_protocol::{ChannelId, Mode, Setpoint, Unit};
 
 use crate::{quantity::Quantity, session::Session};
 
+/// A channel does not take what it was asked for; nothing was sent.
+#[derive(Debug, thiserror::Error)]
+#[error("{channel} {why}")]
+pub(crate) struct Unsuitable {
+    pub(crate) channel: ChannelId,
+    why: String,
+}
+
+/// A motor did not do what it was asked for in time.
+#[derive(Debug, thiserror::Error)]
+#[error("{channel} {how}")]
+pub(crate) struct NotReached {
+    pub(crate) channel: ChannelId,
+    how: String,
+}
+
 /// The set point that a typed quantity means for a channel, checked against what the channel says it takes.
 fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Quantity) -> anyhow::Result<Setpoint> {
     let info = session.board.channel(channel)?;
+    let unsuitable = |why| Unsuitable { channel, why };
     let Some(takes) = info.mode(mode) else {
-        bail!("{channel} cannot be commanded by {mode}: `r4 info` lists what it can take");
+        let why = format!("cannot be commanded by {mode}: `r4 info` lists what it can take");
+        return Err(unsuitable(why).into());
     };
     if takes.unit != quantity.unit {
         let example = match takes.unit {
@@ -49,12 +66,13 @@ fn setpoint(session: &Session<'_>, channel: ChannelId, mode: Mode, quantity: Qua
             Unit::V => "a voltage, as in 1.2V or 1200mV",
             Unit::Bool => "nothing that can be typed",
         };
-        bail!("{channel} takes as {mode} {example}");
+        return Err(unsuitable(format!("takes as {mode} {example}")).into());
     }
     let setpoint = Setpoint { mode, value: quantity.value as f32 };
     if !takes.range.contains(setpoint.value) {
-        let limit = |value: f32| Quantity { value: value.into(), unit: takes.unit };
-        bail!("{channel} takes a {mode} from {} to {}, not {quantity}", limit(takes.range.min), limit(takes.range.max));
+        let limit = |value: f32| quantity.like(value.into(), takes.unit);
+        let (min, max) = (limit(takes.range.min), limit(takes.range.max));
+        return Err(unsuitable(format!("takes a {mode} from {min} to {max}, not {quantity}")).into());
     }
     Ok(setpoint)
 }

@@ -1,12 +1,12 @@
 //! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`
 
-use anyhow::{bail, ensure};
+use anyhow::ensure;
 use r4_driver::{Error, Motion, Until};
 use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, Sample, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::{setpoint, speed_unit};
+use super::{NotReached, Unsuitable, setpoint, speed_unit};
 use crate::{
     args::{self, Args},
     output,
@@ -77,7 +77,10 @@ pub(crate) fn step(args: &Args, step: &args::Step) -> anyhow::Result<bool> {
     let drive = async |session: &Session<'_>| {
         let board = session.board;
         let resolution = f64::from(board.channel(channel)?.resolution);
-        ensure!(channel.kind == ChannelKind::Stepper, "{channel} is no stepper: `r4 move` sends it to a position");
+        if channel.kind != ChannelKind::Stepper {
+            let why = "is no stepper: `r4 move` sends it to a position".to_owned();
+            return Err(Unsuitable { channel, why }.into());
+        }
         let mut telemetry = board.telemetry();
         board.subscribe(channel, LOOK_EVERY_MS).await?;
         let counts = loop {
@@ -91,7 +94,7 @@ pub(crate) fn step(args: &Args, step: &args::Step) -> anyhow::Result<bool> {
             }
         };
         let value = (f64::from(counts) + f64::from(step.steps)) * resolution;
-        drive(session, channel, Mode::Position, Quantity { value, unit: Unit::Rad }, until).await
+        drive(session, channel, Mode::Position, Quantity::new(value, Unit::Rad), until).await
     };
     report(args, session::run(args, Pace::Free, drive)?.0)
 }
@@ -105,7 +108,8 @@ async fn drive(
 ) -> anyhow::Result<Driven> {
     let setpoint = setpoint(session, channel, mode, set)?;
     if let verb @ ("servo" | "bldc") = channel.kind.name() {
-        bail!("{channel} does not tell how it moves: command it with `r4 {verb}`");
+        let why = format!("does not report how it moves: command it with `r4 {verb}`");
+        return Err(Unsuitable { channel, why }.into());
     }
     let info = session.board.channel(channel)?.clone();
     let end = session.armed(async || Ok(session.board.drive(channel, setpoint, until).await)).await?;
@@ -115,11 +119,12 @@ async fn drive(
 /// Prints what came of it; false when it did not hold.
 fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
     let Driven { info, mode, set, end } = driven;
-    let (channel, position_unit) = (info.id, info.unit);
+    let (channel, position_unit, board) = (info.id, info.unit, args.board.described());
     let end = match end {
         Err(Error::NotSettled { position, after_s, .. }) => {
-            let position = Quantity { value: position, unit: position_unit };
-            bail!("{channel} was not settled after {after_s:.1} s: at {position}, asked for {set}");
+            let position = set.like(position, position_unit);
+            let how = format!("was not settled after {after_s:.1} s: at {position}, asked for {set}, on {board}");
+            return Err(NotReached { channel, how }.into());
         }
         end => end?,
     };
@@ -151,8 +156,8 @@ fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
             held,
         })?;
     }
-    let position = Quantity { value: end.position, unit: position_unit };
-    let speed = Quantity { value: end.speed, unit: speed_unit(position_unit) };
+    let position = set.like(end.position, position_unit);
+    let speed = set.like(end.speed, speed_unit(position_unit));
     // A motor without a sensor has only its duty to tell, a stepper has none.
     let place = if end.position.is_nan() { String::new() } else { format!(" at {position}, moving at {speed},") };
     let duty = info.mode(Mode::Duty).map_or(String::new(), |_| format!(" duty {:.3},", end.duty));
@@ -160,15 +165,21 @@ fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
     match mode {
         _ if args.json => {}
         Mode::Position => {
-            output::line(format_args!("{channel} rests at {position}, asked for {set}, after {after_s:.2} s"))?;
+            output::line(format_args!(
+                "{channel} rests at {position}, asked for {set}, after {after_s:.2} s, on {board}"
+            ))?;
         }
         Mode::Home => {
-            output::line(format_args!("{channel} has found its home and rests at {position}, after {after_s:.2} s"))?;
+            output::line(format_args!(
+                "{channel} has found its home and rests at {position}, after {after_s:.2} s, on {board}"
+            ))?;
         }
-        _ => output::line(format_args!("{channel}{place}{duty} after {after_s:.2} s of {mode} {set}; now stopped"))?,
+        _ => output::line(format_args!(
+            "{channel}{place}{duty} after {after_s:.2} s of {mode} {set}, on {board}; now stopped"
+        ))?,
     }
     if !held {
-        eprintln!("r4: {channel} did not hold {mode} {set}: it was{place}{duty} after {after_s:.2} s");
+        eprintln!("r4: {channel} did not hold {mode} {set}: it was{place}{duty} after {after_s:.2} s, on {board}");
     }
     Ok(held)
 }

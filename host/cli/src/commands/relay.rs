@@ -4,7 +4,7 @@ use r4_protocol::{Mode, Setpoint};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::hold::HOLD_S;
+use super::{Unsuitable, hold::HOLD_S};
 use crate::{
     args::{Args, Contact, Relay},
     output, session,
@@ -26,7 +26,8 @@ pub(crate) fn run(args: &Args, relay: &Relay) -> anyhow::Result<bool> {
     let (closed, _) = session::run(args, Pace::Free, async |session| {
         let board = session.board;
         if board.channel(channel)?.mode(Mode::Switch).is_none() {
-            anyhow::bail!("{channel} cannot be switched: `r4 info` lists what it can take");
+            let why = "cannot be switched: `r4 info` lists what it can take".to_owned();
+            return Err(Unsuitable { channel, why }.into());
         }
         let setpoint = Setpoint { mode: Mode::Switch, value: set.into() };
         let level = session.armed(async || Ok(board.hold(channel, setpoint, seconds).await?)).await?;
@@ -36,7 +37,8 @@ pub(crate) fn run(args: &Args, relay: &Relay) -> anyhow::Result<bool> {
         output::json(&Outcome { board: args.board.to_string(), channel: channel.to_string(), set, closed, seconds })?;
     } else {
         let contact = |closed| if closed { "closed" } else { "open" };
-        output::line(format_args!("{channel} was {} for {seconds} s; now open", contact(closed)))?;
+        let board = args.board.described();
+        output::line(format_args!("{channel} was {} for {seconds} s, on {board}; now open", contact(closed)))?;
     }
     Ok(closed == set)
 }

@@ -72,7 +72,7 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     if args.json {
         return output::json(&state);
     }
-    output::line(format_args!("{} is {}", state.board, state.state))?;
+    output::line(format_args!("{} is {}", args.board.described(), state.state))?;
     for cause in frame.causes.iter() {
         output::line(format_args!("  {cause}: {}", cause.advice()))?;
     }

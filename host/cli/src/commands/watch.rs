@@ -224,10 +224,10 @@ pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     let value = Value::new(info, sample);
     let number = match *sample {
         Sample::Reading { quality, .. } if quality != Quality::Good => fault(quality).to_owned(),
-        _ => value.value.map_or("-".to_owned(), |value| Quantity { value, unit: info.unit }.number()),
+        _ => value.value.map_or("-".to_owned(), |value| Quantity::new(value, info.unit).number()),
     };
-    let speed = value.speed.map(|speed| Quantity { value: speed.into(), unit: speed_unit(info.unit) }.number());
-    let duty = value.duty.map(|duty| Quantity { value: duty.into(), unit: Unit::Duty }.number());
+    let speed = value.speed.map(|speed| Quantity::new(speed.into(), speed_unit(info.unit)).number());
+    let duty = value.duty.map(|duty| Quantity::new(duty.into(), Unit::Duty).number());
     [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
 }
 

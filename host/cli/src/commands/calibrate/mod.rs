@@ -143,7 +143,7 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
         }
         output::line(shown)?;
     }
-    output::line(&found.note)?;
+    output::line(format_args!("{}, on {}", found.note, args.board.described()))?;
     if let Some(toml) = &found.toml {
         output::line(toml.trim_end())?;
     } else {

@@ -95,7 +95,7 @@ pub(super) async fn potentiometer(
     }
     let [first, second] = points[..] else { bail!("two places are needed") };
     if (second.0 - first.0).abs() < LEAST_APART * (max - min) {
-        bail!("the two places are too near: at least {}", Quantity { value: LEAST_APART * (max - min), unit: Unit::M });
+        bail!("the two places are too near: at least {}", Quantity::new(LEAST_APART * (max - min), Unit::M));
     }
     let truth = Line { low: first, high: second };
     let codes = [low.active, high.active].map(|position| truth.code(position.into()).round());
@@ -104,7 +104,7 @@ pub(super) async fn potentiometer(
     }
     let changes = vec![Change::new(&low_code, codes[0]), Change::new(&high_code, codes[1])];
     let shift = (truth.position(line.code(min)) - min, truth.position(line.code(max)) - max);
-    let shown = |value| Quantity { value, unit: Unit::M };
+    let shown = |value| Quantity::new(value, Unit::M);
     let note = format!("until now it was {} off at the low end and {} at the high end", shown(shift.0), shown(shift.1));
     Ok(Found { changes, toml: None, note })
 }

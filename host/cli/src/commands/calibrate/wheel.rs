@@ -54,7 +54,7 @@ pub(super) async fn run(
         "[drive.skid-steer]\nwheel_radius_m = {radius_m:.5} # measured over {distance_m:.3} m\n\
          track_m = {track_m:.4} # measured over {}; wheels that scrub make it wider than the drawing\n\
          left = [{}]\nright = [{}]\n",
-        Quantity { value: yaw_rad, unit: Unit::Rad },
+        Quantity::new(yaw_rad, Unit::Rad),
         names(left),
         names(right)
     );

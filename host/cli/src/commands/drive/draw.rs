@@ -55,7 +55,7 @@ const HELP: [&str; 2] = [
 const HALF: usize = 20;
 
 pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
-    let most = Quantity { value: state.most, unit: state.unit };
+    let most = Quantity::new(state.most, state.unit);
     let title = format!("{}  {}  up to {most}", state.robot, state.board);
     let causes = if state.causes.is_empty() { String::new() } else { state.causes.to_string() };
     let advice = match (state.silent_s, state.causes.iter().next(), state.safety) {
@@ -104,11 +104,11 @@ fn axis(name: &str, share: f64, [negative, positive]: [&str; 2]) -> Line<'static
 
 fn wheel_line(wheel: &Wheel, unit: Unit) -> Line<'static> {
     let number = |value: Option<f64>, unit| match value {
-        Some(value) => format!("{} {:<5}", Quantity { value, unit }.number(), human(unit).1),
+        Some(value) => format!("{} {:<5}", Quantity::new(value, unit).number(), human(unit).1),
         None => "-      ".into(),
     };
     let (told, speed) = (number(Some(wheel.told), unit), number(wheel.speed, wheel.speed_unit));
-    let duty = wheel.duty.map_or("-".into(), |value| Quantity { value, unit: Unit::Duty }.number());
+    let duty = wheel.duty.map_or("-".into(), |value| Quantity::new(value, Unit::Duty).number());
     let side = if wheel.is_left { "left" } else { "right" };
     Line::raw(format!("{side:<7}{:<12}{told:>18}{speed:>20}{duty:>10}", wheel.channel.to_string()))
 }

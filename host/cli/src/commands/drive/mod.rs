@@ -160,7 +160,7 @@ impl Pair {
     }
 
     fn of(left: Vec<ChannelId>, right: Vec<ChannelId>) -> Self {
-        let most = Quantity { value: CAREFUL_DUTY, unit: Unit::Duty };
+        let most = Quantity::new(CAREFUL_DUTY, Unit::Duty);
         Self { left, right, mode: Mode::Duty, most, turn_share: TURN_SHARE }
     }
 
@@ -172,7 +172,7 @@ impl Pair {
             let info = session.board.channel(channel)?;
             let Some(takes) = info.mode(Mode::Speed) else { return Ok((Mode::Duty, self.most)) };
             let value = f64::from(takes.range.max.min(-takes.range.min)) / 2.0;
-            half = Some(Quantity { value: half.map_or(value, |half| half.value.min(value)), unit: takes.unit });
+            half = Some(Quantity::new(half.map_or(value, |half| half.value.min(value)), takes.unit));
         }
         Ok(match (half, known_rad_s) {
             (Some(half), Some(rad_s)) if half.unit == Unit::RadPerS => {

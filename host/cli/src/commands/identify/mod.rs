@@ -44,6 +44,13 @@ enum What {
     Check(check::Check),
 }
 
+impl Identify {
+    /// Whether it talks to a board, and not only reads recordings.
+    pub(crate) fn is_on_a_board(&self) -> bool {
+        matches!(self.what, Some(What::Close(_)))
+    }
+}
+
 /// DIR gets report.json, report.html and plant.toml; the same `--seed` gives the same bytes.
 #[derive(Clone, Debug, clap::Args)]
 struct Question {

@@ -244,7 +244,7 @@ fn draw_graph(frame: &mut Frame<'_>, state: &State, row: &Row, area: Rect) {
         .map(|(at_s, value)| (at_s - state.device_s, *value))
         .collect();
     let bounds = row.bounds(since_s);
-    let label = |value: f64| Quantity { value, unit: row.info.unit }.number();
+    let label = |value: f64| Quantity::new(value, row.info.unit).number();
     let axis = Style::new().add_modifier(Modifier::DIM);
     let dataset = Dataset::default()
         .marker(Marker::Braille)
@@ -266,7 +266,7 @@ fn title(row: &Row) -> String {
     }
     if let Some(Sample::Motor { setpoint: Setpoint { mode, value }, settled, homed, .. }) = row.sample {
         let unit = row.info.mode(mode).map_or(Unit::Duty, |info| info.unit);
-        title += &format!(", told {mode} {}", Quantity { value: value.into(), unit });
+        title += &format!(", told {mode} {}", Quantity::new(value.into(), unit));
         title += if settled { ", settled" } else { "" };
         title += if homed { ", homed" } else { "" };
     }

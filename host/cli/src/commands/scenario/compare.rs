@@ -59,7 +59,9 @@ pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
             }
         }
     }
-    let lists = |outcome: &Outcome| (format!("{:?}", outcome.trips), format!("{:?}", outcome.refused));
+    let trips =
+        |outcome: &Outcome| outcome.trips.iter().map(|causes| causes.join(" + ")).collect::<Vec<_>>().join(", ");
+    let lists = |outcome: &Outcome| (trips(outcome), outcome.refused.join(", "));
     let ((trips, refused), (other_trips, other_refused)) = (lists(simulated), lists(emulated));
     if trips != other_trips {
         differ("trips".into(), trips, other_trips, "the same".into());

@@ -92,6 +92,21 @@ pub(super) enum Action {
     },
 }
 
+impl Action {
+    /// What was done to the board, as a message names it.
+    pub(super) fn what(&self) -> String {
+        match self {
+            Self::Arm => "arm".into(),
+            Self::Disarm => "disarm".into(),
+            Self::Stop => "stop".into(),
+            Self::Clear => "clear".into(),
+            Self::Set { channel, mode, value } => format!("set {channel} {mode} {value}"),
+            // Done to what is around the board, which refuses nothing.
+            _ => "step".into(),
+        }
+    }
+}
+
 /// Longer than any scenario, s.
 const LONGEST_S: f64 = 1e6;
 

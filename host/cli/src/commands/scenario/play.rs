@@ -63,7 +63,7 @@ pub(super) async fn play(session: &Session<'_>, scenario: &Scenario) -> anyhow::
             Ok(()) => {}
             // Part of the outcome: a scenario may well ask for what is not allowed.
             Err(error @ (Error::Refused { .. } | Error::Stopped { .. } | Error::TimedOut { .. })) => {
-                outcome.refused.push(format!("{:?} at {} s: {error}", step.action, step.at_s));
+                outcome.refused.push(format!("{} at {} s: {error}", step.action.what(), step.at_s));
             }
             Err(error) => return Err(error).with_context(|| format!("at {} s", step.at_s)),
         }

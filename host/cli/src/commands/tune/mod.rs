@@ -25,7 +25,8 @@ use crate::{
     args::Args,
     output,
     quantity::{Quantity, human},
-    session::{self, Session},
+    record::{self, Recorded},
+    session::Session,
     table,
 };
 use experiment::{Answer, Swing};
@@ -109,7 +110,6 @@ struct Outcome {
     /// Why the proposed gains are worse, if they are.
     worse: Option<String>,
     saved: bool,
-    log: Vec<u8>,
 }
 
 #[derive(Serialize)]
@@ -199,28 +199,29 @@ pub(crate) fn run(args: &Args, tune: &Tune) -> anyhow::Result<bool> {
     let style = ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner());
     let progress = ProgressBar::new_spinner().with_style(style);
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
-    let result = session::run(args, Pace::Free, async |session| work(args, tune, session, &progress).await);
+    let Recorded { result, log } =
+        record::in_memory(args, Pace::Free, async |session| work(tune, session, &progress).await);
     progress.finish_and_clear();
     let (outcome, _) = result?;
     if let Some(path) = &tune.report {
-        let page = page::html(&Log::from_bytes(&outcome.log)?, &args.board.to_string(), &outcome);
+        let page = page::html(&Log::from_bytes(&log)?, tune.channel, &args.board.to_string(), &outcome);
         fs::write(path, page).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
         output::json(&report(args, tune, &outcome))?;
     } else {
-        print(tune, &outcome)?;
+        print(args, tune, &outcome)?;
     }
     Ok(true)
 }
 
-async fn work(args: &Args, tune: &Tune, session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<Outcome> {
+async fn work(tune: &Tune, session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<Outcome> {
     let board = session.board;
     progress.set_message("reading the motor's parameters");
     let channel = tune.channel;
     plan::check_has_loops(board.channel(channel)?)?;
     let parameters = board.parameters().await?;
-    let mut rig = Rig::new(session, args.board.to_string(), channel, tune.time).await?;
+    let mut rig = Rig::new(session, channel, tune.time).await?;
     let plan = Plan::new(tune, board.channel(channel)?, &parameters, rig.position().await?)?;
     let mode = plan.mode();
     // What the board started with. It does not tell gains that were changed since, and `r4` changes them nowhere else.
@@ -245,7 +246,7 @@ async fn work(args: &Args, tune: &Tune, session: &Session<'_>, progress: &Progre
         board.save_parameters().await.context("cannot save the gains")?;
         session.gains_at_end(None);
     }
-    Ok(Outcome { plan, finding, rule, margin_deg, proposed, before, after, worse, saved, log: rig.into_log()? })
+    Ok(Outcome { plan, finding, rule, margin_deg, proposed, before, after, worse, saved })
 }
 
 /// What was done while armed.
@@ -360,7 +361,7 @@ fn worse(plan: &Plan, before: Response, after: Response) -> Option<String> {
     let band = plan.steady_band() * if faster { 2.0 } else { 1.0 };
     let steady = before.steady_error.abs().max(band);
     (after.steady_error.abs() > steady).then(|| {
-        let [after, before] = [after, before].map(|of| Quantity { value: of.steady_error, unit: plan.unit() });
+        let [after, before] = [after, before].map(|of| Quantity::new(of.steady_error, plan.unit()));
         format!("they leave an error of {after} instead of {before}")
     })
 }
@@ -416,7 +417,7 @@ impl Outcome {
         let unit = self.plan.unit();
         match self.finding {
             Finding::Swing(Swing { oscillation, height, hysteresis, host_delay_s, .. }) => {
-                let quantity = |value| Quantity { value, unit };
+                let quantity = |value| Quantity::new(value, unit);
                 format!(
                     "Swing under duty ±{height:.3}: period {:.1} ms, amplitude {}. Hysteresis {}, {} cycles within {:.1} %. \
                      Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not in these.",
@@ -435,7 +436,7 @@ impl Outcome {
                 let speed = if unit == Unit::M || unit == Unit::MPerS { Unit::MPerS } else { Unit::RadPerS };
                 format!(
                     "Model: {} per full duty, lag {:.1} ms, delay {:.1} ms; leaves {:.1} % untold.",
-                    Quantity { value: model.gain, unit: speed },
+                    Quantity::new(model.gain, speed),
                     model.lag_s * 1e3,
                     model.delay_s * 1e3,
                     residual * 100.0
@@ -494,9 +495,10 @@ fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
     ]
 }
 
-fn print(tune: &Tune, outcome: &Outcome) -> anyhow::Result<()> {
+fn print(args: &Args, tune: &Tune, outcome: &Outcome) -> anyhow::Result<()> {
     let channel = tune.channel;
-    output::line(format_args!("{channel}, {} loop, by {}", outcome.plan.mode(), tune.method.name()))?;
+    let board = args.board.described();
+    output::line(format_args!("{channel}, {} loop, by {}, on {board}", outcome.plan.mode(), tune.method.name()))?;
     for sentence in outcome.finding().split_inclusive(". ") {
         output::line(sentence.trim_end())?;
     }

@@ -1,6 +1,7 @@
 //! The page of a run.
 
 use r4_log::Log;
+use r4_protocol::ChannelId;
 
 use super::{Outcome, rows};
 use crate::{
@@ -9,12 +10,10 @@ use crate::{
 };
 
 /// The page.
-pub(super) fn html(log: &Log, board: &str, outcome: &Outcome) -> String {
+pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome) -> String {
     let plan = &outcome.plan;
-    let channel = log.header.channels.first().map(|info| info.id);
-    let name = channel.map_or(String::new(), |channel| channel.to_string());
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };
-    let verdict = channel.map_or(String::new(), |channel| outcome.verdict(channel));
+    let verdict = outcome.verdict(channel);
     let table = report::Table {
         caption: format!("Gains and the response to steps, {} loop", plan.mode()),
         note: Some(format!("{} {}. On the board: {verdict}.", outcome.finding(), outcome.rule())),
@@ -36,5 +35,5 @@ pub(super) fn html(log: &Log, board: &str, outcome: &Outcome) -> String {
         lines.push(("proposed gains".to_owned(), line(&after.samples, |sample| sample.1)));
     }
     let overlay = Overlay { title: format!("{} ({unit})", plan.mode()), lines };
-    report::page(log, &format!("Tuning of {name} on {board}"), &[table], &[overlay])
+    report::page(log, &format!("Tuning of {channel} on {board}"), &[table], &[overlay])
 }

@@ -143,7 +143,7 @@ impl Plan {
             Which::Speed => Loop::Speed,
         };
         let motor = Motor::new(info, parameters, of)?;
-        let quantity = |value| Quantity { value, unit: motor.unit };
+        let quantity = |value| Quantity::new(value, motor.unit);
         let room = motor.range.1 - motor.range.0;
         let run = SPEEDS.1 * motor.speed * SPEED_RUN_S;
         let travel = match (tune.travel, of, motor.unit) {
@@ -322,12 +322,12 @@ mod tests {
     fn what_does_not_fit_is_refused_before_anything_moves() {
         let (info, parameters) = actuator();
         let tune = tune(info.id);
-        let mm = |value: f64| Some(Quantity { value: value * 1e-3, unit: Unit::M });
+        let mm = |value: f64| Some(Quantity::new(value * 1e-3, Unit::M));
         for (tune, says) in [
             (Tune { travel: mm(60.0), ..tune.clone() }, "no room"),
             (Tune { travel: mm(0.1), ..tune.clone() }, "needs a travel"),
             (Tune { travel: mm(f64::NAN), ..tune.clone() }, "needs a travel"),
-            (Tune { travel: Some(Quantity { value: 1.0, unit: Unit::Rad }), ..tune.clone() }, "as in 10mm"),
+            (Tune { travel: Some(Quantity::new(1.0, Unit::Rad)), ..tune.clone() }, "as in 10mm"),
             (Tune { at: mm(95.0), ..tune.clone() }, "not at"),
             (Tune { amplitude: Some(0.9), ..tune.clone() }, "--amplitude up to 0.784"),
             (Tune { amplitude: Some(0.23), ..tune.clone() }, "friction"),

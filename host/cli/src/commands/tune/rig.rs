@@ -1,11 +1,10 @@
-//! A motor under experiment: what it does is recorded, and watched with every look.
+//! A motor under experiment, watched with every sample.
 
-use std::{io::Cursor, pin::pin};
+use std::pin::pin;
 
 use anyhow::Context;
 use futures::future::{Either, select};
 use r4_driver::{Board, Error, TelemetryStream, tune::Loop};
-use r4_log::{Header, Recorder};
 use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Unit};
 
 use crate::{
@@ -56,9 +55,6 @@ impl Look {
     }
 }
 
-/// A log in memory.
-type MemoryLog = Recorder<Cursor<Vec<u8>>>;
-
 /// A motor under experiment.
 pub(super) struct Rig<'b> {
     board: &'b Board<HostClock>,
@@ -66,7 +62,6 @@ pub(super) struct Rig<'b> {
     unit: Unit,
     resolution: f64,
     telemetry: TelemetryStream,
-    recorder: MemoryLog,
     /// Whether the board has been seen armed.
     armed: bool,
     /// Where the motor may be; anywhere while it is sent to where it begins.
@@ -78,23 +73,9 @@ pub(super) struct Rig<'b> {
 
 impl<'b> Rig<'b> {
     /// `channel`, seen every [`LOOK_EVERY_MS`]; all it does may take `limit_s`.
-    pub(super) async fn new(
-        session: &Session<'b>,
-        name: String,
-        channel: ChannelId,
-        limit_s: f64,
-    ) -> anyhow::Result<Self> {
+    pub(super) async fn new(session: &Session<'b>, channel: ChannelId, limit_s: f64) -> anyhow::Result<Self> {
         let board = session.board;
         let info = board.channel(channel)?;
-        let header = Header {
-            robot: board.info().robot.to_string(),
-            board: name,
-            firmware: board.info().firmware.to_string(),
-            protocol_version: r4_protocol::VERSION,
-            channels: vec![info.clone()],
-            seed: None,
-        };
-        let recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
         let telemetry = board.telemetry();
         board.subscribe(channel, LOOK_EVERY_MS).await?;
         Ok(Self {
@@ -103,7 +84,6 @@ impl<'b> Rig<'b> {
             unit: info.unit,
             resolution: info.resolution.into(),
             telemetry,
-            recorder,
             armed: false,
             window: None,
             limit_s,
@@ -134,7 +114,7 @@ impl<'b> Rig<'b> {
     }
 
     fn quantity(&self, value: f64) -> Quantity {
-        Quantity { value, unit: self.unit }
+        Quantity::new(value, self.unit)
     }
 
     /// The next look.
@@ -156,7 +136,6 @@ impl<'b> Rig<'b> {
                 continue;
             }
             self.armed = true;
-            self.recorder.telemetry(&frame)?;
             if frame.state != SafetyState::Armed {
                 return Err(Error::Stopped { causes: frame.causes }.into());
             }
@@ -185,7 +164,6 @@ impl<'b> Rig<'b> {
     /// Commands the motor.
     pub(super) async fn command(&mut self, mode: Mode, value: f64) -> anyhow::Result<()> {
         let setpoint = Setpoint { mode, value: value as f32 };
-        self.recorder.command(self.board.device_us(), self.channel, setpoint)?;
         self.board.set(self.channel, setpoint).await.with_context(|| format!("cannot command {}", self.channel))
     }
 
@@ -215,10 +193,5 @@ impl<'b> Rig<'b> {
                 return Err(Abort::NotSettled { channel: self.channel, target, after_s }.into());
             }
         }
-    }
-
-    /// Everything that was recorded, as a log.
-    pub(super) fn into_log(self) -> anyhow::Result<Vec<u8>> {
-        Ok(self.recorder.finish()?.into_inner())
     }
 }

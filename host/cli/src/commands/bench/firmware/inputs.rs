@@ -101,8 +101,9 @@ impl<'b> Tormentor<'b> {
             self.sleep_ms(60).await;
             anyhow::ensure!(
                 self.clock.now_ns() < until_ns,
-                "the board does not let itself be armed: {:?}",
-                self.host.safety()
+                "the board cannot be armed: it is {} ({})",
+                self.host.safety().0,
+                self.host.safety().1
             );
         }
         Ok(())

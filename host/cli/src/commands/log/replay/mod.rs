@@ -2,7 +2,7 @@
 
 mod plan;
 
-use std::{fs, io::Cursor, path::PathBuf, pin::pin, str::FromStr};
+use std::{path::PathBuf, pin::pin, str::FromStr};
 
 use anyhow::{Context, bail, ensure};
 use futures::{
@@ -23,8 +23,8 @@ use crate::{
     args::Args,
     output,
     quantity::Quantity,
-    record::{self, Output},
-    session::{self, HostClock, Session},
+    record::{self, Recorded},
+    session::{HostClock, Session},
     table,
 };
 
@@ -120,11 +120,7 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     args.board.robot()?;
     let log = read(&replay.file)?;
     let plan = Plan::of(&log).with_context(|| format!("{} cannot be replayed", replay.file.display()))?;
-    let Sent { bytes, seed, played } = send(args, &log, &plan)?;
-    if let Some(path) = &args.record {
-        fs::write(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
-        record::mark_recorded();
-    }
+    let Sent { bytes, seed, played } = send(args, &log, &plan);
     played.with_context(|| format!("cannot replay {}", replay.file.display()))?;
     let again = Log::from_bytes(&bytes)?;
     let shift_s = shift_s(&log, &again);
@@ -142,7 +138,8 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
 /// What a simulated board makes of a recorded run, and what makes its times those of the recording, s.
 pub(in crate::commands) fn again(args: &Args, log: &Log) -> anyhow::Result<(Log, f64)> {
     let plan = Plan::of(log).context("the log cannot be replayed")?;
-    let Sent { bytes, played, .. } = send(args, log, &plan)?;
+    // `--record` is for the run that was replayed.
+    let Sent { bytes, played, .. } = send(&Args { record: None, ..args.clone() }, log, &plan);
     played.context("cannot replay the log")?;
     let again = Log::from_bytes(&bytes)?;
     let shift_s = shift_s(log, &again);
@@ -159,17 +156,12 @@ struct Sent {
 }
 
 /// Plays a run on the board that `args` name.
-fn send(args: &Args, log: &Log, plan: &Plan) -> anyhow::Result<Sent> {
+fn send(args: &Args, log: &Log, plan: &Plan) -> Sent {
     // The log's own noise, unless other is asked for.
     let seed = if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed };
     let seeded = Args { seed, ..args.clone() };
-    let tap = record::tap(&seeded, Output::Memory(Cursor::new(Vec::new())));
-    let played = session::run_with(&seeded, Pace::Free, Some(tap.clone()), async |session| play(session, plan).await);
-    let bytes = match record::finish(tap)? {
-        Some(Output::Memory(memory)) => memory.into_inner(),
-        Some(Output::File(_)) | None => Vec::new(),
-    };
-    Ok(Sent { bytes, seed, played: played.map(|_| ()) })
+    let Recorded { result, log } = record::in_memory(&seeded, Pace::Free, async |session| play(session, plan).await);
+    Sent { bytes: log, seed, played: result.map(|_| ()) }
 }
 
 /// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
@@ -295,8 +287,11 @@ fn judge(
             Row { signal: name, samples, one_sided, compared, unequal, max, rms, limit, met }
         })
         .collect();
-    if signals.is_empty() {
-        bail!("there is nothing to compare: the log holds no samples");
+    if signals.iter().all(|row| row.compared == 0) {
+        bail!(
+            "nothing was compared: no signal was recorded in both runs at the same moments; is {board} the recorded robot, \
+             and does the log hold samples (`r4 log info`)?"
+        );
     }
     Ok(Report {
         log: replay.file.clone(),

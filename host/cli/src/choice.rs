@@ -1,0 +1,123 @@
+//! Which board a verb acts on when none was named: a simulated one, and never by surprise.
+
+use std::path::PathBuf;
+
+use r4_links::ports::{self, Port};
+
+use crate::{
+    args::{Args, Command},
+    session::Target,
+};
+
+/// No board was named, and a simulated one cannot be what is meant for sure.
+#[derive(Debug, PartialEq, thiserror::Error)]
+#[error(
+    "a real board is connected at {}, and no board was named: write --board serial:{} for it, or --board {simulated} for a \
+     simulated one; R4_BOARD names one for all commands",
+    names(.real), .real[0].display()
+)]
+pub(crate) struct Unclear {
+    real: Vec<PathBuf>,
+    simulated: Target,
+}
+
+fn names(paths: &[PathBuf]) -> String {
+    let names: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
+    names.join(" and ")
+}
+
+/// Checks that it is clear on which board the command acts, and says on stderr that it is a simulated one where none was named.
+pub(crate) fn check(args: &Args) -> Result<(), Unclear> {
+    let boards = || {
+        let found = ports::list().unwrap_or_default().into_iter().filter(Port::is_board);
+        found.map(|port| port.path).collect()
+    };
+    if let Some(note) = decide(args, boards)? {
+        eprintln!("r4: {note}");
+    }
+    Ok(())
+}
+
+/// The same with `boards` for the real boards that are connected; returns what to say.
+fn decide(args: &Args, boards: impl FnOnce() -> Vec<PathBuf>) -> Result<Option<String>, Unclear> {
+    if args.is_board_named || !opens_a_session(&args.command) {
+        return Ok(None);
+    }
+    let real = boards();
+    if !real.is_empty() {
+        return Err(Unclear { real, simulated: args.board.clone() });
+    }
+    Ok(Some(format!("no board was named: this is {}; --board or R4_BOARD names another", args.board.described())))
+}
+
+/// Whether a verb talks to the board of `--board`, which may be a real one. Others have no board, or make simulated ones of
+/// their own and say so: `demo` without a board is meant to.
+fn opens_a_session(command: &Command) -> bool {
+    match command {
+        Command::Info
+        | Command::Arm { .. }
+        | Command::Disarm
+        | Command::Clear
+        | Command::Move(_)
+        | Command::Step(_)
+        | Command::Home(_)
+        | Command::Speed(_)
+        | Command::Duty(_)
+        | Command::Relay(_)
+        | Command::Servo(_)
+        | Command::Bldc(_)
+        | Command::Dac(_)
+        | Command::Watch(_)
+        | Command::Monitor(_)
+        | Command::Drive(_)
+        | Command::Tune(_)
+        | Command::Calibrate(_)
+        | Command::Config(_)
+        | Command::Faults { .. }
+        | Command::I2c(_)
+        | Command::Uart(_)
+        | Command::Bridge { .. }
+        | Command::Log(crate::commands::log::Log::Record(_)) => true,
+        Command::Identify(identify) => identify.is_on_a_board(),
+        Command::Demo(_)
+        | Command::Flash(_)
+        | Command::Scenario(_)
+        | Command::Debug(_)
+        | Command::Log(_)
+        | Command::Report(_)
+        | Command::Ports
+        | Command::Sim { .. }
+        | Command::Bench { .. }
+        | Command::Completions(_)
+        | Command::Man(_) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    fn args(typed: &str, is_board_named: bool) -> Args {
+        let args = Args::try_parse_from(typed.split(' ')).expect("typed well");
+        Args { is_board_named, ..args }
+    }
+
+    #[test]
+    fn a_real_board_is_never_passed_over() {
+        let real = || vec![PathBuf::from("/dev/ttyACM0"), PathBuf::from("/dev/ttyACM1")];
+        for typed in ["r4 move osmc0 90deg", "r4 disarm", "r4 config save", "r4 drive", "r4 log record"] {
+            let refused = decide(&args(typed, false), real).expect_err(typed).to_string();
+            for choice in ["--board serial:/dev/ttyACM0", "--board sim:osmc-bench", "/dev/ttyACM1", "R4_BOARD"] {
+                assert!(refused.contains(choice), "{typed}: {refused}");
+            }
+            assert_eq!(decide(&args(typed, true), real), Ok(None), "{typed}");
+            let note = decide(&args(typed, false), Vec::new).expect(typed).expect("a note");
+            assert!(note.contains("sim:osmc-bench (simulated)") && note.contains("--board"), "{note}");
+        }
+        for typed in ["r4 demo", "r4 ports", "r4 log info a.mcap", "r4 bench sim", "r4 sim serve osmc-bench --pty"] {
+            assert_eq!(decide(&args(typed, false), real), Ok(None), "{typed}");
+        }
+    }
+}

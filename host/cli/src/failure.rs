@@ -1,0 +1,192 @@
+//! What kind of failure ended a command: for scripts, as an exit code and as an object of `--json`.
+
+use std::process::ExitCode;
+
+use r4_driver::Error;
+use r4_links::OpenError;
+use r4_protocol::{ChannelId, Refusal};
+use serde::Serialize;
+
+use crate::{
+    args::Args,
+    choice::Unclear,
+    commands::{NotReached, Unsuitable},
+    output,
+    session::{Interrupted, NotVirtual},
+};
+
+/// Kinds of failures. `docs/program.md` lists them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Kind {
+    /// What was typed was not understood.
+    Usage,
+    /// The board, or the program on its behalf, does not do this.
+    Refused,
+    /// A real and a simulated board could be meant.
+    Unclear,
+    /// There is no board, or no right to reach it.
+    NoBoard,
+    /// Another program has the board.
+    InUse,
+    /// The board was there and is not any more, or does not answer.
+    LinkLost,
+    /// A motor did not arrive.
+    NotReached,
+    /// The board tripped or was disarmed meanwhile.
+    Stopped,
+    /// Somebody pressed Ctrl-C.
+    Interrupted,
+    /// Anything else, such as a file that cannot be read.
+    Failed,
+}
+
+impl Kind {
+    fn exit_code(self) -> u8 {
+        match self {
+            Self::NotReached | Self::Failed => 1,
+            Self::Usage => 2,
+            Self::Refused | Self::Unclear => 3,
+            Self::NoBoard | Self::InUse | Self::LinkLost => 4,
+            Self::Stopped => 5,
+            Self::Interrupted => 130,
+        }
+    }
+
+    /// Whether it happened on the board or on the way there.
+    fn is_of_a_board(self) -> bool {
+        !matches!(self, Self::Usage | Self::Failed)
+    }
+}
+
+#[derive(Serialize)]
+struct Object<'a> {
+    error: Failure<'a>,
+}
+
+#[derive(Serialize)]
+struct Failure<'a> {
+    kind: Kind,
+    message: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    board: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    channel: Option<String>,
+}
+
+/// Prints what went wrong on stderr, with `--json` as an object on stdout too, and returns the exit code.
+pub(crate) fn report(args: &Args, error: &anyhow::Error) -> ExitCode {
+    let (kind, channel) = classify(error);
+    let message = format!("{error:#}");
+    eprintln!("r4: {message}");
+    if args.json {
+        let board = kind.is_of_a_board().then(|| args.board.to_string());
+        print(Failure { kind, message: &message, board, channel: channel.map(|channel| channel.to_string()) });
+    }
+    ExitCode::from(kind.exit_code())
+}
+
+/// The same for what could not be understood, and the text of `--help` and `--version`.
+pub(crate) fn report_usage(error: &clap::Error, is_json: bool) -> ExitCode {
+    // Nothing can be done where neither output can be written.
+    let _ = error.print();
+    if !error.use_stderr() {
+        return ExitCode::SUCCESS;
+    }
+    if is_json {
+        let message = error.render().to_string();
+        let message = message.trim_start_matches("error: ").trim_end();
+        print(Failure { kind: Kind::Usage, message, board: None, channel: None });
+    }
+    ExitCode::from(Kind::Usage.exit_code())
+}
+
+fn print(failure: Failure<'_>) {
+    // Whoever closed the output does not read it; the exit code remains.
+    let _ = output::json(&Object { error: failure });
+}
+
+/// Kind of a failure, and the channel that it is about.
+fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
+    for cause in error.chain() {
+        if let Some(error) = cause.downcast_ref::<Error>() {
+            return of_driver(error);
+        }
+        if let Some(error) = cause.downcast_ref::<OpenError>() {
+            return (of_open(error), None);
+        }
+        if let Some(error) = cause.downcast_ref::<Unsuitable>() {
+            return (Kind::Refused, Some(error.channel));
+        }
+        if let Some(error) = cause.downcast_ref::<NotReached>() {
+            return (Kind::NotReached, Some(error.channel));
+        }
+        if cause.is::<Unclear>() {
+            return (Kind::Unclear, None);
+        }
+        if cause.is::<NotVirtual>() {
+            return (Kind::Refused, None);
+        }
+        if cause.is::<Interrupted>() {
+            return (Kind::Interrupted, None);
+        }
+    }
+    (Kind::Failed, None)
+}
+
+fn of_driver(error: &Error) -> (Kind, Option<ChannelId>) {
+    match *error {
+        Error::Refused(Refusal::InUse) => (Kind::InUse, None),
+        Error::Refused(
+            Refusal::UnknownChannel { channel }
+            | Refusal::WrongMode { channel, .. }
+            | Refusal::NotFinite { channel }
+            | Refusal::OutOfRange { channel, .. }
+            | Refusal::BadGains { channel },
+        ) => (Kind::Refused, Some(channel)),
+        Error::Refused(_) | Error::NameTooLong { .. } | Error::StreamOpen | Error::CycleLength { .. } => {
+            (Kind::Refused, None)
+        }
+        Error::TimedOut { .. } | Error::LinkLost { .. } | Error::LinkFailed { .. } | Error::WrongReply { .. } => {
+            (Kind::LinkLost, None)
+        }
+        Error::Stopped { .. } => (Kind::Stopped, None),
+        Error::NotFollowed { channel } | Error::NotHomed { channel, .. } | Error::NotSettled { channel, .. } => {
+            (Kind::NotReached, Some(channel))
+        }
+    }
+}
+
+fn of_open(error: &OpenError) -> Kind {
+    match error {
+        OpenError::Busy(_) => Kind::InUse,
+        _ => Kind::NoBoard,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context;
+    use r4_protocol::{Causes, ChannelKind};
+
+    use super::*;
+
+    #[test]
+    fn kinds_are_found_under_their_contexts() {
+        let channel = ChannelId::new(ChannelKind::Osmc, 3);
+        let driver = |error: Error| Err::<(), _>(error).context("cannot arm").context("serial:board").unwrap_err();
+        for (error, kind, about) in [
+            (driver(Refusal::UnknownChannel { channel }.into()), Kind::Refused, Some(channel)),
+            (driver(Refusal::InUse.into()), Kind::InUse, None),
+            (driver(Error::LinkLost { silent_ms: 400 }), Kind::LinkLost, None),
+            (driver(Error::NotHomed { channel, after_s: 1.0 }), Kind::NotReached, Some(channel)),
+            (driver(Error::Stopped { causes: Causes::NONE }), Kind::Stopped, None),
+            (OpenError::Busy("/dev/ttyACM0".into()).into(), Kind::InUse, None),
+            (OpenError::NoBoard.into(), Kind::NoBoard, None),
+            (Interrupted.into(), Kind::Interrupted, None),
+            (anyhow::anyhow!("a file"), Kind::Failed, None),
+        ] {
+            assert_eq!(classify(&error), (kind, about), "{error:#}");
+        }
+    }
+}
