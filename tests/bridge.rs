@@ -1,84 +1,194 @@
-//! The network protocol of the R4 firmware of before, from the host's side.
+//! The network protocol of the R4 firmware of before, from the host's side, in the packets of the published nodes.
 
 use std::{io::ErrorKind, net::UdpSocket};
 
 use crate::program::*;
-use r4_links::legacy::Packet;
+use r4_links::legacy::{LONGEST, Packet};
 
+/// The published nodes: `R4-Websockets-Client.py`, which answers heartbeats, and `R4_Receiver.py`, which sends commands from a
+/// port of its own and numbers them from 2 (Rak-r/OpenPodCar_V2).
 struct Host {
-    socket: UdpSocket,
+    client: UdpSocket,
+    receiver: UdpSocket,
     board: String,
     number: u32,
+    /// Whether heartbeats are answered.
+    alive: bool,
+    duty: f64,
+    steering_v: f64,
 }
 
 impl Host {
-    fn send(&mut self, packet: Packet) {
+    fn sealed(fields: &str) -> String {
+        let mut crc = !0_u32;
+        for byte in fields.bytes().chain([b'^']) {
+            crc ^= u32::from(byte);
+            for _ in 0..8 {
+                crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+            }
+        }
+        format!("{fields}^{:#x}^", !crc)
+    }
+
+    /// What the receiver makes of a command on its topic.
+    fn command(&mut self, data: &str) {
         self.number += 1;
-        let text = packet.with("PNum", self.number).to_string();
-        self.socket.send_to(text.as_bytes(), &self.board).expect("sent");
+        self.numbered(data, self.number);
     }
 
-    fn heartbeat(&mut self, answered: &Packet) {
-        let time = answered.get("T").unwrap_or("0").to_owned();
-        self.send(Packet::default().with("H", "ROS2-R4").with("T", time));
+    fn numbered(&self, data: &str, number: u32) {
+        let packet = Self::sealed(&format!("{data};PNum:{number};T:1692316800000;"));
+        self.receiver.send_to(packet.as_bytes(), &self.board).expect("sent");
     }
 
-    /// The next packet of the board; they come by themselves, so that they are this test's clock.
-    fn next(&self) -> Packet {
+    /// The next packet of the board, as the client reads it; they come by themselves, so that they are this test's clock.
+    fn next(&mut self) {
         let mut buffer = [0; 300];
         let len = loop {
-            match self.socket.recv(&mut buffer) {
+            match self.client.recv(&mut buffer) {
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 received => break received.expect("a packet"),
             }
         };
-        Packet::parse(&buffer[..len]).expect("a good one")
+        assert!(len <= LONGEST, "the client reads so much of it");
+        let text = std::str::from_utf8(&buffer[..len]).expect("text");
+        // The data end before the last `;`, and the checksum stands between the two `^`.
+        let (data, end) = text.rsplit_once(';').expect("fields");
+        assert_eq!(Self::sealed(&format!("{data};")), format!("{data};{end}"));
+        let field = |key: &str| data.split(';').find_map(|part| part.strip_prefix(key)?.strip_prefix(':'));
+        let time = field("T").expect("a time stamp");
+        assert!(field("PNum").is_some_and(|number| number.parse::<u32>().is_ok()), "{data}");
+        if data.split(';').any(|part| part == "H:R4-ROS2") {
+            if self.alive {
+                let answer = Self::sealed(&format!("H:ROS2-R4;T:{time};"));
+                self.client.send_to(answer.as_bytes(), &self.board).expect("sent");
+            }
+        } else {
+            self.duty = field("OSMC1").expect("a duty").parse().expect("a number");
+            self.steering_v = field("AINSTEER").expect("the steering").parse().expect("a number");
+        }
+    }
+
+    fn until(&mut self, reached: impl Fn(&Self) -> bool) {
+        while !reached(self) {
+            self.next();
+        }
+    }
+}
+
+/// A bridge in front of a simulated vehicle, and its host.
+fn bridge(options: &[&str]) -> (Running, Host) {
+    let client = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    client.set_read_timeout(Some(PATIENCE)).expect("set");
+    let port = client.local_addr().expect("its address").port().to_string();
+    let arguments = ["--board", "sim:openpodcar", "--json", "bridge", "legacy-udp", "--listen", "127.0.0.1:0", "--arm"];
+    let bridge = start(command(&[&arguments[..], &["--telemetry-port", &port], options].concat()));
+    let first = next(bridge.out.as_ref().expect("stdout"), bridge.begin).expect("where it listens");
+    let host = Host {
+        client,
+        receiver: UdpSocket::bind("127.0.0.1:0").expect("a port"),
+        board: text(&object(&first), "udp").to_owned(),
+        number: 1,
+        alive: true,
+        duty: 0.0,
+        steering_v: f64::NAN,
+    };
+    (bridge, host)
+}
+
+/// The next line on stderr with `what` in it, and all before it.
+fn told(bridge: &Running, what: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    while let Some(line) = next(&bridge.err, bridge.begin) {
+        let found = line.contains(what);
+        lines.push(line);
+        if found {
+            return lines;
+        }
+    }
+    panic!("{what} is not in {lines:#?}");
+}
+
+#[test]
+fn the_published_nodes_drive_the_vehicle_and_stop_it() {
+    let (bridge, mut host) = bridge(&[]);
+    // The first thing of all, and once: it is carried out when the client has answered a heartbeat. 4095 is more than the
+    // actuator may get.
+    host.command("D:4095,0,1");
+    host.until(|host| !host.steering_v.is_nan());
+    let centre_v = host.steering_v;
+    host.until(|host| host.steering_v > centre_v + 0.1);
+    // The other way, and into the dead band of the node.
+    host.command("D:4095,1,1");
+    host.until(|host| host.steering_v < centre_v);
+    host.command("D:0,1,1");
+
+    // 2200 of 4095 is more than the drive may get: 0.5.
+    host.command("O:2000,0,1");
+    host.until(|host| host.duty > 0.48);
+    host.command("O:2200,1,1");
+    host.until(|host| host.duty < -0.49);
+    assert!(host.duty > -0.51, "{}", host.duty);
+    // None of this protocol: the vehicle does not go on backwards.
+    for bad in ["O:4096,1,1", "O:2000.5,1,1", "O:1000,2,1", "O:1000"] {
+        host.command("O:1000,1,1");
+        host.until(|host| host.duty < -0.2);
+        host.command(bad);
+        host.until(|host| host.duty == 0.0);
+    }
+    // Nor after a packet that may be of a host that began to count anew.
+    host.command("O:1000,1,1");
+    host.until(|host| host.duty < -0.2);
+    // It is late only right after the other one.
+    host.command("O:1100,1,1");
+    host.numbered("O:500,0,1", host.number - 1);
+    host.until(|host| host.duty == 0.0);
+    // A stray packet far ahead, and the host's next one is taken all the same.
+    host.numbered("O:300,1,1", host.number + 1000);
+    host.until(|host| host.duty < -0.05);
+    host.command("O:800,0,1");
+    host.until(|host| host.duty > 0.15);
+    // A stop acts whatever its number.
+    host.numbered("S:Stop", 1);
+    host.until(|host| host.duty == 0.0);
+    host.command("O:800,0,1");
+    let said = told(&bridge, "osmc0 is stopped: the board has tripped");
+    for (what, times) in
+        [("none of this protocol (said once)", 1), ("higher number (said once)", 1), ("leaves the stop behind", 1)]
+    {
+        assert_eq!(said.iter().filter(|line| line.contains(what)).count(), times, "{what}: {said:#?}");
     }
 }
 
 #[test]
-fn a_host_of_before_drives_the_board_until_it_is_silent() {
-    let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    socket.set_read_timeout(Some(PATIENCE)).expect("set");
-    let port = socket.local_addr().expect("its address").port().to_string();
-    let arguments = ["--board", "sim:openpodcar", "--json", "bridge", "legacy-udp", "--listen", "127.0.0.1:0", "--arm"];
-    let bridge = start(command(&[&arguments[..], &["--for", "6", "--telemetry-port", &port]].concat()));
-    let first = next(bridge.out.as_ref().expect("stdout"), bridge.begin).expect("where it listens");
-    let mut host = Host { socket, board: text(&object(&first), "udp").to_owned(), number: 0 };
-    host.heartbeat(&Packet::default());
-    // Damaged, and once more: neither is taken.
-    host.socket.send_to(b"O:4095,0,1;^0x1^", &host.board).expect("sent");
-    host.number -= 1;
-    host.heartbeat(&Packet::default());
-
-    let mut duty = 0.0;
-    let mut steering_v = None;
-    while duty < 0.2 {
-        let packet = host.next();
-        host.heartbeat(&packet);
-        // 1024 of 4095, backwards, on the first.
-        host.send(Packet::default().with("O", "1024,1,1"));
-        duty = packet.get("OSMC1").map_or(duty, |duty| -duty.parse::<f64>().expect("a number"));
-        steering_v = packet.get("AINSTEER").map(|volts| volts.parse::<f64>().expect("a number")).or(steering_v);
+fn a_host_that_is_silent_drives_nothing_and_may_come_back() {
+    let (bridge, mut host) = bridge(&["--host", "127.0.0.1", "--for", "8"]);
+    // The client says nothing before the board does.
+    host.until(|host| !host.steering_v.is_nan());
+    told(&bridge, "a host is there: armed");
+    // Damaged, of nobody else's interest, and twice.
+    host.receiver.send_to(b"O:4095,0,1;^0x1^", &host.board).expect("sent");
+    host.command("O:1000,0,1");
+    host.numbered("O:1000,0,1", host.number);
+    host.until(|host| host.duty > 0.2);
+    host.alive = false;
+    host.until(|host| host.duty == 0.0);
+    // What came too long before the heartbeat is not carried out after it.
+    host.command("O:1000,0,1");
+    // 25 packets a second: more than 0.7 s.
+    for _ in 0..30 {
+        host.next();
     }
-    // 0.1417 V and 46.92 V/m: somewhere on its 46.7 mm.
-    assert!(steering_v.is_some_and(|volts| (0.1..2.4).contains(&volts)), "{steering_v:?}");
-
-    let told = |what: &str| {
-        let line = std::iter::from_fn(|| next(&bridge.err, bridge.begin)).find(|line| line.contains(what));
-        assert!(line.is_some(), "{what}");
-    };
-    told("armed");
-    // Silence, for longer than 0.7 s.
-    told("no heartbeat of the host for 0.7 s: disarmed");
-    while duty != 0.0 {
-        duty = host.next().get("OSMC1").map_or(duty, |duty| duty.parse().expect("a number"));
+    host.alive = true;
+    for _ in 0..30 {
+        host.next();
     }
-    // It has begun anew, and counts from the start.
-    host.number = 0;
-    host.heartbeat(&Packet::default());
-    told("armed");
-    told("1 damaged, 1 late");
+    told(&bridge, "no heartbeat of the host for 0.7 s: disarmed");
+    let again = told(&bridge, "a host is there: armed");
+    assert!(again.iter().all(|line| !line.contains("disarmed")), "said once: {again:#?}");
+    assert_eq!(host.duty, 0.0);
+    let seen = rest(&bridge.err, bridge.begin);
+    assert!(seen.contains("1 damaged, 1 late or twice, 0 of other hosts, 1 commands not carried out"), "{seen}");
 }
 
 #[test]

@@ -2,6 +2,19 @@
 //!
 //! A packet is `key:value;` fields, then `^0x<crc>^`: the CRC-32 of zlib over everything up to and including the first `^`, in
 //! hex as Python's `hex()` writes it. (Rak-r/OpenPodCar_V2, R4 nodes.) It tells a damaged packet, not a stranger's.
+//!
+//! What the published nodes send, and from where (`R4-Websockets-Client.py`, `R4_Receiver.py`, `Podcar_Steer_node.py`,
+//! `Podcar_motor_driver.py`):
+//!
+//! | message | sent from port | when |
+//! | --- | --- | --- |
+//! | `H:ROS2-R4;T:<ms>;` | 2390 | in answer to each heartbeat of the board, with its `T`; never before one |
+//! | `O:<pwm>,<dir>,1;PNum:<n>;T:<ms>;` | 4000 | when it changes, at most ten times a second |
+//! | `D:<0 or 4095>,<dir>,1;PNum:<n>;T:<ms>;` | 4000 | when it changes, at most ten times a second |
+//! | `S:Stop;PNum:<n>;T:<ms>;` | 4000 | by hand |
+//!
+//! The board sends `H:R4-ROS2;` and telemetry (`AINSTEER:<volts>;`, `OSMC1:<share>;`) to port 2390, both with `PNum` and `T`;
+//! the client takes 200 bytes of a packet.
 
 use std::fmt;
 
@@ -17,9 +30,11 @@ pub const BOARD_PORT: u16 = 2018;
 pub const TELEMETRY_PORT: u16 = 2390;
 /// A link without a heartbeat for so long is lost, s.
 pub const LOST_AFTER_S: f64 = 0.7;
-/// Greatest share of the supply in a command.
+/// PWM of a command that means the full supply.
 const FULL: i32 = 4095;
-/// A packet's number may be this much lower than the last one's and is late then; lower still, and its sender began anew.
+/// A number that is at most this far above the newest one is the next; one farther ahead may be a stray packet's.
+const AHEAD: u32 = 16;
+/// A number that is at most this far below the newest one is late; lower still, and its sender began to count anew.
 const LATE: u32 = 100;
 
 /// What a packet says, field by field.
@@ -95,14 +110,21 @@ impl Packet {
         self.get("H") == Some("ROS2-R4")
     }
 
-    /// Every command in it, in order; `None` for one that makes no sense.
-    pub fn commands(&self) -> impl Iterator<Item = Option<Command>> {
+    /// Every command in it, in order.
+    pub fn commands(&self) -> impl Iterator<Item = Command> {
         self.0.iter().filter_map(|(key, value)| match key.as_str() {
-            "O" => Some(drive(value).map(|(duty, channel)| Command::Osmc { duty, channel })),
-            "D" => Some(drive(value).map(|(duty, channel)| Command::Dhb { duty, channel })),
-            "S" => Some((value == "Stop").then_some(Command::Stop)),
+            "O" => Some(drive(Bridge::Osmc, value)),
+            "D" => Some(drive(Bridge::Dhb, value)),
+            "S" if value == "Stop" => Some(Command::Stop),
+            "S" => Some(Command::Unknown),
             _ => None,
         })
+    }
+
+    /// Whether it stops everything.
+    #[must_use]
+    pub fn stops(&self) -> bool {
+        self.commands().any(|command| command == Command::Stop)
     }
 }
 
@@ -114,48 +136,99 @@ impl fmt::Display for Packet {
     }
 }
 
-/// What a host commands. Channels count from 0, as everywhere else here; in packets they count from 1.
+/// Kind of bridge that a command is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bridge {
+    /// `O`
+    Osmc,
+    /// `D`
+    Dhb,
+}
+
+/// A host's command. Channels count from 0, as everywhere else here; in packets they count from 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// A share of the supply, -1 to 1, for an OSMC.
-    Osmc {
-        /// Share.
-        duty: f32,
-        /// Which.
+    /// Drive a motor.
+    Drive {
+        /// Kind of its bridge.
+        bridge: Bridge,
+        /// Number of its channel.
         channel: u8,
+        /// Share of the supply, -1 to 1.
+        duty: f32,
     },
-    /// The same for a DHB.
-    Dhb {
-        /// Share.
-        duty: f32,
-        /// Which.
-        channel: u8,
+    /// A command for a motor that is not one of this protocol: its PWM is above 4095, for instance.
+    Bad {
+        /// Kind of its bridge.
+        bridge: Bridge,
+        /// Number of its channel, if that can be read.
+        channel: Option<u8>,
     },
     /// Stop everything.
     Stop,
+    /// Neither.
+    Unknown,
 }
 
 /// `<pwm 0-4095>,<dir 0|1>,<channel>`: direction 0 is forwards.
-fn drive(value: &str) -> Option<(f32, u8)> {
-    let numbers: Vec<i32> = value.split(',').map(|number| number.trim().parse().ok()).collect::<Option<_>>()?;
-    let [pwm @ 0..=FULL, direction @ (0 | 1), channel @ 1..=16] = numbers[..] else { return None };
-    let duty = pwm as f32 / FULL as f32;
-    Some((if direction == 0 { duty } else { -duty }, channel as u8 - 1))
+fn drive(bridge: Bridge, value: &str) -> Command {
+    let numbers: Vec<Option<i32>> = value.split(',').map(|number| number.trim().parse().ok()).collect();
+    let channel = match numbers[..] {
+        [_, _, Some(channel @ 1..=16)] => Some(channel as u8 - 1),
+        _ => None,
+    };
+    match (&numbers[..], channel) {
+        ([Some(pwm @ 0..=FULL), Some(direction @ (0 | 1)), _], Some(channel)) => {
+            let duty = *pwm as f32 / FULL as f32;
+            Command::Drive { bridge, channel, duty: if *direction == 0 { duty } else { -duty } }
+        }
+        _ => Command::Bad { bridge, channel },
+    }
 }
 
-/// Tells packets that are late or come twice: their numbers rise.
+/// Place of a packet among those before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Newer than all before.
+    New,
+    /// The newest one once more.
+    Twice,
+    /// Older than the newest one.
+    Late,
+}
+
+/// Tells packets that are late or come twice by their numbers, which rise; one for each address that sends.
+///
+/// A packet far ahead of the others is new, but does not set the count: the ones after it do, so that a stray packet silences
+/// nobody. After [`LOST_AFTER_S`] without a packet any number is new, because a packet is not on its way for so long, but a
+/// host that began anew may count from anywhere.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sequence(Option<u32>);
+pub struct Sequence {
+    /// Newest number, and when it came, s.
+    newest: Option<(u32, f64)>,
+    /// Number of the last packet that was far away from the newest.
+    far: Option<u32>,
+}
 
 impl Sequence {
-    /// Whether the packet is newer than all before it. One without a number counts as new.
-    pub fn is_new(&mut self, packet: &Packet) -> bool {
-        let Some(number) = packet.number() else { return true };
-        let is_late = self.0.is_some_and(|last| number <= last && last - number < LATE);
-        if !is_late {
-            self.0 = Some(number);
+    /// Place of the packet with `number` that comes at `now_s`. One without a number is new.
+    pub fn place(&mut self, number: Option<u32>, now_s: f64) -> Order {
+        let Some(number) = number else { return Order::New };
+        let after = |earlier: u32| (1..=AHEAD).contains(&number.wrapping_sub(earlier));
+        let newest = self.newest.filter(|(_, at_s)| now_s - at_s < LOST_AFTER_S).map(|(newest, _)| newest);
+        let order = match newest {
+            Some(newest) if newest == number => Order::Twice,
+            Some(newest) if (1..LATE).contains(&newest.wrapping_sub(number)) => Order::Late,
+            Some(newest) if !after(newest) && !self.far.is_some_and(after) => {
+                let twice = self.far.replace(number) == Some(number);
+                return if twice { Order::Twice } else { Order::New };
+            }
+            _ => Order::New,
+        };
+        if order == Order::New {
+            *self = Self { newest: Some((number, now_s)), far: None };
         }
-        !is_late
+        order
     }
 }
 
@@ -187,19 +260,59 @@ mod tests {
             }
             packet.commands().collect::<Vec<_>>()
         };
-        assert_eq!(commands("O:4095,0,1;PNum:3"), [Some(Command::Osmc { duty: 1.0, channel: 0 })]);
-        assert_eq!(commands("D:0,1,2;S:Stop"), [Some(Command::Dhb { duty: -0.0, channel: 1 }), Some(Command::Stop)]);
-        for bad in ["O:4096,0,1", "O:-1,0,1", "O:1,2,1", "O:1,0,0", "O:1,0", "O:1,0,1,1", "O:a,0,1", "S:Go"] {
-            assert_eq!(commands(bad), [None], "{bad}");
+        let drive = |bridge, channel, duty| Command::Drive { bridge, channel, duty };
+        assert_eq!(commands("O:4095,0,1;PNum:3"), [drive(Bridge::Osmc, 0, 1.0)]);
+        assert_eq!(commands("D:0,1,2;S:Stop"), [drive(Bridge::Dhb, 1, -0.0), Command::Stop]);
+        assert_eq!(commands("S:Go"), [Command::Unknown]);
+        for (bad, channel) in [
+            ("4096,0,1", Some(0)),
+            ("-1,0,1", Some(0)),
+            ("1,2,16", Some(15)),
+            ("a,0,1", Some(0)),
+            ("2000.0,0,1", Some(0)),
+            ("99999999999,0,1", Some(0)),
+            ("1,0,0", None),
+            ("1,0,17", None),
+            ("1,0", None),
+            ("1,0,1,1", None),
+            ("", None),
+        ] {
+            for (key, bridge) in [("O", Bridge::Osmc), ("D", Bridge::Dhb)] {
+                assert_eq!(commands(&format!("{key}:{bad}")), [Command::Bad { bridge, channel }], "{bad}");
+            }
         }
+    }
+
+    /// The numbers of packets that come 10 ms after each other, and their places.
+    fn places(numbers: &[u32]) -> String {
+        let mut sequence = Sequence::default();
+        let place = |(at, number): (u32, &u32)| match sequence.place(Some(*number), f64::from(at) * 0.01) {
+            Order::New => 'n',
+            Order::Twice => 't',
+            Order::Late => 'l',
+        };
+        (0..).zip(numbers).map(place).collect()
     }
 
     #[test]
     fn late_packets_are_told_from_a_host_that_began_anew() {
+        assert_eq!(places(&[5, 6, 6, 5, 7]), "nntln");
+        assert_eq!(places(&[500, 501, 2, 3, 4, 3]), "nnnnnl", "its counter is far below");
+        assert_eq!(places(&[u32::MAX, 0, 1, u32::MAX]), "nnnl", "it wraps");
+        // Its counter is not far below, but the network has been quiet.
         let mut sequence = Sequence::default();
-        let mut is_new = |number: u32| sequence.is_new(&Packet::default().with("PNum", number));
-        assert_eq!([5, 6, 6, 5, 7, 1000, 999, 1].map(&mut is_new), [true, true, false, false, true, true, false, true]);
-        assert!(sequence.is_new(&Packet::default()));
+        assert_eq!(sequence.place(Some(50), 0.0), Order::New);
+        assert_eq!(sequence.place(Some(2), LOST_AFTER_S - 0.01), Order::Late);
+        assert_eq!(sequence.place(Some(2), LOST_AFTER_S), Order::New);
+        assert_eq!(sequence.place(None, LOST_AFTER_S), Order::New);
+    }
+
+    #[test]
+    fn a_stray_packet_far_ahead_silences_nobody() {
+        assert_eq!(places(&[5, 6, 1000, 7, 8, 9]), "nnnnnn");
+        assert_eq!(places(&[5, 6, 4_000_000_000, 4_000_000_000, 7, 8]), "nnntnn");
+        // Two in a row are a host's.
+        assert_eq!(places(&[5, 1000, 1001, 1000]), "nnnl");
     }
 
     proptest! {

@@ -1,7 +1,7 @@
 //! Texts that come over links.
 
 use r4_links::{
-    legacy::{LONGEST, Packet, Sequence},
+    legacy::{Command, LONGEST, Order, Packet, Sequence},
     slcan::{Frame, Line, Parser},
 };
 
@@ -39,17 +39,19 @@ pub fn legacy(bytes: &[u8]) -> bool {
     if written.len() <= LONGEST {
         assert_eq!(Packet::parse(written.as_bytes()), Ok(packet.clone()));
     }
-    for command in packet.commands().flatten() {
-        use r4_links::legacy::Command::{Dhb, Osmc, Stop};
+    for command in packet.commands() {
         match command {
-            Osmc { duty, channel } | Dhb { duty, channel } => {
+            Command::Drive { duty, channel, .. } => {
                 assert!((-1.0..=1.0).contains(&duty) && channel < 16, "{command:?}");
             }
-            Stop => {}
+            Command::Bad { channel, .. } => assert!(channel.is_none_or(|channel| channel < 16), "{command:?}"),
+            Command::Stop => assert!(packet.stops()),
+            Command::Unknown => {}
         }
     }
     let mut sequence = Sequence::default();
-    assert!(sequence.is_new(&packet));
-    assert_eq!(sequence.is_new(&packet), packet.number().is_none(), "the same packet twice");
+    assert_eq!(sequence.place(packet.number(), 0.0), Order::New);
+    let again = if packet.number().is_none() { Order::New } else { Order::Twice };
+    assert_eq!(sequence.place(packet.number(), 0.1), again, "the same packet twice");
     true
 }

@@ -1,14 +1,16 @@
 //! `r4 bridge legacy-udp`: a board for hosts that speak the R4 network protocol of before.
 
 use std::{
+    collections::HashSet,
     io,
+    mem::{self, Discriminant},
     net::{IpAddr, SocketAddr, UdpSocket},
 };
 
 use anyhow::{Context, bail};
 use r4_driver::Error;
-use r4_links::legacy::{BOARD_PORT, Command, LOST_AFTER_S, Packet, Sequence, TELEMETRY_PORT};
-use r4_protocol::{ChannelId, ChannelKind, Mode, SafetyState, Sample, Setpoint, Unit};
+use r4_links::legacy::{self, BOARD_PORT, Command, LOST_AFTER_S, Order, Packet, Sequence, TELEMETRY_PORT};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Refusal, SafetyState, Sample, Setpoint, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -34,6 +36,10 @@ pub(crate) struct LegacyUdp {
     /// The port of the host to which telemetry goes
     #[arg(long, value_name = "PORT", default_value_t = TELEMETRY_PORT)]
     pub(crate) telemetry_port: u16,
+    /// The host to which heartbeats go before it has sent anything: the published client waits for the first one. Without it
+    /// the first packet tells
+    #[arg(long, value_name = "IP")]
+    pub(crate) host: Option<IpAddr>,
     /// Listen on an address that other machines reach
     #[arg(long)]
     pub(crate) public: bool,
@@ -89,9 +95,12 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
             session,
             bridge,
             socket: &socket,
-            host: None,
+            host: bridge.host,
             heard_s: f64::NEG_INFINITY,
-            sequence: Sequence::default(),
+            armed: false,
+            sequences: Vec::new(),
+            waiting: Vec::new(),
+            said: HashSet::new(),
             number: 0,
             counts: Counts::default(),
         };
@@ -99,8 +108,8 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
         Ok(hosts.counts)
     })?;
     eprintln!(
-        "r4: {} packets; {} damaged, {} late or twice, {} commands not carried out",
-        counts.packets, counts.damaged, counts.late, counts.refused
+        "r4: {} packets; {} damaged, {} late or twice, {} of other hosts, {} commands not carried out",
+        counts.packets, counts.damaged, counts.late, counts.strangers, counts.refused
     );
     Ok(true)
 }
@@ -111,21 +120,40 @@ struct Counts {
     packets: u64,
     damaged: u64,
     late: u64,
+    strangers: u64,
     refused: u64,
 }
+
+/// Addresses of a host whose packets are counted: the published one sends from two ports.
+const SEQUENCES: usize = 8;
 
 /// A board, as hosts see it.
 struct Hosts<'s> {
     session: &'s Session<'s>,
     bridge: &'s LegacyUdp,
     socket: &'s UdpSocket,
-    /// Who is answered: whoever sent a good packet last.
+    /// Who is answered: who sent the last good packet, and while there are heartbeats nobody else.
     host: Option<IpAddr>,
     /// The last heartbeat of a host, on the session's clock.
     heard_s: f64,
-    sequence: Sequence,
+    /// Whether this bridge has armed the board and not disarmed it since.
+    armed: bool,
+    sequences: Vec<(SocketAddr, Sequence)>,
+    /// Commands that came before the host's first heartbeat, the newest of each channel, and when.
+    waiting: Vec<(ChannelId, f32, f64)>,
+    /// Why commands were not carried out, as far as the user has been told.
+    said: HashSet<(ChannelId, Why)>,
     number: u32,
     counts: Counts,
+}
+
+/// Why a command was not carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Why {
+    Refused(Discriminant<Refusal>),
+    TimedOut,
+    Bad,
+    Late,
 }
 
 impl Hosts<'_> {
@@ -208,24 +236,49 @@ impl Hosts<'_> {
                 self.counts.damaged += 1;
                 continue;
             };
-            if self.is_silent() {
-                // Whoever speaks now may have begun to count anew.
-                self.sequence = Sequence::default();
+            if packet.stops() {
+                // From whoever, whatever its number: a stop too many does no harm.
+                self.stop().await?;
             }
-            if !self.sequence.is_new(&packet) {
-                self.counts.late += 1;
+            let now_s = self.session.board.now_s();
+            if self.is_silent() {
+                self.host = Some(from.ip());
+            }
+            if self.host != Some(from.ip()) {
+                self.counts.strangers += 1;
                 continue;
             }
-            self.host = Some(from.ip());
+            match self.sequence(from).place(packet.number(), now_s) {
+                Order::New => {}
+                Order::Twice => {
+                    self.counts.late += 1;
+                    continue;
+                }
+                Order::Late => {
+                    self.counts.late += 1;
+                    self.hold_late(&packet).await?;
+                    continue;
+                }
+            }
             if packet.is_heartbeat() {
                 self.heard().await?;
             }
             for command in packet.commands() {
-                if !self.command(command).await? {
-                    self.counts.refused += 1;
-                }
+                self.command(command).await?;
             }
         }
+    }
+
+    /// Numbers of the packets from one address.
+    fn sequence(&mut self, from: SocketAddr) -> &mut Sequence {
+        let place = self.sequences.iter().position(|(known, _)| *known == from).unwrap_or_else(|| {
+            if self.sequences.len() == SEQUENCES {
+                self.sequences.remove(0);
+            }
+            self.sequences.push((from, Sequence::default()));
+            self.sequences.len() - 1
+        });
+        &mut self.sequences[place].1
     }
 
     /// No heartbeat of a host has come for too long.
@@ -236,49 +289,158 @@ impl Hosts<'_> {
     async fn heard(&mut self) -> anyhow::Result<()> {
         let board = self.session.board;
         self.heard_s = board.now_s();
-        if self.bridge.arm && board.safety().0 == SafetyState::Disarmed {
+        let state = board.safety().0;
+        if state == SafetyState::Tripped {
+            self.armed = false;
+        } else if self.bridge.arm && !(self.armed && state == SafetyState::Armed) {
+            let again = mem::replace(&mut self.armed, true);
             match board.arm().await {
+                // The state that was heard last may be older than the arming.
+                Ok(()) if again => {}
                 Ok(()) => eprintln!("r4: a host is there: armed"),
                 // It says so itself, and is asked again with the next heartbeat.
-                Err(Error::Refused(refusal)) => eprintln!("r4: cannot arm: {refusal}"),
+                Err(Error::Refused(refusal)) => {
+                    self.armed = false;
+                    eprintln!("r4: cannot arm: {refusal}");
+                }
                 Err(error) => return Err(error.into()),
+            }
+        }
+        for (channel, duty, at_s) in mem::take(&mut self.waiting) {
+            if board.now_s() < at_s + LOST_AFTER_S {
+                self.drive(channel, duty).await?;
+            } else {
+                self.counts.refused += 1;
             }
         }
         Ok(())
     }
 
-    /// Whether it was carried out.
-    async fn command(&self, command: Option<Command>) -> anyhow::Result<bool> {
-        let board = self.session.board;
-        let (kind, channel, duty) = match command {
-            None => return Ok(false),
-            Some(Command::Stop) => {
-                board.stop().await?;
-                eprintln!("r4: the host has stopped the board: `r4 clear` leaves that behind");
-                return Ok(true);
+    /// Carries a command out, or stops what it was for.
+    async fn command(&mut self, command: Command) -> anyhow::Result<()> {
+        match command {
+            // Done before all others of its packet.
+            Command::Stop => Ok(()),
+            Command::Unknown => {
+                self.counts.refused += 1;
+                Ok(())
             }
-            Some(Command::Osmc { duty, channel }) => (ChannelKind::Osmc, channel, duty),
-            Some(Command::Dhb { duty, channel }) => (ChannelKind::Dhb, channel, duty),
-        };
-        // Without a host's heartbeat nothing moves.
-        if self.is_silent() {
-            return Ok(false);
+            Command::Drive { bridge, channel, duty } => {
+                let channel = channel_of(bridge, channel);
+                // Without a host's heartbeat nothing moves. The published nodes say everything once, and so perhaps before
+                // their first heartbeat, which answers ours.
+                if self.is_silent() {
+                    self.counts.refused += self.waiting.extract_if(.., |(other, ..)| *other == channel).count() as u64;
+                    self.waiting.push((channel, duty, self.session.board.now_s()));
+                    return Ok(());
+                }
+                self.drive(channel, duty).await
+            }
+            Command::Bad { bridge, channel } => {
+                self.counts.refused += 1;
+                for channel in self.meant(bridge, channel) {
+                    self.hold(channel, Why::Bad, "its command is none of this protocol").await?;
+                }
+                Ok(())
+            }
         }
-        match board.set(ChannelId::new(kind, channel), Setpoint { mode: Mode::Duty, value: duty }).await {
-            Ok(()) => Ok(true),
-            Err(Error::Refused(_) | Error::TimedOut { .. }) => Ok(false),
+    }
+
+    /// Commands a channel. What it cannot take of a duty it is not given: 4095 means as much as there is.
+    async fn drive(&mut self, channel: ChannelId, duty: f32) -> anyhow::Result<()> {
+        let board = self.session.board;
+        let range = board.channel(channel).ok().and_then(|info| info.mode(Mode::Duty)).map(|info| info.range);
+        let value = range.map_or(duty, |range| duty.clamp(range.min, range.max));
+        match board.set(channel, Setpoint { mode: Mode::Duty, value }).await {
+            Ok(()) => Ok(()),
+            Err(Error::Refused(refusal)) => {
+                self.counts.refused += 1;
+                // The board has stopped the channel itself.
+                self.say(channel, Why::Refused(mem::discriminant(&refusal)), &refusal.to_string());
+                Ok(())
+            }
+            Err(error @ Error::TimedOut { .. }) => {
+                self.counts.refused += 1;
+                // It may not have come, and then the channel follows the command before.
+                self.hold(channel, Why::TimedOut, &error.to_string()).await
+            }
             Err(error) => Err(error.into()),
         }
     }
 
-    /// A host that is silent drives nothing any more.
-    async fn watch_link(&self) -> anyhow::Result<()> {
+    /// Stops the channels for which `packet`, which is late, has commands: it may be a host's that began to count anew.
+    async fn hold_late(&mut self, packet: &Packet) -> anyhow::Result<()> {
+        for command in packet.commands() {
+            let (bridge, channel) = match command {
+                Command::Drive { bridge, channel, .. } => (bridge, Some(channel)),
+                Command::Bad { bridge, channel } => (bridge, channel),
+                Command::Stop | Command::Unknown => continue,
+            };
+            for channel in self.meant(bridge, channel) {
+                self.hold(channel, Why::Late, "its command came after one with a higher number").await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The channel with this number, or all of its kind where the number cannot be read.
+    fn meant(&self, bridge: legacy::Bridge, channel: Option<u8>) -> Vec<ChannelId> {
+        let kind = channel_of(bridge, 0).kind;
+        let channels = self.session.board.channels().iter().map(|info| info.id).filter(|id| id.kind == kind);
+        channels.filter(|id| channel.is_none_or(|channel| id.index == channel)).collect()
+    }
+
+    /// Stops a channel whose command is not carried out: the host wants something else than what it did.
+    async fn hold(&mut self, channel: ChannelId, why: Why, reason: &str) -> anyhow::Result<()> {
+        self.say(channel, why, reason);
+        self.waiting.retain(|(other, ..)| *other != channel);
         let board = self.session.board;
-        let silent_s = board.now_s() - self.heard_s;
-        if self.is_silent() && board.safety().0 == SafetyState::Armed && self.bridge.arm {
+        match board.set(channel, Setpoint::NONE).await {
+            // Refused where the board is not armed, and then nothing is driven.
+            Ok(()) | Err(Error::Refused(_)) => Ok(()),
+            Err(Error::TimedOut { .. }) => {
+                self.armed = false;
+                board.disarm().await?;
+                eprintln!("r4: the board does not answer: disarmed");
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn say(&mut self, channel: ChannelId, why: Why, reason: &str) {
+        if self.said.insert((channel, why)) {
+            eprintln!("r4: {channel} is stopped: {reason} (said once)");
+        }
+    }
+
+    async fn stop(&mut self) -> anyhow::Result<()> {
+        let board = self.session.board;
+        board.stop().await?;
+        self.waiting.clear();
+        if mem::take(&mut self.armed) || board.safety().0 != SafetyState::Tripped {
+            eprintln!("r4: the host has stopped the board: end this bridge, and `r4 clear` leaves the stop behind");
+        }
+        Ok(())
+    }
+
+    /// A host that is silent drives nothing any more.
+    async fn watch_link(&mut self) -> anyhow::Result<()> {
+        let board = self.session.board;
+        if self.is_silent() && mem::take(&mut self.armed) {
+            let silent_s = board.now_s() - self.heard_s;
             board.disarm().await?;
             eprintln!("r4: no heartbeat of the host for {silent_s:.1} s: disarmed");
         }
         Ok(())
     }
+}
+
+/// A bridge's channel.
+fn channel_of(bridge: legacy::Bridge, channel: u8) -> ChannelId {
+    let kind = match bridge {
+        legacy::Bridge::Osmc => ChannelKind::Osmc,
+        legacy::Bridge::Dhb => ChannelKind::Dhb,
+    };
+    ChannelId::new(kind, channel)
 }
