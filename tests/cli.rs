@@ -786,6 +786,32 @@ fn a_file_that_is_no_flash_is_left_alone() {
     ]);
 }
 
+/// What a flash holds that the board does not use is said before anything starts.
+#[test]
+fn a_flash_that_is_damaged_or_of_another_robot_is_noticed() {
+    let kept = Kept::new("sim:osmc-bench");
+    kept.json(&["config", "set", KP, "5.0", "--save"]);
+    let whole = fs::read(kept.file("flash")).unwrap();
+    let other = Kept::new("sim:openscout");
+    fs::write(other.file("flash"), &whole).unwrap();
+    let seen = other.r4(&["info"]);
+    assert!(seen.code == Some(0) && seen.err.contains("of the robot osmc-bench, not openscout"), "{seen:?}");
+
+    fs::write(kept.file("flash"), vec![0; whole.len()]).unwrap();
+    let seen = kept.r4(&["info"]);
+    assert!(seen.code == Some(0) && seen.err.contains("its parameters are damaged"), "{seen:?}");
+    let sector = whole.len() / 4;
+    let noise = (0..whole.len()).map(|at| (at * 7919 >> 3) as u8).collect();
+    for bad in [whole[..sector].to_vec(), whole[..whole.len() - 1].to_vec(), whole[..33].to_vec(), noise] {
+        fs::write(kept.file("flash"), &bad).unwrap();
+        kept.refused(&["info"], &["flash", "not the flash of a simulated board", "another file"]);
+        assert_eq!(fs::read(kept.file("flash")).unwrap(), bad, "it is left alone");
+    }
+    fs::write(kept.file("flash"), &whole).unwrap();
+    let seen = kept.r4(&["info"]);
+    assert!(seen.code == Some(0) && seen.err.is_empty(), "{seen:?}");
+}
+
 // r4 faults
 
 #[test]

@@ -116,6 +116,7 @@ fn what_is_not_there_is_named() {
         (&["--board", "serial:/dev/null", "scenario", "a.toml"], &["a.toml"]),
         (&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0"], &["from other machines"]),
         (&["sim", "serve", "osmc-bench"], &["--pty"]),
+        (&["--board", "emu:osmc-bench", "debug", "--gdb", "0.0.0.0:0"], &["from other machines", "--public"]),
     ]);
 }
 
@@ -435,16 +436,86 @@ fn without_the_key_nothing_is_told() {
         let refused = served.r4(arguments);
         assert!(refused.code == Some(4) && refused.out.is_empty(), "{refused:?}");
     }
-    // Not a byte but the server's nonce, whatever is said.
+    // Not a byte, whatever is said: as many as a client's part of the handshake.
     let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
-    stranger.write_all(&[0; 32]).expect("written");
+    stranger.write_all(&[0; 48]).expect("written");
     let mut heard = Vec::new();
     // A reset is as good as an end.
     let _ = stranger.read_to_end(&mut heard);
-    assert_eq!(heard.len(), 16);
+    assert_eq!(heard, []);
     fs::set_permissions(&ours, fs::Permissions::from_mode(0o644)).expect("for everybody");
     let refused = served.r4(&["--key", &ours, "info"]);
     assert!(refused.err.contains("chmod 600"), "{refused:?}");
+}
+
+/// With a key and without, strangers who say nothing hold nobody up: served one after the other they would for 40 s.
+#[test]
+fn idle_strangers_hold_nobody_up() {
+    let folder = TempDir::new().expect("a folder");
+    let key = folder.path().join("key");
+    fs::write(&key, "5a".repeat(32)).expect("written");
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("for the owner alone");
+    for key in [&["--key", path(&key)][..], &[]] {
+        let served = Served::with(&[&["sim", "serve", "osmc-bench", "--tcp"], key].concat());
+        let connect = || TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
+        let mut idle: Vec<_> = (0..20).map(|_| connect()).collect();
+        let begin = Instant::now();
+        served.good(&[key, &["info"]].concat());
+        assert!(begin.elapsed() < Duration::from_secs(15), "{:?}", begin.elapsed());
+        // They are dropped, without a byte.
+        for stranger in &mut idle {
+            let mut heard = Vec::new();
+            let _ = stranger.read_to_end(&mut heard);
+            assert_eq!(heard, []);
+        }
+    }
+}
+
+/// Half a frame and noise of a client that is gone are nobody else's; while one has the board, another hears that it is in use.
+#[test]
+fn clients_of_a_socket_do_not_disturb_each_other() {
+    let served = Served::new("osmc-bench", "--tcp");
+    let connect = || TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
+    let noise: Vec<u8> = (1..=255).cycle().take(5000).collect();
+    for said in [&b"\x05half a frame"[..], &noise, &[0; 700]] {
+        connect().write_all(said).expect("written");
+        served.good(&["info"]);
+    }
+    let mut watching = start(command(&["--board", &served.board, "watch"]));
+    next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
+    let mut noisy = connect();
+    noisy.write_all(&noise).expect("written");
+    let refused = served.r4(&["info"]);
+    assert!(refused.code == Some(1) && refused.err.contains("another host"), "{refused:?}");
+    // It goes on all the same.
+    next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
+    watching.out = None;
+    drop(watching);
+    served.good(&["info"]);
+}
+
+/// A key that comes through a pipe may take its time, but no longer than the user wants to wait.
+#[test]
+fn waiting_for_a_key_can_be_interrupted() {
+    let folder = TempDir::new().expect("a folder");
+    let pipe = folder.path().join("key");
+    let made = Command::new("mkfifo").args(["-m", "600"]).arg(&pipe).status().expect("mkfifo runs");
+    assert!(made.success());
+    let arguments = ["--board", "tcp:127.0.0.1:9", "--key", path(&pipe), "info"];
+    let mut waiting = start(command(&arguments));
+    // Once it reads the pipe, a writer can open it without waiting (O_NONBLOCK).
+    let opened = || OpenOptions::new().write(true).custom_flags(0o4000).open(&pipe).ok();
+    let _writer = loop {
+        assert!(waiting.child.try_wait().expect("asked").is_none(), "it waits");
+        if let Some(writer) = opened() {
+            break writer;
+        }
+        thread::yield_now();
+    };
+    let interrupted = Command::new("kill").args(["-INT", &waiting.child.id().to_string()]).status().expect("kill runs");
+    assert!(interrupted.success());
+    let code = waiting.child.wait().expect("it ends").code();
+    assert!(code.is_some_and(|code| code != 0), "{code:?}");
 }
 
 #[test]

@@ -159,11 +159,14 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         self.words.iter().flat_map(|word| [word.readable.into()].into_iter().chain(word.bytes)).collect()
     }
 
-    /// A flash with the content from [`Flash::to_bytes`], or `None` if it is not that of whole sectors.
+    /// A flash with the content from [`Flash::to_bytes`], or `None` if it is something else, or not that of whole sectors.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (words, rest) = bytes.as_chunks::<{ 1 + WORD_BYTES }>();
         if !rest.is_empty() || !words.len().is_multiple_of(SECTOR / WORD_BYTES) {
+            return None;
+        }
+        if words.iter().any(|raw| raw[0] > 1) {
             return None;
         }
         let word = |raw: &[u8; 1 + WORD_BYTES]| {

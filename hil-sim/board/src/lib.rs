@@ -32,6 +32,7 @@ mod executor;
 pub mod flash;
 pub mod i2c;
 mod io;
+pub mod kept;
 pub mod lines;
 pub mod link;
 pub mod misuse;

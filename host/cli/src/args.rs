@@ -254,6 +254,9 @@ pub(crate) struct Debug {
     /// Halt at the reset and serve gdb at this address, as in 127.0.0.1:3333
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) gdb: Option<SocketAddr>,
+    /// Serve gdb at an address that other machines reach: whoever does may read and change all of the emulated board
+    #[arg(long, requires = "gdb")]
+    pub(crate) public: bool,
     /// Run freely and halt for gdb after so many virtual seconds
     #[arg(long, value_parser = seconds, value_name = "SECONDS", requires = "gdb")]
     pub(crate) attach_at: Option<f64>,

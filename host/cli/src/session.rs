@@ -18,8 +18,15 @@ use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Board, Clock, with_board};
 use r4_links::{Address, BadAddress, Event, Key, RealClock, Restart, is_of_link, with_reconnect};
-use r4_protocol::{ChannelId, Mode, config::PidGains};
-use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
+use r4_protocol::{
+    ChannelId, Mode,
+    config::{BoardConfig, PidGains},
+};
+use r4_sim::{
+    Pace, SimBoard, Simulation, VirtualBoard,
+    flash::{Flash, SECTOR_BYTES},
+    kept::{self, Loaded, Saved},
+};
 
 use crate::{
     args::{Args, Command},
@@ -239,9 +246,36 @@ impl FlashFile {
         if self.before.is_empty() {
             return Ok(None);
         }
-        let flash = Flash::from_bytes(&self.before);
+        let whole = Flash::<SECTOR_BYTES>::new(kept::SECTORS).to_bytes().len();
+        let flash = Flash::from_bytes(&self.before).filter(|_| self.before.len() == whole);
+        let (path, len) = (self.path.display(), self.before.len());
+        flash.map(Some).ok_or_else(|| {
+            anyhow!(
+                "{path} is not the flash of a simulated board, or not all of it ({len} bytes; a whole one has {whole}): name \
+                 another file, or move this one away to begin with an empty flash"
+            )
+        })
+    }
+
+    /// Says what of `flash` a board that was built with `config` does not use.
+    fn review(&self, flash: &Flash, config: &BoardConfig) {
         let path = self.path.display();
-        flash.map(Some).ok_or_else(|| anyhow!("{path} is not the flash of a simulated board: name another file"))
+        let instead = "the board starts as it was built, and the next `r4 config save` replaces it";
+        let Loaded { saved, skipped, .. } = kept::review(flash, config);
+        match saved {
+            Saved::Nothing => {}
+            Saved::Changes if skipped.count == 0 => {}
+            Saved::Changes => {
+                eprintln!("r4: {path}: {} saved parameters do not fit this robot and are not used", skipped.count);
+            }
+            Saved::OtherRobot(other) => {
+                eprintln!("r4: {path}: its parameters are of the robot {other}, not {}: {instead}", config.robot);
+            }
+            Saved::NewerLayout(layout) => {
+                eprintln!("r4: {path}: its parameters are of a newer firmware (layout {layout}): {instead}");
+            }
+            Saved::Damaged => eprintln!("r4: {path}: its parameters are damaged: {instead}"),
+        }
     }
 
     /// Writes what `flash` holds now: all of it, or nothing.
@@ -318,9 +352,13 @@ pub(crate) fn run_with<T>(
     Ok((value, elapsed))
 }
 
-/// The key that `args` name.
+/// The key that `args` name. Its file may be a pipe, on whose writer Ctrl-C ends the wait.
 pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
-    Ok(args.key.as_deref().map(Key::read).transpose()?)
+    let Some(path) = &args.key else { return Ok(None) };
+    match Key::read_while(path, || !is_interrupted()) {
+        Err(_) if is_interrupted() => Err(Interrupted.into()),
+        key => Ok(Some(key?)),
+    }
 }
 
 /// The same on a board at the other end of a link.
@@ -440,6 +478,9 @@ pub(crate) fn power_up(
     plants::replace(args, &mut robot)?;
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+    if let (Some(file), Some(flash)) = (&file, &flash) {
+        file.review(flash, &robot.config);
+    }
     // Of two boards that are compared the emulated one has a log.
     let compared = matches!(&args.command, Command::Scenario(scenario) if scenario.compare);
     if args.log.is_some() && matches!(args.board, Target::Sim(_)) && !compared {

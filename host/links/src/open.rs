@@ -198,7 +198,7 @@ async fn greet(socket: Descriptor, key: &Key) -> io::Result<Link> {
         }
         Either::Right(_) => Err(io::Error::new(
             io::ErrorKind::TimedOut,
-            "it does not ask for a key: leave --key out, or start the server with it",
+            "it does not answer to a key: is a board served there, and with this --key?",
         )),
     }
 }
@@ -208,12 +208,28 @@ async fn connect_to(address: SocketAddr) -> io::Result<Descriptor> {
     tcp(stream.into_inner()?)
 }
 
-/// A connected socket as a link: what is written goes out at once.
+/// A connected socket that nothing has come from is asked after this time whether the other end is still there.
+const KEEPALIVE_AFTER: Duration = Duration::from_secs(2);
+/// It is asked again after this time,
+const KEEPALIVE_EVERY: Duration = Duration::from_secs(1);
+/// so often, and then counts as gone.
+const KEEPALIVE_TIMES: u32 = 3;
+
+/// A connected socket as a link: what is written goes out at once, and a peer that is gone without a word ends it.
 ///
 /// # Errors
 /// The operating system's.
 pub fn tcp(stream: TcpStream) -> io::Result<Descriptor> {
+    use rustix::net::sockopt;
     stream.set_nodelay(true)?;
+    sockopt::set_socket_keepalive(&stream, true)?;
+    #[cfg(not(any(target_os = "macos", target_os = "ios")))]
+    sockopt::set_tcp_keepidle(&stream, KEEPALIVE_AFTER)?;
+    sockopt::set_tcp_keepintvl(&stream, KEEPALIVE_EVERY)?;
+    sockopt::set_tcp_keepcnt(&stream, KEEPALIVE_TIMES)?;
+    // What is under way asks, too, and would do so for a quarter of an hour.
+    #[cfg(target_os = "linux")]
+    sockopt::set_tcp_user_timeout(&stream, (KEEPALIVE_AFTER + KEEPALIVE_EVERY * KEEPALIVE_TIMES).as_millis() as u32)?;
     Descriptor::new(OwnedFd::from(stream))
 }
 

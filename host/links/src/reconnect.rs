@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use async_io::Timer;
 use r4_driver::{Board, Clock, Error, with_board};
-use r4_protocol::Cause;
+use r4_protocol::{Cause, Refusal};
 
 use crate::{Address, Key, OpenError, open, ports};
 
@@ -93,8 +93,8 @@ where
                 Some(why) => why,
                 None => return Err(error),
             },
-            // There, but not answering yet.
-            Err(error) if lost.is_some() && is_of_link(&error) => {
+            // There, but not answering yet, or not knowing yet that our last session is over.
+            Err(error) if lost.is_some() && (is_of_link(&error) || error == Error::Refused(Refusal::InUse)) => {
                 Timer::after(RETRY_EVERY).await;
                 continue;
             }

@@ -63,6 +63,8 @@ fn main() {
         ("heartbeat", Packet::default().with("H", "ROS2-R4").with("T", 1234)),
         ("osmc", Packet::default().with("O", "2048,0,1").with("PNum", 7)),
         ("dhb", Packet::default().with("D", "4095,1,16").with("D", "1,0,2").with("PNum", 4_294_967_295_u32)),
+        ("full", Packet::default().with("D", "4095,0,1").with("PNum", 2).with("T", 1_692_316_800_000_u64)),
+        ("beyond", Packet::default().with("O", "4096,0,1").with("D", "1,2,3").with("O", "1,0,99").with("S", "Go")),
         ("stop", Packet::default().with("S", "Stop").with("PNum", 8)),
     ] {
         write("legacy", name, packet.to_string().as_bytes());
@@ -79,14 +81,14 @@ fn main() {
     write("key", "good-with-line-end", format!("{}\n", "0123456789ABCDEF".repeat(4)).as_bytes());
     write("key", "short", b"0123");
     for (name, how) in [
-        ("nothing", &[3][..]),
-        ("number", &[0, 0, 3, 1]),
+        ("nothing", &[2][..]),
+        ("first-message", &[0, 0, 3, 1]),
         ("answer", &[1, 0, 20, 0x80]),
-        ("proof-cut", &[2, 1, 0, 3]),
-        ("record-bit", &[3, 0, 0, 5]),
-        ("record-length", &[3, 0, 0, 1]),
-        ("record-again", &[3, 3, 1, 9]),
-        ("record-more", &[3, 2, 2, 0]),
+        ("answer-cut", &[1, 1, 0, 3]),
+        ("record-bit", &[2, 0, 0, 5]),
+        ("record-length", &[2, 0, 0, 1]),
+        ("record-again", &[2, 3, 1, 9]),
+        ("record-more", &[2, 2, 2, 0]),
     ] {
         write("secure", name, how);
     }

@@ -11,7 +11,7 @@
 //! | [`files`] | `log`, `flash`, `robot`, `carrier`, `plant`, `key`, `recording`: the files that the program reads |
 //! | [`config`], [`scenario`] | those of them that only the program itself can read |
 //! | [`text`] | `slcan`, `legacy`: lines of a CAN adapter, packets of the old firmware's hosts |
-//! | [`secure`] | `secure`: somebody between the two ends of an authenticated link |
+//! | [`secure`] | `secure`: somebody between the two ends of an encrypted link |
 //!
 //! [`mutate`] makes neighbours of inputs, [`script`] reads an input as a list of things to do. The same functions are
 //! called by `tests/replay.rs` in every test run and by the fuzzer in `cargo-fuzz/`.

@@ -1,24 +1,27 @@
-//! Somebody between the two ends of an authenticated link.
+//! Somebody between the two ends of an encrypted link.
 
 use std::{io, os::unix::net::UnixStream};
 
 use embedded_io_async::{Read, Write};
 use futures::future::join3;
-use r4_links::{Descriptor, Key, block_on, secure};
+use r4_links::{
+    Descriptor, Key, block_on,
+    secure::{self, HANDSHAKE},
+};
 
 use crate::mutate::Mutator;
 
 /// What the client sends, in these pieces.
 const SENT: [&[u8]; 4] = [b"a first record", b"", b"another one, which is longer than the first", &[0; 600]];
 
-/// An input says what somebody in between does: its first byte with which part of the talk (the server's number, the client's
-/// answer, the server's proof, the records), the rest how; nothing more leaves it as it is. Whatever it is, what is read at
-/// the far end is what was sent, up to where it was touched, and a touched greeting opens no link.
+/// An input says what somebody in between does: its first byte with which part of the talk (the client's message of the
+/// handshake, the server's, the records), the rest how; nothing more leaves it as it is. Whatever it is, what is read at the far
+/// end is what was sent, up to where it was touched, and a touched handshake opens no link.
 ///
 /// # Panics
 /// When something else is read, or the greeting is taken.
 pub fn secure(bytes: &[u8]) -> bool {
-    let (what, how) = bytes.split_first().map_or((3, &[][..]), |(what, how)| (what % 4, how));
+    let (what, how) = bytes.split_first().map_or((2, &[][..]), |(what, how)| (what % 3, how));
     let (client_end, to_client) = pair().expect("a pair of sockets");
     let (server_end, to_server) = pair().expect("a pair of sockets");
     let key = Key::new([0x5A; 32]);
@@ -28,24 +31,22 @@ pub fn secure(bytes: &[u8]) -> bool {
         let mut change = |part: u8, bytes: Vec<u8>| {
             let passed_on = if part == what { touched(&bytes, how) } else { bytes.clone() };
             all &= passed_on == bytes;
-            greeting &= part == 3 || passed_on.starts_with(&bytes);
+            greeting &= part == 2 || passed_on.starts_with(&bytes);
             // The far end would wait for the rest for ever.
-            if part < 3 && passed_on.len() < bytes.len() { Err(io::ErrorKind::UnexpectedEof) } else { Ok(passed_on) }
+            if part < 2 && passed_on.len() < bytes.len() { Err(io::ErrorKind::UnexpectedEof) } else { Ok(passed_on) }
         };
         let (mut client, mut server) = (to_client, to_server);
-        let number = change(0, exactly(&mut server, 16).await?)?;
-        client.write_all(&number).await?;
-        let answer = change(1, exactly(&mut client, 32).await?)?;
-        server.write_all(&answer).await?;
-        let proof = change(2, exactly(&mut server, 16).await?)?;
-        client.write_all(&proof).await?;
+        let first = change(0, exactly(&mut client, HANDSHAKE).await?)?;
+        server.write_all(&first).await?;
+        let answer = change(1, exactly(&mut server, HANDSHAKE).await?)?;
+        client.write_all(&answer).await?;
         let mut records = Vec::new();
         let mut buffer = [0; 1024];
         while let len @ 1.. = client.read(&mut buffer).await? {
             records.extend_from_slice(&buffer[..len]);
         }
         // The server hangs up at the first record that it does not trust.
-        let _ = server.write_all(&change(3, records)?).await;
+        let _ = server.write_all(&change(2, records)?).await;
         Ok::<_, io::Error>(())
     };
     let client = async {
@@ -69,9 +70,9 @@ pub fn secure(bytes: &[u8]) -> bool {
     };
     let (client, server, _) = block_on(join3(client, server, between));
     let sent = SENT.concat();
-    // The server's number and the client's answer are for the server to verify, the server's proof for the client.
+    // The client's message is for the server to verify, and without an answer there is no link; the server's for the client.
     assert!(greeting || client.is_err(), "the client trusts what was changed on the way");
-    assert!(greeting || what == 2 || server.is_err(), "the server trusts what was changed on the way");
+    assert!(greeting || what == 1 || server.is_err(), "the server trusts what was changed on the way");
     let (read, to_the_end) = server.unwrap_or_default();
     assert!(sent.starts_with(&read), "the server read what the client has not sent");
     assert!(!all || (client.is_ok() && read == sent && to_the_end), "nobody touched anything");

@@ -12,6 +12,15 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
             args.board.robot().unwrap_or("osmc-bench")
         );
     };
+    if let Some(address) = debug.gdb
+        && !address.ip().is_loopback()
+        && !debug.public
+    {
+        bail!(
+            "{address} can be reached from other machines, and gdb's protocol asks nobody who they are: serve it at 127.0.0.1, \
+             or add --public if everybody there may"
+        );
+    }
     match &debug.scenario {
         Some(path) => super::scenario::play_one(args, path),
         None => alone(args, debug),

@@ -1,5 +1,7 @@
 //! `r4 sim serve`: a virtual board in real time, for programs that connect to it as to a real one.
 
+mod clients;
+
 use std::{
     cell::{Cell, RefCell},
     collections::VecDeque,
@@ -16,9 +18,10 @@ use std::{
 
 use anyhow::{Context, anyhow, bail};
 use async_io::{Async, Timer};
+use clients::Clients;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, pty::Pty, secure, slcan};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, pty::Pty, slcan};
 use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -38,8 +41,6 @@ const NO_TIME: u32 = u32::MAX;
 const HURRY: Duration = Duration::from_millis(20);
 /// How often Ctrl-C is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// A client proves to have the key within this time. Another one waits so long.
-const GREETING: Duration = Duration::from_secs(2);
 /// Bytes for a client that does not read, before they are dropped.
 const OUTBOX: usize = 16 * 1024;
 
@@ -234,18 +235,6 @@ fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
     (Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor.clone()))
 }
 
-/// A client's link, once it has proved to have the key, if there is one: in time, or it is left.
-async fn greeted(descriptor: Descriptor, key: Option<&Key>) -> Option<(Receiver, Transmitter)> {
-    let Some(key) = key else { return Some(bytes(&descriptor)) };
-    match select(pin!(secure::server(descriptor, key)), Timer::after(GREETING)).await {
-        Either::Left((Ok((rx, tx)), _)) => Some((Receiver::Secure(rx), Transmitter::Secure(tx))),
-        Either::Left((Err(_), _)) | Either::Right(_) => {
-            eprintln!("r4: a client without the key was turned away");
-            None
-        }
-    }
-}
-
 /// What the board has sent and no client has taken.
 #[derive(Default)]
 struct Outbox {
@@ -289,7 +278,7 @@ impl<'s> Served<'s> {
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
         let served = match place {
             Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
-            Place::Listener(listener, key) => self.with_clients(&listener, key.as_ref()).await,
+            Place::Listener(listener, key) => self.with_clients(Clients::new(listener, key, self.outbox.clone())).await,
         };
         if self.outbox.dropped.get() > 0 {
             eprintln!("r4: {} bytes of the board were dropped: nobody read them", self.outbox.dropped.get());
@@ -297,23 +286,10 @@ impl<'s> Served<'s> {
         served
     }
 
-    /// One client after the other.
-    async fn with_clients(&mut self, listener: &Async<TcpListener>, key: Option<&Key>) -> anyhow::Result<()> {
+    async fn with_clients(&mut self, mut clients: Clients) -> anyhow::Result<()> {
         loop {
-            let stream = match self.meanwhile(listener.accept()).await? {
-                Ok((stream, _)) => stream,
-                // One that is gone again already is nothing to the others.
-                Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => continue,
-                Err(error) => return Err(error).context("cannot accept a client"),
-            };
-            let Ok(descriptor) = stream.into_inner().and_then(r4_links::tcp) else { continue };
-            // Of what the board has said to nobody.
-            self.outbox.bytes.borrow_mut().clear();
-            let Some((mut rx, mut tx)) = self.meanwhile(greeted(descriptor, key)).await? else { continue };
-            match self.with_client(&mut rx, &mut tx).await {
-                Err(error) if error.is::<Gone>() => {}
-                other => return other,
-            }
+            let bytes = self.meanwhile(clients.next()).await?.context("cannot accept a client")?;
+            self.receive(&bytes)?;
         }
     }
 

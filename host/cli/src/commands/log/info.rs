@@ -58,7 +58,8 @@ struct Refusal<'a> {
 pub(super) fn run(args: &Args, file: &Path) -> anyhow::Result<bool> {
     let log = read(file)?;
     Info::of(file, &log).print(args)?;
-    Ok(true)
+    // As `r4 log export`: what could not be read is missing.
+    Ok(log.warnings.is_empty())
 }
 
 impl<'a> Info<'a> {
