@@ -264,7 +264,8 @@ impl BoardConfig {
         let others =
             [(has_dhb, bits(14)), (!self.bldcs.is_empty(), bits(9)), (!self.motors.is_empty(), bits(5) + bits(4))];
         let largest = others.into_iter().filter(|(there, _)| *there).map(|(_, bits)| bits).max();
-        let needed = all_lines.max(osmc * bits(4) + largest.unwrap_or(0)).max(bits(4));
+        // Six bytes of a bridge whose pulse meets the end of the PWM period: four registers.
+        let needed = all_lines.max(osmc * bits(6) + largest.unwrap_or(0)).max(bits(6));
         // 95 % of the period: the rest is for the processor.
         let room = u64::from(self.control_period_us) * u64::from(self.i2c_hz) / 1_000_000 * 95 / 100;
         check(None, room >= needed, "i2c_hz and control_period_us must leave room for every output in a period")

@@ -7,7 +7,10 @@
 //! DHB-12: enable high, PWM on `IN1` forwards, on `IN2` backwards.
 //!
 //! - A change of direction first takes the PWM line low for two PWM periods, then sets all lines in one transfer.
-//! - An unchanged direction writes only the "off" count of the one line that moves.
+//! - An unchanged direction writes only the count that moves of the one line that moves, or both where the pulse meets the end
+//!   of the period.
+//! - Bridges of one chip switch on one after the other, each at its own phase: what their supply's capacitor has to give at
+//!   once is less.
 
 use embassy_time::{Duration, Instant};
 use embedded_hal_async::i2c::I2c;
@@ -40,7 +43,7 @@ enum Step {
     /// Nothing has to be written.
     Keep { applied: f32 },
     /// The one line that moves.
-    Change { direction: Direction, pwm: Output, applied: f32 },
+    Change { direction: Direction, before: Output, pwm: Output, applied: f32 },
     /// All lines.
     SetAll { direction: Direction, pwm: Output },
 }
@@ -50,6 +53,8 @@ enum Step {
 pub struct Bridge {
     wiring: BridgeConfig,
     inverted: bool,
+    /// Count of the PWM period at which its pulses begin.
+    phase: u16,
     reversal: Duration,
     state: State,
     /// What the motor gets.
@@ -57,10 +62,11 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// A bridge that is off and rests for `reversal` between directions.
+    /// A bridge that is off and rests for `reversal` between directions. Its pulses begin at count `phase` of the PWM period,
+    /// below 4096.
     #[must_use]
-    pub fn new(wiring: BridgeConfig, inverted: bool, reversal: Duration) -> Self {
-        Self { wiring, inverted, reversal, state: State::Off { since: Instant::now() }, applied: 0.0 }
+    pub fn new(wiring: BridgeConfig, inverted: bool, phase: u16, reversal: Duration) -> Self {
+        Self { wiring, inverted, phase, reversal, state: State::Off { since: Instant::now() }, applied: 0.0 }
     }
 
     /// All lines of the chip have just been turned off.
@@ -82,7 +88,7 @@ impl Bridge {
     pub fn bytes(&self, duty: f32) -> u32 {
         match self.next(duty) {
             Step::Keep { .. } => 0,
-            Step::Change { .. } => 4,
+            Step::Change { before, pwm, .. } => pwm.change_bytes(before),
             Step::SetAll { .. } => 2 + 4 * self.line_count() as u32,
         }
     }
@@ -101,8 +107,8 @@ impl Bridge {
     pub async fn drive<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B, duty: f32) -> Result<f32, B::Error> {
         self.applied = match self.next(duty) {
             Step::Keep { applied } => applied,
-            Step::Change { direction, pwm, applied } => {
-                chip.set_off_count(bus, self.pwm_line(direction), pwm).await?;
+            Step::Change { direction, before, pwm, applied } => {
+                chip.change(bus, self.pwm_line(direction), before, pwm).await?;
                 self.state = State::On { direction, pwm, pwm_since: Instant::now() };
                 applied
             }
@@ -118,17 +124,18 @@ impl Bridge {
 
     fn next(&self, duty: f32) -> Step {
         let wanted = if (duty < 0.0) != self.inverted { Direction::Backwards } else { Direction::Forwards };
-        let pwm = Output::high_for(duty.abs());
+        let pwm = Output::high_from(self.phase, duty.abs());
         match self.state {
-            State::On { direction, pwm: last, .. } if direction == wanted || pwm == Output::LOW => {
-                if last == pwm {
+            State::On { direction, pwm: before, .. } if direction == wanted || pwm.is_low() => {
+                let pwm = if pwm.is_low() { before.low() } else { pwm };
+                if before == pwm {
                     Step::Keep { applied: duty }
                 } else {
-                    Step::Change { direction, pwm, applied: duty }
+                    Step::Change { direction, before, pwm, applied: duty }
                 }
             }
-            State::On { direction, pwm: last, .. } if last != Output::LOW => {
-                Step::Change { direction, pwm: Output::LOW, applied: 0.0 }
+            State::On { direction, pwm: before, .. } if !before.is_low() => {
+                Step::Change { direction, before, pwm: before.low(), applied: 0.0 }
             }
             State::On { pwm_since: since, .. } | State::Off { since } if Instant::now() - since < self.reversal => {
                 Step::Keep { applied: 0.0 }

@@ -7,7 +7,7 @@ pub mod servo;
 mod slew;
 
 use heapless::Vec;
-use r4_protocol::config::{BoardConfig, BridgeConfig, MAX_MOTORS, PwmConfig};
+use r4_protocol::config::{BoardConfig, BridgeConfig, MAX_MOTORS, MotorConfig, PwmConfig};
 
 use crate::{
     chips::{
@@ -35,6 +35,8 @@ pub enum OutputFault {
 const TRIES: u32 = 3;
 /// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
 const BUS_SHARE: f32 = 0.95;
+/// Counts of a PWM period, over which the bridges of a chip are spread.
+const PHASES: usize = 4096;
 /// Servos that had to wait are caught up with for as many periods.
 const SERVO_PERIODS_DUE: usize = 8;
 /// Bits on the bus to set the expander.
@@ -83,11 +85,17 @@ impl<B: Bus> Outputs<B> {
         let (osmc, dhb) = (config.osmc_pwm.map(chip), config.dhb_pwm.map(chip));
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
-        let bridges = motors.map(|motor| {
-            let chip = if let BridgeConfig::Osmc(_) = motor.bridge { osmc } else { dhb };
+        let on_osmc = |motor: &MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
+        let bridges = motors.enumerate().map(|(index, motor)| {
+            let chip = if on_osmc(motor) { osmc } else { dhb };
+            // Evenly over the period of their chip; the two chips have clocks of their own.
+            let same_chip = |other: &&MotorConfig| on_osmc(other) == on_osmc(motor);
+            let count = config.motors.iter().filter(same_chip).count();
+            let before = config.motors.iter().take(index).filter(same_chip).count();
+            let phase = (PHASES * before / count) as u16;
             // A change takes effect at the end of the running PWM period; a whole one must then pass with the bridge at rest.
             let reversal = chip.map_or(embassy_time::Duration::MIN, |chip| 2 * chip.period());
-            Bridge::new(motor.bridge, motor.inverted, reversal)
+            Bridge::new(motor.bridge, motor.inverted, phase, reversal)
         });
         let expander = config.expander.filter(|_| valid);
         let period_s = config.control_period_us as f32 * 1e-6;

@@ -312,6 +312,7 @@ fn rests_before_direction_changes(lines: BridgeLines, trace: &[WireRecord]) -> V
         match values {
             _ if record.written == ALL_OFF => on = false,
             [_, high] if low_sides.contains(&(register - 2)) => on = high & 0x10 == 0,
+            [_, _, _, high] if low_sides.contains(register) => on = high & 0x10 == 0,
             [..] if values.len() == 16 && *register == first => {
                 rests.extend(off_since_ns.take().map(|since_ns: u64| record.end_ns - since_ns));
                 on = low_sides.iter().any(|low| values[usize::from(low - first) + 3] & 0x10 == 0);

@@ -13,6 +13,8 @@ use crate::within::Within;
 const OSCILLATOR_HZ: f32 = 25e6;
 /// Steps of a PWM period.
 const STEPS: f32 = 4096.0;
+/// The last of them.
+const LAST: u16 = 4095;
 /// The oscillator needs this after `SLEEP` is cleared (datasheet 7.3.1.1).
 const OSCILLATOR_START: Duration = Duration::from_micros(500);
 
@@ -38,6 +40,52 @@ impl Output {
                 Self([0, 0, low, high])
             }
         }
+    }
+
+    /// High for `share` of the period from count `phase` on, rounded to 1/4096: outputs of one supply with different phases do
+    /// not all switch on at once. A pulse that would not fit begins sooner, so that each ends in the period in which it
+    /// began: nothing depends on what the output did before. `phase` is below 4096.
+    #[must_use]
+    pub fn high_from(phase: u16, share: f32) -> Self {
+        let length = libm::roundf(share * STEPS) as u16;
+        match length {
+            0 => Self::LOW,
+            4096.. => Self::HIGH,
+            length => {
+                let on = phase.min(LAST - length);
+                let ([on_low, on_high], [off_low, off_high]) = (on.to_le_bytes(), (on + length).to_le_bytes());
+                Self([on_low, on_high, off_low, off_high])
+            }
+        }
+    }
+
+    /// Always low, with the "on" count of this output: only its "off" count has to be written.
+    #[must_use]
+    pub const fn low(self) -> Self {
+        let Self([on_low, on_high, ..]) = self;
+        Self([on_low, on_high, 0, reg::FULL])
+    }
+
+    /// Whether it is always low, whatever its "on" count.
+    #[must_use]
+    pub const fn is_low(self) -> bool {
+        self.0[3] & reg::FULL != 0
+    }
+
+    /// The registers that differ from `before`: the first of the two or four, counted from `ON_L`, and how many.
+    fn change_from(self, before: Self) -> (u8, usize) {
+        let same = |at: usize| self.0[at] == before.0[at];
+        match (same(0) && same(1), same(2) && same(3)) {
+            (true, _) => (2, 2),
+            (false, true) => (0, 2),
+            (false, false) => (0, 4),
+        }
+    }
+
+    /// Bytes on the bus, address included, of [`Pca9685::change`].
+    #[must_use]
+    pub fn change_bytes(self, before: Self) -> u32 {
+        2 + self.change_from(before).1 as u32
     }
 
     /// The bytes of `ON_L, ON_H, OFF_L, OFF_H`.
@@ -147,6 +195,18 @@ impl Pca9685 {
         bus.write(self.address, &[on_register(output) + 2, low, high]).await
     }
 
+    /// Changes `output` from what it was written to, `before`, by the registers that differ.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn change<B: I2c>(&self, bus: &mut B, output: u8, before: Output, to: Output) -> Result<(), B::Error> {
+        let (first, count) = to.change_from(before);
+        let mut bytes = [0; 5];
+        bytes[0] = on_register(output) + first;
+        bytes[1..=count].copy_from_slice(&to.registers()[usize::from(first)..][..count]);
+        bus.write(self.address, &bytes[..=count]).await
+    }
+
     /// Reads `output` back and compares.
     ///
     /// # Errors
@@ -197,6 +257,34 @@ mod tests {
         assert_eq!(Output::high_for(0.5).registers(), [0, 0, 0x00, 0x08]);
         assert_eq!(Output::high_for(0.9).registers(), [0, 0, 0x66, 0x0E]); // 3686
         assert_eq!(Output::high_for(f32::NAN), Output::LOW);
+    }
+
+    /// Every phase and length: as long as without a phase, within the period, from the phase on or as near before it as fits.
+    #[test]
+    fn a_phase_moves_a_pulse_and_leaves_its_length() {
+        for phase in (0..4096).step_by(64) {
+            for length in 1..4096_u16 {
+                let [on_low, on_high, off_low, off_high] =
+                    Output::high_from(phase, f32::from(length) / STEPS).registers();
+                let [on, off] = [[on_low, on_high], [off_low, off_high]].map(u16::from_le_bytes);
+                assert_eq!(off - on, length);
+                assert!(off <= LAST && on <= phase && (on == phase || off == LAST), "{phase} {length}: {on} {off}");
+            }
+            assert_eq!(Output::high_from(phase, 0.0), Output::LOW);
+            assert_eq!(Output::high_from(phase, 1.0), Output::HIGH);
+            assert_eq!(Output::high_from(phase, f32::NAN), Output::LOW);
+        }
+        assert_eq!(Output::high_from(0, 0.9), Output::high_for(0.9));
+    }
+
+    #[test]
+    fn a_change_writes_the_registers_that_differ() {
+        let [short, longer, longest] = [0.2, 0.4, 0.9].map(|share| Output::high_from(2048, share));
+        assert_eq!([short.change_from(longer), longer.change_from(longest)], [(2, 2), (0, 4)]);
+        // Both at the end of the period: only where they begin differs.
+        assert_eq!(longest.change_from(Output::high_from(2048, 0.95)), (0, 2));
+        assert_eq!((longest.low().change_from(longest), longest.low().is_low()), ((2, 2), true));
+        assert_eq!([short.change_bytes(longer), longer.change_bytes(longest)], [4, 6]);
     }
 
     #[test]
