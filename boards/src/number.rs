@@ -3,7 +3,7 @@
 use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
-    channel::{ChannelId, Range},
+    channel::{ChannelId, ChannelKind, Range},
     config::DUTY_HARD_MAX,
 };
 use serde::{Deserialize, Deserializer, de::Error};
@@ -165,4 +165,23 @@ pub(crate) fn channels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec
 
 pub(crate) fn optional_channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ChannelId>, D::Error> {
     channel(deserializer).map(Some)
+}
+
+/// The number in the name of a channel of `kind`.
+fn number_of<'de, D: Deserializer<'de>>(deserializer: D, kind: ChannelKind) -> Result<u8, D::Error> {
+    let id = channel(deserializer)?;
+    if id.kind == kind {
+        Ok(id.index)
+    } else {
+        let name = kind.name();
+        Err(D::Error::custom(format!("`{id}` is no {name}: write {name} and its number, as in {name}0")))
+    }
+}
+
+pub(crate) fn optional_supply_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
+    number_of(deserializer, ChannelKind::Supply).map(Some)
+}
+
+pub(crate) fn analog_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u8, D::Error> {
+    number_of(deserializer, ChannelKind::Analog)
 }

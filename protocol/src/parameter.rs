@@ -118,10 +118,28 @@ pub enum Parameter {
     VoltsMin,
     /// Highest voltage of an analog output, of what is plausible at an analog input, or of a supply in range, V.
     VoltsMax,
+    /// Of a motor with a winding: supply voltage that its gains were tuned at, V.
+    NominalV,
+    /// Of a motor with a winding: duty below which no current flows.
+    DeadDuty,
+    /// Of a motor with a winding, ohm.
+    ResistanceOhm,
+    /// Of a motor with a winding: back-EMF constant at the output, V s/rad or V s/m.
+    BackEmf,
+    /// Of a motor with a winding: current it withstands continuously, A.
+    RatedA,
+    /// Of a motor with a winding: thermal time constant, s.
+    ThermalS,
+    /// Of a motor with a current sensor: its voltage at 0 A, V.
+    CurrentZeroV,
+    /// Of a motor with a current sensor, V/A.
+    CurrentVoltsPerA,
+    /// Of a supply that limits regeneration: above this motors feed less back, V.
+    RegenerationV,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 52] = [
+    const NAMES: [(Self, &'static str); 61] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -174,6 +192,15 @@ impl Parameter {
         (Self::OffsetV, "offset_v"),
         (Self::VoltsMin, "volts_min"),
         (Self::VoltsMax, "volts_max"),
+        (Self::NominalV, "nominal_v"),
+        (Self::DeadDuty, "dead_duty"),
+        (Self::ResistanceOhm, "resistance_ohm"),
+        (Self::BackEmf, "back_emf"),
+        (Self::RatedA, "rated_a"),
+        (Self::ThermalS, "thermal_s"),
+        (Self::CurrentZeroV, "current_zero_v"),
+        (Self::CurrentVoltsPerA, "current_volts_per_a"),
+        (Self::RegenerationV, "regeneration_v"),
     ];
 
     /// Every parameter, in the order of the variants.

@@ -56,11 +56,13 @@ pub enum Cause {
     BadConfiguration = 11,
     /// The button at the auxiliary stop input is pressed or its wire is cut.
     AuxiliaryStop = 12,
+    /// A motor's winding is as hot as it may become, by its current and thermal time constant.
+    Overload = 13,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -74,6 +76,7 @@ impl Cause {
         Self::ControlOverrun,
         Self::BadConfiguration,
         Self::AuxiliaryStop,
+        Self::Overload,
     ];
 
     /// What a person does about it.
@@ -95,6 +98,7 @@ impl Cause {
             Self::ControlOverrun => "report it: the control loop does not fit its period",
             Self::BadConfiguration => "correct the robot's configuration",
             Self::AuxiliaryStop => "release the stop button, or check its wire",
+            Self::Overload => "free the mechanism or ask for less, and let the motor cool down",
         }
     }
 }
@@ -115,6 +119,7 @@ impl fmt::Display for Cause {
             Self::ControlOverrun => "control overrun",
             Self::BadConfiguration => "bad configuration",
             Self::AuxiliaryStop => "auxiliary stop",
+            Self::Overload => "overload",
         })
     }
 }

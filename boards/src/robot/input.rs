@@ -121,6 +121,8 @@ pub(super) struct Supply {
     #[serde(default, deserialize_with = "optional_positive")]
     volts_per_code: Option<f32>,
     range_v: Interval,
+    #[serde(default, deserialize_with = "optional_positive")]
+    regeneration_v: Option<f32>,
 }
 
 impl Table for Supply {
@@ -138,6 +140,7 @@ impl Table for Supply {
             analog: self.analog,
             volts_per_code: self.volts_per_code.unwrap_or(place.carrier.analog.volts_per_code() as f32),
             range_v: self.range_v.into(),
+            regeneration_v: self.regeneration_v,
         })
     }
 }

@@ -216,6 +216,8 @@ pub struct SimulatedRail {
     pub emf_v: f64,
     /// Resistance of the source.
     pub resistance_ohm: f64,
+    /// Of a source that takes nothing back, F; `None` for a battery.
+    pub capacitance_f: Option<f64>,
     /// Noise, standard deviation in codes of the 16-bit converter.
     pub noise_rms_codes: f64,
 }

@@ -6,8 +6,8 @@
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BridgeConfig, ControlConfig, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, PidGains,
-        PotPoint, ProfileLimits, SettleConfig, StallConfig,
+        BridgeConfig, ControlConfig, CurrentSense, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig,
+        PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
     },
 };
 use serde::{
@@ -16,7 +16,9 @@ use serde::{
 };
 use toml::{Spanned, de::DeValue};
 
-use crate::number::{Interval, channel, finite, not_negative, optional_duty, positive};
+use crate::number::{
+    Interval, analog_number, channel, finite, not_negative, optional_duty, optional_supply_number, positive,
+};
 
 /// A motor as it is in the file.
 pub(super) enum Motor {
@@ -37,7 +39,69 @@ pub(super) struct Open {
     duty_max: Option<f32>,
     #[serde(deserialize_with = "positive")]
     duty_slew_per_s: f32,
+    winding: Option<OpenWinding>,
 }
+
+/// A current sensor.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Sense {
+    #[serde(deserialize_with = "analog_number")]
+    analog: u8,
+    #[serde(default, deserialize_with = "finite")]
+    zero_v: f32,
+    #[serde(deserialize_with = "positive")]
+    volts_per_a: f32,
+}
+
+impl From<Sense> for CurrentSense {
+    fn from(Sense { analog, zero_v, volts_per_a }: Sense) -> Self {
+        Self { analog, zero_v, volts_per_a }
+    }
+}
+
+/// The table of a motor's winding; only one whose speed is known has a back-EMF.
+macro_rules! winding {
+    ($Winding:ident $(, $back_emf:ident)?) => {
+        #[derive(Clone, Copy, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct $Winding {
+            #[serde(default, deserialize_with = "optional_supply_number")]
+            supply: Option<u8>,
+            #[serde(deserialize_with = "positive")]
+            nominal_v: f32,
+            #[serde(default, deserialize_with = "not_negative")]
+            dead_duty: f32,
+            #[serde(deserialize_with = "positive")]
+            resistance_ohm: f32,
+            $(#[serde(deserialize_with = "not_negative")]
+            $back_emf: f32,)?
+            #[serde(deserialize_with = "positive")]
+            rated_a: f32,
+            #[serde(deserialize_with = "positive")]
+            thermal_s: f32,
+            current_sense: Option<Sense>,
+        }
+
+        impl From<$Winding> for WindingConfig {
+            fn from(winding: $Winding) -> Self {
+                let $Winding { supply, nominal_v, dead_duty, resistance_ohm, rated_a, thermal_s, current_sense, .. } = winding;
+                Self {
+                    supply,
+                    nominal_v,
+                    dead_duty,
+                    resistance_ohm,
+                    back_emf: 0.0 $(+ winding.$back_emf)?,
+                    rated_a,
+                    thermal_s,
+                    current_sense: current_sense.map(Into::into),
+                }
+            }
+        }
+    };
+}
+
+winding!(OpenWinding);
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -128,6 +192,7 @@ macro_rules! controlled {
         settle: [$settle_error:ident, $settle_speed:ident],
         stall: $travel:ident,
         follow: $follow_error:ident,
+        winding: $back_emf:ident,
     ) => {
         pub(super) mod $unit {
             use super::*;
@@ -156,6 +221,7 @@ macro_rules! controlled {
                 settle: Settle,
                 stall: Stall,
                 follow: Follow,
+                winding: Winding,
                 pub(in super::super) homing: Option<$Homing>,
             }
 
@@ -229,6 +295,8 @@ macro_rules! controlled {
                 time_ms: u16,
             }
 
+            winding!(Winding, $back_emf);
+
             impl Motor {
                 pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
                     let (position, speed) = (self.position_pid, self.speed_pid);
@@ -263,6 +331,7 @@ macro_rules! controlled {
                             follow: FollowConfig { error: follow.$follow_error, time_ms: follow.time_ms },
                             homing: self.homing.map(Into::into),
                         }),
+                        winding: Some(self.winding.into()),
                     }
                 }
             }
@@ -281,6 +350,7 @@ controlled! {
     settle: [error_rad, speed_rad_s],
     stall: travel_rad,
     follow: error_rad,
+    winding: back_emf_v_s_per_rad,
 }
 
 controlled! {
@@ -294,13 +364,16 @@ controlled! {
     settle: [error_m, speed_m_s],
     stall: travel_m,
     follow: error_m,
+    winding: back_emf_v_s_per_m,
 }
 
 impl Motor {
     /// The motor of one table in the array named after `kind`.
     pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, toml::de::Error> {
         let table = value.get_ref().as_table();
-        let is_open = table.is_some_and(|table| !table.values().any(|value| value.get_ref().is_table()));
+        let of_loop = |(name, value): (_, &Spanned<DeValue<'_>>)| name != "winding" && value.get_ref().is_table();
+        let is_open =
+            table.is_some_and(|table| !table.iter().map(|(name, value)| (name.get_ref().as_ref(), value)).any(of_loop));
         let has = |field: &str| table.is_some_and(|table| table.contains_key(field));
         let is_linear = has("potentiometer") || has("position_m");
         let deserializer = value.into_deserializer();
@@ -330,9 +403,15 @@ impl Motor {
 
     pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
         match self {
-            Self::Open(Open { channel, inverted, duty_slew_per_s, .. }) => {
-                MotorConfig { id: channel, bridge, inverted, duty_max, duty_slew_per_s, control: None }
-            }
+            Self::Open(Open { channel, inverted, duty_slew_per_s, winding, .. }) => MotorConfig {
+                id: channel,
+                bridge,
+                inverted,
+                duty_max,
+                duty_slew_per_s,
+                control: None,
+                winding: winding.map(Into::into),
+            },
             Self::Rotary(motor) => motor.config(bridge, duty_max),
             Self::Linear(motor) => motor.config(bridge, duty_max),
         }

@@ -125,6 +125,8 @@ struct Rail {
     emf_v: Option<f64>,
     #[serde(default, deserialize_with = "optional_not_negative")]
     resistance_ohm: Option<f64>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    capacitance_f: Option<f64>,
     #[serde(default, deserialize_with = "optional_not_negative")]
     noise_rms_codes: Option<f64>,
 }
@@ -419,6 +421,7 @@ impl Check<'_> {
             volts_per_code: rail.and_then(|rail| rail.volts_per_code).unwrap_or(config.volts_per_code.into()),
             emf_v: rail.and_then(|rail| rail.emf_v).unwrap_or(half_way_v),
             resistance_ohm: rail.and_then(|rail| rail.resistance_ohm).unwrap_or(RAIL_OHM),
+            capacitance_f: rail.and_then(|rail| rail.capacitance_f),
             noise_rms_codes: rail.and_then(|rail| rail.noise_rms_codes).unwrap_or(NOISE_RMS_CODES),
         })
     }

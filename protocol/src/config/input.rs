@@ -63,6 +63,8 @@ pub struct SupplyConfig {
     pub volts_per_code: f32,
     /// The board trips outside this, V.
     pub range_v: Range,
+    /// Above this the motors on this rail feed less and less back, and nothing at the end of `range_v`, V.
+    pub regeneration_v: Option<f32>,
 }
 
 impl EncoderConfig {
@@ -118,6 +120,11 @@ impl SupplyConfig {
         rule(
             self.range_v.max < f32::from(u16::MAX) * self.volts_per_code,
             "range_v must end below the converter's highest voltage, or a higher one is never seen",
+        )?;
+        rule(
+            self.regeneration_v
+                .is_none_or(|volts| positive(volts) && self.range_v.contains(volts) && volts < self.range_v.max),
+            "regeneration_v must lie within range_v and below its max",
         )
     }
 }

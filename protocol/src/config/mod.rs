@@ -15,8 +15,9 @@ use serde::{Deserialize, Serialize};
 
 pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
 pub use motor::{
-    BridgeConfig, BridgeLines, ControlConfig, DUTY_HARD_MAX, DhbLines, FeedForward, Feedback, FollowConfig,
-    HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
+    BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX, DhbLines, FeedForward, Feedback,
+    FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
+    WindingConfig,
 };
 pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
@@ -216,7 +217,7 @@ impl BoardConfig {
             let twice = self.channels().take(position).any(|(other, _)| other == id);
             check(Some(id), !twice, "the channel is named twice")?;
         }
-        Ok(())
+        self.validate_windings()
     }
 
     fn validate_board(&self) -> Result<(), ConfigError> {
@@ -357,6 +358,21 @@ impl BoardConfig {
         for supply in &self.supplies {
             supply.validate()?;
             check(Some(supply.id), analogs.take(supply.analog), analog_rule)?;
+        }
+        Ok(())
+    }
+
+    fn validate_windings(&self) -> Result<(), ConfigError> {
+        for (id, winding) in self.motors.iter().filter_map(|motor| Some((motor.id, motor.winding?))) {
+            let measured = |number| self.supplies.iter().any(|supply| supply.id.index == number);
+            check(
+                Some(id),
+                winding.supply.is_none_or(measured),
+                "the winding's supply must be in the list of supplies",
+            )?;
+            let sensed = |sense: CurrentSense| self.analogs.iter().any(|analog| analog.id.index == sense.analog);
+            let rule = "the current sensor's analog input must be in the list of analog inputs";
+            check(Some(id), winding.current_sense.is_none_or(sensed), rule)?;
         }
         Ok(())
     }

@@ -3,7 +3,9 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, SWITCHES, check, finite_range, not_negative, positive};
+use super::{
+    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, SWITCHES, check, finite, finite_range, not_negative, positive,
+};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// No configuration may let a bridge exceed this share: an OSMC's high side needs the rest to refresh its bootstrap, and the
@@ -25,6 +27,45 @@ pub struct MotorConfig {
     pub duty_slew_per_s: f32,
     /// Feedback and loops; without them the motor takes an open duty only.
     pub control: Option<ControlConfig>,
+    /// Supply, winding and thermal limit. Only a motor without feedback may lack it: neither its speed nor its current is
+    /// known then, and it has no overload protection.
+    pub winding: Option<WindingConfig>,
+}
+
+/// Supply and winding of a motor: what its current is computed from, and how much of it the winding withstands.
+///
+/// The mean current is `((|duty| - dead_duty) supply sign(duty) - back_emf speed) / resistance`, with speed 0 where nothing
+/// measures it. The heat, as a share of what the winding withstands, follows `(current / rated)²` by a first-order lag of
+/// `thermal_s`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct WindingConfig {
+    /// Number of the supply channel that feeds the bridge; `None` where none is measured.
+    pub supply: Option<u8>,
+    /// Supply voltage that the gains were tuned at, V; stands for the measured one where there is none.
+    pub nominal_v: f32,
+    /// Duty below which no current flows: a bridge's dead zone.
+    pub dead_duty: f32,
+    /// Of the winding and the bridge, ohm.
+    pub resistance_ohm: f32,
+    /// Back-EMF constant at the output, V s/rad or V s/m.
+    pub back_emf: f32,
+    /// Current that the motor withstands continuously, A.
+    pub rated_a: f32,
+    /// Thermal time constant of the winding, s.
+    pub thermal_s: f32,
+    /// What measures the motor's current; `None` where it is computed.
+    pub current_sense: Option<CurrentSense>,
+}
+
+/// A current sensor on an analog input. Only the magnitude of its current is used.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct CurrentSense {
+    /// Number of the analog channel.
+    pub analog: u8,
+    /// Its voltage at 0 A, V.
+    pub zero_v: f32,
+    /// V/A
+    pub volts_per_a: f32,
 }
 
 /// A bridge and which outputs of its PWM chip drive it.
@@ -270,6 +311,9 @@ impl MotorConfig {
             )?,
             _ => rule(false, "osmc and actuator channels are on OSMC bridges, dhb channels on DHB bridges")?,
         }
+        if let Some(winding) = &self.winding {
+            winding.validate(self)?;
+        }
         let Some(control) = &self.control else {
             return rule(self.id.kind != ChannelKind::Actuator, "an actuator needs a potentiometer");
         };
@@ -278,7 +322,31 @@ impl MotorConfig {
             (ChannelKind::Actuator, Feedback::Encoder { .. }) => rule(false, "an actuator has a potentiometer")?,
             _ => {}
         }
+        rule(self.winding.is_some(), "a motor with feedback needs a winding, for its overload protection")?;
         control.validate(self)
+    }
+}
+
+/// Thermal time constants, s: a small winding has some seconds, a large motor's case an hour.
+const THERMAL_S: Range = Range::new(0.1, 36_000.0);
+
+impl WindingConfig {
+    fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
+        rule(positive(self.nominal_v), "nominal_v must be positive")?;
+        rule(
+            not_negative(self.dead_duty) && self.dead_duty < motor.duty_max,
+            "dead_duty must not be negative, and must stay below duty_max",
+        )?;
+        rule(positive(self.resistance_ohm), "resistance_ohm must be positive")?;
+        rule(not_negative(self.back_emf), "back_emf must not be negative")?;
+        rule(positive(self.rated_a), "rated_a must be positive")?;
+        rule(THERMAL_S.contains(self.thermal_s), "thermal_s must be 0.1 to 36000")?;
+        let Some(CurrentSense { zero_v, volts_per_a, .. }) = self.current_sense else { return Ok(()) };
+        rule(
+            finite(zero_v) && positive(volts_per_a),
+            "a current sensor's zero_v must be finite, and its volts_per_a positive",
+        )
     }
 }
 

@@ -1,9 +1,10 @@
 //! The numbers of a configuration, by the parameters that name them.
 
 use super::{
-    AnalogConfig, BldcConfig, BoardConfig, ConfigError, ControlConfig, DacConfig, EncoderConfig, FeedForward, Feedback,
-    FollowConfig, HomingConfig, MAX_EXACT, MotorConfig, PidGains, Place, PotPoint, ProfileLimits, RangeConfig, Reverse,
-    ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperConfig, SupplyConfig,
+    AnalogConfig, BldcConfig, BoardConfig, ConfigError, ControlConfig, CurrentSense, DacConfig, EncoderConfig,
+    FeedForward, Feedback, FollowConfig, HomingConfig, MAX_EXACT, MotorConfig, PidGains, Place, PotPoint,
+    ProfileLimits, RangeConfig, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
+    StepperConfig, SupplyConfig, WindingConfig,
 };
 use crate::{
     channel::Range,
@@ -152,11 +153,57 @@ macro_rules! lend {
             }
 
             fn motor(config: &$($mut)? MotorConfig, parameter: Parameter) -> Lent<'_> {
-                let MotorConfig { id: _, bridge: _, inverted: _, duty_max, duty_slew_per_s, control: loops } = config;
+                let MotorConfig {
+                    id: _,
+                    bridge: _,
+                    inverted: _,
+                    duty_max,
+                    duty_slew_per_s,
+                    control: loops,
+                    winding: electrical,
+                } = config;
                 Some(match (parameter, loops) {
                     (P::DutyMax, _) => duty_max,
                     (P::DutySlew, _) => duty_slew_per_s,
+                    (
+                        P::NominalV
+                        | P::DeadDuty
+                        | P::ResistanceOhm
+                        | P::BackEmf
+                        | P::RatedA
+                        | P::ThermalS
+                        | P::CurrentZeroV
+                        | P::CurrentVoltsPerA,
+                        _,
+                    ) => return winding(electrical, parameter),
                     (_, Some(loops)) => return control(loops, parameter),
+                    _ => return None,
+                })
+            }
+
+            fn winding(config: &$($mut)? Option<WindingConfig>, parameter: Parameter) -> Lent<'_> {
+                let Some(WindingConfig {
+                    supply: _,
+                    nominal_v,
+                    dead_duty,
+                    resistance_ohm,
+                    back_emf,
+                    rated_a,
+                    thermal_s,
+                    current_sense,
+                }) = config
+                else {
+                    return None;
+                };
+                Some(match (parameter, current_sense) {
+                    (P::NominalV, _) => nominal_v,
+                    (P::DeadDuty, _) => dead_duty,
+                    (P::ResistanceOhm, _) => resistance_ohm,
+                    (P::BackEmf, _) => back_emf,
+                    (P::RatedA, _) => rated_a,
+                    (P::ThermalS, _) => thermal_s,
+                    (P::CurrentZeroV, Some(CurrentSense { zero_v, .. })) => zero_v,
+                    (P::CurrentVoltsPerA, Some(CurrentSense { volts_per_a, .. })) => volts_per_a,
                     _ => return None,
                 })
             }
@@ -322,11 +369,12 @@ macro_rules! lend {
             }
 
             fn supply(config: &$($mut)? SupplyConfig, parameter: Parameter) -> Lent<'_> {
-                let SupplyConfig { id: _, analog: _, volts_per_code, range_v: Range { min, max } } = config;
-                Some(match parameter {
-                    P::VoltsPerCode => volts_per_code,
-                    P::VoltsMin => min,
-                    P::VoltsMax => max,
+                let SupplyConfig { id: _, analog: _, volts_per_code, range_v: Range { min, max }, regeneration_v } = config;
+                Some(match (parameter, regeneration_v) {
+                    (P::VoltsPerCode, _) => volts_per_code,
+                    (P::VoltsMin, _) => min,
+                    (P::VoltsMax, _) => max,
+                    (P::RegenerationV, Some(volts)) => volts,
                     _ => return None,
                 })
             }

@@ -3,11 +3,11 @@
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
     config::{
-        AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, ControlConfig, DacChipConfig, DacConfig,
-        DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback, FollowConfig, HomingConfig,
-        MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole, Reverse,
-        ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig,
-        SupplyConfig, SwitchConfig,
+        AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DacChipConfig,
+        DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback, FollowConfig,
+        HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole,
+        Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig,
+        SupplyConfig, SwitchConfig, WindingConfig,
     },
 };
 
@@ -87,6 +87,7 @@ pub(crate) fn good() -> BoardConfig {
                 analog,
                 volts_per_code: 5e-4, // 32.8 V at the highest code
                 range_v: Range::new(20.0, 30.0),
+                regeneration_v: (index == 0).then_some(28.0),
             })
             .into_iter()
             .collect(),
@@ -115,6 +116,16 @@ fn motors() -> [MotorConfig; 4] {
         duty_max: 0.9,
         duty_slew_per_s: 10.0,
         control: Some(control),
+        winding: Some(WindingConfig {
+            supply: Some(1),
+            nominal_v: 24.0,
+            dead_duty: 0.0,
+            resistance_ohm: 0.5,
+            back_emf: 1.0,
+            rated_a: 5.0,
+            thermal_s: 30.0,
+            current_sense: Some(CurrentSense { analog: 4, zero_v: 2.5, volts_per_a: 0.066 }),
+        }),
     };
     let rod = MotorConfig {
         id: id(ChannelKind::Actuator, 1),
@@ -134,6 +145,7 @@ fn motors() -> [MotorConfig; 4] {
         id: id(ChannelKind::Osmc, 2),
         bridge: BridgeConfig::Osmc(BridgeLines { ahi: 8, ali: 9, bhi: 10, bli: 11 }),
         control: None,
+        winding: None,
         ..wheel
     };
     let arm = MotorConfig {

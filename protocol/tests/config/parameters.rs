@@ -25,7 +25,7 @@ fn key(text: &str) -> ParameterKey {
 #[test]
 fn a_parameter_is_the_field_of_its_name() {
     type Field = fn(&mut BoardConfig) -> &mut f32;
-    let fields: [(&str, f32, Field); 12] = [
+    let fields: [(&str, f32, Field); 16] = [
         ("board.air_temperature_c", 30.0, |c| &mut c.air_temperature_c),
         ("board.servo_oscillator_hz", 26e6, |c| &mut c.servo_pwm.as_mut().expect("one").oscillator_hz),
         ("osmc2.duty_slew", 3.0, |c| &mut c.motors[2].duty_slew_per_s),
@@ -38,6 +38,12 @@ fn a_parameter_is_the_field_of_its_name() {
         ("dac1.volts_max", 2.5, |c| &mut c.dacs[1].range_v.max),
         ("range0.stop_below", 0.5, |c| c.ranges[0].stop_below_m.as_mut().expect("one")),
         ("supply1.volts_min", 21.0, |c| &mut c.supplies[1].range_v.min),
+        ("supply0.regeneration_v", 27.0, |c| c.supplies[0].regeneration_v.as_mut().expect("one")),
+        ("actuator1.rated_a", 2.0, |c| &mut c.motors[1].winding.as_mut().expect("one").rated_a),
+        ("dhb0.back_emf", 0.25, |c| &mut c.motors[3].winding.as_mut().expect("one").back_emf),
+        ("osmc0.current_volts_per_a", 0.1, |c| {
+            &mut c.motors[0].winding.as_mut().expect("one").current_sense.as_mut().expect("one").volts_per_a
+        }),
     ];
     for (name, value, field) in fields {
         let (mut set, mut written) = (good(), good());

@@ -10,6 +10,7 @@ use r4_protocol::{
     config::{
         BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig, DhbLines,
         DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, MAX_EXACT, PidGains, Place, PotPoint, Reverse,
+        WindingConfig,
     },
 };
 
@@ -40,6 +41,10 @@ fn pot(config: &mut BoardConfig, change: fn(&mut u8, &mut PotPoint, &mut PotPoin
 fn encoder(config: &mut BoardConfig, change: fn(&mut u8, &mut u32)) {
     let Feedback::Encoder { index, counts_per_turn, .. } = &mut wheel(config).feedback else { panic!("the wheel's") };
     change(index, counts_per_turn);
+}
+
+fn winding(config: &mut BoardConfig) -> &mut WindingConfig {
+    config.motors[0].winding.as_mut().expect("the wheel's")
 }
 
 fn home(config: &mut BoardConfig) -> &mut HomingConfig {
@@ -125,6 +130,9 @@ const MOTORS: &[Case] = {
     const TAKEN: &str = "the bridge connector is used twice";
     const DUTY: &str = "duty_max must be above 0 and at most 0.98";
     const SLEW: &str = "duty_slew_per_s must be positive";
+    const DEAD: &str = "dead_duty must not be negative, and must stay below duty_max";
+    const THERMAL: &str = "thermal_s must be 0.1 to 36000";
+    const SENSE: &str = "a current sensor's zero_v must be finite, and its volts_per_a positive";
     &[
         (WHEEL, "a motor on an OSMC needs osmc_pwm", |c| c.osmc_pwm = None),
         (ARM, "a motor on a DHB needs dhb_pwm", |c| c.dhb_pwm = None),
@@ -148,6 +156,21 @@ const MOTORS: &[Case] = {
         (WHEEL, DUTY, |c| c.motors[0].duty_max = f32::NAN),
         (WHEEL, SLEW, |c| c.motors[0].duty_slew_per_s = 0.0),
         (FAN, SLEW, |c| c.motors[2].duty_slew_per_s = f32::INFINITY),
+        (WHEEL, "a motor with feedback needs a winding, for its overload protection", |c| c.motors[0].winding = None),
+        (WHEEL, "nominal_v must be positive", |c| winding(c).nominal_v = 0.0),
+        (WHEEL, DEAD, |c| winding(c).dead_duty = 0.9),
+        (WHEEL, DEAD, |c| winding(c).dead_duty = -0.1),
+        (WHEEL, "resistance_ohm must be positive", |c| winding(c).resistance_ohm = f32::NAN),
+        (WHEEL, "back_emf must not be negative", |c| winding(c).back_emf = -1.0),
+        (WHEEL, "rated_a must be positive", |c| winding(c).rated_a = 0.0),
+        (WHEEL, THERMAL, |c| winding(c).thermal_s = 0.1f32.next_down()),
+        (WHEEL, THERMAL, |c| winding(c).thermal_s = f32::NAN),
+        (WHEEL, SENSE, |c| winding(c).current_sense.as_mut().expect("one").volts_per_a = 0.0),
+        (WHEEL, SENSE, |c| winding(c).current_sense.as_mut().expect("one").zero_v = f32::NAN),
+        (WHEEL, "the winding's supply must be in the list of supplies", |c| winding(c).supply = Some(2)),
+        (WHEEL, "the current sensor's analog input must be in the list of analog inputs", |c| {
+            winding(c).current_sense.as_mut().expect("one").analog = 3;
+        }),
         (ROD, "an actuator needs a potentiometer", |c| c.motors[1].control = None),
         (WHEEL, "an osmc channel has an encoder", |c| wheel(c).feedback = loops(c, 1).feedback),
         (ROD, "an actuator has a potentiometer", |c| loops(c, 1).feedback = wheel(c).feedback),
@@ -333,6 +356,7 @@ const INPUTS: &[Case] = {
     const PER_CODE: &str = "volts_per_code must be positive";
     const ONCE: &str = "the analog input must exist and be used once";
     const RANGE_V: &str = "range_v must have a finite min below a finite max";
+    const REGENERATION: &str = "regeneration_v must lie within range_v and below its max";
     const TOP: &str = "range_v must end below the converter's highest voltage, or a higher one is never seen";
     &[
         (Some(id(Osmc, 3)), "an encoder needs an encoder channel name", |c| c.encoders[0].id = id(Osmc, 3)),
@@ -365,6 +389,9 @@ const INPUTS: &[Case] = {
         (Some(id(Supply, 0)), RANGE_V, |c| c.supplies[0].range_v = Range::new(30.0, 20.0)),
         (Some(id(Supply, 1)), RANGE_V, |c| c.supplies[1].range_v.max = f32::INFINITY),
         (Some(id(Supply, 0)), TOP, |c| c.supplies[0].range_v.max = 32.8), // 65535 * 0.5 mV is 32.77 V
+        (Some(id(Supply, 0)), REGENERATION, |c| c.supplies[0].regeneration_v = Some(30.0)),
+        (Some(id(Supply, 1)), REGENERATION, |c| c.supplies[1].regeneration_v = Some(19.9)),
+        (Some(id(Supply, 1)), REGENERATION, |c| c.supplies[1].regeneration_v = Some(f32::NAN)),
     ]
 };
 

@@ -57,6 +57,13 @@ impl Axis {
         }
     }
 
+    /// Takes what the duties of its loops are multiplied with, see [`super::compensation`].
+    pub(super) fn compensate(&mut self, factor: f32) {
+        if let Self::Measured(motor) = self {
+            motor.compensate(factor);
+        }
+    }
+
     /// The duty for the bridge, and what is wrong with how the motor answers.
     pub(super) fn step(&mut self) -> (f32, Causes) {
         match self {
@@ -73,6 +80,14 @@ impl Axis {
         match self {
             Self::Measured(motor) => motor.set_applied(applied),
             Self::Open(motor) => motor.applied = applied,
+        }
+    }
+
+    /// The duty that the bridge applies, and the speed, 0 where nothing measures it.
+    pub(super) fn applied(&self) -> (f32, f32) {
+        match self {
+            Self::Measured(motor) => motor.applied(),
+            Self::Open(motor) => (motor.applied, 0.0),
         }
     }
 

@@ -86,6 +86,16 @@ impl Inputs {
         self.switches.iter().find(|(of, _)| *of == number).and_then(|(_, switch)| switch.closed())
     }
 
+    /// Volts at analog input number `number`, where it is read and can be relied on.
+    pub(super) fn analog_v(&self, number: u8) -> Option<f32> {
+        self.analogs.iter().find(|(of, _)| *of == number).and_then(|(_, analog)| analog.good_volts())
+    }
+
+    /// Supply at position `index` of the configuration.
+    pub(super) fn supply(&self, index: usize) -> Option<&Supply> {
+        self.supplies.get(index)
+    }
+
     /// Of every supply, V.
     pub(super) fn supplies_v(&self) -> impl Iterator<Item = f32> + '_ {
         self.supplies.iter().map(Supply::volts)

@@ -1,10 +1,13 @@
 //! The control loop: each period sense, close the loops, write the outputs.
 
 mod axis;
+pub mod compensation;
 mod inputs;
 pub mod motor;
+pub mod overload;
 pub mod pid;
 pub mod profile;
+pub mod regeneration;
 mod task;
 #[cfg(test)]
 mod tests;

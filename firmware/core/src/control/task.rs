@@ -9,7 +9,13 @@ use r4_protocol::{
     config::{BoardConfig, DAC_FULL_SCALE_V, Feedback, MAX_MOTORS, Place, STEPPERS},
 };
 
-use super::{axis::Axis, inputs::Inputs};
+use super::{
+    axis::Axis,
+    compensation,
+    inputs::Inputs,
+    overload::{self, Overload},
+    regeneration,
+};
 use crate::{
     motion::{
         Bank,
@@ -18,6 +24,7 @@ use crate::{
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand},
     platform::{Bus, Peripherals},
+    sensing::analog::Supply,
     shared::{MotorStatus, SafetyView, Shared, Status},
     storage::faults::{Recorder, SNAPSHOT_MS},
 };
@@ -97,6 +104,8 @@ struct Control<B, P> {
     outputs: Outputs<B>,
     peripherals: P,
     motors: Vec<Axis, MAX_MOTORS>,
+    /// Of each motor with a winding: its overload protection, and which of the supplies feeds it.
+    windings: Vec<Option<(Overload, Option<usize>)>, MAX_MOTORS>,
     /// `None` without steppers.
     steppers: Option<Bank>,
     stepper_setpoints: [Setpoint; STEPPERS],
@@ -128,7 +137,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
         let steppers = steppers(config, &mut peripherals);
+        let windings = config.motors.iter().filter(|_| valid).map(|motor| {
+            let winding = motor.winding?;
+            let supply = config.supplies.iter().position(|supply| Some(supply.id.index) == winding.supply);
+            Some((Overload::new(winding, period_s), supply))
+        });
         Self {
+            windings: windings.collect(),
             outputs: Outputs::new(io.bus, config),
             motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
             bad_configuration: !valid || steppers.is_err(),
@@ -231,7 +246,31 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
         }
+        causes.set(Cause::Overload, self.is_overloaded());
         self.sensors = causes;
+    }
+
+    /// Tells every motor of its supply, and lets its winding warm by the current of the last period, and cool.
+    fn is_overloaded(&mut self) -> bool {
+        let mut overloaded = false;
+        for (motor, winding) in self.motors.iter_mut().zip(&mut self.windings) {
+            let Some((overload, supply)) = winding else { continue };
+            let winding = overload.winding();
+            let supply = supply.and_then(|index| self.inputs.supply(index));
+            motor.compensate(compensation::factor(winding.nominal_v, supply.and_then(Supply::good_volts)));
+            let sensed = winding
+                .current_sense
+                .and_then(|sense| Some((self.inputs.analog_v(sense.analog)? - sense.zero_v) / sense.volts_per_a));
+            let (duty, speed) = motor.applied();
+            let current_a = match sensed {
+                Some(current_a) => current_a,
+                // All transistors are off.
+                None if self.safe => 0.0,
+                None => overload::current_a(winding, duty, speed, supply.map_or(winding.nominal_v, Supply::volts)),
+            };
+            overloaded |= overload.step(current_a);
+        }
+        overloaded
     }
 
     /// One period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one matters.
@@ -325,10 +364,21 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             if !self.may_go_on(shared, view).await {
                 return Ok(false);
             }
+            let duty = self.limit_regeneration(index, duty);
             let applied = self.outputs.drive(index, duty).await?;
             self.motors[index].set_applied(applied);
         }
         Ok(true)
+    }
+
+    /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.
+    fn limit_regeneration(&self, index: usize, duty: f32) -> f32 {
+        let Some(Some((overload, Some(supply)))) = self.windings.get(index) else { return duty };
+        let Some(supply) = self.inputs.supply(*supply) else { return duty };
+        let measured_v = supply.measured_v();
+        let share = regeneration::share(supply.config(), measured_v);
+        let (_, speed) = self.motors[index].applied();
+        regeneration::limit(overload.winding(), duty, speed, measured_v, share)
     }
 
     /// Takes the commands of all outputs but motors, and lets their rules make a step.

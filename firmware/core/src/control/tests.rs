@@ -11,6 +11,7 @@ use super::{BoardIo, run};
 use crate::{
     ResetCause,
     safety::{Event, SafetyPins, supervise},
+    shared::Status,
     testing::{Board, Line, Peripherals, Registers, Tasks, board, robot},
 };
 
@@ -302,4 +303,47 @@ fn with_a_bad_configuration_nothing_is_driven() {
     bench.advance(100);
     bench.is_tripped_by(Cause::BadConfiguration);
     assert!(bench.shared.request(Event::Clear).is_err());
+}
+
+/// Half the supply at an actuator that does not move, below the duty of a stall: `(0.5 - 0.15) 12 V / 2 ohm` are 1.4 times what
+/// its winding withstands, for `60 s ln((1.96 - 0.8) / (1.96 - 1))`.
+#[test]
+fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
+    let mut bench = Bench::armed();
+    bench.drive(1, 0.5);
+    let expected_s = 60.0 * ((1.96_f64 - 0.8) / (1.96 - 1.0)).ln();
+    let after_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
+    // The supply's codes and the slew to the duty, 25 ms.
+    assert!((expected_s..expected_s + 0.1).contains(&after_s), "{after_s} s, not {expected_s} s");
+    bench.is_tripped_by(Cause::Overload);
+    // 60 s ln(1 / 0.8) are 13.4 s; being disarmed or asked changes nothing.
+    bench.advance(13_000);
+    assert!(bench.shared.request(Event::Clear).is_err());
+    bench.advance(500);
+    assert_eq!(bench.shared.request(Event::Clear), Ok(()));
+    // What it has then is what a restarted board starts with.
+    bench.arm();
+    bench.tasks.advance(POWER_UP);
+    bench.drive(1, 0.5);
+    let again_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
+    assert!((expected_s - 0.1..=expected_s + 0.3).contains(&again_s), "{again_s} s");
+}
+
+/// Of two equal runs, at 24 V and at a fifth more.
+#[test]
+fn a_loops_duty_follows_the_supply_and_a_commanded_one_does_not() {
+    let applied = |supply_v: f32, mode: Mode, value: f32| {
+        let mut bench = Bench::armed();
+        bench.set_supply(0, supply_v);
+        bench.advance(100);
+        assert_eq!(bench.shared.command(Place::Motor(0), Setpoint { mode, value }), Ok(()));
+        // 0.2 rad/s is reached in 20 ms of the path; the integral loads by the same error in every run.
+        bench.advance(200);
+        let Status::Motor(status) = bench.shared.status(Place::Motor(0)) else { panic!("a motor's") };
+        status.duty
+    };
+    let [nominal, high] = [24.0, 28.8].map(|supply_v| applied(supply_v, Mode::Speed, 0.2));
+    // 24 / 28.8, and a code of the supply.
+    assert!((high / nominal - 24.0 / 28.8).abs() < 1e-3, "{high} of {nominal}");
+    assert_eq!(applied(28.8, Mode::Duty, 0.3), 0.3);
 }

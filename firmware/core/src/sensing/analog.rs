@@ -74,6 +74,12 @@ impl Analog {
         }
     }
 
+    /// Volts at the input as of the last [`Analog::update`], where they can be relied on.
+    #[must_use]
+    pub fn good_volts(&self) -> Option<f32> {
+        (self.quality == Quality::Good).then(|| self.filter.value())
+    }
+
     /// Takes the code of this period. The first is believed at once.
     pub fn update(&mut self, code: u16) -> AnalogReading {
         let volts = f32::from(code) * self.config.volts_per_code + self.config.offset_v;
@@ -114,13 +120,14 @@ pub struct Supply {
     config: SupplyConfig,
     filter: LowPass,
     quality: Quality,
+    measured_v: f32,
 }
 
 impl Supply {
     /// A rail read every `period_s`.
     #[must_use]
     pub fn new(config: &SupplyConfig, period_s: f32) -> Self {
-        Self { config: *config, filter: LowPass::new(FILTER_S, period_s), quality: Quality::None }
+        Self { config: *config, filter: LowPass::new(FILTER_S, period_s), quality: Quality::None, measured_v: 0.0 }
     }
 
     /// Which analog input.
@@ -135,9 +142,28 @@ impl Supply {
         self.filter.value()
     }
 
+    /// What it was configured with.
+    #[must_use]
+    pub fn config(&self) -> &SupplyConfig {
+        &self.config
+    }
+
+    /// The same, while they are in range.
+    #[must_use]
+    pub fn good_volts(&self) -> Option<f32> {
+        (self.quality == Quality::Good).then(|| self.filter.value())
+    }
+
+    /// Volts of the last [`Supply::update`] alone, without the filter's delay.
+    #[must_use]
+    pub fn measured_v(&self) -> f32 {
+        self.measured_v
+    }
+
     /// Takes the code of this period and returns volts and whether they are in range.
     pub fn update(&mut self, code: u16) -> (f32, bool) {
         let measured_v = f32::from(code) * self.config.volts_per_code;
+        self.measured_v = measured_v;
         if self.quality == Quality::None {
             self.filter.reset(measured_v);
         }
@@ -267,6 +293,7 @@ mod tests {
             analog: 3,
             volts_per_code: 50.0 / 65_535.0,
             range_v: Range::new(20.0, 30.0),
+            regeneration_v: None,
         };
         let code = |volts: f32| libm::roundf(volts / config.volts_per_code) as u16;
         assert!(!Supply::new(&config, 1e-3).update(code(19.9)).1, "a flat battery is told from the start");

@@ -68,6 +68,24 @@ struct Rail {
     volts: f64,
 }
 
+impl Rail {
+    /// Voltage after `dt_s` in which the motors drew `current_a`, or fed it back.
+    ///
+    /// A battery takes back what motors feed, through its own resistance. A power supply does not: its capacitance keeps what
+    /// is fed, and gives it to the motors first.
+    fn after(&self, current_a: f64, dt_s: f64) -> f64 {
+        let source_v = self.spec.emf_v - self.spec.resistance_ohm * current_a;
+        match self.spec.capacitance_f {
+            None => source_v,
+            Some(capacitance_f) => {
+                // While the source gives nothing, only the capacitance moves the rail.
+                let lowest_v = self.spec.emf_v - self.spec.resistance_ohm * current_a.max(0.0);
+                (self.volts - current_a * dt_s / capacitance_f).max(lowest_v)
+            }
+        }
+    }
+}
+
 /// The processor, as the firmware reaches its peripherals.
 #[derive(Clone)]
 pub(crate) struct Processor(pub(crate) Rc<RefCell<World>>);
@@ -141,7 +159,7 @@ impl World {
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
             let current_a: f64 = on_rail.map(|motor| motor.plant.supply_current_a()).sum();
-            rail.volts = rail.spec.emf_v - rail.spec.resistance_ohm * current_a;
+            rail.volts = rail.after(current_a, dt_s);
             // Near its lock-out the gate driver must be asked each time, not only when a line changes.
             self.stale |= rail.volts < motor::GATE_SUPPLY_V;
         }
@@ -285,6 +303,12 @@ impl World {
             motor.plant = plant;
             motor.plant.set_position(position);
         }
+    }
+
+    /// Voltage of a rail.
+    pub fn rail_v(&mut self, rail: ChannelId) -> Option<f64> {
+        self.catch_up();
+        self.rails.iter().find(|known| known.spec.channel == rail).map(|rail| rail.volts)
     }
 
     /// Changes a rail's voltage without load.

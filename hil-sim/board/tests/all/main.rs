@@ -6,6 +6,7 @@ mod dac_and_servo;
 mod harness;
 mod link;
 mod outputs;
+mod overload;
 mod passthrough;
 mod published_defects;
 mod ranging;

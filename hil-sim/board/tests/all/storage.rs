@@ -61,6 +61,7 @@ fn board(robot: &str, supplies: u8) -> BoardConfig {
         analog: index,
         volts_per_code: 0.001,
         range_v: Range::new(10.0, 30.0),
+        regeneration_v: None,
     };
     let config = BoardConfig {
         robot: robot.try_into().unwrap(),

@@ -30,7 +30,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::LinkTimeoutMs | Parameter::SettleTimeMs | Parameter::StallTimeMs | Parameter::FollowTimeMs => "ms",
         Parameter::AirTemperatureC => "°C",
         Parameter::ServoOscillatorHz => "Hz",
-        Parameter::DutyMax | Parameter::StaticDuty | Parameter::StallDuty => "duty",
+        Parameter::DutyMax | Parameter::StaticDuty | Parameter::StallDuty | Parameter::DeadDuty => "duty",
         Parameter::DutySlew => "duty/s",
         Parameter::SpeedSlew => "1/s",
         Parameter::PositionMin
@@ -52,7 +52,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::PositionKi => "duty/(rad s)",
         Parameter::PositionKd | Parameter::SpeedKp | Parameter::DutyPerSpeed => "duty s/rad",
         Parameter::SpeedKd => "duty s²/rad",
-        Parameter::SpeedFilter | Parameter::PulseLow | Parameter::PulseHigh => "s",
+        Parameter::SpeedFilter | Parameter::PulseLow | Parameter::PulseHigh | Parameter::ThermalS => "s",
         Parameter::CountsPerTurn | Parameter::StepsPerTurn => "",
         Parameter::PotLowCode | Parameter::PotHighCode => "code",
         Parameter::PotLowPosition | Parameter::PotHighPosition | Parameter::StopBelow => "m",
@@ -62,7 +62,14 @@ fn rotary(key: ParameterKey) -> &'static str {
         | Parameter::SafeV
         | Parameter::OffsetV
         | Parameter::VoltsMin
-        | Parameter::VoltsMax => "V",
+        | Parameter::VoltsMax
+        | Parameter::NominalV
+        | Parameter::CurrentZeroV
+        | Parameter::RegenerationV => "V",
+        Parameter::ResistanceOhm => "ohm",
+        Parameter::BackEmf => "V s/rad",
+        Parameter::RatedA => "A",
+        Parameter::CurrentVoltsPerA => "V/A",
         Parameter::VoltsPerCode => "V/code",
     }
 }

@@ -1,0 +1,189 @@
+//! Overload protection of motors, on the simulated robots: what a blocked motor costs, and that normal work never trips.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use crate::harness::{Bench, bench};
+use r4_boards::{Robot, SimulatedAnalog};
+use r4_firmware::control::overload::COOLED;
+use r4_plants::{Effect, effect::friction::CoulombFriction};
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Mode, Range, SafetyState,
+    config::{AnalogConfig, CurrentSense, Feedback},
+};
+
+const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
+/// More friction than any of the motors overcomes, N m.
+const BLOCKED_NM: f64 = 1e4;
+
+fn openscout() -> Robot {
+    r4_boards::load("openscout").expect("built in")
+}
+
+fn block(bench: &Bench<'_>, robot: &Robot, channel: ChannelId) {
+    let friction = CoulombFriction { level: BLOCKED_NM };
+    bench.device().add_effect(robot, channel, Effect::CoulombFriction(friction));
+}
+
+/// When the board trips after `channel`, blocked, was sent to `duty`, s; `None` where it does not within `limit_s`.
+async fn trips_after(bench: &Bench<'_>, channel: ChannelId, duty: f32, limit_s: f64) -> Option<f64> {
+    if bench.host.safety().0 != SafetyState::Armed {
+        bench.host.arm().await.unwrap();
+    }
+    bench.set(channel, Mode::Duty, duty).await.unwrap();
+    let since_ns = bench.clock.now_ns();
+    let after_s = || (bench.clock.now_ns() - since_ns) as f64 * 1e-9;
+    while bench.host.safety().0 != SafetyState::Tripped {
+        if after_s() > limit_s {
+            return None;
+        }
+        bench.sleep_ms(5).await;
+    }
+    let after_s = after_s();
+    assert_eq!(bench.safety().await.1, Causes::only(Cause::Overload), "duty {duty}");
+    Some(after_s)
+}
+
+/// The heat follows `(i / rated)²` by a lag, from what a restart assumes: after how long a current is too much, s.
+fn predicted_s(robot: &Robot, channel: ChannelId, duty: f32, supply_v: f32) -> Option<f64> {
+    let winding = robot.config.motors.iter().find(|motor| motor.id == channel)?.winding?;
+    let current_a = f64::from((duty.abs() - winding.dead_duty) * supply_v / winding.resistance_ohm);
+    let settled = (current_a / f64::from(winding.rated_a)).powi(2);
+    (settled > 1.0).then(|| f64::from(winding.thermal_s) * ((settled - COOLED) / (settled - 1.0)).ln())
+}
+
+/// Below the duty of a stall nothing else watches a motor that takes an open duty.
+#[test]
+fn a_blocked_wheel_trips_when_its_heat_is_predicted_to_reach_the_limit() {
+    let robot = openscout();
+    let duties = [0.20, 0.30, 0.35, -0.45, 0.59];
+    let tripped = duties.map(|duty| {
+        bench(&robot, async |bench| {
+            block(bench, &robot, WHEEL);
+            trips_after(bench, WHEEL, duty, 20.0).await
+        })
+    });
+    for (duty, tripped_s) in duties.into_iter().zip(tripped) {
+        // 12.6 V, less what 0.05 ohm take of the motor's share of the current: within 0.5 %. Half a second of relay, slew and
+        // heartbeats until the host hears of it.
+        let predicted_s = predicted_s(&robot, WHEEL, duty, 12.6);
+        println!("duty {duty}: tripped after {tripped_s:?} s, predicted {predicted_s:?} s");
+        match (tripped_s, predicted_s) {
+            (None, None) => {}
+            (Some(tripped_s), Some(predicted_s)) => {
+                let [soonest_s, latest_s] = [predicted_s, 1.03 * predicted_s + 0.3];
+                assert!((soonest_s..=latest_s).contains(&tripped_s), "duty {duty}: {tripped_s} s, not {predicted_s} s");
+            }
+            other => panic!("duty {duty}: {other:?}"),
+        }
+    }
+    assert_eq!(tripped[0], None, "1.15 A are less than the rated current");
+}
+
+/// Back and forth without a rest, every motor at the speed of its path: what a robot does all day, on a board that has just
+/// started, with motors that count as hot.
+#[test]
+fn normal_work_of_every_robot_never_trips() {
+    for name in ["osmc-bench", "openscout", "openagribot", "openpodcar"] {
+        let robot = r4_boards::load(name).expect("built in");
+        bench(&robot, async |bench| {
+            bench.host.arm().await.unwrap();
+            for cycle in 0..6 {
+                let sign = if cycle % 2 == 0 { 1.0 } else { -1.0 };
+                for motor in &robot.config.motors {
+                    let Some(control) = motor.control else { continue };
+                    let (mode, value) = match control.feedback {
+                        Feedback::Encoder { .. } => (Mode::Speed, sign * control.profile.speed),
+                        Feedback::Potentiometer { .. } => {
+                            let Range { min, max } = control.position;
+                            (Mode::Position, min + (0.5 + 0.2 * sign) * (max - min))
+                        }
+                    };
+                    bench.set(motor.id, mode, value).await.unwrap();
+                }
+                bench.sleep_ms(2000).await;
+            }
+            assert_eq!(bench.safety().await, (SafetyState::Armed, Causes::NONE), "{name}");
+        });
+    }
+}
+
+/// A driving wheel of openagribot, braked hard on a supply that cannot take energy back. Highest voltage of the rail, and
+/// where the supervisor stands afterwards.
+fn brakes(robot: &Robot) -> (f64, SafetyState) {
+    let rail = ChannelId::new(ChannelKind::Supply, 0);
+    let wheel = ChannelId::new(ChannelKind::Osmc, 0);
+    bench(robot, async |bench| {
+        bench.host.arm().await.unwrap();
+        bench.set(wheel, Mode::Duty, 0.8).await.unwrap();
+        bench.sleep_ms(1000).await;
+        bench.set(wheel, Mode::Duty, 0.2).await.unwrap();
+        let mut highest_v = 0.0;
+        for _ in 0..1000 {
+            bench.sleep_ms(1).await;
+            highest_v = f64::max(highest_v, bench.board.world().rail_v(rail).expect("the robot has it"));
+        }
+        (highest_v, bench.safety().await.0)
+    })
+}
+
+/// The energy of the wheel goes into the rail's capacitance. Without the limit the board trips, and the vehicle coasts.
+#[test]
+fn braking_on_a_supply_that_takes_nothing_back_stays_below_the_trip() {
+    let mut robot = r4_boards::load("openagribot").expect("built in");
+    robot.simulation.rails[0].capacitance_f = Some(0.010);
+    let limited = brakes(&robot);
+    robot.config.supplies[0].regeneration_v = None;
+    let unlimited = brakes(&robot);
+    println!("limited {limited:?}, unlimited {unlimited:?}");
+    assert_eq!(unlimited.1, SafetyState::Tripped);
+    assert_eq!(limited.1, SafetyState::Armed);
+    let trip_v = f64::from(robot.config.supplies[0].range_v.max);
+    assert!(limited.0 < trip_v && unlimited.0 > trip_v, "{limited:?} {unlimited:?}");
+}
+
+/// openscout with a Hall sensor of 0.5 V/A around 2.5 V for its first wheel.
+fn with_current_sensor() -> Robot {
+    let mut robot = openscout();
+    let channel = ChannelId::new(ChannelKind::Analog, 0);
+    let supply = robot.config.supplies[0];
+    let analog = AnalogConfig {
+        id: channel,
+        volts_per_code: supply.volts_per_code,
+        offset_v: 0.0,
+        plausible_v: Range::new(0.2, 4.8),
+    };
+    robot.config.analogs.push(analog).expect("it has none yet");
+    let volts_per_code = f64::from(supply.volts_per_code);
+    robot.simulation.analogs.push(SimulatedAnalog { channel, volts: 2.5, volts_per_code, noise_rms_codes: 2.3 });
+    let winding = robot.config.motors[0].winding.as_mut().expect("measured motors have one");
+    winding.current_sense = Some(CurrentSense { analog: 0, zero_v: 2.5, volts_per_a: 0.5 });
+    robot
+}
+
+fn sense(bench: &Bench<'_>, volts: f64) {
+    bench.board.world().pins().analogs[0].as_mut().expect("the sensor's").volts = volts;
+}
+
+/// A current sensor is used while it can be relied on, in place of the current that follows from the duty.
+#[test]
+fn a_measured_current_takes_the_place_of_the_computed_one() {
+    let robot = with_current_sensor();
+    let tripped = |volts: f64, duty: f32| {
+        bench(&robot, async |bench| {
+            block(bench, &robot, WHEEL);
+            bench.host.arm().await.unwrap();
+            sense(bench, volts);
+            trips_after(bench, WHEEL, duty, 5.0).await
+        })
+    };
+    // Twice the rated current: 40 s ln((4 - 0.8) / (4 - 1)) = 2.58 s. Reading and heartbeats take 0.3 s at most, as above.
+    let twice = tripped(2.5 + 0.5 * 2.8, 0.1);
+    assert!(twice.is_some_and(|after_s| (2.5..2.9).contains(&after_s)), "{twice:?}");
+    // Where the sensor says 0 A it is believed, whatever the duty; with its wire off, the current is computed again.
+    let duty = 0.5;
+    let predicted_s = predicted_s(&robot, WHEEL, duty, 12.6).expect("more than the rated current");
+    assert!(predicted_s < 4.0, "{predicted_s} s");
+    assert_eq!(tripped(2.5, duty), None);
+    let broken = tripped(0.0, duty);
+    assert!(broken.is_some_and(|after_s| (predicted_s..predicted_s + 0.3).contains(&after_s)), "{broken:?}");
+}
