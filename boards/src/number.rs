@@ -4,7 +4,7 @@ use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind, Range},
-    config::DUTY_HARD_MAX,
+    config::{DUTY_HARD_MAX, STOP_BRAKE_MAX_MS},
 };
 use serde::{Deserialize, Deserializer, de::Error};
 
@@ -65,6 +65,11 @@ pub(crate) fn control_period_us<'de, D: Deserializer<'de>>(deserializer: D) -> R
 /// As [`control_period_us`].
 pub(crate) fn link_timeout_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (20.0..=1000.0).contains(&value), "20 to 1000")
+}
+
+/// As [`control_period_us`].
+pub(crate) fn stop_brake_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    checked(deserializer, |value| (0.0..=f64::from(STOP_BRAKE_MAX_MS)).contains(&value), "0 to 5000")
 }
 
 /// PCA9685 datasheet 7.3.5: prescaler 255 to 3.

@@ -136,10 +136,12 @@ pub enum Parameter {
     CurrentVoltsPerA,
     /// Of a supply that limits regeneration: above this motors feed less back, V.
     RegenerationV,
+    /// Of a motor, a brushless drive or a stepper, ms: how long a controlled stop brakes it.
+    StopBrakeMs,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 61] = [
+    const NAMES: [(Self, &'static str); 62] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -201,6 +203,7 @@ impl Parameter {
         (Self::CurrentZeroV, "current_zero_v"),
         (Self::CurrentVoltsPerA, "current_volts_per_a"),
         (Self::RegenerationV, "regeneration_v"),
+        (Self::StopBrakeMs, "stop_brake_ms"),
     ];
 
     /// Every parameter, in the order of the variants.

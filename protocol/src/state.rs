@@ -178,6 +178,22 @@ impl Causes {
         Self(bits)
     }
 
+    /// Causes that leave the supply, the bus and the control loop working, so that motors can be braked before they are
+    /// switched off.
+    const BRAKED: Self = Self::only(Cause::Proximity)
+        .union(Self::only(Cause::LinkLost))
+        .union(Self::only(Cause::HostStop))
+        .union(Self::only(Cause::EncoderImplausible))
+        .union(Self::only(Cause::Stalled));
+
+    /// Whether a stop for these causes may brake before it switches off (IEC 60204-1, category 1). One cause that takes
+    /// the power away at once is enough against it, and so is one that this version does not know. No cause, as when a
+    /// host disarms, allows it.
+    #[must_use]
+    pub const fn allow_braking(self) -> bool {
+        self.0 & !Self::BRAKED.0 == 0
+    }
+
     /// The causes this version knows, in bit order.
     pub fn iter(self) -> impl Iterator<Item = Cause> {
         Cause::ALL.into_iter().filter(move |cause| self.contains(*cause))

@@ -18,6 +18,7 @@ use toml::{Spanned, de::DeValue};
 
 use crate::number::{
     Interval, analog_number, channel, finite, not_negative, optional_duty, optional_supply_number, positive,
+    stop_brake_ms,
 };
 
 /// A motor as it is in the file.
@@ -40,6 +41,8 @@ pub(super) struct Open {
     #[serde(deserialize_with = "positive")]
     duty_slew_per_s: f32,
     winding: Option<OpenWinding>,
+    #[serde(default, deserialize_with = "stop_brake_ms")]
+    stop_brake_ms: u16,
 }
 
 /// A current sensor.
@@ -213,6 +216,8 @@ macro_rules! controlled {
                 pub(super) duty_max: Option<f32>,
                 #[serde(deserialize_with = "positive")]
                 duty_slew_per_s: f32,
+                #[serde(default, deserialize_with = "stop_brake_ms")]
+                stop_brake_ms: u16,
                 pub(in super::super) $feedback: $Feedback,
                 position_pid: PositionGains,
                 speed_pid: SpeedGains,
@@ -332,6 +337,7 @@ macro_rules! controlled {
                             homing: self.homing.map(Into::into),
                         }),
                         winding: Some(self.winding.into()),
+                        stop_brake_ms: self.stop_brake_ms,
                     }
                 }
             }
@@ -403,7 +409,7 @@ impl Motor {
 
     pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
         match self {
-            Self::Open(Open { channel, inverted, duty_slew_per_s, winding, .. }) => MotorConfig {
+            Self::Open(Open { channel, inverted, duty_slew_per_s, winding, stop_brake_ms, .. }) => MotorConfig {
                 id: channel,
                 bridge,
                 inverted,
@@ -411,6 +417,7 @@ impl Motor {
                 duty_slew_per_s,
                 control: None,
                 winding: winding.map(Into::into),
+                stop_brake_ms,
             },
             Self::Rotary(motor) => motor.config(bridge, duty_max),
             Self::Linear(motor) => motor.config(bridge, duty_max),

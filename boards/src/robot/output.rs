@@ -16,7 +16,7 @@ use super::{
 use crate::{
     carrier::Carrier,
     error::BoardError,
-    number::{Interval, channel, finite, not_negative, oscillator_hz, positive},
+    number::{Interval, channel, finite, not_negative, oscillator_hz, positive, stop_brake_ms},
 };
 
 /// Nominal oscillator of a PCA9685 (datasheet 7.3.5).
@@ -37,6 +37,8 @@ pub(super) struct Bldc {
     brake: Option<Brake>,
     #[serde(deserialize_with = "positive")]
     slew_per_s: f32,
+    #[serde(default, deserialize_with = "stop_brake_ms")]
+    stop_brake_ms: u16,
 }
 
 #[derive(Deserialize)]
@@ -81,6 +83,7 @@ impl Table for Bldc {
             reverse,
             brake: brake.map(|&Brake { active_low }| DriveLine { bit: lines.brake, active_low }),
             slew_per_s: self.slew_per_s,
+            stop_brake_ms: self.stop_brake_ms,
         })
     }
 }
@@ -203,6 +206,8 @@ pub(super) struct Stepper {
     #[serde(deserialize_with = "not_negative")]
     start_speed_rad_s: f32,
     homing: Option<Homing>,
+    #[serde(default, deserialize_with = "stop_brake_ms")]
+    stop_brake_ms: u16,
 }
 
 impl Table for Stepper {
@@ -224,6 +229,7 @@ impl Table for Stepper {
             jerk: self.jerk_rad_s3,
             start_speed: self.start_speed_rad_s,
             homing: self.homing.map(Into::into),
+            stop_brake_ms: self.stop_brake_ms,
         })
     }
 }

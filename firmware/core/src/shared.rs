@@ -21,7 +21,7 @@ use crate::{
     log::Log,
     passthrough::Passthrough,
     ranging,
-    safety::{Event, Safety},
+    safety::{Event, Safety, stop::BrakingStop},
     sensing::range::RangeReading,
     storage::Storage,
 };
@@ -73,6 +73,8 @@ pub(crate) struct SafetyView {
     pub(crate) causes: Causes,
     /// Counts armings, so that a command from before the last one cannot be carried out after it.
     pub(crate) epoch: u16,
+    /// Motors are being braked before they are switched off: see [`BrakingStop`].
+    pub(crate) braking: bool,
 }
 
 /// Channels that take commands; a brake is commanded beside its drive.
@@ -147,6 +149,9 @@ const LEASES: usize = MAX_MOTORS + MAX_BLDCS + STEPPERS;
 struct State {
     safety: Safety,
     epoch: u16,
+    /// How long a stop may brake, and the one that does.
+    brake: Duration,
+    braking_stop: Option<BrakingStop>,
     /// Causes that hold now, by the supervisor's last look.
     present: Causes,
     /// Causes that hold now, by the control loop's last period.
@@ -220,6 +225,8 @@ impl<M: RawMutex> Shared<M> {
             state: Mutex::new(RefCell::new(State {
                 safety,
                 epoch: 0,
+                brake: Duration::from_millis(config.stop_brake_ms().into()),
+                braking_stop: None,
                 present: control_causes,
                 control_causes,
                 last_tick: None,
@@ -273,7 +280,12 @@ impl<M: RawMutex> Shared<M> {
     // Safety.
 
     pub(crate) fn safety(&self) -> SafetyView {
-        self.with(|s| SafetyView { state: s.safety.state(), causes: s.safety.causes(), epoch: s.epoch })
+        self.with(|s| SafetyView {
+            state: s.safety.state(),
+            causes: s.safety.causes(),
+            epoch: s.epoch,
+            braking: s.braking_stop.is_some(),
+        })
     }
 
     /// The state that a test begins with.
@@ -308,6 +320,7 @@ impl<M: RawMutex> Shared<M> {
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
             watched.set(Cause::Proximity, ranging::must_stop(&self.config.ranges, &s.ranges, now));
             s.present = watched.union(s.control_causes);
+            // The deadline of a stop that brakes is looked at here, whatever the control loop does.
             s.apply(Event::Tick).0
         });
         if changed {
@@ -317,6 +330,15 @@ impl<M: RawMutex> Shared<M> {
     }
 
     // Control.
+
+    /// The brakes of the stop that ended this arming are written. Nothing where it is over.
+    pub(crate) fn brakes_written(&self, epoch: u16) {
+        self.with(|s| {
+            if s.epoch == epoch {
+                s.braking_stop = s.braking_stop.map(BrakingStop::written);
+            }
+        });
+    }
 
     pub(crate) fn control_tick(&self, now: Instant) {
         self.with(|s| s.last_tick = Some(now));
@@ -649,6 +671,7 @@ impl State {
         }
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
+        let was_braking = self.braking_stop.is_some();
         // What holds when the board is switched on, before any host could have armed it, is no trip to remember; or a released
         // handle would push out those that are.
         let heard_of = self.next_session != FIRST_SESSION;
@@ -663,8 +686,16 @@ impl State {
         if next.state() == SafetyState::Tripped {
             self.trip_causes = next.causes();
         }
+        let now = Instant::now();
+        self.braking_stop = match (self.safety, next) {
+            (_, Safety::Armed) => None,
+            (Safety::Armed, _) => BrakingStop::begin(self.brake, next.causes(), now),
+            // A cause that was cleared meanwhile does not count: none that forbids braking can have been among them.
+            _ => self.braking_stop.filter(|stop| stop.goes_on(next.causes(), now)),
+        };
         self.safety = next;
-        (changed, result)
+        let brake_ended = was_braking && self.braking_stop.is_none();
+        (changed || brake_ended, result)
     }
 }
 

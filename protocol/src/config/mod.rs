@@ -53,6 +53,10 @@ pub const MAX_SUPPLIES: usize = 4;
 /// Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`.
 pub const MAX_EXACT: u32 = 1 << 24;
 
+/// Longest time that a controlled stop may brake, ms: a vehicle that needs more has a hill under it.
+pub const STOP_BRAKE_MAX_MS: u16 = 5000;
+const STOP_BRAKE_RULE: &str = "stop_brake_ms must be at most 5000";
+
 /// One R4 board in one robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct BoardConfig {
@@ -198,6 +202,20 @@ impl BoardConfig {
     #[must_use]
     pub fn place(&self, channel: ChannelId) -> Option<Place> {
         self.channels().find(|(id, _)| *id == channel).map(|(_, place)| place)
+    }
+
+    /// How long a controlled stop of this board takes, ms: the longest of its channels' times; 0 when none brakes.
+    ///
+    /// Channels stop by the categories of IEC 60204-1. Category 0 takes the power away at once, and the motor coasts.
+    /// Category 1 brakes with the power on for this time, then takes it away. A channel with a time of 0 is switched off at
+    /// once in either case. Category 1 is only for causes that leave bus, control loop and supply working: see
+    /// [`crate::Causes::allow_braking`].
+    #[must_use]
+    pub fn stop_brake_ms(&self) -> u16 {
+        let motors = self.motors.iter().map(|motor| motor.stop_brake_ms);
+        let bldcs = self.bldcs.iter().map(|bldc| bldc.stop_brake_ms);
+        let steppers = self.steppers.iter().map(|stepper| stepper.stop_brake_ms);
+        motors.chain(bldcs).chain(steppers).max().unwrap_or(0)
     }
 
     /// Checks every number on its own and against the others.

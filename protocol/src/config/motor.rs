@@ -4,7 +4,8 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, SWITCHES, check, finite, finite_range, not_negative, positive,
+    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE, SWITCHES, check, finite,
+    finite_range, not_negative, positive,
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
@@ -30,6 +31,9 @@ pub struct MotorConfig {
     /// Supply, winding and thermal limit. Only a motor without feedback may lack it: neither its speed nor its current is
     /// known then, and it has no overload protection.
     pub winding: Option<WindingConfig>,
+    /// How long a controlled stop brakes this motor, ms: see [`super::BoardConfig::stop_brake_ms`]. Its duty falls to 0 by
+    /// `duty_slew_per_s`; at 0 the bridge shorts the motor. 0 lets it coast.
+    pub stop_brake_ms: u16,
 }
 
 /// Supply and winding of a motor: what its current is computed from, and how much of it the winding withstands.
@@ -300,6 +304,11 @@ impl MotorConfig {
         rule(self.id.index < 4, "bridges are numbered 0 to 3")?;
         rule(positive(self.duty_max) && self.duty_max <= DUTY_HARD_MAX, "duty_max must be above 0 and at most 0.98")?;
         rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
+        rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
+        rule(
+            self.stop_brake_ms == 0 || f32::from(self.stop_brake_ms) * self.duty_slew_per_s >= 1000.0 * self.duty_max,
+            "stop_brake_ms must leave duty_max time to fall to 0 by duty_slew_per_s",
+        )?;
         match (self.bridge, self.id.kind) {
             (BridgeConfig::Osmc(lines), ChannelKind::Osmc | ChannelKind::Actuator) => rule(
                 lines.all().iter().all(|line| line - lines.first() < 4),

@@ -161,6 +161,7 @@ macro_rules! lend {
                     duty_slew_per_s,
                     control: loops,
                     winding: electrical,
+                    stop_brake_ms,
                 } = config;
                 Some(match (parameter, loops) {
                     (P::DutyMax, _) => duty_max,
@@ -176,6 +177,7 @@ macro_rules! lend {
                         | P::CurrentVoltsPerA,
                         _,
                     ) => return winding(electrical, parameter),
+                    (P::StopBrakeMs, _) => stop_brake_ms,
                     (_, Some(loops)) => return control(loops, parameter),
                     _ => return None,
                 })
@@ -280,12 +282,14 @@ macro_rules! lend {
             }
 
             fn bldc(config: &$($mut)? BldcConfig, parameter: Parameter) -> Lent<'_> {
-                let BldcConfig { id: _, output: _, neutral_v, forward_v, reverse, brake: _, slew_per_s } = config;
+                let BldcConfig { id: _, output: _, neutral_v, forward_v, reverse, brake: _, slew_per_s, stop_brake_ms } =
+                    config;
                 Some(match (parameter, reverse) {
                     (P::NeutralV, _) => neutral_v,
                     (P::ForwardV, _) => forward_v,
                     (P::ReverseV, Reverse::Voltage { full_v }) => full_v,
                     (P::SpeedSlew, _) => slew_per_s,
+                    (P::StopBrakeMs, _) => stop_brake_ms,
                     _ => return None,
                 })
             }
@@ -319,6 +323,7 @@ macro_rules! lend {
                     jerk,
                     start_speed,
                     homing: home,
+                    stop_brake_ms,
                 } = config;
                 Some(match parameter {
                     P::StepsPerTurn => steps_per_turn,
@@ -328,6 +333,7 @@ macro_rules! lend {
                     P::Acceleration => acceleration,
                     P::Jerk => jerk,
                     P::StartSpeed => start_speed,
+                    P::StopBrakeMs => stop_brake_ms,
                     _ => return homing(home, parameter),
                 })
             }

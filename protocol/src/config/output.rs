@@ -4,8 +4,8 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ConfigError, DAC_OUTPUTS, HomingConfig, MAX_EXACT, PCA9685_RULE, STEPPERS, check, finite, finite_range,
-    motor::HOMING_RULE, not_negative, pca9685_address, positive,
+    ConfigError, DAC_OUTPUTS, HomingConfig, MAX_EXACT, PCA9685_RULE, STEPPERS, STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE,
+    check, finite, finite_range, motor::HOMING_RULE, not_negative, pca9685_address, positive,
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
@@ -72,6 +72,9 @@ pub struct BldcConfig {
     pub brake: Option<DriveLine>,
     /// Fastest change of its speed, as share of full speed per second.
     pub slew_per_s: f32,
+    /// How long a controlled stop leaves its supply on while it brakes, ms: see [`super::BoardConfig::stop_brake_ms`]. 0
+    /// takes the supply away at once.
+    pub stop_brake_ms: u16,
 }
 
 /// How a brushless drive is sent backwards.
@@ -138,6 +141,9 @@ pub struct StepperConfig {
     pub start_speed: f32,
     /// How it finds its zero.
     pub homing: Option<HomingConfig>,
+    /// How long a controlled stop may take to bring it to rest by its ramp, ms: see
+    /// [`super::BoardConfig::stop_brake_ms`]. 0 ends its pulses at once.
+    pub stop_brake_ms: u16,
 }
 
 /// An MCP23017.
@@ -240,7 +246,12 @@ impl BldcConfig {
                 "full speed backwards must be on the other side of neutral",
             )?;
         }
-        rule(positive(self.slew_per_s), "slew_per_s must be positive")
+        rule(positive(self.slew_per_s), "slew_per_s must be positive")?;
+        rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
+        rule(
+            self.stop_brake_ms == 0 || self.brake.is_some(),
+            "a brushless drive needs its brake line for a stop that brakes",
+        )
     }
 
     /// The expander's lines it uses.
@@ -283,6 +294,7 @@ impl StepperConfig {
             "acceleration must be positive, jerk and start_speed not negative",
         )?;
         rule(self.start_speed <= self.speed_max, "start_speed must be at most speed_max")?;
+        rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
         rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)
     }
 }

@@ -126,6 +126,7 @@ fn motors() -> [MotorConfig; 4] {
             thermal_s: 30.0,
             current_sense: Some(CurrentSense { analog: 4, zero_v: 2.5, volts_per_a: 0.066 }),
         }),
+        stop_brake_ms: 500,
     };
     let rod = MotorConfig {
         id: id(ChannelKind::Actuator, 1),
@@ -170,6 +171,7 @@ fn bldcs() -> [BldcConfig; 3] {
         reverse: Reverse::None,
         brake: None,
         slew_per_s: 2.0,
+        stop_brake_ms: 0,
     };
     let by_line = BldcConfig {
         id: id(ChannelKind::Bldc, 1),
@@ -218,6 +220,7 @@ fn steppers() -> [StepperConfig; 2] {
         jerk: 0.0,
         start_speed: 2.0,
         homing: None,
+        stop_brake_ms: 0,
     };
     let slide = StepperConfig {
         id: id(ChannelKind::Stepper, 3),

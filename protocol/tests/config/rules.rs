@@ -133,6 +133,7 @@ const MOTORS: &[Case] = {
     const DEAD: &str = "dead_duty must not be negative, and must stay below duty_max";
     const THERMAL: &str = "thermal_s must be 0.1 to 36000";
     const SENSE: &str = "a current sensor's zero_v must be finite, and its volts_per_a positive";
+    const STOP: &str = "stop_brake_ms must be at most 5000";
     &[
         (WHEEL, "a motor on an OSMC needs osmc_pwm", |c| c.osmc_pwm = None),
         (ARM, "a motor on a DHB needs dhb_pwm", |c| c.dhb_pwm = None),
@@ -170,6 +171,10 @@ const MOTORS: &[Case] = {
         (WHEEL, "the winding's supply must be in the list of supplies", |c| winding(c).supply = Some(2)),
         (WHEEL, "the current sensor's analog input must be in the list of analog inputs", |c| {
             winding(c).current_sense.as_mut().expect("one").analog = 3;
+        }),
+        (FAN, STOP, |c| c.motors[2].stop_brake_ms = 5001),
+        (FAN, "stop_brake_ms must leave duty_max time to fall to 0 by duty_slew_per_s", |c| {
+            c.motors[2].stop_brake_ms = 89
         }),
         (ROD, "an actuator needs a potentiometer", |c| c.motors[1].control = None),
         (WHEEL, "an osmc channel has an encoder", |c| wheel(c).feedback = loops(c, 1).feedback),
@@ -273,6 +278,7 @@ const OUTPUTS: &[Case] = {
     const POSITION: &str = "position must have a finite min below a finite max";
     const FAR: &str = "position must be within 1e9 steps of 0";
     const RATE: &str = "speed_max must be positive, and no more than rate_max_hz pulses per second";
+    const STOP: &str = "stop_brake_ms must be at most 5000";
     const ACCELERATION: &str = "acceleration must be positive, jerk and start_speed not negative";
     const HOMING: &str =
         "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
@@ -291,6 +297,10 @@ const OUTPUTS: &[Case] = {
         (Some(id(Bldc, 2)), SIDE, |c| c.bldcs[2].reverse = Reverse::Voltage { full_v: 3.0 }),
         (Some(id(Bldc, 2)), SIDE, |c| c.bldcs[2].reverse = Reverse::Voltage { full_v: 2.5 }),
         (Some(id(Bldc, 0)), "slew_per_s must be positive", |c| c.bldcs[0].slew_per_s = 0.0),
+        (Some(id(Bldc, 1)), STOP, |c| c.bldcs[1].stop_brake_ms = 5001),
+        (Some(id(Bldc, 0)), "a brushless drive needs its brake line for a stop that brakes", |c| {
+            c.bldcs[0].stop_brake_ms = 1;
+        }),
         (Some(id(Bldc, 0)), DAC_OUTPUTS, |c| c.bldcs[0].output = 4),
         (Some(id(Bldc, 2)), DAC_OUTPUTS, |c| c.bldcs[2].output = 1),
         (Some(id(Bldc, 1)), BITS, |c| c.bldcs[1].brake = Some(DriveLine { bit: 16, active_low: false })),
@@ -332,6 +342,7 @@ const OUTPUTS: &[Case] = {
         (STEPPER, ACCELERATION, |c| c.steppers[0].jerk = -1.0),
         (STEPPER, ACCELERATION, |c| c.steppers[0].jerk = f32::MIN_POSITIVE),
         (STEPPER, ACCELERATION, |c| c.steppers[0].start_speed = f32::NAN),
+        (STEPPER, STOP, |c| c.steppers[0].stop_brake_ms = 5001),
         (STEPPER, "start_speed must be at most speed_max", |c| c.steppers[0].start_speed = 60.0f32.next_up()),
         (Some(id(Stepper, 3)), HOMING, |c| slide_home(c).speed_max = 60.0f32.next_up()),
         (Some(id(Stepper, 3)), HOMING, |c| slide_home(c).position = 101.0),
@@ -474,6 +485,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.stepper_bank.as_mut().expect("one").direction_setup_us = 0,
         |c| c.motors[0].duty_max = DUTY_HARD_MAX,
         |c| c.motors[2].id.index = 3,
+        |c| c.motors[2].stop_brake_ms = 5000,
+        |c| c.bldcs[1].stop_brake_ms = 5000,
         |c| encoder(c, |_, counts| *counts = MAX_EXACT),
         |c| encoder(c, |index, _| *index = 3),
         |c| wheel(c).position.max = 2.6e6, // 0.993e9 counts

@@ -179,7 +179,7 @@ const LARGEST_SAMPLE: Sample = Sample::Motor {
 /// Of the board, and of the channel and parameter with the largest bytes.
 const KEYS: [(&str, ParameterKey); 2] = [
     ("set-parameter-board", ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs }),
-    ("set-parameter-largest", ParameterKey { channel: Some(LAST), parameter: Parameter::RegenerationV }),
+    ("set-parameter-largest", ParameterKey { channel: Some(LAST), parameter: Parameter::StopBrakeMs }),
 ];
 
 fn requests() -> Vec<(&'static str, Request)> {

@@ -365,7 +365,7 @@ fn string<const N: usize>() -> impl Strategy<Value = heapless::String<N>> {
 
 #[test]
 fn the_strategies_have_every_variant() {
-    // The rarest variants are the 52 parameters, each in one of some 500 pairs of messages: one of them is missed in 8000
+    // The rarest variants are the 53 parameters, each in one of some 500 pairs of messages: one of them is missed in 8000
     // with probability 4e-6. The generator is seeded, so it is the same 8000 each time.
     let mut runner = TestRunner::deterministic();
     let mut seen = coverage::Variants::new();

@@ -86,7 +86,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
             // Stopped, also when it has been cleared and armed again before we could look.
             let view = shared.safety();
             if view.state != SafetyState::Armed || view.epoch != control.epoch {
-                control.make_safe(shared).await;
+                control.stop(shared).await;
                 shared.set_control_causes(control.causes());
             }
         }
@@ -119,6 +119,8 @@ struct Control<B, P> {
     fault: Option<OutputFault>,
     /// Whether the safe state has been written since the outputs were last driven.
     safe: bool,
+    /// The arming whose stop has its brakes written: see [`crate::safety::stop`].
+    braked: Option<u16>,
     bad_configuration: bool,
     sensors: Causes,
     /// The last moments, how many trips have been made of them, and when one was seen that is still to be made.
@@ -156,6 +158,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             tick: 0,
             fault: None,
             safe: false,
+            braked: None,
             sensors: Causes::NONE,
             recorder: Recorder::default(),
             trips: 0,
@@ -287,7 +290,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 self.powered_at = Instant::now() + POWER_UP;
             }
         }
-        self.safe = false;
+        (self.safe, self.braked) = (false, None);
         if let Err(fault) = self.write_outputs(shared, view).await {
             self.fault = Some(fault);
             // The supervisor hears of it now, and not after the time-outs of the other outputs.
@@ -337,7 +340,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     async fn may_go_on<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> bool {
         let goes_on = shared.safety() == view;
         if !goes_on && !self.safe {
-            self.make_safe(shared).await;
+            self.stop(shared).await;
         }
         goes_on
     }
@@ -479,7 +482,35 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
+    /// Brakes, or makes safe at once: whichever the supervisor has begun.
+    async fn stop<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let view = shared.safety();
+        if view.braking { self.brake(shared, view.epoch).await } else { self.make_safe(shared).await }
+    }
+
+    /// Begins to brake, once for the stop of each arming.
+    async fn brake<M: RawMutex>(&mut self, shared: &Shared<M>, epoch: u16) {
+        if self.braked == Some(epoch) {
+            return;
+        }
+        if let Some(bank) = &mut self.steppers {
+            bank.brake(&mut self.peripherals);
+            self.stepper_setpoints = [Setpoint::NONE; STEPPERS];
+        }
+        self.rest_dacs(shared);
+        self.motors.iter_mut().for_each(Axis::stop);
+        match self.outputs.brake().await {
+            Ok(()) => self.braked = Some(epoch),
+            Err(fault) => {
+                self.fault = Some(fault);
+                // The supervisor switches off.
+                shared.set_control_causes(self.causes());
+            }
+        }
+    }
+
     async fn make_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        self.braked = None;
         // Without the bus first: pulses and voltages of the processor itself end at once.
         if let Some(bank) = &mut self.steppers {
             bank.make_safe(&mut self.peripherals);
@@ -495,6 +526,23 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     async fn hold_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
         self.motors.iter_mut().for_each(Axis::stop);
+        let view = shared.safety();
+        if view.braking {
+            self.brake(shared, view.epoch).await;
+            if self.fault.is_none() {
+                match self.outputs.step_brakes().await {
+                    // The supervisor waits for that, but not for long.
+                    Ok(true) => shared.brakes_written(view.epoch),
+                    Ok(false) => {}
+                    Err(fault) => self.fault = Some(fault),
+                }
+            }
+            // A chip that loses its brakes ends the stop.
+            if self.fault.is_none() {
+                self.check().await;
+            }
+            return;
+        }
         if !self.safe || self.tick.is_multiple_of(REASSERT_EVERY) {
             self.make_safe(shared).await;
         }

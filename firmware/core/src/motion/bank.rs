@@ -89,6 +89,18 @@ impl Bank {
         self.armed = true;
     }
 
+    /// Brings those steppers to rest by their ramps whose stop brakes, ends the pulses of the others, and takes no more
+    /// commands. Until [`Bank::make_safe`] the enable stays on and [`Bank::step`] must go on.
+    pub fn brake(&mut self, hw: &mut impl Steppers) {
+        self.armed = false;
+        for axis in &mut self.axes {
+            // A stop is always taken.
+            if axis.config().stop_brake_ms == 0 || axis.command(Command::Stop).is_err() {
+                axis.stop_now(hw);
+            }
+        }
+    }
+
     /// Stops all at once and forgets their commands, and turns the enable off unless it is to hold. Without it a shaft can be
     /// turned by its load, so the axes no longer count as homed; the books of their positions are kept.
     pub fn make_safe(&mut self, hw: &mut impl Steppers) {

@@ -144,6 +144,7 @@ fn config() -> StepperConfig {
         start_speed: 2.0,
         position: Range::new(-300.0, 300.0),
         homing: None,
+        stop_brake_ms: 0,
     }
 }
 

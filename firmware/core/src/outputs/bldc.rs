@@ -216,6 +216,7 @@ mod tests {
             reverse,
             brake: Some(BRAKE),
             slew_per_s: 10.0,
+            stop_brake_ms: 0,
         }
     }
 
@@ -316,7 +317,7 @@ mod tests {
                 };
                 let reverse = reverse.unwrap_or(Reverse::Voltage { full_v });
                 let id = ChannelId::new(ChannelKind::Bldc, output);
-                BldcConfig { id, output, neutral_v, forward_v, reverse, brake, slew_per_s }
+                BldcConfig { id, output, neutral_v, forward_v, reverse, brake, slew_per_s, stop_brake_ms: 0 }
             })
     }
 

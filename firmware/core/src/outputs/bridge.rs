@@ -122,6 +122,24 @@ impl Bridge {
         Ok(self.applied)
     }
 
+    /// Whether lines are on: the motor is driven, or shorted at duty 0.
+    #[must_use]
+    pub const fn is_on(&self) -> bool {
+        matches!(self.state, State::On { .. })
+    }
+
+    /// Turns all lines of this bridge off, and of no other.
+    ///
+    /// # Errors
+    /// As [`Bridge::drive`].
+    pub async fn off<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B) -> Result<(), B::Error> {
+        if let State::On { .. } = self.state {
+            chip.set(bus, self.first(), &[Output::LOW; MAX_LINES][..self.line_count()]).await?;
+            self.now_off();
+        }
+        Ok(())
+    }
+
     fn next(&self, duty: f32) -> Step {
         let wanted = if (duty < 0.0) != self.inverted { Direction::Backwards } else { Direction::Forwards };
         let pwm = Output::high_from(self.phase, duty.abs());

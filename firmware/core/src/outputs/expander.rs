@@ -35,6 +35,13 @@ impl Expander {
         self.closed = [false; MAX_RELAYS];
     }
 
+    /// Opens all but the motors' supply, which stays as it is, from now on.
+    pub(super) fn open_general(&mut self) {
+        for (closed, relay) in self.closed.iter_mut().zip(&self.relays) {
+            *closed &= relay.role == RelayRole::MotorPower;
+        }
+    }
+
     /// Closes or opens one, from the next [`Expander::write`] on.
     pub(super) fn switch(&mut self, index: usize, closed: bool) {
         self.closed[index] = closed;
@@ -116,7 +123,11 @@ mod tests {
         assert_eq!(relays.levels(), 0x0000);
         relays.switch(1, true);
         assert_eq!(relays.levels(), 0x0800);
+        relays.open_general();
+        assert_eq!(relays.levels(), 0x0000, "the motors' supply stays");
         relays.open_all();
         assert_eq!(relays.levels(), 0x0100);
+        relays.open_general();
+        assert_eq!(relays.levels(), 0x0100, "and is not closed by a stop");
     }
 }

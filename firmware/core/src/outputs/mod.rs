@@ -21,6 +21,7 @@ use bldc::{Bldcs, Command};
 use bridge::Bridge;
 use expander::Expander;
 use servo::Servos;
+use slew::towards;
 
 /// Why outputs are not what they should be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +64,8 @@ pub struct Outputs<B> {
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
+    /// How fast the duty of those falls that a stop brakes before they are switched off, 1/s; `None` for the others.
+    braked: Vec<Option<f32>, MAX_MOTORS>,
     /// The first OSMC and the first DHB that had to wait for the next period.
     waiting: [Option<usize>; 2],
     expander: Option<Expander>,
@@ -84,6 +87,8 @@ impl<B: Bus> Outputs<B> {
         let chip = |pwm: PwmConfig| Pca9685::new(pwm.address, pwm.frequency_hz);
         let (osmc, dhb) = (config.osmc_pwm.map(chip), config.dhb_pwm.map(chip));
         let valid = config.validate().is_ok();
+        let braked = config.motors.iter().filter(|_| valid);
+        let braked = braked.map(|motor| (motor.stop_brake_ms > 0).then_some(motor.duty_slew_per_s));
         let motors = config.motors.iter().filter(|_| valid);
         let on_osmc = |motor: &MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
         let bridges = motors.enumerate().map(|(index, motor)| {
@@ -109,6 +114,7 @@ impl<B: Bus> Outputs<B> {
         Self {
             bus: Patient { bus, retries: 0 },
             bridges: bridges.collect(),
+            braked: braked.collect(),
             waiting: [None; 2],
             osmc,
             dhb,
@@ -166,12 +172,69 @@ impl<B: Bus> Outputs<B> {
         if result.is_ok() {
             self.bridges.iter_mut().for_each(Bridge::now_off);
         }
+        result.and(self.neutral_and_servos_safe().await)
+    }
+
+    /// Begins to end all motion with the motors' supply on: takes brushless drives to neutral and brakes them, opens every
+    /// relay but the motors'. Takes less than a control period, so that step pulses go on to be told in time;
+    /// [`Outputs::step_brakes`] does the rest, and [`Outputs::make_safe`] must follow.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`], after all were tried.
+    pub async fn brake(&mut self) -> Result<(), OutputFault> {
+        let mut result = Ok(());
+        if let Some(expander) = &mut self.expander {
+            expander.open_general();
+            if let Some(drives) = &mut self.drives {
+                expander.set_lines(drives.rules.make_safe().levels);
+            }
+            result = self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
+        }
+        result.and(self.neutral_and_servos_safe().await)
+    }
+
+    /// One period of a stop that brakes: turns bridges off that do not brake, as many as fit the period, then makes a step of
+    /// the others' ramps to duty 0, at which a bridge shorts its motor. The slew limit of each motor holds here too. Whether
+    /// all that do not brake are off.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`], after all were tried.
+    pub async fn step_brakes(&mut self) -> Result<bool, OutputFault> {
+        let mut result = Ok(true);
+        for index in 0..self.bridges.len() {
+            let bridge = &self.bridges[index];
+            let off_bits = bits(2 + 4 * bridge.line_count() as u32);
+            let Some(chip) = self.chip_of(bridge) else { continue };
+            if !bridge.is_on() || self.braked[index].is_some() {
+                continue;
+            }
+            if !self.fits(off_bits) {
+                result = result.and(Ok(false));
+                continue;
+            }
+            let bridge = &mut self.bridges[index];
+            let off = self.bus.checked(async |bus: &mut B| Ok(bridge.off(&chip, bus).await?)).await;
+            result = off.and(result);
+        }
+        for index in 0..self.bridges.len() {
+            let Some(slew_per_s) = self.braked[index] else { continue };
+            let duty = towards(self.bridges[index].applied(), 0.0, slew_per_s * self.period_s);
+            if self.bridges[index].is_on() {
+                let driven = self.drive(index, duty).await;
+                result = driven.and(result);
+            }
+        }
+        result
+    }
+
+    /// Brushless drives to neutral, whatever they were told, and servos as they are when safe.
+    async fn neutral_and_servos_safe(&mut self) -> Result<(), OutputFault> {
+        let mut result = Ok(());
         if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
-            // All of them, whatever they were told.
             let neutral = self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, None).await?)).await;
             drives.written = neutral.is_ok().then_some(codes);
-            result = result.and(neutral);
+            result = neutral;
         }
         if let Some(servos) = &mut self.servos {
             let limp = self.bus.checked(async |bus: &mut B| Ok(servos.make_safe(bus).await?)).await;

@@ -1,6 +1,7 @@
 //! Safety: the state machine ([`machine`], pure) and the task that feeds it ([`supervise`]).
 
 pub mod machine;
+pub mod stop;
 mod task;
 #[cfg(test)]
 mod tests;

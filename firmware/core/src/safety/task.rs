@@ -79,6 +79,8 @@ where
         let view = shared.supervise(watched, now);
         let _ = match view.state {
             SafetyState::Armed => pins.osmc_disable.set_low().and(pins.pwm_output_disable.set_low()),
+            // The lines stay as they were when the stop began.
+            SafetyState::Disarmed | SafetyState::Tripped if view.braking => Ok(()),
             SafetyState::Disarmed | SafetyState::Tripped => {
                 pins.osmc_disable.set_high().and(pins.pwm_output_disable.set_high())
             }

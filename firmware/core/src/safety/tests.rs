@@ -11,7 +11,7 @@ use crate::{
     ResetCause,
     sensing::range::RangeReading,
     shared::Status,
-    testing::{Board, Line, Tasks, board, robot},
+    testing::{Board, Line, Tasks, board, braking_robot, robot},
 };
 
 const MS: Duration = Duration::from_millis(1);
@@ -521,4 +521,81 @@ fn all_causes_together_are_what_each_is_alone() {
             }
         }
     }
+}
+
+/// How long the robot's longest stop brakes.
+const BRAKE: Duration = Duration::from_millis(450);
+/// The brakes must be written in this time.
+const WRITTEN: Duration = Duration::from_millis(5);
+
+impl Bench {
+    /// Armed, with stops that brake.
+    fn braking() -> Self {
+        let mut config = braking_robot("every-interface");
+        config.ranges.truncate(1);
+        assert_eq!(Duration::from_millis(config.stop_brake_ms().into()), BRAKE);
+        let mut bench = Self::with(config, ResetCause::Normal);
+        bench.tasks.advance(Duration::from_millis(3));
+        bench.shared.publish_range(0, RangeReading { updated: Instant::now(), ..RangeReading::NONE });
+        bench.arm();
+        bench
+    }
+
+    fn lines_are(&self, high: bool) -> bool {
+        (self.osmc_disable.level(), self.pwm_output_disable.level()) == (high, high)
+    }
+}
+
+/// The deadline is the supervisor's own: the control loop is asked only whether the brakes are written.
+#[test]
+fn the_lines_follow_at_the_deadline_whatever_the_control_loop_does() {
+    for (written, limit) in [(false, WRITTEN), (true, BRAKE)] {
+        for stop in [Event::Trip(Causes::only(Cause::HostStop)), Event::Disarm] {
+            let mut bench = Bench::braking();
+            let from = Instant::now();
+            assert_eq!(bench.shared.request(stop), Ok(()));
+            bench.tasks.settle();
+            assert!(bench.shared.safety().braking && bench.lines_are(false));
+            if written {
+                bench.shared.brakes_written(bench.shared.safety().epoch);
+            }
+            bench.shared.make_safe.reset();
+            bench.tasks.advance_to(from + limit - US);
+            assert!(bench.lines_are(false), "{stop:?}, written: {written}");
+            // The next look of the supervisor.
+            bench.tasks.advance_to(from + limit + MS);
+            assert!(bench.lines_are(true), "{stop:?}, written: {written}");
+            assert!(bench.shared.make_safe.signaled(), "the control loop makes safe now");
+            assert!(!bench.shared.safety().braking);
+        }
+    }
+}
+
+/// Every cause that takes the power away does so also while a stop brakes; the others do not.
+#[test]
+fn a_cause_that_forbids_braking_ends_it_at_once() {
+    for cause in Cause::ALL {
+        let mut bench = Bench::braking();
+        assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+        bench.shared.brakes_written(bench.shared.safety().epoch);
+        bench.tasks.advance(20 * MS);
+        assert!(bench.lines_are(false));
+        bench.shared.trip(cause);
+        bench.tasks.settle();
+        assert_eq!(bench.lines_are(false), Causes::only(cause).allow_braking(), "{cause}");
+    }
+}
+
+/// What was written for one arming says nothing of the next.
+#[test]
+fn brakes_of_an_earlier_arming_do_not_count() {
+    let mut bench = Bench::braking();
+    let before = bench.shared.safety().epoch;
+    assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+    assert_eq!(bench.shared.request(Event::Arm), Ok(()));
+    assert!(!bench.shared.safety().braking, "armed");
+    assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+    bench.shared.brakes_written(before);
+    bench.tasks.advance(WRITTEN + MS);
+    assert!(bench.lines_are(true));
 }

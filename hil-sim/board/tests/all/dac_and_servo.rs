@@ -605,6 +605,7 @@ proptest! {
                 reverse: Reverse::Voltage { full_v: backwards_v },
                 brake: None,
                 slew_per_s: 100.0,
+                stop_brake_ms: 0,
             };
             let chip = Mcp4728::new(DAC);
             let mut drives = Bldcs::new(&[config], DacChipConfig { address: DAC, full_scale_v: VDD_V as f32 });

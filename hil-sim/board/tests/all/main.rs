@@ -1,5 +1,6 @@
 //! Tests of the firmware on the chips of a simulated board.
 
+mod braking;
 mod compatibility;
 mod control;
 mod dac_and_servo;

@@ -26,6 +26,9 @@ const RELAYS_NS: u64 = MS;
 /// From the handle's edge to DISABLE: EXTI's interrupt, the supervisor's, its pass over all causes. Below that is 20 us at
 /// the emulator's 240 million instructions a second; 100 us leave room for another compiler.
 const LINE_NS: u64 = 100 * US;
+/// The bench's rotary motor is braked for so long by a stop that leaves the board working, and then switched off at the
+/// supervisor's next look.
+const BRAKED_NS: u64 = 500 * MS + SUPERVISOR_NS;
 /// The supervisor looks this often at causes without a line of their own.
 const SUPERVISOR_NS: u64 = MS;
 
@@ -111,8 +114,8 @@ fn host_stop() {
             inject: async |bench, _| bench.host.stop().await.expect("a stop is always taken"),
             stays: false,
             remedy: nothing,
-            off_ns: MS,
-            written_ns: Some(WRITTEN_SAFE_NS),
+            off_ns: MS + BRAKED_NS,
+            written_ns: Some(BRAKED_NS + WRITTEN_SAFE_NS),
             moments: 4,
         },
     );
@@ -195,7 +198,7 @@ fn host_gone_without_a_word() {
     let setup = Setup::osmc_bench();
     let timeout_ns = u64::from(setup.robot().config.link_timeout_ms) * MS;
     // As on the simulated board: the timeout and 2 ms, and a heartbeat that may still be in the cable.
-    let limit_ns = timeout_ns + 2 * MS + MS / 4;
+    let limit_ns = timeout_ns + 2 * MS + MS / 4 + BRAKED_NS;
     let mut worst_ns = 0;
     for phase_ns in (0..6).map(|moment| moment * 8_437 * US) {
         let work = async |bench: &Bench<'_>| {
@@ -205,7 +208,7 @@ fn host_gone_without_a_word() {
         let off_ns = setup.left_alone(work, async |device, ()| {
             let at_ns = device.clock.now_ns();
             let off_ns = device.wait_off(at_ns, limit_ns).await.expect("stops without a host");
-            assert!(off_ns >= timeout_ns * 3 / 4 - MS, "{off_ns} ns are no reason yet");
+            assert!(off_ns >= timeout_ns * 3 / 4 - MS + BRAKED_NS - SUPERVISOR_NS, "{off_ns} ns are no reason yet");
             assert!(device.wait_all_off_written(at_ns, limit_ns + WRITTEN_SAFE_NS).await.is_some());
             off_ns
         });

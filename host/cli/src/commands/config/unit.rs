@@ -27,7 +27,11 @@ impl Units {
 /// The unit of `key`'s number, if its channel turns.
 fn rotary(key: ParameterKey) -> &'static str {
     match key.parameter {
-        Parameter::LinkTimeoutMs | Parameter::SettleTimeMs | Parameter::StallTimeMs | Parameter::FollowTimeMs => "ms",
+        Parameter::LinkTimeoutMs
+        | Parameter::SettleTimeMs
+        | Parameter::StallTimeMs
+        | Parameter::FollowTimeMs
+        | Parameter::StopBrakeMs => "ms",
         Parameter::AirTemperatureC => "°C",
         Parameter::ServoOscillatorHz => "Hz",
         Parameter::DutyMax | Parameter::StaticDuty | Parameter::StallDuty | Parameter::DeadDuty => "duty",

@@ -1,0 +1,79 @@
+//! Stops that brake before they switch off (IEC 60204-1, category 1), as pure functions of time.
+//!
+//! A stop for causes that leave supply, bus and control loop working ([`Causes::allow_braking`]) holds the stop lines and
+//! the motors' relay back while the control loop brakes. The supervisor ends it at its deadline, when any other cause
+//! appears, and when the control loop has not written the brakes in time: what is left then is category 0.
+
+use embassy_time::{Duration, Instant};
+use r4_protocol::Causes;
+
+/// The control loop has this long to write the brakes, or the lines stop the board: the time in which all motors are
+/// promised to be written safe.
+const WRITTEN_WITHIN: Duration = Duration::from_millis(5);
+
+/// A stop that brakes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BrakingStop {
+    until: Instant,
+    /// When the brakes must be written; `None` once they are.
+    write_by: Option<Instant>,
+}
+
+impl BrakingStop {
+    /// A stop at `now` for `causes` on a board that brakes for `brake`; `None` where it is switched off at once.
+    #[must_use]
+    pub fn begin(brake: Duration, causes: Causes, now: Instant) -> Option<Self> {
+        let brakes = brake > Duration::MIN && causes.allow_braking();
+        brakes.then_some(Self { until: now + brake, write_by: Some(now + WRITTEN_WITHIN) })
+    }
+
+    /// The control loop has written the brakes.
+    #[must_use]
+    pub fn written(self) -> Self {
+        Self { write_by: None, ..self }
+    }
+
+    /// Whether it still brakes at `now`, with every cause since its beginning in `causes`. Once it does not it is over.
+    #[must_use]
+    pub fn goes_on(self, causes: Causes, now: Instant) -> bool {
+        causes.allow_braking() && now < self.until && self.write_by.is_none_or(|by| now < by)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::Cause;
+
+    use super::*;
+
+    const BRAKE: Duration = Duration::from_millis(300);
+
+    fn at(ms: u64) -> Instant {
+        Instant::from_millis(1000 + ms)
+    }
+
+    /// Every set of causes, also with bits of later versions.
+    #[test]
+    fn only_the_causes_that_leave_the_board_working_allow_it() {
+        let working = [Cause::Proximity, Cause::LinkLost, Cause::HostStop, Cause::EncoderImplausible, Cause::Stalled];
+        for causes in (0..=u16::MAX).map(Causes::from_bits) {
+            let allowed = (0..16)
+                .filter(|bit| causes.bits() >> bit & 1 != 0)
+                .all(|bit| Cause::ALL.get(bit).is_some_and(|cause| working.contains(cause)));
+            let stop = BrakingStop::begin(BRAKE, causes, at(0));
+            assert_eq!(stop.is_some(), allowed, "{causes}");
+            let braking = BrakingStop::begin(BRAKE, Causes::NONE, at(0)).expect("a host disarms").written();
+            assert_eq!(braking.goes_on(causes, at(1)), allowed, "{causes}");
+        }
+    }
+
+    #[test]
+    fn it_ends_at_its_deadline_or_when_the_brakes_are_not_written() {
+        let stop = BrakingStop::begin(BRAKE, Causes::only(Cause::LinkLost), at(0)).expect("it brakes");
+        for ms in 0..1000 {
+            assert_eq!(stop.goes_on(Causes::NONE, at(ms)), ms < 5, "{ms} ms, not written");
+            assert_eq!(stop.written().goes_on(Causes::NONE, at(ms)), ms < 300, "{ms} ms, written");
+        }
+        assert_eq!(BrakingStop::begin(Duration::MIN, Causes::NONE, at(0)), None);
+    }
+}
