@@ -58,11 +58,15 @@ pub enum Cause {
     AuxiliaryStop = 12,
     /// A motor's winding is as hot as it may become, by its current and thermal time constant.
     Overload = 13,
+    /// The processor's crystal stopped, or its clock disagrees with an independent oscillator.
+    ClockFault = 14,
+    /// The firmware ended badly several times in a row: the board only holds its outputs safe, until it is restarted.
+    RepeatedBadStarts = 15,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -77,6 +81,8 @@ impl Cause {
         Self::BadConfiguration,
         Self::AuxiliaryStop,
         Self::Overload,
+        Self::ClockFault,
+        Self::RepeatedBadStarts,
     ];
 
     /// What a person does about it.
@@ -99,6 +105,8 @@ impl Cause {
             Self::BadConfiguration => "correct the robot's configuration",
             Self::AuxiliaryStop => "release the stop button, or check its wire",
             Self::Overload => "free the mechanism or ask for less, and let the motor cool down",
+            Self::ClockFault => "switch the board off and on; if it comes back, replace the crystal",
+            Self::RepeatedBadStarts => "outputs are only held safe: read the log, then switch off and on, or flash",
         }
     }
 }
@@ -120,6 +128,8 @@ impl fmt::Display for Cause {
             Self::BadConfiguration => "bad configuration",
             Self::AuxiliaryStop => "auxiliary stop",
             Self::Overload => "overload",
+            Self::ClockFault => "clock fault",
+            Self::RepeatedBadStarts => "repeated bad starts",
         })
     }
 }

@@ -9,6 +9,12 @@ pub trait Bus: I2c {
     async fn recover(&mut self);
 }
 
+impl<B: Bus> Bus for &mut B {
+    async fn recover(&mut self) {
+        (**self).recover().await;
+    }
+}
+
 /// The quadrature counters: four counts to an encoder line, wrapping at 16 bits.
 pub trait Encoders {
     /// The present count of encoder `index`. Numbers the board does not have read 0.

@@ -33,6 +33,23 @@ pub enum ResetCause {
     Normal,
     /// A watchdog bit: the firmware hung.
     Watchdog,
+    /// The clock failed, and the processor reset itself.
+    Clock,
+    /// The firmware ended badly several times in a row: nothing runs but links, and outputs are only held safe.
+    RepeatedBadStarts,
+}
+
+impl ResetCause {
+    /// What trips the board from its start on; `None` after a start that is no trip.
+    #[must_use]
+    pub const fn cause(self) -> Option<Cause> {
+        match self {
+            Self::Normal => None,
+            Self::Watchdog => Some(Cause::WatchdogReset),
+            Self::Clock => Some(Cause::ClockFault),
+            Self::RepeatedBadStarts => Some(Cause::RepeatedBadStarts),
+        }
+    }
 }
 
 /// What a motor or stepper does, as published by the control loop each period.
@@ -156,6 +173,8 @@ struct State {
     present: Causes,
     /// Causes that hold now, by the control loop's last period.
     control_causes: Causes,
+    /// Causes that the processor sees by its own detectors.
+    processor_causes: Causes,
     /// `None` until the control loop runs.
     last_tick: Option<Instant>,
     session: Option<Session>,
@@ -169,6 +188,8 @@ struct State {
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
+    /// Only links run; whoever started them holds the outputs safe.
+    held: bool,
     ranges: [RangeReading; RANGE_SENSORS],
     /// Trips since the start, and the causes of the last.
     trips: u32,
@@ -203,10 +224,11 @@ impl<M: RawMutex> Shared<M> {
     /// saved of it since (see [`crate::storage::parameters::load`]).
     #[must_use]
     pub fn new(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> Self {
-        let safety = match reset {
-            ResetCause::Normal => Safety::Disarmed,
-            ResetCause::Watchdog => Safety::Tripped { causes: Causes::only(Cause::WatchdogReset) },
+        let safety = match reset.cause() {
+            None => Safety::Disarmed,
+            Some(cause) => Safety::Tripped { causes: Causes::only(cause) },
         };
+        let held = reset == ResetCause::RepeatedBadStarts;
         let mut statuses = [Status::Scalar(0.0); CHANNELS];
         for (_, place) in config.channels() {
             statuses[slot(place)] = match place {
@@ -220,6 +242,8 @@ impl<M: RawMutex> Shared<M> {
         }
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, config.validate().is_err());
+        // No task takes it away again: such a board cannot be armed before its next start.
+        control_causes.set(Cause::RepeatedBadStarts, held);
         Self {
             built_in,
             state: Mutex::new(RefCell::new(State {
@@ -229,6 +253,7 @@ impl<M: RawMutex> Shared<M> {
                 braking_stop: None,
                 present: control_causes,
                 control_causes,
+                processor_causes: Causes::NONE,
                 last_tick: None,
                 session: None,
                 next_session: FIRST_SESSION,
@@ -237,9 +262,10 @@ impl<M: RawMutex> Shared<M> {
                 leases: Vec::new(),
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
+                held,
                 // Silent from now on, and not from the beginning of time.
                 ranges: [RangeReading { updated: Instant::now(), ..RangeReading::NONE }; RANGE_SENSORS],
-                trips: u32::from(reset == ResetCause::Watchdog),
+                trips: u32::from(reset.cause().is_some()),
                 trip_causes: safety.causes(),
                 arming_held: 0,
                 pending: config.clone(),
@@ -304,6 +330,14 @@ impl<M: RawMutex> Shared<M> {
         result
     }
 
+    /// A cause that the processor sees by its own detectors is present from now on, or no longer; for its interrupts.
+    pub fn set_processor_cause(&self, cause: Cause, present: bool) {
+        self.with(|s| s.processor_causes.set(cause, present));
+        if present {
+            self.trip(cause);
+        }
+    }
+
     /// Trips for a cause that is over at once.
     pub(crate) fn trip(&self, cause: Cause) {
         // A trip is never refused.
@@ -319,7 +353,7 @@ impl<M: RawMutex> Shared<M> {
             watched.set(Cause::LinkLost, link_lost);
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
             watched.set(Cause::Proximity, ranging::must_stop(&self.config.ranges, &s.ranges, now));
-            s.present = watched.union(s.control_causes);
+            s.present = watched.union(s.control_causes).union(s.processor_causes);
             // The deadline of a stop that brakes is looked at here, whatever the control loop does.
             s.apply(Event::Tick).0
         });
@@ -415,7 +449,7 @@ impl<M: RawMutex> Shared<M> {
     pub(crate) fn has_started(&self) -> bool {
         self.with(|s| {
             let guards = self.config.ranges.iter().zip(&s.ranges).filter(|(range, _)| range.stop_below_m.is_some());
-            s.started && guards.into_iter().all(|(_, reading)| reading.quality != Quality::None)
+            s.held || s.started && guards.into_iter().all(|(_, reading)| reading.quality != Quality::None)
         })
     }
 

@@ -30,6 +30,7 @@ use r4_firmware::{
     ResetCause, Shared,
     control::{self, BoardIo},
     link::serve,
+    outputs::{OutputFault, rest_dacs},
     passthrough::PassthroughIo,
     safety::{SafetyPins, supervise},
     screen::{self, ScreenPins},
@@ -39,22 +40,25 @@ use r4_protocol::config::BoardConfig;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::{
-    analog, clocks,
+    analog, clocks, cycles,
     encoders::{
         self, Counters,
         lines::{self, Lines},
     },
-    executors,
+    executors::{self, Executors},
     flash::Bank2,
+    guard, hold,
     i2c::{self, Bounce, Bus, Timing, Wiring},
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     log,
     peripherals::Processor,
     pins::{self, pin},
     ranging::{self, Rangers},
-    reset::{self, Start},
-    safety_pins::{self, Drive, Line},
+    reset::{self, Mode, Start},
+    safety_pins::{self, Drive, Flashes, Line},
     steppers::{self, Generators},
+    supply,
+    sweep::{self, Sweeper},
     switches::{self, Switches},
     watchdog,
 };
@@ -78,7 +82,8 @@ type Screen = ScreenPins<
     Output<'static>,
 >;
 
-type Board = Shared<CriticalSectionRawMutex>;
+/// What the tasks share.
+pub(crate) type Board = Shared<CriticalSectionRawMutex>;
 
 /// What embassy shares between the cores; the Cortex-M4 is held in reset (option byte BCM4 = 0).
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
@@ -147,16 +152,51 @@ static CLOCK_RUNS: AtomicBool = AtomicBool::new(false);
 
 defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::now().as_micros() } else { 0 });
 
+/// What runs before start-up clears 100 KB of memory: it turns the instruction cache on, without which that takes several times as
+/// long, and outputs wait for it. ICIALLU forgets what the cache holds, CCR.IC turns it on (ARMv7-M ARM, B2.2.7 and B3.2.8). In
+/// assembly, for no Rust may run before memory is cleared.
+#[allow(unsafe_code, reason = "assembly")]
+mod before_memory {
+    core::arch::global_asm!(
+        ".pushsection .text.__pre_init, \"ax\"",
+        ".global __pre_init",
+        ".type __pre_init, %function",
+        ".thumb_func",
+        "__pre_init:",
+        "ldr r0, =0xE000EF50",
+        "movs r1, #0",
+        "dsb",
+        "isb",
+        "str r1, [r0]",
+        "dsb",
+        "isb",
+        "ldr r0, =0xE000ED14",
+        "ldr r1, [r0]",
+        "orr r1, r1, #(1 << 17)",
+        "str r1, [r0]",
+        "dsb",
+        "isb",
+        "bx lr",
+        ".popsection",
+    );
+}
+
 /// Boots, and runs the tasks for ever.
+///
+/// Outputs come first: the stop lines, then every output chip, and only then what takes its time or may fail.
 pub(crate) fn run() -> ! {
     safety_pins::claim();
-    watchdog::start_for_boot();
+    watchdog::start();
     quiet();
+    processor();
+    sweep::run_from_the_internal_oscillator();
     let start = Start::take();
-    caches();
+    let swept = make_outputs_safe(start.mode());
+    watchdog::allow_boot();
     no_speculation();
 
-    let source = clocks::probe();
+    // After bad starts the crystal is not relied on: it may be what they come from.
+    let source = if start.mode() == Mode::Run { clocks::probe() } else { clocks::Source::Internal };
     let mut config = embassy_stm32::Config::default();
     config.rcc = clocks::config(source);
     config.dma_interrupt_priority = executors::TRANSFERS;
@@ -164,18 +204,29 @@ pub(crate) fn run() -> ! {
     executors::prioritise();
     let p = embassy_stm32::init_primary(config, &EMBASSY);
     CLOCK_RUNS.store(true, Ordering::Relaxed);
+    watchdog::feed();
+    paint_stack();
+    if source == clocks::Source::Crystal {
+        clocks::guard();
+    }
     reset::note_clock(source == clocks::Source::Crystal);
 
     defmt::info!("R4 {} for {}, image {}", r4_firmware::FIRMWARE_VERSION, env!("R4_ROBOT_NAME"), env!("R4_IMAGE_KIND"));
-    defmt::info!("start: {}, after a watchdog: {}", start, start.cause() == ResetCause::Watchdog);
+    defmt::info!("start: {}, mode {}", start, start.mode());
+    if swept.is_err() {
+        defmt::error!("not every output chip could be told its safe state at the start");
+    }
     match source {
         clocks::Source::Crystal => defmt::info!("480 MHz from the crystal"),
+        clocks::Source::Internal if start.mode() != Mode::Run => defmt::info!("480 MHz from the internal oscillator"),
         clocks::Source::Internal => {
             defmt::error!("the crystal does not start: 480 MHz from the internal oscillator, 1 % off");
-            safety_pins::blink(3);
         }
     }
-    let (shared, screen) = start_tasks(p, &start);
+    if supply::brown_out_level() == 0 {
+        defmt::warn!("the option bytes have no brown-out reset: docs/bring-up.md, option bytes, BOR_LEV");
+    }
+    let (shared, screen) = start_tasks(p, &start, source);
     defmt::info!("tasks run");
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
     EXECUTOR.init_with(Executor::new).run(|spawner| {
@@ -186,13 +237,37 @@ pub(crate) fn run() -> ! {
     })
 }
 
-/// The state that all tasks share, from what is built in and what was saved since.
-#[inline(never)]
-fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
+/// What the firmware was built with.
+fn built_in() -> BoardConfig {
     // `build.rs` packed it with the same types, so it is there; without it there is nothing that could be driven.
-    let built_in: BoardConfig = match postcard::from_bytes(CONFIG) {
+    match postcard::from_bytes(CONFIG) {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
+    }
+}
+
+/// Tells every output chip its safe state, as the built-in configuration has it; in [`Mode::HoldAlone`] for ever.
+///
+/// Not part of [`run`], which never returns: the configuration takes kilobytes of the stack.
+#[inline(never)]
+fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
+    let config = built_in();
+    if mode == Mode::HoldAlone {
+        hold::alone(&config);
+    }
+    Sweeper::new(cycles::AT_RESET_MHZ).sweep(&config)
+}
+
+/// The state that all tasks share, from what is built in and, with `flash`, what was saved since.
+#[inline(never)]
+fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
+    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
+    #[unsafe(link_section = ".dtcm.shared")]
+    static SHARED: StaticCell<Board> = StaticCell::new();
+    let built_in = built_in();
+    let Some(flash) = flash else {
+        return SHARED.init_with(|| Shared::new(built_in.clone(), built_in, reset).with_log(log::for_hosts()));
     };
     let loaded = block_on(load(flash, &built_in));
     match loaded.saved {
@@ -202,22 +277,58 @@ fn board(flash: &mut Bank2, reset: ResetCause) -> &'static Board {
         Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
         Saved::Damaged => defmt::error!("saved parameters are damaged"),
     }
-    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
-    #[unsafe(link_section = ".dtcm.shared")]
-    static SHARED: StaticCell<Board> = StaticCell::new();
     SHARED.init_with(|| Shared::new(loaded.config, built_in, reset).with_log(log::for_hosts()))
 }
 
-/// Makes the drivers and starts all tasks but the screen's, which has the thread to itself.
+/// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the
+/// links to hosts, and never returns.
 ///
 /// Not part of [`run`], which never returns: what these take of the stack is free again for the tasks.
 #[inline(never)]
-fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
+fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'static Board, Screen) {
+    let held = start.mode() != Mode::Run;
     let mut flash = Bank2::new(p.FLASH);
-    let shared = board(&mut flash, start.cause());
+    let shared = board((!held).then_some(&mut flash), start.cause());
+    watchdog::feed();
     let has_ranges = !shared.config().ranges.is_empty();
 
+    let host_tx =
+        UartTx::new(p.USART1, pin!(p, uart_dbg_tx as USART1_TX), p.DMA1_CH4, Irqs, uart::config(uart::HOST_BAUD));
+    let Ok(host_tx) = host_tx else { panic!("a baud rate cannot be made") };
+    let host_rx = uart::receive::<stm32::USART1>(&host_tx, pin!(p, uart_dbg_rx as USART1_RX), p.DMA1_CH5);
+
+    static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();
+    let (can_rx, can_tx) = can_link::start(
+        CanConfigurator::new(p.FDCAN2, pin!(p, can_rx as FDCAN2_RX), pin!(p, can_tx as FDCAN2_TX), Irqs),
+        CAN_BUFFERS.init_with(can_link::Buffers::new),
+    );
+
+    static USB_OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
+    let driver = usb::Driver::new_fs(
+        p.USB_OTG_FS,
+        Irqs,
+        pin!(p, usb_dp as USB_OTG_FS_DP),
+        pin!(p, usb_dm as USB_OTG_FS_DM),
+        USB_OUT.take(),
+        usb_link::config(),
+    );
+    let mut dacs = analog::Outputs::new(p.DAC1, pin!(p, dac_l as DAC1_OUT1), pin!(p, dac_r as DAC1_OUT2));
+    rest_dacs(shared.config(), &mut dacs);
+    let spawn_links = |executors: &Executors| {
+        executors.links.spawn(uart_task(shared, host_rx, host_tx).expect("one"));
+        executors.links.spawn(can_task(shared, can_rx, can_tx).expect("one"));
+        executors.usb.spawn(usb_task(shared, driver).expect("one"));
+        executors.links.spawn(restart_task(shared).expect("one"));
+    };
+    if held {
+        defmt::error!("{} bad starts in a row: outputs are only held safe", start.bad_starts);
+        // Its converter must go on.
+        core::mem::forget(dacs);
+        spawn_links(&executors::start());
+        hold::beside_links(shared.config());
+    }
+
+    let flashes = (source == clocks::Source::Internal).then(|| Flashes::new(3));
     let output = |high: bool| if high { Level::High } else { Level::Low };
     let safety = SafetyPins {
         dead_man: Line::Watched(ExtiInput::new(pin!(p, dmh_sense as EXTI7), p.EXTI7, Pull::Down, Irqs)),
@@ -225,9 +336,9 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         osmc_disable: Drive::plain(Output::new(pin!(p, osmc_dis), output(true), Speed::Low)),
         pwm_output_disable: Drive::plain(Output::new(pin!(p, pca_oe_n), output(true), Speed::Low)),
         heartbeat: Drive::heartbeat(Output::new(pin!(p, heartbeat_out), output(false), Speed::Low)),
-        red: Drive::plain(Output::new(pin!(p, led_r), output(true), Speed::Low)),
-        green: Drive::plain(Output::new(pin!(p, led_g), output(true), Speed::Low)),
-        blue: Drive::plain(Output::new(pin!(p, led_b), output(true), Speed::Low)),
+        red: Drive::light(Output::new(pin!(p, led_r), output(true), Speed::Low), flashes),
+        green: Drive::light(Output::new(pin!(p, led_g), output(true), Speed::Low), None),
+        blue: Drive::light(Output::new(pin!(p, led_b), output(true), Speed::Low), flashes),
     };
     // Low for good: what is written to the DAC takes effect at once.
     core::mem::forget(Output::new(pin!(p, dac_ldac_n), Level::Low, Speed::Low));
@@ -290,33 +401,15 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         Some(bounce()),
     );
 
-    let host_tx =
-        UartTx::new(p.USART1, pin!(p, uart_dbg_tx as USART1_TX), p.DMA1_CH4, Irqs, uart::config(uart::HOST_BAUD));
     let tx_a =
         UartTx::new(p.USART2, pin!(p, uart_a_tx as USART2_TX), p.DMA1_CH6, Irqs, uart::config(uart::CONNECTOR_BAUD));
     let tx_b =
         UartTx::new(p.UART4, pin!(p, uart_b_tx as UART4_TX), p.DMA2_CH0, Irqs, uart::config(uart::CONNECTOR_BAUD));
-    let (Ok(host_tx), Ok(tx_a), Ok(tx_b)) = (host_tx, tx_a, tx_b) else { panic!("a baud rate cannot be made") };
-    let host_rx = uart::receive::<stm32::USART1>(&host_tx, pin!(p, uart_dbg_rx as USART1_RX), p.DMA1_CH5);
+    let (Ok(tx_a), Ok(tx_b)) = (tx_a, tx_b) else { panic!("a baud rate cannot be made") };
     let rx_a = uart::receive::<stm32::USART2>(&tx_a, pin!(p, uart_a_rx as USART2_RX), p.DMA1_CH7);
     let rx_b = uart::receive::<stm32::UART4>(&tx_b, pin!(p, uart_b_rx as UART4_RX), p.DMA2_CH1);
     let raw = PassthroughIo { i2c: [connector_a, connector_b], uart_rx: [rx_a, rx_b], uart_tx: [tx_a, tx_b] };
 
-    static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();
-    let (can_rx, can_tx) = can_link::start(
-        CanConfigurator::new(p.FDCAN2, pin!(p, can_rx as FDCAN2_RX), pin!(p, can_tx as FDCAN2_TX), Irqs),
-        CAN_BUFFERS.init_with(can_link::Buffers::new),
-    );
-
-    static USB_OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
-    let driver = usb::Driver::new_fs(
-        p.USB_OTG_FS,
-        Irqs,
-        pin!(p, usb_dp as USB_OTG_FS_DP),
-        pin!(p, usb_dm as USB_OTG_FS_DM),
-        USB_OUT.take(),
-        usb_link::config(),
-    );
     // First: an edge of an echo is told by the steppers' clock.
     let steppers = Generators::new(
         steppers::Parts {
@@ -392,7 +485,7 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         }),
         steppers,
         inputs: inputs.ok(),
-        outputs: analog::Outputs::new(p.DAC1, pin!(p, dac_l as DAC1_OUT1), pin!(p, dac_r as DAC1_OUT2)),
+        outputs: dacs,
     };
 
     let mut spi_config = spi::Config::default();
@@ -409,6 +502,7 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
         backlight: Output::new(pin!(p, tft_bl), Level::Low, Speed::Low),
     };
 
+    supply::watch(shared);
     let executors = executors::start();
     watchdog::tighten();
     executors.supervisor.spawn(safety_task(shared, safety).expect("one"));
@@ -416,13 +510,11 @@ fn start_tasks(p: Peripherals, start: &Start) -> (&'static Board, Screen) {
     if has_ranges {
         executors.control.spawn(ranging_task(shared, rangers).expect("one"));
     }
-    executors.links.spawn(uart_task(shared, host_rx, host_tx).expect("one"));
-    executors.links.spawn(can_task(shared, can_rx, can_tx).expect("one"));
-    executors.usb.spawn(usb_task(shared, driver).expect("one"));
+    spawn_links(&executors);
     executors.links.spawn(passthrough_task(shared, raw).expect("one"));
     executors.links.spawn(storage_task(shared, flash).expect("one"));
     executors.links.spawn(log_task(shared).expect("one"));
-    executors.links.spawn(restart_task(shared).expect("one"));
+    executors.links.spawn(well_task().expect("one"));
     (shared, screen)
 }
 
@@ -506,6 +598,13 @@ async fn log_task(shared: &'static Board) -> ! {
     }
 }
 
+/// Ends the count of bad starts.
+#[embassy_executor::task]
+async fn well_task() {
+    Timer::after(reset::RUN_WELL).await;
+    reset::ran_well();
+}
+
 /// A restart that a host asked for; it is only taken while the board is not armed.
 #[embassy_executor::task]
 async fn restart_task(shared: &'static Board) -> ! {
@@ -513,6 +612,26 @@ async fn restart_task(shared: &'static Board) -> ! {
     defmt::info!("a host asked for a restart");
     Timer::after(FAREWELL).await;
     cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Paints what is free of the stack, so that a debugger sees how deep it was. Not at the reset, where outputs would wait for it.
+#[inline(never)]
+fn paint_stack() {
+    const PAINT: u32 = 0xCCCC_CCCC;
+    /// Below the stack pointer, for what the compiler may keep there.
+    const MARGIN: usize = 64;
+    #[allow(unsafe_code, reason = "a symbol of the linker's, and memory that is nobody's")]
+    // SAFETY: of the symbol only the address is used. Below the stack pointer is nothing but the free stack, down to its end;
+    // what an interrupt has put there is of no use when it returns.
+    unsafe {
+        unsafe extern "C" {
+            safe static _stack_end: u8;
+        }
+        let end = (&raw const _stack_end).addr() + guard::STACK_BYTES;
+        for at in (end..cortex_m::register::msp::read() as usize - MARGIN).step_by(4) {
+            core::ptr::with_exposed_provenance_mut::<u32>(at).write_volatile(PAINT);
+        }
+    }
 }
 
 /// Words with a bit for each of the 150 interrupts.
@@ -532,13 +651,15 @@ fn quiet() {
 }
 
 /// Instructions are cached; data is not, so that DMA and the processor see the same. The Arduino bootloader may have left the
-/// data cache on.
-fn caches() {
+/// data cache on. Cycles are counted from here on, and address 0 and the stack's end are guarded.
+fn processor() {
     let Some(mut core) = cortex_m::Peripherals::take() else { return };
     if cortex_m::peripheral::SCB::dcache_enabled() {
         core.SCB.disable_dcache(&mut core.CPUID);
     }
     core.SCB.enable_icache();
+    cycles::start(&mut core.DCB, &mut core.DWT);
+    guard::start(&mut core.MPU);
 }
 
 /// Turns the external memory's first bank off, which is on after reset: speculative reads of the processor at 0x6000_0000 would

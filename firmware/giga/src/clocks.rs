@@ -9,9 +9,10 @@ use embassy_stm32::{
     time::Hertz,
 };
 
-/// Reads of the ready flag before the crystal counts as dead. A read takes at least 10 cycles of the 64 MHz that the
-/// processor starts with, so this is 60 ms or more; crystals start in 2 ms (STM32H747 datasheet, table 45).
-const HSE_PATIENCE: u32 = 400_000;
+use crate::cycles::{self, Deadline};
+
+/// Before the crystal counts as dead: crystals start in 2 ms (STM32H747 datasheet, table 45).
+const CRYSTAL_START_US: u32 = 20_000;
 
 /// What the processor's clock is made from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
@@ -26,13 +27,20 @@ pub(crate) enum Source {
 pub(crate) fn probe() -> Source {
     RCC.cr().modify(|w| w.set_hsebyp(false));
     RCC.cr().modify(|w| w.set_hseon(true));
-    for _ in 0..HSE_PATIENCE {
+    let patience = Deadline::after_us(CRYSTAL_START_US, cycles::AT_RESET_MHZ);
+    while !patience.has_passed() {
         if RCC.cr().read().hserdy() {
             return Source::Crystal;
         }
     }
     RCC.cr().modify(|w| w.set_hseon(false));
     Source::Internal
+}
+
+/// Turns the clock security system on, for a processor that runs from the crystal: when it stops, the processor goes on from the
+/// internal oscillator and takes the NMI (`panic.rs`), within 2 us or so instead of standing still with its outputs on.
+pub(crate) fn guard() {
+    RCC.cr().modify(|w| w.set_hsecsson(true));
 }
 
 /// The same frequencies from either source: processor 480, AXI and AHB 240, APB 120, timers 240 MHz.

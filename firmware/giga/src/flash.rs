@@ -26,6 +26,8 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Timer};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 
+use crate::watchdog;
+
 /// First address of bank 2, and of what is kept there.
 const BANK: u32 = 0x0810_0000;
 const BASE: u32 = 0x0818_0000;
@@ -133,6 +135,7 @@ async fn finished(look: Duration, limit: Duration) -> Result<(), FlashError> {
         if Instant::now() > end {
             return Err(FlashError::Timeout);
         }
+        watchdog::feed_in_boot();
         Timer::after(look).await;
     }
 }

@@ -49,7 +49,8 @@ pub(crate) struct Timing {
     stop: Duration,
 }
 
-const fn timingr(presc: u32, scldel: u32, sdadel: u32, sclh: u32, scll: u32) -> u32 {
+/// PRESC, SCLDEL, SDADEL, SCLH and SCLL of TIMINGR.
+pub(crate) const fn timingr(presc: u32, scldel: u32, sdadel: u32, sclh: u32, scll: u32) -> u32 {
     assert!(presc < 16 && scldel < 16 && sdadel < 16 && sclh < 256 && scll < 256);
     presc << 28 | scldel << 20 | sdadel << 16 | sclh << 8 | scll
 }

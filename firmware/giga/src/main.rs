@@ -6,9 +6,13 @@
 //! | --- | --- |
 //! | `boot` | from reset to running tasks, in order |
 //! | `executors` | who interrupts whom, in one table |
+//! | `sweep`, `hold` | outputs made safe right after the reset, and held so after repeated bad starts |
+//! | `cycles` | time before there is a clock |
 //! | `clocks` | the clock tree, with and without crystal |
 //! | `pins` | the carrier's pins, from its file |
 //! | `safety_pins` | the lines that stop the board without a bus |
+//! | `guard` | no access at address 0, nor at the stack's end |
+//! | `supply` | the processor's own supply, and its brown-out level |
 //! | `watchdog` | IWDG1, fed by the supervisor alone |
 //! | `reset`, `panic` | why it started; what the last run left when it could not go on |
 //! | `i2c` | the three I2C buses, and freeing them |
@@ -24,9 +28,12 @@
 mod analog;
 mod boot;
 mod clocks;
+mod cycles;
 mod encoders;
 mod executors;
 mod flash;
+mod guard;
+mod hold;
 mod i2c;
 mod links;
 mod log;
@@ -37,6 +44,8 @@ mod ranging;
 mod reset;
 mod safety_pins;
 mod steppers;
+mod supply;
+mod sweep;
 mod switches;
 mod tcm;
 mod watchdog;

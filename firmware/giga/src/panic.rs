@@ -7,6 +7,7 @@ use core::{
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
+use embassy_stm32::pac;
 
 use crate::{
     reset::{Kind, Record, leave},
@@ -97,6 +98,15 @@ fn read(address: *const u32) -> u32 {
     // SAFETY: called with a place in RAM that is aligned as the processor aligns its stack, and with registers of the processor
     // that can always be read.
     unsafe { address.read_volatile() }
+}
+
+/// The clock security system, which is all that this processor has on this line: the crystal stopped, the hardware has put the
+/// processor on its internal oscillator, and every peripheral that ran from a PLL stands still (RM0399, 9.5.4).
+#[exception]
+#[allow(unsafe_code, reason = "exception handlers are declared so")]
+unsafe fn NonMaskableInt() -> ! {
+    safety_pins::stop();
+    end(&Record { kind: Kind::Clock, pc: 0, lr: 0, detail: pac::RCC.cifr().read().0, more: 0 })
 }
 
 #[exception]

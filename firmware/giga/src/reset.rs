@@ -10,13 +10,17 @@
 //! | DR19 | of a fault CFSR, of a panic its line, of an interrupt its number |
 //! | DR20 | of a fault HFSR, of a panic the address of its file's name |
 //! | DR21 | clock source of the run that ended: 1 crystal, 2 internal |
+//! | DR22 | "BS" and how many runs in a row ended badly before they had run well |
 
 use embassy_stm32::pac::{PWR, RCC, RTC};
+use embassy_time::Duration;
 use r4_firmware::ResetCause;
 
 const MAGIC: u32 = 0x5234_0000;
 const FIRST: usize = 16;
 const CLOCK: usize = 21;
+const BAD_STARTS: usize = 22;
+const BAD_STARTS_MAGIC: u32 = 0x4253_0000;
 /// The Arduino bootloader's note, numbered as mbed's `reset_reason_t`.
 const BOOTLOADER_NOTE: usize = 8;
 const MBED_WATCHDOG: u32 = 4;
@@ -35,6 +39,8 @@ pub(crate) enum Kind {
     Fault = 2,
     /// An interrupt that nothing handles.
     Interrupt = 3,
+    /// The crystal stopped.
+    Clock = 4,
 }
 
 /// What is kept of the end of a run.
@@ -60,6 +66,8 @@ pub(crate) struct Start {
     pub(crate) note: Option<u32>,
     /// How the last run ended, if badly and orderly.
     pub(crate) record: Option<Record>,
+    /// How many runs in a row ended badly before they had run well, the last one included.
+    pub(crate) bad_starts: u16,
 }
 
 impl Start {
@@ -74,6 +82,7 @@ impl Start {
             1 => Some(Kind::Panic),
             2 => Some(Kind::Fault),
             3 => Some(Kind::Interrupt),
+            4 => Some(Kind::Clock),
             _ => None,
         };
         let record = kind.map(|kind| Record {
@@ -84,14 +93,67 @@ impl Start {
             more: read(FIRST + 4),
         });
         write(FIRST, 0);
-        Self { flags, note, record }
+        let mut start = Self { flags, note, record, bad_starts: 0 };
+        if start.ended_badly() {
+            // What power-up leaves in the register is no count.
+            let before = read(BAD_STARTS) ^ BAD_STARTS_MAGIC;
+            start.bad_starts = u16::try_from(before).unwrap_or(0).saturating_add(1);
+        }
+        write(BAD_STARTS, BAD_STARTS_MAGIC | u32::from(start.bad_starts));
+        start
+    }
+
+    /// Whether the last run ended by the watchdog or left a record. Power, the reset pin, a debugger and a restart that a host
+    /// asked for are no bad ends.
+    fn ended_badly(&self) -> bool {
+        let bitten = self.flags & (IWDG1 | WWDG1) != 0 || self.note == Some(MBED_WATCHDOG);
+        bitten || self.record.is_some()
+    }
+
+    /// What is to be started.
+    pub(crate) fn mode(&self) -> Mode {
+        match self.bad_starts {
+            0..HOLD => Mode::Run,
+            HOLD..HOLD_ALONE => Mode::Hold,
+            HOLD_ALONE.. => Mode::HoldAlone,
+        }
     }
 
     /// As the application is told: a panic or fault is a watchdog bite that came early.
     pub(crate) fn cause(&self) -> ResetCause {
-        let bitten = self.flags & (IWDG1 | WWDG1) != 0 || self.note == Some(MBED_WATCHDOG);
-        if bitten || self.record.is_some() { ResetCause::Watchdog } else { ResetCause::Normal }
+        match self.record {
+            _ if self.mode() != Mode::Run => ResetCause::RepeatedBadStarts,
+            Some(Record { kind: Kind::Clock, .. }) => ResetCause::Clock,
+            _ if self.ended_badly() => ResetCause::Watchdog,
+            _ => ResetCause::Normal,
+        }
     }
+}
+
+/// What a start leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub(crate) enum Mode {
+    /// All tasks.
+    Run,
+    /// Outputs are held safe, and links answer why.
+    Hold,
+    /// Outputs are held safe, and nothing else is touched: no clock tree, no interrupts, no links.
+    HoldAlone,
+}
+
+/// After so many bad ends in a row outputs are only held safe. One is a fault that passes, or one that a host's command
+/// triggers; what ends three runs within [`RUN_WELL`] each ends the fourth too.
+const HOLD: u16 = 3;
+/// After so many, hold mode with links has ended badly as often.
+const HOLD_ALONE: u16 = 2 * HOLD;
+
+/// After this time bad ends in a row are counted anew: far more than any task waits for at its start, and less than it takes a
+/// person to arm the board again.
+pub(crate) const RUN_WELL: Duration = Duration::from_secs(10);
+
+/// The board has run for [`RUN_WELL`].
+pub(crate) fn ran_well() {
+    write(BAD_STARTS, BAD_STARTS_MAGIC);
 }
 
 /// Leaves `record` for the next start.

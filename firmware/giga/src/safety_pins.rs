@@ -4,11 +4,11 @@ use core::convert::Infallible;
 
 use embassy_stm32::{
     exti::ExtiInput,
-    gpio::{Input, Output},
+    gpio::{Input, Level, Output},
     mode::Async,
     pac::{RCC, gpio::vals::Moder},
 };
-use embassy_time::{Duration, block_for};
+use embassy_time::{Duration, Instant};
 use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
 use embedded_hal_async::digital::Wait;
 
@@ -42,15 +42,33 @@ pub(crate) fn stop() {
     LED_G.set(true);
 }
 
-/// Red and blue together, `times` times, in 0.3 s each: a fault of the board that does not keep it from working. For the
-/// boot, when the lights have no other meaning yet.
-pub(crate) fn blink(times: u32) {
-    for _ in 0..times {
-        for high in [false, true] {
-            LED_R.set(high);
-            LED_B.set(high);
-            block_for(Duration::from_millis(150));
-        }
+/// The lights of hold mode: red alone, which flashes.
+pub(crate) fn show_hold(red: bool) {
+    LED_R.set(!red);
+    LED_G.set(true);
+    LED_B.set(true);
+}
+
+/// Half a flash of [`Flashes`].
+const HALF_FLASH: Duration = Duration::from_millis(150);
+
+/// Red and blue together, some times, in 0.3 s each: a fault of the board that does not keep it from working. The lights have
+/// their own meanings afterwards, and nothing waits for it.
+#[derive(Clone, Copy)]
+pub(crate) struct Flashes {
+    until: Instant,
+}
+
+impl Flashes {
+    /// `times` flashes from now on.
+    pub(crate) fn new(times: u32) -> Self {
+        Self { until: Instant::now() + 2 * times * HALF_FLASH }
+    }
+
+    /// Whether the lights are on; `None` when it is over.
+    fn lit(self) -> Option<bool> {
+        let left = self.until.checked_duration_since(Instant::now()).filter(|left| *left > Duration::MIN)?;
+        Some(left.as_ticks().div_ceil(HALF_FLASH.as_ticks()) % 2 == 0)
     }
 }
 
@@ -134,19 +152,50 @@ impl Wait for Line {
 /// An output of the supervisor.
 pub(crate) struct Drive {
     line: Output<'static>,
-    feeds: bool,
+    also: Also,
+}
+
+/// What a [`Drive`] does besides.
+enum Also {
+    Nothing,
+    /// Counts the heartbeats that are left until it does.
+    FeedsTheWatchdog(u8),
+    Flashes(Flashes),
 }
 
 impl Drive {
     /// A plain output.
     pub(crate) fn plain(line: Output<'static>) -> Self {
-        Self { line, feeds: false }
+        Self { line, also: Also::Nothing }
     }
 
-    /// The heartbeat: the supervisor alone turns it, once in each of its periods, and each turn feeds the watchdog. So the
-    /// watchdog watches exactly what an external one at this line would.
+    /// The heartbeat: the supervisor alone turns it, once in each of its periods, and every [`watchdog::BEATS`] turns feed the
+    /// watchdog. So the watchdog watches exactly what an external one at this line would.
     pub(crate) fn heartbeat(line: Output<'static>) -> Self {
-        Self { line, feeds: true }
+        Self { line, also: Also::FeedsTheWatchdog(watchdog::BEATS) }
+    }
+
+    /// A light, on while low, that flashes first. The supervisor writes it in each of its periods, so it needs no task.
+    pub(crate) fn light(line: Output<'static>, flashes: Option<Flashes>) -> Self {
+        Self { line, also: flashes.map_or(Also::Nothing, Also::Flashes) }
+    }
+
+    fn set(&mut self, mut high: bool) {
+        match &mut self.also {
+            Also::Nothing => {}
+            Also::FeedsTheWatchdog(left) => {
+                *left -= 1;
+                if *left == 0 {
+                    watchdog::feed();
+                    *left = watchdog::BEATS;
+                }
+            }
+            Also::Flashes(flashes) => match flashes.lit() {
+                Some(lit) => high = !lit,
+                None => self.also = Also::Nothing,
+            },
+        }
+        self.line.set_level(if high { Level::High } else { Level::Low });
     }
 }
 
@@ -156,18 +205,12 @@ impl ErrorType for Drive {
 
 impl OutputPin for Drive {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        self.line.set_low();
-        if self.feeds {
-            watchdog::feed();
-        }
+        self.set(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
-        self.line.set_high();
-        if self.feeds {
-            watchdog::feed();
-        }
+        self.set(true);
         Ok(())
     }
 }

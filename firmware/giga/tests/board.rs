@@ -9,6 +9,8 @@
 #[path = "../src/clocks.rs"]
 mod clocks;
 mod common;
+#[path = "../src/cycles.rs"]
+mod cycles;
 #[path = "../src/flash.rs"]
 mod flash;
 #[path = "../src/pins.rs"]

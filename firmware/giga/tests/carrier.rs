@@ -11,6 +11,8 @@
 #[path = "../src/clocks.rs"]
 mod clocks;
 mod common;
+#[path = "../src/cycles.rs"]
+mod cycles;
 #[path = "../src/encoders/mod.rs"]
 mod encoders;
 #[path = "../src/i2c.rs"]

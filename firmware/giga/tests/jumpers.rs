@@ -19,6 +19,8 @@ mod analog;
 #[path = "../src/clocks.rs"]
 mod clocks;
 mod common;
+#[path = "../src/cycles.rs"]
+mod cycles;
 #[path = "../src/pins.rs"]
 mod pins;
 #[path = "../src/links/ring.rs"]

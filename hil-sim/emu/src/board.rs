@@ -205,8 +205,9 @@ impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
         let mut machine = self.machine.borrow_mut();
         machine.chip.outside().set_host(link.tx);
         let reset = machine.reset(match cause {
-            r4_firmware::ResetCause::Watchdog => ResetCause::Watchdog,
             r4_firmware::ResetCause::Normal => ResetCause::Software,
+            // What a processor can be told from outside; the image makes the others of what it has noted.
+            _ => ResetCause::Watchdog,
         });
         if let Err(error) = reset {
             self.failure.replace(Some(error));

@@ -33,12 +33,21 @@ impl Mcp23017 {
     /// # Errors
     /// A failed transfer, or a register that does not hold what was written.
     pub async fn init<B: I2c>(&self, bus: &mut B, levels: u16) -> Result<(), ChipError<B::Error>> {
+        self.force(bus, levels).await?;
+        self.verify(bus, levels).await
+    }
+
+    /// Drives all pins to `levels`, whatever state the chip is in, and reads nothing back: the first half of
+    /// [`Mcp23017::init`], 0.3 ms at 400 kHz.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn force<B: I2c>(&self, bus: &mut B, levels: u16) -> Result<(), B::Error> {
         // From either register map into the one after reset.
         bus.write(self.address, &[IOCON_IN_BANK_1, 0]).await?;
         bus.write(self.address, &[IOCON, 0]).await?;
         self.set(bus, levels).await?;
-        bus.write(self.address, &[IODIRA, 0, 0]).await?;
-        self.verify(bus, levels).await
+        bus.write(self.address, &[IODIRA, 0, 0]).await
     }
 
     /// The levels that the pins are driven to; `None` while not all of them are outputs, as after power-up.

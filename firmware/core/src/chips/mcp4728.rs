@@ -60,12 +60,7 @@ impl Mcp4728 {
     /// [`ChipError::Mismatch`], `register` is the byte of the 24 that are read.
     pub async fn init<B: I2c>(&self, bus: &mut B, codes: [u16; OUTPUTS]) -> Result<(), ChipError<B::Error>> {
         self.wait_ready(bus).await?;
-        let mut command = [0; 3 * OUTPUTS];
-        for ((bytes, code), output) in command.chunks_exact_mut(3).zip(codes).zip(0..) {
-            let [upper, lower] = setting(code);
-            bytes.copy_from_slice(&[MULTI_WRITE | output << 1, upper, lower]);
-        }
-        bus.write(self.address, &command).await?;
+        self.force(bus, codes).await?;
         let read = self.read(bus).await?;
         compare_half(&read, Half::Input, &codes)?;
         if compare_half::<B::Error>(&read, Half::Eeprom, &codes).is_ok() {
@@ -78,6 +73,20 @@ impl Mcp4728 {
         let read = self.read(bus).await?;
         compare_half(&read, Half::Input, &codes)?;
         compare_half(&read, Half::Eeprom, &codes)
+    }
+
+    /// Sets all outputs to `codes` with the supply as reference, whatever the chip was set to, and reads nothing back: the
+    /// part of [`Mcp4728::init`] that changes outputs, 0.3 ms at 400 kHz. A chip that is writing its EEPROM ignores it.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn force<B: I2c>(&self, bus: &mut B, codes: [u16; OUTPUTS]) -> Result<(), B::Error> {
+        let mut command = [0; 3 * OUTPUTS];
+        for ((bytes, code), output) in command.chunks_exact_mut(3).zip(codes).zip(0..) {
+            let [upper, lower] = setting(code);
+            bytes.copy_from_slice(&[MULTI_WRITE | output << 1, upper, lower]);
+        }
+        bus.write(self.address, &command).await
     }
 
     /// Changes the outputs from `written`, or from anything when that is not known, to `codes`, each at the end of its

@@ -6,7 +6,7 @@ use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
-    config::{BoardConfig, DAC_FULL_SCALE_V, Feedback, MAX_MOTORS, Place, STEPPERS},
+    config::{BoardConfig, Feedback, MAX_MOTORS, Place, STEPPERS},
 };
 
 use super::{
@@ -22,7 +22,7 @@ use crate::{
         axis::{Command as StepperCommand, Fault as StepperFault},
         steps::DriverTiming,
     },
-    outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand},
+    outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals},
     sensing::analog::Supply,
     shared::{MotorStatus, SafetyView, Shared, Status},
@@ -476,8 +476,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     fn rest_dacs<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        rest_dacs(shared.config(), &mut self.peripherals);
         for (index, dac) in shared.config().dacs.iter().enumerate() {
-            self.peripherals.set(dac.id.index, dac_code(dac.safe_v));
             shared.publish(Place::Dac(index), Status::Scalar(dac.safe_v));
         }
     }
@@ -568,11 +568,6 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
     }
-}
-
-/// The nearest code of the processor's own DAC.
-fn dac_code(volts: f32) -> u16 {
-    (libm::roundf(volts / DAC_FULL_SCALE_V * 4096.0) as u16).min(4095)
 }
 
 /// The steppers of a board, if it has any and they can work.

@@ -77,6 +77,12 @@ impl Expander {
         Ok(())
     }
 
+    /// Writes all of it to a chip in any state, and reads nothing back.
+    pub(super) async fn force<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        self.written = None;
+        self.chip.force(bus, self.levels()).await
+    }
+
     /// Whether the pins are to change.
     pub(super) fn has_changed(&self) -> bool {
         self.written != Some(self.levels())

@@ -7,7 +7,9 @@ pub mod servo;
 mod slew;
 
 use heapless::Vec;
-use r4_protocol::config::{BoardConfig, BridgeConfig, MAX_MOTORS, MotorConfig, PwmConfig};
+use r4_protocol::config::{
+    BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig,
+};
 
 use crate::{
     chips::{
@@ -15,7 +17,7 @@ use crate::{
         mcp4728::{Mcp4728, OUTPUTS as DAC_OUTPUTS},
         pca9685::Pca9685,
     },
-    platform::Bus,
+    platform::{AnalogOutputs, Bus},
 };
 use bldc::{Bldcs, Command};
 use bridge::Bridge;
@@ -58,6 +60,77 @@ struct Drives {
     written: Option<[u16; DAC_OUTPUTS]>,
 }
 
+impl Drives {
+    fn of(config: &BoardConfig) -> Option<Self> {
+        let dac = config.bldc_dac?;
+        Some(Self { chip: Mcp4728::new(dac.address), rules: Bldcs::new(&config.bldcs, dac), written: None })
+    }
+}
+
+/// The PWM chips behind bridges.
+fn bridge_chips(config: &BoardConfig) -> [Option<Pca9685>; 2] {
+    [config.osmc_pwm, config.dhb_pwm].map(|pwm| pwm.map(|pwm: PwmConfig| Pca9685::new(pwm.address, pwm.frequency_hz)))
+}
+
+/// Writes the safe state to every output chip of a board that has just been reset, before anything else is done: opens the
+/// relays, applies the brakes, takes brushless drives to neutral, turns bridges off and ends the servos' pulses, unless those
+/// are held when safe.
+///
+/// The chips kept what they were told over the processor's reset, or have just been powered: every register that the safe
+/// state needs is written, whatever state they are in. Nothing is read back but the direction lines of brushless drives, which stay
+/// as they are; [`Outputs::init`] does that later. A chip that does not answer is left out after three tries. Asks no clock,
+/// so that it can run before there is one; `config` must be valid. On a bus of 400 kHz it takes 1.5 ms.
+///
+/// # Errors
+/// The first [`OutputFault`], after all chips were tried.
+pub async fn sweep<B: Bus>(bus: B, config: &BoardConfig) -> Result<(), OutputFault> {
+    let mut bus = Patient { bus, retries: 0 };
+    let mut drives = Drives::of(config);
+    let mut result = Ok(());
+    if let Some(expander) = config.expander {
+        let mut expander = Expander::new(expander, config.relays.clone());
+        result = sweep_expander(&mut bus, &mut expander, drives.as_mut()).await;
+    }
+    if let Some(drives) = &mut drives {
+        let codes = drives.rules.make_safe().codes;
+        let neutral = bus.checked(async |bus: &mut B| Ok(drives.chip.force(bus, codes).await?)).await;
+        result = result.and(neutral);
+    }
+    for chip in bridge_chips(config).into_iter().flatten() {
+        let off = bus.checked(async |bus: &mut B| Ok(chip.force_off(bus).await?)).await;
+        result = result.and(off);
+    }
+    if let Some(chip) = config.servo_pwm {
+        let mut servos = Servos::new(chip, &config.servos);
+        let limp = bus.checked(async |bus: &mut B| Ok(servos.force_safe(bus).await?)).await;
+        result = result.and(limp);
+    }
+    result
+}
+
+async fn sweep_expander<B: Bus>(
+    bus: &mut Patient<B>,
+    expander: &mut Expander,
+    drives: Option<&mut Drives>,
+) -> Result<(), OutputFault> {
+    if let Some(drives) = drives {
+        let driven = bus.checked(async |bus: &mut B| Ok(expander.driven(bus).await?)).await?;
+        driven.into_iter().for_each(|levels| drives.rules.resume(levels));
+        expander.set_lines(drives.rules.make_safe().levels);
+    }
+    bus.checked(async |bus: &mut B| Ok(expander.force(bus).await?)).await
+}
+
+/// Sets the processor's own analog outputs to their safe voltages.
+pub fn rest_dacs(config: &BoardConfig, outputs: &mut impl AnalogOutputs) {
+    config.dacs.iter().for_each(|dac: &DacConfig| outputs.set(dac.id.index, dac_code(dac.safe_v)));
+}
+
+/// The nearest code of the processor's own DAC.
+pub(crate) fn dac_code(volts: f32) -> u16 {
+    (libm::roundf(volts / DAC_FULL_SCALE_V * 4096.0) as u16).min(4095)
+}
+
 /// The outputs of one board.
 pub struct Outputs<B> {
     bus: Patient<B>,
@@ -84,8 +157,7 @@ impl<B: Bus> Outputs<B> {
     /// The outputs as `config` wires them, or none to drive when it is not valid. Call [`Outputs::init`] before anything else.
     #[must_use]
     pub fn new(bus: B, config: &BoardConfig) -> Self {
-        let chip = |pwm: PwmConfig| Pca9685::new(pwm.address, pwm.frequency_hz);
-        let (osmc, dhb) = (config.osmc_pwm.map(chip), config.dhb_pwm.map(chip));
+        let [osmc, dhb] = bridge_chips(config);
         let valid = config.validate().is_ok();
         let braked = config.motors.iter().filter(|_| valid);
         let braked = braked.map(|motor| (motor.stop_brake_ms > 0).then_some(motor.duty_slew_per_s));
@@ -105,11 +177,7 @@ impl<B: Bus> Outputs<B> {
         let expander = config.expander.filter(|_| valid);
         let period_s = config.control_period_us as f32 * 1e-6;
         let bits_per_tick = (period_s * BUS_SHARE * config.i2c_hz as f32) as u32;
-        let drives = config.bldc_dac.filter(|_| valid).map(|dac| Drives {
-            chip: Mcp4728::new(dac.address),
-            rules: Bldcs::new(&config.bldcs, dac),
-            written: None,
-        });
+        let drives = Drives::of(config).filter(|_| valid);
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         Self {
             bus: Patient { bus, retries: 0 },

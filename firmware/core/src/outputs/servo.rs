@@ -136,6 +136,15 @@ impl Servos {
         Ok(())
     }
 
+    /// Ends all pulses of a chip in any state, and reads nothing back; with `hold_when_safe` leaves it alone.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub async fn force_safe<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
+        self.forget();
+        if self.hold_when_safe { Ok(()) } else { self.chip.force_off(bus).await }
+    }
+
     /// Ends all pulses in one transfer of 3 bytes, or, with `hold_when_safe`, all motion without one.
     ///
     /// # Errors

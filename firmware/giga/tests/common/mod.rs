@@ -9,7 +9,7 @@ use defmt_rtt as _;
 use embassy_stm32::{Peripherals, SharedData};
 use embassy_time::Instant;
 
-use crate::{clocks, safety_pins};
+use crate::{clocks, cycles, safety_pins};
 
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
 // SAFETY: the section is in SRAM4, which is always clocked, and takes any data.
@@ -24,6 +24,9 @@ defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::
 /// Holds every bridge off, and starts the clocks. The watchdog stays off: a debugger halts the processor in a test.
 pub(crate) fn start() -> (Peripherals, clocks::Source) {
     safety_pins::claim();
+    if let Some(mut core) = cortex_m::Peripherals::take() {
+        cycles::start(&mut core.DCB, &mut core.DWT);
+    }
     let source = clocks::probe();
     let mut config = embassy_stm32::Config::default();
     config.rcc = clocks::config(source);

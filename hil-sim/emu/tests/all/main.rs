@@ -1,6 +1,7 @@
 //! Tests of the board's image on the emulated processor. The images are built by `cargo xtask firmware`.
 
 mod boot;
+mod boot_safety;
 mod crystal;
 mod debugging;
 mod determinism;

@@ -100,6 +100,8 @@ impl Processor {
         let mut exceptions = self.exceptions.clone();
         exceptions.reset();
         *self = Self { exceptions, debug: self.debug.clone(), ..Self::new(now_ns, core_hz, vector_table) };
+        // The counter goes on, at the rate of the clock that the reset has left.
+        self.debug.set_core_hz(now_ns, core_hz);
     }
 
     /// The core clock changes.
