@@ -3,7 +3,7 @@
 use std::{io::ErrorKind, net::UdpSocket};
 
 use crate::program::*;
-use r4_links::legacy::{LONGEST, Packet};
+use r4_links::legacy::LONGEST;
 
 /// The published nodes: `R4-Websockets-Client.py`, which answers heartbeats, and `R4_Receiver.py`, which sends commands from a
 /// port of its own and numbers them from 2 (Rak-r/OpenPodCar_V2).

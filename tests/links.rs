@@ -442,7 +442,7 @@ fn without_the_key_nothing_is_told() {
     let mut heard = Vec::new();
     // A reset is as good as an end.
     let _ = stranger.read_to_end(&mut heard);
-    assert_eq!(heard, []);
+    assert!(heard.is_empty(), "{heard:?}");
     fs::set_permissions(&ours, fs::Permissions::from_mode(0o644)).expect("for everybody");
     let refused = served.r4(&["--key", &ours, "info"]);
     assert!(refused.err.contains("chmod 600"), "{refused:?}");
@@ -466,7 +466,7 @@ fn idle_strangers_hold_nobody_up() {
         for stranger in &mut idle {
             let mut heard = Vec::new();
             let _ = stranger.read_to_end(&mut heard);
-            assert_eq!(heard, []);
+            assert!(heard.is_empty(), "{heard:?}");
         }
     }
 }

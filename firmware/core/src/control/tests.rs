@@ -336,7 +336,7 @@ fn a_loops_duty_follows_the_supply_and_a_commanded_one_does_not() {
         let mut bench = Bench::armed();
         bench.set_supply(0, supply_v);
         bench.advance(100);
-        assert_eq!(bench.shared.command(Place::Motor(0), Setpoint { mode, value }), Ok(()));
+        assert_eq!(bench.shared.command(Place::Motor(0), Setpoint { mode, value }, Instant::now().as_micros()), Ok(()));
         // 0.2 rad/s is reached in 20 ms of the path; the integral loads by the same error in every run.
         bench.advance(200);
         let Status::Motor(status) = bench.shared.status(Place::Motor(0)) else { panic!("a motor's") };

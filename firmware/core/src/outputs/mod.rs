@@ -7,9 +7,7 @@ pub mod servo;
 mod slew;
 
 use heapless::Vec;
-use r4_protocol::config::{
-    BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig,
-};
+use r4_protocol::config::{BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig};
 
 use crate::{
     chips::{

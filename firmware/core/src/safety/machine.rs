@@ -114,7 +114,8 @@ mod tests {
         for state in all_states() {
             let few = state.causes().iter().count() <= 2;
             for event in all_events() {
-                let present: &mut dyn Iterator<Item = Causes> = if few { &mut all_causes() } else { &mut present_causes() };
+                let present: &mut dyn Iterator<Item = Causes> =
+                    if few { &mut all_causes() } else { &mut present_causes() };
                 present.for_each(|present| check(state, event, present));
             }
         }
