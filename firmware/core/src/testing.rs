@@ -39,16 +39,11 @@ pub(crate) type Board = &'static Shared<NoopRawMutex>;
 
 /// A robot's configuration, as users have it, but that every stop switches it off at once.
 pub(crate) fn robot(name: &str) -> BoardConfig {
-    let mut config = braking_robot(name);
+    let mut config = r4_boards::load(name).expect("the robot is part of the program").config;
     config.motors.iter_mut().for_each(|motor| motor.stop_brake_ms = 0);
     config.bldcs.iter_mut().for_each(|bldc| bldc.stop_brake_ms = 0);
     config.steppers.iter_mut().for_each(|stepper| stepper.stop_brake_ms = 0);
     config
-}
-
-/// A robot's configuration, as users have it.
-pub(crate) fn braking_robot(name: &str) -> BoardConfig {
-    r4_boards::load(name).expect("the robot is part of the program").config
 }
 
 pub(crate) fn board(config: BoardConfig, reset: ResetCause) -> Board {

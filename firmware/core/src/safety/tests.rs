@@ -11,7 +11,7 @@ use crate::{
     ResetCause,
     sensing::range::RangeReading,
     shared::Status,
-    testing::{Board, Line, Tasks, board, braking_robot, robot},
+    testing::{Board, Line, Tasks, board, robot},
 };
 
 const MS: Duration = Duration::from_millis(1);
@@ -523,7 +523,7 @@ fn all_causes_together_are_what_each_is_alone() {
     }
 }
 
-/// How long the robot's longest stop brakes.
+/// How long the longest stop brakes.
 const BRAKE: Duration = Duration::from_millis(450);
 /// The brakes must be written in this time.
 const WRITTEN: Duration = Duration::from_millis(5);
@@ -531,8 +531,11 @@ const WRITTEN: Duration = Duration::from_millis(5);
 impl Bench {
     /// Armed, with stops that brake.
     fn braking() -> Self {
-        let mut config = braking_robot("every-interface");
+        let mut config = robot("every-interface");
         config.ranges.truncate(1);
+        // The longest of all counts.
+        config.motors[0].stop_brake_ms = 300;
+        config.steppers[0].stop_brake_ms = BRAKE.as_millis() as u16;
         assert_eq!(Duration::from_millis(config.stop_brake_ms().into()), BRAKE);
         let mut bench = Self::with(config, ResetCause::Normal);
         bench.tasks.advance(Duration::from_millis(3));

@@ -143,6 +143,20 @@ fn a_held_bus_is_freed_and_a_silent_chip_is_left_out() {
     }
 }
 
+/// Where the flash keeps a function: ITCM, from 0 on, is filled at each start from the same place in the bare image's flash (see
+/// `memory.x.in` of the firmware).
+fn flashed(at: u32) -> u32 {
+    const ITCM_BYTES: u32 = 0x1_0000;
+    if at < ITCM_BYTES { 0x0800_0000 + at } else { at }
+}
+
+/// Writes code where it runs and where each start takes it from, to stay over resets.
+fn patch_for_good(board: &Board, name: &str, code: [u8; 2]) -> [u8; 2] {
+    let at = address_of(board, name);
+    patch(board, flashed(at), code);
+    patch(board, at, code)
+}
+
 fn bad_starts(board: &Board) -> u32 {
     board.machine().chip.backup_register(BAD_STARTS).expect("0 to 31") & 0xFFFF
 }
@@ -175,8 +189,7 @@ async fn is_held(host: &mut RawHost, device: &Device, board: &Board) {
 fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
     let setup = Setup::new("every-interface");
     let _ = setup.raw(async |host, device, board| {
-        let at = address_of(board, "SAI1");
-        let before = patch(board, at, LOOP_FOR_EVER);
+        let before = patch_for_good(board, "SAI1", LOOP_FOR_EVER);
         for start in 1..=HOLD {
             next_reset(device, board, LONGEST_WATCHDOG_NS).await;
             device.clock.sleep(SWEPT_NS).await;
@@ -197,7 +210,7 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
         assert_eq!((seen, bad_starts(board)), ([true; 2], HOLD));
         is_held(host, device, board).await;
         // What hung is whole again, as after another image was flashed.
-        patch(board, at, before);
+        patch_for_good(board, "SAI1", before);
         host.ask(Request::Restart).await.expect("it is not armed");
         next_reset(device, board, 100 * MS).await;
         device.clock.sleep(1500 * MS).await;
@@ -213,11 +226,9 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
 fn hold_mode_that_hangs_too_goes_on_alone() {
     let setup = Setup::new("every-interface");
     let _ = setup.raw(async |_, device, board| {
-        let at = address_of(board, "SAI1");
-        patch(board, at, LOOP_FOR_EVER);
+        patch_for_good(board, "SAI1", LOOP_FOR_EVER);
         // The executor of the links.
-        let links = address_of(board, "SAI3");
-        patch(board, links, LOOP_FOR_EVER);
+        patch_for_good(board, "SAI3", LOOP_FOR_EVER);
         for start in 1..=2 * HOLD {
             next_reset(device, board, LONGEST_WATCHDOG_NS).await;
             device.clock.sleep(SWEPT_NS).await;

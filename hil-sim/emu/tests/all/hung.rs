@@ -21,8 +21,8 @@ const CLAIM_NS: u64 = 2 * MS;
 /// The control loop counts as dead after five periods without an end, seen at the supervisor's next look.
 const CONTROL_DEAD_NS: u64 = MS + 5 * MS + 2 * MS;
 
-/// Where the control task is entered each time it is woken.
-const CONTROL: &str = "r4_firmware::control::task::run::{{closure}}";
+/// Where the control task goes on in each of its periods, each time that it is woken there.
+const CONTROL: &str = "r4_firmware::control::task::Control<B,P>::tick::{{closure}}";
 
 /// Backup registers that hold the record of an end (see `reset.rs` of the firmware): PC or location, and CFSR or line.
 const RECORD_PC: usize = 17;
