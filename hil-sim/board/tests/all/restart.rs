@@ -149,7 +149,11 @@ fn the_last_32_trips_are_kept() {
 
 #[test]
 fn a_reset_while_driving_ends_safe_and_a_watchdog_s_is_latched() {
-    for cause in [ResetCause::Normal, ResetCause::Watchdog] {
+    for (cause, trips_by) in [
+        (ResetCause::Normal, None),
+        (ResetCause::Watchdog, Some(Cause::WatchdogReset)),
+        (ResetCause::Clock, Some(Cause::ClockFault)),
+    ] {
         let mut board = Restarts::new(&osmc_bench());
         let port = board.board.connect().expect("nobody is connected");
         let clock = board.simulation.clock();
@@ -174,12 +178,10 @@ fn a_reset_while_driving_ends_safe_and_a_watchdog_s_is_latched() {
         board.pass_ms(100);
         assert_eq!(board.board.world().relay_closed(ChannelId::new(ChannelKind::Relay, 0)), Some(false));
         board.session(async |host, _, _| {
-            let expected = match cause {
-                ResetCause::Normal => (SafetyState::Disarmed, Causes::NONE),
-                ResetCause::Watchdog => (SafetyState::Tripped, Causes::only(Cause::WatchdogReset)),
-            };
+            let expected = trips_by
+                .map_or((SafetyState::Disarmed, Causes::NONE), |cause| (SafetyState::Tripped, Causes::only(cause)));
             assert_eq!((host.info().state, host.info().causes), expected);
-            if cause == ResetCause::Watchdog {
+            if trips_by.is_some() {
                 assert!(host.arm().await.is_err());
                 host.clear().await.unwrap();
             }
