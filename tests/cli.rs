@@ -313,8 +313,9 @@ fn a_motor_that_cannot_move_is_an_error_in_bounded_time() {
 
 #[test]
 fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
-    // Stuck, and the stall is not looked for within the 30 s a move is given.
+    // Stuck, and neither a stall nor an overload is looked for within the 30 s a move is given.
     let robot = edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0;
+    let robot = edited(&robot, "[actuator.winding]", "rated_a", "rated_a = 1000.0").0;
     let own = Own::new(&edited(&robot, "[actuator.follow]", "error_m", "error_m = 1.0").0, &stuck());
     all_refused([
         (&["--board", &own.robot, "move", "actuator1", "25mm"][..], &["actuator1", "not settled", "30.0 s"][..]),

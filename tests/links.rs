@@ -486,7 +486,7 @@ fn clients_of_a_socket_do_not_disturb_each_other() {
     let mut noisy = connect();
     noisy.write_all(&noise).expect("written");
     let refused = served.r4(&["info"]);
-    assert!(refused.code == Some(1) && refused.err.contains("another host"), "{refused:?}");
+    assert!(refused.code == Some(4) && refused.err.contains("another host"), "{refused:?}");
     // It goes on all the same.
     next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
     watching.out = None;

@@ -278,7 +278,7 @@ impl Sealer {
         let transport = &mut *self.transport.lock().unwrap_or_else(PoisonError::into_inner);
         let len = transport.write_message(data, &mut record[2..]).map_err(broken)?;
         record[..2].copy_from_slice(&(len as u16).to_le_bytes());
-        if transport.sending_nonce() % self.rekey_every == 0 {
+        if transport.sending_nonce().is_multiple_of(self.rekey_every) {
             transport.rekey_outgoing();
         }
         Ok(record)
@@ -319,7 +319,7 @@ impl Opener {
             let mut opened = [0; MOST_DATA + TAG];
             let len = transport.read_message(record, &mut opened).map_err(|_| Distrust::Record)?;
             data.extend_from_slice(&opened[..len]);
-            if transport.receiving_nonce() % self.rekey_every == 0 {
+            if transport.receiving_nonce().is_multiple_of(self.rekey_every) {
                 transport.rekey_incoming();
             }
             self.part.drain(..2 + size);

@@ -57,13 +57,6 @@ impl Axis {
         }
     }
 
-    /// Takes what the duties of its loops are multiplied with, see [`super::compensation`].
-    pub(super) fn compensate(&mut self, factor: f32) {
-        if let Self::Measured(motor) = self {
-            motor.compensate(factor);
-        }
-    }
-
     /// The duty for the bridge, and what is wrong with how the motor answers.
     pub(super) fn step(&mut self) -> (f32, Causes) {
         match self {

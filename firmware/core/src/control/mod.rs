@@ -1,7 +1,6 @@
 //! The control loop: each period sense, close the loops, write the outputs.
 
 mod axis;
-pub mod compensation;
 mod inputs;
 pub mod motor;
 pub mod overload;

@@ -59,12 +59,8 @@ pub struct Motor {
     acceleration_now: f32,
     /// The end of its range the motor stands at: 1, -1, or 0.
     at_end: f32,
-    /// What the loops want at the nominal supply, or the commanded duty.
+    /// What the loops want, and what the bridge makes of it.
     duty: f32,
-    /// What makes the duty of a loop one at the measured supply.
-    factor: f32,
-    /// What the bridge is told, and what it makes of it.
-    output: f32,
     applied: f32,
     watch: Watch,
 }
@@ -166,8 +162,6 @@ impl Motor {
             acceleration_now: 0.0,
             at_end: 0.0,
             duty: 0.0,
-            factor: 1.0,
-            output: 0.0,
             applied: 0.0,
             watch: Watch::default(),
             period_s,
@@ -208,12 +202,6 @@ impl Motor {
     /// Takes a command, which dispatch has checked.
     pub fn command(&mut self, setpoint: Setpoint) {
         let last = core::mem::replace(&mut self.setpoint, setpoint);
-        let is_loop = |mode| matches!(mode, Mode::Position | Mode::Speed | Mode::Home);
-        match (matches!(self.following, Following::Duty), is_loop(setpoint.mode)) {
-            (true, true) => self.duty = self.output / self.factor,
-            (false, false) => self.duty = self.output,
-            _ => {}
-        }
         let repeated = setpoint == last;
         let shift = setpoint.value - self.target;
         if setpoint.mode == Mode::Position {
@@ -259,7 +247,6 @@ impl Motor {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
         self.following = Following::Duty;
         self.duty = 0.0;
-        self.output = 0.0;
         self.applied = 0.0;
         self.watch = Watch::default();
     }
@@ -275,10 +262,7 @@ impl Motor {
 
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
-        // A commanded duty is a share of whatever the supply is.
-        let factor = if let Following::Duty = self.following { 1.0 } else { self.factor };
-        let limits =
-            OutputLimits { magnitude: self.limits.magnitude / factor, slew_per_s: self.limits.slew_per_s / factor };
+        let limits = self.limits;
         let mut causes = Causes::NONE;
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
@@ -313,20 +297,10 @@ impl Motor {
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
         };
-        // The supply moves too, so that the slew limit of the loop is not that of the output. A motor at its end stops at once.
-        let slew = self.limits.slew_per_s * self.period_s;
-        let wanted = (self.duty * factor).within(self.output - slew, self.output + slew);
-        self.output = if self.duty == 0.0 { 0.0 } else { wanted.within(-self.limits.magnitude, self.limits.magnitude) };
-        let seen = Seen { duty: self.output, position: self.position, path_error, wants_motion };
+        let seen = Seen { duty: self.duty, position: self.position, path_error, wants_motion };
         let watched = self.watch.step(seen, resolution(self.control.feedback), self.period_s, &self.control);
-        (self.output, causes.union(watched))
+        (self.duty, causes.union(watched))
     }
-
-    /// Takes what the duties of its loops are multiplied with, see [`super::compensation`].
-    pub fn compensate(&mut self, factor: f32) {
-        self.factor = factor;
-    }
-
     /// Takes what the bridge made of the last duty: nothing, while it rests between directions.
     pub fn set_applied(&mut self, duty: f32) {
         self.applied = duty;

@@ -59,10 +59,15 @@ impl Overload {
 ///
 /// `duty` is what the bridge applies, `speed` in rad/s or m/s at the output, `supply_v` at the bridge. Between pulses both
 /// bridges short the motor, so its current does not stop and the mean voltage is the duty's share of the supply.
+///
+/// Never more than twice the stall current at `supply_v`, which is what full reverse at full speed takes: a speed that an
+/// encoder's fault makes up must not heat the model beyond what the supply can do.
 #[must_use]
 pub fn current_a(winding: &WindingConfig, duty: f32, speed: f32, supply_v: f32) -> f32 {
     let effective = (duty.abs() - winding.dead_duty).max(0.0);
-    (libm::copysignf(effective * supply_v, duty) - winding.back_emf * speed) / winding.resistance_ohm
+    let most_a = 2.0 * supply_v.abs() / winding.resistance_ohm;
+    let current_a = (libm::copysignf(effective * supply_v, duty) - winding.back_emf * speed) / winding.resistance_ohm;
+    current_a.clamp(-most_a, most_a)
 }
 
 #[cfg(test)]
@@ -92,6 +97,8 @@ mod tests {
         assert_eq!(current(-0.6, 2.0), -4.5);
         assert_eq!(current(0.1, 2.0), -1.5);
         assert_eq!(current(0.0, 0.0), 0.0);
+        // Twice the stall current of 6 A, whatever speed an encoder that jumps makes up.
+        assert_eq!((current(0.5, -1e6), current(-0.5, 1e6)), (12.0, -12.0));
     }
 
     #[test]

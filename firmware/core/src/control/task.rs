@@ -11,7 +11,6 @@ use r4_protocol::{
 
 use super::{
     axis::Axis,
-    compensation,
     inputs::Inputs,
     overload::{self, Overload},
     regeneration,
@@ -253,14 +252,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.sensors = causes;
     }
 
-    /// Tells every motor of its supply, and lets its winding warm by the current of the last period, and cool.
+    /// Lets every winding warm by the current of the last period, and cool.
     fn is_overloaded(&mut self) -> bool {
         let mut overloaded = false;
         for (motor, winding) in self.motors.iter_mut().zip(&mut self.windings) {
             let Some((overload, supply)) = winding else { continue };
             let winding = overload.winding();
             let supply = supply.and_then(|index| self.inputs.supply(index));
-            motor.compensate(compensation::factor(winding.nominal_v, supply.and_then(Supply::good_volts)));
             let sensed = winding
                 .current_sense
                 .and_then(|sense| Some((self.inputs.analog_v(sense.analog)? - sense.zero_v) / sense.volts_per_a));

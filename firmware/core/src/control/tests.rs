@@ -11,7 +11,6 @@ use super::{BoardIo, run};
 use crate::{
     ResetCause,
     safety::{Event, SafetyPins, supervise},
-    shared::Status,
     testing::{Board, Line, Peripherals, Registers, Tasks, board, robot},
 };
 
@@ -327,23 +326,4 @@ fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
     bench.drive(1, 0.5);
     let again_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
     assert!((expected_s - 0.1..=expected_s + 0.3).contains(&again_s), "{again_s} s");
-}
-
-/// Of two equal runs, at 24 V and at a fifth more.
-#[test]
-fn a_loops_duty_follows_the_supply_and_a_commanded_one_does_not() {
-    let applied = |supply_v: f32, mode: Mode, value: f32| {
-        let mut bench = Bench::armed();
-        bench.set_supply(0, supply_v);
-        bench.advance(100);
-        assert_eq!(bench.shared.command(Place::Motor(0), Setpoint { mode, value }, Instant::now().as_micros()), Ok(()));
-        // 0.2 rad/s is reached in 20 ms of the path; the integral loads by the same error in every run.
-        bench.advance(200);
-        let Status::Motor(status) = bench.shared.status(Place::Motor(0)) else { panic!("a motor's") };
-        status.duty
-    };
-    let [nominal, high] = [24.0, 28.8].map(|supply_v| applied(supply_v, Mode::Speed, 0.2));
-    // 24 / 28.8, and a code of the supply.
-    assert!((high / nominal - 24.0 / 28.8).abs() < 1e-3, "{high} of {nominal}");
-    assert_eq!(applied(28.8, Mode::Duty, 0.3), 0.3);
 }

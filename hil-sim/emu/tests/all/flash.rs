@@ -84,7 +84,10 @@ fn parameters_survive_a_restart_that_the_host_asks_for() {
         assert!(info.device_us < 150_000, "its clock began anew: {} us", info.device_us);
         assert_eq!((&info.robot[..], info.link_timeout_ms), OLD);
     });
-    assert_eq!(misuse, Vec::<String>::new());
+    // The reset may fall into the read-back of a chip, which then holds a bit that nobody reads.
+    let cut = |line: &&String| line.contains("read of no bytes");
+    assert_eq!(misuse.iter().filter(|line| !cut(line)).collect::<Vec<_>>(), Vec::<&String>::new());
+    assert!(misuse.iter().filter(cut).count() <= 1, "{misuse:?}");
 }
 
 /// The power goes in each step of a save: the next start has the old or the new, all of it, and a save works again.

@@ -194,7 +194,9 @@ impl Hosts<'_> {
                 heartbeat_s += HEARTBEAT_S;
                 self.send(Packet::default().with("H", "R4-ROS2"));
             }
-            if now_s >= telemetry_s {
+            // Not before the board has said what both do: the published client reads every field of every packet.
+            let is_known = !duties.is_empty() && (volts.is_some() || steer.unit == Unit::Duty);
+            if now_s >= telemetry_s && is_known {
                 telemetry_s += TELEMETRY_S;
                 let mut packet = Packet::default();
                 if let Some(volts) = volts {

@@ -80,7 +80,7 @@ pub(crate) fn run() -> Vec<u8> {
         };
         let (state, causes) = match tick {
             ..18 => (SafetyState::Armed, Causes::NONE),
-            18.. => (SafetyState::Tripped, Causes::only(Cause::DeadMan).union(Causes::from_bits(0x8000))),
+            18.. => (SafetyState::Tripped, Causes::only(Cause::DeadMan)),
         };
         let samples = [
             motor(OSMC, Mode::Position, 1.5),
