@@ -802,7 +802,7 @@ fn a_flash_that_is_damaged_or_of_another_robot_is_noticed() {
     let seen = kept.r4(&["info"]);
     assert!(seen.code == Some(0) && seen.err.contains("its parameters are damaged"), "{seen:?}");
     let sector = whole.len() / 4;
-    let noise = (0..whole.len()).map(|at| (at * 7919 >> 3) as u8).collect();
+    let noise = (0..whole.len()).map(|at| ((at * 7919) >> 3) as u8).collect();
     for bad in [whole[..sector].to_vec(), whole[..whole.len() - 1].to_vec(), whole[..33].to_vec(), noise] {
         fs::write(kept.file("flash"), &bad).unwrap();
         kept.refused(&["info"], &["flash", "not the flash of a simulated board", "another file"]);

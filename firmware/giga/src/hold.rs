@@ -39,7 +39,7 @@ fn hold(config: &BoardConfig, mhz: u32) -> ! {
     loop {
         let next = Deadline::after_us(PERIOD_US, mhz);
         safety_pins::stop();
-        safety_pins::show_hold(sweeps / HALF_FLASH % 2 == 0);
+        safety_pins::show_hold((sweeps / HALF_FLASH).is_multiple_of(2));
         // A chip that does not answer now is told again in the next turn.
         let _ = sweeper.sweep(config);
         watchdog::feed();
