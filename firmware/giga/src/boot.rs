@@ -183,9 +183,9 @@ mod before_memory {
 
 /// Boots, and runs the tasks for ever.
 ///
-/// Outputs come first: the stop lines, then every output chip, and only then what takes its time or may fail.
+/// Outputs come first: `main` has driven the stop lines; then every output chip, and only then what takes its time or may
+/// fail.
 pub(crate) fn run() -> ! {
-    safety_pins::claim();
     watchdog::start();
     quiet();
     processor();

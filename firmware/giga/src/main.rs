@@ -54,6 +54,8 @@ use cortex_m_rt::entry;
 
 #[entry]
 fn main() -> ! {
+    // Bridges off before the memories are filled, which takes tens of thousands of instructions; what it calls lies in flash.
+    safety_pins::claim();
     // Before anything that may lie there.
     tcm::load();
     boot::run()

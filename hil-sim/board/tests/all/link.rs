@@ -302,10 +302,10 @@ async fn is_followed_after(
     then: impl AsyncFnOnce(&mut RawHost, u64),
 ) -> bool {
     let session = host.hello().await.session;
-    host.ask(Request::Clear).await.unwrap();
-    host.ask(Request::Arm).await.unwrap();
+    host.ask(Request::Clear).await.expect("accepted");
+    host.ask(Request::Arm).await.expect("accepted");
     let sent_us = now_us(device);
-    host.ask(set_at(sent_us, info.id, setpoint.mode, setpoint.value)).await.unwrap();
+    host.ask(set_at(sent_us, info.id, setpoint.mode, setpoint.value)).await.expect("accepted");
     // The supply of the motors comes 50 ms after arming.
     wait(host, session, 110).await;
     then(host, sent_us).await;
