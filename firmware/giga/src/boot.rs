@@ -55,7 +55,7 @@ use crate::{
     pins::{self, pin},
     ranging::{self, Rangers},
     reset::{self, Mode, Start},
-    safety_pins::{self, Drive, Flashes, Line},
+    safety_pins::{Drive, Flashes, Line},
     steppers::{self, Generators},
     supply,
     sweep::{self, Sweeper},
