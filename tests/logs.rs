@@ -83,7 +83,8 @@ fn every_verb_is_recorded_and_played_again_to_the_last_bit() {
         assert_eq!(code(&replay), Some(0), "{verb:?}: {told}{}{}", stdout(&replay), stderr(&replay));
         let replay = json(&replay);
         assert_eq!((&replay["identical"], &replay["seed"]), (&true.into(), &5.into()), "{verb:?}");
-        assert!(bytes(&folder, log) == bytes(&folder, "b.mcap"), "{verb:?}: the files differ");
+        let table = |log: &str| r4(&folder, &["log", "export", log, "--csv", "-"]).stdout;
+        assert!(table(log) == table("b.mcap"), "{verb:?}: the tables differ");
     }
 }
 
@@ -166,8 +167,14 @@ fn info_tells_what_was_done_and_what_is_missing() {
     assert_eq!(info["requests"], serde_json::json!({"arm": 1, "bye": 1, "disarm": 1, "set": 1, "subscribe": 1}));
     let states: Vec<_> = info["states"].as_array().expect("states").iter().map(|state| &state["state"]).collect();
     assert_eq!(states, ["disarmed", "armed"]);
+    let (command, program) = (info["command"].as_str(), info["program"].as_str());
+    assert_eq!(command, Some("r4 move osmc0 90deg --seed 5 --record move.mcap"), "{info}");
+    assert!(program.is_some_and(|program| program.starts_with("r4 ")), "{info}");
+    // Not before this was written, nor in the far future: the machine's clock.
+    let at = info["recorded_at"].as_str().expect("a date");
+    assert!(("2025-01-01T00:00:00Z".."2200").contains(&at), "{at}");
     let told = stdout(&r4(&folder, &["log", "info", "move.mcap"]));
-    for expected in ["seed 5", "1 arm", "osmc0", "100.0"] {
+    for expected in ["recorded  20", "command   ", "seed 5", "1 arm", "osmc0", "100.0"] {
         assert!(told.contains(expected), "{expected}: {told}");
     }
 }

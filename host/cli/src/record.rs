@@ -2,17 +2,20 @@
 
 use std::{
     cell::RefCell,
+    env,
     fs::{self, File},
     io::{self, BufWriter, Cursor, Seek, SeekFrom, Write},
     path::PathBuf,
     rc::Rc,
     sync::atomic::{AtomicBool, Ordering},
+    time::{SystemTime, UNIX_EPOCH},
 };
 
 use anyhow::{Context, bail};
 use embedded_io_async::{ErrorType, Read};
 use r4_driver::Clock as _;
-use r4_log::{About, Tap};
+use r4_links::RealClock;
+use r4_log::{About, Tap, Wall};
 use r4_sim::Pace;
 
 use crate::{
@@ -60,7 +63,29 @@ pub(crate) fn tap(args: &Args, output: Output) -> SharedTap {
         Target::Sim(_) | Target::Emu(_) => Some(args.seed),
         Target::Link(_) => None,
     };
-    Rc::new(RefCell::new(Tap::new(output, About { board: args.board.to_string(), seed })))
+    let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
+    let wall = match args.board {
+        Target::Sim(_) | Target::Emu(_) => Wall::Began { unix_ns },
+        Target::Link(_) => Wall::Runs { unix_ns_at_zero: unix_ns.saturating_sub(RealClock.now_us() * 1_000) },
+    };
+    let about = About {
+        board: args.board.to_string(),
+        seed,
+        program: concat!("r4 ", env!("CARGO_PKG_VERSION")).to_owned(),
+        command: typed(env::args().skip(1)),
+        wall,
+    };
+    Rc::new(RefCell::new(Tap::new(output, about)))
+}
+
+/// The command line with these arguments, as a shell reads it.
+fn typed(arguments: impl Iterator<Item = String>) -> String {
+    let plain = |char: char| char.is_ascii_alphanumeric() || "-_./:=,@%+#".contains(char);
+    let quoted = |word: String| match !word.is_empty() && word.chars().all(plain) {
+        true => word,
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    };
+    arguments.map(quoted).fold("r4".to_owned(), |line, word| line + " " + &word)
 }
 
 /// A session has been recorded, or is being.
@@ -201,5 +226,17 @@ impl<L: embedded_io_async::Write> embedded_io_async::Write for Listened<L> {
 
     async fn flush(&mut self) -> Result<(), L::Error> {
         self.link.flush().await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_is_kept_as_a_shell_reads_it() {
+        let words = ["uart", "0", "--write", "it's 5 V", "--board", "can:can0#5", ""];
+        let kept = typed(words.into_iter().map(str::to_owned));
+        assert_eq!(kept, r"r4 uart 0 --write 'it'\''s 5 V' --board can:can0#5 ''");
     }
 }

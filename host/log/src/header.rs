@@ -31,6 +31,43 @@ pub struct Header {
     pub channels: Vec<ChannelInfo>,
     /// Seed of a virtual board's noise; `None` for a real board, and in the first logs of this format.
     pub seed: Option<u64>,
+    /// When and how; `None` in earlier logs.
+    pub recorded: Option<Recorded>,
+}
+
+/// When, by which program and by which command a run was recorded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Recorded {
+    /// Wall clock when the session with the board was opened, ns since 1970-01-01T00:00:00Z.
+    pub unix_ns: u64,
+    /// Name and version of the program.
+    pub program: String,
+    /// Its command line.
+    pub command: String,
+    /// Wall clock minus the board's clock, ns, on a board in real time: the log times of its messages are wall-clock times. A
+    /// virtual board's are its own.
+    pub clock_offset_ns: Option<i64>,
+}
+
+impl Recorded {
+    /// `unix_ns` as RFC 3339 has it, in UTC, in whole seconds.
+    #[must_use]
+    pub fn at(&self) -> String {
+        let seconds = self.unix_ns / 1_000_000_000;
+        let (days, of_day) = (seconds / 86_400, seconds % 86_400);
+        // The proleptic Gregorian calendar repeats every 400 years of 146 097 days; counted from 1 March of year 0, leap days
+        // are at the ends of years.
+        let since_0 = days + 719_468;
+        let (era, of_era) = (since_0 / 146_097, since_0 % 146_097);
+        let year_of_era = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+        let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+        let from_march = (5 * of_year + 2) / 153;
+        let day = of_year - (153 * from_march + 2) / 5 + 1;
+        let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
+        let year = era * 400 + year_of_era + u64::from(month <= 2);
+        let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
+        format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+    }
 }
 
 /// Why a metadata record is no [`Header`].
@@ -52,6 +89,14 @@ impl Header {
             ("channels".to_owned(), serde_json::to_string(&channels)?),
         ]);
         metadata.extend(self.seed.map(|seed| ("seed".to_owned(), seed.to_string())));
+        if let Some(recorded) = &self.recorded {
+            metadata.insert("recorded_at".to_owned(), recorded.at());
+            metadata.insert("recorded_unix_ns".to_owned(), recorded.unix_ns.to_string());
+            metadata.insert("program".to_owned(), recorded.program.clone());
+            metadata.insert("command".to_owned(), recorded.command.clone());
+            let offset = recorded.clock_offset_ns;
+            metadata.extend(offset.map(|offset_ns| ("clock_offset_ns".to_owned(), offset_ns.to_string())));
+        }
         Ok(metadata)
     }
 
@@ -77,8 +122,22 @@ impl Header {
                 .map(|seed| seed.parse())
                 .transpose()
                 .map_err(|_| BadHeader::Field { key: "seed" })?,
+            recorded: recorded(metadata)?,
         })
     }
+}
+
+fn recorded(metadata: &BTreeMap<String, String>) -> Result<Option<Recorded>, BadHeader> {
+    let Some(unix_ns) = metadata.get("recorded_unix_ns") else { return Ok(None) };
+    let bad = |key| BadHeader::Field { key };
+    let text = |key: &str| metadata.get(key).cloned().unwrap_or_default();
+    let offset_ns = metadata.get("clock_offset_ns").map(|offset_ns| offset_ns.parse()).transpose();
+    Ok(Some(Recorded {
+        unix_ns: unix_ns.parse().map_err(|_| bad("recorded_unix_ns"))?,
+        program: text("program"),
+        command: text("command"),
+        clock_offset_ns: offset_ns.map_err(|_| bad("clock_offset_ns"))?,
+    }))
 }
 
 /// The name of `mode` in a file.
@@ -172,5 +231,29 @@ impl ChannelRecord {
             info.modes.push(mode?).ok()?;
         }
         Some(info)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        let at = |seconds: u64| {
+            let unix_ns = seconds * 1_000_000_000;
+            Recorded { unix_ns, program: String::new(), command: String::new(), clock_offset_ns: None }.at()
+        };
+        // By `date -u -d @SECONDS`.
+        for (seconds, date) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_709_251_199, "2024-02-29T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+            (18_446_744_073, "2554-07-21T23:34:33Z"),
+        ] {
+            assert_eq!(at(seconds), date);
+        }
     }
 }

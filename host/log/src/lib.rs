@@ -20,15 +20,16 @@
 //!
 //! `sent_us` is the host's clock since it said hello: what is needed to send the same again at the same moments.
 //!
-//! Every other time is the board's. No file holds a wall clock, a host name or anything drawn at random: two identical runs
-//! make identical bytes.
+//! Publish times are the board's clock. Log times are the same for a virtual board, and wall-clock times for a board in real
+//! time. The metadata record also says when the run was recorded, by which program and command. Two identical runs of a virtual
+//! board have identical messages, to the last bit.
 //!
 //! ```
 //! # use std::io::Cursor;
 //! # use r4_log::{Header, Log, Recorder};
 //! # use r4_protocol::{Causes, SafetyState};
 //! let header = Header { robot: "osmc-bench".into(), board: "sim:osmc-bench".into(), firmware: "0.1.0".into(),
-//!     protocol_version: r4_protocol::VERSION, channels: Vec::new(), seed: Some(1) };
+//!     protocol_version: r4_protocol::VERSION, channels: Vec::new(), seed: Some(1), recorded: None };
 //! let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header)?;
 //! recorder.state(1_000, SafetyState::Armed, Causes::NONE)?;
 //! let file = recorder.finish()?.into_inner();
@@ -53,7 +54,7 @@ mod tap;
 
 pub use compare::{Difference, compare};
 pub use coverage::Coverage;
-pub use header::Header;
+pub use header::{Header, Recorded};
 pub use read::{
     EncoderSample, EncoderSeries, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
     MotorSeries, ReadingSample, ReadingSeries, ScalarSeries, StateChange, Warning,
@@ -61,4 +62,4 @@ pub use read::{
 pub use record::{RecordError, Recorder};
 pub use request::request_name;
 pub use signal::{Kind, Signal, Value};
-pub use tap::{About, Tap};
+pub use tap::{About, Tap, Wall};

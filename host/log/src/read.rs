@@ -474,14 +474,14 @@ impl Reader {
         let Some(topic) = self.topics.get(&header.channel_id) else { return };
         let Some(content) = topic.content.clone() else { return };
         // exact up to 2^53 ns, 104 days; the nearest nanoseconds beyond
-        let time_s = header.log_time as f64 / 1e9;
+        let time_s = header.publish_time as f64 / 1e9;
         let taken = match content {
             Content::Motor(id) => self.motor(id, time_s, data),
             Content::Encoder(id) => self.encoder(id, time_s, data),
             Content::Reading(id) => self.reading(id, time_s, data),
             Content::Scalar(id) => self.scalar(id, time_s, data),
             Content::State => self.state(time_s, data),
-            Content::Command => self.command(time_s, header.log_time / 1000, data),
+            Content::Command => self.command(time_s, header.publish_time / 1000, data),
             Content::Request => self.request(time_s, data),
             Content::Refusal => self.refusal(time_s, data),
         };

@@ -65,6 +65,8 @@ struct Topic {
 pub struct Recorder<W: Write + Seek> {
     mcap: Writer<W>,
     channels: Vec<ChannelInfo>,
+    /// Log time minus the board's clock, ns.
+    offset_ns: i64,
     topics: BTreeMap<String, Topic>,
     state: Option<(SafetyState, Causes)>,
 }
@@ -81,7 +83,8 @@ impl<W: Write + Seek> Recorder<W> {
             .library(concat!("r4-log/", env!("CARGO_PKG_VERSION")))
             .create(writer)?;
         mcap.write_metadata(&Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? })?;
-        Ok(Self { mcap, channels: header.channels.clone(), topics: BTreeMap::new(), state: None })
+        let offset_ns = header.recorded.as_ref().and_then(|recorded| recorded.clock_offset_ns).unwrap_or_default();
+        Ok(Self { mcap, channels: header.channels.clone(), offset_ns, topics: BTreeMap::new(), state: None })
     }
 
     /// Records every sample of a frame, and the safety state where it changed.
@@ -220,7 +223,9 @@ impl<W: Write + Seek> Recorder<W> {
         schema: impl FnOnce() -> Schema,
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
-        let log_time = device_us.checked_mul(1_000).ok_or(RecordError::TimeOutOfRange { device_us })?;
+        let out_of_range = RecordError::TimeOutOfRange { device_us };
+        let Some(publish_time) = device_us.checked_mul(1_000) else { return Err(out_of_range) };
+        let Some(log_time) = publish_time.checked_add_signed(self.offset_ns) else { return Err(out_of_range) };
         let data = serde_json::to_vec(message)?;
         let topic = match self.topics.get_mut(name) {
             Some(topic) => topic,
@@ -231,7 +236,7 @@ impl<W: Write + Seek> Recorder<W> {
                 self.topics.entry(name.to_owned()).or_insert(Topic { id, messages: 0 })
             }
         };
-        let header = MessageHeader { channel_id: topic.id, sequence: topic.messages, log_time, publish_time: log_time };
+        let header = MessageHeader { channel_id: topic.id, sequence: topic.messages, log_time, publish_time };
         topic.messages = topic.messages.wrapping_add(1);
         Ok(self.mcap.write_to_known_channel(&header, &data)?)
     }

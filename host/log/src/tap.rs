@@ -9,7 +9,7 @@ use r4_protocol::{
     ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION,
 };
 
-use crate::{Header, RecordError, Recorder};
+use crate::{Header, RecordError, Recorded, Recorder};
 
 /// What a link's bytes do not say of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,6 +18,27 @@ pub struct About {
     pub board: String,
     /// Seed of a virtual board's noise.
     pub seed: Option<u64>,
+    /// Name and version of the recording program.
+    pub program: String,
+    /// Its command line.
+    pub command: String,
+    /// Wall clock.
+    pub wall: Wall,
+}
+
+/// Wall clock of a recording, ns since 1970-01-01T00:00:00Z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wall {
+    /// At the beginning; the host's clock is a virtual one.
+    Began {
+        /// Then.
+        unix_ns: u64,
+    },
+    /// The host's clock goes with it.
+    Runs {
+        /// When the host's clock was 0.
+        unix_ns_at_zero: u64,
+    },
 }
 
 /// Listens to both directions of a link and records what board and host say.
@@ -245,6 +266,20 @@ impl<W: Write + Seek> Tap<W> {
         // Any other way on leads through `check`.
         let file = match std::mem::replace(&mut self.file, File::Failed(RecordError::Ended)) {
             File::Before(writer) => {
+                let offset_us = self.clock.map_or(0, |offset| offset.us);
+                let (unix_ns, clock_offset_ns) = match self.about.wall {
+                    Wall::Began { unix_ns } => (unix_ns, None),
+                    Wall::Runs { unix_ns_at_zero } => (
+                        unix_ns_at_zero.saturating_add(self.begin_us.unwrap_or_default().saturating_mul(1_000)),
+                        unix_ns_at_zero.cast_signed().checked_sub(offset_us.saturating_mul(1_000)),
+                    ),
+                };
+                let recorded = Recorded {
+                    unix_ns,
+                    program: self.about.program.clone(),
+                    command: self.about.command.clone(),
+                    clock_offset_ns,
+                };
                 let header = Header {
                     robot: info.robot.to_string(),
                     board: self.about.board.clone(),
@@ -252,6 +287,7 @@ impl<W: Write + Seek> Tap<W> {
                     protocol_version: VERSION,
                     channels: self.channels.clone(),
                     seed: self.about.seed,
+                    recorded: Some(recorded),
                 };
                 let mut recorder = Recorder::new(writer, &header)?;
                 recorder.state(info.device_us, info.state, info.causes)?;

@@ -14,7 +14,7 @@ use r4_firmware::storage::{
 };
 use r4_fuzz::script::{WAIT, frame, of_messages};
 use r4_links::legacy::Packet;
-use r4_log::{About, Tap};
+use r4_log::{About, Tap, Wall};
 use r4_plants::{Model, PlantSpec, catalogue};
 use r4_protocol::{FrameDecoder, Mode, Setpoint, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 use r4_sim::{Pace, SimBoard, Simulation, flash::Flash};
@@ -42,7 +42,16 @@ fn main() {
         write("dispatcher", name, &timed(&said, |said| said.by_host, plain::<ToDevice>));
         write("driver", name, &timed(&said, |said| !said.by_host, plain::<ToHost>));
         write("tap", name, &by_turns(&said));
-        let mut tap = Tap::new(Cursor::new(Vec::new()), About { board: format!("sim:{robot}"), seed: Some(1) });
+        let mut tap = Tap::new(
+            Cursor::new(Vec::new()),
+            About {
+                board: format!("sim:{robot}"),
+                seed: Some(1),
+                program: "a test".into(),
+                command: "record".into(),
+                wall: Wall::Began { unix_ns: 0 },
+            },
+        );
         for said in &said {
             if said.by_host { tap.sent(said.at_us, &said.bytes) } else { tap.received(said.at_us, &said.bytes) }
         }

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, convert::Infallible, io::Cursor};
 
 use embedded_io_async::{ErrorType, Read, Write};
 use r4_driver::with_board;
-use r4_log::{About, Log, Tap, Warning};
+use r4_log::{About, Log, Tap, Wall, Warning};
 use r4_protocol::{Mode, Setpoint};
 use r4_sim::{Clock, Pace, Simulation};
 
@@ -110,7 +110,16 @@ pub fn driver(script: &[u8]) -> bool {
 /// # Panics
 /// When it cannot.
 pub fn tap(script: &[u8]) -> bool {
-    let mut tap = Tap::new(Cursor::new(Vec::new()), About { board: "sim:osmc-bench".into(), seed: Some(1) });
+    let mut tap = Tap::new(
+        Cursor::new(Vec::new()),
+        About {
+            board: "sim:osmc-bench".into(),
+            seed: Some(1),
+            program: "a test".into(),
+            command: "record".into(),
+            wall: Wall::Began { unix_ns: 0 },
+        },
+    );
     let mut now_us = 0;
     for (number, step) in steps(script).enumerate() {
         match step {

@@ -67,7 +67,8 @@ struct Report {
     rows: Vec<Row>,
     simulated_s: f64,
     real_time_factor: f64,
-    log_sha256: String,
+    /// Of the log as a table, which is the same for the same board and seed. `r4 log export LOG --csv - | sha256sum` prints it.
+    table_sha256: String,
     log: PathBuf,
     report: PathBuf,
 }
@@ -84,7 +85,10 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let report_path = demo.out.join("report.html");
     fs::create_dir_all(&demo.out).with_context(|| format!("cannot make the folder {}", demo.out.display()))?;
     write(&log_path, &log)?;
-    let page = report::html(&Log::from_bytes(&log)?, "OSMC evaluation", &[page_table(&rows, &args.board.to_string())]);
+    let log = Log::from_bytes(&log)?;
+    let mut table = Vec::new();
+    log.write_csv(&mut table)?;
+    let page = report::html(&log, "OSMC evaluation", &[page_table(&rows, &args.board.to_string())]);
     write(&report_path, page.as_bytes())?;
 
     let met = rows.len() == ROTARY.0.len() + LINEAR.0.len() && rows.iter().all(|row| row.met);
@@ -93,7 +97,7 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
         rows,
         simulated_s: elapsed.simulated_s,
         real_time_factor: elapsed.real_time_factor(),
-        log_sha256: Sha256::digest(&log).iter().map(|byte| format!("{byte:02x}")).collect(),
+        table_sha256: Sha256::digest(&table).iter().map(|byte| format!("{byte:02x}")).collect(),
         log: log_path,
         report: report_path,
     };
@@ -216,7 +220,7 @@ fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
         elapsed.wall_s,
         elapsed.real_time_factor()
     ))?;
-    output::line(format_args!("log    {} (sha256 {})", report.log.display(), &report.log_sha256[..16]))?;
+    output::line(format_args!("log    {} (table sha256 {})", report.log.display(), &report.table_sha256[..16]))?;
     Ok(output::line(format_args!("report {}", report.report.display()))?)
 }
 

@@ -348,6 +348,7 @@ mod tests {
             protocol_version: 1,
             channels: vec![motor],
             seed: None,
+            recorded: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..ticks {
@@ -411,6 +412,7 @@ mod tests {
             protocol_version: 3,
             channels: vec![range.clone(), encoder.clone()],
             seed: None,
+            recorded: None,
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..200_i16 {

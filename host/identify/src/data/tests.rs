@@ -446,6 +446,7 @@ fn log() -> Vec<u8> {
             channel(supply, Unit::V, 0.0, &[]),
         ],
         seed: None,
+        recorded: None,
     };
     let mut recorder = Recorder::new(std::io::Cursor::new(Vec::new()), &header).unwrap();
     for tick in 0..8_i16 {

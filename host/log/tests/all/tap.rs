@@ -4,7 +4,7 @@
 use std::io::Cursor;
 
 use crate::common::{OSMC, header};
-use r4_log::{About, Log, LoggedRequest, Tap};
+use r4_log::{About, Log, LoggedRequest, Recorded, Tap, Wall};
 use r4_protocol::{
     Cause, Causes, DeviceInfo, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
     ToDevice, ToHost, VERSION, config::PidGains, encode_frame, frame::MAX_FRAME,
@@ -15,8 +15,17 @@ fn frame(message: &impl Serialize) -> Vec<u8> {
     encode_frame(message, &mut [0; MAX_FRAME]).unwrap().to_vec()
 }
 
-fn tap() -> Tap<Cursor<Vec<u8>>> {
-    Tap::new(Cursor::new(Vec::new()), About { board: "sim:osmc-bench".into(), seed: Some(3) })
+fn tap(wall: Wall) -> Tap<Cursor<Vec<u8>>> {
+    Tap::new(
+        Cursor::new(Vec::new()),
+        About {
+            board: "sim:osmc-bench".into(),
+            seed: Some(3),
+            program: "a test".into(),
+            command: "record".into(),
+            wall,
+        },
+    )
 }
 
 /// A tap and both ends of its link. The board's clock is 5 s ahead.
@@ -39,7 +48,11 @@ impl Link {
 
     /// Says hello at 100 us and describes every channel until 1 ms.
     fn open() -> Self {
-        let mut link = Self { tap: tap(), seq: 65_000 };
+        Self::open_at(Wall::Began { unix_ns: 0 })
+    }
+
+    fn open_at(wall: Wall) -> Self {
+        let mut link = Self { tap: tap(wall), seq: 65_000 };
         link.ask(100, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
         let channels = header().channels;
         let info = DeviceInfo {
@@ -63,6 +76,22 @@ impl Link {
     fn log(self) -> Log {
         Log::from_bytes(self.tap.finish().unwrap().unwrap().get_ref()).unwrap()
     }
+}
+
+#[test]
+fn log_times_of_a_board_in_real_time_are_those_of_the_wall() {
+    const ZERO_NS: u64 = 1_700_000_000_000_000_000;
+    let mut link = Link::open_at(Wall::Runs { unix_ns_at_zero: ZERO_NS });
+    link.ask(2_000, Request::Arm);
+    let file = link.tap.finish().unwrap().unwrap().into_inner();
+    let log = Log::from_bytes(&file).unwrap();
+    let recorded = log.header.recorded.unwrap();
+    // The hello was said at 100 us. By `date -u -d @1700000000`.
+    assert_eq!((recorded.unix_ns, recorded.at()), (ZERO_NS + 100_000, "2023-11-14T22:13:20Z".to_owned()));
+    let messages = mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
+    let arm = messages.filter(|message| message.channel.topic == "/request").last().unwrap();
+    assert_eq!((arm.log_time, arm.publish_time), (ZERO_NS + 2_000_000, (AHEAD_US + 2_000) * 1_000));
+    assert_eq!(log.requests[0].time_s, (AHEAD_US + 2_000) as f64 / 1e6);
 }
 
 #[test]
@@ -94,7 +123,8 @@ fn a_session_is_recorded_with_everything_that_was_asked_for() {
     link.ask(7_000, Request::Bye);
     assert_eq!((link.tap.samples(), link.tap.bad_frames(), link.tap.began_us()), (1, 0, Some(100)));
     let log = link.log();
-    assert_eq!(log.header, r4_log::Header { seed: Some(3), ..header() });
+    let recorded = Recorded { unix_ns: 0, program: "a test".into(), command: "record".into(), clock_offset_ns: None };
+    assert_eq!(log.header, r4_log::Header { seed: Some(3), recorded: Some(recorded), ..header() });
     assert_eq!(log.warnings, []);
     let asked: Vec<_> = log.requests.iter().map(|logged| (logged.sent_us, logged.to_string())).collect();
     let expected = [
@@ -153,7 +183,7 @@ fn damaged_frames_are_counted_and_the_next_good_one_is_recorded() {
 
 #[test]
 fn without_a_board_nothing_is_written() {
-    let mut link = Link { tap: tap(), seq: 0 };
+    let mut link = Link { tap: tap(Wall::Began { unix_ns: 0 }), seq: 0 };
     link.ask(0, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
     link.tap.received(10, b"login: \0\0ATZ\0");
     assert!(link.tap.failure().is_none() && link.tap.finish().unwrap().is_none());
@@ -176,7 +206,16 @@ fn a_full_disk_ends_the_recording_and_says_so() {
             Ok(0)
         }
     }
-    let mut tap = Tap::new(Full, About { board: "tcp:localhost:1".into(), seed: None });
+    let mut tap = Tap::new(
+        Full,
+        About {
+            board: "tcp:localhost:1".into(),
+            seed: None,
+            program: "a test".into(),
+            command: "record".into(),
+            wall: Wall::Began { unix_ns: 0 },
+        },
+    );
     let info = DeviceInfo {
         robot: "a".try_into().unwrap(),
         firmware: "0.1.0".try_into().unwrap(),

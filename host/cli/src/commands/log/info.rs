@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use r4_log::{Coverage, Log, request_name};
+use r4_log::{Coverage, Log, Recorded, request_name};
 use serde::Serialize;
 
 use super::read;
@@ -16,6 +16,10 @@ pub(super) struct Info<'a> {
     board: &'a str,
     firmware: &'a str,
     protocol: u16,
+    /// Wall clock, RFC 3339.
+    recorded_at: Option<String>,
+    program: Option<&'a str>,
+    command: Option<&'a str>,
     seed: Option<u64>,
     /// The board's clock at the first thing recorded.
     start_s: Option<f64>,
@@ -98,6 +102,9 @@ impl<'a> Info<'a> {
             board: &header.board,
             firmware: &header.firmware,
             protocol: header.protocol_version,
+            recorded_at: header.recorded.as_ref().map(Recorded::at),
+            program: header.recorded.as_ref().map(|recorded| recorded.program.as_str()),
+            command: header.recorded.as_ref().map(|recorded| recorded.command.as_str()),
             seed: header.seed,
             start_s: log.time_span_s().map(|(start_s, _)| start_s),
             duration_s: log.duration_s(),
@@ -125,6 +132,10 @@ impl<'a> Info<'a> {
         let seed = self.seed.map_or_else(String::new, |seed| format!(", seed {seed}"));
         output::line(format_args!("board     {}{seed}", self.board))?;
         output::line(format_args!("firmware  {}, protocol {}", self.firmware, self.protocol))?;
+        if let (Some(at), Some(program), Some(command)) = (&self.recorded_at, self.program, self.command) {
+            output::line(format_args!("recorded  {at} by {program}"))?;
+            output::line(format_args!("command   {command}"))?;
+        }
         let start =
             self.start_s.map_or_else(String::new, |start_s| format!(", from {start_s:.3} s of the board's clock"));
         output::line(format_args!("time      {:.3} s{start}", self.duration_s))?;

@@ -59,6 +59,7 @@ pub(crate) fn header() -> Header {
             channel(RANGE, Unit::M, Range::new(0.02, 4.0), 0.0, &[]),
         ],
         seed: Some(7),
+        recorded: None,
     }
 }
 
