@@ -146,9 +146,11 @@ fn a_lost_link_comes_back_and_says_why_it_was_lost() {
     let tty = folder.path().join("tty");
     let how = format!("--pty={}", path(&tty));
     let served = Served::new("osmc-bench", &how);
-    let watching = start(command(&["--board", &served.board, "watch", "osmc0", "--json"]));
+    let log = folder.path().join("gap.mcap");
+    let watching = start(command(&["--board", &served.board, "watch", "osmc0", "--json", "--record", path(&log)]));
     let out = watching.out.as_ref().expect("stdout");
     next(out, watching.begin).expect("a line");
+    let watched = Instant::now();
     // As unplugging and plugging in again a board that USB gives its power.
     drop(served);
     let lost = next(&watching.err, watching.begin).expect("a word of it");
@@ -162,6 +164,19 @@ fn a_lost_link_comes_back_and_says_why_it_was_lost() {
     let line =
         std::iter::from_fn(|| next(out, watching.begin)).find(|line| object(line)["time_s"].as_f64() < Some(2.0));
     assert!(line.is_some(), "lines of the board that has started anew");
+
+    // The recording went on, with a gap in it.
+    let interrupted =
+        Command::new("kill").args(["-INT", &watching.child.id().to_string()]).status().expect("kill runs");
+    assert!(interrupted.success());
+    assert_eq!(watching.finish().code, Some(0));
+    let info = good_json(&["log", "info", path(&log), "--json"]);
+    let gaps = array(&info, "gaps");
+    assert_eq!((gaps.len(), &gaps[0]["restarted"]), (1, &true.into()), "{info}");
+    let without_link_s = number(&gaps[0], "without_link_s");
+    assert!((0.0..returned.duration_since(watched).as_secs_f64() + 1.0).contains(&without_link_s), "{without_link_s}");
+    assert_eq!((&info["warnings"], &info["missing"]), (&serde_json::json!([]), &0.into()), "{info}");
+    assert_eq!(info["requests"]["subscribe"], 2, "once each session");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::{
     cell::RefCell,
     env,
     fs::{self, File},
-    io::{self, BufWriter, Cursor, Seek, SeekFrom, Write},
+    io::{self, BufWriter, Cursor, Write},
     path::PathBuf,
     rc::Rc,
     sync::atomic::{AtomicBool, Ordering},
@@ -41,15 +41,6 @@ impl Write for Output {
         match self {
             Self::File(file) => file.flush(),
             Self::Memory(memory) => memory.flush(),
-        }
-    }
-}
-
-impl Seek for Output {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match self {
-            Self::File(file) => file.seek(to),
-            Self::Memory(memory) => memory.seek(to),
         }
     }
 }
@@ -128,7 +119,7 @@ pub(crate) fn in_memory<T>(
     Recorded { result: result.and_then(|value| closed.map(|()| value)), log }
 }
 
-/// The recording of one session to a file.
+/// The recording of one session, or of several that a lost link parts, to a file.
 pub(crate) struct Recording {
     path: PathBuf,
     tap: SharedTap,

@@ -395,7 +395,7 @@ fn run_on<T>(
 /// The same for what a person watches: on a board at the other end of a link `work` is run again each time that a lost link is
 /// back, and `tell` is told of both. Without a link there is `meanwhile`; where that ends, all does.
 ///
-/// A recording is of one session: with one, a lost link is an error.
+/// A recording goes on with the next session; the time between is a gap in it.
 pub(crate) fn keep<T>(
     args: &Args,
     default_pace: Pace,
@@ -403,18 +403,24 @@ pub(crate) fn keep<T>(
     tell: impl FnMut(Event),
     meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let (Target::Link(address), None) = (&args.board, &args.record) else {
-        return Ok(run(args, default_pace, work)?.0);
-    };
+    let Target::Link(address) = &args.board else { return Ok(run(args, default_pace, work)?.0) };
     warn_of_virtual_options(args);
     catch_interrupts();
     let clock = HostClock::Real(RealClock);
     let key = key(args)?;
+    let recording = Recording::open(args)?;
+    let tap = recording.as_ref().map(Recording::tap);
     let has_session = Cell::new(false);
     let connected = with_reconnect(
         address,
         key.as_ref(),
         clock.clone(),
+        |link| {
+            if let Some(tap) = &tap {
+                tap.borrow_mut().reopened();
+            }
+            (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock))
+        },
         async |board| {
             has_session.set(true);
             let session = Session {
@@ -423,7 +429,7 @@ pub(crate) fn keep<T>(
                 surroundings: None,
                 target: &args.board,
                 clock: clock.clone(),
-                tap: None,
+                tap: tap.clone(),
             };
             let result = unless_interrupted(&session, clock.clone(), logged(args, &session, work(&session))).await;
             has_session.set(false);
@@ -444,7 +450,12 @@ pub(crate) fn keep<T>(
             Either::Right((Either::Left(_), _)) => Err(Interrupted.into()),
         }
     });
-    ended.with_context(|| args.board.to_string())
+    let ended = ended.with_context(|| args.board.to_string());
+    drop(tap);
+    match recording {
+        Some(recording) => recording.close(ended),
+        None => ended,
+    }
 }
 
 /// What became of a link, in a line.

@@ -3,10 +3,11 @@
 use std::time::{Duration, Instant};
 
 use async_io::Timer;
+use embedded_io_async::{Read, Write};
 use r4_driver::{Board, Clock, Error, with_board};
 use r4_protocol::{Cause, Refusal};
 
-use crate::{Address, Key, OpenError, open, ports};
+use crate::{Address, Key, Link, OpenError, open, ports};
 
 /// How often a lost link is tried again.
 const RETRY_EVERY: Duration = Duration::from_millis(100);
@@ -44,20 +45,24 @@ pub enum Restart {
 /// because the link was lost (`is_lost` tells by its error), as soon as the board is there again. A board on USB is looked
 /// for by its serial number if its port has another name then.
 ///
-/// Nothing is armed and nothing subscribed in a new session.
+/// Nothing is armed and nothing subscribed in a new session. Its bytes go through what `wrap` makes of the halves of each link that
+/// was opened, to listen to them; `|link| (link.rx, link.tx)` leaves them as they are.
 ///
 /// # Errors
 /// When the board is not there to begin with, and whatever else `work` ends with.
-pub async fn with_reconnect<C, T, E>(
+pub async fn with_reconnect<C, R, W, T, E>(
     address: &Address,
     key: Option<&Key>,
     clock: C,
+    mut wrap: impl FnMut(Link) -> (R, W),
     mut work: impl AsyncFnMut(&Board<C>) -> Result<T, E>,
     is_lost: impl Fn(&E) -> Option<Error>,
     mut tell: impl FnMut(Event),
 ) -> Result<T, E>
 where
     C: Clock,
+    R: Read,
+    W: Write,
     E: From<OpenError> + From<Error>,
 {
     let usb_serial = match address {
@@ -79,7 +84,8 @@ where
             }
         };
         let mut heard_us = 0;
-        let session = with_board(link.rx, link.tx, clock.clone(), async |board| {
+        let (rx, tx) = wrap(link);
+        let session = with_board(rx, tx, clock.clone(), async |board| {
             if let Some((since, expected_us)) = lost.take() {
                 tell(Event::Back { after: since.elapsed(), restart: restart(board, since, expected_us) });
             }

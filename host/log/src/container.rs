@@ -3,11 +3,17 @@
 //! The readers of the `mcap` crate trust the lengths inside a chunk and can panic on a damaged one. This walk trusts
 //! nothing: it never reads beyond what is there, and a file cut anywhere gives the records before the cut.
 
+use std::io::Read;
+
+use lz4_flex::frame::FrameDecoder;
 use mcap::{
     McapError,
     read::ChunkReader,
     records::{ChunkHeader, op},
 };
+
+/// Name of the compression whose chunks are LZ4 frames.
+pub(crate) const LZ4: &str = "lz4";
 
 /// One record: its opcode, and what is there of its content.
 #[derive(Clone, Copy)]
@@ -55,33 +61,47 @@ impl<'a> Iterator for Records<'a> {
 pub(crate) enum Chunk<'a> {
     /// Its records; of a chunk that is cut, those before the cut.
     Records(Vec<RawRecord<'a>>),
-    /// It is compressed, which this program does not read.
+    /// It is compressed in a way that this program does not read.
     Compressed(String),
     /// Its checksum or its structure is wrong: the numbers in it cannot be trusted.
     Damaged,
 }
 
-/// Opens a chunk record.
-pub(crate) fn chunk<'a>(record: &RawRecord<'a>) -> Chunk<'a> {
+/// Opens a chunk record; `decompressed` gets its content where that is compressed.
+pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -> Chunk<'a> {
     let mut fields = Fields { rest: record.body };
-    let header = fields.chunk_header();
-    let Some(header) = header else {
+    let Some(mut header) = fields.chunk_header() else {
         return if record.cut { Chunk::Records(Vec::new()) } else { Chunk::Damaged };
     };
-    if !header.compression.is_empty() {
-        return Chunk::Compressed(header.compression);
-    }
-    if record.cut {
-        return Chunk::Records(Records::new(fields.rest, 0).filter(|record| !record.cut).collect());
-    }
-    let Some(data) = usize::try_from(header.compressed_size).ok().and_then(|size| fields.rest.get(..size)) else {
-        return Chunk::Damaged;
+    let length = usize::try_from(header.compressed_size).unwrap_or(usize::MAX);
+    let data = match fields.rest.get(..length) {
+        Some(data) => data,
+        None if record.cut => fields.rest,
+        None => return Chunk::Damaged,
     };
+    let data = match header.compression.as_str() {
+        "" => data,
+        LZ4 => {
+            // One byte more than there should be is enough to see that it is too much.
+            let most = header.uncompressed_size.saturating_add(1);
+            let read = FrameDecoder::new(data).take(most).read_to_end(decompressed);
+            if read.is_err() && !record.cut {
+                return Chunk::Damaged;
+            }
+            (header.compression, header.compressed_size) = (String::new(), header.uncompressed_size);
+            decompressed
+        }
+        _ => return Chunk::Compressed(header.compression),
+    };
+    if record.cut {
+        return Chunk::Records(Records::new(data, 0).filter(|record| !record.cut).collect());
+    }
     let records: Vec<_> = Records::new(data, 0).collect();
     // Only on these does `ChunkReader` not panic, and no others belong into a chunk.
     let sound = |record: &RawRecord| !record.cut && matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE);
+    let whole = data.len() as u64 == header.uncompressed_size;
     let checked = || ChunkReader::new(header.clone(), data)?.try_for_each(|record| record.map(|_| ()));
-    match records.iter().all(sound).then(checked) {
+    match (whole && records.iter().all(sound)).then(checked) {
         Some(Ok::<(), McapError>(())) => Chunk::Records(records),
         Some(Err(_)) | None => Chunk::Damaged,
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use r4_protocol::{ChannelId, Request};
 
-use crate::Log;
+use crate::{Gap, Log};
 
 /// What there is of a channel.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +47,7 @@ impl Log {
                     samples: times.len(),
                     rate_hz: (run_s > 0.0).then(|| (times.len() - 1) as f64 / run_s),
                     longest_gap_s: gaps.max_by(f64::total_cmp),
-                    missing: asked.map(|asked| missing(asked, &times, end_s)),
+                    missing: asked.map(|asked| missing(asked, &times, &self.gaps, end_s)),
                 })
             })
             .collect()
@@ -64,9 +64,9 @@ impl Log {
     }
 }
 
-/// Samples that should have come in each subscription's time and did not. One fewer than fit is not missed: the first
+/// Samples that should have come in each subscription's time and did not. A subscription ends with its link. One fewer than fit is not missed: the first
 /// comes within a period of the subscription, and the last may be under way at the end.
-fn missing(asked: &[(f64, u16)], times: &[f64], end_s: f64) -> u64 {
+fn missing(asked: &[(f64, u16)], times: &[f64], gaps: &[Gap], end_s: f64) -> u64 {
     let mut missing = 0;
     for (index, &(from_s, period_ms)) in asked.iter().enumerate() {
         if period_ms == 0 {
@@ -74,6 +74,8 @@ fn missing(asked: &[(f64, u16)], times: &[f64], end_s: f64) -> u64 {
         }
         let period_s = f64::from(period_ms) / 1000.0;
         let until_s = asked.get(index + 1).map_or(end_s, |next| next.0);
+        let gap = gaps.iter().find(|gap| gap.time_s > from_s);
+        let until_s = gap.map_or(until_s, |gap| until_s.min(gap.time_s - gap.without_link_s));
         let within = times.iter().copied().filter(|time_s| (from_s..=until_s).contains(time_s));
         let mut before_s = from_s;
         for time_s in within.chain([until_s]) {

@@ -9,7 +9,11 @@ use serde::{Deserialize, Serialize};
 pub(crate) const RECORD_NAME: &str = "r4.run";
 
 /// Version of the topics, fields and metadata keys; a reader refuses those it does not know.
-pub(crate) const FORMAT: &str = "1";
+///
+/// In format 1 a set point of any mode was the field `setpoint`, and chunks were not compressed.
+pub(crate) const FORMAT: &str = "2";
+/// What a reader takes.
+pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 
 const UNITS: [Unit; 7] = [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool];
 /// Every mode there is.
@@ -103,7 +107,7 @@ impl Header {
     pub(crate) fn from_metadata(metadata: &BTreeMap<String, String>) -> Result<Self, BadHeader> {
         let field = |key: &'static str| metadata.get(key).ok_or(BadHeader::Field { key });
         let format = field("format")?;
-        if format != FORMAT {
+        if !READABLE.contains(&format.as_str()) {
             return Err(BadHeader::Format { found: format.clone() });
         }
         let protocol_version =

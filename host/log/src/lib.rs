@@ -5,23 +5,29 @@
 //!
 //! | topic | fields |
 //! | --- | --- |
-//! | `/osmc0` … (rotary) | `setpoint_mode`, `setpoint`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled`, `homed` |
-//! | `/actuator1` … (linear) | the same with `position_m`, `speed_m_s` |
+//! | `/osmc0` … (rotary) | `setpoint_mode`, the set point in a field of that mode such as `setpoint_position_rad`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled`, `homed` |
+//! | `/actuator1` … (linear) | the same with `setpoint_position_m`, `position_m`, `speed_m_s` |
 //! | `/encoder0` … | `position_counts`, `position_rad`, `speed_rad_s`, `illegal` |
 //! | `/supply0` … | one of `voltage_v`, `angle_rad`, `speed_rad_s`, `distance_m`, `speed_m_s`, `duty`, `on` |
 //! | `/range0` … (can fail) | the same with `age_ms`, and `quality`: `good`, `none`, `out-of-range`, `no-answer`, `stuck`, `low`, `high` |
 //! | `/state` | `state`, `causes`, `causes_bits`; a message when it changes |
-//! | `/command` | `channel`, `setpoint_mode`, `setpoint`, `sent_us`; a message per command sent |
+//! | `/command` | `channel`, `setpoint_mode`, the set point as above, `sent_us`; a message per command sent |
 //! | `/request` | `request`, such as `arm`, and what it is about (`channel`, `period_ms`, `kp` …), `sent_us`; a message per request sent |
 //! | `/refusal` | `request`, `reason`; a message per request refused |
+//! | `/gap` | `without_link_s`, `restarted`, `clock_shift_us`; a message when a lost link is back |
 //!
-//! `setpoint` is in rad or m, rad/s or m/s, V, a share of the supply, or 0 or 1, by `setpoint_mode`. A number that is not finite is
-//! left out of its message. Who was recorded is in the metadata record `r4.run`.
+//! Every numeric field has one unit, which ends its name. Set points: `setpoint_position_rad`, `_m`; `setpoint_speed_rad_s`, `_m_s`;
+//! `setpoint_home_rad_s`, `_m_s`; `setpoint_duty` (share of the supply); `setpoint_voltage_v`; `setpoint_switch`, `setpoint_brake` (0
+//! or 1). A number that is not finite is left out of its message. Who was recorded is in the metadata record `r4.run`.
+//!
+//! Chunks are LZ4 frames, which stock MCAP readers open; each is at most a second long. This is format 2. Format 1, which is read
+//! too, has uncompressed chunks and one field `setpoint` for all modes.
 //!
 //! `sent_us` is the host's clock since it said hello: what is needed to send the same again at the same moments.
 //!
-//! Publish times are the board's clock. Log times are the same for a virtual board, and wall-clock times for a board in real
-//! time. The metadata record also says when the run was recorded, by which program and command. Two identical runs of a virtual
+//! Publish times are the board's clock; where a board restarts while it is recorded, times go on by the host's clock, and
+//! `clock_shift_us` leads back to the board's. Log times are publish times for a virtual board, and wall-clock times for a board
+//! in real time, which drift with the board's crystal from the beginning on. The metadata record also says when the run was recorded, by which program and command. Two identical runs of a virtual
 //! board have identical messages, to the last bit.
 //!
 //! ```
@@ -51,12 +57,13 @@ mod record;
 mod request;
 mod signal;
 mod tap;
+mod write;
 
 pub use compare::{Difference, compare};
 pub use coverage::Coverage;
 pub use header::{Header, Recorded};
 pub use read::{
-    EncoderSample, EncoderSeries, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
+    EncoderSample, EncoderSeries, Gap, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
     MotorSeries, ReadingSample, ReadingSeries, ScalarSeries, StateChange, Warning,
 };
 pub use record::{RecordError, Recorder};

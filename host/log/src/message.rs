@@ -1,7 +1,9 @@
 //! The JSON messages and their schemas.
 
-use r4_protocol::{ChannelInfo, Quality, SafetyState, Unit};
+use r4_protocol::{ChannelInfo, Mode, Quality, SafetyState, Setpoint, Unit};
 use serde::{Deserialize, Serialize};
+
+use crate::header::{mode_from, mode_name};
 
 /// Topic of [`StateMessage`].
 pub(crate) const STATE_TOPIC: &str = "/state";
@@ -11,20 +13,96 @@ pub(crate) const COMMAND_TOPIC: &str = "/command";
 pub(crate) const REQUEST_TOPIC: &str = "/request";
 /// Topic of [`crate::request::RefusalMessage`].
 pub(crate) const REFUSAL_TOPIC: &str = "/refusal";
+/// Topic of [`GapMessage`].
+pub(crate) const GAP_TOPIC: &str = "/gap";
 
 /// `None` for what JSON cannot hold.
 pub(crate) fn finite(value: f32) -> Option<f32> {
     value.is_finite().then_some(value)
 }
 
+/// A struct with the fields of a set point between those before and those after `setpoint`: at most one of them is present, the one of
+/// its mode and unit, so that each field has one unit.
+///
+/// Written out rather than `serde(flatten)`, which would copy every message before reading it.
+macro_rules! with_setpoint {
+    (
+        $(#[$meta:meta])*
+        $name:ident { $($before:tt)* } setpoint { $($after:tt)* }
+    ) => {
+        $(#[$meta])*
+        #[derive(Default, Serialize, Deserialize)]
+        pub(crate) struct $name<'a> {
+            $($before)*
+            pub(crate) setpoint_mode: &'a str,
+            /// In any unit: format 1 only.
+            #[serde(default, skip_serializing)]
+            pub(crate) setpoint: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_position_rad: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_position_m: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_speed_rad_s: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_speed_m_s: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_home_rad_s: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_home_m_s: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_duty: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_voltage_v: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_switch: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_brake: Option<f32>,
+            $($after)*
+        }
+
+        impl $name<'_> {
+            /// The same with this set point, of a channel that moves in a line or turns.
+            pub(crate) fn with_setpoint(mut self, setpoint: Setpoint, linear: bool) -> Self {
+                let field = match (setpoint.mode, linear) {
+                    (Mode::Position, false) => &mut self.setpoint_position_rad,
+                    (Mode::Position, true) => &mut self.setpoint_position_m,
+                    (Mode::Speed, false) => &mut self.setpoint_speed_rad_s,
+                    (Mode::Speed, true) => &mut self.setpoint_speed_m_s,
+                    (Mode::Home, false) => &mut self.setpoint_home_rad_s,
+                    (Mode::Home, true) => &mut self.setpoint_home_m_s,
+                    (Mode::Duty, _) => &mut self.setpoint_duty,
+                    (Mode::Voltage, _) => &mut self.setpoint_voltage_v,
+                    (Mode::Switch, _) => &mut self.setpoint_switch,
+                    (Mode::Brake, _) => &mut self.setpoint_brake,
+                };
+                *field = finite(setpoint.value);
+                self.setpoint_mode = mode_name(setpoint.mode);
+                self
+            }
+
+            /// The set point's number, which was finite.
+            pub(crate) fn setpoint(&self) -> Option<f32> {
+                let by_mode = match mode_from(self.setpoint_mode)? {
+                    Mode::Position => self.setpoint_position_rad.or(self.setpoint_position_m),
+                    Mode::Speed => self.setpoint_speed_rad_s.or(self.setpoint_speed_m_s),
+                    Mode::Home => self.setpoint_home_rad_s.or(self.setpoint_home_m_s),
+                    Mode::Duty => self.setpoint_duty,
+                    Mode::Voltage => self.setpoint_voltage_v,
+                    Mode::Switch => self.setpoint_switch,
+                    Mode::Brake => self.setpoint_brake,
+                };
+                by_mode.or(self.setpoint)
+            }
+        }
+    };
+}
+
+with_setpoint! {
 /// A motor sample. Either the rotary or the linear fields are present.
 ///
 /// `f32` as on the wire: the shortest decimal that means it, half as long as the same number written as `f64`.
-#[derive(Serialize, Deserialize)]
-pub(crate) struct MotorMessage<'a> {
-    pub(crate) setpoint_mode: &'a str,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) setpoint: Option<f32>,
+MotorMessage {} setpoint {
     pub(crate) position_counts: i32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) position_rad: Option<f64>,
@@ -37,9 +115,10 @@ pub(crate) struct MotorMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) duty: Option<f32>,
     pub(crate) settled: bool,
-    /// Not in the first logs of this format.
+    /// Not in the first logs.
     #[serde(default)]
     pub(crate) homed: bool,
+}
 }
 
 /// A sample of an encoder.
@@ -117,16 +196,23 @@ pub(crate) struct StateMessage<'a> {
     pub(crate) causes_bits: u16,
 }
 
+with_setpoint! {
 /// A command that was sent.
-#[derive(Serialize, Deserialize)]
-pub(crate) struct CommandMessage<'a> {
+CommandMessage {
     pub(crate) channel: &'a str,
-    pub(crate) setpoint_mode: &'a str,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) setpoint: Option<f32>,
-    /// Not in the first logs of this format.
+} setpoint {
+    /// Not in the first logs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) sent_us: Option<u64>,
+}
+}
+
+/// The link was gone, and is back.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct GapMessage {
+    pub(crate) without_link_s: f64,
+    pub(crate) restarted: bool,
+    pub(crate) clock_shift_us: i64,
 }
 
 pub(crate) fn state_name(state: SafetyState) -> &'static str {
@@ -202,30 +288,45 @@ pub(crate) const SENT_US: (&str, &str, &str) =
 
 const SETPOINT_MODE: &str = "What the set point is: position, speed, duty, switch, voltage, brake or home";
 
+const ROTARY_SETPOINTS: [(&str, &str, &str); 3] = [
+    ("setpoint_position_rad", "number", "Set point in mode position, rad"),
+    ("setpoint_speed_rad_s", "number", "Set point in mode speed, rad/s"),
+    ("setpoint_home_rad_s", "number", "Set point in mode home, rad/s"),
+];
+const LINEAR_SETPOINTS: [(&str, &str, &str); 3] = [
+    ("setpoint_position_m", "number", "Set point in mode position, m"),
+    ("setpoint_speed_m_s", "number", "Set point in mode speed, m/s"),
+    ("setpoint_home_m_s", "number", "Set point in mode home, m/s"),
+];
+const SETPOINTS: [(&str, &str, &str); 4] = [
+    ("setpoint_duty", "number", "Set point in mode duty, share of the supply, -1 to 1"),
+    ("setpoint_voltage_v", "number", "Set point in mode voltage, V"),
+    ("setpoint_switch", "number", "Set point in mode switch, 0 or 1"),
+    ("setpoint_brake", "number", "Set point in mode brake, 0 or 1"),
+];
+
 pub(crate) fn motor_schema(linear: bool) -> Schema {
-    let (name, position, speed, unit) = if linear {
-        (LINEAR_MOTOR, ("position_m", "Position, m"), ("speed_m_s", "Speed, m/s"), "m, m/s")
+    let (name, position, speed) = if linear {
+        (LINEAR_MOTOR, ("position_m", "Position, m"), ("speed_m_s", "Speed, m/s"))
     } else {
         (
             ROTARY_MOTOR,
             ("position_rad", "Angle of the output shaft, rad"),
             ("speed_rad_s", "Speed of the output shaft, rad/s"),
-            "rad, rad/s",
         )
     };
-    schema(
-        name,
-        &[
-            ("setpoint_mode", "string", SETPOINT_MODE),
-            ("setpoint", "number", &format!("Set point, {unit} or share of the supply, by setpoint_mode")),
-            ("position_counts", "integer", "Position as measured, counts"),
-            (position.0, "number", position.1),
-            (speed.0, "number", speed.1),
-            ("duty", "number", "Share of the supply at the bridge, -1 to 1"),
-            ("settled", "boolean", "At the set point and at rest"),
-            ("homed", "boolean", "Whether the position is known, and not only counted from where power came on"),
-        ],
-    )
+    let mut fields = vec![("setpoint_mode", "string", SETPOINT_MODE)];
+    fields.extend(if linear { LINEAR_SETPOINTS } else { ROTARY_SETPOINTS });
+    fields.extend(SETPOINTS);
+    fields.extend([
+        ("position_counts", "integer", "Position as measured, counts"),
+        (position.0, "number", position.1),
+        (speed.0, "number", speed.1),
+        ("duty", "number", "Share of the supply at the bridge, -1 to 1"),
+        ("settled", "boolean", "At the set point and at rest"),
+        ("homed", "boolean", "Whether the position is known, and not only counted from where power came on"),
+    ]);
+    schema(name, &fields)
 }
 
 /// The field of a channel that has one number in `unit`.
@@ -283,13 +384,19 @@ pub(crate) fn state_schema() -> Schema {
 }
 
 pub(crate) fn command_schema() -> Schema {
+    let mut fields = vec![("channel", "string", "Channel commanded"), ("setpoint_mode", "string", SETPOINT_MODE)];
+    fields.extend(ROTARY_SETPOINTS.into_iter().chain(LINEAR_SETPOINTS).chain(SETPOINTS));
+    fields.push(SENT_US);
+    schema("r4.Command", &fields)
+}
+
+pub(crate) fn gap_schema() -> Schema {
     schema(
-        "r4.Command",
+        "r4.Gap",
         &[
-            ("channel", "string", "Channel commanded"),
-            ("setpoint_mode", "string", SETPOINT_MODE),
-            ("setpoint", "number", "Set point, SI, share of the supply, or 0 or 1, by setpoint_mode"),
-            SENT_US,
+            ("without_link_s", "number", "How long nothing was heard from the board, by the host's clock, s"),
+            ("restarted", "boolean", "Whether the board has restarted meanwhile"),
+            ("clock_shift_us", "integer", "From here on publish times are the board's clock plus this, us"),
         ],
     )
 }

@@ -16,8 +16,9 @@ use crate::{
     container::{self, Chunk, RawRecord, Records},
     header::{self, BadHeader, Header, mode_from},
     message::{
-        COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, LINEAR_MOTOR, MotorMessage, READING, REFUSAL_TOPIC,
-        REQUEST_TOPIC, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage, StateMessage, is_linear, quality_from, state_from,
+        COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, GAP_TOPIC, GapMessage, LINEAR_MOTOR, MotorMessage,
+        READING, REFUSAL_TOPIC, REQUEST_TOPIC, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage, StateMessage, is_linear,
+        quality_from, state_from,
     },
     request::{Described, RefusalMessage, RequestMessage},
 };
@@ -52,12 +53,12 @@ pub enum LogError {
         library: String,
     },
     /// A log of another version of this crate.
-    #[error("the log has format {found}, this program reads {known}: use the version of `r4` that recorded it")]
+    #[error("the log has format {found}, this program reads {}: use the version of `r4` that recorded it", known.join(" and "))]
     Format {
         /// Of the file.
         found: String,
         /// Of this crate.
-        known: &'static str,
+        known: [&'static str; 2],
     },
     /// The metadata record lacks a field, or it is none that this version knows.
     #[error("the log's header has no usable \"{key}\": use the version of `r4` that recorded it, or record again")]
@@ -79,7 +80,7 @@ pub enum Warning {
         /// Byte at which that part starts.
         offset: usize,
     },
-    /// Another program has compressed part of the file; that part was left out.
+    /// Another program has compressed part of the file in a way that this one does not read; that part was left out.
     #[error("part of the file is compressed ({compression}) and left out: decompress it first, with `mcap decompress`")]
     Compressed {
         /// How.
@@ -247,6 +248,26 @@ pub struct LoggedRefusal {
     pub reason: String,
 }
 
+/// A time without a link, after which the recording went on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gap {
+    /// Its end: when the board was heard again, s.
+    pub time_s: f64,
+    /// How long nothing was heard, by the host's clock.
+    pub without_link_s: f64,
+    /// Whether the board has restarted meanwhile: its clock began again at 0.
+    pub restarted: bool,
+    /// Times of the log minus the board's clock from here on. Only a restart changes it, so that times go on.
+    pub clock_shift_us: i64,
+}
+
+impl std::fmt::Display for Gap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let what = if self.restarted { "the board restarted" } else { "the board ran on" };
+        write!(f, "{:.3} s without a link; {what}", self.without_link_s)
+    }
+}
+
 /// A recorded run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
@@ -269,6 +290,8 @@ pub struct Log {
     pub requests: Vec<LoggedRequest>,
     /// What was refused, in order of time.
     pub refusals: Vec<LoggedRefusal>,
+    /// Where the link was lost and came back, in order of time.
+    pub gaps: Vec<Gap>,
     /// What could not be read; empty for a sound file.
     pub warnings: Vec<Warning>,
 }
@@ -302,6 +325,11 @@ impl Log {
             });
         }
         let mut reader = Reader::default();
+        // The summary repeats the topics, which a damaged chunk may have declared for all after it.
+        let declared = |record: &RawRecord| !record.cut && matches!(record.opcode, op::SCHEMA | op::CHANNEL);
+        for record in Records::new(bytes, MAGIC.len()).filter(declared) {
+            reader.record(&record)?;
+        }
         for record in Records::new(bytes, MAGIC.len()) {
             match (record.opcode, record.cut) {
                 (op::CHUNK, _) => reader.chunk(&record),
@@ -376,6 +404,7 @@ enum Content {
     Command,
     Request,
     Refusal,
+    Gap,
 }
 
 struct Topic {
@@ -399,6 +428,7 @@ struct Reader {
     commands: Vec<LoggedCommand>,
     requests: Vec<LoggedRequest>,
     refusals: Vec<LoggedRefusal>,
+    gaps: Vec<Gap>,
     warnings: Vec<Warning>,
     data_ended: bool,
     cut_short: bool,
@@ -413,7 +443,8 @@ impl Reader {
 
     fn chunk(&mut self, record: &RawRecord) {
         self.cut_short |= record.cut;
-        match container::chunk(record) {
+        let mut decompressed = Vec::new();
+        match container::chunk(record, &mut decompressed) {
             Chunk::Records(records) => {
                 for record in &records {
                     // no headers in chunks, so no error to pass on
@@ -439,7 +470,7 @@ impl Reader {
             Ok(Record::Metadata(Metadata { name, metadata })) if name == header::RECORD_NAME => {
                 if self.header.is_none() {
                     self.header = Some(Header::from_metadata(&metadata).map_err(|bad| match bad {
-                        BadHeader::Format { found } => LogError::Format { found, known: header::FORMAT },
+                        BadHeader::Format { found } => LogError::Format { found, known: header::READABLE },
                         BadHeader::Field { key } => LogError::BadHeader { key },
                     })?);
                 }
@@ -463,6 +494,7 @@ impl Reader {
             COMMAND_TOPIC => Some(Content::Command),
             REQUEST_TOPIC => Some(Content::Request),
             REFUSAL_TOPIC => Some(Content::Refusal),
+            GAP_TOPIC => Some(Content::Gap),
             _ => name.strip_prefix('/').and_then(|name| name.parse().ok()).map(of_channel),
         };
         // the same channel is repeated in the summary, and may be in every chunk
@@ -484,6 +516,7 @@ impl Reader {
             Content::Command => self.command(time_s, header.publish_time / 1000, data),
             Content::Request => self.request(time_s, data),
             Content::Refusal => self.refusal(time_s, data),
+            Content::Gap => self.gap(time_s, data),
         };
         if taken.is_none()
             && let Some(topic) = self.topics.get_mut(&header.channel_id)
@@ -505,7 +538,7 @@ impl Reader {
         };
         let sample = MotorSample {
             time_s,
-            setpoint: Logged { mode: mode_from(message.setpoint_mode)?, value: number(message.setpoint) },
+            setpoint: Logged { mode: mode_from(message.setpoint_mode)?, value: number(message.setpoint()) },
             position_counts: message.position_counts,
             position: position.unwrap_or(f64::NAN),
             speed: number(speed),
@@ -558,9 +591,9 @@ impl Reader {
         self.commands.push(LoggedCommand {
             time_s,
             channel,
-            setpoint: Logged { mode, value: number(message.setpoint) },
+            setpoint: Logged { mode, value: number(message.setpoint()) },
         });
-        let setpoint = Setpoint { mode, value: message.setpoint.unwrap_or(f32::NAN) };
+        let setpoint = Setpoint { mode, value: message.setpoint().unwrap_or(f32::NAN) };
         let request = Request::Set { channel, setpoint, sent_us: device_us, ttl_ms: 0 };
         self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request });
         Some(())
@@ -575,6 +608,12 @@ impl Reader {
     fn refusal(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
         let RefusalMessage { request, reason } = serde_json::from_slice(data).ok()?;
         self.refusals.push(LoggedRefusal { time_s, request, reason });
+        Some(())
+    }
+
+    fn gap(&mut self, time_s: f64, data: &[u8]) -> Option<()> {
+        let GapMessage { without_link_s, restarted, clock_shift_us } = serde_json::from_slice(data).ok()?;
+        self.gaps.push(Gap { time_s, without_link_s, restarted, clock_shift_us });
         Some(())
     }
 
@@ -618,8 +657,9 @@ impl Reader {
             self.requests.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         }
         self.refusals.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        let Self { states, commands, requests, refusals, warnings, .. } = self;
-        Ok(Log { header, motors, encoders, readings, scalars, states, commands, requests, refusals, warnings })
+        self.gaps.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        let Self { states, commands, requests, refusals, gaps, warnings, .. } = self;
+        Ok(Log { header, motors, encoders, readings, scalars, states, commands, requests, refusals, gaps, warnings })
     }
 }
 

@@ -2,28 +2,23 @@
 
 use std::{
     collections::BTreeMap,
-    io::{Seek, Write},
+    io::{self, Write},
 };
 
-use mcap::{
-    WriteOptions, Writer,
-    records::{MessageHeader, Metadata},
-};
+use mcap::records::{MessageHeader, Metadata};
 use r4_protocol::{Causes, ChannelId, ChannelInfo, Refusal, Request, SafetyState, Sample, Setpoint, Telemetry};
 use serde::Serialize;
 
 use crate::{
-    header::{self, Header, mode_name},
+    header::{self, Header},
     message::{
-        self, COMMAND_TOPIC, CommandMessage, EncoderMessage, MotorMessage, REFUSAL_TOPIC, REQUEST_TOPIC, STATE_TOPIC,
-        ScalarMessage, Schema, StateMessage, finite, is_linear, quality_name, state_name,
+        self, COMMAND_TOPIC, CommandMessage, EncoderMessage, GAP_TOPIC, GapMessage, MotorMessage, REFUSAL_TOPIC,
+        REQUEST_TOPIC, STATE_TOPIC, ScalarMessage, Schema, StateMessage, finite, is_linear, quality_name, state_name,
     },
+    read::Gap,
     request::{self, RequestMessage},
+    write::FileWriter,
 };
-
-/// A chunk is the most that is lost in other readers when the recording program dies; 256 KiB are about 0.4 s of four
-/// motors at 1 kHz. [`crate::Log`] also reads what is in the unfinished chunk.
-const CHUNK_BYTES: u64 = 256 * 1024;
 
 /// Why something could not be recorded.
 #[derive(Debug, thiserror::Error)]
@@ -42,7 +37,10 @@ pub enum RecordError {
     },
     /// The file could not be written.
     #[error("cannot write the log ({0}): check the free space and the permissions of its folder")]
-    Write(#[from] mcap::McapError),
+    Write(#[from] io::Error),
+    /// The link leads to another board now, or the same one was given other channels.
+    #[error("the board that answers now is not the one this log is of: record it to a log of its own")]
+    OtherBoard,
     /// The recording has ended with an earlier error.
     #[error("the recording has ended")]
     Ended,
@@ -62,29 +60,28 @@ struct Topic {
 ///
 /// A recorder that is dropped finishes its file too, but cannot say whether that went well: call
 /// [`finish`](Self::finish).
-pub struct Recorder<W: Write + Seek> {
-    mcap: Writer<W>,
+pub struct Recorder<W: Write> {
+    mcap: FileWriter<W>,
     channels: Vec<ChannelInfo>,
     /// Log time minus the board's clock, ns.
     offset_ns: i64,
+    /// Times of the log minus the board's clock, us.
+    shift_us: i64,
     topics: BTreeMap<String, Topic>,
     state: Option<(SafetyState, Causes)>,
 }
 
-impl<W: Write + Seek> Recorder<W> {
+impl<W: Write> Recorder<W> {
     /// Starts a file with `header`. Give a [`std::io::BufWriter`] rather than a bare file.
     ///
     /// # Errors
     /// [`RecordError::Write`] when `writer` fails.
     pub fn new(writer: W, header: &Header) -> Result<Self, RecordError> {
-        let mut mcap = WriteOptions::new()
-            .compression(None)
-            .chunk_size(Some(CHUNK_BYTES))
-            .library(concat!("r4-log/", env!("CARGO_PKG_VERSION")))
-            .create(writer)?;
-        mcap.write_metadata(&Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? })?;
+        let metadata = Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? };
+        let mcap = FileWriter::new(writer, concat!("r4-log/", env!("CARGO_PKG_VERSION")), metadata)?;
         let offset_ns = header.recorded.as_ref().and_then(|recorded| recorded.clock_offset_ns).unwrap_or_default();
-        Ok(Self { mcap, channels: header.channels.clone(), offset_ns, topics: BTreeMap::new(), state: None })
+        let channels = header.channels.clone();
+        Ok(Self { mcap, channels, offset_ns, shift_us: 0, topics: BTreeMap::new(), state: None })
     }
 
     /// Records every sample of a frame, and the safety state where it changed.
@@ -109,8 +106,6 @@ impl<W: Write + Seek> Recorder<W> {
                 Sample::Motor { setpoint, position, speed, duty, settled, homed, .. } => {
                     let measured = measured(position);
                     let message = MotorMessage {
-                        setpoint_mode: mode_name(setpoint.mode),
-                        setpoint: finite(setpoint.value),
                         position_counts: position,
                         position_rad: measured.filter(|_| !linear),
                         position_m: measured.filter(|_| linear),
@@ -119,7 +114,9 @@ impl<W: Write + Seek> Recorder<W> {
                         duty: finite(duty),
                         settled,
                         homed,
+                        ..MotorMessage::default()
                     };
+                    let message = message.with_setpoint(setpoint, linear);
                     self.write(device_us, &topic, || message::motor_schema(linear), &message)?;
                 }
                 Sample::Scalar { value, .. } => {
@@ -178,12 +175,10 @@ impl<W: Write + Seek> Recorder<W> {
         channel: ChannelId,
         setpoint: Setpoint,
     ) -> Result<(), RecordError> {
-        let message = CommandMessage {
-            channel: &channel.to_string(),
-            setpoint_mode: mode_name(setpoint.mode),
-            setpoint: finite(setpoint.value),
-            sent_us,
-        };
+        let linear = self.channels.iter().any(|info| info.id == channel && is_linear(info));
+        let channel = channel.to_string();
+        let message = CommandMessage { channel: &channel, sent_us, ..CommandMessage::default() };
+        let message = message.with_setpoint(setpoint, linear);
         self.write(device_us, COMMAND_TOPIC, message::command_schema, &message)
     }
 
@@ -205,15 +200,31 @@ impl<W: Write + Seek> Recorder<W> {
         Ok(())
     }
 
+    /// Records that the link was gone and is back, with the board's clock at `device_us`. From here on times are that clock plus
+    /// `gap.clock_shift_us`; `gap.time_s` is not used.
+    ///
+    /// # Errors
+    /// See [`RecordError`].
+    pub fn gap(&mut self, device_us: u64, gap: &Gap) -> Result<(), RecordError> {
+        self.shift_us = gap.clock_shift_us;
+        // What it was before says nothing of what it is.
+        self.state = None;
+        let Gap { without_link_s, restarted, clock_shift_us, .. } = *gap;
+        let message = GapMessage { without_link_s, restarted, clock_shift_us };
+        self.write(device_us, GAP_TOPIC, message::gap_schema, &message)
+    }
+
+    /// The board's channels, as the header has them.
+    pub(crate) fn channels(&self) -> &[ChannelInfo] {
+        &self.channels
+    }
+
     /// Writes the index at the end of the file and gives the writer back.
     ///
     /// # Errors
     /// [`RecordError::Write`] when the writer fails.
-    pub fn finish(mut self) -> Result<W, RecordError> {
-        self.mcap.finish()?;
-        let mut writer = self.mcap.into_inner();
-        writer.flush().map_err(mcap::McapError::from)?;
-        Ok(writer)
+    pub fn finish(self) -> Result<W, RecordError> {
+        Ok(self.mcap.finish()?)
     }
 
     fn write(
@@ -224,20 +235,19 @@ impl<W: Write + Seek> Recorder<W> {
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
         let out_of_range = RecordError::TimeOutOfRange { device_us };
-        let Some(publish_time) = device_us.checked_mul(1_000) else { return Err(out_of_range) };
+        let publish_us = device_us.checked_add_signed(self.shift_us);
+        let Some(publish_time) = publish_us.and_then(|us| us.checked_mul(1_000)) else { return Err(out_of_range) };
         let Some(log_time) = publish_time.checked_add_signed(self.offset_ns) else { return Err(out_of_range) };
         let data = serde_json::to_vec(message)?;
         let topic = match self.topics.get_mut(name) {
             Some(topic) => topic,
             None => {
-                let Schema { name: schema, json } = schema();
-                let schema = self.mcap.add_schema(&schema, "jsonschema", json.as_bytes())?;
-                let id = self.mcap.add_channel(schema, name, "json", &BTreeMap::new())?;
+                let id = self.mcap.channel(name, &schema())?;
                 self.topics.entry(name.to_owned()).or_insert(Topic { id, messages: 0 })
             }
         };
         let header = MessageHeader { channel_id: topic.id, sequence: topic.messages, log_time, publish_time };
         topic.messages = topic.messages.wrapping_add(1);
-        Ok(self.mcap.write_to_known_channel(&header, &data)?)
+        Ok(self.mcap.message(&header, &data)?)
     }
 }

@@ -68,7 +68,7 @@ pub enum Kind {
 /// One named series of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
-    /// Channel, field and unit, as in `osmc0.position_rad`; `state`, `causes`, `request` and `refusal` are the board's.
+    /// Channel, field and unit, as in `osmc0.position_rad`; `state`, `causes`, `request`, `gap` and `refusal` are the board's.
     pub name: String,
     /// What holds between samples.
     pub kind: Kind,
@@ -151,6 +151,7 @@ impl Log {
         let requests = self.requests.iter().filter(|logged| !matches!(logged.request, Request::Set { .. }));
         add("request", Kind::Event, of(requests, |request| (request.time_s, text(request))));
         let refused = |refusal: &LoggedRefusal| text(format_args!("{}: {}", refusal.request, refusal.reason));
+        add("gap", Kind::Event, of(&self.gaps, |gap| (gap.time_s, text(gap))));
         add("refusal", Kind::Event, of(&self.refusals, |refusal| (refusal.time_s, refused(refusal))));
         all
     }

@@ -1,15 +1,12 @@
 //! Recording what goes over a link.
 
-use std::{
-    collections::BTreeMap,
-    io::{Seek, Write},
-};
+use std::{collections::BTreeMap, io::Write};
 
 use r4_protocol::{
     ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION,
 };
 
-use crate::{Header, RecordError, Recorded, Recorder};
+use crate::{Gap, Header, RecordError, Recorded, Recorder};
 
 /// What a link's bytes do not say of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,7 +43,7 @@ pub enum Wall {
 /// Give it every byte, with the host's clock. The file begins once the board has described its channels, as it does
 /// whenever a session is opened. Recording never disturbs the link: what cannot be recorded ends the recording, and
 /// [`finish`](Self::finish) says why.
-pub struct Tap<W: Write + Seek> {
+pub struct Tap<W: Write> {
     about: About,
     file: File<W>,
     to_device: FrameDecoder,
@@ -60,12 +57,18 @@ pub struct Tap<W: Write + Seek> {
     /// What cycles set, and how long that holds, ms.
     bound: (Vec<CycleChannel>, u16),
     clock: Option<Offset>,
+    /// When the board was last heard: the host's clock and the board's.
+    heard_us: Option<(u64, u64)>,
+    /// The same, before the link was lost.
+    lost_us: Option<(u64, u64)>,
+    /// Times of the log minus the board's clock.
+    shift_us: i64,
     samples: u64,
     bad_frames: u64,
 }
 
 /// What has become of the file.
-enum File<W: Write + Seek> {
+enum File<W: Write> {
     /// The board has not described itself.
     Before(W),
     Open(Box<Recorder<W>>),
@@ -75,7 +78,7 @@ enum File<W: Write + Seek> {
 /// Requests whose answers are waited for; more than any host has open, so that what is never answered is forgotten.
 const MOST_WAITING: usize = 1024;
 
-impl<W: Write + Seek> Tap<W> {
+impl<W: Write> Tap<W> {
     /// Will record to `writer`. Give a [`std::io::BufWriter`] rather than a bare file.
     pub fn new(writer: W, about: About) -> Self {
         Self {
@@ -89,8 +92,23 @@ impl<W: Write + Seek> Tap<W> {
             waiting: BTreeMap::new(),
             bound: (Vec::new(), 0),
             clock: None,
+            heard_us: None,
+            lost_us: None,
+            shift_us: 0,
             samples: 0,
             bad_frames: 0,
+        }
+    }
+
+    /// Takes it that all bytes from here on are of a link that was opened anew. Once the board has described itself on it, the time
+    /// without a link is recorded as a [`Gap`].
+    pub fn reopened(&mut self) {
+        (self.to_device, self.to_host) = (FrameDecoder::new(), FrameDecoder::new());
+        self.waiting.clear();
+        self.bound = (Vec::new(), 0);
+        if matches!(self.file, File::Open(_)) {
+            // Of several attempts the first.
+            self.lost_us = self.lost_us.or(self.heard_us);
         }
     }
 
@@ -111,6 +129,7 @@ impl<W: Write + Seek> Tap<W> {
             match self.to_host.push(*byte) {
                 Some(Ok(message)) => {
                     let recorded = self.board_says(now_us, message);
+                    self.heard_us = self.clock.map(|_| (now_us, self.device_us(now_us)));
                     self.check(recorded);
                 }
                 Some(Err(_)) => self.bad_frames += 1,
@@ -227,6 +246,10 @@ impl<W: Write + Seek> Tap<W> {
                 let Some((sent_us, request)) = self.waiting.remove(&seq) else { return Ok(()) };
                 match result {
                     Ok(Reply::Hello(info)) => {
+                        if self.lost_us.is_some() {
+                            // It may be another clock.
+                            self.clock = None;
+                        }
                         self.clock_seen(sent_us, info.device_us, now_us);
                         self.channels.clear();
                         self.info = Some(info);
@@ -293,8 +316,21 @@ impl<W: Write + Seek> Tap<W> {
                 recorder.state(info.device_us, info.state, info.causes)?;
                 File::Open(Box::new(recorder))
             }
-            // A session opened anew, on the same board.
-            already => already,
+            File::Open(recorder) if recorder.channels() != self.channels => {
+                // Its file is finished.
+                drop(recorder);
+                File::Failed(RecordError::OtherBoard)
+            }
+            File::Open(mut recorder) => {
+                if let (Some((heard_us, board_us)), Some(offset)) = (self.lost_us.take(), self.clock) {
+                    let gap = gap(heard_us, board_us, offset, self.shift_us);
+                    self.shift_us = gap.clock_shift_us;
+                    recorder.gap(info.device_us, &gap)?;
+                    recorder.state(info.device_us, info.state, info.causes)?;
+                }
+                File::Open(recorder)
+            }
+            failed @ File::Failed(_) => failed,
         };
         self.file = file;
         Ok(())
@@ -308,6 +344,24 @@ impl<W: Write + Seek> Tap<W> {
         if self.clock.is_none_or(|old| new.uncertainty_us(now_us) <= old.uncertainty_us(now_us)) {
             self.clock = Some(new);
         }
+    }
+}
+
+/// A board's clock that is this far behind where it should be began anew, us: more than frames wait for each other.
+const BEGAN_ANEW_US: u64 = 100_000;
+
+/// What became of a board that was last heard at `heard_us` of the host's clock, `board_us` of its own, by the first round trip since.
+fn gap(heard_us: u64, board_us: u64, now: Offset, shift_us: i64) -> Gap {
+    let without_link_us = now.seen_us.saturating_sub(heard_us);
+    let (expected_us, is_us) = (board_us + without_link_us, now.seen_us.saturating_add_signed(now.us));
+    let wrong_us = BEGAN_ANEW_US + (without_link_us as f64 * DRIFT) as u64;
+    let restarted = is_us + wrong_us < expected_us;
+    let anew_us = if restarted { (expected_us - is_us).cast_signed() } else { 0 };
+    Gap {
+        time_s: 0.0,
+        without_link_s: without_link_us as f64 / 1e6,
+        restarted,
+        clock_shift_us: shift_us.saturating_add(anew_us),
     }
 }
 

@@ -1,9 +1,9 @@
 //! Files that are cut, damaged or of another program.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
-use std::{collections::BTreeMap, io::Cursor};
+use std::{cell::RefCell, collections::BTreeMap, io::Cursor};
 
-use crate::common::{OSMC, header, run};
+use crate::common::{OSMC, header, messages, run, run_every};
 use mcap::records::{MessageHeader, Metadata};
 use proptest::prelude::*;
 use r4_log::{Log, LogError, Recorder, Warning};
@@ -11,9 +11,10 @@ use r4_protocol::{Causes, SafetyState};
 
 #[test]
 fn a_file_cut_anywhere_gives_an_error_or_what_was_before() {
-    let file = run();
+    // Three chunks of a second.
+    let file = run_every(120_000);
     let whole = Log::from_bytes(&file).unwrap();
-    let mut samples = 0;
+    let (mut samples, mut steps) = (0, 0);
     for length in 0..file.len() {
         match Log::from_bytes(&file[..length]) {
             Err(LogError::Empty) => assert_eq!(length, 0),
@@ -24,56 +25,99 @@ fn a_file_cut_anywhere_gives_an_error_or_what_was_before() {
                 let read = log.motor(OSMC).map_or(&[][..], |series| &series.samples);
                 assert!(read.len() >= samples, "a longer file gives no less");
                 assert_eq!(read, &whole.motor(OSMC).unwrap().samples[..read.len()]);
+                steps += usize::from(read.len() > samples);
                 samples = read.len();
             }
         }
     }
-    assert_eq!(samples, 20);
+    assert_eq!((samples, steps), (20, 3));
 }
 
-/// What is on disk when the recording program is killed: the chunk's lengths are not filled in yet.
+/// What is on disk when the recording program is killed: all but the last second.
 #[test]
-fn an_unfinished_chunk_is_read() {
-    struct Killed<'a>(&'a mut Cursor<Vec<u8>>, usize);
-    impl std::io::Write for Killed<'_> {
+fn an_unfinished_recording_is_read() {
+    struct Disk<'a>(&'a RefCell<Vec<u8>>);
+    impl std::io::Write for Disk<'_> {
         fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-            if self.0.get_ref().len() > self.1 {
-                Err(std::io::ErrorKind::StorageFull.into())
-            } else {
-                self.0.write(bytes)
+            if self.0.borrow().len() > 5_000 {
+                return Err(std::io::ErrorKind::StorageFull.into());
             }
+            self.0.borrow_mut().extend(bytes);
+            Ok(bytes.len())
         }
         fn flush(&mut self) -> std::io::Result<()> {
             Ok(())
         }
     }
-    impl std::io::Seek for Killed<'_> {
-        fn seek(&mut self, to: std::io::SeekFrom) -> std::io::Result<u64> {
-            self.0.seek(to)
-        }
-    }
-    let mut disk = Cursor::new(Vec::new());
-    let mut recorder = Recorder::new(Killed(&mut disk, 5_000), &header()).unwrap();
-    let mut written = 0;
-    while recorder.state(written, SafetyState::Armed, Causes::from_bits(written as u16)).is_ok() {
-        written += 1;
+    let disk = RefCell::new(Vec::new());
+    // A buffer is not on disk.
+    let mut recorder = Recorder::new(std::io::BufWriter::new(Disk(&disk)), &header()).unwrap();
+    let mut states = 0;
+    // Ten a second, and causes that are no pattern to compress.
+    while recorder.state(states * 100_000, SafetyState::Armed, Causes::from_bits((states * 40_503) as u16)).is_ok() {
+        let log = Log::from_bytes(&disk.borrow()).unwrap();
+        assert_eq!(log.warnings, [Warning::CutShort]);
+        assert!(log.states.len() as u64 + 10 >= states, "{} of {states}", log.states.len());
+        states += 1;
     }
     let full = recorder.finish().err().map(|error| error.to_string()).unwrap_or_default();
     assert!(full.contains("free space"), "{full}");
-    let log = Log::from_bytes(disk.get_ref()).unwrap();
-    assert_eq!(log.warnings, [Warning::CutShort]);
-    assert!(log.states.len() as u64 >= written - 1 && written > 20, "{} of {written}", log.states.len());
+    let log = Log::from_bytes(&disk.borrow()).unwrap();
+    assert!(log.states.len() as u64 + 10 >= states && states > 20, "{} of {states}", log.states.len());
 }
 
 #[test]
 fn a_flipped_bit_is_found_and_its_chunk_left_out() {
-    let mut file = run();
-    let at = file.windows(8).position(|bytes| bytes == b"position").unwrap();
-    let number = at + file[at..].windows(4).position(|bytes| bytes == b":1.5").unwrap() + 1;
-    file[number] = b'7';
-    let log = Log::from_bytes(&file).unwrap();
-    assert!(matches!(log.warnings[..], [Warning::Damaged { .. }]), "{:?}", log.warnings);
-    assert!(log.motors.is_empty() && log.states.is_empty(), "no number from a damaged chunk");
+    let (file, mut found) = (run_every(120_000), 0);
+    let (whole, data) = (Log::from_bytes(&file).unwrap(), data_of_chunks(&file));
+    for at in data.iter().cloned().flatten() {
+        // Another bit of each byte.
+        let mut damaged = file.clone();
+        damaged[at] ^= 1 << (at % 8);
+        let log = Log::from_bytes(&damaged).unwrap();
+        let samples = log.motor(OSMC).map_or(&[][..], |series| &series.samples);
+        if !log.warnings.is_empty() {
+            assert!(matches!(log.warnings[..], [Warning::Damaged { .. }]), "{:?}", log.warnings);
+            assert!((1..20).contains(&samples.len()), "the other chunks are read");
+            found += 1;
+        }
+        // A bit of a frame's head may say nothing; no number is another one.
+        assert!(samples.iter().all(|sample| whole.motor(OSMC).unwrap().samples.contains(sample)), "{at}");
+    }
+    let bits: usize = data.iter().map(|chunk| chunk.len()).sum();
+    assert!(found > bits * 98 / 100, "{found} of {bits}");
+}
+
+/// Where the compressed data of each chunk are.
+fn data_of_chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let summary = mcap::Summary::read(file).unwrap().unwrap();
+    let data = summary.chunk_indexes.iter().map(|index| {
+        let from = index.compressed_data_offset().unwrap() as usize;
+        from..from + index.compressed_size as usize
+    });
+    data.collect()
+}
+
+/// A chunk that says it is larger or smaller than it is, or whose compression is unknown.
+#[test]
+fn a_chunk_with_a_wrong_head_is_left_out() {
+    let file = run();
+    let data = data_of_chunks(&file)[0].start;
+    // Before the data: size, name of the compression and its length, checksum, uncompressed size.
+    let (name, uncompressed) = (data - 11, data - 27);
+    assert_eq!(&file[name..data - 8], b"lz4");
+    let with = |at: usize, bytes: &[u8]| {
+        let mut file = file.clone();
+        file[at..at + bytes.len()].copy_from_slice(bytes);
+        Log::from_bytes(&file).unwrap()
+    };
+    let size = u64::from_le_bytes(file[uncompressed..uncompressed + 8].try_into().unwrap());
+    for size in [0, size - 1, size + 1, u64::MAX] {
+        let log = with(uncompressed, &size.to_le_bytes());
+        assert!(matches!(log.warnings[..], [Warning::Damaged { .. }]) && log.motors.is_empty(), "{size}");
+    }
+    let log = with(name, b"lz5");
+    assert_eq!(log.warnings, [Warning::Compressed { compression: "lz5".into() }]);
 }
 
 #[test]
@@ -98,8 +142,8 @@ fn what_is_not_a_log_is_named() {
         name: "r4.run".into(),
         metadata: pairs.iter().map(|(key, value)| ((*key).into(), (*value).into())).collect(),
     };
-    let newer = Log::from_bytes(&foreign(Some(record(&[("format", "2")]))));
-    assert!(matches!(newer, Err(LogError::Format { found, .. }) if found == "2"));
+    let newer = Log::from_bytes(&foreign(Some(record(&[("format", "3")]))));
+    assert!(matches!(newer, Err(LogError::Format { found, .. }) if found == "3"));
     let partial = Log::from_bytes(&foreign(Some(record(&[("format", "1"), ("protocol_version", "one")]))));
     assert!(matches!(partial, Err(LogError::BadHeader { key: "protocol_version" })));
 }
@@ -112,12 +156,14 @@ fn a_message_with_wrong_fields_is_counted() {
     let mut writer = mcap::WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
     let index = &original.metadata_indexes[0];
     writer.write_metadata(&mcap::read::metadata(&file, index).unwrap()).unwrap();
-    for message in mcap::MessageStream::new(&file).unwrap() {
-        let mut message = message.unwrap();
-        if message.channel.topic == "/osmc0" && message.sequence == 3 {
-            message.data = br#"{"setpoint_mode":"torque"}"#[..].into();
-        }
-        writer.write(&message).unwrap();
+    for message in messages(&file).into_iter().filter(|message| ["/osmc0", "/state"].contains(&&*message.topic)) {
+        let wrong = message.topic == "/osmc0" && message.header.sequence == 3;
+        let (encoding, schema) = message.schema;
+        let name = if message.topic == "/state" { "r4.SafetyState" } else { "r4.RotaryMotor" };
+        let schema = writer.add_schema(name, &encoding, &schema).unwrap();
+        let channel_id = writer.add_channel(schema, &message.topic, &message.encoding, &BTreeMap::new()).unwrap();
+        let data = if wrong { br#"{"setpoint_mode":"torque"}"# } else { &message.data[..] };
+        writer.write_to_known_channel(&MessageHeader { channel_id, ..message.header }, data).unwrap();
     }
     writer.finish().unwrap();
     let log = Log::from_bytes(&writer.into_inner().into_inner()).unwrap();

@@ -3,8 +3,8 @@
 
 use std::{fs, io::Cursor};
 
-use crate::common::{ACTUATOR, DHB, ENCODER, OSMC, RANGE, SUPPLY, SWITCH, header, run};
-use mcap::records::{Record, op};
+use crate::common::{ACTUATOR, DHB, ENCODER, OSMC, RANGE, SUPPLY, SWITCH, header, messages, run};
+use mcap::records::op;
 use proptest::{collection::vec, prelude::*};
 use r4_log::{Log, RecordError, Recorder};
 use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample, Setpoint, Telemetry};
@@ -53,13 +53,11 @@ fn messages_have_units_in_their_names_and_follow_their_schema() {
     let file = run();
     let summary = mcap::Summary::read(&file).unwrap().unwrap();
     let mut first = std::collections::BTreeMap::new();
-    for message in mcap::MessageStream::new(&file).unwrap() {
-        let message = message.unwrap();
-        assert_eq!(message.log_time, message.publish_time);
+    for message in messages(&file) {
+        assert_eq!(message.header.log_time, message.header.publish_time);
         let fields: serde_json::Value = serde_json::from_slice(&message.data).unwrap();
-        let schema = &message.channel.schema.as_ref().unwrap();
-        assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("jsonschema", "json"));
-        let schema: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
+        assert_eq!((message.schema.0.as_str(), message.encoding.as_str()), ("jsonschema", "json"));
+        let schema: serde_json::Value = serde_json::from_slice(&message.schema.1).unwrap();
         for (name, value) in fields.as_object().unwrap() {
             let fits = match schema["properties"][name]["type"].as_str().unwrap() {
                 "string" => value.is_string(),
@@ -71,23 +69,23 @@ fn messages_have_units_in_their_names_and_follow_their_schema() {
             };
             assert!(fits, "{name}: {value}");
         }
-        first.entry(message.channel.topic.clone()).or_insert_with(|| String::from_utf8(message.data.to_vec()).unwrap());
+        first.entry(message.topic).or_insert_with(|| String::from_utf8(message.data).unwrap());
     }
     assert_eq!(summary.stats.unwrap().message_count, 3 + 2 + 20 * 7);
     let expected = [
         (
             "/actuator1",
-            r#"{"setpoint_mode":"speed","setpoint":-0.01,"position_counts":7,"position_m":0.0006999999823165126,"speed_m_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
+            r#"{"setpoint_mode":"speed","setpoint_speed_m_s":-0.01,"position_counts":7,"position_m":0.0006999999823165126,"speed_m_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
-        ("/command", r#"{"channel":"osmc0","setpoint_mode":"position","setpoint":1.5}"#),
+        ("/command", r#"{"channel":"osmc0","setpoint_mode":"position","setpoint_position_rad":1.5}"#),
         (
             "/dhb2",
-            r#"{"setpoint_mode":"duty","setpoint":0.5,"position_counts":7,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
+            r#"{"setpoint_mode":"duty","setpoint_duty":0.5,"position_counts":7,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
         ("/encoder4", r#"{"position_counts":-1,"position_rad":-0.009999999776482582,"speed_rad_s":-1.5,"illegal":3}"#),
         (
             "/osmc0",
-            r#"{"setpoint_mode":"position","setpoint":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
+            r#"{"setpoint_mode":"position","setpoint_position_rad":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
         ),
         ("/range5", r#"{"distance_m":0.75,"age_ms":1,"quality":"good"}"#),
         ("/state", r#"{"state":"disarmed","causes":[],"causes_bits":0}"#),
@@ -126,20 +124,33 @@ fn a_channel_that_the_header_does_not_describe_is_refused() {
     ));
 }
 
-/// Chunks are closed when they are full; every chunk must be found again.
+/// Chunks are closed when they are full or a second long; every chunk must be found again.
 #[test]
 fn a_long_run_has_several_chunks() {
-    let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
-    for device_us in 0..20_000 {
-        let samples = [Sample::Scalar { channel: SUPPLY, value: device_us as f32 }].into_iter().collect();
-        recorder.telemetry(&Telemetry { device_us, state: SafetyState::Armed, causes: Causes::NONE, samples }).unwrap();
+    // Each sample is about 50 bytes: by size 5243 in a chunk; by time 1000.
+    for (period_us, chunks) in [(1, 4), (1_000, 20)] {
+        let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
+        for sample in 0..20_000 {
+            let (device_us, state, causes) = (sample * period_us, SafetyState::Armed, Causes::NONE);
+            let samples = [Sample::Scalar { channel: SUPPLY, value: sample as f32 }].into_iter().collect();
+            recorder.telemetry(&Telemetry { device_us, state, causes, samples }).unwrap();
+        }
+        let file = recorder.finish().unwrap().into_inner();
+        let summary = mcap::Summary::read(&file).unwrap().unwrap();
+        assert_eq!(summary.chunk_indexes.len(), chunks);
+        assert_eq!((summary.stats.unwrap().message_count, messages(&file).len()), (20_001, 20_001));
+        // What an index points to is the record that it says.
+        for index in &summary.chunk_indexes {
+            assert_eq!(file[index.chunk_start_offset as usize], op::CHUNK);
+            for (channel, offset) in &index.message_index_offsets {
+                let at = *offset as usize;
+                assert_eq!((file[at], &file[at + 9..at + 11]), (op::MESSAGE_INDEX, &channel.to_le_bytes()[..]));
+            }
+        }
+        let log = Log::from_bytes(&file).unwrap();
+        assert_eq!(log.warnings, []);
+        assert!(log.scalar(SUPPLY).unwrap().samples.iter().enumerate().all(|(i, sample)| sample.1 == i as f64));
     }
-    let file = recorder.finish().unwrap().into_inner();
-    let chunks = mcap::read::LinearReader::new(&file).unwrap();
-    let chunks = chunks.filter(|record| matches!(record, Ok(Record::Chunk { .. }))).count();
-    assert!(chunks > 2, "{chunks} chunks (opcode {})", op::CHUNK);
-    let log = Log::from_bytes(&file).unwrap();
-    assert!(log.scalar(SUPPLY).unwrap().samples.iter().enumerate().all(|(i, sample)| sample.1 == i as f64));
 }
 
 fn modes() -> impl Strategy<Value = Mode> {

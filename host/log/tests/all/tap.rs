@@ -3,11 +3,11 @@
 
 use std::io::Cursor;
 
-use crate::common::{OSMC, header};
-use r4_log::{About, Log, LoggedRequest, Recorded, Tap, Wall};
+use crate::common::{OSMC, SUPPLY, header, messages};
+use r4_log::{About, Log, LoggedRequest, RecordError, Recorded, Tap, Wall};
 use r4_protocol::{
-    Cause, Causes, DeviceInfo, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, ToHost, VERSION, config::PidGains, encode_frame, frame::MAX_FRAME,
+    Cause, Causes, ChannelInfo, DeviceInfo, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint,
+    Telemetry, ToDevice, ToHost, VERSION, config::PidGains, encode_frame, frame::MAX_FRAME,
 };
 use serde::Serialize;
 
@@ -53,24 +53,43 @@ impl Link {
 
     fn open_at(wall: Wall) -> Self {
         let mut link = Self { tap: tap(wall), seq: 65_000 };
-        link.ask(100, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
-        let channels = header().channels;
+        link.greet(100, AHEAD_US + 150, header().channels);
+        link
+    }
+
+    /// Says hello at `now_us` to a board whose clock is `device_us` 50 us later.
+    fn greet(&mut self, now_us: u64, device_us: u64, channels: Vec<ChannelInfo>) {
+        self.ask(now_us, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
         let info = DeviceInfo {
             robot: "bench \"A\"".try_into().unwrap(),
             firmware: "0.1.0".try_into().unwrap(),
             session: 1,
             channels: channels.len() as u8,
             link_timeout_ms: 200,
-            device_us: AHEAD_US + 150,
+            device_us,
             state: SafetyState::Disarmed,
             causes: Causes::NONE,
         };
-        link.answer(200, Ok(Reply::Hello(info)));
+        self.answer(now_us + 100, Ok(Reply::Hello(info)));
         for (index, channel) in channels.into_iter().enumerate() {
-            link.ask(300 + index as u64, Request::Describe { index: index as u8 });
-            link.answer(400 + index as u64, Ok(Reply::Channel(channel)));
+            self.ask(now_us + 200 + index as u64, Request::Describe { index: index as u8 });
+            self.answer(now_us + 300 + index as u64, Ok(Reply::Channel(channel)));
         }
-        link
+    }
+
+    /// Samples of the first channel, each 10 ms from then to then of the board's clock, when the host's is `behind_us` behind it.
+    fn samples(&mut self, device_us: std::ops::Range<u64>, behind_us: u64) {
+        for device_us in device_us.step_by(10_000) {
+            let samples = [Sample::Scalar { channel: SUPPLY, value: 12.0 }].into_iter().collect();
+            let (state, causes) = (SafetyState::Disarmed, Causes::NONE);
+            let telemetry = Telemetry { device_us, state, causes, samples };
+            self.tap.received(device_us - behind_us, &frame(&ToHost::Telemetry(telemetry)));
+        }
+    }
+
+    fn subscribe(&mut self, now_us: u64) {
+        self.ask(now_us, Request::Subscribe { channel: SUPPLY, period_ms: 10 });
+        self.answer(now_us, Ok(Reply::Done));
     }
 
     fn log(self) -> Log {
@@ -88,10 +107,71 @@ fn log_times_of_a_board_in_real_time_are_those_of_the_wall() {
     let recorded = log.header.recorded.unwrap();
     // The hello was said at 100 us. By `date -u -d @1700000000`.
     assert_eq!((recorded.unix_ns, recorded.at()), (ZERO_NS + 100_000, "2023-11-14T22:13:20Z".to_owned()));
-    let messages = mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
-    let arm = messages.filter(|message| message.channel.topic == "/request").last().unwrap();
-    assert_eq!((arm.log_time, arm.publish_time), (ZERO_NS + 2_000_000, (AHEAD_US + 2_000) * 1_000));
+    let arm = messages(&file).into_iter().rfind(|message| message.topic == "/request").unwrap();
+    assert_eq!((arm.header.log_time, arm.header.publish_time), (ZERO_NS + 2_000_000, (AHEAD_US + 2_000) * 1_000));
     assert_eq!(log.requests[0].time_s, (AHEAD_US + 2_000) as f64 / 1e6);
+}
+
+/// From 0.01 s to 0.99 s of the host's clock, then 2 s without a link.
+fn lost() -> Link {
+    let mut link = Link::open();
+    link.subscribe(2_000);
+    link.samples(AHEAD_US + 10_000..AHEAD_US + 1_000_000, AHEAD_US);
+    link.tap.reopened();
+    // Another attempt: it did not answer.
+    link.ask(2_000_000, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
+    link.tap.reopened();
+    link
+}
+
+#[test]
+fn a_lost_link_leaves_a_gap() {
+    let mut link = lost();
+    link.greet(2_990_000, AHEAD_US + 2_990_050, header().channels);
+    link.subscribe(2_991_000);
+    link.samples(AHEAD_US + 3_000_000..AHEAD_US + 4_000_000, AHEAD_US);
+    let log = link.log();
+    let gap = log.gaps[0];
+    assert_eq!((log.gaps.len(), gap.restarted, gap.clock_shift_us), (1, false, 0));
+    // Heard last at 0.99 s, then 100 us after the hello.
+    assert_eq!((gap.time_s, gap.without_link_s), ((AHEAD_US + 2_990_050) as f64 / 1e6, 2.0001));
+    let supply = log.coverage().into_iter().find(|coverage| coverage.channel == SUPPLY).unwrap();
+    assert_eq!((supply.samples, supply.missing), (199, Some(0)), "nothing was asked for without a link");
+    assert_eq!(gap.to_string(), "2.000 s without a link; the board ran on");
+    assert!(log.signals().iter().any(|signal| signal.name == "gap" && signal.samples.len() == 1));
+}
+
+#[test]
+fn times_go_on_when_the_board_has_restarted() {
+    let mut link = lost();
+    // 0.3 s after its start.
+    link.greet(2_990_000, 300_050, header().channels);
+    link.subscribe(2_991_000);
+    for tick in 1..=100_u64 {
+        let samples = [Sample::Scalar { channel: SUPPLY, value: 12.0 }].into_iter().collect();
+        let (state, causes) = (SafetyState::Disarmed, Causes::only(Cause::WatchdogReset));
+        let telemetry = Telemetry { device_us: 300_000 + tick * 10_000, state, causes, samples };
+        link.tap.received(2_990_000 + tick * 10_000, &frame(&ToHost::Telemetry(telemetry)));
+    }
+    let log = link.log();
+    let gap = log.gaps[0];
+    assert!(gap.restarted);
+    // The first clock would have been 5 s ahead of the host's still.
+    assert_eq!(gap.clock_shift_us, (AHEAD_US + 2_990_000 - 300_000) as i64);
+    let times: Vec<_> = log.scalar(SUPPLY).unwrap().samples.iter().map(|sample| sample.0).collect();
+    assert_eq!((times.len(), times[99]), (199, (AHEAD_US + 3_000_000) as f64 / 1e6));
+    assert!(times.is_sorted());
+    assert!(log.states.last().unwrap().causes.contains(Cause::WatchdogReset), "{:?}", log.states);
+    let supply = log.coverage().into_iter().find(|coverage| coverage.channel == SUPPLY).unwrap();
+    assert_eq!(supply.missing, Some(0));
+}
+
+#[test]
+fn another_board_ends_the_recording() {
+    let mut link = lost();
+    link.greet(2_990_000, 300_050, header().channels[1..].to_vec());
+    assert!(matches!(link.tap.failure(), Some(RecordError::OtherBoard)), "{:?}", link.tap.failure());
+    assert!(matches!(link.tap.finish(), Err(RecordError::OtherBoard)));
 }
 
 #[test]
@@ -199,11 +279,6 @@ fn a_full_disk_ends_the_recording_and_says_so() {
         }
         fn flush(&mut self) -> std::io::Result<()> {
             Ok(())
-        }
-    }
-    impl std::io::Seek for Full {
-        fn seek(&mut self, _: std::io::SeekFrom) -> std::io::Result<u64> {
-            Ok(0)
         }
     }
     let mut tap = Tap::new(

@@ -32,6 +32,8 @@ pub(super) struct Info<'a> {
     /// How often each was sent.
     requests: BTreeMap<&'static str, usize>,
     refusals: Vec<Refusal<'a>>,
+    /// Times without a link.
+    gaps: Vec<Gap>,
     warnings: Vec<String>,
 }
 
@@ -57,6 +59,16 @@ struct Refusal<'a> {
     time_s: f64,
     request: &'a str,
     reason: &'a str,
+}
+
+#[derive(Serialize)]
+struct Gap {
+    /// When the board was heard again.
+    time_s: f64,
+    without_link_s: f64,
+    restarted: bool,
+    #[serde(skip)]
+    text: String,
 }
 
 pub(super) fn run(args: &Args, file: &Path) -> anyhow::Result<bool> {
@@ -95,6 +107,12 @@ impl<'a> Info<'a> {
             request: &refused.request,
             reason: &refused.reason,
         });
+        let gaps = log.gaps.iter().map(|gap| Gap {
+            time_s: gap.time_s,
+            without_link_s: gap.without_link_s,
+            restarted: gap.restarted,
+            text: gap.to_string(),
+        });
         let header = &log.header;
         Self {
             log: path,
@@ -113,6 +131,7 @@ impl<'a> Info<'a> {
             states: states.collect(),
             requests,
             refusals: refusals.collect(),
+            gaps: gaps.collect(),
             warnings: log.warnings.iter().map(ToString::to_string).collect(),
             channels,
         }
@@ -149,6 +168,9 @@ impl<'a> Info<'a> {
         }
         for Refusal { time_s, request, reason } in &self.refusals {
             output::line(format_args!("refused   {time_s:.3} s  {request}: {reason}"))?;
+        }
+        for Gap { time_s, text, .. } in &self.gaps {
+            output::line(format_args!("gap       {time_s:.3} s  {text}"))?;
         }
         let mut table = table::new(&["channel", "unit", "samples", "rate Hz", "longest gap", "missing"], 2..6);
         for channel in &self.channels {

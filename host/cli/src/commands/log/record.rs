@@ -1,18 +1,19 @@
 //! `r4 log record`
 
-use std::{path::PathBuf, pin::pin, time::Duration};
+use std::{cell::RefCell, future::pending, path::PathBuf, pin::pin, time::Duration};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use futures::future::{Either, select};
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_driver::Clock as _;
+use r4_links::Event;
 use r4_protocol::ChannelId;
 use r4_sim::Pace;
 
 use super::{info::Info, read};
 use crate::{
     args::{Args, seconds},
-    session::{self, Interrupted, Session},
+    session::{self, HostClock, Interrupted, Session},
 };
 
 #[derive(Clone, Debug, clap::Args)]
@@ -37,6 +38,8 @@ fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
+/// After the time that was asked for, a session has this long to end by itself.
+const GRACE_S: f64 = 1.0;
 /// How often it is looked whether the recording has failed, us.
 const LOOK_EVERY_US: u64 = 50_000;
 
@@ -48,13 +51,27 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
     );
     progress.enable_steady_tick(Duration::from_millis(200));
     let recorded = Args { record: Some(path.clone()), ..args.clone() };
-    let session =
-        session::run(&recorded, Pace::RealTime(1.0), async |session| follow(session, record, &progress).await);
+    let mut end_us = None;
+    let lost = RefCell::new(None);
+    let tell = |event| {
+        progress.suspend(|| eprintln!("r4: {}", session::told(&event)));
+        lost.replace(if let Event::Lost { why } = event { Some(why) } else { None });
+    };
+    // Without a link nothing else sees that the time is over.
+    let meanwhile = async |clock: &HostClock| {
+        match record.seconds {
+            Some(seconds) => clock.sleep_until(clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64).await,
+            None => pending().await,
+        }
+        Err(lost.take().map_or_else(|| anyhow!("no answer"), Into::into))
+    };
+    let work = async |session: &Session<'_>| follow(session, record, &mut end_us, &progress).await;
+    let recorded = session::keep(&recorded, Pace::RealTime(1.0), work, tell, meanwhile);
     progress.finish_and_clear();
-    match session {
+    match recorded {
         // Recording ends when the person who records says so.
         Err(error) if !error.is::<Interrupted>() => return Err(error),
-        Ok(_) | Err(_) => {}
+        Ok(()) | Err(_) => {}
     }
     let log = read(&path)?;
     let info = Info::of(&path, &log);
@@ -71,8 +88,13 @@ fn free_name() -> anyhow::Result<PathBuf> {
     names.into_iter().find(|path| !path.exists()).context("there are too many logs here: name one with --out")
 }
 
-/// Asks for the channels and waits, while the tap records what comes.
-async fn follow(session: &Session<'_>, record: &Record, progress: &ProgressBar) -> anyhow::Result<()> {
+/// Asks for the channels and waits, while the tap records what comes. `end_us` is when it ends, by the first session.
+async fn follow(
+    session: &Session<'_>,
+    record: &Record,
+    end_us: &mut Option<u64>,
+    progress: &ProgressBar,
+) -> anyhow::Result<()> {
     let board = session.board;
     let mut channels: Vec<ChannelId> = match record.channels.as_slice() {
         [] => board.channels().iter().map(|info| info.id).collect(),
@@ -88,7 +110,8 @@ async fn follow(session: &Session<'_>, record: &Record, progress: &ProgressBar) 
         board.subscribe(channel, period_ms).await?;
     }
     let clock = &session.clock;
-    let end_us = record.seconds.map(|seconds| clock.now_us() + (seconds * 1e6) as u64);
+    *end_us = end_us.or(record.seconds.map(|seconds| clock.now_us() + (seconds * 1e6) as u64));
+    let end_us = *end_us;
     while end_us.is_none_or(|end_us| clock.now_us() < end_us) {
         let look_us = clock.now_us() + LOOK_EVERY_US;
         let until_us = end_us.map_or(look_us, |end_us| end_us.min(look_us));

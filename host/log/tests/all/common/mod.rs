@@ -2,8 +2,18 @@
 #![allow(clippy::unwrap_used, reason = "test code")]
 #![allow(dead_code, reason = "not every test needs everything")]
 
-use std::io::Cursor;
+use std::{
+    collections::BTreeMap,
+    io::{Cursor, Read},
+};
 
+use mcap::{
+    records::{MessageHeader, Record},
+    sans_io::{
+        LinearReadEvent, LinearReader, LinearReaderOptions,
+        decompressor::{DecompressResult, Decompressor},
+    },
+};
 use r4_log::{Header, Recorder};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Quality, Range, SafetyState, Sample, Setpoint,
@@ -65,6 +75,11 @@ pub(crate) fn header() -> Header {
 
 /// Twenty frames of every channel, an arming, a trip, two commands.
 pub(crate) fn run() -> Vec<u8> {
+    run_every(1)
+}
+
+/// The same with so much between the frames, us.
+pub(crate) fn run_every(period_us: u64) -> Vec<u8> {
     let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
     recorder.state(500, SafetyState::Disarmed, Causes::NONE).unwrap();
     recorder.command(900, OSMC, Setpoint { mode: Mode::Position, value: 1.5 }).unwrap();
@@ -97,8 +112,98 @@ pub(crate) fn run() -> Vec<u8> {
                 quality: if tick > 10 { Quality::NoAnswer } else { Quality::Good },
             },
         ];
-        let device_us = tick.unsigned_abs().into();
+        let device_us = u64::from(tick.unsigned_abs()) * period_us;
         recorder.telemetry(&Telemetry { device_us, state, causes, samples: samples.into_iter().collect() }).unwrap();
     }
     recorder.finish().unwrap().into_inner()
+}
+
+/// A message as the reader of the `mcap` crate gives it.
+pub(crate) struct Message {
+    pub(crate) topic: String,
+    pub(crate) encoding: String,
+    /// Encoding and content.
+    pub(crate) schema: (String, Vec<u8>),
+    pub(crate) header: MessageHeader,
+    pub(crate) data: Vec<u8>,
+}
+
+/// The messages of `file` by the reader of the `mcap` crate, which checks every length and checksum.
+pub(crate) fn messages(file: &[u8]) -> Vec<Message> {
+    let options = LinearReaderOptions::default()
+        .with_validate_chunk_crcs(true)
+        .with_validate_data_section_crc(true)
+        .with_validate_summary_section_crc(true)
+        .with_check_finishes_after_end_magic(true);
+    let mut reader = LinearReader::new_with_options(options);
+    reader.add_decompressor(Lz4::default()).unwrap();
+    let (mut rest, mut schemas, mut channels) = (file, BTreeMap::new(), BTreeMap::new());
+    let mut messages = Vec::new();
+    while let Some(event) = reader.next_event() {
+        match event.unwrap() {
+            LinearReadEvent::ReadRequest(need) => {
+                let len = need.min(rest.len());
+                reader.insert(len).copy_from_slice(&rest[..len]);
+                reader.notify_read(len);
+                rest = &rest[len..];
+            }
+            LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data).unwrap() {
+                Record::Schema { header, data } => {
+                    schemas.insert(header.id, (header.encoding, data.into_owned()));
+                }
+                Record::Channel(channel) => {
+                    channels.insert(channel.id, channel);
+                }
+                Record::Message { header, data } => {
+                    let channel = &channels[&header.channel_id];
+                    messages.push(Message {
+                        topic: channel.topic.clone(),
+                        encoding: channel.message_encoding.clone(),
+                        schema: schemas[&channel.schema_id].clone(),
+                        header,
+                        data: data.into_owned(),
+                    });
+                }
+                _ => {}
+            },
+        }
+    }
+    messages
+}
+
+/// LZ4 frames for that reader, which has none without a C library.
+#[derive(Default)]
+struct Lz4 {
+    compressed: Vec<u8>,
+    plain: Vec<u8>,
+    given: usize,
+}
+
+impl Decompressor for Lz4 {
+    fn next_read_size(&self) -> usize {
+        0
+    }
+
+    fn decompress(&mut self, src: &[u8], dst: &mut [u8]) -> mcap::McapResult<DecompressResult> {
+        if !src.is_empty() {
+            self.compressed.extend(src);
+            self.plain.clear();
+            // Without the end there is what comes before it.
+            let _ = lz4_flex::frame::FrameDecoder::new(&self.compressed[..]).read_to_end(&mut self.plain);
+        }
+        let new = &self.plain[self.given..];
+        let wrote = new.len().min(dst.len());
+        dst[..wrote].copy_from_slice(&new[..wrote]);
+        self.given += wrote;
+        Ok(DecompressResult { consumed: src.len(), wrote })
+    }
+
+    fn reset(&mut self) -> mcap::McapResult<()> {
+        *self = Self::default();
+        Ok(())
+    }
+
+    fn name(&self) -> &'static str {
+        "lz4"
+    }
 }

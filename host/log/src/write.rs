@@ -1,0 +1,273 @@
+//! An MCAP file with compressed chunks (<https://mcap.dev/spec>), written.
+//!
+//! The writer of the `mcap` crate compresses with C libraries only, and takes no other compressor. This one writes the same
+//! records, and compresses chunks as LZ4 frames in Rust.
+
+use std::{
+    collections::BTreeMap,
+    io::{self, Cursor, Write},
+};
+
+use binrw::BinWrite;
+use lz4_flex::frame::FrameEncoder;
+use mcap::{
+    MAGIC,
+    records::{
+        Channel, ChunkHeader, ChunkIndex, DataEnd, Header, MessageHeader, MessageIndex, MessageIndexEntry, Metadata,
+        MetadataIndex, SchemaHeader, Statistics, SummaryOffset, op,
+    },
+};
+
+use crate::{container::LZ4, message::Schema};
+
+/// A chunk is closed at this size, of which 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses 4 % worse
+/// in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
+const CHUNK_BYTES: usize = 256 * 1024;
+/// A chunk is closed when it is as long as this, ns: the most that is lost when the recording program is killed. Without a limit
+/// the demo's log compresses 2 % better.
+const CHUNK_NS: u64 = 1_000_000_000;
+
+/// Appends a record: `body`, then `tail`.
+fn push(bytes: &mut Vec<u8>, opcode: u8, body: &impl for<'a> BinWrite<Args<'a> = ()>, tail: &[u8]) -> io::Result<()> {
+    bytes.push(opcode);
+    let length_at = bytes.len();
+    bytes.extend([0; 8]);
+    let mut cursor = Cursor::new(&mut *bytes);
+    cursor.set_position((length_at + 8) as u64);
+    body.write_le(&mut cursor).map_err(io::Error::other)?;
+    bytes.extend(tail);
+    let length = (bytes.len() - length_at - 8) as u64;
+    bytes[length_at..length_at + 8].copy_from_slice(&length.to_le_bytes());
+    Ok(())
+}
+
+/// The chunk that is being filled.
+#[derive(Default)]
+struct Chunk {
+    records: Vec<u8>,
+    /// Of the first and the last of its messages.
+    times: Option<(u64, u64)>,
+    /// Where the messages of each channel are.
+    indexes: BTreeMap<u16, Vec<MessageIndexEntry>>,
+}
+
+/// Writes a file from its beginning to its end; nothing written is touched again.
+pub(crate) struct FileWriter<W: Write> {
+    /// `None` once it is given back.
+    out: Option<W>,
+    /// Bytes written.
+    position: u64,
+    /// Checksum of these.
+    crc: crc32fast::Hasher,
+    /// The first error: nothing after it is written.
+    failed: Option<io::ErrorKind>,
+    schema_ids: BTreeMap<String, u16>,
+    /// The records, which the summary repeats.
+    schemas: Vec<u8>,
+    channels: Vec<u8>,
+    chunk: Chunk,
+    chunk_indexes: Vec<ChunkIndex>,
+    metadata_indexes: Vec<MetadataIndex>,
+    statistics: Statistics,
+}
+
+impl<W: Write> FileWriter<W> {
+    /// Starts a file.
+    pub(crate) fn new(out: W, library: &str, metadata: Metadata) -> io::Result<Self> {
+        let mut writer = Self {
+            out: Some(out),
+            position: 0,
+            crc: crc32fast::Hasher::new(),
+            failed: None,
+            schema_ids: BTreeMap::new(),
+            schemas: Vec::new(),
+            channels: Vec::new(),
+            chunk: Chunk::default(),
+            chunk_indexes: Vec::new(),
+            metadata_indexes: Vec::new(),
+            statistics: Statistics { metadata_count: 1, ..Statistics::default() },
+        };
+        let mut bytes = MAGIC.to_vec();
+        push(&mut bytes, op::HEADER, &Header { profile: String::new(), library: library.to_owned() }, &[])?;
+        let offset = bytes.len() as u64;
+        push(&mut bytes, op::METADATA, &metadata, &[])?;
+        let length = bytes.len() as u64 - offset;
+        writer.metadata_indexes.push(MetadataIndex { offset, length, name: metadata.name });
+        writer.emit(&bytes)?;
+        writer.flush()?;
+        Ok(writer)
+    }
+
+    /// Declares a topic of JSON messages and returns its number.
+    pub(crate) fn channel(&mut self, topic: &str, schema: &Schema) -> io::Result<u16> {
+        let full = || io::Error::other("a log holds 65535 topics");
+        let schema_id = match self.schema_ids.get(&schema.name) {
+            Some(id) => *id,
+            None => {
+                // 0 says that there is none.
+                let id = u16::try_from(self.schema_ids.len() + 1).map_err(|_| full())?;
+                let header = SchemaHeader { id, name: schema.name.clone(), encoding: "jsonschema".to_owned() };
+                let data = [&(schema.json.len() as u32).to_le_bytes(), schema.json.as_bytes()].concat();
+                let begin = self.schemas.len();
+                push(&mut self.schemas, op::SCHEMA, &header, &data)?;
+                self.chunk.records.extend(&self.schemas[begin..]);
+                self.schema_ids.insert(schema.name.clone(), id);
+                self.statistics.schema_count += 1;
+                id
+            }
+        };
+        let id = u16::try_from(self.statistics.channel_count).map_err(|_| full())?;
+        let (topic, message_encoding) = (topic.to_owned(), "json".to_owned());
+        let channel = Channel { id, schema_id, topic, message_encoding, metadata: BTreeMap::new() };
+        let begin = self.channels.len();
+        push(&mut self.channels, op::CHANNEL, &channel, &[])?;
+        self.chunk.records.extend(&self.channels[begin..]);
+        self.statistics.channel_count += 1;
+        Ok(id)
+    }
+
+    /// Writes a message of a topic that [`channel`](Self::channel) has declared.
+    pub(crate) fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
+        let time = header.log_time;
+        if self.chunk.times.is_some_and(|(first, _)| time.saturating_sub(first) >= CHUNK_NS) {
+            self.end_chunk()?;
+        }
+        let chunk = &mut self.chunk;
+        let offset = chunk.records.len() as u64;
+        push(&mut chunk.records, op::MESSAGE, header, data)?;
+        chunk.indexes.entry(header.channel_id).or_default().push(MessageIndexEntry { log_time: time, offset });
+        let (first, last) = chunk.times.unwrap_or((time, time));
+        chunk.times = Some((first.min(time), last.max(time)));
+        let of_all = &mut self.statistics;
+        let whole_file = (of_all.message_start_time.min(time), of_all.message_end_time.max(time));
+        let none_before = of_all.message_count == 0;
+        (of_all.message_start_time, of_all.message_end_time) = if none_before { (time, time) } else { whole_file };
+        of_all.message_count += 1;
+        *of_all.channel_message_counts.entry(header.channel_id).or_default() += 1;
+        if chunk.records.len() >= CHUNK_BYTES { self.end_chunk() } else { Ok(()) }
+    }
+
+    /// Writes the chunk with its indexes.
+    fn end_chunk(&mut self) -> io::Result<()> {
+        let Chunk { records, times, indexes } = std::mem::take(&mut self.chunk);
+        if records.is_empty() {
+            return Ok(());
+        }
+        let mut encoder = FrameEncoder::new(Vec::with_capacity(records.len() / 4));
+        encoder.write_all(&records)?;
+        let compressed = encoder.finish().map_err(io::Error::other)?;
+        let (message_start_time, message_end_time) = times.unwrap_or_default();
+        let header = ChunkHeader {
+            message_start_time,
+            message_end_time,
+            uncompressed_size: records.len() as u64,
+            uncompressed_crc: crc32fast::hash(&records),
+            compression: LZ4.to_owned(),
+            compressed_size: compressed.len() as u64,
+        };
+        let chunk_start_offset = self.position;
+        let mut bytes = Vec::with_capacity(compressed.len() + 1024);
+        push(&mut bytes, op::CHUNK, &header, &compressed)?;
+        let chunk_length = bytes.len() as u64;
+        let mut message_index_offsets = BTreeMap::new();
+        for (channel_id, mut records) in indexes {
+            // The specification wants them in order of time.
+            records.sort_by_key(|entry| entry.log_time);
+            message_index_offsets.insert(channel_id, chunk_start_offset + bytes.len() as u64);
+            push(&mut bytes, op::MESSAGE_INDEX, &MessageIndex { channel_id, records }, &[])?;
+        }
+        self.chunk_indexes.push(ChunkIndex {
+            message_start_time,
+            message_end_time,
+            chunk_start_offset,
+            chunk_length,
+            message_index_offsets,
+            message_index_length: bytes.len() as u64 - chunk_length,
+            compression: header.compression,
+            compressed_size: header.compressed_size,
+            uncompressed_size: header.uncompressed_size,
+        });
+        self.statistics.chunk_count += 1;
+        self.emit(&bytes)?;
+        self.flush()
+    }
+
+    /// Writes what is left and the summary, and gives the writer back.
+    pub(crate) fn finish(mut self) -> io::Result<W> {
+        self.end()?;
+        self.out.take().ok_or_else(|| io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        self.end_chunk()?;
+        let mut bytes = Vec::new();
+        push(&mut bytes, op::DATA_END, &DataEnd { data_section_crc: self.crc.clone().finalize() }, &[])?;
+        self.emit(&bytes)?;
+
+        let begin = self.position;
+        let mut summary = Vec::new();
+        let mut groups = Vec::new();
+        let mut group = |summary: &Vec<u8>, group_opcode, from: usize| {
+            if summary.len() > from {
+                let (group_start, group_length) = (begin + from as u64, (summary.len() - from) as u64);
+                groups.push(SummaryOffset { group_opcode, group_start, group_length });
+            }
+            summary.len()
+        };
+        summary.extend(&self.schemas);
+        let at = group(&summary, op::SCHEMA, 0);
+        summary.extend(&self.channels);
+        let at = group(&summary, op::CHANNEL, at);
+        push(&mut summary, op::STATISTICS, &self.statistics, &[])?;
+        let at = group(&summary, op::STATISTICS, at);
+        for index in &self.chunk_indexes {
+            push(&mut summary, op::CHUNK_INDEX, index, &[])?;
+        }
+        let at = group(&summary, op::CHUNK_INDEX, at);
+        for index in &self.metadata_indexes {
+            push(&mut summary, op::METADATA_INDEX, index, &[])?;
+        }
+        let at = group(&summary, op::METADATA_INDEX, at);
+        for offset in &groups {
+            push(&mut summary, op::SUMMARY_OFFSET, offset, &[])?;
+        }
+        // The footer's checksum is of the summary and of the footer before it, so the record is made by hand.
+        summary.push(op::FOOTER);
+        summary.extend(20_u64.to_le_bytes());
+        summary.extend(begin.to_le_bytes());
+        summary.extend((begin + at as u64).to_le_bytes());
+        summary.extend(crc32fast::hash(&summary).to_le_bytes());
+        summary.extend(MAGIC);
+        self.emit(&summary)?;
+        self.flush()
+    }
+
+    fn emit(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.attempt(|out| out.write_all(bytes))?;
+        self.position += bytes.len() as u64;
+        self.crc.update(bytes);
+        Ok(())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.attempt(W::flush)
+    }
+
+    /// What follows an error would not be where the indexes say.
+    fn attempt(&mut self, write: impl FnOnce(&mut W) -> io::Result<()>) -> io::Result<()> {
+        if let Some(kind) = self.failed {
+            return Err(kind.into());
+        }
+        let Some(out) = &mut self.out else { return Err(io::ErrorKind::BrokenPipe.into()) };
+        write(out).inspect_err(|error| self.failed = Some(error.kind()))
+    }
+}
+
+/// A recording that is dropped is finished as far as that goes.
+impl<W: Write> Drop for FileWriter<W> {
+    fn drop(&mut self) {
+        if self.out.is_some() {
+            let _ = self.end();
+        }
+    }
+}
