@@ -1,6 +1,9 @@
 //! Recordings of a drawn plant with something hidden in it, as an identifier reads them.
 
-use std::io::{self, Write};
+use std::{
+    fmt,
+    io::{self, Write},
+};
 
 use r4_plants::{DcGearMotor, LinearActuator, Model, PlantSpec};
 
@@ -22,6 +25,16 @@ pub enum Setup {
     MotorSpeed,
     /// A mass on a rail: force to position.
     AxisPosition,
+}
+
+impl fmt::Display for Setup {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::MotorPosition => "motor, position",
+            Self::MotorSpeed => "motor, speed",
+            Self::AxisPosition => "axis, position",
+        })
+    }
 }
 
 /// The force of an axis at a duty of 1 is a current of this size in a winding whose own back-EMF is next to nothing.

@@ -161,7 +161,7 @@ fn transfer(record: &WireRecord) -> String {
     }
     line += &format!(" ({} ns)", record.end_ns - record.start_ns);
     if let Some(fault) = record.fault {
-        line += &format!(" {fault:?}");
+        line += &format!(" {fault}");
     }
     line
 }

@@ -1,5 +1,7 @@
 //! What peripherals share: time, clocks, and the wires between them.
 
+use std::fmt;
+
 use crate::outside::Outside;
 
 /// Frequencies that the clock tree gives, Hz; 0 is stopped. Made by the RCC model from its registers.
@@ -98,6 +100,18 @@ pub enum ResetCause {
     Watchdog,
     /// The supply fell below the brown-out level.
     BrownOut,
+}
+
+impl fmt::Display for ResetCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::PowerOn => "power on",
+            Self::Pin => "reset pin (NRST)",
+            Self::Software => "software (SYSRESETREQ)",
+            Self::Watchdog => "independent watchdog",
+            Self::BrownOut => "brown-out",
+        })
+    }
 }
 
 /// A wire from one peripheral to another, or to the core.

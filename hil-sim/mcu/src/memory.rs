@@ -9,6 +9,7 @@
 //! [`Chip::write`](crate::Chip::write).
 
 use std::cell::{Cell, RefCell};
+use std::fmt;
 use std::ops::Range;
 use std::rc::Rc;
 
@@ -39,6 +40,23 @@ pub enum Bank {
     Sram4,
     /// Backup SRAM.
     Backup,
+}
+
+impl fmt::Display for Bank {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Itcm => "ITCM",
+            Self::Flash1 => "flash bank 1",
+            Self::Flash2 | Self::Storage => "flash bank 2",
+            Self::Dtcm => "DTCM",
+            Self::Axi => "AXI SRAM",
+            Self::Sram1 => "SRAM1",
+            Self::Sram2 => "SRAM2",
+            Self::Sram3 => "SRAM3",
+            Self::Sram4 => "SRAM4",
+            Self::Backup => "backup SRAM",
+        })
+    }
 }
 
 impl Bank {

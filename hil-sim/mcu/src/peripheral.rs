@@ -1,5 +1,7 @@
 //! What every peripheral is.
 
+use std::fmt;
+
 use crate::context::Context;
 
 /// Width of an access.
@@ -22,6 +24,16 @@ impl Size {
             Self::Half => 2,
             Self::Word => 4,
         }
+    }
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Byte => "byte",
+            Self::Half => "half-word",
+            Self::Word => "word",
+        })
     }
 }
 

@@ -94,7 +94,7 @@ impl Memory {
         }
         for ((number, mapped), region) in (0_u8..).zip(&mut self.mapped).skip(1).zip(regions) {
             if (region.base | region.len()) & ((1 << PAGE_BITS) - 1) != 0 || region.is_empty() {
-                return Err(CoreError(format!("{:?} does not begin and end with a page", region.bank)));
+                return Err(CoreError(format!("{} does not begin and end with a page", region.bank)));
             }
             let direct = region.direct();
             *mapped = Mapped { base: region.base, bytes: Rc::clone(region.bytes()), writable: direct.write };

@@ -234,7 +234,7 @@ impl<C: Core + 'static> Watcher<C> for Server<C> {
             tracer.collect(machine, observed_at(stopped));
         }
         if let Reason::Reset(cause) = stopped.reason {
-            self.starter.say(&format!("the chip was reset at {} ns: {cause:?}", stopped.at_ns));
+            self.starter.say(&format!("the chip was reset at {} ns: {cause}", stopped.at_ns));
         }
         if let Some(reason) = self.reason(stopped) {
             self.report(reason);

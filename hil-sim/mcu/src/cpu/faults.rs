@@ -43,6 +43,28 @@ pub enum Cause {
     Unaligned,
 }
 
+/// What happened, and the flag of CFSR that says so.
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::FetchViolation => f.write_str("instruction fetch from where nothing may be executed (IACCVIOL)"),
+            Self::DataViolation { address } => write!(f, "access to {address:#010x}, which is protected (DACCVIOL)"),
+            Self::StackingViolation => f.write_str("exception entry on a protected stack (MSTKERR)"),
+            Self::UnstackingViolation => f.write_str("exception return from a protected stack (MUNSTKERR)"),
+            Self::FetchError => f.write_str("instruction fetch that the bus refused (IBUSERR)"),
+            Self::Load { address } => write!(f, "load from {address:#010x} that the bus refused (PRECISERR)"),
+            Self::Store => f.write_str("store that the bus refused (IMPRECISERR)"),
+            Self::Stacking => f.write_str("exception entry could not save registers (STKERR)"),
+            Self::Unstacking => f.write_str("exception return could not restore registers (UNSTKERR)"),
+            Self::Undefined => f.write_str("undefined instruction (UNDEFINSTR)"),
+            Self::InvalidState => f.write_str("invalid state of the processor (INVSTATE)"),
+            Self::InvalidReturn => f.write_str("invalid exception return (INVPC)"),
+            Self::NoCoprocessor => f.write_str("floating point while it is not enabled (NOCP)"),
+            Self::Unaligned => f.write_str("unaligned access (UNALIGNED)"),
+        }
+    }
+}
+
 impl Cause {
     /// The exception that is for it, unless that cannot be taken.
     #[must_use]

@@ -446,7 +446,7 @@ fn identification(offset: u32) -> Option<u32> {
 }
 
 fn unmodelled(address: u32, size: Size) -> Unmodelled {
-    Unmodelled { peripheral: "PPB", what: format!("{size:?} access to {address:#010x} is not modelled") }
+    Unmodelled { peripheral: "PPB", what: format!("{size} access to {address:#010x} is not modelled") }
 }
 
 #[cfg(test)]

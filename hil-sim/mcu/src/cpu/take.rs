@@ -108,7 +108,7 @@ impl<C: Core> Taker<'_, C> {
     /// Lock-up.
     pub fn fault(&mut self, cause: Cause) -> Result<(), Failure> {
         self.cpu.faults.note(cause);
-        let exception = self.escalate(cause.exception(), &format!("{cause:?}"))?;
+        let exception = self.escalate(cause.exception(), &cause.to_string())?;
         self.enter(exception)
     }
 
@@ -196,7 +196,7 @@ impl<C: Core> Taker<'_, C> {
     /// A return that cannot be made becomes a fault, on the frame that is there (B1.5.8).
     fn refuse(&mut self, cause: Cause, exc_return: u32) -> Result<bool, Failure> {
         self.cpu.faults.note(cause);
-        let exception = self.escalate(cause.exception(), &format!("{cause:?}"))?;
+        let exception = self.escalate(cause.exception(), &cause.to_string())?;
         self.start_handler(exception, exc_return | 0xF000_0000)?;
         Ok(false)
     }

@@ -60,7 +60,7 @@ pub struct Stopped {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MachineError {
     /// The program uses what is not modelled.
-    #[error("{} {address:#010x} ({size:?}) at {at_ns} ns from {location}: {cause}", if *.write { "write of" } else { "read of" })]
+    #[error("{} {address:#010x} ({size}) at {at_ns} ns from {location}: {cause}", if *.write { "write of" } else { "read of" })]
     Unmodelled {
         /// The address accessed.
         address: u32,

@@ -497,12 +497,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
             && region.direct().read
             && !unreadable(region)
         {
-            return Err(self.processor_error(format!("execution from {:?} at {pc:#010x} is not modelled", region.bank)));
+            return Err(self.processor_error(format!("execution from {} at {pc:#010x} is not modelled", region.bank)));
         }
         if let Some((region, _)) = self.chip.memory().locate(pc)
             && region.bank == Bank::Storage
         {
-            return Err(self.processor_error(format!("execution from {:?} at {pc:#010x} is not modelled", region.bank)));
+            return Err(self.processor_error(format!("execution from {} at {pc:#010x} is not modelled", region.bank)));
         }
         // Peripherals, external devices and the system area are never executed from (B3.1).
         let never = matches!(pc, 0x4000_0000..0x6000_0000 | 0xA000_0000..);

@@ -15,7 +15,7 @@
 //! Low-power modes, the analog voltage detector (turning it on ends the run) and the monitors of battery and temperature are not
 //! modelled: settings of the latter are kept, and nothing comes of them.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, fmt};
 
 use crate::{
     Context, Peripheral, ResetCause, Signal, Size, Unmodelled,
@@ -33,6 +33,17 @@ pub enum VoltageScale {
     Vos2,
     /// Up to 200 MHz, after reset.
     Vos3,
+}
+
+impl fmt::Display for VoltageScale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Vos0 => "VOS0",
+            Self::Vos1 => "VOS1",
+            Self::Vos2 => "VOS2",
+            Self::Vos3 => "VOS3",
+        })
+    }
 }
 
 const CR1: u32 = 0x00;

@@ -188,7 +188,7 @@ mod tests {
         chip.boot(&mut bench, false);
         let misuse = bench.take_misuse();
         for part in
-            ["the core at 480000000 Hz", "APB4 at 120000000 Hz", "LATENCY 4 and WRHIGHFREQ 2 at 240000000 Hz and Vos1"]
+            ["the core at 480000000 Hz", "APB4 at 120000000 Hz", "LATENCY 4 and WRHIGHFREQ 2 at 240000000 Hz and VOS1"]
         {
             assert!(misuse.iter().any(|what| what.contains(part)), "{part}: {misuse:?}");
         }

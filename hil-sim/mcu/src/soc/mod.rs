@@ -401,7 +401,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             }
             if !bank.on_bus() || !self.memory.is_enabled(bank) || bank == Bank::Storage {
                 let at_ns = self.now_ns;
-                let what = format!("DMA cannot reach {bank:?} at {:#010x} (RM0399, 2.1; 9.5)", beat.address);
+                let what = format!("DMA cannot reach {bank} at {:#010x} (RM0399, 2.1; 9.5)", beat.address);
                 self.misuse.push(Misuse { at_ns, peripheral: "DMA", what });
                 return Err(dma::BusError);
             }

@@ -205,7 +205,7 @@ fn what_is_not_modelled_ends_the_run_with_the_place<C: Tested>() {
     let MachineError::Unmodelled { address, size, write, at_ns, location, .. } = &error else { panic!("{error}") };
     assert_eq!((*address, *size, *write, *at_ns), (0x5802_4444, Size::Byte, false, 13));
     assert_eq!(location, "0x0800020a");
-    assert_eq!(error.to_string(), "read of 0x58024444 (Byte) at 13 ns from 0x0800020a: test: nothing at 0x58024444");
+    assert_eq!(error.to_string(), "read of 0x58024444 (byte) at 13 ns from 0x0800020a: test: nothing at 0x58024444");
 }
 
 fn a_fault_in_the_hard_fault_handler_locks_up<C: Tested>() {

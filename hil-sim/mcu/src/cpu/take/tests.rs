@@ -211,7 +211,7 @@ fn faults_escalate_when_they_are_disabled_or_not_urgent_enough() {
     bench.taker().fault(Cause::Load { address: 0x9000_0000 }).unwrap();
     assert_eq!(active(&bench.core), number::HARD_FAULT);
     let failure = bench.taker().fault(Cause::Undefined).unwrap_err();
-    assert_eq!(failure, Failure::LockUp("Undefined".into()));
+    assert_eq!(failure, Failure::LockUp("undefined instruction (UNDEFINSTR)".into()));
     assert!(matches!(bench.taker().supervisor_call(), Err(Failure::LockUp(_))));
     assert!(matches!(bench.taker().breakpoint(), Err(Failure::LockUp(_))));
 }

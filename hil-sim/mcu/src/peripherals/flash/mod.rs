@@ -212,9 +212,13 @@ impl<C: FlashCells> Flash<C> {
         let set = (self.acr & 0xF, self.acr >> 4 & 3);
         let enough = wait_states::needed(axi_hz, scale);
         if enough.is_none_or(|(latency, delay)| set.0 < latency || set.1 < delay) {
+            let enough = enough.map_or_else(
+                || "no setting is enough".to_owned(),
+                |(latency, delay)| format!("at least {latency} and {delay} are needed"),
+            );
+            let (latency, delay) = set;
             let what = format!(
-                "LATENCY {} and WRHIGHFREQ {} at {axi_hz} Hz and {scale:?}; needed are {enough:?} (RM0399, 4.3.8)",
-                set.0, set.1
+                "LATENCY {latency} and WRHIGHFREQ {delay} at {axi_hz} Hz and {scale}: {enough} (RM0399, 4.3.8)"
             );
             context.misuse("FLASH", what);
         }

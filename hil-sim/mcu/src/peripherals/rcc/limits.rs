@@ -31,7 +31,7 @@ pub(super) fn too_fast(clocks: &Clocks, scale: VoltageScale) -> Vec<String> {
     ]
     .into_iter()
     .filter(|(_, hz, limit)| hz > limit && *hz > AT_RESET_HZ)
-    .map(|(what, hz, limit)| format!("{what} at {hz} Hz, over the {limit} Hz of {scale:?} (DS12930, 6.3.1)"))
+    .map(|(what, hz, limit)| format!("{what} at {hz} Hz, over the {limit} Hz of {scale} (DS12930, 6.3.1)"))
     .collect()
 }
 

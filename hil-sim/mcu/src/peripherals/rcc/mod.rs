@@ -26,6 +26,8 @@ mod limits;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
+
 use crate::{
     Clocks, Context, Peripheral, ResetCause, Signal, Size, Unmodelled,
     peripherals::{
@@ -98,6 +100,22 @@ pub(crate) enum Oscillator {
     Pll1,
     Pll2,
     Pll3,
+}
+
+impl fmt::Display for Oscillator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Lsi => "LSI",
+            Self::Lse => "LSE",
+            Self::Hsi => "HSI",
+            Self::Hse => "HSE",
+            Self::Csi => "CSI",
+            Self::Hsi48 => "HSI48",
+            Self::Pll1 => "PLL1",
+            Self::Pll2 => "PLL2",
+            Self::Pll3 => "PLL3",
+        })
+    }
 }
 
 impl Oscillator {
@@ -440,7 +458,7 @@ impl Rcc {
             if before & on != 0 && value & on == 0 && (by_core || by_pll) {
                 context.misuse(
                     "RCC",
-                    format!("{oscillator:?} is turned off while it is used; the chip keeps it on (RCC_CR)"),
+                    format!("{oscillator} is turned off while it is used; the chip keeps it on (RCC_CR)"),
                 );
                 value |= on;
             }
@@ -768,7 +786,7 @@ impl Rcc {
         match [Oscillator::Hsi, Oscillator::Csi, Oscillator::Hse, Oscillator::Pll1].get(wanted as usize) {
             Some(source) if self.is_ready(*source) => {}
             Some(source) => {
-                context.misuse("RCC", format!("SW chooses {source:?}, which is not ready: the switch waits for it"))
+                context.misuse("RCC", format!("SW chooses {source}, which is not ready: the switch waits for it"))
             }
             None => context.misuse("RCC", format!("SW = {wanted} is reserved (RCC_CFGR)")),
         }

@@ -128,7 +128,7 @@ fn too_fast_for_the_voltage_is_misuse() {
     let misuse = bench.take_misuse();
     // Core, AHB and four APBs, each 20 % over what scale 1 allows.
     assert_eq!(misuse.len(), 6, "{misuse:?}");
-    assert!(misuse[0].contains("480000000 Hz, over the 400000000 Hz of Vos1"), "{}", misuse[0]);
+    assert!(misuse[0].contains("480000000 Hz, over the 400000000 Hz of VOS1"), "{}", misuse[0]);
 }
 
 #[test]

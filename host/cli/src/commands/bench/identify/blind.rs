@@ -79,7 +79,7 @@ fn outcomes(bench: &Bench<'_>, count: u32, draw: impl Fn(u32) -> Draw) -> Vec<Ou
             bench.say(&format!("r4: number {number} came to nothing: {why}"));
         } else if bench.each {
             let seconds = started.elapsed().as_secs_f64();
-            bench.say(&format!("{number:4} {:?}: {outcome}, {seconds:.1} s", experiment.setup));
+            bench.say(&format!("{number:4} {}: {outcome}, {seconds:.1} s", experiment.setup));
         }
         outcome
     };
@@ -243,7 +243,7 @@ pub(super) fn speed(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
         let experiment = drawn(number, Draw::Pair, Length::STANDARD, bench.seed);
         let (seconds, report) = timed(&experiment, 1)?;
         if seconds > slowest.0 {
-            slowest = (seconds, format!("slowest of three: {:?}, {}", experiment.setup, names(&report)));
+            slowest = (seconds, format!("slowest of three: {}, {}", experiment.setup, names(&report)));
         }
         let mut experiment = drawn(number, Draw::Nothing, long, bench.seed);
         long_s += timed(&experiment, LONGER)?.0;
