@@ -457,6 +457,16 @@ fn verbs() -> BTreeSet<String> {
     verbs.filter_map(|line| line.split_whitespace().next()).filter(|verb| *verb != "help").map(str::to_owned).collect()
 }
 
+/// What the program answers a shell that completes the last of `words`.
+fn completed(shell: &str, words: &[&str]) -> Vec<String> {
+    let mut command = program::command(&["--"]);
+    command.args(words).env("R4_COMPLETE", shell).env("_CLAP_IFS", "\n");
+    command.env("_CLAP_COMPLETE_INDEX", (words.len() - 1).to_string());
+    let output = command.output().unwrap();
+    assert!(output.status.success() && output.stderr.is_empty(), "{shell} {words:?}: {output:?}");
+    String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect()
+}
+
 #[test]
 fn every_shell_can_complete_every_verb() {
     let verbs = verbs();
@@ -464,31 +474,80 @@ fn every_shell_can_complete_every_verb() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let (code, script, err) = seen(&["completions", shell]);
         assert_eq!((code, err.as_str()), (Some(0), ""));
+        assert!(script.contains("R4_COMPLETE"), "{script}");
+        let offered = completed(shell, &["r4", ""]);
         for verb in &verbs {
-            assert!(script.contains(verb.as_str()), "{shell} does not know {verb}");
+            // Some shells get what it is for, too.
+            assert!(offered.iter().any(|line| line.starts_with(verb.as_str())), "{shell} does not know {verb}");
         }
     }
     let (code, _, err) = seen(&["completions", "command.com"]);
     assert!(code == Some(2) && err.contains("zsh"), "{err}");
 }
 
-/// In a real bash: what it offers after a few letters.
+/// In a real bash: what it offers after a few letters, and that it breaks words at colons.
 #[test]
 fn bash_completes() {
     let (_, script, _) = seen(&["completions", "bash"]);
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("r4.bash");
     fs::write(&file, script).unwrap();
-    let ask = format!(
-        "source {} && COMP_WORDS=(r4 mo) COMP_CWORD=1 && _r4 r4 mo r4 && echo ${{COMPREPLY[@]}}",
-        file.display()
-    );
-    let output = Command::new("bash").args(["--norc", "-c", &ask]).output();
-    let Ok(output) = output else {
+    let program = Path::new(env!("CARGO_BIN_EXE_r4")).parent().unwrap().display();
+    let offered = |line: &str| {
+        let ask = format!(
+            "PATH={program}:$PATH; source {}; COMP_LINE='{line}'; COMP_POINT=${{#COMP_LINE}}; _r4; echo ${{COMPREPLY[@]}}",
+            file.display()
+        );
+        let mut bash = Command::new("bash");
+        bash.args(["--norc", "-c", &ask]).current_dir(folder.path()).env_remove("R4_BOARD");
+        let output = bash.env("XDG_CACHE_HOME", folder.path()).output().ok()?;
+        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    if offered("r4").is_none() {
         eprintln!("not run: there is no bash");
         return;
+    }
+    fs::write(folder.path().join("mine.toml"), "").unwrap();
+    for (line, expected) in [
+        ("r4 mo", "move monitor"),
+        ("r4 relay rel", "relay0 relay1"),
+        ("r4 --board sim:openscout speed ", "dhb0 dhb1 dhb2 dhb3"),
+        ("r4 speed --board=sim:openscout ", "dhb0 dhb1 dhb2 dhb3"),
+        // Without what stands before the last colon, which bash leaves there.
+        ("r4 --board sim:osmc", "osmc-bench"),
+        ("r4 --board=sim:osmc", "osmc-bench"),
+        ("r4 watch --board sim:min", "mine.toml"),
+        ("r4 --board can:can0 relay rel", ""),
+        ("r4 --board sim:openscout watch --ra", "--rate"),
+    ] {
+        assert_eq!(offered(line).as_deref(), Some(expected), "{line}");
+    }
+}
+
+/// Of a board at the other end of a link, which is not asked again: what it had when it was last seen.
+#[test]
+fn channels_of_a_board_are_those_last_seen() {
+    let cache = TempDir::new().unwrap();
+    let tty = cache.path().join("tty");
+    let board = format!("serial:{}", tty.display());
+    let with = |args: &[&str]| {
+        let mut command = program::command(args);
+        command.env("XDG_CACHE_HOME", cache.path()).env("_CLAP_COMPLETE_INDEX", "4").env("_CLAP_IFS", "\n");
+        command
     };
-    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "move monitor", "{output:?}");
+    let offered = || {
+        let output =
+            with(&["--", "r4", "--board", &board, "watch", "dhb"]).env("R4_COMPLETE", "bash").output().unwrap();
+        String::from_utf8_lossy(&output.stdout).replace('\n', " ")
+    };
+    assert_eq!(offered(), "", "it was never seen");
+    let mut serving =
+        program::start(program::command(&["sim", "serve", "openscout", &format!("--pty={}", tty.display())]));
+    program::next(serving.out.as_ref().unwrap(), serving.begin).unwrap();
+    serving.out = None;
+    assert!(with(&["--board", &board, "info"]).output().unwrap().status.success());
+    drop(serving);
+    assert_eq!(offered(), "dhb0 dhb1 dhb2 dhb3");
 }
 
 #[test]

@@ -41,6 +41,7 @@ pub(crate) fn command(args: &[&str]) -> Command {
         .current_dir(env!("CARGO_TARGET_TMPDIR"))
         // Named, as most users do; what is said where no board is named has its own test.
         .env("R4_BOARD", "sim:osmc-bench")
+        .env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"))
         .env_remove("R4_FLASH")
         .env_remove("R4_KEY")
         .stdin(Stdio::null());

@@ -6,6 +6,7 @@ mod choice;
 mod commands;
 mod emulated;
 mod failure;
+mod known;
 mod link_log;
 mod output;
 mod plants;
@@ -25,6 +26,7 @@ use output::OutputError;
 use session::Interrupted;
 
 fn main() -> ExitCode {
+    commands::completions::answer();
     let args = match Args::typed() {
         Ok(args) => args,
         // Not understood, so neither is `--json`, but it can be seen.

@@ -31,6 +31,7 @@ use r4_sim::{
 use crate::{
     args::{Args, Command},
     cable::{Cable, CableState},
+    known,
     link_log::LinkLog,
     plants,
     record::{Listened, Recording, SharedTap},
@@ -376,6 +377,7 @@ fn run_on<T>(
         let clock = HostClock::Real(RealClock);
         let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
         let connected = with_board(rx, tx, clock.clone(), async |connected| {
+            known::remember(address, connected.channels());
             let session = Session {
                 board: connected,
                 gains_at_end: Cell::new(None),
@@ -423,6 +425,7 @@ pub(crate) fn keep<T>(
         },
         async |board| {
             has_session.set(true);
+            known::remember(address, board.channels());
             let session = Session {
                 board,
                 gains_at_end: Cell::new(None),

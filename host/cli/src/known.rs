@@ -1,0 +1,58 @@
+//! Channels of boards at the other end of links, as they were last seen: for shells that complete what is typed, and for nothing else.
+//!
+//! A line for each board in `r4/channels` below the user's folder for caches: its address and its channels, by tabs. What cannot be
+//! read or written is as if it were not there.
+
+use std::{env, fs, path::PathBuf, process};
+
+use r4_links::Address;
+use r4_protocol::{ChannelId, ChannelInfo};
+
+/// The file holds no more boards than this; the ones seen longest ago are forgotten.
+const MOST: usize = 16;
+
+fn path() -> Option<PathBuf> {
+    let absolute = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let folder = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))?;
+    Some(folder.join("r4").join("channels"))
+}
+
+fn lines() -> Vec<String> {
+    let text = path().and_then(|path| fs::read_to_string(path).ok()).unwrap_or_default();
+    text.lines().map(str::to_owned).collect()
+}
+
+/// Keeps what the board at `address` has.
+pub(crate) fn remember(address: &Address, channels: &[ChannelInfo]) {
+    let Some(path) = path() else { return };
+    let address = address.to_string();
+    if address.contains(char::is_control) {
+        return;
+    }
+    let ids = channels.iter().map(|info| format!("\t{}", info.id));
+    let line = address.clone() + &ids.collect::<String>();
+    let before = lines();
+    if before.first() == Some(&line) {
+        return;
+    }
+    let others = before.iter().filter(|other| other.split('\t').next() != Some(&address)).take(MOST - 1);
+    let text: String = [&line].into_iter().chain(others).map(|line| line.clone() + "\n").collect();
+    let beside = path.with_extension(process::id().to_string());
+    let made = path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(&beside, text));
+    if made.and_then(|()| fs::rename(&beside, &path)).is_err() {
+        let _ = fs::remove_file(beside);
+    }
+}
+
+/// What the board at `address` had when it was last seen.
+pub(crate) fn channels(address: &Address) -> Vec<ChannelId> {
+    let address = address.to_string();
+    let lines = lines();
+    let of = lines.iter().find_map(|line| line.split_once('\t').filter(|(known, _)| *known == address));
+    of.map_or_else(Vec::new, |(_, ids)| ids.split('\t').filter_map(|id| id.parse().ok()).collect())
+}
+
+/// Every board in the file.
+pub(crate) fn boards() -> Vec<String> {
+    lines().iter().filter_map(|line| line.split('\t').next().map(str::to_owned)).collect()
+}
