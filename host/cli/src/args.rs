@@ -137,9 +137,9 @@ pub(crate) enum Command {
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
-    /// Watch everything on a screen, arm, disarm, clear and stop by keys
+    /// Watch everything on a screen; arm, type set points, disarm, clear and stop by keys
     Monitor(crate::commands::monitor::Monitor),
-    /// Drive a robot with wheels on two sides by keys, as long as the dead-man key is held
+    /// Drive a robot on wheels by keys, as long as the dead-man key is held
     Drive(crate::commands::drive::Drive),
     /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
     Tune(crate::commands::tune::Tune),

@@ -11,7 +11,7 @@ use r4_protocol::{ChannelId, ParameterInfo, ParameterKey, Refusal, config::MAX_N
 use r4_sim::Pace;
 use serde::Serialize;
 
-use unit::Units;
+pub(crate) use unit::Units;
 
 use crate::{
     args::{Args, Config},

@@ -3,20 +3,20 @@
 use r4_protocol::{ChannelId, ChannelKind, Parameter, ParameterInfo, ParameterKey};
 
 /// The units of a board's parameters.
-pub(super) struct Units {
+pub(crate) struct Units {
     /// Channels that move in metres.
     linear: Vec<ChannelId>,
 }
 
 impl Units {
     /// From all parameters of each channel whose units are wanted: what has a potentiometer moves in metres.
-    pub(super) fn of(parameters: &[ParameterInfo]) -> Self {
+    pub(crate) fn of(parameters: &[ParameterInfo]) -> Self {
         let with_potentiometer = parameters.iter().filter(|info| info.key.parameter == Parameter::PotLowCode);
         Self { linear: with_potentiometer.filter_map(|info| info.key.channel).collect() }
     }
 
     /// The unit of `key`'s number; nothing for a count.
-    pub(super) fn unit(&self, key: ParameterKey) -> String {
+    pub(crate) fn unit(&self, key: ParameterKey) -> String {
         let is_linear =
             key.channel.is_some_and(|channel| channel.kind == ChannelKind::Actuator || self.linear.contains(&channel));
         let rotary = rotary(key);

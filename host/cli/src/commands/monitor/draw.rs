@@ -1,6 +1,6 @@
 //! The screen: a function of the state and the size, and of nothing else.
 
-use r4_protocol::{Causes, ChannelKind, Quality, SafetyState, Sample, Setpoint, Unit};
+use r4_protocol::{Causes, ChannelId, ChannelKind, Quality, SafetyState, Sample, Setpoint, Unit};
 use ratatui::{
     Frame,
     layout::{Constraint, Layout, Rect},
@@ -10,9 +10,12 @@ use ratatui::{
     widgets::{Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph},
 };
 
-use super::state::{Row, State};
+use super::{
+    order::takes,
+    state::{MOST_MARKED, Row, State, View},
+};
 use crate::{
-    commands::{speed_unit, watch},
+    commands::{config::Units, speed_unit, watch},
     quantity::{Quantity, human},
     screen::state::{QUIET, WRONG, badge, wrapped},
 };
@@ -26,38 +29,187 @@ const GRAPH_LINES: u16 = 6;
 /// From this height on there is always room for a graph, of so many lines.
 const TALL: (u16, u16) = (34, 12);
 
+/// From this width on the graph is beside the channels, and lists are below them.
+const WIDE: u16 = 140;
+/// Width of the channels then, with 6 s of their past.
+const LIST_WIDTH: u16 = COLUMNS as u16 + 24;
+/// Lines for lists below the channels, with their titles: fewer show nothing.
+const LEAST_PANEL: u16 = 9;
+/// Colours of the signals on the graph. All are of the sixteen that every terminal has, and none is what marks a fault.
+const COLOURS: [Color; MOST_MARKED] =
+    [Color::Cyan, Color::Yellow, Color::Magenta, Color::Green, Color::LightBlue, Color::White];
+
 /// What keys do.
-pub(super) const HELP: &str = "a arm  d disarm  c clear  space STOP  \u{2191}\u{2193} select  q quit (disarms)";
+pub(super) const HELP: &str = "a arm  d disarm  c clear  space STOP  s set  g graph  p t lists  ? help  q quit";
+/// The same in full.
+pub(super) const KEYS: [(&str, &str); 14] = [
+    ("space", "STOP: trips the board; also while a set point is typed"),
+    ("a", "arm"),
+    ("d", "disarm: outputs become safe"),
+    ("c", "clear a trip, once its causes are gone"),
+    ("\u{2191} \u{2193} page home end", "select a channel; scroll a list"),
+    ("s, Enter", "type a set point with its unit, as in 90deg"),
+    ("  Enter", "send it: it holds until the next, a disarming, a trip"),
+    ("  Esc, Ctrl-U", "leave without sending; clear the line"),
+    ("g", "channel onto the graph or off it: up to six"),
+    ("p", "parameters, from those of the selected channel on"),
+    ("t", "trips that the board remembers"),
+    ("?", "this page"),
+    ("Esc", "back to the channels"),
+    ("q, Ctrl-C", "quit: stops what moves and disarms the board"),
+];
 
 pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
     let area = frame.area();
-    let mut foot_lines = match &state.message {
-        Some(message) => wrapped(&message.text, area.width, if message.is_error { WRONG } else { Style::new() }),
-        None => vec![Line::default()],
+    let mut foot_lines = match (&state.prompt, &state.message) {
+        (Some(_), _) => prompt(state, area.width),
+        (None, Some(message)) => {
+            wrapped(&message.text, area.width, if message.is_error { WRONG } else { Style::new() })
+        }
+        (None, None) => vec![Line::default()],
     };
     foot_lines.push(Line::styled(HELP, Style::new().add_modifier(Modifier::REVERSED)));
-    let (above, below) = (7, u16::try_from(foot_lines.len()).unwrap_or(u16::MAX));
+    let (above, below) = (6, u16::try_from(foot_lines.len()).unwrap_or(u16::MAX));
+    let [head, middle, foot] =
+        Layout::vertical([Constraint::Length(above), Constraint::Fill(1), Constraint::Length(below)]).areas(area);
+    frame.render_widget(Paragraph::new(self::head(state, head.width)), head);
+    frame.render_widget(Paragraph::new(foot_lines), foot);
+    match state.view {
+        View::Help => draw_list(frame, "keys", &help(middle.width), 0, middle),
+        View::Parameters => draw_list(frame, "parameters", &parameters(state, None), state.scroll, middle),
+        View::Trips => draw_list(frame, "trips, the newest first", &trips(state), state.scroll, middle),
+        View::Channels if area.width >= WIDE => {
+            let [left, _, right] =
+                Layout::horizontal([Constraint::Length(LIST_WIDTH), Constraint::Length(2), Constraint::Fill(1)])
+                    .areas(middle);
+            draw_left(frame, state, left);
+            draw_graph(frame, state, right);
+        }
+        View::Channels => draw_narrow(frame, state, middle),
+    }
+}
+
+/// Channels above a graph, where there is room for both.
+fn draw_narrow(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let rows = u16::try_from(state.rows.len()).unwrap_or(u16::MAX);
-    let room = area.height.saturating_sub(above + below);
+    let room = area.height.saturating_sub(1);
     let left_over = room.saturating_sub(rows);
     let graph = match left_over {
         GRAPH_LINES.. => left_over,
-        _ if area.height >= TALL.0 => TALL.1,
+        _ if frame.area().height >= TALL.0 => TALL.1,
         _ => 0,
     };
-    let [head, list, graph_area, foot] = Layout::vertical([
-        Constraint::Length(above),
+    let [list, graph_area] = Layout::vertical([Constraint::Fill(1), Constraint::Length(graph)]).areas(area);
+    draw_channels(frame, state, list);
+    if graph > 0 {
+        draw_graph(frame, state, graph_area);
+    }
+}
+
+/// The header and the channels.
+fn draw_channels(frame: &mut Frame<'_>, state: &State, area: Rect) {
+    let [head, list] = Layout::vertical([Constraint::Length(1), Constraint::Fill(1)]).areas(area);
+    frame.render_widget(header(area.width), head);
+    draw_rows(frame, state, list);
+}
+
+/// The channels, and below them, where there is room, what the selected one is set up with, and the trips.
+fn draw_left(frame: &mut Frame<'_>, state: &State, area: Rect) {
+    let lines = |count: usize| u16::try_from(count + 1).unwrap_or(u16::MAX);
+    let selected = state.rows.get(state.selected).map(|row| row.info.id);
+    let (of_selected, trips) = (parameters(state, selected), trips(state));
+    let room = area.height.saturating_sub(lines(state.rows.len()));
+    let room = if room < LEAST_PANEL { 0 } else { room };
+    let trips_height = lines(trips.len()).min(room / 3);
+    let [list, middle, below] = Layout::vertical([
         Constraint::Fill(1),
-        Constraint::Length(graph),
-        Constraint::Length(below),
+        Constraint::Length(lines(of_selected.len()).min(room - trips_height)),
+        Constraint::Length(trips_height),
     ])
     .areas(area);
-    frame.render_widget(Paragraph::new(self::head(state, head.width)), head);
-    draw_rows(frame, state, list);
-    if let Some(row) = state.rows.get(state.selected).filter(|_| graph > 0) {
-        draw_graph(frame, state, row, graph_area);
+    draw_channels(frame, state, list);
+    if room > 0 {
+        let name = selected.map_or_else(String::new, |id| format!(" of {id}"));
+        draw_list(frame, &format!("parameters{name} (p: all)"), &of_selected, 0, middle);
+        draw_list(frame, "trips, the newest first (t: all)", &trips, 0, below);
     }
-    frame.render_widget(Paragraph::new(foot_lines), foot);
+}
+
+/// A list below its title, from line `first` on; what does not fit is told in the last line.
+fn draw_list(frame: &mut Frame<'_>, title: &str, lines: &[Line<'static>], first: usize, area: Rect) {
+    let room = usize::from(area.height.saturating_sub(1));
+    let first = first.min(lines.len().saturating_sub(room));
+    let mut shown: Vec<Line<'static>> = lines.iter().skip(first).take(room).cloned().collect();
+    let below = lines.len() - first - shown.len();
+    if let (Some(last), true) = (shown.last_mut(), below > 0) {
+        *last = Line::styled(format!("  \u{2193} {} more", below + 1), QUIET);
+    }
+    let block = Block::new().borders(Borders::TOP).title(format!(" {title} "));
+    frame.render_widget(Paragraph::new(shown).block(block), area);
+}
+
+fn help(width: u16) -> Vec<Line<'static>> {
+    const KEY: usize = 22;
+    let mut lines = Vec::new();
+    for (key, does) in KEYS {
+        for (index, line) in wrapped(does, width.saturating_sub(KEY as u16 + 4), Style::new()).into_iter().enumerate() {
+            let key = if index == 0 { key } else { "" };
+            let bold = Style::new().add_modifier(Modifier::BOLD);
+            lines.push(Line::from(vec![Span::styled(format!("  {key:<KEY$}"), bold), Span::raw(line.to_string())]));
+        }
+    }
+    lines
+}
+
+/// The parameters of `of`, or all.
+fn parameters(state: &State, of: Option<ChannelId>) -> Vec<Line<'static>> {
+    let Some(all) = &state.parameters else { return vec![Line::styled("  not read yet", QUIET)] };
+    let units = Units::of(all);
+    let shown = all.iter().filter(|info| of.is_none() || info.key.channel == of);
+    let lines: Vec<Line<'static>> = shown
+        .map(|info| {
+            let name = if of.is_some() { info.key.parameter.to_string() } else { info.key.to_string() };
+            let mut line = format!("  {name:<31}{:>10} {:<13}", info.active, units.unit(info.key));
+            if info.set != info.active {
+                line += &format!(" {} after a restart", info.set);
+            } else if info.active != info.built_in {
+                line += &format!(" built in: {}", info.built_in);
+            }
+            let changed = info.set != info.active || info.active != info.built_in;
+            Line::styled(line, if changed { Style::new().add_modifier(Modifier::BOLD) } else { Style::new() })
+        })
+        .collect();
+    if lines.is_empty() { vec![Line::styled("  none", QUIET)] } else { lines }
+}
+
+fn trips(state: &State) -> Vec<Line<'static>> {
+    let Some(all) = &state.trips else { return vec![Line::styled("  not read yet", QUIET)] };
+    if all.is_empty() {
+        return vec![Line::styled("  the board remembers none", QUIET)];
+    }
+    let line = |(index, info): (usize, &r4_protocol::FaultInfo)| {
+        let seconds = info.device_us as f64 / 1e6;
+        Line::raw(format!(
+            "  {index:>2}  trip {:<5} {seconds:>10.3} s after start {:<5} {}",
+            info.number, info.start, info.causes
+        ))
+    };
+    all.iter().enumerate().map(line).collect()
+}
+
+/// The line in which a set point is typed, what the channel takes, and what is wrong with it.
+fn prompt(state: &State, width: u16) -> Vec<Line<'static>> {
+    let (Some(prompt), Some(row)) = (&state.prompt, state.rows.get(state.selected)) else { return Vec::new() };
+    let bold = Style::new().add_modifier(Modifier::BOLD);
+    let mut lines = vec![Line::from(vec![
+        Span::styled(format!("{} on {}: ", row.info.id, state.board), bold),
+        Span::raw(prompt.text.clone()),
+        Span::styled(" ", Style::new().add_modifier(Modifier::REVERSED)),
+    ])];
+    let takes = takes(&row.info).unwrap_or_default();
+    lines.extend(wrapped(&format!("{takes}; Enter sends, Esc leaves, space STOPS"), width, QUIET));
+    lines.extend(prompt.error.iter().flat_map(|error| wrapped(error, width, WRONG)));
+    lines
 }
 
 /// State, causes, supply and link.
@@ -81,7 +233,6 @@ fn head(state: &State, width: u16) -> Vec<Line<'static>> {
         labelled("supply", inputs),
         labelled("link", first),
         labelled("", second),
-        header(width),
     ]
 }
 
@@ -221,10 +372,16 @@ fn row_line(state: &State, row: &Row, mark: char, width: u16) -> Line<'static> {
         _ => freshness(state),
     };
     let name = row.info.id.to_string();
-    let text = format!("{mark} {name:<11}{number:>12} {unit:<5}{speed:>9} {speed_unit:<6}{duty:>7}{hz:>6.1} ");
+    let on_graph = colour(state, row.info.id);
+    let dot = Span::styled(
+        if on_graph.is_some() { "\u{25cf}" } else { " " },
+        Style::new().fg(on_graph.unwrap_or(Color::Reset)),
+    );
+    let text = format!("{name:<11}{number:>12} {unit:<5}{speed:>9} {speed_unit:<6}{duty:>7}{hz:>6.1} ");
     let cells = usize::from(width).saturating_sub(COLUMNS);
     let line = row.cells(state.device_s, cells, CELL_S).into_iter().map(bar).collect::<String>();
-    Line::from(vec![Span::styled(text, style), Span::styled(line, Style::new().fg(Color::Cyan))])
+    let line = Span::styled(line, Style::new().fg(on_graph.unwrap_or(Color::Cyan)));
+    Line::from(vec![Span::styled(mark.to_string(), style), dot, Span::styled(text, style), line])
 }
 
 /// One of eight heights, for 0 to 1.
@@ -234,8 +391,92 @@ fn bar(share: Option<f64>) -> char {
     share.map_or(' ', |share| BARS[((share * 8.0) as usize).min(7)])
 }
 
-/// What the selected channel has done.
-fn draw_graph(frame: &mut Frame<'_>, state: &State, row: &Row, area: Rect) {
+/// The colour of a channel on the graph, if it was put there.
+fn colour(state: &State, id: ChannelId) -> Option<Color> {
+    state.marked.iter().position(|marked| *marked == id).map(|at| COLOURS[at % MOST_MARKED])
+}
+
+/// What the channels on it have done: the marked ones, or the selected one.
+fn draw_graph(frame: &mut Frame<'_>, state: &State, area: Rect) {
+    let marked: Vec<&Row> =
+        state.marked.iter().filter_map(|id| state.rows.iter().find(|row| row.info.id == *id)).collect();
+    match (marked.as_slice(), state.rows.get(state.selected)) {
+        ([], Some(selected)) => draw_signal(frame, state, selected, COLOURS[0], area),
+        ([only], _) => draw_signal(frame, state, only, COLOURS[0], area),
+        ([], None) => {}
+        (several, _) => draw_signals(frame, state, several, area),
+    }
+}
+
+/// Several signals. In one unit they share its axis; otherwise each is drawn between its own lowest and highest value, which the
+/// legend has.
+fn draw_signals(frame: &mut Frame<'_>, state: &State, rows: &[&Row], area: Rect) {
+    let since_s = state.device_s - GRAPH_S;
+    let all: Vec<[f64; 2]> = rows.iter().map(|row| row.bounds(since_s)).collect();
+    let is_one_unit = rows.iter().all(|row| row.info.unit == rows[0].info.unit);
+    let common = all.iter().fold([f64::MAX, f64::MIN], |[low, high], own| [low.min(own[0]), high.max(own[1])]);
+    let points: Vec<Vec<(f64, f64)>> = rows
+        .iter()
+        .zip(&all)
+        .map(|(row, own)| {
+            let recent = row.history.iter().filter(|(at_s, _)| *at_s >= since_s);
+            let scaled = |value: f64| if is_one_unit { value } else { (value - own[0]) / (own[1] - own[0]) };
+            recent.map(|(at_s, value)| (at_s - state.device_s, scaled(*value))).collect()
+        })
+        .collect();
+    let datasets = points.iter().zip(COLOURS).map(|(points, colour)| dataset(points, colour)).collect();
+    // As many lines as it takes.
+    let mut legend: Vec<Line<'static>> = vec![Line::raw(" ")];
+    for ((row, own), colour) in rows.iter().zip(&all).zip(COLOURS) {
+        let [low, high] = own.map(|value| Quantity::new(value, row.info.unit));
+        let range = if is_one_unit { String::new() } else { format!(" {} to {high}", low.number()) };
+        let entry = Span::styled(format!("\u{25cf} {}{range}  ", row.info.id), Style::new().fg(colour));
+        let full = legend.last().is_some_and(|line| line.width() + entry.width() > usize::from(area.width));
+        if full {
+            legend.push(Line::raw(" "));
+        }
+        if let Some(line) = legend.last_mut() {
+            line.push_span(entry);
+        }
+    }
+    let (bounds, labels) = if is_one_unit {
+        let unit = rows[0].info.unit;
+        if let Some(line) = legend.last_mut() {
+            line.push_span(Span::raw(format!("in {} ", human(unit).1)));
+        }
+        (common, common.map(|value| Quantity::new(value, unit).number()))
+    } else {
+        ([0.0, 1.0], ["lowest".to_owned(), "highest".to_owned()])
+    };
+    draw_chart(frame, datasets, legend, bounds, labels, area);
+}
+
+fn dataset(points: &[(f64, f64)], colour: Color) -> Dataset<'_> {
+    Dataset::default().marker(Marker::Braille).graph_type(GraphType::Line).style(Style::new().fg(colour)).data(points)
+}
+
+fn draw_chart(
+    frame: &mut Frame<'_>,
+    datasets: Vec<Dataset<'_>>,
+    mut title: Vec<Line<'static>>,
+    bounds: [f64; 2],
+    labels: [String; 2],
+    area: Rect,
+) {
+    let axis = Style::new().add_modifier(Modifier::DIM);
+    let more = title.split_off(title.len().min(1));
+    let height = u16::try_from(more.len() + 1).unwrap_or(u16::MAX);
+    let [head, area] = Layout::vertical([Constraint::Length(height), Constraint::Fill(1)]).areas(area);
+    let block = Block::new().borders(Borders::TOP).title(title.pop().unwrap_or_default());
+    frame.render_widget(Paragraph::new(more).block(block), head);
+    let chart = Chart::new(datasets)
+        .x_axis(Axis::default().bounds([-GRAPH_S, 0.0]).labels([format!("-{GRAPH_S} s"), "now".into()]).style(axis))
+        .y_axis(Axis::default().bounds(bounds).labels(labels).style(axis));
+    frame.render_widget(chart, area);
+}
+
+/// What one channel has done.
+fn draw_signal(frame: &mut Frame<'_>, state: &State, row: &Row, colour: Color, area: Rect) {
     let since_s = state.device_s - GRAPH_S;
     let points: Vec<(f64, f64)> = row
         .history
@@ -245,17 +486,7 @@ fn draw_graph(frame: &mut Frame<'_>, state: &State, row: &Row, area: Rect) {
         .collect();
     let bounds = row.bounds(since_s);
     let label = |value: f64| Quantity::new(value, row.info.unit).number();
-    let axis = Style::new().add_modifier(Modifier::DIM);
-    let dataset = Dataset::default()
-        .marker(Marker::Braille)
-        .graph_type(GraphType::Line)
-        .style(Style::new().fg(Color::Cyan))
-        .data(&points);
-    let chart = Chart::new(vec![dataset])
-        .block(Block::new().borders(Borders::TOP).title(title(row)))
-        .x_axis(Axis::default().bounds([-GRAPH_S, 0.0]).labels([format!("-{GRAPH_S} s"), "now".into()]).style(axis))
-        .y_axis(Axis::default().bounds(bounds).labels(bounds.map(label)).style(axis));
-    frame.render_widget(chart, area);
+    draw_chart(frame, vec![dataset(&points, colour)], vec![title(row).into()], bounds, bounds.map(label), area);
 }
 
 fn title(row: &Row) -> String {

@@ -1,6 +1,7 @@
 //! `r4 monitor`
 
 mod draw;
+mod order;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -11,10 +12,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crossterm::event::{KeyCode, KeyEvent};
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use futures::future::{Either, select};
 use r4_driver::{Clock, Error};
 use r4_links::Event;
+use r4_protocol::SafetyState;
 use r4_sim::Pace;
 
 use crate::{
@@ -24,7 +26,8 @@ use crate::{
 };
 
 use draw::draw;
-use state::State;
+use order::Order;
+use state::{Prompt, State, View};
 
 /// A board has one host at a time: while it is watched, no other program can command it, and quitting disarms it.
 #[derive(Clone, Debug, clap::Args)]
@@ -46,6 +49,13 @@ const MEASURE_EVERY_S: f64 = 0.5;
 enum Key {
     Ask(Ask),
     Select(isize),
+    /// Type a set point for the selected channel.
+    Prompt,
+    /// Put the selected channel on the graph, or take it off.
+    Mark,
+    Show(View),
+    /// Back to the channels.
+    Back,
     Quit,
 }
 
@@ -56,6 +66,10 @@ enum Ask {
     Disarm,
     Clear,
     Stop,
+    Set(Order),
+    /// For the lists on the screen.
+    Parameters,
+    Trips,
 }
 
 impl Ask {
@@ -65,12 +79,45 @@ impl Ask {
             Self::Disarm => "disarm",
             Self::Clear => "clear",
             Self::Stop => "stop",
+            Self::Set(_) => "set point",
+            Self::Parameters => "parameters",
+            Self::Trips => "trips",
         }
     }
 }
 
+/// What a key means to who types a set point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Typed {
+    Character(char),
+    Erase,
+    EraseAll,
+    Send,
+    Leave,
+    /// No number and no unit has a space, so that it stops here too.
+    Stop,
+}
+
+fn typed(key: KeyEvent) -> Option<Typed> {
+    Some(match key.code {
+        KeyCode::Char(' ') => Typed::Stop,
+        KeyCode::Char('u') if key.modifiers.contains(KeyModifiers::CONTROL) => Typed::EraseAll,
+        KeyCode::Char(typed) if !key.modifiers.contains(KeyModifiers::CONTROL) => Typed::Character(typed),
+        KeyCode::Backspace => Typed::Erase,
+        KeyCode::Enter => Typed::Send,
+        KeyCode::Esc => Typed::Leave,
+        _ => return None,
+    })
+}
+
 fn meaning(key: KeyEvent) -> Option<Key> {
     Some(match key.code {
+        KeyCode::Char('s') | KeyCode::Enter => Key::Prompt,
+        KeyCode::Char('g') => Key::Mark,
+        KeyCode::Char('p') => Key::Show(View::Parameters),
+        KeyCode::Char('t') => Key::Show(View::Trips),
+        KeyCode::Char('?' | 'h') | KeyCode::F(1) => Key::Show(View::Help),
+        KeyCode::Esc => Key::Back,
         KeyCode::Char('a') => Key::Ask(Ask::Arm),
         KeyCode::Char('d') => Key::Ask(Ask::Disarm),
         KeyCode::Char('c') => Key::Ask(Ask::Clear),
@@ -97,18 +144,80 @@ impl Seen {
     /// Draws, and does what keys say, of the board by `ask`; whether one says to quit.
     fn look(&mut self, mut ask: impl FnMut(Ask)) -> anyhow::Result<bool> {
         while let Some(key) = self.screen.key(Duration::ZERO)? {
-            match meaning(key) {
-                Some(Key::Ask(what)) => ask(what),
-                Some(Key::Select(down)) => self.state.select(down),
-                Some(Key::Quit) => return Ok(true),
-                None => {}
+            if self.state.press(key, &mut ask) {
+                return Ok(true);
             }
+        }
+        // What changes without a key.
+        for what in self.state.wanted() {
+            ask(what);
         }
         if self.drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
             self.drawn = Some(Instant::now());
             self.screen.draw(|frame| draw(frame, &self.state))?;
         }
         Ok(false)
+    }
+}
+
+impl State {
+    /// Does what `key` says, of the board by `ask`; whether it says to quit.
+    fn press(&mut self, key: KeyEvent, mut ask: impl FnMut(Ask)) -> bool {
+        if self.prompt.is_some() {
+            if let Some(typed) = typed(key) {
+                self.type_in(typed, ask);
+            }
+            return false;
+        }
+        match meaning(key) {
+            Some(Key::Ask(what)) => ask(what),
+            Some(Key::Select(down)) => self.select(down),
+            Some(Key::Prompt) => self.open_prompt(),
+            Some(Key::Mark) => self.mark(),
+            Some(Key::Show(view)) => self.show(view),
+            Some(Key::Back) => self.show(View::Channels),
+            Some(Key::Quit) => return true,
+            None => {}
+        }
+        false
+    }
+
+    fn type_in(&mut self, typed: Typed, mut ask: impl FnMut(Ask)) {
+        let Some(Prompt { text, error }) = &mut self.prompt else { return };
+        match typed {
+            Typed::Character(character) => {
+                text.push(character);
+                *error = None;
+            }
+            Typed::Erase => {
+                text.pop();
+                *error = None;
+            }
+            Typed::EraseAll => text.clear(),
+            Typed::Leave => self.prompt = None,
+            Typed::Stop => {
+                self.prompt = None;
+                ask(Ask::Stop);
+            }
+            Typed::Send => {
+                let Some(row) = self.rows.get(self.selected) else { return };
+                // The board checks the range: it stops a channel whose newer set point it refuses.
+                match Order::read(&row.info, text) {
+                    Ok(_) if self.link.lost.is_some() => *error = Some("nothing was sent: there is no link".into()),
+                    Ok(_) if self.safety != SafetyState::Armed => {
+                        *error = Some(format!(
+                            "nothing was sent: {} is {}; leave by Esc, then a arms",
+                            self.board, self.safety
+                        ));
+                    }
+                    Ok(order) => {
+                        self.prompt = None;
+                        ask(Ask::Set(order));
+                    }
+                    Err(why) => *error = Some(why),
+                }
+            }
+        }
     }
 }
 
@@ -122,7 +231,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
             seen.borrow_mut().state.reconnected(info, channels, now_s);
             return watch(session, monitor, seen).await;
         }
-        let state = State::new(args.board.to_string(), info, channels, now_s);
+        let state = State::new(args.board.described(), info, channels, now_s);
         let new = Seen { screen: Screen::open()?, state, drawn: None };
         watch(session, monitor, seen.get_or_init(|| RefCell::new(new))).await
     };
@@ -164,7 +273,12 @@ async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -
     };
     let (listen, measure) = (pin!(listen), pin!(measure(session, seen)));
     match select(pin!(steer(session, seen)), select(listen, measure)).await {
-        Either::Left((result, _)) => result,
+        Either::Left((result, _)) => {
+            // Whoever leaves the screen leaves nothing moving, whatever made them leave.
+            let disarmed = session.board.disarm().await;
+            result?;
+            Ok(disarmed?)
+        }
         Either::Right((Either::Left((error, _)) | Either::Right((error, _)), _)) => Err(error.into()),
     }
 }
@@ -188,12 +302,23 @@ async fn steer(session: &Session<'_>, seen: &RefCell<Seen>) -> anyhow::Result<()
     let mut commands = Commands::default();
     loop {
         let begin = |ask: Ask| {
-            commands.begin(ask.name(), async move {
+            commands.begin(ask, async move {
                 match ask {
                     Ask::Arm => board.arm().await,
                     Ask::Disarm => board.disarm().await,
                     Ask::Clear => board.clear().await,
                     Ask::Stop => board.stop().await,
+                    Ask::Set(order) => board.set(order.channel, order.setpoint).await,
+                    Ask::Parameters => {
+                        let parameters = board.parameters().await?;
+                        seen.borrow_mut().state.parameters = Some(parameters);
+                        Ok(())
+                    }
+                    Ask::Trips => {
+                        let trips = board.faults().await?;
+                        seen.borrow_mut().state.trips = Some(trips);
+                        Ok(())
+                    }
                 }
             });
         };
@@ -201,8 +326,14 @@ async fn steer(session: &Session<'_>, seen: &RefCell<Seen>) -> anyhow::Result<()
         if seen.borrow_mut().look(begin)? {
             return Ok(());
         }
-        if let Some((name, result)) = commands.until(board.sleep_s(LOOK_EVERY_S)).await {
-            seen.borrow_mut().state.done(name, result);
+        if let Some((ask, result)) = commands.until(board.sleep_s(LOOK_EVERY_S)).await {
+            let state = &mut seen.borrow_mut().state;
+            match (ask, result) {
+                (Ask::Parameters | Ask::Trips, Ok(())) => {}
+                (Ask::Set(order), Ok(())) => state.say(format!("{order} on {}", state.board)),
+                (Ask::Set(order), Err(Error::Refused(refusal))) => state.refused(order, refusal),
+                (ask, result) => state.done(ask.name(), result),
+            }
         }
     }
 }

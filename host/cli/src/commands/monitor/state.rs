@@ -3,14 +3,25 @@
 use std::collections::VecDeque;
 
 use r4_driver::Error;
-use r4_protocol::{Causes, ChannelInfo, DeviceInfo, DeviceStats, Quality, SafetyState, Sample, Telemetry, Unit};
+use r4_protocol::{
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, ParameterInfo, Quality, Refusal, SafetyState,
+    Sample, Telemetry, Unit,
+};
 
+use super::{
+    Ask,
+    order::{Order, takes},
+};
 use crate::commands::watch;
 
 /// How much of a channel's past is kept, s.
 pub(crate) const HISTORY_S: f64 = 60.0;
 /// Over how long rates are taken, s.
 const RATE_OVER_S: f64 = 2.0;
+/// After a trip the board writes it into its history, s.
+const TRIP_WRITTEN_S: f64 = 1.0;
+/// The graph has no more signals than colours that can be told apart.
+pub(crate) const MOST_MARKED: usize = 6;
 /// A board that says nothing for so long is told to be silent, s: two link timeouts of 200 ms.
 pub(crate) const SILENT_S: f64 = 0.4;
 
@@ -29,6 +40,36 @@ pub(crate) struct State {
     pub(crate) selected: usize,
     pub(crate) link: Link,
     pub(crate) message: Option<Message>,
+    pub(crate) view: View,
+    /// First line of a list that is longer than the screen.
+    pub(crate) scroll: usize,
+    /// Signals on the graph; where there are none, the selected one.
+    pub(crate) marked: Vec<ChannelId>,
+    /// A set point that is being typed, for the selected channel.
+    pub(crate) prompt: Option<Prompt>,
+    /// `None` before the board has told.
+    pub(crate) parameters: Option<Vec<ParameterInfo>>,
+    /// Newest first; `None` before the board has told.
+    pub(crate) trips: Option<Vec<FaultInfo>>,
+    wants_parameters: bool,
+    /// When the trips are to be asked for, by the host's clock.
+    wants_trips_s: Option<f64>,
+}
+
+/// What is below the head of the screen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum View {
+    Channels,
+    Parameters,
+    Trips,
+    Help,
+}
+
+/// What has been typed, and what is wrong with it.
+#[derive(Default)]
+pub(crate) struct Prompt {
+    pub(crate) text: String,
+    pub(crate) error: Option<String>,
 }
 
 /// One channel.
@@ -107,6 +148,14 @@ impl State {
             selected: 0,
             link: Link { heard_s: now_s, ..Link::default() },
             message: None,
+            view: View::Channels,
+            scroll: 0,
+            marked: Vec::new(),
+            prompt: None,
+            parameters: None,
+            trips: None,
+            wants_parameters: true,
+            wants_trips_s: Some(now_s),
         }
     }
 
@@ -119,7 +168,9 @@ impl State {
         if same {
             new.rows = std::mem::take(&mut self.rows);
             new.selected = self.selected;
+            new.marked = std::mem::take(&mut self.marked);
         }
+        new.view = self.view;
         *self = new;
     }
 
@@ -139,6 +190,9 @@ impl State {
         if device_s < self.device_s {
             // The board has started anew, and its time with it.
             self.rows.iter_mut().for_each(|row| row.history.clear());
+        }
+        if frame.state == SafetyState::Tripped && self.safety != SafetyState::Tripped {
+            self.wants_trips_s = Some(now_s + TRIP_WRITTEN_S);
         }
         (self.safety, self.causes, self.device_s) = (frame.state, frame.causes, device_s);
         self.link.heard_s = now_s;
@@ -165,13 +219,84 @@ impl State {
         });
     }
 
+    /// Says something that went well.
+    pub(crate) fn say(&mut self, text: String) {
+        self.message = Some(Message { text, is_error: false });
+    }
+
+    /// A set point was refused, and so stops what it was for.
+    pub(crate) fn refused(&mut self, order: Order, refusal: Refusal) {
+        let id = order.channel;
+        let info = self.rows.iter().map(|row| &row.info).find(|info| info.id == id);
+        let why = match (refusal, info.and_then(takes)) {
+            // In the units in which it was typed.
+            (Refusal::OutOfRange { .. }, Some(takes)) => format!("it takes {takes}"),
+            _ => refusal.to_string(),
+        };
+        let text = format!("{order} on {} is refused, which stops {id}: {why}", self.board);
+        self.message = Some(Message { text, is_error: true });
+    }
+
+    /// What the board is to be asked for by now, each once.
+    pub(crate) fn wanted(&mut self) -> Vec<Ask> {
+        let parameters = std::mem::take(&mut self.wants_parameters).then_some(Ask::Parameters);
+        let trips = self.wants_trips_s.take_if(|at_s| *at_s <= self.now_s).map(|_| Ask::Trips);
+        parameters.into_iter().chain(trips).collect()
+    }
+
+    /// Begins a set point for the selected channel, if it takes any.
+    pub(crate) fn open_prompt(&mut self) {
+        let Some(row) = self.rows.get(self.selected) else { return };
+        self.view = View::Channels;
+        if takes(&row.info).is_some() {
+            self.prompt = Some(Prompt::default());
+        } else {
+            let text = format!("{} takes no set points: select a motor or another output", row.info.id);
+            self.message = Some(Message { text, is_error: true });
+        }
+    }
+
+    /// Puts the selected channel on the graph, or takes it off.
+    pub(crate) fn mark(&mut self) {
+        let Some(id) = self.rows.get(self.selected).map(|row| row.info.id) else { return };
+        if let Some(at) = self.marked.iter().position(|marked| *marked == id) {
+            self.marked.remove(at);
+        } else if self.marked.len() < MOST_MARKED {
+            self.marked.push(id);
+        } else {
+            let text = format!("the graph has {MOST_MARKED} signals: take one off first, by g");
+            self.message = Some(Message { text, is_error: true });
+        }
+    }
+
+    /// Shows `view`, or the channels where it is shown already.
+    pub(crate) fn show(&mut self, view: View) {
+        self.view = if self.view == view { View::Channels } else { view };
+        self.scroll = 0;
+        let selected = self.rows.get(self.selected).map(|row| row.info.id);
+        if self.view == View::Parameters {
+            let of_selected = self.parameters.iter().flatten().position(|info| info.key.channel == selected);
+            self.scroll = of_selected.unwrap_or_default();
+        }
+    }
+
     /// How long the board has been silent, s, if that is longer than it should.
     pub(crate) fn silent_s(&self) -> Option<f64> {
         Some(self.now_s - self.link.heard_s).filter(|silent_s| *silent_s > SILENT_S)
     }
 
-    /// Selects the channel so many further down, or the last one there is.
+    /// Selects the channel so many further down, or the last one there is; in a list, goes so many lines down.
     pub(crate) fn select(&mut self, down: isize) {
+        let list = match self.view {
+            View::Channels => None,
+            View::Parameters => Some(self.parameters.as_ref().map_or(0, Vec::len)),
+            View::Trips => Some(self.trips.as_ref().map_or(0, Vec::len)),
+            View::Help => Some(0),
+        };
+        if let Some(lines) = list {
+            self.scroll = self.scroll.saturating_add_signed(down).min(lines.saturating_sub(1));
+            return;
+        }
         self.selected = self.selected.saturating_add_signed(down).min(self.rows.len().saturating_sub(1));
     }
 }

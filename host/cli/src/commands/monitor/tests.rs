@@ -1,17 +1,21 @@
 //! The screen of a board that nobody has.
 
-use std::f64::consts::TAU;
+use std::{collections::BTreeSet, f64::consts::TAU};
 
+use crossterm::event::KeyCode::{self, Backspace, Char, Down, Enter, Esc, Home, PageDown, Up};
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, Mode, ModeInfo, Quality, Range,
-    Refusal, SafetyState, Sample, Setpoint, Telemetry, Unit, message::MAX_SAMPLES,
+    Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, Mode, ModeInfo,
+    ParameterInfo, ParameterKey, Quality, Range, Refusal, SafetyState, Sample, Setpoint, Telemetry, Unit,
+    message::MAX_SAMPLES,
 };
+use ratatui::{Terminal, backend::TestBackend};
 
 use super::{
     Ask, Key, draw,
-    draw::HELP,
+    draw::{HELP, KEYS},
     meaning,
-    state::{SILENT_S, State},
+    order::Order,
+    state::{SILENT_S, State, View},
 };
 use crate::screen::snapshot;
 
@@ -161,10 +165,11 @@ fn every_size_can_be_drawn() {
     for channels in [vec![], few(), many()] {
         let mut state = heard(&channels, 1.0, SafetyState::Armed, Causes::NONE);
         state.select(isize::MAX);
-        for (width, height) in (0..=130).step_by(5).flat_map(|width| (0..=50).map(move |height| (width, height))) {
-            if width > 0 && height > 0 {
-                snapshot::text(width, height, |frame| draw(frame, &state));
-            }
+        for (width, height) in (5..=165).step_by(5).flat_map(|width| (1..=50).map(move |height| (width, height))) {
+            state.view = [View::Channels, View::Parameters, View::Trips, View::Help][usize::from(height) % 4];
+            snapshot::text(width, height, |frame| draw(frame, &state));
+            state.view = View::Channels;
+            snapshot::text(width, height, |frame| draw(frame, &state));
         }
     }
 }
@@ -212,17 +217,203 @@ fn a_sparkline_has_the_highest_and_the_lowest() {
 }
 
 #[test]
-fn keys_are_those_of_the_help_line() {
-    let key = |code: crossterm::event::KeyCode| meaning(code.into());
-    use crossterm::event::KeyCode::{Char, Down, Enter, Up};
+fn keys_are_those_of_the_help_page() {
+    let key = |code: KeyCode| meaning(code.into());
     for (code, ask) in
         [(Char('a'), Ask::Arm), (Char('d'), Ask::Disarm), (Char('c'), Ask::Clear), (Char(' '), Ask::Stop)]
     {
         assert_eq!(key(code), Some(Key::Ask(ask)));
         assert!(HELP.to_lowercase().contains(ask.name()));
+        assert!(KEYS.iter().any(|(_, does)| does.to_lowercase().contains(ask.name())));
     }
+    for (code, expected) in [
+        (Up, Key::Select(-1)),
+        (Down, Key::Select(1)),
+        (Char('q'), Key::Quit),
+        (Enter, Key::Prompt),
+        (Char('s'), Key::Prompt),
+        (Char('g'), Key::Mark),
+        (Char('p'), Key::Show(View::Parameters)),
+        (Char('t'), Key::Show(View::Trips)),
+        (Char('?'), Key::Show(View::Help)),
+        (Esc, Key::Back),
+    ] {
+        assert_eq!(key(code), Some(expected));
+    }
+    assert!(HELP.chars().count() <= 80);
+}
+
+/// Presses keys; what the board is asked for.
+fn press(state: &mut State, keys: impl IntoIterator<Item = KeyCode>) -> Vec<Ask> {
+    let mut asked = Vec::new();
+    for key in keys {
+        assert!(!state.press(key.into(), |ask| asked.push(ask)), "nobody quits");
+    }
+    asked
+}
+
+fn text(text: &str) -> impl Iterator<Item = KeyCode> {
+    text.chars().map(Char)
+}
+
+#[test]
+fn a_set_point_is_typed_checked_and_sent() {
+    let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
+    assert_eq!(press(&mut state, [Char('s')].into_iter().chain(text("12parsec")).chain([Enter])), []);
+    let error = state.prompt.as_ref().and_then(|prompt| prompt.error.clone()).unwrap_or_default();
+    assert!(error.contains("units are"), "{error}");
+    // Another unit than it takes: `d` and `q` are letters here, and do nothing else.
+    assert_eq!(press(&mut state, [Backspace; 8].into_iter().chain(text("10mm")).chain([Enter])), []);
+    let error = state.prompt.as_ref().and_then(|prompt| prompt.error.clone()).unwrap_or_default();
+    assert_eq!(error, "osmc0 takes position -572.96 to 572.96 deg");
+    let asked = press(&mut state, [Backspace; 4].into_iter().chain(text("-90deg")).chain([Enter]));
+    let [Ask::Set(order)] = asked[..] else { panic!("{asked:?}") };
+    assert_eq!((order.channel, order.setpoint.mode), (few()[0].id, Mode::Position));
+    assert!((f64::from(order.setpoint.value) + TAU / 4.0).abs() < 1e-6);
+    assert_eq!(order.to_string(), "osmc0 position -90.00 deg");
+    assert!(state.prompt.is_none());
+    // Beyond the range: the board refuses it, and stops the channel.
+    let asked = press(&mut state, [Enter].into_iter().chain(text("9999deg")).chain([Enter]));
+    let [Ask::Set(order)] = asked[..] else { panic!("{asked:?}") };
+    state.refused(order, Refusal::OutOfRange { channel: order.channel, asked: 174.5, range: Range::symmetric(10.0) });
+    let said = state.message.map(|message| message.text).unwrap_or_default();
     assert_eq!(
-        (key(Up), key(Down), key(Char('q')), key(Enter)),
-        (Some(Key::Select(-1)), Some(Key::Select(1)), Some(Key::Quit), None)
+        said,
+        "osmc0 position 9999.00 deg on serial:/dev/ttyACM0 is refused, which stops osmc0: it takes position -572.96 to 572.96 deg"
     );
+}
+
+#[test]
+fn a_stop_goes_out_from_everywhere() {
+    for before in [&[][..], &[Char('s')], &[Char('s'), Char('9')], &[Char('?')], &[Char('p')], &[Char('t')]] {
+        let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
+        let asked = press(&mut state, before.iter().copied().chain([Char(' ')]));
+        assert_eq!(asked, [Ask::Stop], "{before:?}");
+        assert!(state.prompt.is_none());
+    }
+}
+
+#[test]
+fn nothing_is_sent_to_a_board_that_is_not_armed_or_not_there() {
+    let send = || [Char('s')].into_iter().chain(text("90deg")).chain([Enter]);
+    let said = |state: &State| state.prompt.as_ref().and_then(|prompt| prompt.error.clone()).unwrap_or_default();
+    for safety in [SafetyState::Disarmed, SafetyState::Tripped] {
+        let mut state = heard(&few(), 1.0, safety, Causes::NONE);
+        assert_eq!(press(&mut state, send()), []);
+        assert!(said(&state).contains(&format!("is {safety}")), "{}", said(&state));
+    }
+    let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
+    state.lost("gone".into());
+    assert_eq!(press(&mut state, send()), []);
+    assert!(said(&state).contains("no link"));
+    // What only measures has no prompt.
+    let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
+    state.select(3);
+    assert_eq!(press(&mut state, [Enter]), []);
+    assert!(state.prompt.is_none() && state.message.is_some_and(|message| message.text.contains("encoder3 takes no")));
+}
+
+#[test]
+fn switches_brakes_and_shares_are_typed() {
+    let mode = |mode, unit, range| ModeInfo { mode, unit, range };
+    let drive = ChannelInfo {
+        modes: [
+            mode(Mode::Duty, Unit::Duty, Range::symmetric(1.0)),
+            mode(Mode::Brake, Unit::Bool, Range::new(0.0, 1.0)),
+            mode(Mode::Home, Unit::RadPerS, Range::symmetric(1.0)),
+        ]
+        .into_iter()
+        .collect(),
+        ..channel(ChannelKind::Bldc, 0, Unit::Duty)
+    };
+    let read = |text: &str| Order::read(&drive, text).map(|order| order.to_string());
+    assert_eq!(read("-30%").as_deref(), Ok("bldc0 duty -0.300"));
+    assert_eq!((read("brake").as_deref(), read("release").as_deref()), (Ok("bldc0 brake on"), Ok("bldc0 brake off")));
+    // Seeking a home switch is not a set point, and this is no relay.
+    for text in ["1rad/s", "on"] {
+        assert_eq!(read(text), Err("bldc0 takes duty -1.000 to 1.000, brake or release".to_owned()));
+    }
+}
+
+/// With what the board was asked for at the beginning.
+fn with_lists() -> State {
+    let mut state = heard(&few(), 12.0, SafetyState::Armed, Causes::NONE);
+    assert_eq!((state.wanted(), state.wanted()), (vec![Ask::Parameters, Ask::Trips], vec![]), "each once");
+    let parameter = |key: &str, active: f32, set: f32| {
+        let key: ParameterKey = key.parse().unwrap();
+        ParameterInfo { key, active, set, built_in: if key.channel.is_some() { active } else { 200.0 } }
+    };
+    let mut parameters = vec![parameter("board.link_timeout_ms", 250.0, 250.0)];
+    for name in ["position_kp", "position_ki", "duty_max", "speed_max", "settle_error"] {
+        parameters.push(parameter(&format!("osmc0.{name}"), 1.25, if name == "duty_max" { 0.5 } else { 1.25 }));
+        parameters.push(parameter(&format!("actuator1.{name}"), 3.5, 3.5));
+    }
+    parameters.sort_by_key(|info| info.key.channel);
+    state.parameters = Some(parameters);
+    let trip = |number: u32| FaultInfo {
+        number,
+        start: number / 3,
+        device_us: u64::from(number) * 1_234_567,
+        causes: Causes::only(if number.is_multiple_of(2) { Cause::DeadMan } else { Cause::LinkLost }),
+        snapshots: 0,
+    };
+    state.trips = Some((1..=32).rev().map(trip).collect());
+    state
+}
+
+#[test]
+fn several_signals_have_colours_and_a_legend() {
+    let mut state = with_lists();
+    press(&mut state, [Char('g'), Down, Down, Down, Char('g')]);
+    for (width, height) in [(80, 24), (160, 50)] {
+        // Both in degrees: one axis.
+        snapshot::assert_is("monitor-signals", width, height, |frame| draw(frame, &state));
+    }
+    press(&mut state, [Down, Down, Char('g')]);
+    snapshot::assert_is("monitor-units", 160, 50, |frame| draw(frame, &state));
+    let mut terminal = Terminal::new(TestBackend::new(160, 50)).unwrap();
+    terminal.draw(|frame| draw(frame, &state)).unwrap();
+    let cells = terminal.backend().buffer().content();
+    let colours: BTreeSet<String> =
+        cells.iter().filter(|cell| cell.symbol() == "\u{25cf}").map(|cell| cell.fg.to_string()).collect();
+    assert_eq!(colours.len(), 3, "{colours:?}");
+    // No more than there are colours, and off again.
+    press(&mut state, [Home].into_iter().chain([Char('g'), Down].into_iter().cycle().take(16)));
+    assert!(state.marked.len() <= 6 && !state.marked.contains(&few()[0].id), "{:?}", state.marked);
+}
+
+#[test]
+fn lists_and_the_help_page() {
+    let mut state = with_lists();
+    for (name, key) in [("help", '?'), ("parameters", 'p'), ("trips", 't')] {
+        press(&mut state, [Char(key)]);
+        snapshot::assert_is(&format!("monitor-{name}"), 80, 24, |frame| draw(frame, &state));
+        press(&mut state, [Char(key)]);
+        assert_eq!(state.view, View::Channels, "the same key leads back");
+    }
+    press(&mut state, [Char('t'), PageDown, PageDown, Down]);
+    let screen = snapshot::text(80, 24, |frame| draw(frame, &state));
+    assert!(screen.contains("31  trip 1 ") && !screen.contains(" more"), "the oldest: {screen}");
+    press(&mut state, [Esc, Char('s'), Char('9')]);
+    snapshot::assert_is("monitor-prompt", 80, 24, |frame| draw(frame, &state));
+}
+
+#[test]
+fn a_trip_is_looked_up_when_it_was_written() {
+    let mut state = with_lists();
+    let at = |state: &mut State, now_s: f64, safety| {
+        let frame = Telemetry {
+            device_us: (now_s * 1e6) as u64,
+            state: safety,
+            causes: Causes::NONE,
+            samples: Default::default(),
+        };
+        state.telemetry(&frame, now_s);
+        state.now_s = now_s;
+        state.wanted()
+    };
+    assert_eq!(at(&mut state, 120.0, SafetyState::Tripped), []);
+    assert_eq!(at(&mut state, 120.5, SafetyState::Tripped), []);
+    assert_eq!(at(&mut state, 121.1, SafetyState::Tripped), [Ask::Trips]);
+    assert_eq!(at(&mut state, 125.0, SafetyState::Tripped), []);
 }
