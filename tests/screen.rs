@@ -393,6 +393,38 @@ fn drives(board: &str) {
     screen.ends_well(0);
 }
 
+/// A steered front axle, and a drive whose speed nothing measures.
+#[test]
+fn drive_steers_front_wheels_while_space_is_held() {
+    let mut screen = OnTerminal::start(&["--board", "sim:openpodcar", "drive"]);
+    // Degrees; to the right is negative.
+    let front = |text: &str| {
+        let line = text.lines().find(|line| line.contains("front wheels"))?;
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let angle: f64 = words.get(3)?.parse().ok()?;
+        Some(if words.get(5)?.starts_with("right") { -angle } else { angle })
+    };
+    screen.until(|text| state(text) == "DISARMED" && front(text).is_some());
+    screen.press("\r");
+    screen.until(|text| state(text) == "ARMED");
+    screen.press("wwddd ");
+    let text = screen.until(|text| text.contains("40 % forwards") && text.contains("60 % right"));
+    assert!(text.contains("released") && text.contains("stay as they are"), "{text}");
+    let duty = |text: &str| {
+        text.lines().find(|line| line.starts_with("drive"))?.split_whitespace().last()?.parse::<f64>().ok()
+    };
+    // 60 % of 25 degrees are 15; 40 % of 0.2 m/s are a duty of 0.039 of the 2.04 m/s at the full one.
+    let text = screen.hold(" ", |text| {
+        front(text).is_some_and(|angle| (angle + 15.0).abs() < 1.0)
+            && duty(text).is_some_and(|duty| (duty - 0.039).abs() < 0.002)
+    });
+    assert!(text.contains("HELD") && text.contains("told 14.99 deg right"), "{text}");
+    let text = screen.until(|text| text.contains("released") && duty(text).is_some_and(|duty| duty.abs() < 0.001));
+    assert!(text.contains("stay as they are") && front(&text).is_some_and(|angle| angle < -10.0), "{text}");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
 #[test]
 fn drive_ends_with_the_link() {
     let folder = TempDir::new().unwrap();
@@ -418,7 +450,7 @@ fn seen(args: &[&str]) -> (Option<i32>, String, String) {
 fn what_cannot_be_driven_is_told_before_the_screen() {
     for (args, word, code) in [
         (["--board", "sim:osmc-bench", "drive", ""].as_slice(), "not known of this robot", 1),
-        (&["--board", "sim:openpodcar", "drive", ""], "front wheels", 1),
+        (&["--board", "sim:openpodcar", "drive", "--speed=90%"], "takes a duty", 3),
         (&["--board", "sim:openscout", "drive", "--left=dhb0,dhb2", "--right=dhb0"], "named twice", 1),
         (&["--board", "sim:openscout", "drive", "--left=supply0", "--right=dhb0"], "cannot be commanded", 3),
         (&["--board", "sim:openscout", "drive", "--speed=1000rpm"], "takes a speed", 3),
@@ -462,7 +494,7 @@ fn completed(shell: &str, words: &[&str]) -> Vec<String> {
     let mut command = program::command(&["--"]);
     command.args(words).env("R4_COMPLETE", shell).env("_CLAP_IFS", "\n");
     command.env("_CLAP_COMPLETE_INDEX", (words.len() - 1).to_string());
-    let output = command.output().unwrap();
+    let output = command.output().expect("r4 starts");
     assert!(output.status.success() && output.stderr.is_empty(), "{shell} {words:?}: {output:?}");
     String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect()
 }

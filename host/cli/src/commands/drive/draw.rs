@@ -1,5 +1,6 @@
 //! The screen of `r4 drive`: a function of the state and the size, and of nothing else.
 
+use r4_boards::SteeringLaw;
 use r4_protocol::{Causes, ChannelId, SafetyState, Unit};
 use ratatui::{
     Frame,
@@ -28,18 +29,33 @@ pub(super) struct State {
     /// The highest set point.
     pub(super) most: f64,
     pub(super) wheels: Vec<Wheel>,
+    /// `None` where the difference of the sides steers.
+    pub(super) steering: Option<Steered>,
     /// How long the board has been silent, s, where that is too long.
     pub(super) silent_s: Option<f64>,
     /// Something that did not go well.
     pub(super) message: String,
 }
 
+/// Front wheels.
+pub(super) struct Steered {
+    pub(super) channel: ChannelId,
+    pub(super) law: SteeringLaw,
+    /// Of the motor's position, m.
+    pub(super) resolution: f64,
+    /// `None` where they are to stay as they are.
+    pub(super) told_rad: Option<f64>,
+    /// `None` before the board tells.
+    pub(super) at_rad: Option<f64>,
+}
+
 /// One motor.
 pub(super) struct Wheel {
-    pub(super) is_left: bool,
+    /// What it does, in a word.
+    pub(super) side: &'static str,
     pub(super) channel: ChannelId,
-    /// Set point, in the state's unit.
-    pub(super) told: f64,
+    /// Set point.
+    pub(super) told: Quantity,
     /// In `speed_unit`, as the board tells it; `None` before it does and where nothing measures it.
     pub(super) speed: Option<f64>,
     pub(super) speed_unit: Unit,
@@ -56,7 +72,12 @@ const HALF: usize = 20;
 
 pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
     let most = Quantity::new(state.most, state.unit);
-    let title = format!("{}  {}  up to {most}", state.robot, state.board);
+    let title = format!(
+        "{}  {}  up to {}{most}",
+        state.robot,
+        state.board,
+        if state.unit == Unit::Duty { "duty " } else { "" }
+    );
     let causes = if state.causes.is_empty() { String::new() } else { state.causes.to_string() };
     let advice = match (state.silent_s, state.causes.iter().next(), state.safety) {
         (Some(silent_s), ..) => Span::styled(format!("the board has been silent for {silent_s:.1} s"), WRONG),
@@ -79,13 +100,13 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
         axis("speed", state.hand.forwards, ["backwards", "forwards"]),
         // Left is left: what turns to the left is drawn to the left.
         axis("turn", -state.hand.turn, ["left", "right"]),
-        "".into(),
+        state.steering.as_ref().map_or_else(Line::default, front_wheels),
         Line::styled(
             format!("{:<7}{:<12}{:>18}{:>20}{:>10}", "side", "channel", "told", "speed", "duty"),
             Style::new().add_modifier(Modifier::UNDERLINED),
         ),
     ];
-    lines.extend(state.wheels.iter().map(|wheel| wheel_line(wheel, state.unit)));
+    lines.extend(state.wheels.iter().map(wheel_line));
     let mut below = wrapped(&state.message, frame.area().width, WRONG);
     below.extend(HELP.map(|help| Line::styled(help, Style::new().add_modifier(Modifier::REVERSED))));
     let height = u16::try_from(below.len()).unwrap_or(u16::MAX);
@@ -102,14 +123,27 @@ fn axis(name: &str, share: f64, [negative, positive]: [&str; 2]) -> Line<'static
     Line::raw(format!("{name:<15}{} {words}", bar(share)))
 }
 
-fn wheel_line(wheel: &Wheel, unit: Unit) -> Line<'static> {
-    let number = |value: Option<f64>, unit| match value {
-        Some(value) => format!("{} {:<5}", Quantity::new(value, unit).number(), human(unit).1),
+/// Which way the front wheels point.
+fn front_wheels(steered: &Steered) -> Line<'static> {
+    let angle = |rad: f64| {
+        let degrees = Quantity::new(rad.abs(), Unit::Rad).number();
+        let is_straight = !degrees.contains(|digit: char| ('1'..='9').contains(&digit));
+        let side = if rad < 0.0 { " right" } else { " left" };
+        format!("{degrees} deg{}", if is_straight { "" } else { side })
+    };
+    let told = steered.told_rad.map_or("stay as they are".into(), |rad| format!("told {}", angle(rad)));
+    let at = steered.at_rad.map_or("-".into(), angle);
+    Line::raw(format!("{:<15}at {at}, {told}", "front wheels"))
+}
+
+fn wheel_line(wheel: &Wheel) -> Line<'static> {
+    let number = |quantity: Option<Quantity>| match quantity {
+        Some(quantity) => format!("{} {:<5}", quantity.number(), human(quantity.unit).1),
         None => "-      ".into(),
     };
-    let (told, speed) = (number(Some(wheel.told), unit), number(wheel.speed, wheel.speed_unit));
+    let speed = number(wheel.speed.map(|speed| Quantity::new(speed, wheel.speed_unit)));
+    let (told, side) = (number(Some(wheel.told)), wheel.side);
     let duty = wheel.duty.map_or("-".into(), |value| Quantity::new(value, Unit::Duty).number());
-    let side = if wheel.is_left { "left" } else { "right" };
     Line::raw(format!("{side:<7}{:<12}{told:>18}{speed:>20}{duty:>10}", wheel.channel.to_string()))
 }
 
@@ -131,9 +165,9 @@ mod tests {
 
     fn state() -> State {
         let wheel = |index: u8| Wheel {
-            is_left: index.is_multiple_of(2),
+            side: if index.is_multiple_of(2) { "left" } else { "right" },
             channel: ChannelId::new(ChannelKind::Dhb, index),
-            told: if index.is_multiple_of(2) { 2.0 } else { 6.0 },
+            told: Quantity::new(if index.is_multiple_of(2) { 2.0 } else { 6.0 }, Unit::RadPerS),
             speed: Some(2.03).filter(|_| index != 3),
             speed_unit: Unit::RadPerS,
             duty: Some(0.214),
@@ -147,6 +181,7 @@ mod tests {
             unit: Unit::RadPerS,
             most: 8.9286,
             wheels: [0, 2, 1, 3].map(wheel).into(),
+            steering: None,
             silent_s: None,
             message: String::new(),
         }
@@ -162,6 +197,41 @@ mod tests {
         tripped.hand = Hand { forwards: -1.0, turn: -1.0, is_held: false };
         tripped.message = "arm: the board has tripped (dead-man released): clear it first".into();
         snapshot::assert_is("drive-tripped", 80, 24, |frame| draw(frame, &tripped));
+    }
+
+    #[test]
+    fn front_wheels_that_steer() {
+        let mut state = state();
+        state.robot = "openpodcar".into();
+        (state.unit, state.most) = (Unit::Duty, 0.098);
+        let (drive, steer) = (ChannelId::new(ChannelKind::Osmc, 0), ChannelId::new(ChannelKind::Dhb, 0));
+        state.wheels = vec![
+            Wheel {
+                side: "drive",
+                channel: drive,
+                told: Quantity::new(0.059, Unit::Duty),
+                speed: None,
+                ..state.wheels.remove(0)
+            },
+            Wheel {
+                side: "steer",
+                channel: steer,
+                told: Quantity::new(0.028, Unit::M),
+                speed: Some(0.004),
+                speed_unit: Unit::MPerS,
+                ..state.wheels.remove(0)
+            },
+        ];
+        let law = SteeringLaw { rad_at_zero: -0.45079, rad_per_m: 19.080 };
+        state.steering =
+            Some(Steered { channel: steer, law, resolution: 1e-6, told_rad: Some(0.087), at_rad: Some(-0.012) });
+        snapshot::assert_is("drive-steered", 80, 24, |frame| draw(frame, &state));
+        let angle = |rad: f64| {
+            let steered = Steered { channel: steer, law, resolution: 1e-6, told_rad: None, at_rad: Some(rad) };
+            front_wheels(&steered).to_string()
+        };
+        assert!(angle(-0.00001).ends_with("at 0.00 deg, stay as they are"), "{}", angle(-0.00001));
+        assert!(angle(-0.1).contains("at 5.73 deg right") && angle(0.1).contains("at 5.73 deg left"));
     }
 
     #[test]

@@ -95,9 +95,35 @@ pub(super) fn mix(hand: Hand, turn_share: f64) -> [f64; 2] {
     sides.map(|side| side / most)
 }
 
+/// The angle of steered wheels between `limits`, rad, positive to the left; `None` where they are to stay as they are.
+///
+/// A stick in the middle is straight ahead, wherever that is between the limits.
+pub(super) fn steered(hand: Hand, limits: [f64; 2]) -> Option<f64> {
+    if !hand.is_held || !hand.turn.is_finite() {
+        return None;
+    }
+    let turn = hand.turn.clamp(-1.0, 1.0);
+    let [right, left] = limits;
+    Some((if turn < 0.0 { -turn * right } else { turn * left }).clamp(right, left))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn front_wheels_go_to_their_limits_and_stay_where_they_are_let_go() {
+        let limits = [-0.3, 0.4];
+        for (turn, angle_rad) in
+            [(0.0, 0.0), (1.0, 0.4), (-1.0, -0.3), (0.5, 0.2), (-0.5, -0.15), (7.0, 0.4), (-7.0, -0.3)]
+        {
+            assert_eq!(steered(held(1.0, turn), limits), Some(angle_rad), "{turn}");
+        }
+        assert_eq!(steered(held(0.0, f64::NAN), limits), None);
+        assert_eq!(steered(Hand { is_held: false, ..held(1.0, 1.0) }, limits), None);
+        // Where straight ahead is out of reach, what is nearest.
+        assert_eq!(steered(held(1.0, 0.0), [0.1, 0.4]), Some(0.1));
+    }
 
     fn held(forwards: f64, turn: f64) -> Hand {
         Hand { forwards, turn, is_held: true }

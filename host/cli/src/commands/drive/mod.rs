@@ -13,7 +13,7 @@ use std::{
 use anyhow::bail;
 use crossterm::event::{KeyCode, KeyEvent};
 use futures::future::{Either, select};
-use r4_boards::Drive as Geometry;
+use r4_boards::{Ackermann, Drive as Geometry, Interval, SteeringLaw};
 use r4_driver::Error;
 use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Unit};
 use r4_sim::Pace;
@@ -28,7 +28,7 @@ use crate::{
 
 use draw::{State, Wheel, draw};
 use gamepad::Gamepad;
-use hands::{DeadMan, Hand, Stick, mix};
+use hands::{DeadMan, Hand, Stick, mix, steered};
 
 /// Wheels turn only while the space key is held, by its repeats; 0.3 s after the last one they are told to stand still. Tap
 /// the other keys to choose speed and turn, then hold space. `docs/program.md` has the details.
@@ -69,12 +69,25 @@ const TURN_SHARE: f64 = 0.5;
 
 /// What is driven, and how fast.
 struct Pair {
+    /// Where the front wheels steer: what drives.
     left: Vec<ChannelId>,
+    /// Nothing then.
     right: Vec<ChannelId>,
     mode: Mode,
     /// The highest set point.
     most: Quantity,
     turn_share: f64,
+    /// `None` where the difference of the sides steers.
+    steering: Option<Steering>,
+}
+
+/// Front wheels that a linear motor steers.
+#[derive(Clone, Copy)]
+struct Steering {
+    channel: ChannelId,
+    law: SteeringLaw,
+    /// Angles, rad.
+    limits: Interval,
 }
 
 pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
@@ -86,7 +99,7 @@ pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
         let mut screen = Screen::open()?;
         let heard_s = RefCell::new(session.board.now_s());
         let mut telemetry = session.board.telemetry();
-        for channel in pair.wheels() {
+        for channel in pair.channels() {
             session.board.subscribe(channel, LOOK_EVERY_MS).await?;
         }
         let listen = async {
@@ -124,10 +137,7 @@ impl Pair {
                 turn_share: (robot.turn_rate_max_rad_s * robot.track_m / 2.0 / robot.speed_max_m_s).min(1.0),
                 ..Self::of(robot.left.clone(), robot.right.clone())
             },
-            (Some(Geometry::Ackermann(_)), true) => bail!(
-                "this robot steers by its front wheels, which `r4 drive` does not: name its motors with --left and --right, \
-                 or use `r4 move` and `r4 speed`"
-            ),
+            (Some(Geometry::Ackermann(robot)), true) => Self::steered(robot),
             (None, true) => bail!(
                 "which motors are left and which are right is not known of this robot: name them, as in --left dhb0,dhb2 \
                  --right dhb1,dhb3"
@@ -140,6 +150,9 @@ impl Pair {
         }
         let known_rad_s = match geometry {
             Some(Geometry::SkidSteer(robot)) if drive.left.is_empty() => {
+                Some(robot.speed_max_m_s / robot.wheel_radius_m)
+            }
+            Some(Geometry::Ackermann(robot)) if drive.left.is_empty() => {
                 Some(robot.speed_max_m_s / robot.wheel_radius_m)
             }
             _ => None,
@@ -156,12 +169,48 @@ impl Pair {
             setpoint(session, channel, pair.mode, pair.most)?;
             setpoint(session, channel, pair.mode, Quantity { value: -pair.most.value, ..pair.most })?;
         }
+        if let Some(Steering { channel, law, limits }) = pair.steering {
+            for angle_rad in [limits.min, limits.max] {
+                setpoint(session, channel, Mode::Position, Quantity::new(law.position_m(angle_rad), Unit::M))?;
+            }
+        }
         Ok(pair)
+    }
+
+    /// A robot with steered front wheels.
+    fn steered(robot: &Ackermann) -> Self {
+        let steering = Steering { channel: robot.steering, law: robot.steering_law, limits: robot.steering_rad };
+        let mut pair = Self { steering: Some(steering), ..Self::of(vec![robot.drive], Vec::new()) };
+        if let Some(full_m_s) = robot.full_speed_m_s {
+            pair.most = Quantity::new((robot.speed_max_m_s / full_m_s).min(1.0), Unit::Duty);
+        }
+        pair
+    }
+
+    /// What the hands mean for each channel.
+    fn orders(&self, hand: Hand) -> Vec<(ChannelId, Setpoint)> {
+        let [left, right] = match self.steering {
+            Some(_) => [mix(Hand { turn: 0.0, ..hand }, 0.0)[0]; 2],
+            None => mix(hand, self.turn_share),
+        };
+        let order = |share: f64| {
+            move |channel: &ChannelId| (*channel, Setpoint { mode: self.mode, value: (share * self.most.value) as f32 })
+        };
+        let mut orders: Vec<_> = self.left.iter().map(order(left)).chain(self.right.iter().map(order(right))).collect();
+        orders.extend(self.steering.map(|Steering { channel, law, limits }| {
+            // Let go, the rod stays where it is: its spindle holds without power.
+            let setpoint = match steered(hand, [limits.min, limits.max]) {
+                Some(angle_rad) => Setpoint { mode: Mode::Position, value: law.position_m(angle_rad) as f32 },
+                None => Setpoint { mode: Mode::Duty, value: 0.0 },
+            };
+            (channel, setpoint)
+        }));
+        orders
     }
 
     fn of(left: Vec<ChannelId>, right: Vec<ChannelId>) -> Self {
         let most = Quantity::new(CAREFUL_DUTY, Unit::Duty);
-        Self { left, right, mode: Mode::Duty, most, turn_share: TURN_SHARE }
+        Self { left, right, mode: Mode::Duty, most, turn_share: TURN_SHARE, steering: None }
     }
 
     /// The robot's highest speed, or half of what every wheel can take; a share of the supply where one has no control of
@@ -187,26 +236,41 @@ impl Pair {
         self.left.iter().chain(&self.right).copied()
     }
 
+    /// Wheels and steering, as [`orders`](Self::orders) has them.
+    fn channels(&self) -> impl Iterator<Item = ChannelId> {
+        self.wheels().chain(self.steering.map(|steering| steering.channel))
+    }
+
     fn state(&self, args: &Args, session: &Session<'_>) -> State {
         let board = session.board;
         let (safety, causes) = board.safety();
+        let side = |index: usize| match (self.steering.is_some(), index < self.left.len()) {
+            (false, true) => "left",
+            (false, false) => "right",
+            (true, true) => "drive",
+            (true, false) => "steer",
+        };
         let wheel = |(index, channel): (usize, ChannelId)| Wheel {
-            is_left: index < self.left.len(),
+            side: side(index),
             channel,
-            told: 0.0,
+            told: Quantity::new(0.0, self.most.unit),
             speed: None,
             speed_unit: board.channel(channel).map_or(Unit::RadPerS, |info| speed_unit(info.unit)),
             duty: None,
         };
         State {
-            board: args.board.to_string(),
+            board: args.board.described(),
             robot: board.info().robot.to_string(),
             safety,
             causes,
             hand: Hand::default(),
             unit: self.most.unit,
             most: self.most.value,
-            wheels: self.wheels().enumerate().map(wheel).collect(),
+            wheels: self.channels().enumerate().map(wheel).collect(),
+            steering: self.steering.map(|Steering { channel, law, .. }| {
+                let resolution = board.channel(channel).map_or(0.0, |info| f64::from(info.resolution));
+                draw::Steered { channel, law, resolution, told_rad: None, at_rad: None }
+            }),
             silent_s: None,
             message: String::new(),
         }
@@ -227,7 +291,10 @@ impl State {
     fn look(&mut self, samples: &[Sample]) {
         for sample in samples {
             let Some(wheel) = self.wheels.iter_mut().find(|wheel| wheel.channel == sample.channel()) else { continue };
-            if let Sample::Motor { speed, duty, .. } = *sample {
+            if let Sample::Motor { position, speed, duty, .. } = *sample {
+                if let Some(steered) = self.steering.as_mut().filter(|steered| steered.channel == wheel.channel) {
+                    steered.at_rad = Some(steered.law.angle_rad(f64::from(position) * steered.resolution));
+                }
                 wheel.speed = Some(f64::from(speed)).filter(|speed| speed.is_finite());
                 wheel.duty = Some(duty.into());
             }
@@ -281,7 +348,7 @@ async fn steer(
     let (mut stick, mut dead_man) = (Stick::new(drive.steps), DeadMan::default());
     let mut commands: Commands<'_, &str> = Commands::default();
     let mut drawn: Option<Instant> = None;
-    let mut told = [0.0; 2];
+    let mut told = Vec::new();
     loop {
         let next_s = board.now_s() + SEND_EVERY_S;
         while let Some(key) = screen.key(Duration::ZERO)? {
@@ -318,20 +385,28 @@ async fn steer(
             state.silent_s = Some(board.now_s() - *heard_s.borrow()).filter(|silent_s| *silent_s > SILENT_S);
             state.safety == SafetyState::Armed
         };
-        let sides = if is_armed { mix(hand, pair.turn_share) } else { [0.0; 2] };
-        let wheels = pair.left.len() + pair.right.len();
-        if is_armed && (sides != told || commands.len() < MOST_WAITING * wheels) {
-            for (index, channel) in pair.wheels().enumerate() {
-                let value = sides[usize::from(index >= pair.left.len())] * pair.most.value;
-                commands.begin("set point", board.set(channel, Setpoint { mode: pair.mode, value: value as f32 }));
+        let orders = pair.orders(if is_armed { hand } else { Hand { is_held: false, ..hand } });
+        if is_armed && (orders != told || commands.len() < MOST_WAITING * orders.len()) {
+            for (channel, setpoint) in &orders {
+                commands.begin("set point", board.set(*channel, *setpoint));
             }
         }
-        told = sides;
+        told = orders;
         if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
             drawn = Some(Instant::now());
             let state = &mut *state.borrow_mut();
-            for (index, wheel) in state.wheels.iter_mut().enumerate() {
-                wheel.told = sides[usize::from(index >= pair.left.len())] * pair.most.value;
+            for (wheel, (_, Setpoint { mode, value })) in state.wheels.iter_mut().zip(&told) {
+                let unit = if *mode == Mode::Position {
+                    Unit::M
+                } else if *mode == Mode::Duty {
+                    Unit::Duty
+                } else {
+                    state.unit
+                };
+                wheel.told = Quantity::new((*value).into(), unit);
+                if let Some(steered) = state.steering.as_mut().filter(|steered| steered.channel == wheel.channel) {
+                    steered.told_rad = (*mode == Mode::Position).then(|| steered.law.angle_rad((*value).into()));
+                }
             }
             screen.draw(|frame| draw(frame, state))?;
         }
