@@ -15,7 +15,7 @@ use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Fla
 
 use crate::{
     flash::Cells,
-    image::Image,
+    image::{Image, Segment},
     watch::{SharedMachine, Watcher, Watchers},
     wiring::{UartEnd, Wiring},
 };
@@ -52,6 +52,7 @@ pub struct EmuBoard<C> {
     failure: Rc<RefCell<Option<MachineError>>>,
     from_host: Rc<RefCell<Receiver>>,
     watchers: Rc<RefCell<Watchers<C>>>,
+    pub(crate) segments: Vec<Segment>,
 }
 
 impl<C: Core + 'static> EmuBoard<C> {
@@ -86,6 +87,7 @@ impl<C: Core + 'static> EmuBoard<C> {
             failure: Rc::default(),
             from_host: Rc::new(RefCell::new(link.rx)),
             watchers: Rc::default(),
+            segments: image.segments(),
         };
         let (machine, from_host) = (board.machine.clone(), board.from_host.clone());
         let run = Run { machine, from_host, clock, watchers: board.watchers.clone() };

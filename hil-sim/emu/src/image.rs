@@ -15,6 +15,24 @@ pub struct Image {
     elf: Vec<u8>,
 }
 
+/// Consecutive bytes of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Segment {
+    /// The address at which the program uses them.
+    runs: u32,
+    /// Where the flash has them.
+    stored: u32,
+    len: u32,
+}
+
+impl Segment {
+    /// Where the flash has what the program uses at `address`.
+    pub(crate) fn stored(self, address: u32) -> Option<u32> {
+        let offset = address.checked_sub(self.runs).filter(|offset| *offset < self.len)?;
+        Some(self.stored + offset)
+    }
+}
+
 /// There is no image for a robot.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
@@ -95,24 +113,30 @@ impl Image {
     }
 
     /// Where its first segment is stored in flash, which begins with the vector table: where the chip boots, or where a
-    /// bootloader jumps to. `None` for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
+    /// bootloader jumps to. `None` for what is no ELF file of 32 bits.
     #[must_use]
     pub fn start(&self) -> Option<u32> {
+        self.segments().into_iter().map(|segment| segment.stored).min()
+    }
+
+    /// What the file has for the flash; nothing for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
+    pub(crate) fn segments(&self) -> Vec<Segment> {
         const LOAD: u32 = 1;
         const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
         let bytes = |at: usize, len: usize| self.elf.get(at..at + len);
         let word = |at| Some(u32::from_le_bytes(bytes(at, 4)?.try_into().ok()?));
         let half = |at| Some(usize::from(u16::from_le_bytes(bytes(at, 2)?.try_into().ok()?)));
-        if bytes(0, 6)? != b"\x7fELF\x01\x01" {
-            return None;
-        }
-        let (table, entry, count) = (word(0x1C)? as usize, half(0x2A)?, half(0x2C)?);
-        // Type, and where it is stored; a segment that is empty in the file is in RAM only.
-        let stored = |header: usize| {
-            let (kind, address, len) = (word(header)?, word(header + 12)?, word(header + 16)?);
-            (kind == LOAD && len > 0 && FLASH.contains(&address)).then_some(address)
+        // A segment that is empty in the file is in RAM only.
+        let segment = |header: usize| {
+            let [kind, runs, stored, len] = [word(header)?, word(header + 8)?, word(header + 12)?, word(header + 16)?];
+            (kind == LOAD && len > 0 && FLASH.contains(&stored)).then_some(Segment { runs, stored, len })
         };
-        (0..count).filter_map(|index| stored(table + index * entry)).min()
+        let all = || {
+            bytes(0, 6).filter(|ident| ident == b"\x7fELF\x01\x01")?;
+            let (table, entry, count) = (word(0x1C)? as usize, half(0x2A)?, half(0x2C)?);
+            Some((0..count).filter_map(|index| segment(table + index * entry)).collect())
+        };
+        all().unwrap_or_default()
     }
 
     /// SHA-256 of the file, as `sha256sum` prints it.

@@ -1,6 +1,7 @@
 //! An emulated R4 board: the firmware's ELF on an emulated STM32H747, in the same simulated surroundings as `r4-sim`'s board.
 
 mod board;
+pub mod fault;
 mod flash;
 pub mod gdb;
 mod image;

@@ -3,10 +3,10 @@
 //! again holds them so, and says why.
 
 use crate::emulated::{
-    Board, Emu, LOOP_FOR_EVER, Setup, UNDEFINED, address_of,
+    Board, Emu, Setup,
     harness::{Device, MS, RawHost, US},
-    patch,
 };
+use r4_emu::fault::{Fault, Lasting};
 use r4_mcu::{Level, Pin, peripherals::rcc::Oscillators};
 use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, Refusal, Reply, Request, SafetyState};
 use r4_sim::{
@@ -67,24 +67,17 @@ async fn next_reset(device: &Device, board: &Board, limit_ns: u64) -> u64 {
     device.clock.now_ns()
 }
 
-/// Breaks the supervisor's interrupt with `code` while everything moves, and measures each kind of output from the reset that
+/// Breaks the program while everything moves, and measures each kind of output from the reset that
 /// follows.
-fn after_reset(name: &str, setup: &Setup, code: [u8; 2], without_crystal: bool) -> u64 {
+fn after_reset(name: &str, setup: &Setup, fault: Fault, without_crystal: bool) -> u64 {
     let (worst_ns, _) = setup.bench_with_misuse(async |emu| {
         move_everything(emu).await;
         let (device, board) = (emu.device(), &emu.emulated);
         if without_crystal {
-            // The crystal that is missing at the next start: what runs goes on with what it has.
-            let exact = Oscillators::default();
-            board.machine().chip.drift(exact);
+            board.lose_crystal_at_reset();
         }
-        let at = address_of(board, "SAI1");
-        let before = patch(board, at, code);
+        board.inject(fault, Lasting::UntilReset).expect("the image has it");
         let reset_ns = next_reset(&device, board, 30 * MS).await;
-        patch(board, at, before);
-        if without_crystal {
-            board.machine().chip.rcc().fit_crystals(false, true);
-        }
         let mut watch = StopWatch::new(&emu.board);
         while device.clock.now_ns() < reset_ns + 120 * MS {
             device.clock.sleep(20 * US).await;
@@ -107,12 +100,12 @@ fn after_reset(name: &str, setup: &Setup, code: [u8; 2], without_crystal: bool) 
 #[test]
 fn every_output_is_safe_right_after_a_reset() {
     let setup = || Setup::new("every-interface");
-    for (name, code, without_crystal) in [
-        ("watchdog", LOOP_FOR_EVER, false),
-        ("hard fault", UNDEFINED, false),
-        ("watchdog, and the crystal does not start again", LOOP_FOR_EVER, true),
+    for (name, fault, without_crystal) in [
+        ("watchdog", Fault::SupervisorHangs, false),
+        ("hard fault", Fault::UndefinedInstruction, false),
+        ("watchdog, and the crystal does not start again", Fault::SupervisorHangs, true),
     ] {
-        let worst_ns = after_reset(name, &setup(), code, without_crystal);
+        let worst_ns = after_reset(name, &setup(), fault, without_crystal);
         assert!(worst_ns <= SWEPT_NS, "{name}: {worst_ns} ns");
     }
 }
@@ -125,10 +118,8 @@ fn a_held_bus_is_freed_and_a_silent_chip_is_left_out() {
         Setup::new("every-interface").bench_with_misuse(async |emu| {
             move_everything(emu).await;
             let (device, board) = (emu.device(), &emu.emulated);
-            let at = address_of(board, "SAI1");
-            let before = patch(board, at, LOOP_FOR_EVER);
+            board.inject(Fault::SupervisorHangs, Lasting::UntilReset).expect("the image has it");
             let reset_ns = next_reset(&device, board, 30 * MS).await;
-            patch(board, at, before);
             device.inject(disturbance, r4_sim::i2c::Span::Transfers { count: 1 });
             let mut watch = StopWatch::new(&emu.board);
             let all_safe = device
@@ -141,20 +132,6 @@ fn a_held_bus_is_freed_and_a_silent_chip_is_left_out() {
             eprintln!("{disturbance:?}: all safe {:.2} ms after the reset", all_safe as f64 / 1e6);
         });
     }
-}
-
-/// Where the flash keeps a function: ITCM, from 0 on, is filled at each start from the same place in the bare image's flash (see
-/// `memory.x.in` of the firmware).
-fn flashed(at: u32) -> u32 {
-    const ITCM_BYTES: u32 = 0x1_0000;
-    if at < ITCM_BYTES { 0x0800_0000 + at } else { at }
-}
-
-/// Writes code where it runs and where each start takes it from, to stay over resets.
-fn patch_for_good(board: &Board, name: &str, code: [u8; 2]) -> [u8; 2] {
-    let at = address_of(board, name);
-    patch(board, flashed(at), code);
-    patch(board, at, code)
 }
 
 fn bad_starts(board: &Board) -> u32 {
@@ -189,7 +166,7 @@ async fn is_held(host: &mut RawHost, device: &Device, board: &Board) {
 fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
     let setup = Setup::new("every-interface");
     let _ = setup.raw(async |host, device, board| {
-        let before = patch_for_good(board, "SAI1", LOOP_FOR_EVER);
+        let patch = board.inject(Fault::SupervisorHangs, Lasting::Always).expect("the image has it");
         for start in 1..=HOLD {
             next_reset(device, board, LONGEST_WATCHDOG_NS).await;
             device.clock.sleep(SWEPT_NS).await;
@@ -210,7 +187,7 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
         assert_eq!((seen, bad_starts(board)), ([true; 2], HOLD));
         is_held(host, device, board).await;
         // What hung is whole again, as after another image was flashed.
-        patch_for_good(board, "SAI1", before);
+        patch.undo(&mut board.machine()).expect("code is in memory");
         host.ask(Request::Restart).await.expect("it is not armed");
         next_reset(device, board, 100 * MS).await;
         device.clock.sleep(1500 * MS).await;
@@ -226,9 +203,9 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
 fn hold_mode_that_hangs_too_goes_on_alone() {
     let setup = Setup::new("every-interface");
     let _ = setup.raw(async |_, device, board| {
-        patch_for_good(board, "SAI1", LOOP_FOR_EVER);
-        // The executor of the links.
-        patch_for_good(board, "SAI3", LOOP_FOR_EVER);
+        for fault in [Fault::SupervisorHangs, Fault::LinksHang] {
+            board.inject(fault, Lasting::Always).expect("the image has it");
+        }
         for start in 1..=2 * HOLD {
             next_reset(device, board, LONGEST_WATCHDOG_NS).await;
             device.clock.sleep(SWEPT_NS).await;
@@ -249,11 +226,9 @@ fn hold_mode_that_hangs_too_goes_on_alone() {
 #[test]
 fn bad_starts_are_forgotten_when_the_board_has_run_well() {
     Setup::osmc_bench().raw(async |host, device, board| {
-        let at = address_of(board, "SAI1");
         for _ in 0..HOLD {
-            let before = patch(board, at, UNDEFINED);
+            board.inject(Fault::UndefinedInstruction, Lasting::UntilReset).expect("the image has it");
             next_reset(device, board, 30 * MS).await;
-            patch(board, at, before);
             device.clock.sleep(200 * MS).await;
             assert_eq!(bad_starts(board), 1);
             device.clock.sleep(10_000 * MS).await;

@@ -3,11 +3,11 @@
 //! middle of the run.
 
 use crate::emulated::{
-    Board, LOOP_FOR_EVER, Setup, UNDEFINED, address_of,
+    Board, Setup,
     harness::{Device, LINEAR, MS, ROTARY, RawHost, US},
-    patch,
 };
-use r4_mcu::{Chip, Level, Pin};
+use r4_emu::fault::{Fault, Lasting, PANIC_LINE, PANIC_LOCATION};
+use r4_mcu::{Level, Pin};
 use r4_protocol::{Cause, Causes, Mode, Refusal, Reply, Request, SafetyState, Setpoint, ToDevice};
 
 /// The watchdog's period: 104 times 4 cycles of 32 kHz (see `watchdog.rs` of the firmware), exact here.
@@ -20,9 +20,6 @@ const SUPERVISOR_NS: u64 = MS;
 const CLAIM_NS: u64 = 2 * MS;
 /// The control loop counts as dead after five periods without an end, seen at the supervisor's next look.
 const CONTROL_DEAD_NS: u64 = MS + 5 * MS + 2 * MS;
-
-/// Where the control task goes on in each of its periods, each time that it is woken there.
-const CONTROL: &str = "r4_firmware::control::task::Control<B,P>::tick::{{closure}}";
 
 /// Backup registers that hold the record of an end (see `reset.rs` of the firmware): PC or location, and CFSR or line.
 const RECORD_PC: usize = 17;
@@ -86,36 +83,29 @@ async fn starts_tripped_and_works(host: &mut RawHost, device: &Device, board: &B
 /// However the supervisor hangs: in its own interrupt, with all interrupts off, or because no time comes to it any more.
 #[test]
 fn a_hung_supervisor_is_reset_by_the_watchdog() {
-    // cpsid i; b .
-    const MASKED: [u8; 4] = [0x72, 0xB6, 0xFE, 0xE7];
     let (mut worst_ns, mut worst_claim_ns) = (0, 0);
-    for (function, code) in [("SAI1", &LOOP_FOR_EVER[..]), ("SAI1", &MASKED[..]), ("TIM5", &LOOP_FOR_EVER[..])] {
+    for fault in [Fault::SupervisorHangs, Fault::SupervisorHangsMasked, Fault::TimeDriverHangs] {
         for phase_us in [0, 400] {
             let (_, misuse) = Setup::osmc_bench().raw(async |host, device, board| {
                 run_rotary(host, device).await;
                 device.clock.sleep(phase_us * US).await;
-                let at = address_of(board, function);
-                let mut code4 = patch(board, at, [0; 4]);
-                let before = code4;
-                code4[..code.len()].copy_from_slice(code);
-                patch(board, at, code4);
+                // After the reset it is whole again: the same program as after a passing fault.
+                board.inject(fault, Lasting::UntilReset).expect("the image has it");
                 let at_ns = device.clock.now_ns();
                 let limit_ns = SUPERVISOR_NS + WATCHDOG_NS;
                 let off_ns = off_after(device, at_ns, limit_ns).await;
-                let off_ns = off_ns.unwrap_or_else(|| panic!("{function}: not off after {limit_ns} ns"));
+                let off_ns = off_ns.unwrap_or_else(|| panic!("{fault:?}: not off after {limit_ns} ns"));
                 assert!(
                     off_ns >= WATCHDOG_NS - FEED_NS - SUPERVISOR_NS,
-                    "{function}: {off_ns} ns are before the watchdog's time"
+                    "{fault:?}: {off_ns} ns are before the watchdog's time"
                 );
-                // What hung is whole again: the same program as after a passing fault.
-                patch(board, at, before);
                 let reset_ns = device.clock.now_ns();
                 let claimed = device.wait_until(reset_ns, CLAIM_NS, || disable(board) == Level::High).await;
                 worst_claim_ns = worst_claim_ns.max(claimed.expect("the start drives the line"));
                 worst_ns = worst_ns.max(off_ns);
                 starts_tripped_and_works(host, device, board).await;
             });
-            assert_eq!(misuse, Vec::<String>::new(), "{function}");
+            assert_eq!(misuse, Vec::<String>::new(), "{fault:?}");
         }
     }
     eprintln!(
@@ -133,8 +123,7 @@ fn a_hung_control_task_trips_without_a_reset() {
         Setup::osmc_bench().raw(async |host, device, board| {
             run_rotary(host, device).await;
             device.clock.sleep(phase_us * US).await;
-            let at = address_of(board, CONTROL);
-            let before = patch(board, at, LOOP_FOR_EVER);
+            let patch = board.inject(Fault::ControlHangs, Lasting::Always).expect("the image has it");
             let at_ns = device.clock.now_ns();
             let off_ns = off_after(device, at_ns, CONTROL_DEAD_NS).await;
             worst_ns = worst_ns.max(off_ns.expect("the supervisor drives DISABLE"));
@@ -144,7 +133,7 @@ fn a_hung_control_task_trips_without_a_reset() {
             // For as long as it hangs, far beyond the watchdog's time; it is not reset, and goes on when it is let go.
             device.clock.sleep(3 * WATCHDOG_NS).await;
             assert_eq!(disable(board), Level::High);
-            patch(board, at, before);
+            patch.undo(&mut board.machine()).expect("code is in flash");
             // The time without heartbeats was below the link's timeout.
             let told = host.ask(Request::Stats).await;
             assert!(matches!(told, Ok(Reply::Stats(_))), "the session is the same: {told:?}");
@@ -157,85 +146,48 @@ fn a_hung_control_task_trips_without_a_reset() {
     eprintln!("hung control: outputs off after at most {} us", worst_ns / US);
 }
 
-/// Breaks the control task with `code` in the middle of a run; where that is, and two registers of the record.
-async fn end(host: &mut RawHost, device: &Device, board: &Board, name: &str, code: &[u8]) -> (u32, u32, u32) {
-    run_rotary(host, device).await;
-    let at = address_of(board, CONTROL);
-    let write = |bytes: &[u8]| board.machine().chip.memory().write_slice(at, bytes).expect("code is in flash");
-    let mut before = vec![0; code.len()];
-    board.machine().chip.memory().read_slice(at, &mut before).expect("code is in flash");
-    write(code);
-    let at_ns = device.clock.now_ns();
-    // At its next run, which is a period away at most. The handler drives the lines first; a stack has to fill before.
-    let off_ns = off_after(device, at_ns, 2 * MS).await;
-    let off_ns = off_ns.unwrap_or_else(|| panic!("{name}: the outputs are not off"));
-    write(&before);
-    eprintln!("{name}: outputs off after {} us", off_ns / US);
-    starts_tripped_and_works(host, device, board).await;
-    let register = |index| board.machine().chip.backup_register(index).expect("0 to 31");
-    (at, register(RECORD_PC), register(RECORD_DETAIL))
-}
-
-fn ended_by(name: &str, code: &[u8]) -> (u32, u32, u32) {
-    Setup::osmc_bench().raw(async |host, device, board| end(host, device, board, name, code).await).0
+/// Breaks the control task in the middle of a run; where that is, and two registers of the record.
+fn ended_by(fault: Fault) -> (u32, u32, u32) {
+    let (result, _) = Setup::osmc_bench().raw(async |host, device, board| {
+        run_rotary(host, device).await;
+        let patch = board.inject(fault, Lasting::UntilReset).expect("the image has it");
+        let at_ns = device.clock.now_ns();
+        // At its next run, which is a period away at most. The handler drives the lines first; a stack has to fill before.
+        let off_ns = off_after(device, at_ns, 2 * MS).await;
+        let off_ns = off_ns.unwrap_or_else(|| panic!("{fault:?}: the outputs are not off"));
+        eprintln!("{fault:?}: outputs off after {} us", off_ns / US);
+        starts_tripped_and_works(host, device, board).await;
+        let register = |index| board.machine().chip.backup_register(index).expect("0 to 31");
+        (patch.address, register(RECORD_PC), register(RECORD_DETAIL))
+    });
+    result
 }
 
 #[test]
 fn a_fault_stops_leaves_a_record_and_restarts() {
-    let (at, pc, cfsr) = ended_by("undefined instruction", &UNDEFINED);
+    let (at, pc, cfsr) = ended_by(Fault::UndefinedInstruction);
     // CFSR: UNDEFINSTR is bit 16 (DDI0403E, B3.2.15).
     assert_eq!((pc, cfsr), (at, 1 << 16));
 }
 
 #[test]
 fn a_panic_stops_leaves_a_record_and_restarts() {
-    // A location as rustc makes it: the file's name (pointer, length), line, column; in a part of flash that is not used.
-    const LOCATION: u32 = 0x080F_0000;
-    const LINE: u32 = 4711;
-    let panics = {
-        let setup = Setup::osmc_bench();
-        let (address, _) =
-            setup.raw(async |_, _, board| address_of(board, "core::panicking::panic_const::panic_const_div_by_zero"));
-        address
-    };
-    // movw r0, #0; movt r0, #0x080F; movw r3, #low; movt r3, #high; bx r3 (A7.7.76, A7.7.79, A7.7.20).
-    let mov = |register: u32, value: u32, top: bool| {
-        let first = if top { 0xF2C0 } else { 0xF240 } | value >> 12 & 0xF | (value >> 11 & 1) << 10;
-        let second = (value >> 8 & 7) << 12 | register << 8 | value & 0xFF;
-        (first | second << 16).to_le_bytes()
-    };
-    let mut code = Vec::new();
-    for (register, value) in [(0, LOCATION), (3, panics | 1)] {
-        code.extend(mov(register, value & 0xFFFF, false));
-        code.extend(mov(register, value >> 16, true));
-    }
-    code.extend(0x4718_u16.to_le_bytes());
-    let (result, _) = Setup::osmc_bench()
-        .prepared(|board| {
-            let machine = board.machine();
-            let memory = machine.chip.memory();
-            let words: Vec<u8> =
-                [LOCATION + 16, 7, LINE, 1].into_iter().flat_map(u32::to_le_bytes).chain(*b"hung.rs").collect();
-            memory.write_slice(LOCATION, &words).expect("flash");
-        })
-        .raw(async |host, device, board| end(host, device, board, "panic", &code).await);
-    let (_, location, line) = result;
-    assert_eq!((location, line), (LOCATION, LINE));
+    let (_, location, line) = ended_by(Fault::Panic);
+    assert_eq!((location, line), (PANIC_LOCATION, PANIC_LINE));
 }
 
 /// The stack ends at a guard that nobody may write, and must end there, and not in what the tasks know.
 #[test]
 fn a_stack_overflow_ends_safely() {
-    // push {r0-r7}; b to it (A7.7.101, A7.7.12): 96 KiB are full after 3072 times.
-    let (_, _, cfsr) = ended_by("stack overflow", &[0xFF, 0xB4, 0xFD, 0xE7]);
+    // 96 KiB are full after 3072 pushes of eight registers.
+    let (_, _, cfsr) = ended_by(Fault::StackOverflow);
     // A store that the guard refused, or a frame that could not be stacked there: DACCVIOL, MSTKERR (DDI0403E, B3.2.15).
     assert!(cfsr & 0x12 != 0, "{cfsr:#x}");
 }
 
 #[test]
 fn a_null_pointer_ends_safely() {
-    // movs r0, #0; ldr r0, [r0, #64] (A7.7.76, A7.7.43): a field of a structure that is not there.
-    let (at, pc, cfsr) = ended_by("null pointer", &[0x00, 0x20, 0x00, 0x6C]);
+    let (at, pc, cfsr) = ended_by(Fault::NullPointer);
     // DACCVIOL; MMARVALID says that its address is known.
     assert_eq!((pc, cfsr & 0xFFFF), (at + 2, 0x82));
 }

@@ -22,11 +22,6 @@ pub(crate) type Board = EmuBoard<ThumbCore>;
 /// From power-on until the supervisor runs, more than any start takes, ms: clocks, the expander's and PWM chips' set-up.
 pub(crate) const BOOT_MS: u64 = 100;
 
-/// Bytes of a Thumb instruction that goes nowhere: `b .` (DDI0403E, A7.7.12, encoding T2, offset -4).
-pub(crate) const LOOP_FOR_EVER: [u8; 2] = [0xFE, 0xE7];
-/// `udf #0` (A7.7.194, encoding T1).
-pub(crate) const UNDEFINED: [u8; 2] = [0x00, 0xDE];
-
 /// How a board is powered up.
 pub(crate) struct Setup {
     robot: Robot,
@@ -194,20 +189,6 @@ impl<'b> Deref for Emu<'b> {
     fn deref(&self) -> &Bench<'b> {
         self.bench
     }
-}
-
-/// Writes code, as a debugger would; what was there before.
-pub(crate) fn patch<const N: usize>(board: &Board, address: u32, code: [u8; N]) -> [u8; N] {
-    let machine = board.machine();
-    let mut before = [0; N];
-    machine.chip.memory().read_slice(address, &mut before).expect("code is in flash");
-    machine.chip.memory().write_slice(address, &code).expect("code is in flash");
-    before
-}
-
-/// Where a function begins.
-pub(crate) fn address_of(board: &Board, name: &str) -> u32 {
-    board.machine().symbols().address(name).unwrap_or_else(|| panic!("the image has no {name}"))
 }
 
 /// The path of the image, short.
