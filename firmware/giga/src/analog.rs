@@ -11,18 +11,17 @@
 //! clock must be a power of two times 16 MHz, or close below: HSI or the crystal.
 //!
 //! # Outputs
-//! Both channels of DAC1, which come up at code 0. Until then, and after a reset, the pins are analog and float.
+//! Both channels of DAC1, by their registers: embassy's driver resets the converter when it takes it, which would take outputs
+//! that [`crate::sweep`] has made safe to 0 V once more. A reset turns the channels off, and their pins float.
 
 use embassy_stm32::{
     Peri,
     adc::RxDma,
-    dac::{Dac, Value},
     dma::{self, ChannelInstance, TransferOptions},
     gpio::{AnyPin, Flex},
     interrupt::typelevel::Binding,
-    mode::Blocking,
     pac::{
-        ADC1, ADC12_COMMON,
+        ADC1, ADC12_COMMON, DAC1, RCC,
         adc::vals::{Adcaldif, Boost, Dmngt, Ovrmod, Pcsel, Res, SampleTime},
         adccommon::vals::Presc,
     },
@@ -221,27 +220,41 @@ impl AnalogInputs for Inputs {
 }
 
 /// The two analog outputs.
-pub struct Outputs(Dac<'static, Blocking>);
+pub struct Outputs(());
 
 impl Outputs {
-    /// Turns them on, at 0 V.
+    /// Clocks the converter and leaves it as it is: a channel that is off turns on when it is set.
+    #[must_use]
+    pub fn start() -> Self {
+        critical_section::with(|_| RCC.apb1lenr().modify(|w| w.set_dac12en(true)));
+        Self(())
+    }
+
+    /// The same with both channels on, at 0 V where nobody has set them.
     #[must_use]
     pub fn new(
-        converter: Peri<'static, peripherals::DAC1>,
+        _converter: Peri<'static, peripherals::DAC1>,
         left: Peri<'static, peripherals::PA4>,
         right: Peri<'static, peripherals::PA5>,
     ) -> Self {
-        Self(Dac::new_blocking(converter, left, right))
+        // Analog, as after a reset, and so they stay when `Flex` lets them go.
+        drop((Flex::new(left), Flex::new(right)));
+        let outputs = Self::start();
+        (0..CHANNELS_OUT).for_each(|channel| DAC1.cr().modify(|w| w.set_en(channel, true)));
+        outputs
     }
 }
 
+/// Channels of DAC1.
+const CHANNELS_OUT: usize = 2;
+
 impl AnalogOutputs for Outputs {
     fn set(&mut self, index: u8, code: u16) {
-        let value = Value::Bit12Right(code.min(4095));
-        match index {
-            0 => self.0.ch1().set(value),
-            1 => self.0.ch2().set(value),
-            _ => {}
+        let channel = usize::from(index);
+        if channel < CHANNELS_OUT {
+            // Before the channel is turned on, so that it comes up there.
+            DAC1.dhr12r(channel).write(|w| w.set_dhr(code.min(4095)));
+            DAC1.cr().modify(|w| w.set_en(channel, true));
         }
     }
 }

@@ -322,8 +322,6 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
     };
     if held {
         defmt::error!("{} bad starts in a row: outputs are only held safe", start.bad_starts);
-        // Its converter must go on.
-        core::mem::forget(dacs);
         spawn_links(&executors::start());
         hold::beside_links(shared.config());
     }

@@ -11,7 +11,7 @@
 
 use embassy_futures::block_on;
 use embassy_stm32::pac::{
-    DAC1, I2C2, RCC,
+    I2C2, RCC,
     gpio::vals::{Moder, Ospeedr, Ot, Pupdr},
     i2c::{
         regs::{Icr, Isr},
@@ -22,11 +22,12 @@ use embassy_stm32::pac::{
 use embedded_hal_async::i2c::{ErrorType, I2c, Operation};
 use r4_firmware::{
     outputs::{self, OutputFault},
-    platform::{self, AnalogOutputs},
+    platform,
 };
 use r4_protocol::config::BoardConfig;
 
 use crate::{
+    analog,
     cycles::{self, Deadline},
     i2c::{BusError, timingr},
     pins::{I2C_BOARD_SCL as SCL, I2C_BOARD_SDA as SDA, Place, pin},
@@ -55,26 +56,6 @@ pub(crate) fn run_from_the_internal_oscillator() {
     while RCC.cfgr().read().sws() != Sw::HSI && !patience.has_passed() {}
 }
 
-/// The processor's own analog outputs by their registers: they float while the converter is off, as after a reset.
-struct OwnDacs;
-
-impl OwnDacs {
-    fn start() -> Self {
-        RCC.apb1lenr().modify(|w| w.set_dac12en(true));
-        Self
-    }
-}
-
-impl AnalogOutputs for OwnDacs {
-    fn set(&mut self, index: u8, code: u16) {
-        let channel = usize::from(index);
-        if channel < 2 {
-            DAC1.dhr12r(channel).write(|w| w.set_dhr(code));
-            DAC1.cr().modify(|w| w.set_en(channel, true));
-        }
-    }
-}
-
 /// The board's bus, and what it is to be told.
 pub(crate) struct Sweeper {
     bus: Polled,
@@ -91,7 +72,7 @@ impl Sweeper {
         if !self.bus.is_free() {
             self.bus.free();
         }
-        outputs::rest_dacs(config, &mut OwnDacs::start());
+        outputs::rest_dacs(config, &mut analog::Outputs::start());
         // Nothing in it ever waits for anything but the loops below.
         block_on(outputs::sweep(&mut self.bus, config))
     }
