@@ -2,7 +2,10 @@
 
 use std::fmt;
 
-use r4_protocol::config::{BoardConfig, RelayRole};
+use r4_protocol::{
+    ChannelId,
+    config::{BoardConfig, RelayRole},
+};
 
 use crate::{chips::pca9685::Pca9685, surroundings::Surroundings, world::World};
 
@@ -109,9 +112,6 @@ impl StopWatch {
     }
 
     fn is_safe(&mut self, outputs: Outputs, config: &BoardConfig, world: &mut World) -> bool {
-        let near = |volts: f64, wanted_v: f32, full_scale_v: f64| {
-            (volts - f64::from(wanted_v)).abs() <= WITHIN_CODES * full_scale_v / DAC_CODES
-        };
         match outputs {
             Outputs::MotorPower => {
                 let mut relays = config.relays.iter().filter(|relay| relay.role == RelayRole::MotorPower);
@@ -126,7 +126,7 @@ impl StopWatch {
             Outputs::Bldcs => {
                 let full_scale_v = config.bldc_dac.map_or(0.0, |chip| f64::from(chip.full_scale_v));
                 config.bldcs.iter().all(|bldc| {
-                    world.throttle_v(bldc.id).is_some_and(|volts| near(volts, bldc.neutral_v, full_scale_v))
+                    world.throttle_v(bldc.id).is_some_and(|volts| is_near(volts, bldc.neutral_v, full_scale_v))
                 })
             }
             Outputs::Steppers => {
@@ -144,10 +144,116 @@ impl StopWatch {
             }
             Outputs::Dacs => config.dacs.iter().all(|dac| {
                 let volts = world.pins().dac_v(dac.id.index.into());
-                volts.is_some_and(|volts| near(volts, dac.safe_v, OWN_DAC_V))
+                volts.is_some_and(|volts| is_near(volts, dac.safe_v, OWN_DAC_V))
             }),
         }
     }
+}
+
+/// A plant that moves less than this in [`REST_NS`] is at rest: it is slower than 0.05 rad/s, 3 degrees a second, or 0.5 mm/s.
+const REST_TRAVEL_RAD: f64 = 0.01;
+const REST_TRAVEL_M: f64 = 1e-4;
+const REST_NS: u64 = 200_000_000;
+
+/// Follows the plants that can run on, from a moment on: since when nothing drives them any more, and how long and how far they
+/// then still move. Servos hold, and are not among them.
+///
+/// Times are those of the first look at which it was seen, so never too early.
+pub struct RunOut {
+    plants: Vec<Plant>,
+}
+
+struct Plant {
+    channel: ChannelId,
+    start: f64,
+    /// Where it was when it had last moved by `rest_travel`, and when that was.
+    last: f64,
+    moved_ns: u64,
+    rest_travel: f64,
+    /// Since when it is off.
+    off_ns: Option<u64>,
+    /// Of a stepper.
+    commanded: i64,
+}
+
+/// How a plant ran out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ran {
+    /// Whose it is.
+    pub channel: ChannelId,
+    /// Virtual time at which its output went off for good: no transistor conducts, the speed input is neutral, no pulse
+    /// follows. `None` while it is not.
+    pub off_ns: Option<u64>,
+    /// Virtual time at which it came to rest; `None` while it moves.
+    pub rest_ns: Option<u64>,
+    /// How far it is from where it was when [`RunOut`] began, rad or m.
+    pub distance: f64,
+}
+
+impl RunOut {
+    /// Begins now.
+    #[must_use]
+    pub fn new(board: &Surroundings) -> Self {
+        let config = &board.robot().config;
+        let mut world = board.world();
+        let now_ns = world.clock().now_ns();
+        let motors = config.motors.iter().map(|motor| motor.id);
+        let others = config.bldcs.iter().map(|bldc| bldc.id).chain(config.steppers.iter().map(|stepper| stepper.id));
+        let plants = motors.chain(others).filter_map(|channel| {
+            let start = world.position(channel)?;
+            let rest_travel = if world.is_linear(channel) { REST_TRAVEL_M } else { REST_TRAVEL_RAD };
+            let (last, moved_ns) = (start, now_ns);
+            Some(Plant { channel, start, last, moved_ns, rest_travel, off_ns: None, commanded: i64::MIN })
+        });
+        Self { plants: plants.collect() }
+    }
+
+    /// Looks at all plants now.
+    pub fn look(&mut self, board: &Surroundings) {
+        let config = &board.robot().config;
+        let full_scale_v = config.bldc_dac.map_or(0.0, |chip| f64::from(chip.full_scale_v));
+        let mut world = board.world();
+        let now_ns = world.clock().now_ns();
+        for plant in &mut self.plants {
+            let position = world.position(plant.channel).unwrap_or(plant.last);
+            if (position - plant.last).abs() > plant.rest_travel {
+                (plant.last, plant.moved_ns) = (position, now_ns);
+            }
+            let commanded = world.stepper(plant.channel).map(|driver| driver.commanded());
+            let is_off = match (commanded, config.bldcs.iter().find(|bldc| bldc.id == plant.channel)) {
+                (Some(commanded), _) => std::mem::replace(&mut plant.commanded, commanded) == commanded,
+                (None, Some(bldc)) => {
+                    world.throttle_v(bldc.id).is_some_and(|volts| is_near(volts, bldc.neutral_v, full_scale_v))
+                }
+                (None, None) => world.drive(plant.channel).is_some_and(|drive| drive.coast == 1.0),
+            };
+            plant.off_ns = if is_off { plant.off_ns.or(Some(now_ns)) } else { None };
+        }
+    }
+
+    /// Whether every plant is off and at rest, as of the last look at `now_ns`.
+    #[must_use]
+    pub fn is_over(&self, now_ns: u64) -> bool {
+        self.plants.iter().all(|plant| plant.off_ns.is_some() && now_ns >= plant.moved_ns + REST_NS)
+    }
+
+    /// What became of each plant, as of the last look at `now_ns`.
+    #[must_use]
+    pub fn ran(&self, board: &Surroundings, now_ns: u64) -> Vec<Ran> {
+        let mut world = board.world();
+        let ran = self.plants.iter().map(|plant| Ran {
+            channel: plant.channel,
+            off_ns: plant.off_ns,
+            rest_ns: (now_ns >= plant.moved_ns + REST_NS).then_some(plant.moved_ns),
+            distance: world.position(plant.channel).map_or(0.0, |position| (position - plant.start).abs()),
+        });
+        ran.collect()
+    }
+}
+
+/// Whether a voltage is the wanted one, as nearly as a converter can make it.
+fn is_near(volts: f64, wanted_v: f32, full_scale_v: f64) -> bool {
+    (volts - f64::from(wanted_v)).abs() <= WITHIN_CODES * full_scale_v / DAC_CODES
 }
 
 /// Whether every output is full OFF.

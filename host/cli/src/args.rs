@@ -277,6 +277,16 @@ pub(crate) struct Debug {
     pub(crate) seconds: Option<f64>,
 }
 
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Safety {
+    /// How often causes are injected: on sim: in all [10000], on emu: each [4]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    pub(crate) injections: Option<u32>,
+    /// Print the tables as Markdown, as docs/safety.md has them
+    #[arg(long)]
+    pub(crate) markdown: bool,
+}
+
 /// `bus` and `safety` on sim:every-interface, unless `--board` names another robot with every kind of output.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Bench {
@@ -286,12 +296,9 @@ pub(crate) enum Bench {
         #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: f64,
     },
-    /// Longest time until outputs are safe, for every cause of a stop
-    Safety {
-        /// How often causes are injected, in all
-        #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
-        injections: u32,
-    },
+    /// Longest time until outputs are safe, for every cause of a stop, and how plants come to rest after it. On emu:
+    /// what happens to the processor itself
+    Safety(Safety),
     /// Stack, instructions and jitter of the firmware's ELF on an emulated board, emu:osmc-bench unless `--board` says
     Firmware {
         /// How long it is given everything at random, and then for how long as much as links carry

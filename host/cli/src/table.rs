@@ -1,6 +1,9 @@
 //! Tables on a terminal.
 
-use comfy_table::{CellAlignment, Table, presets::UTF8_BORDERS_ONLY};
+use comfy_table::{
+    CellAlignment, Table,
+    presets::{ASCII_MARKDOWN, UTF8_BORDERS_ONLY},
+};
 
 /// A table of these columns; those in `numbers` are set flush right.
 pub(crate) fn new(header: &[&str], numbers: std::ops::Range<usize>) -> Table {
@@ -11,5 +14,11 @@ pub(crate) fn new(header: &[&str], numbers: std::ops::Range<usize>) -> Table {
             column.set_cell_alignment(CellAlignment::Right);
         }
     }
+    table
+}
+
+/// The same for a page of documentation.
+pub(crate) fn markdown(mut table: Table) -> Table {
+    table.load_style(ASCII_MARKDOWN);
     table
 }

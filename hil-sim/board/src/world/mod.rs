@@ -14,7 +14,7 @@ mod wires;
 use std::{cell::RefCell, rc::Rc};
 
 use r4_boards::{Robot, SimulatedRail};
-use r4_plants::{Drive, Plant, PlantError};
+use r4_plants::{Drive, Plant, PlantError, PlantKind};
 use r4_protocol::{
     ChannelId,
     config::{RelayConfig, RelayRole},
@@ -234,6 +234,12 @@ impl World {
         let motor = self.motor(channel).map(|motor| motor.plant.speed());
         let bldc = self.bldcs.iter_mut().find(|bldc| bldc.channel == channel);
         motor.or_else(|| bldc.map(|bldc| bldc.at(now_ns).speed_rad_s()))
+    }
+
+    /// Whether a motor's positions are in m, and not in rad.
+    #[must_use]
+    pub fn is_linear(&self, channel: ChannelId) -> bool {
+        self.motor(channel).is_some_and(|motor| motor.plant.kind() == PlantKind::Linear)
     }
 
     /// Whether a relay's contact is closed; `None` for a channel without a relay.

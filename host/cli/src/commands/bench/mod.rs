@@ -15,7 +15,7 @@ use futures::future::join_all;
 use r4_boards::Robot;
 use r4_driver::{Board, with_board};
 use r4_protocol::{ChannelId, ChannelKind, Mode, Range, Setpoint};
-use r4_sim::{Pace, SimBoard, Simulation, stop::Outputs};
+use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, stop::Outputs};
 
 use crate::{
     args::{self, Args},
@@ -32,7 +32,7 @@ const MS: u64 = 1_000_000;
 pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     match what {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
-        args::Bench::Safety { injections } => safety::run(args, *injections),
+        args::Bench::Safety(asked) => safety::run(args, asked),
         args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
         args::Bench::Link(link) => link::run(args, link),
         args::Bench::Sim => sim::run(args),
@@ -46,17 +46,26 @@ fn robot(args: &Args) -> anyhow::Result<(Target, Robot)> {
         bail!("this measures simulated boards only: leave --board out, or write sim:{EVERYTHING}")
     };
     let name = if name == DEFAULT { EVERYTHING } else { name };
+    Ok((Target::Sim(name.to_owned()), with_every_output(name, "sim")?))
+}
+
+/// A robot that must have every kind of output; `kind` is that of its board, `sim` or `emu`.
+fn with_every_output(name: &str, kind: &str) -> anyhow::Result<Robot> {
     let robot = r4_boards::load(name)?;
-    if let Some(missing) = Outputs::ALL.into_iter().find(|outputs| !outputs.are_on(&robot.config)) {
-        bail!("{name} has nothing for `{missing}`: choose a robot with every kind of output, as sim:{EVERYTHING}");
+    match Outputs::ALL.into_iter().find(|outputs| !outputs.are_on(&robot.config)) {
+        None => Ok(robot),
+        Some(missing) => {
+            bail!(
+                "{name} has nothing for `{missing}`: choose a robot with every kind of output, as {kind}:{EVERYTHING}"
+            )
+        }
     }
-    Ok((Target::Sim(name.to_owned()), robot))
 }
 
 /// A simulated board with a host connected to it.
 struct Bench<'b> {
     host: &'b Board<HostClock>,
-    board: Rc<SimBoard>,
+    board: Rc<dyn VirtualBoard>,
     clock: r4_sim::Clock,
     cable: Rc<CableState>,
 }
@@ -64,7 +73,7 @@ struct Bench<'b> {
 /// Powers a board up, connects a host and runs `work`.
 fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> anyhow::Result<T>) -> anyhow::Result<T> {
     let mut simulation = Simulation::new(Pace::Free);
-    let board = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
+    let board: Rc<dyn VirtualBoard> = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
     let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
     let clock = simulation.clock();
     let (tx, cable) = Cable::new(port.tx, clock.clone());
