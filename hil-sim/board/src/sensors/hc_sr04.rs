@@ -23,6 +23,7 @@ use std::collections::VecDeque;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use super::interference::{Followed, SquareWave};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
 /// The shortest trigger that is taken.
@@ -91,6 +92,9 @@ pub struct HcSr04 {
     echo: Option<Echo>,
     /// When sounds of others arrive that are still on their way.
     arrivals_ns: Vec<u64>,
+    interference: Option<Followed>,
+    /// The line's level, interference included.
+    high: bool,
     edges: VecDeque<EchoEdge>,
     misuse: MisuseLog,
 }
@@ -114,6 +118,8 @@ impl HcSr04 {
             last_ping_ns: None,
             echo: None,
             arrivals_ns: Vec::new(),
+            interference: None,
+            high: false,
             edges: VecDeque::new(),
             misuse: MisuseLog::new(),
         }
@@ -145,8 +151,13 @@ impl HcSr04 {
             && let Some(echo) = self.echo.take()
             && echo.risen
         {
-            self.push_edge(self.now_ns, false);
+            self.show(self.now_ns);
         }
+    }
+
+    /// Couples a wave into the echo line, in place of another; edges before the last look are left out.
+    pub fn set_interference(&mut self, wave: SquareWave) {
+        self.interference = Some(Followed::new(wave, self.now_ns));
     }
 
     /// Drives the trigger pin. Returns when the sound leaves, if this starts a ping.
@@ -195,7 +206,7 @@ impl HcSr04 {
     /// The level of the echo line.
     pub fn echo_is_high(&mut self, at_ns: u64) -> bool {
         self.advance(at_ns);
-        self.echo.is_some_and(|echo| echo.risen)
+        self.high
     }
 
     /// The edges of the echo line that have happened up to and at `at_ns` and were not taken before, oldest first. Of
@@ -208,7 +219,8 @@ impl HcSr04 {
     /// When the echo line changes next, as far as is known: a sound of another module can end an echo before that.
     #[must_use]
     pub fn next_edge_ns(&self) -> Option<u64> {
-        self.echo.filter(|echo| !echo.risen).map(|echo| echo.rise_ns).or(self.echo_end_ns())
+        let wave_ns = self.interference.as_ref().and_then(Followed::next_ns);
+        self.next_own_edge_ns().into_iter().chain(wave_ns).min()
     }
 
     /// What was done against the data sheet.
@@ -225,19 +237,35 @@ impl HcSr04 {
     fn advance(&mut self, to_ns: u64) {
         self.now_ns = self.now_ns.max(to_ns);
         let now_ns = self.now_ns;
-        if let Some(echo) = &mut self.echo
-            && !echo.risen
-            && echo.rise_ns <= now_ns
-        {
-            echo.risen = true;
-            let rise_ns = echo.rise_ns;
-            self.push_edge(rise_ns, true);
-        }
-        if let Some(end_ns) = self.echo_end_ns().filter(|end_ns| *end_ns <= now_ns) {
-            self.echo = None;
-            self.push_edge(end_ns, false);
+        while let Some(at_ns) = self.next_edge_ns().filter(|at_ns| *at_ns <= now_ns) {
+            if self.next_own_edge_ns() == Some(at_ns) {
+                match &mut self.echo {
+                    Some(echo) if !echo.risen => echo.risen = true,
+                    _ => self.echo = None,
+                }
+            }
+            self.show(at_ns);
         }
         self.arrivals_ns.retain(|arrival_ns| *arrival_ns > now_ns);
+    }
+
+    /// When the module changes the line next by itself.
+    fn next_own_edge_ns(&self) -> Option<u64> {
+        self.echo.filter(|echo| !echo.risen).map(|echo| echo.rise_ns).or(self.echo_end_ns())
+    }
+
+    /// Puts the line to its level at `at_ns`.
+    fn show(&mut self, at_ns: u64) {
+        let own = self.echo.is_some_and(|echo| echo.risen);
+        let inverted = self.interference.as_mut().is_some_and(|wave| {
+            wave.advance(at_ns);
+            wave.inverts(at_ns)
+        });
+        let high = own ^ inverted;
+        if high != self.high {
+            self.high = high;
+            self.push_edge(at_ns, high);
+        }
     }
 
     /// When the echo under way ends: at the first sound that arrives while it is high, unless the module is deaf.
@@ -400,6 +428,25 @@ mod tests {
         assert_eq!(module.next_edge_ns(), Some(fall_ns));
         assert!(!module.echo_is_high(fall_ns));
         assert_eq!(edges(&mut module, fall_ns), [(fall_ns, false)]);
+        assert_eq!(module.next_edge_ns(), None);
+    }
+
+    #[test]
+    fn interference_inverts_the_line() {
+        let mut module = HcSr04::new(0, 1);
+        module.set_distance_m(Some(SPEED_M_S * 0.0005));
+        module.set_interference(SquareWave { from_ns: 400_000, until_ns: 1_300_000, half_period_ns: 400_000 });
+        pulse(&mut module, 0, 10_000).expect("ping");
+        // The echo is high from 0.51 to 1.51 ms.
+        let expected = [
+            (400_000, true),
+            (510_000, false),
+            (800_000, true),
+            (1_200_000, false),
+            (1_300_000, true),
+            (1_510_000, false),
+        ];
+        assert_eq!(edges(&mut module, 2 * MS), expected);
         assert_eq!(module.next_edge_ns(), None);
     }
 

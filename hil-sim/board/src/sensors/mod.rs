@@ -8,6 +8,7 @@
 //! | --- | --- | --- |
 //! | [`hc_sr04`] | echo width from distance and air temperature, range, time-out, refused and too frequent triggers, dead, stuck-high, noise, sound of other modules | angle and size of the target, own late echoes of the ping before, supply, loudness |
 //! | [`quadrature`] | edges in order with their time, glitches, chatter, lost edges; timer in encoder mode 3 with input filter | phase error of the disc, limits of an interrupt-driven decoder (they are the firmware's) |
+//! | [`interference`] | a square wave coupled into a track or an echo | coupling into analog lines, levels between low and high |
 //! | [`switch`] | contact bounce, normally open or closed, pull resistor, cut and shorted wire | wetting current, wear, RC filters |
 //! | [`analog_input`] | divider tolerance, bend below the clamp, reference error, offset, noise, oversampling, open and short | settling of the sampling capacitor, non-linearity of the converter, cross-talk of channels |
 //! | [`loopback`] | UART bytes at their time, bounded receive FIFO, unplugged cable, noise; 24C02 EEPROM with page writes and write time | parity errors, baud mismatch; write-protect pin, wear, loss of power during a write |
@@ -16,6 +17,7 @@
 pub mod analog_input;
 pub mod dac_output;
 pub mod hc_sr04;
+pub mod interference;
 pub mod loopback;
 pub mod quadrature;
 pub mod switch;

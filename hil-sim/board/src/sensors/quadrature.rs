@@ -13,7 +13,10 @@
 
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
-use super::uniform;
+use super::{
+    interference::{Followed, SquareWave},
+    uniform,
+};
 
 /// At most so many counts are shown edge by edge at one look.
 const MAX_COUNTS: u64 = 4096;
@@ -99,6 +102,8 @@ pub struct QuadratureSignal {
     /// As last shown: those of the count, but for glitches and lost edges.
     levels: Levels,
     glitches: Vec<Glitch>,
+    /// On A and B.
+    interference: [Option<Followed>; 2],
     edges_to_lose: u32,
     noise: EdgeNoise,
     generator: Pcg64,
@@ -116,6 +121,7 @@ impl QuadratureSignal {
             count,
             levels: Levels::of_count(count),
             glitches: Vec::new(),
+            interference: [None; 2],
             edges_to_lose: 0,
             noise: EdgeNoise::default(),
             generator: Pcg64::seed_from_u64(seed),
@@ -134,10 +140,11 @@ impl QuadratureSignal {
         self.count
     }
 
-    /// When a glitch begins or ends next, if one is to come.
+    /// When a glitch begins or ends next, or interference has an edge, if one is to come.
     #[must_use]
     pub fn next_glitch_ns(&self) -> Option<u64> {
-        self.glitches.iter().map(Glitch::next_ns).min()
+        let waves_ns = self.interference.iter().flatten().filter_map(Followed::next_ns);
+        self.glitches.iter().map(Glitch::next_ns).chain(waves_ns).min()
     }
 
     /// What goes wrong at random from now on.
@@ -149,6 +156,11 @@ impl QuadratureSignal {
     pub fn inject_glitch(&mut self, channel: Channel, from_ns: u64, width_ns: u64) {
         let from_ns = from_ns.max(self.now_ns);
         self.glitches.push(Glitch { channel, from_ns, until_ns: from_ns.saturating_add(width_ns), begun: false });
+    }
+
+    /// Couples a wave into a line, in place of another; edges before the last look are left out.
+    pub fn set_interference(&mut self, channel: Channel, wave: SquareWave) {
+        self.interference[channel as usize] = Some(Followed::new(wave, self.now_ns));
     }
 
     /// Loses the next edges of the shaft: the lines show the change with the edge after them only.
@@ -184,7 +196,7 @@ impl QuadratureSignal {
         };
         loop {
             let crossing_ns = (self.count != target).then(|| crossing_ns(self.count));
-            let glitch_ns = self.glitches.iter().map(Glitch::next_ns).min().filter(|next_ns| *next_ns <= self.now_ns);
+            let glitch_ns = self.next_glitch_ns().filter(|next_ns| *next_ns <= self.now_ns);
             match (crossing_ns, glitch_ns) {
                 (crossing_ns, Some(glitch_ns)) if crossing_ns.is_none_or(|crossing_ns| glitch_ns <= crossing_ns) => {
                     for glitch in &mut self.glitches {
@@ -225,7 +237,13 @@ impl QuadratureSignal {
     }
 
     fn show(&mut self, at_ns: u64, sink: &mut impl FnMut(Transition)) {
-        let glitching = |channel| self.glitches.iter().any(|glitch| glitch.begun && glitch.channel == channel);
+        for wave in self.interference.iter_mut().flatten() {
+            wave.advance(at_ns);
+        }
+        let glitching = |channel| {
+            let wave = self.interference[channel as usize].is_some_and(|wave| wave.inverts(at_ns));
+            self.glitches.iter().any(|glitch| glitch.begun && glitch.channel == channel) ^ wave
+        };
         let Levels { a, b } = Levels::of_count(self.count);
         let levels = Levels { a: a ^ glitching(Channel::A), b: b ^ glitching(Channel::B) };
         if levels != self.levels {
