@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     Setpoint,
     channel::{ChannelId, Mode},
-    state::{Causes, SafetyState},
+    state::{Cause, Causes, SafetyState},
 };
 
 /// Most channels of a cycle.
@@ -193,10 +193,10 @@ pub struct CycleState {
     pub seq: u8,
     /// State in bits 0 and 1, settled in bits 2 to 5, outcome in bits 6 and 7.
     flags: u8,
-    /// The board's clock, its low 32 bits.
-    device_us: [u8; 4],
-    /// Causes latched by a trip.
-    causes: [u8; 2],
+    /// The board's clock, its low 24 bits.
+    device_us: [u8; 3],
+    /// Causes latched by a trip, their low 24 bits.
+    causes: [u8; 3],
     /// `i32` for each channel.
     position: [u8; 4 * CYCLE_CHANNELS],
     /// `i16` for each channel.
@@ -242,8 +242,8 @@ impl CycleState {
         Self {
             seq,
             flags,
-            device_us: low(device_us),
-            causes: causes.bits().to_le_bytes(),
+            device_us: low_24(device_us as u32),
+            causes: low_24(causes.bits()),
             position,
             speed: halves(motors.map(|motor| motor.speed)),
             duty: halves(motors.map(|motor| motor.duty)),
@@ -277,13 +277,15 @@ impl CycleState {
     /// Causes latched by a trip.
     #[must_use]
     pub const fn causes(&self) -> Causes {
-        Causes::from_bits(u16::from_le_bytes(self.causes))
+        Causes::from_bits(of_24(self.causes))
     }
 
-    /// The board's clock when it answered: the time nearest to `near_us` that has these low 32 bits.
+    /// The board's clock when it answered: the time nearest to `near_us` that has these low 24 bits. `near_us` must be right to
+    /// 8 s.
     #[must_use]
     pub const fn device_us(&self, near_us: u64) -> u64 {
-        let ahead = u32::from_le_bytes(self.device_us).wrapping_sub(near_us as u32).cast_signed();
+        // The difference modulo 2^24, with its sign.
+        let ahead = (of_24(self.device_us).wrapping_sub(near_us as u32) << 8).cast_signed() >> 8;
         near_us.wrapping_add_signed(ahead as i64)
     }
 
@@ -299,6 +301,19 @@ impl CycleState {
         })
     }
 }
+
+/// The low 24 bits.
+const fn low_24(number: u32) -> [u8; 3] {
+    let [low, middle, high, _] = number.to_le_bytes();
+    [low, middle, high]
+}
+
+const fn of_24([low, middle, high]: [u8; 3]) -> u32 {
+    u32::from_le_bytes([low, middle, high, 0])
+}
+
+/// Every cause travels in a [`CycleState`].
+const _: () = assert!(Cause::ALL.len() <= 24);
 
 /// The low 32 bits.
 const fn low(us: u64) -> [u8; 4] {
@@ -316,7 +331,6 @@ fn halves(numbers: [i16; CYCLE_CHANNELS]) -> [u8; 2 * CYCLE_CHANNELS] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::Cause;
 
     const SET: [i16; CYCLE_CHANNELS] = [1, -2, NOTHING, 32_767];
 
@@ -369,12 +383,21 @@ mod tests {
     }
 
     #[test]
+    fn every_cause_comes_back() {
+        for cause in Cause::ALL {
+            let tripped = (SafetyState::Tripped, Causes::only(cause));
+            let answer = CycleState::new(0, CycleOutcome::Refused, 0, tripped, [CycleMotor::NONE; CYCLE_CHANNELS]);
+            assert_eq!(answer.causes(), Causes::only(cause));
+        }
+    }
+
+    #[test]
     fn the_boards_clock_is_found_near_ours() {
-        const WRAP: u64 = 1 << 32;
-        for device_us in [0, 5, WRAP - 1, WRAP, 9 * WRAP + 7] {
+        const WRAP: u64 = 1 << 24;
+        for device_us in [0, 5, WRAP - 1, WRAP, 9 * WRAP + 7, 1 << 32, u64::from(u32::MAX)] {
             let state = (SafetyState::Armed, Causes::NONE);
             let answer = CycleState::new(0, CycleOutcome::Taken, device_us, state, [CycleMotor::NONE; CYCLE_CHANNELS]);
-            for error in [0, 1_000_000, -1_000_000] {
+            for error in [0, 1_000_000, -1_000_000, 8_000_000, -8_000_000] {
                 if let Some(near_us) = device_us.checked_add_signed(error) {
                     assert_eq!(answer.device_us(near_us), device_us);
                 }

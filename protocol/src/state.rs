@@ -62,11 +62,13 @@ pub enum Cause {
     ClockFault = 14,
     /// The firmware ended badly several times in a row: the board only holds its outputs safe, until it is restarted.
     RepeatedBadStarts = 15,
+    /// An input had more edges than its sensor can make: its interrupt is masked, and its edges are lost.
+    InterruptStorm = 16,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -83,6 +85,7 @@ impl Cause {
         Self::Overload,
         Self::ClockFault,
         Self::RepeatedBadStarts,
+        Self::InterruptStorm,
     ];
 
     /// What a person does about it.
@@ -107,6 +110,7 @@ impl Cause {
             Self::Overload => "free the mechanism or ask for less, and let the motor cool down",
             Self::ClockFault => "switch the board off and on; if it comes back, replace the crystal",
             Self::RepeatedBadStarts => "outputs are only held safe: read the log, then switch off and on, or flash",
+            Self::InterruptStorm => "check wire and shield of encoder 3 and the range sensors; the log names the input",
         }
     }
 }
@@ -130,13 +134,14 @@ impl fmt::Display for Cause {
             Self::Overload => "overload",
             Self::ClockFault => "clock fault",
             Self::RepeatedBadStarts => "repeated bad starts",
+            Self::InterruptStorm => "interrupt storm",
         })
     }
 }
 
 /// A set of [`Cause`]s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
-pub struct Causes(u16);
+pub struct Causes(u32);
 
 impl Causes {
     /// No cause.
@@ -178,13 +183,13 @@ impl Causes {
 
     /// The set as its bits, bit n being [`Cause::ALL`]`[n]`.
     #[must_use]
-    pub const fn bits(self) -> u16 {
+    pub const fn bits(self) -> u32 {
         self.0
     }
 
     /// The set with these bits; bits without a cause are kept, so that a newer board's cause is not lost.
     #[must_use]
-    pub const fn from_bits(bits: u16) -> Self {
+    pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
 

@@ -193,7 +193,7 @@ pub(crate) struct StateMessage<'a> {
     /// For people; a cause that this version does not know is only in `causes_bits`.
     #[serde(default)]
     pub(crate) causes: Vec<String>,
-    pub(crate) causes_bits: u16,
+    pub(crate) causes_bits: u32,
 }
 
 with_setpoint! {

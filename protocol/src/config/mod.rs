@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 
 pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
 pub use motor::{
-    BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX, DhbLines, FeedForward, Feedback,
-    FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
-    WindingConfig,
+    BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX, DhbLines, ENCODER_3_COUNTS_PER_MS,
+    FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig,
+    StallConfig, WindingConfig,
 };
 pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
@@ -202,6 +202,20 @@ impl BoardConfig {
     #[must_use]
     pub fn place(&self, channel: ChannelId) -> Option<Place> {
         self.channels().find(|(id, _)| *id == channel).map(|(_, place)| place)
+    }
+
+    /// Whether a motor or a channel counts the edges of encoder `index`.
+    #[must_use]
+    pub fn uses_encoder(&self, index: u8) -> bool {
+        let feedback = self.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
+        let of_motor = |feedback| matches!(feedback, Feedback::Encoder { index: of, .. } if of == index);
+        feedback.map(of_motor).chain(self.encoders.iter().map(|encoder| encoder.id.index == index)).any(|uses| uses)
+    }
+
+    /// Whether a range sensor is at connector `index`.
+    #[must_use]
+    pub fn uses_range(&self, index: u8) -> bool {
+        self.ranges.iter().any(|range| range.id.index == index)
     }
 
     /// How long a controlled stop of this board takes, ms: the longest of its channels' times; 0 when none brakes.

@@ -359,6 +359,11 @@ impl WindingConfig {
     }
 }
 
+/// The encoder that interrupts count; timers count the others.
+const INTERRUPT_ENCODER: u8 = 3;
+/// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
+pub const ENCODER_3_COUNTS_PER_MS: u32 = 50;
+
 impl ControlConfig {
     fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
@@ -369,6 +374,11 @@ impl ControlConfig {
                 rule(usize::from(index) < ENCODERS, "the encoder must exist and be used by one motor")?;
                 rule((1..=MAX_EXACT).contains(&counts_per_turn), "counts_per_turn must be 1 to 16777216")?;
                 // So that a count is an i32, with room for what an axis may turn beyond its range.
+                let counts_per_ms = self.speed_max / core::f32::consts::TAU * counts_per_turn as f32 * 1e-3;
+                rule(
+                    index != INTERRUPT_ENCODER || counts_per_ms <= ENCODER_3_COUNTS_PER_MS as f32,
+                    "encoder 3 counts by interrupts, at most 50 counts a ms at speed_max: use encoders 0 to 2",
+                )?;
                 let counts = |position: f32| (position / core::f32::consts::TAU * counts_per_turn as f32).abs();
                 rule(counts(min) <= 1e9 && counts(max) <= 1e9, "position must be within 1e9 counts of 0")?;
             }

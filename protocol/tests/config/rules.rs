@@ -227,6 +227,11 @@ const LOOPS: &[Case] = {
         (WHEEL, POSITION, |c| wheel(c).position = Range::new(f32::NAN, 1.0)),
         (WHEEL, POSITION, |c| wheel(c).position.min = f32::NEG_INFINITY),
         (ROD, POSITION, |c| loops(c, 1).position.max = f32::INFINITY),
+        // 2400 counts at 130.9 rad/s are 50 in a millisecond.
+        (WHEEL, "encoder 3 counts by interrupts, at most 50 counts a ms at speed_max: use encoders 0 to 2", |c| {
+            encoder(c, |index, _| *index = 3);
+            wheel(c).speed_max = 131.0;
+        }),
         (WHEEL, SPEED, |c| wheel(c).speed_max = 0.0),
         (WHEEL, SPEED, |c| wheel(c).speed_max = f32::MIN_POSITIVE),
         (WHEEL, SPEED, |c| wheel(c).speed_max = f32::MAX),

@@ -86,7 +86,7 @@ pub(crate) fn cycles() -> [(&'static str, Cycle); 5] {
 pub(crate) fn cycle_states() -> [(&'static str, CycleState); 5] {
     let motor = |position, speed, duty, settled| CycleMotor { position, speed, duty, settled };
     let armed = (SafetyState::Armed, Causes::NONE);
-    let tripped = (SafetyState::Tripped, Causes::from_bits(u16::MAX));
+    let tripped = (SafetyState::Tripped, Causes::from_bits(u32::MAX));
     let two = [motor(-63, 100, -200, true), motor(1000, 0, 0, false), CycleMotor::NONE, CycleMotor::NONE];
     let largest = [motor(-1, -1, -1, true); CYCLE_CHANNELS];
     let none = [CycleMotor::NONE; CYCLE_CHANNELS];
@@ -152,7 +152,7 @@ pub(crate) fn largest_welcome() -> Reply {
         link_timeout_ms: u16::MAX,
         device_us: u64::MAX,
         state: SafetyState::Tripped,
-        causes: Causes::from_bits(u16::MAX),
+        causes: Causes::from_bits(u32::MAX),
     })
 }
 
@@ -161,7 +161,7 @@ pub(crate) fn largest_telemetry() -> Telemetry {
     Telemetry {
         device_us: u64::MAX,
         state: SafetyState::Tripped,
-        causes: Causes::from_bits(u16::MAX),
+        causes: Causes::from_bits(u32::MAX),
         samples: [LARGEST_SAMPLE; MAX_SAMPLES].into_iter().collect(),
     }
 }
@@ -378,7 +378,7 @@ fn later_replies() -> Vec<(&'static str, Reply)> {
                 number: u32::MAX,
                 start: u32::MAX,
                 device_us: u64::MAX,
-                causes: Causes::from_bits(u16::MAX),
+                causes: Causes::from_bits(u32::MAX),
                 snapshots: u8::MAX,
             }),
         ),
@@ -460,7 +460,7 @@ fn heartbeats() -> [(&'static str, ToHost); 4] {
                 host_us: u64::MAX,
                 device_us: u64::MAX,
                 state: SafetyState::Tripped,
-                causes: Causes::from_bits(u16::MAX),
+                causes: Causes::from_bits(u32::MAX),
             },
         ),
     ]

@@ -320,7 +320,7 @@ fn state() -> impl Strategy<Value = SafetyState> {
 
 /// Bits without a cause too: a newer board may have one there.
 fn causes() -> impl Strategy<Value = Causes> {
-    any::<u16>().prop_map(Causes::from_bits)
+    any::<u32>().prop_map(Causes::from_bits)
 }
 
 fn setpoint() -> impl Strategy<Value = Setpoint> {

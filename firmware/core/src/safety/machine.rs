@@ -83,15 +83,14 @@ mod tests {
 
     /// Every subset of the known causes.
     fn all_causes() -> impl Iterator<Item = Causes> {
-        (0..1u32 << Cause::ALL.len()).filter_map(|bits| u16::try_from(bits).ok()).map(Causes::from_bits)
+        (0..1u32 << Cause::ALL.len()).map(Causes::from_bits)
     }
 
-    /// No cause, each alone, each pair, and all: the machine only unites sets and asks whether one is empty, so larger sets
-    /// of present causes differ in nothing it can see. Every subset of both would be 2^32 pairs.
+    /// No cause, each alone, and all: the machine only unites sets and asks whether one is empty, so larger sets of present
+    /// causes differ in nothing it can see. Every subset of both would be 2^34 pairs.
     fn present_causes() -> impl Iterator<Item = Causes> {
-        let of = |one| Cause::ALL.into_iter().map(move |other| Causes::only(one).union(Causes::only(other)));
         let all = Cause::ALL.into_iter().fold(Causes::NONE, |all, cause| all.union(Causes::only(cause)));
-        Cause::ALL.into_iter().flat_map(of).chain([Causes::NONE, all])
+        Cause::ALL.into_iter().map(Causes::only).chain([Causes::NONE, all])
     }
 
     fn all_states() -> impl Iterator<Item = Safety> {
@@ -108,11 +107,11 @@ mod tests {
     }
 
     /// Walks the table: every state, with every event, against few present causes, and every set of present causes against
-    /// states of few.
+    /// states of one at most.
     #[test]
     fn the_whole_table_is_safe() {
         for state in all_states() {
-            let few = state.causes().iter().count() <= 2;
+            let few = state.causes().iter().count() <= 1;
             for event in all_events() {
                 let present: &mut dyn Iterator<Item = Causes> =
                     if few { &mut all_causes() } else { &mut present_causes() };

@@ -28,7 +28,7 @@ pub const SNAPSHOT_MS: u16 = 10;
 /// What this firmware writes. Trips in another layout are left out of the history.
 const LAYOUT: u8 = 1;
 /// Most bytes of a [`FaultInfo`]: two `u32`, a `u64`, a `u16` and a `u8`, each seven bits to a byte.
-const MAX_INFO: usize = 5 + 5 + 10 + 3 + 1;
+const MAX_INFO: usize = 5 + 5 + 10 + 5 + 1;
 /// Most bytes of a [`FaultSnapshot`]: when; the motors, each an `i32` in seven bits to a byte and two `f32`; the supplies.
 const MAX_SNAPSHOT: usize = 3 + 1 + MAX_MOTORS * (5 + 4 + 4) + 1 + MAX_SUPPLIES * 4;
 const MAX_ITEM: usize = 1 + MAX_INFO + SNAPSHOTS * MAX_SNAPSHOT;
@@ -272,7 +272,7 @@ mod tests {
         let supplies_v = Vec::from_slice(&[f32::MAX; MAX_SUPPLIES]).expect("fits");
         let snapshot = FaultSnapshot { before_ms: u16::MAX, motors, supplies_v };
         let snapshots = core::iter::repeat_n(snapshot, SNAPSHOTS).collect();
-        let trip = Trip { device_us: u64::MAX, causes: Causes::from_bits(u16::MAX), snapshots };
+        let trip = Trip { device_us: u64::MAX, causes: Causes::from_bits(u32::MAX), snapshots };
         let info = FaultInfo {
             number: u32::MAX,
             start: u32::MAX,

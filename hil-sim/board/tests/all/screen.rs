@@ -219,7 +219,7 @@ prop_compose! {
     fn any_view()(
         robot in prop::sample::select(vec!["osmc-bench", "", "warehouse-tug-with-a-long-name-7", "Chariot élévateur €"]),
         state in prop::sample::select(vec![SafetyState::Disarmed, SafetyState::Armed, SafetyState::Tripped]),
-        causes in prop_oneof![2 => Just(0), 1 => any::<u16>(), 2 => (0..12_u32).prop_map(|bit| 1 << bit)],
+        causes in prop_oneof![2 => Just(0), 1 => any::<u32>(), 2 => (0..17_u32).prop_map(|bit| 1 << bit)],
         supplies in prop::collection::vec((any::<u8>(), volts(), volts(), volts()), 0..=4),
         link in prop_oneof![
             Just(Link::NoHost),

@@ -230,7 +230,7 @@ proptest! {
         for (pause_us, samples, bits) in &frames {
             device_us += pause_us;
             let time_s = (device_us * 1_000) as f64 / 1e9;
-            let (state, causes) = (SafetyState::Armed, Causes::from_bits(*bits));
+            let (state, causes) = (SafetyState::Armed, Causes::from_bits((*bits).into()));
             recorder.telemetry(&Telemetry { device_us, state, causes, samples: samples.iter().copied().collect() })
                 .unwrap();
             written.extend(samples.iter().map(|sample| (time_s, *sample)));
