@@ -1,5 +1,7 @@
 //! The supervisor task: looks at every cause each millisecond and at once when a line or a task calls.
 
+use core::future::pending;
+
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Ticker};
@@ -65,6 +67,8 @@ where
     let (mut dead_man, mut auxiliary) = (StopInput::default(), StopInput::default());
     let has_auxiliary = shared.config().auxiliary_stop;
     let mut kick = false;
+    // Whether an edge of the handle has been heard since the last tick.
+    let mut heard = false;
     // Outputs of a GPIO cannot fail on any supported board; a pin that reports an error is treated as released.
     let _ = pins.osmc_disable.set_high();
     let _ = pins.pwm_output_disable.set_high();
@@ -92,17 +96,27 @@ where
         if has_auxiliary {
             shared.publish(Place::DeadMan(1), Status::Scalar((!pressed).into()));
         }
-        // Waiting for a level and not for an edge: one that came while we worked is not missed.
-        let other_level =
-            async { if held { pins.dead_man.wait_for_low().await } else { pins.dead_man.wait_for_high().await } };
+        // Waiting for a level and not for an edge: one that came while we worked is not missed. One a millisecond: a line that
+        // chatters would keep the processor from everything below, and the first edge has stopped the board already.
+        let other_level = async {
+            match (heard, held) {
+                (true, _) => pending().await,
+                (false, true) => pins.dead_man.wait_for_low().await,
+                (false, false) => pins.dead_man.wait_for_high().await,
+            }
+        };
         match select3(ticker.next(), shared.supervisor.wait(), other_level).await {
             Either3::First(()) => {
+                heard = false;
                 kick = !kick;
                 let _ = if kick { pins.heartbeat.set_high() } else { pins.heartbeat.set_low() };
             }
             Either3::Second(()) => {}
             // Released, or released and held again before we could look: both are a release.
-            Either3::Third(_) => dead_man.low_at = Some(Instant::now()),
+            Either3::Third(_) => {
+                heard = true;
+                dead_man.low_at = Some(Instant::now());
+            }
         }
     }
 }

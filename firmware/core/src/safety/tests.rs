@@ -250,7 +250,7 @@ fn a_board_without_a_stop_button_ignores_its_line() {
     assert_eq!(bench.state(), SafetyState::Armed);
 }
 
-/// Hosts see the stops by themselves: the handle as it is, the button until it has stopped bouncing.
+/// Hosts see the stops by themselves: the handle as it is at the last look, the button until it has stopped bouncing.
 #[test]
 fn the_stops_are_channels() {
     let mut bench = Bench::armed();
@@ -264,6 +264,9 @@ fn the_stops_are_channels() {
     bench.dead_man.set(true);
     bench.auxiliary_stop.set(true);
     bench.settle();
+    // One edge a look: a handle that chatters must not keep the processor.
+    assert_eq!(shown(&bench), [low, low]);
+    bench.advance(MS);
     assert_eq!(shown(&bench), [high, low]);
     bench.advance(HELD_FOR);
     assert_eq!(shown(&bench), [high, high]);
