@@ -25,6 +25,13 @@ pub trait Encoders {
     fn illegal(&mut self, index: u8) -> u32;
 }
 
+/// Inputs whose edges come by interrupts above the supervisor, which a storm of them would starve.
+pub trait EdgeInputs {
+    /// Whether the interrupt of a line is masked by its [`EdgeBudget`](crate::sensing::storm::EdgeBudget), or was until a moment
+    /// ago, so that edges are lost. Unmasks lines whose time has come. Called once in a control period.
+    fn storm(&mut self) -> bool;
+}
+
 /// The switches beside the encoders.
 pub trait SwitchInputs {
     /// The level of switch input `index`. Inputs are pulled up; numbers the board does not have read high.
@@ -94,9 +101,9 @@ pub trait Steppers {
 }
 
 /// Everything of the processor that the control loop uses, in one.
-pub trait Peripherals: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
+pub trait Peripherals: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
 
-impl<P: Encoders + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}
+impl<P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}
 
 /// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
 pub trait Ranging {

@@ -30,7 +30,7 @@ use embedded_hal_async::{digital::Wait, i2c::I2c};
 use r4_protocol::config::BoardConfig;
 
 use crate::{
-    platform::{AnalogInputs, AnalogOutputs, Bus, Encoders, StepEvent, Steppers, SwitchInputs},
+    platform::{AnalogInputs, AnalogOutputs, Bus, EdgeInputs, Encoders, StepEvent, Steppers, SwitchInputs},
     shared::{ResetCause, Shared},
 };
 
@@ -339,6 +339,8 @@ pub(crate) struct Peripherals(Rc<PeripheralsState>);
 #[derive(Default)]
 pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
+    pub(crate) illegal: [Cell<u32>; 4],
+    pub(crate) storm: Cell<bool>,
     pub(crate) codes: [Cell<u16>; 6],
     pub(crate) dacs: [Cell<u16>; 2],
 }
@@ -356,8 +358,14 @@ impl Encoders for Peripherals {
         self.counts[usize::from(index)].get()
     }
 
-    fn illegal(&mut self, _: u8) -> u32 {
-        0
+    fn illegal(&mut self, index: u8) -> u32 {
+        self.illegal[usize::from(index)].get()
+    }
+}
+
+impl EdgeInputs for Peripherals {
+    fn storm(&mut self) -> bool {
+        self.storm.get()
     }
 }
 

@@ -424,6 +424,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
         },
         executors::STEPS,
     );
+    let config = shared.config();
     let lines = Lines::new(
         lines::Pins {
             track_a: pin!(p, enc3_a as EXTI10),
@@ -431,6 +432,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
             echo2: pin!(p, us2_echo as EXTI14),
             echo3: pin!(p, us3_echo as EXTI15),
         },
+        [config.uses_encoder(3), config.uses_range(2), config.uses_range(3)],
         executors::EDGES,
     );
     let encoders = Counters::new(
@@ -453,6 +455,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
             echo0: pin!(p, us0_echo as TIM2_CH4),
             echo1: pin!(p, us1_echo as TIM2_CH3),
         },
+        [config.uses_range(0), config.uses_range(1)],
         steppers.clock(),
     );
     static CODES: ConstStaticCell<[u16; analog::INPUTS]> = ConstStaticCell::new([0; analog::INPUTS]);
@@ -474,6 +477,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
         defmt::error!("the analog inputs do not work: {}", error);
     }
     let processor = Processor {
+        storms: Default::default(),
         encoders,
         switches: Switches::new(switches::Pins {
             switch0: pin!(p, enc0_sw),

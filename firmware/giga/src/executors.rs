@@ -5,7 +5,7 @@
 //! | level | runs | why there |
 //! | --- | --- | --- |
 //! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
-//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart; a wait must end, and a released handle be seen, whatever task runs |
+//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart, and more than 100 in a ms are masked; a wait must end, and a released handle be seen, whatever task runs |
 //! | 2 | supervisor | must run when all else is late |
 //! | 3 | DMA, I2C2: the end of what the control loop waits for; CAN: three frames fill its memory, in 0.2 ms | only wakes and copies |
 //! | 4 | control, ranging | 1 kHz |

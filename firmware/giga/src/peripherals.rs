@@ -1,10 +1,11 @@
 //! Everything of the processor that the control loop uses, in one.
 
-use r4_firmware::platform::{AnalogInputs, AnalogOutputs, Encoders, StepEvent, Steppers, SwitchInputs};
+use r4_firmware::platform::{AnalogInputs, AnalogOutputs, EdgeInputs, Encoders, StepEvent, Steppers, SwitchInputs};
 
 use crate::{
     analog::{Inputs, Outputs},
     encoders::Counters,
+    ranging,
     steppers::Generators,
     switches::Switches,
 };
@@ -17,6 +18,8 @@ pub(crate) struct Processor {
     /// `None` when the converter did not start: its inputs read 0 V, and supplies that are watched are out of range.
     pub(crate) inputs: Option<Inputs>,
     pub(crate) outputs: Outputs,
+    /// Which of [`ranging::LINES`] had a storm when last asked.
+    pub(crate) storms: [bool; ranging::LINES.len()],
 }
 
 #[allow(unsafe_code, reason = "the inputs hold a plain pointer")]
@@ -30,6 +33,21 @@ impl Encoders for Processor {
 
     fn illegal(&mut self, index: u8) -> u32 {
         self.encoders.illegal(index)
+    }
+}
+
+impl EdgeInputs for Processor {
+    fn storm(&mut self) -> bool {
+        let storms = ranging::storms();
+        if storms != self.storms {
+            for ((line, storm), before) in ranging::LINES.into_iter().zip(storms).zip(self.storms) {
+                if storm && !before {
+                    defmt::warn!("{}: more edges than a sensor makes, not listened to for a second", line);
+                }
+            }
+            self.storms = storms;
+        }
+        storms.contains(&true)
     }
 }
 

@@ -6,8 +6,13 @@
 //!
 //! An edge is a level that is not the one before. One that is over before its interrupt (less than the latency, some µs)
 //! is none.
+//!
+//! The interrupts of all echoes are above the supervisor, so each has an [`EdgeBudget`]; one that nothing uses is not captured.
 
-use core::cell::RefCell;
+use core::{
+    cell::RefCell,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use critical_section::{CriticalSection, Mutex};
 use embassy_stm32::{
@@ -18,10 +23,16 @@ use embassy_stm32::{
 };
 use r4_firmware::{
     platform::{EchoState, Ranging},
-    sensing::echo::Echo,
+    sensing::{
+        echo::Echo,
+        storm::{ECHO_EDGES_PER_MS, EdgeBudget},
+    },
 };
 
-use crate::steppers::Clock;
+use crate::{
+    encoders::lines,
+    steppers::{self, Clock},
+};
 
 /// Ticks of the clock in a µs.
 const TICKS_PER_US: u32 = crate::steppers::TICK_HZ / 1_000_000;
@@ -29,6 +40,14 @@ const TICKS_PER_US: u32 = crate::steppers::TICK_HZ / 1_000_000;
 const CHANNELS: [usize; 2] = [3, 2];
 
 static ECHOES: Mutex<RefCell<[Echo; 4]>> = Mutex::new(RefCell::new([Echo::new(false, 0); 4]));
+
+/// Of echoes 0 and 1; `None` where nothing uses them.
+static BUDGETS: Mutex<RefCell<[Option<EdgeBudget>; 2]>> = Mutex::new(RefCell::new([None; 2]));
+/// Whether the interrupt of any line has been masked, these or those of [`lines`], and the control loop must look after it.
+pub(crate) static STORM: AtomicBool = AtomicBool::new(false);
+
+/// What has a budget of edges: first those of [`lines`].
+pub(crate) const LINES: [&str; 5] = ["encoder 3", "echo 2", "echo 3", "echo 0", "echo 1"];
 
 /// Trigger and capture pins, by connector. Echoes 2 and 3 belong to [`crate::encoders::lines`].
 pub struct Pins {
@@ -54,11 +73,13 @@ pub struct Rangers {
 }
 
 impl Rangers {
-    /// Starts to capture, on the clock that runs already.
+    /// Starts to capture, on the clock that runs already. Of echoes 0 and 1 those are captured that are `used`.
     #[must_use]
-    pub fn new(pins: Pins, clock: Clock) -> Self {
+    pub fn new(pins: Pins, used: [bool; 2], clock: Clock) -> Self {
         let echoes = [echo_pin(pins.echo0), echo_pin(pins.echo1)];
-        critical_section::with(|_| {
+        critical_section::with(|cs| {
+            let budget = || EdgeBudget::new(ECHO_EDGES_PER_MS, steppers::TICK_HZ / 1000);
+            *BUDGETS.borrow_ref_mut(cs) = used.map(|used| used.then(budget));
             pac::TIM2.ccmr_input(1).modify(|w| {
                 for channel in CHANNELS {
                     w.set_ccs(channel - 2, vals::CcmrInputCcs::TI4);
@@ -73,7 +94,7 @@ impl Rangers {
                     w.set_cce(channel, true);
                 }
             });
-            pac::TIM2.dier().modify(|w| CHANNELS.into_iter().for_each(|channel| w.set_ccie(channel, true)));
+            CHANNELS.into_iter().zip(used).for_each(|(channel, used)| set_interrupt(channel, used));
         });
         let low = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::Low, Speed::Low);
         let triggers = [
@@ -101,16 +122,53 @@ fn levels() -> [bool; 4] {
     [a.idr(3), a.idr(2), i.idr(14), i.idr(15)].map(|level| level.to_bits() != 0)
 }
 
+/// The timer's interrupt handler changes that register too.
+fn set_interrupt(channel: usize, on: bool) {
+    pac::TIM2.dier().modify(|w| w.set_ccie(channel, on));
+}
+
 /// From the interrupt of TIM2: takes what channels 3 and 4 have captured.
 pub(crate) fn on_capture(cs: CriticalSection<'_>) {
     let flags = pac::TIM2.sr().read();
-    for (index, channel) in CHANNELS.into_iter().enumerate() {
-        if flags.ccif(channel) {
-            // Reading the capture clears its flag: an edge after the reading calls again.
-            let at = pac::TIM2.ccr(channel).read();
-            ECHOES.borrow_ref_mut(cs)[index].level(levels()[index], || at);
+    let mut budgets = BUDGETS.borrow_ref_mut(cs);
+    for ((index, channel), budget) in CHANNELS.into_iter().enumerate().zip(budgets.iter_mut()) {
+        let Some(budget) = budget.as_mut().filter(|budget| flags.ccif(channel) && !budget.is_masked()) else {
+            continue;
+        };
+        // Reading the capture clears its flag: an edge after the reading calls again.
+        let at = pac::TIM2.ccr(channel).read();
+        ECHOES.borrow_ref_mut(cs)[index].level(levels()[index], || at);
+        if budget.edge(Clock::ticks()) {
+            set_interrupt(channel, false);
+            STORM.store(true, Ordering::Relaxed);
         }
     }
+}
+
+/// Which of [`LINES`] have lost edges by a storm. Lets them have another try when it is time. Called by the control loop every
+/// period.
+pub(crate) fn storms() -> [bool; LINES.len()] {
+    if !STORM.load(Ordering::Relaxed) {
+        return [false; LINES.len()];
+    }
+    critical_section::with(|cs| {
+        let now = Clock::ticks();
+        let [encoder, echo2, echo3] = lines::storms(cs, now);
+        let mut budgets = BUDGETS.borrow_ref_mut(cs);
+        let [echo0, echo1] = core::array::from_fn(|index| {
+            let Some(budget) = &mut budgets[index] else { return false };
+            let verdict = budget.look(now);
+            if verdict.unmask {
+                // What was captured meanwhile is no edge of now.
+                let _ = pac::TIM2.ccr(CHANNELS[index]).read();
+                set_interrupt(CHANNELS[index], true);
+            }
+            verdict.storm
+        });
+        let storms = [encoder, echo2, echo3, echo0, echo1];
+        STORM.store(storms.contains(&true), Ordering::Relaxed);
+        storms
+    })
 }
 
 /// From the interrupt of the echo's line: its level is `high`.

@@ -214,6 +214,7 @@ mod tests {
                 echo2: pin!(p, us2_echo as EXTI14),
                 echo3: pin!(p, us3_echo as EXTI15),
             },
+            [true; 3],
             Priority::P1,
         );
         let mut counters = Counters::new(

@@ -23,7 +23,7 @@ use crate::{
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals},
-    sensing::analog::Supply,
+    sensing::{analog::Supply, storm::IllegalRate},
     shared::{MotorStatus, SafetyView, Shared, Status},
     storage::faults::{Recorder, SNAPSHOT_MS},
 };
@@ -105,6 +105,8 @@ struct Control<B, P> {
     motors: Vec<Axis, MAX_MOTORS>,
     /// Of each motor with a winding: its overload protection, and which of the supplies feeds it.
     windings: Vec<Option<(Overload, Option<usize>)>, MAX_MOTORS>,
+    /// Of each motor's encoder: how often it does what no shaft does.
+    illegal: [IllegalRate; MAX_MOTORS],
     /// `None` without steppers.
     steppers: Option<Bank>,
     stepper_setpoints: [Setpoint; STEPPERS],
@@ -145,6 +147,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         });
         Self {
             windings: windings.collect(),
+            illegal: [IllegalRate::new(period_s); MAX_MOTORS],
             outputs: Outputs::new(io.bus, config),
             motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
             bad_configuration: !valid || steppers.is_err(),
@@ -239,10 +242,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
-        for (motor, config) in self.motors.iter_mut().zip(&shared.config().motors) {
+        causes.set(Cause::InterruptStorm, self.peripherals.storm());
+        for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
             let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
             let raw = match control.feedback {
-                Feedback::Encoder { index, .. } => self.peripherals.count(index),
+                Feedback::Encoder { index, .. } => {
+                    if illegal.update(self.peripherals.illegal(index)) {
+                        causes.set(Cause::EncoderImplausible, true);
+                    }
+                    self.peripherals.count(index)
+                }
                 Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
             };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));

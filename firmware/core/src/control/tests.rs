@@ -327,3 +327,34 @@ fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
     let again_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
     assert!((expected_s - 0.1..=expected_s + 0.3).contains(&again_s), "{again_s} s");
 }
+
+/// A dead track beside the other's edges: ten transitions that no shaft makes, in a tenth of a second.
+#[test]
+fn illegal_transitions_at_a_rate_are_implausible() {
+    let mut bench = Bench::armed();
+    let mut illegal = 0;
+    // One each 20 ms, for a second: dirt on the disc.
+    for _ in 0..50 {
+        illegal += 1;
+        bench.inputs.illegal[0].set(illegal);
+        bench.advance(20);
+    }
+    bench.is_armed();
+    bench.inputs.illegal[0].set(illegal + 10);
+    assert!(bench.periods_until_tripped(10) <= 2);
+    bench.is_tripped_by(Cause::EncoderImplausible);
+    bench.advance(200);
+    assert_eq!(bench.shared.request(Event::Clear), Ok(()));
+}
+
+#[test]
+fn a_masked_line_trips_and_keeps_tripped() {
+    let mut bench = Bench::armed();
+    bench.inputs.storm.set(true);
+    assert!(bench.periods_until_tripped(10) <= 2);
+    bench.is_tripped_by(Cause::InterruptStorm);
+    assert!(bench.shared.request(Event::Clear).is_err());
+    bench.inputs.storm.set(false);
+    bench.advance(2);
+    assert_eq!(bench.shared.request(Event::Clear), Ok(()));
+}

@@ -7,6 +7,7 @@ pub mod filter;
 pub mod potentiometer;
 pub mod quadrature;
 pub mod range;
+pub mod storm;
 pub mod switch;
 
 /// The fewest samples `period_s` apart that span `time_s`, rounding of the two aside.

@@ -8,6 +8,8 @@
 //! embassy's handler of another vector (the dead-man's handle on line 7) masks and clears *all* lines that it finds pending,
 //! also these. [`Restore`] must be bound after it, in the same vector: it unmasks ours and lets the handler look at them.
 //!
+//! A line that nothing of the robot uses stays masked, and so does one with more edges than its [`EdgeBudget`].
+//!
 //! ```text
 //! bind_interrupts!(struct Irqs {
 //!     EXTI15_10 => encoders::lines::Edges;
@@ -15,18 +17,21 @@
 //! });
 //! ```
 
-use core::cell::RefCell;
+use core::{cell::RefCell, sync::atomic::Ordering};
 
-use critical_section::Mutex;
+use critical_section::{CriticalSection, Mutex};
 use embassy_stm32::{
     Peri,
     gpio::{Input, Pull},
     interrupt::{self, InterruptExt, Priority, typelevel},
     pac, peripherals,
 };
-use r4_firmware::sensing::quadrature::Decoder;
+use r4_firmware::sensing::{
+    quadrature::Decoder,
+    storm::{ECHO_EDGES_PER_MS, ENCODER_EDGES_PER_MS, EdgeBudget},
+};
 
-use crate::ranging;
+use crate::{ranging, steppers};
 
 /// Number of port I: all four lines are its pins 10, 11, 14 and 15.
 const PORT_I: u8 = 8;
@@ -36,6 +41,15 @@ const ECHO_2: usize = 14;
 const ECHO_3: usize = 15;
 const OURS: [usize; 4] = [TRACK_A, TRACK_B, ECHO_2, ECHO_3];
 
+/// Lines that share a budget of edges: both tracks, each echo.
+const GROUPS: [&[usize]; 3] = [&[TRACK_A, TRACK_B], &[ECHO_2], &[ECHO_3]];
+/// Edges of each that are taken in a millisecond.
+const EDGES_PER_MS: [u32; 3] = [ENCODER_EDGES_PER_MS, ECHO_EDGES_PER_MS, ECHO_EDGES_PER_MS];
+
+/// Of each group; `None` where nothing uses it.
+type Budgets = [Option<EdgeBudget>; 3];
+
+static BUDGETS: Mutex<RefCell<Budgets>> = Mutex::new(RefCell::new([None; 3]));
 static DECODER: Mutex<RefCell<Decoder>> = Mutex::new(RefCell::new(Decoder::new()));
 
 /// The pins of the four lines.
@@ -54,9 +68,10 @@ pub struct Pins {
 pub struct Lines(#[expect(dead_code, reason = "holds the pins as they are")] [Input<'static>; 4]);
 
 impl Lines {
-    /// Turns the interrupt on, at `priority`: above everything that takes longer than edges are apart.
+    /// Turns the interrupt on, at `priority`: above everything that takes longer than edges are apart. Of encoder 3, echo 2 and
+    /// echo 3 those are listened to that are `used`. The steppers' clock must run.
     #[must_use]
-    pub fn new(pins: Pins, priority: Priority) -> Self {
+    pub fn new(pins: Pins, used: [bool; 3], priority: Priority) -> Self {
         let inputs = [
             Input::new(pins.track_a, Pull::Up),
             Input::new(pins.track_b, Pull::Up),
@@ -72,7 +87,10 @@ impl Lines {
             }
             let (a, b) = tracks(pac::GPIOI.idr().read());
             DECODER.borrow_ref_mut(cs).update(a, b);
-            unmask();
+            let budget = |edges_per_ms| EdgeBudget::new(edges_per_ms, steppers::TICK_HZ / 1000);
+            let all = EDGES_PER_MS.into_iter().zip(used).map(|(edges, used)| used.then(|| budget(edges)));
+            all.zip(BUDGETS.borrow_ref_mut(cs).iter_mut()).for_each(|(budget, place)| *place = budget);
+            set_masks(&BUDGETS.borrow_ref(cs));
         });
         interrupt::EXTI15_10.set_priority(priority);
         #[allow(unsafe_code, reason = "turns an interrupt on")]
@@ -92,12 +110,40 @@ impl Lines {
     }
 }
 
+/// Which of encoder 3, echo 2 and echo 3 have lost edges by a storm, at `now` of the steppers' clock. Lets them have another try
+/// when it is time. The control loop asks every period in which there may be a storm.
+pub(crate) fn storms(cs: CriticalSection<'_>, now: u32) -> [bool; 3] {
+    let mut budgets = BUDGETS.borrow_ref_mut(cs);
+    let mut tried = false;
+    let storms = core::array::from_fn(|group| {
+        let Some(budget) = &mut budgets[group] else { return false };
+        let verdict = budget.look(now);
+        tried |= verdict.unmask;
+        verdict.storm
+    });
+    if tried {
+        set_masks(&budgets);
+        // For the levels as they are now.
+        interrupt::EXTI15_10.pend();
+    }
+    storms
+}
+
 fn tracks(levels: pac::gpio::regs::Idr) -> (bool, bool) {
     (levels.idr(TRACK_A).to_bits() != 0, levels.idr(TRACK_B).to_bits() != 0)
 }
 
-fn unmask() {
-    pac::EXTI.imr(0).modify(|w| OURS.into_iter().for_each(|line| w.set_line(line, true)));
+/// Lets the lines through that have something of their budget left.
+fn set_masks(budgets: &Budgets) {
+    pac::EXTI.imr(0).modify(|w| {
+        for (lines, budget) in GROUPS.into_iter().zip(budgets) {
+            lines.iter().for_each(|line| w.set_line(*line, is_open(budget.as_ref())));
+        }
+    });
+}
+
+fn is_open(budget: Option<&EdgeBudget>) -> bool {
+    budget.is_some_and(|budget| !budget.is_masked())
 }
 
 /// Handler of `EXTI15_10`.
@@ -106,13 +152,32 @@ pub struct Edges;
 impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
     #[allow(unsafe_code, reason = "the trait's")]
     unsafe fn on_interrupt() {
+        let pending = pac::EXTI.pr(0).read();
         pac::EXTI.pr(0).write(|w| OURS.into_iter().for_each(|line| w.set_line(line, true)));
         critical_section::with(|cs| {
+            let now = steppers::Clock::ticks();
+            let mut budgets = BUDGETS.borrow_ref_mut(cs);
+            let mut spent = false;
+            for (lines, budget) in GROUPS.into_iter().zip(budgets.iter_mut()) {
+                // A masked line is pending too, when another one calls.
+                if let Some(budget) = budget.as_mut().filter(|budget| !budget.is_masked()) {
+                    spent |= lines.iter().any(|line| pending.line(*line)) && budget.edge(now);
+                }
+            }
             let levels = pac::GPIOI.idr().read();
             let (a, b) = tracks(levels);
-            DECODER.borrow_ref_mut(cs).update(a, b);
-            ranging::on_level(cs, 2, levels.idr(ECHO_2).to_bits() != 0);
-            ranging::on_level(cs, 3, levels.idr(ECHO_3).to_bits() != 0);
+            if is_open(budgets[0].as_ref()) {
+                DECODER.borrow_ref_mut(cs).update(a, b);
+            }
+            for (echo, line, budget) in [(2, ECHO_2, &budgets[1]), (3, ECHO_3, &budgets[2])] {
+                if is_open(budget.as_ref()) {
+                    ranging::on_level(cs, echo, levels.idr(line).to_bits() != 0);
+                }
+            }
+            if spent {
+                set_masks(&budgets);
+                ranging::STORM.store(true, Ordering::Relaxed);
+            }
         });
     }
 }
@@ -122,7 +187,7 @@ pub struct Restore;
 
 impl Restore {
     fn restore() {
-        critical_section::with(|_| unmask());
+        critical_section::with(|cs| set_masks(&BUDGETS.borrow_ref(cs)));
         interrupt::EXTI15_10.pend();
     }
 }

@@ -25,7 +25,7 @@ impl Clock {
         Self::ticks()
     }
 
-    pub(super) fn ticks() -> u32 {
+    pub(crate) fn ticks() -> u32 {
         pac::TIM2.cnt().read()
     }
 }

@@ -3,7 +3,13 @@
 use std::f64::consts::TAU;
 
 use r4_boards::SimulatedSensor;
-use r4_firmware::{platform::Encoders, sensing::quadrature::Decoder};
+use r4_firmware::{
+    platform::{EdgeInputs, Encoders},
+    sensing::{
+        quadrature::Decoder,
+        storm::{ENCODER_EDGES_PER_MS, EdgeBudget},
+    },
+};
 
 use super::{Processor, World, motor::Motor};
 use crate::sensors::quadrature::{Channel, HardwareCounter, Levels, QuadratureSignal, Transition};
@@ -26,6 +32,14 @@ const REST_NS: u64 = 1_000_000;
 /// A shaft slower than this counts as one at a standstill, counts/s.
 const STANDSTILL: f64 = 1.0;
 
+/// Of the clock by which budgets of edges go.
+pub(super) const US_PER_MS: u32 = 1000;
+
+/// That clock.
+pub(super) const fn ticks(at_ns: u64) -> u32 {
+    (at_ns / 1000) as u32
+}
+
 /// A change of one track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncoderEdge {
@@ -40,19 +54,23 @@ pub struct EncoderEdge {
 /// What the processor makes of an encoder's tracks.
 pub(super) enum Counter {
     Timer(HardwareCounter),
-    Interrupts(Decoder),
+    /// Both tracks share an interrupt's budget of edges.
+    Interrupts(Decoder, EdgeBudget),
 }
 
-/// The processor's counters after a reset.
-pub(super) fn counters(encoders: &[QuadratureSignal; 4]) -> [Option<Counter>; 4] {
+/// The processor's counters after a reset. Without `interrupts` it listens to timers only.
+pub(super) fn counters(encoders: &[QuadratureSignal; 4], interrupts: bool) -> [Option<Counter>; 4] {
     std::array::from_fn(|index| {
         let levels = encoders[index].levels();
         if index < ENCODERS_ON_TIMERS {
             return Some(Counter::Timer(HardwareCounter::new(ENCODER_FILTER_NS, levels)));
         }
+        if !interrupts {
+            return None;
+        }
         let mut decoder = Decoder::new();
         decoder.update(levels.a, levels.b);
-        Some(Counter::Interrupts(decoder))
+        Some(Counter::Interrupts(decoder, EdgeBudget::new(ENCODER_EDGES_PER_MS, US_PER_MS)))
     })
 }
 
@@ -154,7 +172,11 @@ impl World {
         let Some(mut counter) = self.counters.get_mut(index).and_then(Option::take) else { return };
         let left_out = self.turn(index, |transition| match &mut counter {
             Counter::Timer(timer) => timer.take(transition),
-            Counter::Interrupts(decoder) => decoder.update(transition.levels.a, transition.levels.b),
+            Counter::Interrupts(_, budget) if budget.is_masked() => {}
+            Counter::Interrupts(decoder, budget) => {
+                decoder.update(transition.levels.a, transition.levels.b);
+                budget.edge(ticks(transition.at_ns));
+            }
         });
         if let Counter::Timer(timer) = &mut counter {
             timer.add(left_out);
@@ -171,15 +193,34 @@ impl Encoders for Processor {
         let now_ns = world.clock.now_ns();
         match world.counters.get_mut(index) {
             Some(Some(Counter::Timer(timer))) => timer.count(now_ns),
-            Some(Some(Counter::Interrupts(decoder))) => decoder.count(),
+            Some(Some(Counter::Interrupts(decoder, _))) => decoder.count(),
             _ => 0,
         }
     }
 
     fn illegal(&mut self, index: u8) -> u32 {
         match self.0.borrow().counters.get(usize::from(index)) {
-            Some(Some(Counter::Interrupts(decoder))) => decoder.illegal(),
+            Some(Some(Counter::Interrupts(decoder, _))) => decoder.illegal(),
             _ => 0,
         }
+    }
+}
+
+impl EdgeInputs for Processor {
+    fn storm(&mut self) -> bool {
+        let mut world = self.0.borrow_mut();
+        let mut storm = false;
+        for index in ENCODERS_ON_TIMERS..world.counters.len() {
+            world.count_encoder(index);
+            let now = ticks(world.clock.now_ns());
+            let levels = world.encoder_levels(index);
+            let Some(Some(Counter::Interrupts(decoder, budget))) = world.counters.get_mut(index) else { continue };
+            let verdict = budget.look(now);
+            storm |= verdict.storm;
+            if verdict.unmask {
+                decoder.update(levels.a, levels.b);
+            }
+        }
+        storm | world.echo_storm()
     }
 }

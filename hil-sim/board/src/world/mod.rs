@@ -60,6 +60,8 @@ pub struct World {
     pins: Pins,
     /// The processor's counters of encoder edges; each is taken out while it is fed.
     counters: [Option<encoders::Counter>; 4],
+    /// Whether the robot uses the encoder that interrupts count.
+    encoder_3: bool,
     noise: Pcg64,
 }
 
@@ -108,7 +110,8 @@ impl World {
             motors.push(Motor::new(simulated, wiring, rail, seed.wrapping_add(index.into()))?);
         }
         let pins = Pins::new(robot, seed);
-        let counters = encoders::counters(&pins.encoders);
+        let encoder_3 = robot.config.uses_encoder(3);
+        let counters = encoders::counters(&pins.encoders, encoder_3);
         Ok(Self {
             clock,
             now_ns: 0,
@@ -125,6 +128,7 @@ impl World {
             rails,
             pins,
             counters,
+            encoder_3,
             noise: Pcg64::seed_from_u64(seed),
         })
     }

@@ -3,11 +3,17 @@
 use std::{cell::RefCell, rc::Rc, task::Waker};
 
 use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
-use r4_firmware::platform::{AnalogInputs, AnalogOutputs, EchoState, Ranging, SwitchInputs};
+use r4_firmware::{
+    platform::{AnalogInputs, AnalogOutputs, EchoState, Ranging, SwitchInputs},
+    sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
+};
 use r4_protocol::ChannelId;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Processor, Rail, World};
+use super::{
+    Processor, Rail, World,
+    encoders::{US_PER_MS, ticks},
+};
 use crate::{
     i2c::I2cBus,
     misuse::Misuse,
@@ -39,6 +45,8 @@ pub struct Pins {
     /// Range sensors, by connector.
     pub rangers: HcSr04Array,
     pub(super) echoes: [Echo; HcSr04Array::MODULES],
+    /// Of the interrupts of the echoes; `None` where nothing uses one.
+    echo_budgets: [Option<EdgeBudget>; HcSr04Array::MODULES],
     /// Encoder tracks, by connector.
     pub encoders: [QuadratureSignal; 4],
     /// Switches, by connector.
@@ -111,6 +119,8 @@ impl Pins {
                     Some(AnalogSource { input: input(rail.volts_per_code, rail.noise_rms_codes), volts: rail.emf_v });
             }
         }
+        let budget = EdgeBudget::new(ECHO_EDGES_PER_MS, US_PER_MS);
+        let echo_budgets = [0, 1, 2, 3].map(|index| robot.config.uses_range(index).then_some(budget));
         let encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
         let switch = |spec: &SimulatedSwitch| {
             let seed = seed.wrapping_add(u64::from(spec.channel.index));
@@ -125,6 +135,7 @@ impl Pins {
         Self {
             rangers,
             echoes: [Echo::default(); HcSr04Array::MODULES],
+            echo_budgets,
             encoders,
             switches: truth.switches.iter().map(switch).collect(),
             analogs,
@@ -293,13 +304,29 @@ impl Ranging for Processor {
     }
 }
 
+impl World {
+    /// Whether an echo has lost edges by a storm; lets it have another try when it is time.
+    pub(super) fn echo_storm(&mut self) -> bool {
+        let now_ns = self.clock.now_ns();
+        let pins = &mut self.pins;
+        (0..HcSr04Array::MODULES).fold(false, |storm, index| {
+            pins.capture(index, now_ns);
+            let Some(budget) = &mut pins.echo_budgets[index] else { return storm };
+            storm | budget.look(ticks(now_ns)).storm
+        })
+    }
+}
+
 impl Pins {
     /// Lets the capture unit take the edges of an echo up to now.
     fn capture(&mut self, index: usize, now_ns: u64) -> EchoState {
         let (Some(module), Some(echo)) = (self.rangers.modules.get_mut(index), self.echoes.get_mut(index)) else {
             return EchoState::Idle;
         };
+        let budget = &mut self.echo_budgets[index];
         for edge in module.take_edges(now_ns) {
+            let Some(budget) = budget.as_mut().filter(|budget| !budget.is_masked()) else { continue };
+            budget.edge(ticks(edge.at_ns));
             match (edge.high, echo.rise_ns, echo.fall_ns) {
                 (true, None, _) => echo.rise_ns = Some(edge.at_ns),
                 (false, Some(_), None) => echo.fall_ns = Some(edge.at_ns),

@@ -77,7 +77,7 @@ impl World {
         self.set_ldac(false);
         self.steppers.iter_mut().for_each(stepping::Axis::reset);
         self.pins.reset_processor();
-        self.counters = super::encoders::counters(&self.pins.encoders);
+        self.counters = super::encoders::counters(&self.pins.encoders, self.encoder_3);
     }
 }
 

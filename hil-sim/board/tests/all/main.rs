@@ -16,5 +16,6 @@ mod safety;
 mod screen;
 mod stop_watch;
 mod storage;
+mod storms;
 mod whole_board;
 mod wires;

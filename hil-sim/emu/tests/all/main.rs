@@ -12,3 +12,4 @@ mod gdb;
 mod hung;
 mod log;
 mod stops;
+mod storms;
