@@ -9,7 +9,6 @@ use std::{
 use async_io::Timer;
 use futures::FutureExt;
 use r4_driver::Clock;
-use rustix::time::{ClockId, clock_gettime};
 
 /// The machine's monotonic clock, from the first time that it is asked in this process.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,14 +28,24 @@ impl RealClock {
     }
 }
 
-/// What this machine's CLOCK_MONOTONIC showed at `moment`, ns, good to about a microsecond. It is the same clock in every
-/// process, so that two can tell each other a moment.
+/// What this machine's shared clock showed at `moment`, ns, good to about a microsecond. It is the same clock in every process,
+/// so that two processes can compare moments: `CLOCK_MONOTONIC` on Unix; elsewhere the system's time, which may be set.
 #[must_use]
 pub fn monotonic_ns(moment: Instant) -> u64 {
-    let (now, shown) = (Instant::now(), clock_gettime(ClockId::Monotonic));
-    let shown_ns = shown.tv_sec.cast_unsigned() * 1_000_000_000 + shown.tv_nsec.cast_unsigned();
+    let (now, shown_ns) = (Instant::now(), shared_clock_ns());
     let ns = |span: Duration| span.as_nanos() as u64;
     shown_ns.saturating_add(ns(moment.saturating_duration_since(now))) - ns(now.saturating_duration_since(moment))
+}
+
+#[cfg(unix)]
+fn shared_clock_ns() -> u64 {
+    let shown = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    shown.tv_sec.cast_unsigned() * 1_000_000_000 + shown.tv_nsec.cast_unsigned()
+}
+
+#[cfg(not(unix))]
+fn shared_clock_ns() -> u64 {
+    std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default().as_nanos() as u64
 }
 
 impl Clock for RealClock {
@@ -58,7 +67,7 @@ mod tests {
     #[test]
     fn moments_are_as_far_apart_on_the_monotonic_clock() {
         let now = Instant::now();
-        let told_ns = clock_gettime(ClockId::Monotonic).tv_sec.cast_unsigned() * 1_000_000_000;
+        let told_ns = shared_clock_ns();
         let shown_ns = monotonic_ns(now);
         assert!(shown_ns.abs_diff(told_ns) < 60_000_000_000, "{shown_ns} {told_ns}");
         for ms in [1, 1000] {

@@ -26,12 +26,15 @@ pub mod bus;
 pub mod can;
 mod clock;
 mod descriptor;
+mod key_file;
 pub mod legacy;
 mod open;
 pub mod ports;
+#[cfg(unix)]
 pub mod pty;
 mod reconnect;
 pub mod secure;
+#[cfg(unix)]
 mod serial;
 pub mod slcan;
 

@@ -3,7 +3,6 @@
 use std::{
     io,
     net::{SocketAddr, TcpStream, ToSocketAddrs},
-    os::fd::OwnedFd,
     path::PathBuf,
     time::Duration,
 };
@@ -12,7 +11,9 @@ use async_io::Timer;
 use embedded_io_async::{ErrorType, Read, Write};
 use futures::future::{Either, select};
 
-use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, Key, ports, secure, serial, slcan};
+#[cfg(unix)]
+use crate::serial;
+use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, Key, ports, secure, slcan};
 #[cfg(target_os = "linux")]
 use crate::{bus, can};
 
@@ -72,8 +73,12 @@ pub enum OpenError {
     #[error("{} is used by another program: end that, or connect to the board through it", .0.display())]
     Busy(PathBuf),
     /// No right to open it.
-    #[error("this user may not open {}: join the group that owns it (`ls -l {}`), as in `sudo usermod -aG dialout $USER`, and log in again", .0.display(), .0.display())]
+    #[error("this user may not open {}: install the rule host/udev/70-r4.rules as docs/program.md says, or join the group that owns it (`ls -l {}`), as in `sudo usermod -aG dialout $USER`, and log in again", .0.display(), .0.display())]
     Denied(PathBuf),
+    /// Serial ports can be waited for on Unix only.
+    #[cfg(not(unix))]
+    #[error("{}: serial ports are not opened on this system yet: use a board over TCP, or run r4 in WSL 2 with the port attached by usbipd", .0.display())]
+    NoSerialPorts(PathBuf),
     /// A name that nobody knows.
     #[error("no address is known for {0}")]
     NoHost(String),
@@ -159,6 +164,12 @@ fn only_board() -> Result<PathBuf, OpenError> {
     }
 }
 
+#[cfg(not(unix))]
+fn open_port(path: PathBuf, _baud: u32) -> Result<Descriptor, OpenError> {
+    Err(OpenError::NoSerialPorts(path))
+}
+
+#[cfg(unix)]
 fn open_port(path: PathBuf, baud: u32) -> Result<Descriptor, OpenError> {
     serial::open_port(&path, baud).map_err(|source| match source.kind() {
         io::ErrorKind::NotFound => OpenError::NoPort(path),
@@ -220,17 +231,14 @@ const KEEPALIVE_TIMES: u32 = 3;
 /// # Errors
 /// The operating system's.
 pub fn tcp(stream: TcpStream) -> io::Result<Descriptor> {
-    use rustix::net::sockopt;
     stream.set_nodelay(true)?;
-    sockopt::set_socket_keepalive(&stream, true)?;
-    #[cfg(not(any(target_os = "macos", target_os = "ios")))]
-    sockopt::set_tcp_keepidle(&stream, KEEPALIVE_AFTER)?;
-    sockopt::set_tcp_keepintvl(&stream, KEEPALIVE_EVERY)?;
-    sockopt::set_tcp_keepcnt(&stream, KEEPALIVE_TIMES)?;
+    let socket = socket2::SockRef::from(&stream);
+    let keepalive = socket2::TcpKeepalive::new().with_time(KEEPALIVE_AFTER).with_interval(KEEPALIVE_EVERY);
+    socket.set_tcp_keepalive(&keepalive.with_retries(KEEPALIVE_TIMES))?;
     // What is under way asks, too, and would do so for a quarter of an hour.
     #[cfg(target_os = "linux")]
-    sockopt::set_tcp_user_timeout(&stream, (KEEPALIVE_AFTER + KEEPALIVE_EVERY * KEEPALIVE_TIMES).as_millis() as u32)?;
-    Descriptor::new(OwnedFd::from(stream))
+    socket.set_tcp_user_timeout(Some(KEEPALIVE_AFTER + KEEPALIVE_EVERY * KEEPALIVE_TIMES))?;
+    Descriptor::socket(stream)
 }
 
 impl ErrorType for Receiver {

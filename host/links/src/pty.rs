@@ -8,6 +8,7 @@ use std::{
 
 use rustix::{
     fs::{Mode, OFlags},
+    io::{FdFlags, fcntl_setfd},
     pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
 };
 
@@ -29,7 +30,9 @@ impl Pty {
     /// # Errors
     /// The operating system's.
     pub fn open() -> io::Result<Self> {
-        let server = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        let server = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
+        // By itself and not as a flag of the call: macOS has no such flag.
+        fcntl_setfd(&server, FdFlags::CLOEXEC)?;
         grantpt(&server)?;
         unlockpt(&server)?;
         let path = ptsname(&server, Vec::new())?;

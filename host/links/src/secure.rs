@@ -30,9 +30,7 @@
 
 use std::{
     fmt,
-    fs::File,
     io::{self, Read as _},
-    os::{fd::AsFd, unix::fs::PermissionsExt},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
 };
@@ -42,7 +40,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 use snow::{Builder, HandshakeState, TransportState};
 
-use crate::Descriptor;
+use crate::{Descriptor, key_file};
 
 /// Name of the protocol in the framework's words.
 const PATTERN: &str = "Noise_NNpsk0_25519_ChaChaPoly_BLAKE2s";
@@ -110,18 +108,15 @@ impl Key {
     /// [`KeyError`]; [`KeyError::Read`] with [`io::ErrorKind::Interrupted`] when it did not go on.
     pub fn read_while(path: &Path, mut goes_on: impl FnMut() -> bool) -> Result<Self, KeyError> {
         let failed = |source| KeyError::Read { path: path.to_owned(), source };
-        // Not waiting for the writer of a pipe, or nothing could interrupt that.
-        let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::CLOEXEC | rustix::fs::OFlags::NOCTTY;
-        let file = rustix::fs::open(path, flags, rustix::fs::Mode::empty()).map_err(|error| failed(error.into()))?;
-        let mut file = File::from(file);
+        let mut file = key_file::open(path).map_err(failed)?;
         let metadata = file.metadata().map_err(failed)?;
-        if metadata.permissions().mode() & 0o077 != 0 {
+        if key_file::is_open_to_others(&metadata) {
             return Err(KeyError::Open(path.to_owned()));
         }
-        let is_pipe = std::os::unix::fs::FileTypeExt::is_fifo(&metadata.file_type());
+        let is_pipe = key_file::is_pipe(&metadata);
         let mut bytes = Vec::new();
         loop {
-            if is_pipe && !has_data(&file).map_err(failed)? {
+            if is_pipe && !key_file::has_data(&file).map_err(failed)? {
                 if !goes_on() {
                     return Err(failed(io::ErrorKind::Interrupted.into()));
                 }
@@ -156,17 +151,6 @@ impl Key {
         mac.update(PATTERN.as_bytes());
         mac.update(PROLOGUE);
         mac.finalize().into_bytes().into()
-    }
-}
-
-/// Waits at most 50 ms until a pipe can be read or its writer is gone.
-fn has_data(pipe: &File) -> io::Result<bool> {
-    let mut waited = [rustix::event::PollFd::from_borrowed_fd(pipe.as_fd(), rustix::event::PollFlags::IN)];
-    let timeout = rustix::event::Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
-    match rustix::event::poll(&mut waited, Some(&timeout)) {
-        Ok(ready) => Ok(ready > 0),
-        Err(rustix::io::Errno::INTR) => Ok(false),
-        Err(error) => Err(error.into()),
     }
 }
 

@@ -1,15 +1,15 @@
 //! `r4 sim serve`: a virtual board in real time, for programs that connect to it as to a real one.
 
 mod clients;
+mod terminal;
 
 use std::{
     cell::{Cell, RefCell},
     collections::VecDeque,
-    fs,
     future::{Future, poll_fn},
     io,
     net::{SocketAddr, TcpListener},
-    path::{Path, PathBuf},
+    path::PathBuf,
     pin::pin,
     rc::Rc,
     task::Poll,
@@ -21,12 +21,12 @@ use async_io::{Async, Timer};
 use clients::Clients;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, pty::Pty, slcan};
+use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
 use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
 use serde::Serialize;
-use sha2::{Digest, Sha256};
+use terminal::Terminal;
 
 use crate::{
     args::{Args, Serve},
@@ -75,7 +75,7 @@ struct Shifted {
 /// What the board is connected to.
 enum Place {
     /// One client, or none, all the time.
-    Port(Option<Pty>, Receiver, Transmitter),
+    Port(Option<Terminal>, Receiver, Transmitter),
     /// Clients come and go.
     Listener(Async<TcpListener>, Option<Key>),
 }
@@ -91,8 +91,7 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
         board.set_link_baud(NO_TIME);
     }
     session::catch_interrupts();
-    let links = Links::default();
-    let (place, address) = place(&args, serve, &links)?;
+    let (place, address) = place(&args, serve)?;
     let served = Served::new(&mut simulation, board.clone())?;
     output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(served.origin) })?;
     let served = r4_links::block_on(served.run(place));
@@ -102,107 +101,21 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     served.map(|()| true)
 }
 
-/// Symbolic links to the terminal of the served board, removed when it ends.
-#[derive(Default)]
-struct Links(RefCell<Vec<(PathBuf, PathBuf, Claim)>>);
-
-/// Why a served board cannot have a name.
-#[derive(Debug, thiserror::Error)]
-enum NameTaken {
-    #[error("{} is the name of a board that another program serves: end that, or choose another name", .0.display())]
-    Served(PathBuf),
-    #[error("{} leads to {}, which is no terminal of a board: choose another name, or remove it", .0.display(), .1.display())]
-    Other(PathBuf, PathBuf),
-}
-
-/// The right to a name: a socket in Linux's abstract namespace, which is gone with the process however that ends. A lock of
-/// the terminal would not do: the number of a dead server's terminal is soon another's.
-#[cfg(target_os = "linux")]
-type Claim = std::os::unix::net::UnixListener;
-
-#[cfg(target_os = "linux")]
-fn claim(name: &Path) -> anyhow::Result<Claim> {
-    use std::os::{linux::net::SocketAddrExt, unix::ffi::OsStrExt, unix::net::SocketAddr};
-    let absolute = match (name.parent(), name.file_name()) {
-        (Some(folder), Some(file)) => {
-            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-            fs::canonicalize(folder).with_context(|| format!("no folder for {}", name.display()))?.join(file)
-        }
-        _ => bail!("{} is no name of a file", name.display()),
-    };
-    // A name of this kind has at most 107 bytes.
-    let digest = Sha256::digest(absolute.as_os_str().as_bytes());
-    let socket = digest.iter().fold("r4-served-".to_owned(), |name, byte| format!("{name}{byte:02x}"));
-    let address = SocketAddr::from_abstract_name(socket).context("cannot claim a name")?;
-    Claim::bind_addr(&address).map_err(|error| match error.kind() {
-        io::ErrorKind::AddrInUse => NameTaken::Served(name.to_owned()).into(),
-        _ => anyhow::Error::new(error).context("cannot claim a name"),
-    })
-}
-
-#[cfg(not(target_os = "linux"))]
-type Claim = ();
-
-/// Elsewhere a name that leads to a terminal counts as served.
-#[cfg(not(target_os = "linux"))]
-fn claim(name: &Path) -> anyhow::Result<Claim> {
-    use std::os::unix::fs::FileTypeExt;
-    match fs::metadata(name).is_ok_and(|found| found.file_type().is_char_device()) {
-        true => Err(NameTaken::Served(name.to_owned()).into()),
-        false => Ok(()),
-    }
-}
-
-impl Links {
-    /// Makes a symbolic link at `from`. It replaces one that a server left there when it was killed.
-    fn add(&self, from: &Path, to: &Path) -> anyhow::Result<()> {
-        let claim = claim(from)?;
-        if let Ok(old) = fs::read_link(from) {
-            if old.parent() != to.parent() {
-                return Err(NameTaken::Other(from.to_owned(), old).into());
-            }
-            fs::remove_file(from).with_context(|| format!("cannot remove the old link {}", from.display()))?;
-        }
-        std::os::unix::fs::symlink(to, from).with_context(|| format!("cannot make the link {}", from.display()))?;
-        self.0.borrow_mut().push((from.to_owned(), to.to_owned(), claim));
-        Ok(())
-    }
-}
-
-impl Drop for Links {
-    fn drop(&mut self) {
-        for (link, to, _claim) in self.0.take() {
-            // Not one that leads elsewhere by now. What is not there any more need not be removed.
-            if fs::read_link(&link).is_ok_and(|at| at == to) {
-                let _ = fs::remove_file(link);
-            }
-        }
-    }
-}
-
 /// Makes what the board is served on, and where that is.
-fn place(args: &Args, serve: &Serve, links: &Links) -> anyhow::Result<(Place, Where)> {
-    let terminal = |link: &Option<PathBuf>| -> anyhow::Result<(Pty, PathBuf)> {
-        let pty = Pty::open().context("cannot make a pseudo-terminal")?;
-        let path = link.clone().unwrap_or_else(|| pty.path().to_owned());
-        if link.is_some() {
-            links.add(&path, pty.path())?;
-        }
-        Ok((pty, path))
-    };
+fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
     let end = || {
         let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1));
         node.map(End::Board)
     };
-    if let Some(link) = &serve.pty {
-        let (pty, path) = terminal(link)?;
-        let (rx, tx) = bytes(&pty.descriptor);
-        return Ok((Place::Port(Some(pty), rx, tx), Where::Pty(path)));
+    if let Some(name) = &serve.pty {
+        let terminal = Terminal::open(name.as_deref())?;
+        let ((rx, tx), path) = (bytes(terminal.descriptor()), terminal.path().to_owned());
+        return Ok((Place::Port(Some(terminal), rx, tx), Where::Pty(path)));
     }
-    if let Some(link) = &serve.slcan {
-        let (pty, path) = terminal(link)?;
-        let (rx, tx) = slcan::ends(pty.descriptor.clone(), end()?);
-        return Ok((Place::Port(Some(pty), Receiver::Slcan(rx), Transmitter::Slcan(tx)), Where::Slcan(path)));
+    if let Some(name) = &serve.slcan {
+        let terminal = Terminal::open(name.as_deref())?;
+        let ((rx, tx), path) = (slcan::ends(terminal.descriptor().clone(), end()?), terminal.path().to_owned());
+        return Ok((Place::Port(Some(terminal), Receiver::Slcan(rx), Transmitter::Slcan(tx)), Where::Slcan(path)));
     }
     if let Some(interface) = &serve.can {
         return bus(interface, end()?);
