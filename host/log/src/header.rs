@@ -1,6 +1,9 @@
 //! What a file says about the run it holds, as a metadata record.
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    time::{Duration, UNIX_EPOCH},
+};
 
 use r4_protocol::{ChannelInfo, Mode, ModeInfo, Range, Unit};
 use serde::{Deserialize, Serialize};
@@ -57,20 +60,7 @@ impl Recorded {
     /// `unix_ns` as RFC 3339 has it, in UTC, in whole seconds.
     #[must_use]
     pub fn at(&self) -> String {
-        let seconds = self.unix_ns / 1_000_000_000;
-        let (days, of_day) = (seconds / 86_400, seconds % 86_400);
-        // The proleptic Gregorian calendar repeats every 400 years of 146 097 days; counted from 1 March of year 0, leap days
-        // are at the ends of years.
-        let since_0 = days + 719_468;
-        let (era, of_era) = (since_0 / 146_097, since_0 % 146_097);
-        let year_of_era = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-        let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-        let from_march = (5 * of_year + 2) / 153;
-        let day = of_year - (153 * from_march + 2) / 5 + 1;
-        let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
-        let year = era * 400 + year_of_era + u64::from(month <= 2);
-        let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
-        format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+        humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(self.unix_ns)).to_string()
     }
 }
 

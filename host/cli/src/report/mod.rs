@@ -1,4 +1,4 @@
-//! A run as one HTML page that needs nothing else: no network, no fonts, no scripts.
+//! A run as one HTML page that needs nothing else: no network, no fonts. A small script in it reads plots off and zooms.
 //!
 //! The same log and tables give the same bytes.
 
@@ -17,6 +17,7 @@ use plot::{Figure, number};
 
 const PAGE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("style.css");
+const SCRIPT: &str = include_str!("plot.js");
 
 /// A table above the plots.
 #[derive(Clone, Debug)]
@@ -93,13 +94,18 @@ pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay
     let mut body = String::new();
     // writing to a string does not fail
     let _ = write_body(&mut body, log, title, tables, overlays);
-    document(title, &body)
+    // What a browser's tab and its history show: which of many runs this is.
+    let recorded = log.header.recorded.as_ref().map(|recorded| format!(", {}", recorded.at()));
+    document(&format!("{title} \u{2013} {}{}", log.header.board, recorded.unwrap_or_default()), &body)
 }
 
 /// The whole page around `body`, which is HTML.
 fn document(title: &str, body: &str) -> String {
     // escaped text holds no "<!--", so nothing that was put in is taken for a place
-    PAGE.replace("<!--title-->", &escaped(title)).replace("<!--style-->", STYLE.trim_end()).replace("<!--body-->", body)
+    PAGE.replace("<!--title-->", &escaped(title))
+        .replace("<!--style-->", STYLE.trim_end())
+        .replace("<!--script-->", SCRIPT.trim_end())
+        .replace("<!--body-->", body)
 }
 
 /// `text` as it has to be written in HTML, in attributes too.
@@ -172,13 +178,17 @@ fn write_head(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> st
         _ => writeln!(body, "<p class=\"outcome fail\">\u{2717} {} of {all} failed</p>", all - passed)?,
     }
     let header = &log.header;
-    let mut facts = vec![
-        ("Robot", header.robot.clone()),
-        ("Board", header.board.clone()),
+    let mut facts = vec![("Robot", header.robot.clone()), ("Board", header.board.clone())];
+    if let Some(recorded) = &header.recorded {
+        facts.push(("Recorded", recorded.at()));
+        facts.push(("Command", recorded.command.clone()));
+        facts.push(("Program", recorded.program.clone()));
+    }
+    facts.extend([
         ("Firmware", header.firmware.clone()),
         ("Protocol", header.protocol_version.to_string()),
         ("Duration", format!("{} s", number(log.duration_s(), 3))),
-    ];
+    ]);
     facts.extend(header.seed.map(|seed| ("Seed", seed.to_string())));
     if let Some((start_s, _)) = log.time_span_s() {
         facts.push(("Board's clock at the start", format!("{} s", number(start_s, 3))));
@@ -215,8 +225,10 @@ fn write_table(body: &mut String, table: &Table) -> std::fmt::Result {
         writeln!(body, "<caption>{}</caption>", escaped(&table.caption))?;
     }
     body.push_str("<thead><tr>");
-    for column in &table.columns {
-        write!(body, "<th scope=\"col\"{}>{}", class(column.align), escaped(&column.title))?;
+    let is_verdict = |index: usize| table.rows.iter().any(|row| matches!(row.get(index), Some(Cell::Verdict { .. })));
+    for (index, column) in table.columns.iter().enumerate() {
+        let class = if is_verdict(index) { " class=\"verdict-column\"" } else { class(column.align) };
+        write!(body, "<th scope=\"col\"{class}>{}", escaped(&column.title))?;
         if let Some(unit) = &column.unit {
             write!(body, " <span>({})</span>", escaped(unit))?;
         }
@@ -348,7 +360,12 @@ mod tests {
             protocol_version: 1,
             channels: vec![motor],
             seed: None,
-            recorded: None,
+            recorded: Some(r4_log::Recorded {
+                unix_ns: 1_791_000_000_000_000_000,
+                program: "r4 0.1.0".into(),
+                command: "r4 <demo>".into(),
+                clock_offset_ns: None,
+            }),
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..ticks {
@@ -412,7 +429,12 @@ mod tests {
             protocol_version: 3,
             channels: vec![range.clone(), encoder.clone()],
             seed: None,
-            recorded: None,
+            recorded: Some(r4_log::Recorded {
+                unix_ns: 1_791_000_000_000_000_000,
+                program: "r4 0.1.0".into(),
+                command: "r4 <demo>".into(),
+                clock_offset_ns: None,
+            }),
         };
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header).expect("a vector takes everything");
         for tick in 0..200_i16 {
@@ -441,7 +463,8 @@ mod tests {
     #[test]
     fn nothing_that_is_shown_is_taken_for_markup() {
         let page = html(&log(2_000), HOSTILE, &[table()]);
-        assert!(!page.contains("<script") && !page.contains("<!--") && !page.contains("<V>"));
+        assert!(!page.contains("<!--") && !page.contains("<V>"));
+        assert_eq!((page.matches("<script").count(), page.matches("</script>").count()), (1, 1), "the page's own");
         assert_eq!(page.matches("&lt;script&gt;").count(), 8, "title twice, robot, caption, note, three cells");
     }
 
@@ -449,11 +472,16 @@ mod tests {
     fn a_page_needs_nothing_else_and_is_the_same_twice() {
         let page = html(&log(2_000), "run", &[table()]);
         assert_eq!(page, html(&log(2_000), "run", &[table()]));
-        for outside in ["src=", "@import", "url(", "<link"] {
+        for outside in ["src=", "@import", "url(h", "url(/", "<link", "fetch(", "XMLHttpRequest", "import "] {
             assert!(!page.contains(outside), "{outside}");
         }
         let addresses = page.matches("http").count();
         assert_eq!(addresses, page.matches("http://www.w3.org/2000/svg").count(), "a name, not an address");
+        let geometry = page.split("data-plot=\"").nth(1).and_then(|rest| rest.split('"').next()).expect("a plot");
+        let geometry: serde_json::Value = serde_json::from_str(&geometry.replace("&quot;", "\"")).expect("JSON");
+        // The script finds lines by these colours.
+        let color = geometry["panels"][0]["lines"][0]["color"].as_str().expect("a colour");
+        assert!(page.contains(&format!("stroke=\"{color}\"")), "{color}");
     }
 
     #[test]
@@ -461,6 +489,11 @@ mod tests {
         let page = html(&log(2_000), "run", &[table()]);
         for expected in
             ["1 of 2 failed", "1.999 s", "5.000 s", "Position (°)", "Error (°)", "limit ±0.90", "tripped: dead-man"]
+        {
+            assert!(page.contains(expected), "{expected}");
+        }
+        let when = "2026-10-03T04:00:00Z";
+        for expected in [&format!("<title>run \u{2013} sim:bench, {when}</title>"), when, "r4 &lt;demo&gt;", "r4 0.1.0"]
         {
             assert!(page.contains(expected), "{expected}");
         }

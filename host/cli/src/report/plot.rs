@@ -5,6 +5,8 @@ use plotters::{
     style::text_anchor::{HPos, Pos, VPos},
 };
 
+use serde_json::json;
+
 use super::series::{Point, clipped, decimated, ticks};
 
 /// The SVG backend knows whole units only: four of them are one pixel at the natural size.
@@ -117,7 +119,38 @@ impl Figure {
             // drawing into a string does not fail; if it did, the picture would lack what could not be drawn
             let _ = self.draw(&area).and_then(|()| area.present());
         }
-        described(&svg, &self.description)
+        described(&svg, &self.description, Some(&self.geometry()))
+    }
+
+    /// Where panels and lines are, in the units of the viewBox, as JSON: what `plot.js` needs to read the plot off.
+    fn geometry(&self) -> String {
+        let strip = if self.bands.is_empty() { 0 } else { TITLE + STRIP + GAP };
+        let mut top = strip;
+        let panels: Vec<_> = self
+            .panels
+            .iter()
+            .map(|panel| {
+                let first = top + TITLE;
+                top = first + panel.height + GAP;
+                let lines: Vec<_> =
+                    panel.lines.iter().map(|line| json!({"label": line.label, "color": hex(line.color)})).collect();
+                let ends = (first * UNITS, (first + panel.height) * UNITS);
+                let (low, high) = panel.range;
+                json!({"title": panel.title, "top": ends.0, "bottom": ends.1, "low": low, "high": high, "lines": lines})
+            })
+            .collect();
+        json!({
+            "axis": self.axis,
+            "left": LEFT * UNITS,
+            "right": (WIDTH - RIGHT) * UNITS,
+            // Below the ticks' labels, above the axis' title.
+            "foot": (top - GAP + 26) * UNITS,
+            "bandsTop": TITLE * UNITS,
+            "grid": hex(color::GRID),
+            "span": [self.span.0, self.span.1],
+            "panels": panels,
+        })
+        .to_string()
     }
 
     fn draw(&self, area: &Area) -> Drawn {
@@ -235,7 +268,7 @@ impl Bars {
             // as above
             let _ = self.draw(&area).and_then(|()| area.present());
         }
-        described(&svg, &self.description)
+        described(&svg, &self.description, None)
     }
 
     fn draw(&self, area: &Area) -> Drawn {
@@ -258,10 +291,16 @@ impl Bars {
     }
 }
 
-/// The picture with words for those who cannot see it.
-fn described(svg: &str, description: &str) -> String {
+/// The picture with words for those who cannot see it, and its geometry for the script of the page.
+fn described(svg: &str, description: &str, geometry: Option<&str>) -> String {
     let label = super::escaped(description);
-    svg.replacen("<svg ", &format!("<svg class=\"plot\" role=\"img\" aria-label=\"{label}\" "), 1)
+    let geometry = geometry.map_or_else(String::new, |json| format!(" data-plot=\"{}\"", super::escaped(json)));
+    svg.replacen("<svg ", &format!("<svg class=\"plot\" role=\"img\" aria-label=\"{label}\"{geometry} "), 1)
+}
+
+/// A colour as the SVG backend writes it.
+fn hex(color: RGBColor) -> String {
+    format!("#{:02X}{:02X}{:02X}", color.0, color.1, color.2)
 }
 
 /// At the right end of the title's line.

@@ -54,7 +54,10 @@ fn an_unfinished_recording_is_read() {
     let mut recorder = Recorder::new(std::io::BufWriter::new(Disk(&disk)), &header()).unwrap();
     let mut states = 0;
     // Ten a second, and causes that are no pattern to compress.
-    while recorder.state(states * 100_000, SafetyState::Armed, Causes::from_bits((states * 40_503) as u32 & 0xffff)).is_ok() {
+    while recorder
+        .state(states * 100_000, SafetyState::Armed, Causes::from_bits((states * 40_503) as u32 & 0xffff))
+        .is_ok()
+    {
         let log = Log::from_bytes(&disk.borrow()).unwrap();
         assert_eq!(log.warnings, [Warning::CutShort]);
         assert!(log.states.len() as u64 + 10 >= states, "{} of {states}", log.states.len());

@@ -159,7 +159,7 @@ fn the_page_tells_what_was_found_and_needs_nothing_else() {
     ] {
         assert!(page.contains(told), "{told}");
     }
-    for foreign in ["http:", "https:", "<script", "<link", "src=", "url(", "@import"] {
+    for foreign in ["http:", "https:", "<link", "src=", "url(", "@import"] {
         let own = page.replace("http://www.w3.org/2000/svg", "");
         assert!(!own.contains(foreign), "{foreign}");
     }
@@ -194,7 +194,7 @@ fn names_of_files_and_columns_stay_text() {
     figures.causes[0].depends_on = HOSTILE.into();
     figures.ladder[1].0 = HOSTILE.into();
     let page = identify(&report, &figures, &[("Fitted to", HOSTILE.into())]);
-    assert!(!page.contains("<script") && !page.contains("<!--body"));
+    assert!(page.matches("<script").count() == 1 && !page.contains("<!--body"));
     assert!(page.contains("&lt;script&gt;"));
 }
 
