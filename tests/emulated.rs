@@ -3,6 +3,7 @@
 use std::{fs, path::Path, process::Command};
 
 use crate::program::{self, next, object, start, text};
+use r4_image::{Image, Place};
 use serde_json::Value;
 
 /// Runs `r4` and gives what it printed as JSON; it must succeed.
@@ -17,6 +18,7 @@ fn r4(arguments: &[&str]) -> Value {
 
 /// Every scenario: positions within a count and a period of motion, trips and refusals the same.
 #[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
 fn simulated_and_emulated_boards_agree_in_every_scenario() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenarios");
     let files: Vec<_> = fs::read_dir(folder)
@@ -37,6 +39,7 @@ fn simulated_and_emulated_boards_agree_in_every_scenario() {
 
 /// The demo's table, from the real image: each set point within what the evaluation counts as reached.
 #[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
 fn the_demo_reaches_every_set_point() {
     let out = tempfile::tempdir().expect("a folder");
     let demo = r4(&["demo", "--board", "emu:osmc-bench", "--out", out.path().to_str().expect("a name in Unicode")]);
@@ -50,6 +53,7 @@ fn the_demo_reaches_every_set_point() {
 
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
 #[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
 fn the_log_is_read_over_a_link() {
     let mut server = start(program::command(&["sim", "serve", "emu:osmc-bench", "--pty"]));
     let first = next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
@@ -78,7 +82,7 @@ fn the_log_is_read_over_a_link() {
     drop(watching);
 
     // The board that runs one image is not told by another.
-    let hosted = r4_emu::Image::built("osmc-bench", r4_image::Place::Hosted).expect("built beside the other");
+    let hosted = Image::built("osmc-bench", Place::Hosted).expect("built beside the other");
     let seen = r4(&["arm"], Some(hosted.path().to_str().expect("a name in Unicode"))).finish();
     assert!(seen.code == Some(1) && seen.out.is_empty(), "{seen:?}");
     assert!(seen.err.contains("another image than") && seen.err.contains("R4_ELF"), "{}", seen.err);

@@ -3,12 +3,15 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `binary` | the bytes that go into flash, out of an ELF file |
+//! | `elf` | the file: where it is looked for, and which it is |
 //! | `place` | where images lie, and what is expected of them there |
 
 mod binary;
+mod elf;
 mod place;
 
 pub use binary::Binary;
+pub use elf::{FileError, Image, Segment};
 pub use place::{CHIP, DFU_DEVICE, Place};
 
 use sha2::{Digest, Sha256};

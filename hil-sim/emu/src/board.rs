@@ -7,6 +7,7 @@ use std::{
 };
 
 use r4_boards::Robot;
+use r4_image::{Image, Segment};
 use r4_mcu::{
     LoadError, Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators,
     soc::Soc,
@@ -15,7 +16,6 @@ use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Fla
 
 use crate::{
     flash::Cells,
-    image::{Image, Segment},
     watch::{SharedMachine, Watcher, Watchers},
     wiring::{UartEnd, Wiring},
 };

@@ -4,7 +4,6 @@ mod board;
 pub mod fault;
 mod flash;
 pub mod gdb;
-mod image;
 pub mod log;
 pub mod measure;
 mod roles;
@@ -15,7 +14,7 @@ mod wiring;
 
 pub use board::{BoardSoc, EmuBoard, EmuError};
 pub use flash::Cells;
-pub use image::{Image, ImageError};
+pub use r4_image::{FileError, Image};
 pub use r4_mcu::Settings;
 pub use watch::{Go, SharedMachine, Watcher};
 pub use wiring::Wiring;

@@ -6,12 +6,10 @@
 //! holds, and what is lost then is reported as not decodable.
 
 use defmt_decoder::{DecodeError, Encoding, Table};
+use r4_image::Image;
 use r4_mcu::{Chip as _, MachineError, Memory, Size, Stopped, cpu::Core};
 
-use crate::{
-    image::Image,
-    watch::{SharedMachine, Watcher},
-};
+use crate::watch::{SharedMachine, Watcher};
 
 /// Before a program has written its control block, something else is there.
 const IDENTIFICATION: &[u8; 16] = b"SEGGER RTT\0\0\0\0\0\0";

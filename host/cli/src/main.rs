@@ -7,7 +7,6 @@ mod commands;
 mod emulated;
 mod failure;
 mod known;
-mod link_log;
 mod output;
 mod plants;
 mod quantity;

@@ -31,9 +31,8 @@ use r4_sim::{
 use crate::{
     args::{Args, Command},
     cable::{Cable, CableState},
-    known,
-    link_log::LinkLog,
-    plants,
+    emulated::{self, LinkLog},
+    known, plants,
     record::{Listened, Recording, SharedTap},
 };
 
@@ -519,7 +518,7 @@ fn start(
             Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, args.seed, flash)?),
             None => Rc::new(SimBoard::start(simulation, robot, args.seed)?),
         }),
-        Target::Emu(_) => crate::emulated::start(args, simulation, robot, flash),
+        Target::Emu(_) => emulated::start(args, simulation, robot, flash),
         Target::Link(_) => Err(NotVirtual(args.board.clone()).into()),
     }
 }

@@ -66,7 +66,7 @@ impl Firmware {
     /// # Errors
     /// What a person has to do.
     pub(crate) fn build(&self, root: &Path) -> Result<Built, String> {
-        toolchain::complete(root)?;
+        toolchain::complete(root, &[])?;
         let target = target_folder(root)?;
         // Its own workspace, with its own configuration of cargo.
         let folder = root.join("firmware/giga");

@@ -11,17 +11,23 @@
 //! | `image` | what an ELF file takes in flash and RAM |
 //! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
+//! | `programs` | the test programs, and the slowest tests in them |
 //! | `summary` | what became of each step, as a table |
+//! | `meter` | time on the wall and time of the processor |
+//! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
 mod firmware;
 mod flash;
 mod image;
+mod meter;
 mod mutants;
+mod programs;
 mod protocol;
 mod size;
 mod summary;
 mod test;
 mod toolchain;
+mod weight;
 
 mod probe;
 
@@ -31,13 +37,15 @@ use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
 use size::Size;
+use test::Extent;
+use weight::Weight;
 
 const USAGE: &str = "\
 usage: cargo xtask <task>
 
   probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
-  test --fast   without the documentation
+  test --quick  for daily work: without the emulated processor, the corpus of bad input and the documentation
   firmware      the image for the Arduino Giga, into target/firmware:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
@@ -48,6 +56,8 @@ usage: cargo xtask <task>
                 [--robot NAME|FILE.toml] (default osmc-bench), [--json]
   size --protocol
                 what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]
+  weight        what `cargo run --release -p r4` takes to build from an empty folder, and its slowest crates; fails over
+                400 s of processor time. --dist: as it is given to others; fails over 15 MB of program. [--json]
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
@@ -59,15 +69,20 @@ const USAGE_ERROR: u8 = 2;
 enum Task {
     Help,
     Probe,
-    Test { fast: bool },
+    Test(Extent),
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
     Protocol { json: bool },
     Mutants(Mutants),
+    Weight(Weight),
 }
 
 fn main() -> ExitCode {
+    // In the place of a compiler, by which `cargo xtask weight` weighs each crate.
+    if let Some(exit) = weight::compiler() {
+        return exit;
+    }
     let arguments: Vec<String> = env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     match parse(&arguments) {
         Ok(Task::Help) => {
@@ -75,12 +90,13 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Ok(Task::Probe) => probe::run(&root()),
-        Ok(Task::Test { fast }) => test::run(&root(), fast),
+        Ok(Task::Test(extent)) => test::run(&root(), extent),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
         Ok(Task::Protocol { json }) => protocol::run(&root(), json),
         Ok(Task::Mutants(mutants)) => mutants.run(&root()),
+        Ok(Task::Weight(weight)) => weight.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -91,19 +107,19 @@ fn main() -> ExitCode {
 fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["help" | "--help" | "-h"] | ["test" | "firmware" | "flash" | "size" | "mutants", "--help" | "-h"] => {
-            Ok(Task::Help)
-        }
-        ["test"] => Ok(Task::Test { fast: false }),
-        ["test", "--fast"] => Ok(Task::Test { fast: true }),
+        ["help" | "--help" | "-h"]
+        | ["test" | "firmware" | "flash" | "size" | "weight" | "mutants", "--help" | "-h"] => Ok(Task::Help),
+        ["test"] => Ok(Task::Test(Extent::Full)),
+        ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
         ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
+        ["weight", ref words @ ..] => Weight::parse(words).map(Task::Weight),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),
         [] => Err("no task given".into()),
-        ["test", "--fast", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        ["test", "--quick", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         ["probe"] => Ok(Task::Probe),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
@@ -124,8 +140,8 @@ mod tests {
 
     #[test]
     fn command_lines_are_understood() {
-        assert_eq!(of("test"), Ok(Task::Test { fast: false }));
-        assert_eq!(of("test --fast"), Ok(Task::Test { fast: true }));
+        assert_eq!(of("test"), Ok(Task::Test(Extent::Full)));
+        assert_eq!(of("test --quick"), Ok(Task::Test(Extent::Quick)));
         assert_eq!(of("probe"), Ok(Task::Probe));
         assert_eq!(of("size --protocol"), Ok(Task::Protocol { json: false }));
         assert_eq!(of("size --protocol --json"), Ok(Task::Protocol { json: true }));
@@ -135,7 +151,7 @@ mod tests {
 
     #[test]
     fn others_are_refused_by_the_word_that_is_wrong() {
-        for (line, word) in [("", "no task"), ("tset", "tset"), ("test fast", "fast"), ("test --fast -x", "-x")] {
+        for (line, word) in [("", "no task"), ("tset", "tset"), ("test fast", "fast"), ("test --quick -x", "-x")] {
             assert!(of(line).expect_err(line).contains(word), "{line}");
         }
     }

@@ -85,7 +85,7 @@ impl fmt::Display for Report {
 }
 
 fn measure(root: &Path, list: &str, what: &'static str) -> Result<Row, String> {
-    toolchain::complete(root)?;
+    toolchain::complete(root, &[])?;
     let libraries = build(root)?;
     let folder = target_folder(root)?.join("code-size");
     let (script, elf) = (folder.join(format!("{list}.ld")), folder.join(format!("{list}.elf")));

@@ -5,32 +5,43 @@ use std::{
     io::{self, Write},
     path::Path,
     process::{Command, ExitCode},
-    time::Instant,
 };
 
 use crate::{
     firmware::{self, Firmware},
+    meter::Meter,
+    programs,
     summary::{Outcome, Summary},
-    toolchain::{self, TARGET},
+    toolchain::{self, SYSTEMS, TARGET},
 };
 
 /// Stand for the folders in which the board's image and the probe are built.
 const GIGA_TARGET: &str = "target/giga";
 const PROBE_TARGET: &str = "target/probe";
 
+/// How much is tested.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Extent {
+    /// What CI tests.
+    Full,
+    /// What a change is tried with many times a day: without the emulated processor, the library in C that it is compared with,
+    /// the corpus of bad input, and the documentation.
+    Quick,
+}
+
 struct Step {
     name: &'static str,
     run: Run,
-    /// Left out by `--fast`.
-    slow: bool,
 }
 
 /// What a step does.
 enum Run {
     /// Looks for what the others need, and adds what is missing.
-    Toolchain,
+    Toolchain(Extent),
     /// Builds the board's images that the tests run.
     Images,
+    /// Runs the test programs that these arguments of cargo build, and names the slowest tests.
+    Tests(&'static [&'static str]),
     /// Calls cargo.
     Cargo {
         /// Within the repository: each has a workspace.
@@ -41,6 +52,10 @@ enum Run {
     },
 }
 
+const fn step(name: &'static str, run: Run) -> Step {
+    Step { name, run }
+}
+
 const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run {
     Run::Cargo { folder, arguments, environment: &[] }
 }
@@ -49,34 +64,36 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 const IMAGES: [(&str, &str); 4] =
     [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
 
-/// Cheapest first: what fails most often is seen soonest.
-const STEPS: [Step; 11] = [
-    Step { name: "toolchain", run: Run::Toolchain, slow: false },
-    Step { name: "format", run: cargo(".", &["fmt", "--all", "--check"]), slow: false },
-    Step { name: "format, giga", run: cargo("firmware/giga", &["fmt", "--check"]), slow: false },
-    Step { name: "format, probe", run: cargo("hil-sim/probe", &["fmt", "--check"]), slow: false },
-    Step {
-        name: "lints",
-        run: cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]),
-        slow: false,
-    },
-    // What the program leaves out by default and needs nothing that is not everywhere.
-    Step {
-        name: "lints, flash",
-        run: cargo(".", &["clippy", "--package", "r4", "--features", "probe", "--", "-D", "warnings"]),
-        slow: false,
-    },
-    Step {
-        name: "lints, probe",
-        run: cargo(
+/// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.
+const SAME_CASES: &[(&str, &str)] = &[("PROPTEST_RNG_SEED", "1")];
+
+/// Cheapest first: what fails most often is seen soonest. The steps for the tests differ in what they do, not in what they
+/// compile: first everything is built, then run.
+const FULL: &[Step] = &[
+    step("toolchain", Run::Toolchain(Extent::Full)),
+    FORMAT,
+    FORMAT_GIGA,
+    FORMAT_PROBE,
+    // With what the program leaves out by default and needs nothing that is not everywhere.
+    step(
+        "lints",
+        cargo(
+            ".",
+            &["clippy", "--workspace", "--all-targets", "--features", "r4/emu,r4/probe", "--", "-D", "warnings"],
+        ),
+    ),
+    // Only the program is another one without it.
+    step("lints, default", cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
+    step(
+        "lints, probe",
+        cargo(
             "hil-sim/probe",
             &["clippy", "--release", "--locked", "--target-dir", PROBE_TARGET, "--", "-D", "warnings"],
         ),
-        slow: false,
-    },
-    Step {
-        name: "lints, giga",
-        run: cargo(
+    ),
+    step(
+        "lints, giga",
+        cargo(
             "firmware/giga",
             &[
                 "clippy",
@@ -91,34 +108,51 @@ const STEPS: [Step; 11] = [
                 "warnings",
             ],
         ),
-        slow: false,
-    },
-    Step { name: "images", run: Run::Images, slow: false },
-    // Without further arguments cargo runs the documentation's examples too.
-    Step {
-        name: "tests",
-        run: Run::Cargo {
-            folder: ".",
-            arguments: &["test", "--workspace"],
-            // The same cases each time: what turns red is the change. Other cases are for who works on the code.
-            environment: &[("PROPTEST_RNG_SEED", "1")],
-        },
-        slow: false,
-    },
-    Step {
-        name: "docs",
-        run: Run::Cargo {
+    ),
+    // Compiled and not linked: it needs no tools of theirs.
+    step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
+    step("images", Run::Images),
+    step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu", "--no-run"])),
+    step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu"])),
+    step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu", "--doc"])),
+    step(
+        "docs",
+        Run::Cargo {
             folder: ".",
             arguments: &["doc", "--workspace", "--no-deps"],
             environment: &[("RUSTDOCFLAGS", "-D warnings")],
         },
-        slow: true,
-    },
+    ),
 ];
 
+const QUICK: &[Step] = &[
+    step("toolchain", Run::Toolchain(Extent::Quick)),
+    FORMAT,
+    FORMAT_GIGA,
+    FORMAT_PROBE,
+    step(
+        "lints",
+        cargo(".", &["clippy", "--workspace", "--exclude", "r4-unicorn", "--all-targets", "--", "-D", "warnings"]),
+    ),
+    step("build tests", cargo(".", QUICK_TESTS_BUILT)),
+    step("tests", Run::Tests(QUICK_TESTS)),
+];
+
+const FORMAT: Step = step("format", cargo(".", &["fmt", "--all", "--check"]));
+const FORMAT_GIGA: Step = step("format, giga", cargo("firmware/giga", &["fmt", "--check"]));
+const FORMAT_PROBE: Step = step("format, probe", cargo("hil-sim/probe", &["fmt", "--check"]));
+
+const QUICK_TESTS: &[&str] =
+    &["test", "--workspace", "--exclude", "r4-unicorn", "--exclude", "r4-emu", "--exclude", "r4-fuzz"];
+const QUICK_TESTS_BUILT: &[&str] =
+    &["test", "--workspace", "--exclude", "r4-unicorn", "--exclude", "r4-emu", "--exclude", "r4-fuzz", "--no-run"];
+
 /// Runs the steps up to the first that fails, and says what became of each.
-pub(crate) fn run(root: &Path, fast: bool) -> ExitCode {
-    let steps = STEPS.iter().filter(|step| !(fast && step.slow));
+pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
+    let steps = match extent {
+        Extent::Full => FULL,
+        Extent::Quick => QUICK,
+    };
     let (summary, problem) = run_all(steps, |step| execute(step, root));
     println!("\n{summary}");
     // What is said on stderr comes last.
@@ -133,10 +167,7 @@ pub(crate) fn run(root: &Path, fast: bool) -> ExitCode {
 }
 
 /// The summary, and what the failed step said.
-fn run_all<'s>(
-    steps: impl Iterator<Item = &'s Step>,
-    mut execute: impl FnMut(&Step) -> Result<(), String>,
-) -> (Summary, String) {
+fn run_all<'s>(steps: &'s [Step], mut execute: impl FnMut(&Step) -> Result<(), String>) -> (Summary, String) {
     let mut summary = Summary::default();
     let mut problem = String::new();
     for step in steps {
@@ -145,10 +176,10 @@ fn run_all<'s>(
             continue;
         }
         println!("\n==> {}: {}", step.name, step.command_line());
-        let start = Instant::now();
+        let meter = Meter::start();
         let result = execute(step);
-        let took = start.elapsed();
-        summary.add(step.name, if result.is_ok() { Outcome::Ok(took) } else { Outcome::Failed(took) });
+        let cost = meter.cost();
+        summary.add(step.name, if result.is_ok() { Outcome::Ok(cost) } else { Outcome::Failed(cost) });
         problem = result.err().unwrap_or_default();
     }
     (summary, problem)
@@ -156,11 +187,16 @@ fn run_all<'s>(
 
 fn execute(step: &Step, root: &Path) -> Result<(), String> {
     match &step.run {
-        Run::Toolchain => toolchain::complete(root).and_then(|()| toolchain::emulator(root)),
+        Run::Toolchain(Extent::Quick) => toolchain::complete(root, &[]),
+        Run::Toolchain(Extent::Full) => {
+            toolchain::complete(root, &toolchain::SYSTEMS)?;
+            toolchain::emulator(root)
+        }
         Run::Images => IMAGES.iter().try_for_each(|(robot, image)| {
             println!("{}", Firmware::new(robot, image).build(root)?);
             Ok(())
         }),
+        Run::Tests(arguments) => programs::run(root, arguments, &unless_set(SAME_CASES)),
         Run::Cargo { folder, arguments, environment } => {
             let target = firmware::target_folder(root)?;
             let (giga, probe) = (target.join("giga"), target.join("probe"));
@@ -171,7 +207,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
             });
             let status = Command::new(toolchain::cargo())
                 .args(arguments)
-                .envs(environment.iter().filter(|(name, _)| env::var_os(name).is_none()).copied())
+                .envs(unless_set(environment))
                 .current_dir(root.join(folder))
                 .status()
                 .map_err(|error| format!("cargo cannot be started: {error}"))?;
@@ -184,19 +220,30 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
     }
 }
 
+/// What the caller's environment says nothing of.
+fn unless_set(environment: &[(&'static str, &'static str)]) -> Vec<(&'static str, &'static str)> {
+    environment.iter().filter(|(name, _)| env::var_os(name).is_none()).copied().collect()
+}
+
 impl Step {
     /// As a person would type it.
     fn command_line(&self) -> String {
         match &self.run {
-            Run::Toolchain => format!("rustfmt, clippy, the target {TARGET}, cmake and libclang"),
-            Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
-            Run::Cargo { folder, arguments, environment } => {
-                let into = if *folder == "." { String::new() } else { format!("cd {folder} && ") };
-                let set: String = environment.iter().map(|(name, value)| format!("{name}='{value}' ")).collect();
-                format!("{into}{set}cargo {}", arguments.join(" "))
+            Run::Toolchain(Extent::Quick) => format!("rustfmt, clippy, the target {TARGET}"),
+            Run::Toolchain(Extent::Full) => {
+                format!("rustfmt, clippy, the targets {TARGET}, {}, cmake and libclang", SYSTEMS.join(", "))
             }
+            Run::Tests(arguments) => command_line(".", SAME_CASES, arguments),
+            Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
+            Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
         }
     }
+}
+
+fn command_line(folder: &str, environment: &[(&str, &str)], arguments: &[&str]) -> String {
+    let into = if folder == "." { String::new() } else { format!("cd {folder} && ") };
+    let set: String = environment.iter().map(|(name, value)| format!("{name}='{value}' ")).collect();
+    format!("{into}{set}cargo {}", arguments.join(" "))
 }
 
 #[cfg(test)]
@@ -206,26 +253,28 @@ mod tests {
     #[test]
     fn the_first_failure_ends_the_run() {
         let mut executed = Vec::new();
-        let (summary, problem) = run_all(STEPS.iter(), |step| {
+        let (summary, problem) = run_all(FULL, |step| {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
         assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), 6, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 5, "{summary}");
     }
 
     #[test]
     fn a_run_without_failure_has_every_step() {
-        let (summary, _) = run_all(STEPS.iter(), |_| Ok(()));
-        assert_eq!(summary.failed(), None);
-        assert_eq!(summary.to_string().matches("  ok\n").count(), STEPS.len(), "{summary}");
+        for steps in [FULL, QUICK] {
+            let (summary, _) = run_all(steps, |_| Ok(()));
+            assert_eq!(summary.failed(), None);
+            assert_eq!(summary.to_string().matches("  ok\n").count(), steps.len(), "{summary}");
+        }
     }
 
     #[test]
     fn a_step_is_shown_as_a_person_would_type_it() {
-        let docs = STEPS.iter().find(|step| step.name == "docs").expect("there is one");
+        let docs = FULL.iter().find(|step| step.name == "docs").expect("there is one");
         assert_eq!(docs.command_line(), "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps");
     }
 }

@@ -12,6 +12,8 @@ use std::{
 
 /// The Cortex-M7 of the Giga.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
+/// The other systems that the program is compiled for.
+pub(crate) const SYSTEMS: [&str; 2] = ["aarch64-apple-darwin", "x86_64-pc-windows-gnu"];
 
 /// The cargo that runs this, so that every step uses the same toolchain.
 pub(crate) fn cargo() -> OsString {
@@ -22,19 +24,20 @@ pub(crate) fn cargo() -> OsString {
 enum Part {
     Rustfmt,
     Clippy,
-    Target,
+    Target(&'static str),
 }
 
-impl Part {
-    const ALL: [Self; 3] = [Self::Rustfmt, Self::Clippy, Self::Target];
+/// What every run needs.
+const ALWAYS: [Part; 3] = [Part::Rustfmt, Part::Clippy, Part::Target(TARGET)];
 
+impl Part {
     fn is_there(self, root: &Path) -> bool {
         match self {
             Self::Rustfmt => output(Command::new(cargo()).args(["fmt", "--version"]), root).is_some(),
             Self::Clippy => output(Command::new(cargo()).args(["clippy", "--version"]), root).is_some(),
-            Self::Target => {
+            Self::Target(target) => {
                 let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-                output(Command::new(rustc).args(["--print", "target-libdir", "--target", TARGET]), root)
+                output(Command::new(rustc).args(["--print", "target-libdir", "--target", target]), root)
                     .is_some_and(|folder| Path::new(folder.trim()).is_dir())
             }
         }
@@ -45,7 +48,7 @@ impl Part {
         match self {
             Self::Rustfmt => ["component", "add", "rustfmt"],
             Self::Clippy => ["component", "add", "clippy"],
-            Self::Target => ["target", "add", TARGET],
+            Self::Target(target) => ["target", "add", target],
         }
     }
 
@@ -60,12 +63,13 @@ pub(crate) fn sysroot(root: &Path) -> Option<PathBuf> {
     output(Command::new(rustc).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
 }
 
-/// Adds what is missing.
+/// Adds what is missing, with `targets` besides the board's.
 ///
 /// # Errors
 /// What a person has to install.
-pub(crate) fn complete(root: &Path) -> Result<(), String> {
-    let missing = || Part::ALL.into_iter().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
+pub(crate) fn complete(root: &Path, targets: &[&'static str]) -> Result<(), String> {
+    let needed = || ALWAYS.into_iter().chain(targets.iter().copied().map(Part::Target));
+    let missing = || needed().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
     for part in missing() {
         eprintln!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
         // Whether it worked is seen by looking again.
@@ -130,7 +134,7 @@ mod tests {
     #[test]
     fn the_advice_names_every_missing_part_and_its_command() {
         for with_rustup in [false, true] {
-            let advice = advice(&[Part::Clippy, Part::Target], with_rustup);
+            let advice = advice(&[Part::Clippy, Part::Target(TARGET)], with_rustup);
             assert!(advice.contains("lacks clippy, thumbv7em-none-eabihf"), "{advice}");
             assert!(advice.contains("\n  rustup component add clippy\n"), "{advice}");
             assert!(advice.ends_with("\n  rustup target add thumbv7em-none-eabihf"), "{advice}");

@@ -2,10 +2,11 @@
 //! programs and for links.
 
 mod bus;
-mod firmware;
+#[cfg(feature = "emu")]
+pub(crate) mod firmware;
 mod identify;
 mod link;
-mod safety;
+pub(crate) mod safety;
 mod sim;
 
 use std::rc::Rc;
@@ -20,6 +21,7 @@ use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, stop::Outputs};
 use crate::{
     args::{self, Args},
     cable::{Cable, CableState},
+    emulated,
     session::{HostClock, Target},
 };
 
@@ -33,7 +35,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     match what {
         args::Bench::Bus { seconds } => bus::run(args, *seconds),
         args::Bench::Safety(asked) => safety::run(args, asked),
-        args::Bench::Firmware { seconds } => firmware::run(args, *seconds),
+        args::Bench::Firmware { seconds } => emulated::bench(args, *seconds),
         args::Bench::Link(link) => link::run(args, link),
         args::Bench::Sim => sim::run(args),
         args::Bench::Identify(what) => identify::run(args, what),

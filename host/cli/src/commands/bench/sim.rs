@@ -10,7 +10,7 @@ use r4_protocol::{Mode, Range, SafetyState, Setpoint};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard};
 use serde::Serialize;
 
-use crate::{args::Args, output, session::HostClock, table};
+use crate::{args::Args, emulated, output, session::HostClock, table};
 
 /// A bench of two motors, and a vehicle of four driven wheels.
 const BENCH: &str = "osmc-bench";
@@ -72,7 +72,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
         }
     }
     for robot in [BENCH, FOUR_WHEELS] {
-        rows.extend(emulated(args.seed, robot)?);
+        rows.extend(with_image(args.seed, robot)?);
     }
     let held = rows.iter().all(|row| row.held);
     let report = Report { rows, held };
@@ -101,19 +101,18 @@ fn simulated(seed: u64, name: &str, boards: usize) -> anyhow::Result<Row> {
     Ok(row(format!("sim:{name}"), &robot, boards, factor, memory_mib, limits))
 }
 
-/// `None` where there is no image for the robot.
-fn emulated(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
-    let image = match r4_emu::Image::find(name) {
+/// An emulated board; `None` where there is no image for the robot.
+fn with_image(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
+    let image = match emulated::image(name) {
         Ok(image) => image,
         Err(error) => {
-            eprintln!("r4: emu:{name} is left out: {error}");
+            eprintln!("r4: emu:{name} is left out: {error:#}");
             return Ok(None);
         }
     };
     let robot = r4_boards::load(name)?;
     let start = |simulation: &mut Simulation, _: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
-        let core = r4_thumb::ThumbCore::new();
-        Ok(Rc::new(r4_emu::EmuBoard::start(simulation, &robot, seed, &image, core, None, r4_emu::Settings::default())?))
+        emulated::start_image(simulation, &robot, seed, &image)
     };
     let Measured { factor, memory_mib } = measure(1, start)?;
     let limit = Limit { what: "x real time, at least", limit: EMU_FACTOR, held: factor >= EMU_FACTOR };

@@ -9,8 +9,7 @@ use std::{
 
 use anyhow::Context;
 use clap::{ArgGroup, ValueEnum};
-use r4_emu::Image;
-use r4_image::{Binary, DFU_DEVICE, Place};
+use r4_image::{Binary, DFU_DEVICE, Image, Place};
 use serde::Serialize;
 
 use crate::{args::Args, output};

@@ -12,9 +12,10 @@ use anyhow::{Context, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_driver::with_board;
 use r4_emu::{
-    EmuBoard, Image, Settings,
+    EmuBoard, Settings,
     measure::{Share, Spread, Stack, instructions, jitter_us},
 };
+use r4_image::Image;
 use r4_sim::{Pace, Simulation, VirtualBoard};
 use r4_thumb::ThumbCore;
 use rand_pcg::Pcg64;
@@ -125,7 +126,7 @@ struct Measured {
     load: LoadRow,
 }
 
-pub(super) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
+pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
     let target = match &args.board {
         Target::Emu(_) => args.board.clone(),
         Target::Sim(name) if name == DEFAULT => Target::Emu(name.clone()),

@@ -5,9 +5,10 @@
 //! on which half of the channels brake before they are switched off, [`RunOut`] follows the plants until they are at rest.
 //!
 //! A simulated board meets what happens around its processor; what happens to the processor itself is injected into the
-//! exact ELF on an emulated one: [`processor`].
+//! exact ELF on an emulated one: `processor`.
 
-mod processor;
+#[cfg(feature = "emu")]
+pub(crate) mod processor;
 mod report;
 mod run_out;
 
@@ -40,7 +41,7 @@ use rand_pcg::{Pcg64, rand_core::Rng};
 use super::{Bench, MS, on_board, robot};
 use crate::{
     args::{self, Args},
-    output,
+    emulated, output,
     session::Target,
 };
 use report::{CONFIGURED, Limit, Line, OutOfReach, PROMISED, Report, Row};
@@ -345,7 +346,7 @@ impl Measured {
 
 pub(super) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
     if let Target::Emu(_) = &args.board {
-        return processor::run(args, asked);
+        return emulated::bench_safety(args, asked);
     }
     let (board, robot) = robot(args)?;
     let measured = measure(&robot, args.seed, asked.injections.unwrap_or(INJECTIONS), RUN_OUTS)?;
@@ -723,6 +724,7 @@ enum Moving {
     /// All.
     All,
     /// The first and the last of each kind: an emulated processor is too slow for all at once (docs/performance.md).
+    #[cfg_attr(not(feature = "emu"), allow(dead_code))]
     TwoOfEach,
 }
 

@@ -243,7 +243,7 @@ impl Measured {
     }
 }
 
-pub(super) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
+pub(crate) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
     let name = args.board.robot()?;
     let robot = with_every_output(name, "emu")?;
     let image = Image::find(name)?;

@@ -5,14 +5,12 @@ use std::{env, path::PathBuf, thread};
 use anyhow::Context;
 use futures::channel::oneshot;
 use r4_driver::{Board, Clock as _, LogStream};
-use r4_emu::{
-    Image,
-    log::{Decoder, Record},
-};
-use r4_image::{Binary, Place};
+use r4_emu::log::{Decoder, Record};
+use r4_image::{Binary, Image, Place};
 use r4_protocol::log::{LogChunk, fingerprint};
 
-use crate::{args::LogLevel, emulated::print, session::HostClock};
+use super::board::print;
+use crate::{args::LogLevel, session::HostClock};
 
 /// The log of a board, from the oldest that it still has on.
 pub(crate) struct LinkLog {

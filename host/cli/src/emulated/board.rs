@@ -9,15 +9,16 @@ use std::{
     rc::Rc,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use r4_boards::Robot;
 use r4_emu::{
-    EmuBoard, Image, Settings,
+    EmuBoard, Settings,
     gdb::{Server, Starter, State},
     log::{Level, Log, Record},
     tracing::{Tracer, Wanted, resolve},
 };
-use r4_sim::{Simulation, VirtualBoard, flash::Flash};
+use r4_image::Image;
+use r4_sim::{Pace, Simulation, VirtualBoard, flash::Flash};
 use r4_thumb::ThumbCore;
 
 use crate::{
@@ -27,6 +28,11 @@ use crate::{
 
 /// Where gdb is served unless something else is said: the port that debuggers on probes use.
 const GDB: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 3333);
+
+/// How long a board is traced when nothing is said, s.
+const TRACED_S: f64 = 1.0;
+/// How often it is looked whether to end, ns.
+const LOOK_EVERY_NS: u64 = 10_000_000;
 
 /// Powers up an emulated board and says on stderr which image it runs.
 pub(crate) fn start(
@@ -38,11 +44,51 @@ pub(crate) fn start(
     Ok(Rc::new(start_debugged(args, simulation, robot, flash)?.0))
 }
 
+/// The image for a robot.
+pub(crate) fn image(robot: &str) -> anyhow::Result<Image> {
+    Ok(Image::find(robot)?)
+}
+
+/// Powers up an emulated board that runs `image`, and nothing else with it.
+pub(crate) fn start_image(
+    simulation: &mut Simulation,
+    robot: &Robot,
+    seed: u64,
+    image: &Image,
+) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    Ok(Rc::new(EmuBoard::start(simulation, robot, seed, image, ThumbCore::new(), None, Settings::default())?))
+}
+
+/// Runs a board that no host is connected to, under gdb or with a trace.
+pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
+    let robot = r4_boards::load(args.board.robot()?)?;
+    let mut simulation = Simulation::new(args.pace.unwrap_or(Pace::Free));
+    session::catch_interrupts();
+    let (board, state) = start_debugged(args, &mut simulation, &robot, None)?;
+    let seconds = debug.seconds.or(if state.is_none() { Some(TRACED_S) } else { None });
+    let until_ns = seconds.map_or(u64::MAX, |seconds| (seconds * 1e9) as u64);
+    let clock = simulation.clock();
+    let gone = || match state.as_ref().map(|state| state.get()) {
+        Some(State::Killed) => true,
+        Some(State::Detached) => debug.seconds.is_none(),
+        _ => false,
+    };
+    simulation.block_on(async {
+        while clock.now_ns() < until_ns && !gone() && !session::is_interrupted() && board.failure().is_none() {
+            clock.sleep_until(until_ns.min(clock.now_ns() + LOOK_EVERY_NS)).await;
+        }
+    });
+    if let Some(failure) = board.failure() {
+        bail!("the emulated board stopped: {failure}");
+    }
+    Ok(true)
+}
+
 /// A board, and where a debugging session with gdb stands, if there is one.
 type Debugged = (EmuBoard<ThumbCore>, Option<Rc<Cell<State>>>);
 
 /// The same, and where a debugging session with gdb stands, if `args` are for one.
-pub(crate) fn start_debugged(
+fn start_debugged(
     args: &Args,
     simulation: &mut Simulation,
     robot: &Robot,
@@ -109,7 +155,7 @@ impl Starter for Person {
 }
 
 /// Prints a record of the firmware's log, if it matters as much as `from` or more.
-pub(crate) fn print(from: LogLevel, record: &Record) {
+pub(super) fn print(from: LogLevel, record: &Record) {
     let level = record.level.map(|level| match level {
         Level::Trace => LogLevel::Trace,
         Level::Debug => LogLevel::Debug,

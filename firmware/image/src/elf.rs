@@ -1,4 +1,4 @@
-//! The firmware's image: where it is, and which it is.
+//! The ELF file of an image: where it is, and which it is.
 
 use std::{
     env, fmt, fs, io,
@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use r4_image::Place;
+use crate::Place;
 
 /// An ELF file as it would be flashed.
 #[derive(Clone)]
@@ -17,7 +17,7 @@ pub struct Image {
 
 /// Consecutive bytes of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Segment {
+pub struct Segment {
     /// The address at which the program uses them.
     runs: u32,
     /// Where the flash has them.
@@ -27,7 +27,8 @@ pub(crate) struct Segment {
 
 impl Segment {
     /// Where the flash has what the program uses at `address`.
-    pub(crate) fn stored(self, address: u32) -> Option<u32> {
+    #[must_use]
+    pub fn stored(self, address: u32) -> Option<u32> {
         let offset = address.checked_sub(self.runs).filter(|offset| *offset < self.len)?;
         Some(self.stored + offset)
     }
@@ -35,7 +36,7 @@ impl Segment {
 
 /// There is no image for a robot.
 #[derive(Debug, thiserror::Error)]
-pub enum ImageError {
+pub enum FileError {
     /// None is where it is looked for.
     #[error(
         "there is no firmware for {robot}: {} does not exist. Build it with `cargo xtask firmware --robot {robot} --image {kind}`, \
@@ -66,7 +67,7 @@ impl Image {
     ///
     /// # Errors
     /// When it is not there.
-    pub fn find(robot: &str) -> Result<Self, ImageError> {
+    pub fn find(robot: &str) -> Result<Self, FileError> {
         match env::var_os("R4_ELF") {
             Some(path) => Self::read(Path::new(&path)),
             None => Self::built(robot, Place::Bare),
@@ -77,7 +78,7 @@ impl Image {
     ///
     /// # Errors
     /// When it is not there.
-    pub fn built(robot: &str, place: Place) -> Result<Self, ImageError> {
+    pub fn built(robot: &str, place: Place) -> Result<Self, FileError> {
         let kind = place.name();
         let name = Path::new(robot).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let file = Path::new("firmware").join(format!("{name}-{kind}.elf"));
@@ -87,7 +88,7 @@ impl Image {
         let mut places = beside.chain([Path::new("target").join(&file)]);
         match places.find(|path| path.is_file()) {
             Some(path) => Self::read(&path),
-            None => Err(ImageError::Missing { robot: robot.to_owned(), kind, path: Path::new("target").join(file) }),
+            None => Err(FileError::Missing { robot: robot.to_owned(), kind, path: Path::new("target").join(file) }),
         }
     }
 
@@ -95,8 +96,8 @@ impl Image {
     ///
     /// # Errors
     /// When it cannot be read.
-    pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let elf = fs::read(path).map_err(|source| ImageError::Unreadable { path: path.to_owned(), source })?;
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let elf = fs::read(path).map_err(|source| FileError::Unreadable { path: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), elf })
     }
 
@@ -120,7 +121,8 @@ impl Image {
     }
 
     /// What the file has for the flash; nothing for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
-    pub(crate) fn segments(&self) -> Vec<Segment> {
+    #[must_use]
+    pub fn segments(&self) -> Vec<Segment> {
         const LOAD: u32 = 1;
         const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
         let bytes = |at: usize, len: usize| self.elf.get(at..at + len);
@@ -142,7 +144,7 @@ impl Image {
     /// SHA-256 of the file, as `sha256sum` prints it.
     #[must_use]
     pub fn digest(&self) -> String {
-        r4_image::digest(&self.elf)
+        crate::digest(&self.elf)
     }
 }
 

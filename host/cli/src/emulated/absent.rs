@@ -1,0 +1,65 @@
+//! What stands in for the emulated processor in a program that was built without it.
+
+use std::rc::Rc;
+
+use r4_boards::Robot;
+use r4_driver::Board;
+use r4_image::Image;
+use r4_sim::{Simulation, VirtualBoard, flash::Flash};
+
+use crate::{
+    args::{Args, Debug, LogLevel, Safety},
+    session::HostClock,
+};
+
+/// This program has no emulated processor, and nothing that decodes the firmware's log.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "this r4 was built without the emulated processor, which emu: boards, `debug`, `bench firmware` and --log need. \
+     Run one that has it, in the repository:\n  \
+     cargo run --release -p r4 --features emu -- ...\n\
+     or install it:\n  \
+     cargo install --locked --path host/cli --features emu"
+)]
+pub(crate) struct NotBuilt;
+
+pub(crate) fn start(_: &Args, _: &mut Simulation, _: &Robot, _: Option<Flash>) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    Err(NotBuilt.into())
+}
+
+pub(crate) fn image(_: &str) -> anyhow::Result<Image> {
+    Err(NotBuilt.into())
+}
+
+pub(crate) fn start_image(_: &mut Simulation, _: &Robot, _: u64, _: &Image) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+    Err(NotBuilt.into())
+}
+
+pub(crate) fn debug(_: &Args, _: &Debug) -> anyhow::Result<bool> {
+    Err(NotBuilt.into())
+}
+
+pub(crate) fn bench(_: &Args, _: f64) -> anyhow::Result<bool> {
+    Err(NotBuilt.into())
+}
+
+pub(crate) fn bench_safety(_: &Args, _: &Safety) -> anyhow::Result<bool> {
+    Err(NotBuilt.into())
+}
+
+/// No log is ever open.
+pub(crate) enum LinkLog {}
+
+impl LinkLog {
+    pub(crate) async fn open(_: &Board<HostClock>, _: HostClock, _: LogLevel) -> anyhow::Result<Self> {
+        Err(NotBuilt.into())
+    }
+
+    pub(crate) async fn follow(&mut self) {
+        match *self {}
+    }
+
+    pub(crate) fn rest(&mut self) {
+        match *self {}
+    }
+}

@@ -1,0 +1,18 @@
+//! The emulated processor and the log of the firmware that it runs, in programs that are built with them: the feature `emu`.
+
+#[cfg(not(feature = "emu"))]
+mod absent;
+#[cfg(feature = "emu")]
+mod board;
+#[cfg(feature = "emu")]
+mod link_log;
+
+#[cfg(not(feature = "emu"))]
+pub(crate) use absent::{LinkLog, bench, bench_safety, debug, image, start, start_image};
+#[cfg(feature = "emu")]
+pub(crate) use board::{debug, image, start, start_image};
+#[cfg(feature = "emu")]
+pub(crate) use {
+    crate::commands::bench::{firmware::run as bench, safety::processor::run as bench_safety},
+    link_log::LinkLog,
+};
