@@ -167,7 +167,7 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
 }
 
 /// The summary, and what the failed step said.
-fn run_all<'s>(steps: &'s [Step], mut execute: impl FnMut(&Step) -> Result<(), String>) -> (Summary, String) {
+fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>) -> (Summary, String) {
     let mut summary = Summary::default();
     let mut problem = String::new();
     for step in steps {
