@@ -3,6 +3,7 @@
 use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
+    can::{BITRATES_KBIT, Node},
     channel::{ChannelId, ChannelKind, Range},
     config::{DUTY_HARD_MAX, STOP_BRAKE_MAX_MS},
 };
@@ -89,6 +90,16 @@ where
 /// The firmware's limits.
 pub(crate) fn air_temperature_c<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     checked(deserializer, |value| (-40.0..=60.0).contains(&value), "-40 to 60")
+}
+
+/// As [`control_period_us`].
+pub(crate) fn can_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    checked(deserializer, |value| BITRATES_KBIT.iter().any(|rate| f64::from(*rate) == value), "125, 250, 500 or 1000")
+}
+
+/// As [`control_period_us`].
+pub(crate) fn can_node<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    checked(deserializer, |value| (0.0..f64::from(Node::COUNT)).contains(&value), "0 to 127")
 }
 
 /// A reading of an ideal 10-bit converter.

@@ -3,13 +3,11 @@
 //! | variable | says | default |
 //! | --- | --- | --- |
 //! | `R4_ROBOT` | a built-in robot, or the path of its file | `osmc-bench` |
-//! | `R4_CAN_NODE` | the board's number on the CAN bus, 0 to 127 | 1 |
 //! | `R4_IMAGE` | `bare`: from the start of flash; `hosted`: behind the Arduino bootloader | `bare` |
 
 use std::{env, error::Error, fmt::Write, fs, path::PathBuf};
 
 use r4_boards::Carrier;
-use r4_protocol::can::Node;
 
 /// Bank 1: 8 sectors of 128 KiB (RM0399, table 15). Bank 2 holds parameters and trips, and nothing that runs.
 const BANK_1: u32 = 0x0800_0000;
@@ -34,12 +32,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     fs::write(out.join("pins.rs"), pins(&board.carrier)?)?;
     println!("cargo:rustc-env=R4_ROBOT_NAME={}", board.config.robot);
     println!("cargo:rustc-env=R4_IMAGE_KIND={image}");
-
-    let node: u8 = variable("R4_CAN_NODE", "1").parse()?;
-    if Node::new(node).is_none() {
-        return Err(format!("R4_CAN_NODE is 0 to {}, not {node}", Node::COUNT - 1).into());
-    }
-    fs::write(out.join("node.rs"), format!("const CAN_NODE: u8 = {node};\n"))?;
 
     let offset = match image.as_str() {
         "bare" => 0,

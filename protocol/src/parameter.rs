@@ -138,10 +138,14 @@ pub enum Parameter {
     RegenerationV,
     /// Of a motor, a brushless drive or a stepper, ms: how long a controlled stop brakes it.
     StopBrakeMs,
+    /// Of the board, kbit/s: [`crate::config::CanConfig::kbit_per_s`].
+    CanRate,
+    /// Of the board: [`crate::config::CanConfig::node`].
+    CanNode,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 62] = [
+    const NAMES: [(Self, &'static str); 64] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -204,6 +208,8 @@ impl Parameter {
         (Self::CurrentVoltsPerA, "current_volts_per_a"),
         (Self::RegenerationV, "regeneration_v"),
         (Self::StopBrakeMs, "stop_brake_ms"),
+        (Self::CanRate, "can_kbit_per_s"),
+        (Self::CanNode, "can_node"),
     ];
 
     /// Every parameter, in the order of the variants.

@@ -5,7 +5,8 @@ use std::{fmt::Display, io::ErrorKind};
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BoardConfig, BridgeConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MotorConfig, PwmConfig,
+        BoardConfig, BridgeConfig, CanConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MotorConfig,
+        PwmConfig,
     },
 };
 use serde::Deserialize;
@@ -14,7 +15,7 @@ use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
-    number::{air_temperature_c, control_period_us, link_timeout_ms},
+    number::{air_temperature_c, can_kbit_per_s, can_node, control_period_us, link_timeout_ms},
     source::{Claims, Folder, Source, Tables},
 };
 
@@ -37,6 +38,8 @@ struct RobotFile {
     screen: bool,
     #[serde(default = "room_temperature_c", deserialize_with = "air_temperature_c")]
     air_temperature_c: f32,
+    #[serde(default)]
+    can: Can,
     servo_chip: Option<output::ServoChip>,
     stepper_bank: Option<output::StepperBank>,
     #[serde(default)]
@@ -61,6 +64,26 @@ struct RobotFile {
     supply: Vec<input::Supply>,
     drive: Option<Drive>,
     simulation: Option<simulation::Tables>,
+}
+
+/// The CAN bus to hosts.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Can {
+    #[serde(default = "usual_kbit_per_s", deserialize_with = "can_kbit_per_s")]
+    kbit_per_s: u16,
+    #[serde(default, deserialize_with = "can_node")]
+    node: u16,
+}
+
+impl Default for Can {
+    fn default() -> Self {
+        Self { kbit_per_s: usual_kbit_per_s(), node: 0 }
+    }
+}
+
+fn usual_kbit_per_s() -> u16 {
+    CanConfig::default().kbit_per_s
 }
 
 fn room_temperature_c() -> f32 {
@@ -221,6 +244,7 @@ impl Reader<'_> {
             ranges,
             analogs,
             supplies,
+            can: CanConfig { kbit_per_s: file.can.kbit_per_s, node: file.can.node },
         };
         self.home_switches(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {

@@ -300,6 +300,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
     static CAN_BUFFERS: StaticCell<can_link::Buffers> = StaticCell::new();
     let (can_rx, can_tx) = can_link::start(
         CanConfigurator::new(p.FDCAN2, pin!(p, can_rx as FDCAN2_RX), pin!(p, can_tx as FDCAN2_TX), Irqs),
+        shared.config().can,
         CAN_BUFFERS.init_with(can_link::Buffers::new),
     );
 

@@ -88,6 +88,23 @@ impl<C: Core + 'static> EmuBoard<C> {
         self.machine().chip.can_receive(FDCAN, at_ns, frame);
     }
 
+    /// Frames that the board has sent on the CAN connector with a standard identifier.
+    #[must_use]
+    pub fn can_sent(&self, identifier: u16) -> u64 {
+        self.machine().chip.outside().can_sent(identifier)
+    }
+
+    /// Bit rate of the CAN connector's controller, bit/s, from its registers and clock.
+    #[must_use]
+    pub fn can_bit_rate(&self) -> f64 {
+        self.machine().chip.can_bit_rates(FDCAN).0
+    }
+
+    /// The board goes off the bus now, as after 32 frames that somebody destroyed.
+    pub fn inject_can_bus_off(&self) {
+        self.machine().chip.inject_can_bus_off(FDCAN);
+    }
+
     /// Control periods that began since this was last asked.
     ///
     /// # Errors

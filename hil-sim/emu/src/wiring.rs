@@ -2,6 +2,7 @@
 
 use std::{
     cell::{RefCell, RefMut},
+    collections::BTreeMap,
     rc::Rc,
 };
 
@@ -62,6 +63,8 @@ pub struct Wiring {
     controllers: Vec<(u8, Controller)>,
     /// SCL of each controller while a program drives it as a plain pin.
     scl_low: Vec<(u8, bool)>,
+    /// Frames on the CAN bus, by their identifiers.
+    can_sent: BTreeMap<u32, u64>,
 }
 
 impl Wiring {
@@ -85,6 +88,7 @@ impl Wiring {
             uarts: uarts(carrier),
             controllers: controllers(carrier),
             scl_low: Vec::new(),
+            can_sent: BTreeMap::new(),
         }
     }
 
@@ -96,6 +100,11 @@ impl Wiring {
     /// The UARTs of the chip that have something at their other end.
     pub(crate) fn uarts(&self) -> &[(u8, UartEnd)] {
         &self.uarts
+    }
+
+    /// Frames that the chip has sent with a standard identifier.
+    pub(crate) fn can_sent(&self, identifier: u16) -> u64 {
+        self.can_sent.get(&identifier.into()).copied().unwrap_or(0)
     }
 
     /// Another cable to the host.
@@ -314,8 +323,9 @@ impl Outside for Wiring {
         }
     }
 
-    fn can_sent(&mut self, _bus: u8, _at_ns: u64, _frame: &CanFrame) -> CanOutcome {
-        // The host's CAN adapter is on the bus and acknowledges; nobody reads what it hears.
+    fn can_sent(&mut self, _bus: u8, _at_ns: u64, frame: &CanFrame) -> CanOutcome {
+        // A host's CAN adapter is on the bus and acknowledges; what it hears is counted.
+        *self.can_sent.entry(frame.id).or_default() += 1;
         CanOutcome::Acknowledged
     }
 

@@ -3,10 +3,13 @@
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
-use r4_protocol::can::Node;
+use r4_protocol::can::{BITRATE, BITRATES_KBIT, Node};
 
 /// Bits per second of a serial port that names no other: of the board's UART. USB does not care.
 pub const DEFAULT_BAUD: u32 = 1_000_000;
+
+/// Bit rate of a CAN bus where none is named, kbit/s.
+const DEFAULT_KBIT_PER_S: u16 = (BITRATE / 1000) as u16;
 
 /// Where a board is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,7 +43,12 @@ pub enum CanInterface {
     /// By an interface of Linux, as in `can0`.
     Socket(String),
     /// By an adapter of the CANable type, which speaks slcan on a serial port.
-    Slcan(PathBuf),
+    Slcan {
+        /// The port.
+        path: PathBuf,
+        /// Bit rate of the bus, which the adapter is told, kbit/s. That of an interface of Linux is told to Linux.
+        kbit_per_s: u16,
+    },
 }
 
 /// A text that is no [`Address`].
@@ -48,7 +56,7 @@ pub enum CanInterface {
 pub enum BadAddress {
     /// Not one of the kinds.
     #[error(
-        "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[#NODE]"
+        "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[@KBIT][#NODE]"
     )]
     Kind(String),
     /// What follows `@` is no rate.
@@ -57,6 +65,9 @@ pub enum BadAddress {
     /// TCP needs both.
     #[error("`{0}`: tcp: needs a host and a port, as in tcp:localhost:4444 or tcp:[::1]:4444")]
     Port(String),
+    /// What follows `@` is no rate of boards.
+    #[error("`{0}`: after @ comes the bus's rate in kbit/s, 125, 250, 500 or 1000, as in can:slcan:/dev/ttyACM0@500#5")]
+    CanRate(String),
     /// A number that no board can have.
     #[error("`{0}`: a board on a bus has a number from 0 to {last}, as in can:can0#5", last = Node::COUNT - 1)]
     Node(String),
@@ -92,7 +103,16 @@ impl FromStr for Address {
                     None => (rest, Some(0)),
                 };
                 let interface = match name.strip_prefix("slcan:") {
-                    Some(path) if !path.is_empty() => CanInterface::Slcan(path.into()),
+                    Some(port) if !port.is_empty() => {
+                        let (path, kbit_per_s) = match port.rsplit_once('@') {
+                            Some((path, rate)) => {
+                                let known = |rate: &u16| BITRATES_KBIT.contains(rate);
+                                (path, rate.parse().ok().filter(known).ok_or(BadAddress::CanRate(whole()))?)
+                            }
+                            None => (port, DEFAULT_KBIT_PER_S),
+                        };
+                        CanInterface::Slcan { path: path.into(), kbit_per_s }
+                    }
                     None if is_interface(name) => CanInterface::Socket(name.to_owned()),
                     _ => return Err(BadAddress::Kind(whole())),
                 };
@@ -122,8 +142,12 @@ impl fmt::Display for Address {
             Self::Tcp { host, port } if host.contains(':') => write!(f, "tcp:[{host}]:{port}"),
             Self::Tcp { host, port } => write!(f, "tcp:{host}:{port}"),
             Self::Can { interface: CanInterface::Socket(name), node } => write!(f, "can:{name}#{}", node.number()),
-            Self::Can { interface: CanInterface::Slcan(path), node } => {
-                write!(f, "can:slcan:{}#{}", path.display(), node.number())
+            Self::Can { interface: CanInterface::Slcan { path, kbit_per_s }, node } => {
+                write!(f, "can:slcan:{}", path.display())?;
+                if *kbit_per_s != DEFAULT_KBIT_PER_S {
+                    write!(f, "@{kbit_per_s}")?;
+                }
+                write!(f, "#{}", node.number())
             }
         }
     }
@@ -143,6 +167,7 @@ mod tests {
             "tcp:localhost:4444",
             "tcp:[::1]:4444",
             "can:slcan:/dev/ttyACM1#5",
+            "can:slcan:/dev/ttyACM1@500#5",
             "can:can0#127",
         ] {
             let address: Address = text.parse().expect(text);
@@ -167,6 +192,8 @@ mod tests {
             ("tcp:host:0", BadAddress::Port("tcp:host:0".into())),
             ("can:slcan:", BadAddress::Kind("can:slcan:".into())),
             ("can:slcan", BadAddress::Kind("can:slcan".into())),
+            ("can:slcan:/dev/x@800#1", BadAddress::CanRate("can:slcan:/dev/x@800#1".into())),
+            ("can:slcan:/dev/x@fast", BadAddress::CanRate("can:slcan:/dev/x@fast".into())),
             ("can:", BadAddress::Kind("can:".into())),
             ("can:#1", BadAddress::Kind("can:#1".into())),
             ("can:/dev/can0", BadAddress::Kind("can:/dev/can0".into())),

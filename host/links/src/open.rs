@@ -136,9 +136,9 @@ pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenErro
             }
             Ok(Link { rx: Receiver::Bytes(socket.clone()), tx: Transmitter::Bytes(socket) })
         }
-        Address::Can { interface: CanInterface::Slcan(path), node } => {
+        Address::Can { interface: CanInterface::Slcan { path, kbit_per_s }, node } => {
             let port = open_port(path.clone(), DEFAULT_BAUD)?;
-            let (rx, tx) = slcan::host(port, *node)
+            let (rx, tx) = slcan::host(port, *kbit_per_s, *node)
                 .await
                 .map_err(|source| OpenError::System { what: path.display().to_string(), source })?;
             Ok(Link { rx: Receiver::Slcan(rx), tx: Transmitter::Slcan(tx) })

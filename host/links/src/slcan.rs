@@ -1,6 +1,6 @@
 //! CAN by an adapter of the CANable type on a serial port: the text protocol of Lawicel's CAN232 ("slcan").
 //!
-//! A line ends with a carriage return. `S8` chooses 1 Mbit/s, `O` opens the bus, `C` closes it; a frame with a standard
+//! A line ends with a carriage return. `S8` chooses 1 Mbit/s (others: `rate_command`), `O` opens the bus, `C` closes it; a frame with a standard
 //! identifier is `t`, three hex digits of identifier, one of length, and the data in hex. The adapter answers a frame with `z`
 //! and a command with nothing, both ended by a carriage return, and an error with a bell. (CAN232 manual, version 3, sections
 //! 2 to 4.)
@@ -134,11 +134,21 @@ pub struct Transmitter {
 }
 
 /// Opens the bus of an adapter, for a host of the board `node`.
-pub(crate) async fn host(mut port: Descriptor, node: Node) -> io::Result<(Receiver, Transmitter)> {
+pub(crate) async fn host(mut port: Descriptor, kbit_per_s: u16, node: Node) -> io::Result<(Receiver, Transmitter)> {
     // Ends what another program may have left half said, closes the bus, which is no error when it is closed, chooses the
     // rate and opens.
-    port.write_all(b"\r\rC\rS8\rO\r").await?;
+    port.write_all(format!("\r\rC\r{}\rO\r", rate_command(kbit_per_s)).as_bytes()).await?;
     Ok(ends(port, End::Host(node)))
+}
+
+/// The command that chooses a bit rate (CAN232 manual, section 2: `S4` is 125 kbit/s, `S5` 250, `S6` 500, `S8` 1000).
+fn rate_command(kbit_per_s: u16) -> &'static str {
+    match kbit_per_s {
+        ..=125 => "S4",
+        ..=250 => "S5",
+        ..=500 => "S6",
+        _ => "S8",
+    }
 }
 
 /// Both directions on a port that is an adapter, or pretends to be one.

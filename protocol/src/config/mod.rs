@@ -24,7 +24,10 @@ pub use output::{
     ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
 };
 
-use crate::channel::{ChannelId, ChannelKind, Range};
+use crate::{
+    can::{BITRATES_KBIT, Node},
+    channel::{ChannelId, ChannelKind, Range},
+};
 
 /// Most bytes of a robot's name.
 pub const MAX_NAME: usize = 32;
@@ -108,6 +111,24 @@ pub struct BoardConfig {
     pub analogs: Vec<AnalogConfig, ANALOG_INPUTS>,
     /// Supply rails.
     pub supplies: Vec<SupplyConfig, MAX_SUPPLIES>,
+    /// The bus hosts may reach the board by.
+    pub can: CanConfig,
+}
+
+/// The CAN bus that hosts reach the board by. Read when the board starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct CanConfig {
+    /// Bit rate, kbit/s: 125, 250, 500 or 1000.
+    pub kbit_per_s: u16,
+    /// The board's number on the bus, 0 to 127.
+    pub node: u16,
+}
+
+impl Default for CanConfig {
+    /// 1 Mbit/s and number 0, which hosts take where nothing is said.
+    fn default() -> Self {
+        Self { kbit_per_s: 1000, node: 0 }
+    }
 }
 
 /// A PCA9685.
@@ -258,6 +279,8 @@ impl BoardConfig {
         rule((20..=1000).contains(&self.link_timeout_ms), "link_timeout_ms must be 20 to 1000")?;
         rule((10_000..=400_000).contains(&self.i2c_hz), "i2c_hz must be 10000 to 400000")?;
         rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
+        rule(BITRATES_KBIT.contains(&self.can.kbit_per_s), "can_kbit_per_s must be 125, 250, 500 or 1000")?;
+        rule(self.can.node < u16::from(Node::COUNT), "can_node must be 0 to 127")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;
             rule(pca9685_address(chip.address), PCA9685_RULE)?;

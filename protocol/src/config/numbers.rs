@@ -143,10 +143,12 @@ macro_rules! lend {
             }
 
             fn board(config: &$($mut)? BoardConfig, parameter: Parameter) -> Lent<'_> {
-                let BoardConfig { link_timeout_ms, air_temperature_c, servo_pwm, .. } = config;
+                let BoardConfig { link_timeout_ms, air_temperature_c, servo_pwm, can, .. } = config;
                 Some(match (parameter, servo_pwm) {
                     (P::LinkTimeoutMs, _) => link_timeout_ms,
                     (P::AirTemperatureC, _) => air_temperature_c,
+                    (P::CanRate, _) => &$($mut)? can.kbit_per_s,
+                    (P::CanNode, _) => &$($mut)? can.node,
                     (P::ServoOscillatorHz, Some(ServoChipConfig { oscillator_hz, .. })) => oscillator_hz,
                     _ => return None,
                 })

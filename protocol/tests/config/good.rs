@@ -3,11 +3,11 @@
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
     config::{
-        AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DacChipConfig,
-        DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback, FollowConfig,
-        HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole,
-        Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig,
-        SupplyConfig, SwitchConfig, WindingConfig,
+        AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, CanConfig, ControlConfig, CurrentSense,
+        DacChipConfig, DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback,
+        FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig,
+        RelayConfig, RelayRole, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
+        StepperBankConfig, StepperConfig, SupplyConfig, SwitchConfig, WindingConfig,
     },
 };
 
@@ -91,6 +91,7 @@ pub(crate) fn good() -> BoardConfig {
             })
             .into_iter()
             .collect(),
+        can: CanConfig::default(),
     }
 }
 

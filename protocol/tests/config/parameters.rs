@@ -70,10 +70,17 @@ fn parameters_are_listed_once_in_the_order_of_the_channels() {
     let order: Vec<_> = [None].into_iter().chain(config.channels().map(|(id, _)| Some(id))).collect();
     let place = |key: &ParameterKey| order.iter().position(|channel| *channel == key.channel);
     assert!(keys.is_sorted_by_key(|key| (place(key), key.parameter)));
-    let names: Vec<_> = keys.iter().take(4).map(ToString::to_string).collect();
+    let names: Vec<_> = keys.iter().take(6).map(ToString::to_string).collect();
     assert_eq!(
         names,
-        ["board.link_timeout_ms", "board.air_temperature_c", "board.servo_oscillator_hz", "osmc0.duty_max"]
+        [
+            "board.link_timeout_ms",
+            "board.air_temperature_c",
+            "board.servo_oscillator_hz",
+            "board.can_kbit_per_s",
+            "board.can_node",
+            "osmc0.duty_max"
+        ]
     );
 }
 

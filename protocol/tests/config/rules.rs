@@ -68,6 +68,8 @@ const BOARD: &[Case] = {
     const TIMEOUT: &str = "link_timeout_ms must be 20 to 1000";
     const ROOM: &str = "i2c_hz and control_period_us must leave room for every output in a period";
     const BUS: &str = "i2c_hz must be 10000 to 400000";
+    const CAN_RATE: &str = "can_kbit_per_s must be 125, 250, 500 or 1000";
+    const CAN_NODE: &str = "can_node must be 0 to 127";
     const AIR: &str = "air_temperature_c must be -40 to 60";
     const PWM: &str = "the PWM chip has 24 to 1526 Hz";
     const PCA: &str = "a PCA9685 has an address from 0x40 to 0x77, but for 0x70, which all of them answer";
@@ -89,6 +91,9 @@ const BOARD: &[Case] = {
         (None, ROOM, |c| c.control_period_us = 500),
         (None, BUS, |c| c.i2c_hz = 9999),
         (None, BUS, |c| c.i2c_hz = 400_001),
+        (None, CAN_RATE, |c| c.can.kbit_per_s = 0),
+        (None, CAN_RATE, |c| c.can.kbit_per_s = 800),
+        (None, CAN_NODE, |c| c.can.node = 128),
         (None, AIR, |c| c.air_temperature_c = -41.0),
         (None, AIR, |c| c.air_temperature_c = 61.0),
         (None, AIR, |c| c.air_temperature_c = f32::NAN),
@@ -472,6 +477,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.control_period_us = 20_000,
         |c| c.link_timeout_ms = 20,
         |c| c.link_timeout_ms = 1000,
+        |c| c.can.kbit_per_s = 125,
+        |c| c.can.node = 127,
         |c| {
             c.motors.clear();
             (c.i2c_hz, c.control_period_us) = (10_000, 20_000);

@@ -11,9 +11,10 @@ use embassy_stm32::can::{
 use embassy_time::{Duration, Timer};
 use embedded_can::Id;
 use embedded_io_async::{ErrorType, Read, Write};
-use r4_protocol::can::{BITRATE, Direction, Inbound, Node, NotTaken, cut};
-
-include!(concat!(env!("OUT_DIR"), "/node.rs"));
+use r4_protocol::{
+    can::{BITRATES_KBIT, Direction, Inbound, Node, NotTaken, cut},
+    config::CanConfig,
+};
 
 /// Frames that wait to be read: 7 ms of a full bus.
 const RECEIVED: usize = 64;
@@ -22,16 +23,32 @@ const WAITING: usize = 32;
 /// After an error of the bus: it lasts, and must not keep the processor.
 const PAUSE: Duration = Duration::from_millis(1);
 
-/// 80 MHz / 4 = 20 quanta a bit, sampled at 85 %, which lets the bus be as long as 1 Mbit/s allows; edges are followed by up
-/// to 3 quanta, for a board that runs on its internal oscillator.
-const TIMING: Option<NominalBitTiming> = match (NonZeroU16::new(4), NonZeroU8::new(16), NonZeroU8::new(3)) {
-    (Some(prescaler), Some(seg1), Some(seg2)) => {
-        Some(NominalBitTiming { prescaler, seg1, seg2, sync_jump_width: seg2 })
-    }
-    _ => None,
-};
 const KERNEL_HZ: u32 = 80_000_000;
-const _: () = assert!(KERNEL_HZ / 4 / (1 + 16 + 3) == BITRATE);
+/// Quanta of a bit: one to synchronise, and those before and after the sample, at 85 %, which lets the bus be as long as 1 Mbit/s
+/// allows. Edges are followed by up to 3 quanta, for a board that runs on its internal oscillator.
+const BEFORE_SAMPLE: NonZeroU8 = NonZeroU8::new(16).expect("not 0");
+const AFTER_SAMPLE: NonZeroU8 = NonZeroU8::new(3).expect("not 0");
+/// As many kernel clocks are a quantum at 1 kbit/s.
+const PRESCALER_KBIT: u32 = KERNEL_HZ / 1000 / (1 + BEFORE_SAMPLE.get() + AFTER_SAMPLE.get()) as u32;
+// Every rate a configuration may have is exact.
+const _: () = {
+    let mut index = 0;
+    while index < BITRATES_KBIT.len() {
+        assert!(PRESCALER_KBIT.is_multiple_of(BITRATES_KBIT[index] as u32));
+        index += 1;
+    }
+};
+
+/// The bit at `kbit_per_s`; `None` for a rate that a valid configuration does not have.
+fn timing(kbit_per_s: u16) -> Option<NominalBitTiming> {
+    let prescaler = PRESCALER_KBIT.checked_div(kbit_per_s.into())?;
+    Some(NominalBitTiming {
+        prescaler: NonZeroU16::new(u16::try_from(prescaler).ok()?)?,
+        seg1: BEFORE_SAMPLE,
+        seg2: AFTER_SAMPLE,
+        sync_jump_width: AFTER_SAMPLE,
+    })
+}
 
 /// Where frames wait.
 pub(crate) struct Buffers {
@@ -47,19 +64,24 @@ impl Buffers {
 }
 
 /// Starts the controller, and gives the two halves of the link.
-pub(crate) fn start(mut can: CanConfigurator<'static>, buffers: &'static mut Buffers) -> (Receiver, Sender) {
-    // 0 would mean that the build script let a node through that there cannot be.
-    let node = Node::new(CAN_NODE).unwrap_or(const { Node::new(0).expect("in range") });
-    let mut config = can
+pub(crate) fn start(
+    mut can: CanConfigurator<'static>,
+    config: CanConfig,
+    buffers: &'static mut Buffers,
+) -> (Receiver, Sender) {
+    // Neither 0 nor the controller's own timing is taken with a configuration that is valid.
+    let node = u8::try_from(config.node).ok().and_then(Node::new).unwrap_or(const { Node::new(0).expect("in range") });
+    let timing = timing(config.kbit_per_s);
+    let mut registers = can
         .config()
         // In the order of writing: frames of one identifier must not overtake each other.
         .set_tx_buffer_mode(TxBufferMode::Fifo)
         .set_global_filter(GlobalFilter::reject_all())
         .set_automatic_bus_off_recovery(true);
-    if let Some(timing) = TIMING {
-        config = config.set_nominal_bit_timing(timing);
+    if let Some(timing) = timing {
+        registers = registers.set_nominal_bit_timing(timing);
     }
-    can.set_config(config);
+    can.set_config(registers);
     let (stream, setpoints) = (standard(node.identifier(Direction::ToDevice)), standard(node.setpoint_identifier()));
     let filter = StandardFilter { filter: FilterType::DedicatedDual(stream, setpoints), action: Action::StoreInFifo0 };
     can.properties().set_standard_filter(StandardFilterSlot::_0, filter);

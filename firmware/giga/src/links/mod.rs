@@ -3,7 +3,7 @@
 //! | number | link |
 //! | --- | --- |
 //! | 0 | USART1, the debug header: 1 Mbaud 8N1 |
-//! | 1 | FDCAN2: 1 Mbit/s, classic frames, node of `R4_CAN_NODE` |
+//! | 1 | FDCAN2: classic frames, bit rate and node of the configuration |
 //! | 2 | USB-C: a serial port |
 //!
 //! All three are one type each way, so that the code that serves a link is in flash once and not three times.

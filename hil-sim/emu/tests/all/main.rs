@@ -2,6 +2,7 @@
 
 mod boot;
 mod boot_safety;
+mod can;
 mod crystal;
 mod debugging;
 mod determinism;

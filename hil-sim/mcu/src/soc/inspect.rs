@@ -53,6 +53,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.settle();
     }
 
+    /// Bits per second of an FDCAN's arbitration and data phases, by the clock tree as of the last access.
+    #[must_use]
+    pub fn can_bit_rates(&self, bus: u8) -> (f64, f64) {
+        self.devices.fdcan.bit_rates(bus)
+    }
+
     /// Node 1 or 2 goes bus-off now, as after 32 frames that somebody destroyed.
     pub fn inject_can_bus_off(&mut self, bus: u8) {
         self.call(Id::Fdcan as usize, |devices, context| devices.fdcan.inject_bus_off(bus, context));

@@ -27,7 +27,7 @@ const SETTLE_MS: u64 = 200;
 /// A board that cannot be armed for so long does not get well again.
 const ARMED_WITHIN_MS: u64 = 5_000;
 /// The number that images are built with.
-const NODE: Node = Node::new(1).expect("below 128");
+const NODE: Node = Node::new(0).expect("below 128");
 /// Bits of a full frame with the pause behind it and few stuff bits: the shortest, so the most of them.
 const FRAME_BITS: u64 = 111;
 /// On a connector without a device nobody answers; that is an answer too.
