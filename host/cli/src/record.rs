@@ -76,7 +76,14 @@ fn typed(arguments: impl Iterator<Item = String>) -> String {
         true => word,
         false => format!("'{}'", word.replace('\'', r"'\''")),
     };
-    arguments.map(quoted).fold("r4".to_owned(), |line, word| line + " " + &word)
+    // What a blind board has must not be told by its log.
+    let mut seed_follows = false;
+    let told = arguments.filter(|word| {
+        let is_hidden = seed_follows || word == "--blind" || word.starts_with("--blind=");
+        seed_follows = word == "--blind" && !seed_follows;
+        !is_hidden
+    });
+    told.map(quoted).fold("r4".to_owned(), |line, word| line + " " + &word)
 }
 
 /// A session has been recorded, or is being.
@@ -229,5 +236,12 @@ mod tests {
         let words = ["uart", "0", "--write", "it's 5 V", "--board", "can:can0#5", ""];
         let kept = typed(words.into_iter().map(str::to_owned));
         assert_eq!(kept, r"r4 uart 0 --write 'it'\''s 5 V' --board can:can0#5 ''");
+    }
+
+    #[test]
+    fn the_seed_of_a_blind_board_is_not_kept() {
+        for line in ["--blind 7 move osmc0 1rad", "--blind=7 move osmc0 1rad", "move osmc0 1rad --blind 7"] {
+            assert_eq!(typed(line.split(' ').map(str::to_owned)), "r4 move osmc0 1rad", "{line}");
+        }
     }
 }

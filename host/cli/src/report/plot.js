@@ -23,8 +23,6 @@
     const plot = JSON.parse(svg.dataset.plot);
     Object.assign(plot, { svg, shown: plot.span, lines: [], bands: [], ticks: [], made: [] });
     const [top, bottom] = [plot.panels[0].top, plot.panels.at(-1).bottom];
-    const clip = element(element(svg, "defs", {}), "clipPath", { id: `axis${index}` });
-    element(clip, "rect", { x: plot.left, y: 0, width: plot.right - plot.left, height: plot.foot });
     const moves = (node) => node.setAttribute("clip-path", `url(#axis${index})`);
     for (const node of svg.querySelectorAll("polyline")) {
       const at = points(node);
@@ -50,11 +48,14 @@
     for (const node of svg.querySelectorAll("text")) {
       const [x, y] = ["x", "y"].map((name) => Number(node.getAttribute(name)));
       if (y > bottom && y < plot.foot) plot.ticks.push(node);
-      if (plot.bands.length && y < top && y > plot.bandsTop) {
+      if (y > plot.bandsTop && y < plot.bandsBottom) {
         plot.bands.push({ node, x, width: 0 });
         moves(node);
       }
     }
+    // Made last: it is a rectangle too.
+    const clip = element(element(svg, "defs", {}), "clipPath", { id: `axis${index}` });
+    element(clip, "rect", { x: plot.left, y: 0, width: plot.right - plot.left, height: plot.foot });
     const first = element(svg, "g", { class: "cursor", visibility: "hidden" });
     plot.cursor = element(first, "line", { y1: top, y2: bottom });
     plot.drag = element(first, "rect", { y: top, height: bottom - top, width: 0, class: "drag" });

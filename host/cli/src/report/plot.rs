@@ -146,6 +146,7 @@ impl Figure {
             // Below the ticks' labels, above the axis' title.
             "foot": (top - GAP + 26) * UNITS,
             "bandsTop": TITLE * UNITS,
+            "bandsBottom": if self.bands.is_empty() { 0 } else { (TITLE + STRIP) * UNITS },
             "grid": hex(color::GRID),
             "span": [self.span.0, self.span.1],
             "panels": panels,
