@@ -144,9 +144,9 @@ pub(crate) async fn host(mut port: Descriptor, kbit_per_s: u16, node: Node) -> i
 /// The command that chooses a bit rate (CAN232 manual, section 2: `S4` is 125 kbit/s, `S5` 250, `S6` 500, `S8` 1000).
 fn rate_command(kbit_per_s: u16) -> &'static str {
     match kbit_per_s {
-        ..=125 => "S4",
-        ..=250 => "S5",
-        ..=500 => "S6",
+        125 => "S4",
+        250 => "S5",
+        500 => "S6",
         _ => "S8",
     }
 }
