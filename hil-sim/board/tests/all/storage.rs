@@ -20,7 +20,7 @@ use r4_firmware::storage::{
 };
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, MotorSnapshot, Parameter, ParameterKey, Range, Refusal,
-    config::{BoardConfig, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
+    config::{BoardConfig, CanConfig, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
 };
 use r4_sim::{
     Clock, Pace, Simulation,
@@ -88,6 +88,7 @@ fn board(robot: &str, supplies: u8) -> BoardConfig {
         ranges: Default::default(),
         analogs: Default::default(),
         supplies: (0..supplies).map(supply).collect(),
+        can: CanConfig::default(),
     };
     assert_eq!(config.validate(), Ok(()));
     config
