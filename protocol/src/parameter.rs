@@ -208,7 +208,7 @@ impl Parameter {
         (Self::CurrentVoltsPerA, "current_volts_per_a"),
         (Self::RegenerationV, "regeneration_v"),
         (Self::StopBrakeMs, "stop_brake_ms"),
-        (Self::CanRate, "can_kbit_per_s"),
+        (Self::CanRate, "can_rate"),
         (Self::CanNode, "can_node"),
     ];
 

@@ -279,7 +279,7 @@ impl BoardConfig {
         rule((20..=1000).contains(&self.link_timeout_ms), "link_timeout_ms must be 20 to 1000")?;
         rule((10_000..=400_000).contains(&self.i2c_hz), "i2c_hz must be 10000 to 400000")?;
         rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
-        rule(BITRATES_KBIT.contains(&self.can.kbit_per_s), "can_kbit_per_s must be 125, 250, 500 or 1000")?;
+        rule(BITRATES_KBIT.contains(&self.can.kbit_per_s), "can_rate must be 125, 250, 500 or 1000 kbit/s")?;
         rule(self.can.node < u16::from(Node::COUNT), "can_node must be 0 to 127")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;

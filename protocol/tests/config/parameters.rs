@@ -77,7 +77,7 @@ fn parameters_are_listed_once_in_the_order_of_the_channels() {
             "board.link_timeout_ms",
             "board.air_temperature_c",
             "board.servo_oscillator_hz",
-            "board.can_kbit_per_s",
+            "board.can_rate",
             "board.can_node",
             "osmc0.duty_max"
         ]
