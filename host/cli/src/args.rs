@@ -279,7 +279,7 @@ pub(crate) struct Debug {
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Safety {
-    /// How often causes are injected: on sim: in all [10000], on emu: each [4]
+    /// How often causes are injected: on sim: 10000 in all, on emu: 4 each
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     pub(crate) injections: Option<u32>,
     /// Print the tables as Markdown, as docs/safety.md has them
