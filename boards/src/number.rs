@@ -63,12 +63,12 @@ pub(crate) fn control_period_us<'de, D: Deserializer<'de>>(deserializer: D) -> R
     checked(deserializer, |value| (500.0..=20_000.0).contains(&value), "500 to 20000")
 }
 
-/// As [`control_period_us`].
+/// The longest silence of the host before the board stops, ms.
 pub(crate) fn link_timeout_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (20.0..=1000.0).contains(&value), "20 to 1000")
 }
 
-/// As [`control_period_us`].
+/// Time for which a stop brakes before it switches off, ms.
 pub(crate) fn stop_brake_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (0.0..=f64::from(STOP_BRAKE_MAX_MS)).contains(&value), "0 to 5000")
 }
@@ -92,12 +92,12 @@ pub(crate) fn air_temperature_c<'de, D: Deserializer<'de>>(deserializer: D) -> R
     checked(deserializer, |value| (-40.0..=60.0).contains(&value), "-40 to 60")
 }
 
-/// As [`control_period_us`].
+/// The bit rate of the CAN bus, kbit/s.
 pub(crate) fn can_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| BITRATES_KBIT.iter().any(|rate| f64::from(*rate) == value), "125, 250, 500 or 1000")
 }
 
-/// As [`control_period_us`].
+/// The number of the board on its CAN bus.
 pub(crate) fn can_node<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (0.0..f64::from(Node::COUNT)).contains(&value), "0 to 127")
 }

@@ -46,10 +46,10 @@ pub const MAX_FD_DATA: usize = 64;
 /// Data bytes of a frame with set points.
 pub const SETPOINTS: usize = 2 * CYCLE_CHANNELS;
 
-/// Bits in a second where nothing else is said. As fast as classic CAN goes: at most 40 m of bus.
+/// Bits in a second where nothing else is said. As fast as classic CAN goes: at most 25 m of bus (CiA 301).
 pub const BITRATE: u32 = 1_000_000;
 
-/// Bit rates of boards, kbit/s: the usual ones (CiA 301) that are fast enough for a session, for buses of 500, 250, 100 and 40 m.
+/// Bit rates of boards, kbit/s: the usual ones (CiA 301) that are fast enough for a session, for buses of 500, 250, 100 and 25 m.
 pub const BITRATES_KBIT: [u16; 4] = [125, 250, 500, 1000];
 
 /// Position of `ToDevice::Cycle` among its variants.

@@ -68,22 +68,19 @@ struct RobotFile {
 
 /// The CAN bus to hosts.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 struct Can {
-    #[serde(default = "usual_kbit_per_s", deserialize_with = "can_kbit_per_s")]
+    #[serde(deserialize_with = "can_kbit_per_s")]
     kbit_per_s: u16,
-    #[serde(default, deserialize_with = "can_node")]
+    #[serde(deserialize_with = "can_node")]
     node: u16,
 }
 
 impl Default for Can {
     fn default() -> Self {
-        Self { kbit_per_s: usual_kbit_per_s(), node: 0 }
+        let CanConfig { kbit_per_s, node } = CanConfig::default();
+        Self { kbit_per_s, node }
     }
-}
-
-fn usual_kbit_per_s() -> u16 {
-    CanConfig::default().kbit_per_s
 }
 
 fn room_temperature_c() -> f32 {

@@ -100,7 +100,7 @@ impl EdgeBudget {
 /// stopped before twenty counts are wrong, 1.3 degrees of a wheel of openscout. Dirt on a disc makes one in a turn; shorted
 /// tracks, a dead track beside the other's edges and a shaft that is too fast make hundreds. At half of it, five in a row trip.
 const ILLEGAL_LIMIT: u32 = 10;
-/// s
+/// Window over which illegal transitions are counted, s.
 const ILLEGAL_S: f32 = 0.1;
 
 /// Rate of illegal quadrature transitions of one encoder.
