@@ -1,17 +1,100 @@
 //! What a board must offer beyond `embedded-hal-async` and `embedded-io-async`.
 
+use core::{
+    future::poll_fn,
+    task::{Context, Poll},
+};
+
 use embedded_hal_async::i2c::I2c;
+
+/// Bytes for one chip, to be sent in one transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Write {
+    address: u8,
+    length: u8,
+    bytes: [u8; Self::MAX],
+}
+
+impl Write {
+    /// Most bytes, without the address: a register and the four bytes of each of four PWM outputs.
+    pub const MAX: usize = 17;
+
+    /// The first `length` of `bytes` for the chip at `address`, 7 bits; all of them where it is more.
+    #[must_use]
+    pub const fn new(address: u8, bytes: [u8; Self::MAX], length: usize) -> Self {
+        let length = if length < Self::MAX { length } else { Self::MAX };
+        Self { address, length: length as u8, bytes }
+    }
+
+    /// Of the chip, 7 bits.
+    #[must_use]
+    pub const fn address(&self) -> u8 {
+        self.address
+    }
+
+    /// What it gets, without its address.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.length)]
+    }
+
+    /// Sends it, and nothing else.
+    ///
+    /// # Errors
+    /// The bus's.
+    pub async fn send<B: I2c + ?Sized>(&self, bus: &mut B) -> Result<(), B::Error> {
+        bus.write(self.address, self.bytes()).await
+    }
+}
 
 /// An I2C bus that can be freed when a chip holds it.
 #[allow(async_fn_in_trait, reason = "single-core executors: futures need not be Send")]
 pub trait Bus: I2c {
     /// Clocks SCL nine times with SDA released, sends a STOP and starts the controller afresh (UM10204, 3.1.16).
     async fn recover(&mut self);
+
+    /// Sends `writes` one after the other, until one fails or `stops` says so: it is asked before each, and whenever the task is
+    /// woken, and is to have the task woken when its answer changes. The write that is under way then is sent to its end.
+    ///
+    /// Returns how many were sent, and why the next one was not. A board whose interrupts begin each write when the one before
+    /// ends spares the caller's task a wake for each.
+    async fn write_all(
+        &mut self,
+        writes: &[Write],
+        stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), Self::Error>) {
+        write_each(self, writes, stops).await
+    }
+}
+
+/// [`Bus::write_all`] for a controller that does one transfer at a time.
+pub async fn write_each<B: I2c + ?Sized>(
+    bus: &mut B,
+    writes: &[Write],
+    mut stops: impl FnMut(&mut Context<'_>) -> bool,
+) -> (usize, Result<(), B::Error>) {
+    for (sent, write) in writes.iter().enumerate() {
+        if poll_fn(|context| Poll::Ready(stops(context))).await {
+            return (sent, Ok(()));
+        }
+        if let Err(error) = write.send(bus).await {
+            return (sent, Err(error));
+        }
+    }
+    (writes.len(), Ok(()))
 }
 
 impl<B: Bus> Bus for &mut B {
     async fn recover(&mut self) {
         (**self).recover().await;
+    }
+
+    async fn write_all(
+        &mut self,
+        writes: &[Write],
+        stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), Self::Error>) {
+        (**self).write_all(writes, stops).await
     }
 }
 

@@ -1,6 +1,6 @@
 //! What the tasks share. Every access is one short critical section; no task can make another wait for longer.
 
-use core::cell::RefCell;
+use core::{cell::RefCell, future::Future, pin::pin, task::Context};
 
 use embassy_sync::{
     blocking_mutex::{Mutex, raw::RawMutex},
@@ -312,6 +312,22 @@ impl<M: RawMutex> Shared<M> {
             epoch: s.epoch,
             braking: s.braking_stop.is_some(),
         })
+    }
+
+    /// Whether the state is another than in `view`. Where it is not, the control loop's task, of `context`, is woken when it is to
+    /// make safe.
+    pub(crate) fn has_changed(&self, view: SafetyView, context: &mut Context<'_>) -> bool {
+        loop {
+            let signalled = pin!(self.make_safe.wait()).poll(context).is_ready();
+            if self.safety() != view {
+                // Taken back: the control loop looks once more when its period is over.
+                self.make_safe.signal(());
+                return true;
+            }
+            if !signalled {
+                return false;
+            }
+        }
     }
 
     /// The state that a test begins with.

@@ -48,7 +48,7 @@ use crate::{
     executors::{self, Executors},
     flash::Bank2,
     guard, hold,
-    i2c::{self, Bounce, Bus, Timing, Wiring},
+    i2c::{self, Bounce, Bus, Chain, Timing, Wiring},
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     log,
     peripherals::Processor,
@@ -120,8 +120,8 @@ bind_interrupts!(struct Irqs {
     TIM2 => steppers::OnClock;
     I2C1_EV => EventInterruptHandler<stm32::I2C1>;
     I2C1_ER => ErrorInterruptHandler<stm32::I2C1>;
-    I2C2_EV => EventInterruptHandler<stm32::I2C2>;
-    I2C2_ER => ErrorInterruptHandler<stm32::I2C2>;
+    I2C2_EV => i2c::Next, EventInterruptHandler<stm32::I2C2>, i2c::Rearm;
+    I2C2_ER => i2c::Next, ErrorInterruptHandler<stm32::I2C2>, i2c::Rearm;
     I2C4_EV => EventInterruptHandler<stm32::I2C4>;
     I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
     // embassy's first: uart::OnLine puts right what it does to the receiver.
@@ -360,7 +360,8 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
             timing: Timing::FAST,
         },
         None,
-    );
+    )
+    .with_chain(Chain::new());
     let connector_a = Bus::new(
         I2c::new(
             p.I2C1,

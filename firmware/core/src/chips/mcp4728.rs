@@ -11,6 +11,7 @@ use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::i2c::I2c;
 
 use super::{ChipError, compare};
+use crate::platform::Write;
 
 /// Outputs of the chip: A, B, C, D.
 pub const OUTPUTS: usize = 4;
@@ -104,11 +105,20 @@ impl Mcp4728 {
         codes: [u16; OUTPUTS],
         written: Option<[u16; OUTPUTS]>,
     ) -> Result<(), B::Error> {
+        match self.change(codes, written) {
+            Some(write) => write.send(bus).await,
+            None => Ok(()),
+        }
+    }
+
+    /// The write of [`Mcp4728::set`]; `None` when nothing changes.
+    #[must_use]
+    pub fn change(&self, codes: [u16; OUTPUTS], written: Option<[u16; OUTPUTS]>) -> Option<Write> {
         let changes = |output: &usize| written.is_none_or(|written| written[*output] != codes[*output]);
-        let Some(last) = (0..OUTPUTS).rev().find(changes) else { return Ok(()) };
-        let mut command = [0; 2 * OUTPUTS];
+        let last = (0..OUTPUTS).rev().find(changes)?;
+        let mut command = [0; Write::MAX];
         put_settings(&mut command, &codes);
-        bus.write(self.address, &command[..2 * (last + 1)]).await
+        Some(Write::new(self.address, command, 2 * (last + 1)))
     }
 
     /// Reads the first outputs back, as many as `codes` has, and compares; also that the chip takes commands.

@@ -310,36 +310,31 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.take_commands(shared, view);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
-        if !self.drive_motors(shared, view, osmc).await? {
+        if !self.drive_motors(shared, view, osmc).await {
             return Ok(());
         }
-        if self.tick % CHECK_EVERY == 1 && self.may_go_on(shared, view).await {
-            self.outputs.check_next().await?;
-        }
+        let check = self.tick % CHECK_EVERY == 1 && self.outputs.reserve_check();
         // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
-        if self.tick.is_multiple_of(2) {
-            if self.drive_motors(shared, view, dhb).await? {
-                self.write_drives_and_servos(shared, view).await?;
-            }
-        } else {
-            self.write_drives_and_servos(shared, view).await?;
-            self.drive_motors(shared, view, dhb).await?;
+        let dhb_first = self.tick.is_multiple_of(2);
+        if !dhb_first {
+            self.write_drives_and_servos();
+        }
+        if !self.drive_motors(shared, view, dhb).await {
+            return Ok(());
+        }
+        if dhb_first {
+            self.write_drives_and_servos();
+        }
+        self.outputs.flush(|context| shared.has_changed(view, context)).await?;
+        if self.may_go_on(shared, view).await && check {
+            self.outputs.check_next().await?;
         }
         Ok(())
     }
 
-    async fn write_drives_and_servos<M: RawMutex>(
-        &mut self,
-        shared: &Shared<M>,
-        view: SafetyView,
-    ) -> Result<(), OutputFault> {
-        if self.may_go_on(shared, view).await {
-            self.outputs.write_drives().await?;
-        }
-        if self.may_go_on(shared, view).await {
-            self.outputs.write_servos().await?;
-        }
-        Ok(())
+    fn write_drives_and_servos(&mut self) {
+        self.outputs.write_drives();
+        self.outputs.write_servos();
     }
 
     /// Whether no stop has come in this period. One that has is carried out at once: it must not wait for what else was to
@@ -352,13 +347,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         goes_on
     }
 
-    /// Steps and writes some motors; false when a stop came meanwhile, which has then been carried out.
-    async fn drive_motors<M: RawMutex>(
-        &mut self,
-        shared: &Shared<M>,
-        view: SafetyView,
-        motors: Order,
-    ) -> Result<bool, OutputFault> {
+    /// Steps some motors, whose bridges are written with the next [`Outputs::flush`]; false when a stop came meanwhile, which has then
+    /// been carried out.
+    async fn drive_motors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, motors: Order) -> bool {
         // The motors' supply has just been closed: drivers need it before their inputs move.
         let powered = Instant::now() >= self.powered_at;
         for index in motors {
@@ -372,13 +363,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));
             if !self.may_go_on(shared, view).await {
-                return Ok(false);
+                return false;
             }
             let duty = self.limit_regeneration(index, duty);
-            let applied = self.outputs.drive(index, duty).await?;
+            let applied = self.outputs.drive(index, duty);
             self.motors[index].set_applied(applied);
         }
-        Ok(true)
+        true
     }
 
     /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.
@@ -563,6 +554,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     async fn check(&mut self) {
+        if !self.outputs.reserve_check() {
+            return;
+        }
         if let Err(fault) = self.outputs.check_next().await {
             self.fault = Some(fault);
         }

@@ -16,9 +16,12 @@ use embassy_time::{Duration, Instant};
 use embedded_hal_async::i2c::I2c;
 use r4_protocol::config::BridgeConfig;
 
-use crate::chips::{
-    ChipError,
-    pca9685::{Output, Pca9685},
+use crate::{
+    chips::{
+        ChipError,
+        pca9685::{Output, Pca9685},
+    },
+    platform::Write,
 };
 
 /// Most lines of a bridge.
@@ -38,7 +41,7 @@ enum State {
     On { direction: Direction, pwm: Output, pwm_since: Instant },
 }
 
-/// What the next call of [`Bridge::drive`] does.
+/// What it takes to have a duty.
 enum Step {
     /// Nothing has to be written.
     Keep { applied: f32 },
@@ -46,6 +49,31 @@ enum Step {
     Change { direction: Direction, before: Output, pwm: Output, applied: f32 },
     /// All lines.
     SetAll { direction: Direction, pwm: Output },
+}
+
+/// What [`Bridge::plan`] found.
+#[derive(Clone, Copy, Debug)]
+pub enum Plan {
+    /// The lines are as they should be, and give this duty.
+    Keep(f32),
+    /// This is to be sent. [`Bridge::sent`] is called then.
+    Send(Write, Planned),
+}
+
+/// What a bridge does once a write has been sent.
+#[derive(Clone, Copy, Debug)]
+pub struct Planned {
+    direction: Direction,
+    pwm: Output,
+    applied: f32,
+}
+
+impl Planned {
+    /// Share of the supply that the motor then gets.
+    #[must_use]
+    pub const fn applied(&self) -> f32 {
+        self.applied
+    }
 }
 
 /// One bridge and what its lines were last told.
@@ -83,43 +111,30 @@ impl Bridge {
         self.applied
     }
 
-    /// Bytes on the bus, address included, that [`Bridge::drive`] at `duty` takes now.
-    #[must_use]
-    pub fn bytes(&self, duty: f32) -> u32 {
+    /// How the lines come to `duty`, or to the next step towards it.
+    pub fn plan(&mut self, chip: &Pca9685, duty: f32) -> Plan {
         match self.next(duty) {
-            Step::Keep { .. } => 0,
-            Step::Change { before, pwm, .. } => pwm.change_bytes(before),
-            Step::SetAll { .. } => 2 + 4 * self.line_count() as u32,
-        }
-    }
-
-    /// What [`Bridge::drive`] does where nothing is to be sent; `None` where something is.
-    pub fn keep(&mut self, duty: f32) -> Option<f32> {
-        let Step::Keep { applied } = self.next(duty) else { return None };
-        self.applied = applied;
-        Some(applied)
-    }
-
-    /// Sets the lines for `duty`, or for the next step towards it, and returns the duty they now give.
-    ///
-    /// # Errors
-    /// A failed transfer; the state is then as before, and the call can be repeated.
-    pub async fn drive<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B, duty: f32) -> Result<f32, B::Error> {
-        self.applied = match self.next(duty) {
-            Step::Keep { applied } => applied,
+            Step::Keep { applied } => {
+                self.applied = applied;
+                Plan::Keep(applied)
+            }
             Step::Change { direction, before, pwm, applied } => {
-                chip.change(bus, self.pwm_line(direction), before, pwm).await?;
-                self.state = State::On { direction, pwm, pwm_since: Instant::now() };
-                applied
+                let write = chip.change(self.pwm_line(direction), before, pwm);
+                Plan::Send(write, Planned { direction, pwm, applied })
             }
             Step::SetAll { direction, pwm } => {
                 let outputs = self.outputs(direction, pwm);
-                chip.set(bus, self.first(), &outputs[..self.line_count()]).await?;
-                self.state = State::On { direction, pwm, pwm_since: Instant::now() };
-                duty
+                let write = chip.set(self.first(), &outputs[..self.line_count()]);
+                Plan::Send(write, Planned { direction, pwm, applied: duty })
             }
-        };
-        Ok(self.applied)
+        }
+    }
+
+    /// The write of this plan has been sent, just now; until then the bridge does what it did before.
+    pub fn sent(&mut self, planned: Planned) {
+        let Planned { direction, pwm, applied } = planned;
+        self.state = State::On { direction, pwm, pwm_since: Instant::now() };
+        self.applied = applied;
     }
 
     /// Whether lines are on: the motor is driven, or shorted at duty 0.
@@ -131,10 +146,10 @@ impl Bridge {
     /// Turns all lines of this bridge off, and of no other.
     ///
     /// # Errors
-    /// As [`Bridge::drive`].
+    /// A failed transfer; the state is then as before, and the call can be repeated.
     pub async fn off<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B) -> Result<(), B::Error> {
         if let State::On { .. } = self.state {
-            chip.set(bus, self.first(), &[Output::LOW; MAX_LINES][..self.line_count()]).await?;
+            chip.set(self.first(), &[Output::LOW; MAX_LINES][..self.line_count()]).send(bus).await?;
             self.now_off();
         }
         Ok(())

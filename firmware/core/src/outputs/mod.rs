@@ -6,6 +6,8 @@ mod expander;
 pub mod servo;
 mod slew;
 
+use core::task::Context;
+
 use heapless::Vec;
 use r4_protocol::config::{BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig};
 
@@ -15,12 +17,12 @@ use crate::{
         mcp4728::{Mcp4728, OUTPUTS as DAC_OUTPUTS},
         pca9685::Pca9685,
     },
-    platform::{AnalogOutputs, Bus},
+    platform::{AnalogOutputs, Bus, Write},
 };
 use bldc::{Bldcs, Command};
-use bridge::Bridge;
+use bridge::{Bridge, Plan, Planned};
 use expander::Expander;
-use servo::Servos;
+use servo::{Pulse, Servos};
 use slew::towards;
 
 /// Why outputs are not what they should be.
@@ -36,6 +38,8 @@ pub enum OutputFault {
 const TRIES: u32 = 3;
 /// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
 const BUS_SHARE: f32 = 0.95;
+/// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
+const QUEUE: usize = 32;
 /// Counts of a PWM period, over which the bridges of a chip are spread.
 const PHASES: usize = 4096;
 /// Servos that had to wait are caught up with for as many periods.
@@ -62,6 +66,38 @@ impl Drives {
     fn of(config: &BoardConfig) -> Option<Self> {
         let dac = config.bldc_dac?;
         Some(Self { chip: Mcp4728::new(dac.address), rules: Bldcs::new(&config.bldcs, dac), written: None })
+    }
+}
+
+/// What one write of the queue changes, once it has been sent.
+#[derive(Clone, Copy, Debug)]
+enum Change {
+    /// Bridge of this index.
+    Bridge(usize, Planned),
+    /// The voltages of the brushless drives.
+    Drives([u16; DAC_OUTPUTS]),
+    /// One servo.
+    Servo(Pulse),
+}
+
+/// Writes that go out together.
+#[derive(Debug, Default)]
+struct Queue {
+    writes: Vec<Write, QUEUE>,
+    /// Of each write.
+    changes: Vec<Change, QUEUE>,
+}
+
+impl Queue {
+    /// The caller has asked [`Queue::has_room`].
+    fn push(&mut self, write: Write, change: Change) {
+        if self.writes.push(write).is_ok() {
+            let _ = self.changes.push(change);
+        }
+    }
+
+    fn has_room(&self) -> bool {
+        !self.writes.is_full()
     }
 }
 
@@ -144,6 +180,8 @@ pub struct Outputs<B> {
     servos: Option<Servos>,
     /// Writes of servos that are due, those with them that had to wait.
     servos_due: usize,
+    /// What is to be written in this period, and has not been.
+    queue: Queue,
     period_s: f32,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
@@ -188,6 +226,7 @@ impl<B: Bus> Outputs<B> {
             drives,
             servos,
             servos_due: 0,
+            queue: Queue::default(),
             period_s,
             bits_per_tick,
             bits_left: bits_per_tick,
@@ -201,6 +240,7 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
+        self.forget_queue();
         if let (Some(expander), Some(drives)) = (&self.expander, &mut self.drives) {
             // Drives may still turn from before the processor was reset: their direction lines stay as they are.
             let driven = self.bus.checked(async |bus: &mut B| Ok(expander.driven(bus).await?)).await?;
@@ -229,6 +269,7 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`], after all were tried; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
     pub async fn make_safe(&mut self) -> Result<(), OutputFault> {
+        self.forget_queue();
         let mut result =
             self.expander_safe(async |expander: &mut Expander, bus: &mut B| Ok(expander.rewrite(bus).await?)).await;
         for chip in self.bridge_chips() {
@@ -248,6 +289,7 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// [`OutputFault::Bus`], after all were tried.
     pub async fn brake(&mut self) -> Result<(), OutputFault> {
+        self.forget_queue();
         let mut result = Ok(());
         if let Some(expander) = &mut self.expander {
             expander.open_general();
@@ -286,11 +328,10 @@ impl<B: Bus> Outputs<B> {
             let Some(slew_per_s) = self.braked[index] else { continue };
             let duty = towards(self.bridges[index].applied(), 0.0, slew_per_s * self.period_s);
             if self.bridges[index].is_on() {
-                let driven = self.drive(index, duty).await;
-                result = driven.and(result);
+                self.drive(index, duty);
             }
         }
-        result
+        self.flush(|_| false).await.and(result)
     }
 
     /// Brushless drives to neutral, whatever they were told, and servos as they are when safe.
@@ -329,7 +370,33 @@ impl<B: Bus> Outputs<B> {
 
     /// A control period begins: the bus is free again.
     pub fn begin_tick(&mut self) {
+        self.forget_queue();
         self.bits_left = self.bits_per_tick;
+    }
+
+    /// Sends what [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in this period, in that
+    /// order. When `stops` says so ([`Bus::write_all`]), what has not been sent yet is forgotten: outputs are then as before.
+    /// Whether all of it was sent.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`]; the output whose write failed may then be either, those behind it are as before.
+    pub async fn flush(&mut self, stops: impl FnMut(&mut Context<'_>) -> bool) -> Result<bool, OutputFault> {
+        let (sent, result) = self.bus.send(&self.queue.writes, stops).await;
+        let complete = sent == self.queue.writes.len();
+        for change in self.queue.changes.iter().take(sent) {
+            match *change {
+                Change::Bridge(index, planned) => self.bridges[index].sent(planned),
+                Change::Drives(codes) => self.drives.iter_mut().for_each(|drives| drives.written = Some(codes)),
+                Change::Servo(pulse) => self.servos.iter_mut().for_each(|servos| servos.sent(pulse)),
+            }
+        }
+        self.forget_queue();
+        result.map(|()| complete)
+    }
+
+    fn forget_queue(&mut self) {
+        self.queue.writes.clear();
+        self.queue.changes.clear();
     }
 
     /// Takes `bits` out of what is left of this period; false when they do not fit, and must wait.
@@ -375,24 +442,26 @@ impl<B: Bus> Outputs<B> {
         self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await
     }
 
-    /// Drives bridge `index` at `duty`, within its rules, and returns the duty it now has. What does not fit this period
-    /// on the bus is left to the next.
-    ///
-    /// # Errors
-    /// [`OutputFault::Bus`]; the bridge then still does what it did before.
-    pub async fn drive(&mut self, index: usize, duty: f32) -> Result<f32, OutputFault> {
-        let Some(chip) = self.chip_of(&self.bridges[index]) else { return Ok(0.0) };
-        // So it is in most periods.
-        if let Some(applied) = self.bridges[index].keep(duty) {
-            return Ok(applied);
+    /// Has bridge `index` driven at `duty`, within its rules, by the next [`Outputs::flush`], and returns the duty it then has. What
+    /// does not fit this period on the bus is left to the next.
+    pub fn drive(&mut self, index: usize, duty: f32) -> f32 {
+        let Some(chip) = self.chip_of(&self.bridges[index]) else { return 0.0 };
+        match self.bridges[index].plan(&chip, duty) {
+            Plan::Keep(applied) => applied,
+            Plan::Send(write, planned) if self.reserve(&write) => {
+                self.queue.push(write, Change::Bridge(index, planned));
+                planned.applied()
+            }
+            Plan::Send(..) => {
+                self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
+                self.bridges[index].applied()
+            }
         }
-        let bytes = self.bridges[index].bytes(duty);
-        if !self.fits(bits(bytes)) {
-            self.waiting[usize::from(!self.bridges[index].is_osmc())].get_or_insert(index);
-            return Ok(self.bridges[index].applied());
-        }
-        let bridge = &mut self.bridges[index];
-        self.bus.checked(async |bus: &mut B| Ok(bridge.drive(&chip, bus, duty).await?)).await
+    }
+
+    /// Takes the bits of `write` out of what is left of this period; false when it must wait.
+    fn reserve(&mut self, write: &Write) -> bool {
+        self.queue.has_room() && self.fits(bits(1 + write.bytes().len() as u32))
     }
 
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
@@ -419,21 +488,16 @@ impl<B: Bus> Outputs<B> {
         self.expander.iter_mut().for_each(|expander| expander.set_lines(levels));
     }
 
-    /// Tells the DAC the voltages that have changed, if that fits this period.
-    ///
-    /// # Errors
-    /// [`OutputFault::Bus`]; the voltages may then be either.
-    pub async fn write_drives(&mut self) -> Result<(), OutputFault> {
-        let wanted = |drives: &Drives| drives.rules.wanted().codes;
-        let changed = self.drives.as_ref().is_some_and(|drives| drives.written != Some(wanted(drives)));
-        if !changed || !self.fits(bits(1 + 2 * DAC_OUTPUTS as u32)) {
-            return Ok(());
+    /// Has the DAC told the voltages that have changed, by the next [`Outputs::flush`], if that fits this period.
+    pub fn write_drives(&mut self) {
+        let Some(drives) = &self.drives else { return };
+        let codes = drives.rules.wanted().codes;
+        let Some(write) = drives.chip.change(codes, drives.written) else { return };
+        if self.reserve(&write) {
+            // Either, until it has been sent.
+            self.drives.iter_mut().for_each(|drives| drives.written = None);
+            self.queue.push(write, Change::Drives(codes));
         }
-        let Some(drives) = &mut self.drives else { return Ok(()) };
-        let (codes, before) = (wanted(drives), drives.written.take());
-        self.bus.checked(async |bus: &mut B| Ok(drives.chip.set(bus, codes, before).await?)).await?;
-        drives.written = Some(codes);
-        Ok(())
     }
 
     /// Share of full speed that brushless drive number `index` is told.
@@ -452,26 +516,23 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Writes the servos whose turn it is and that fit this period; up to as many again of those that had to wait.
-    ///
-    /// # Errors
-    /// [`OutputFault::Bus`]; a servo may then have either pulse.
-    pub async fn write_servos(&mut self) -> Result<(), OutputFault> {
+    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`]; up to as many again of
+    /// those that had to wait.
+    pub fn write_servos(&mut self) {
         let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
         for _ in 0..self.servos_due.min(2 * in_turn) {
-            if !self.servos.as_ref().is_some_and(Servos::has_changed) {
+            if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
+                break;
+            }
+            let Some((write, pulse)) = self.servos.as_mut().and_then(Servos::next_write) else {
                 self.servos_due = 0;
                 break;
-            }
-            if !self.fits(bits(Servos::WRITE_BYTES)) {
-                break;
-            }
+            };
             self.servos_due -= 1;
-            let Some(servos) = &mut self.servos else { break };
-            self.bus.checked(async |bus: &mut B| Ok(servos.write_next(bus).await?)).await?;
+            self.fits(bits(Servos::WRITE_BYTES));
+            self.queue.push(write, Change::Servo(pulse));
         }
-        Ok(())
     }
 
     /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
@@ -484,15 +545,17 @@ impl<B: Bus> Outputs<B> {
         if bridge.is_osmc() { self.osmc } else { self.dhb }
     }
 
-    /// Reads one thing of expander and PWM chips back and compares; each call takes the next one in turn. Waits when it
-    /// does not fit this period.
+    /// Keeps the bus free for one [`Outputs::check_next`] in this period; false when that does not fit, and must wait.
+    pub fn reserve_check(&mut self) -> bool {
+        self.fits(CHECK_BITS)
+    }
+
+    /// Reads one thing of expander and PWM chips back and compares; each call takes the next one in turn. Only after
+    /// [`Outputs::flush`], and where [`Outputs::reserve_check`] allows it.
     ///
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_next(&mut self) -> Result<(), OutputFault> {
-        if !self.fits(CHECK_BITS) {
-            return Ok(());
-        }
         let lines = self.bridges.iter().map(Bridge::line_count).sum::<usize>();
         let servos = self.servos.as_ref().map_or(0, |servos| 1 + servos.count());
         let checks = 1 + self.bridge_chips().count() + lines + servos;
@@ -570,6 +633,29 @@ struct Patient<B> {
 }
 
 impl<B: Bus> Patient<B> {
+    /// Sends `writes` with the same patience, each for itself, unless `stops` says otherwise. How many were sent, and why not all.
+    async fn send(
+        &mut self,
+        writes: &[Write],
+        mut stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), OutputFault>) {
+        let (mut sent, mut tries) = (0, 0);
+        while let Some(rest) = writes.get(sent..).filter(|rest| !rest.is_empty()) {
+            let (more, result) = self.bus.write_all(rest, &mut stops).await;
+            sent += more;
+            if result.is_ok() {
+                break;
+            }
+            tries = if more > 0 { 1 } else { tries + 1 };
+            if tries == TRIES {
+                return (sent, Err(OutputFault::Bus));
+            }
+            self.retries += 1;
+            self.bus.recover().await;
+        }
+        (sent, Ok(()))
+    }
+
     /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
     /// it costs a time-out.
     async fn checked<T>(

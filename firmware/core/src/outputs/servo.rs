@@ -12,9 +12,12 @@ use heapless::Vec;
 use r4_protocol::config::{MAX_SERVOS, ServoChipConfig, ServoConfig};
 
 use super::slew::towards;
-use crate::chips::{
-    ChipError,
-    pca9685::{Output, Pca9685},
+use crate::{
+    chips::{
+        ChipError,
+        pca9685::{Output, Pca9685},
+    },
+    platform::Write,
 };
 
 /// A servo that moves gets a new pulse at least so often, s: about one period of the pulses.
@@ -47,8 +50,18 @@ struct Motion {
     target: f32,
 }
 
+/// What a servo is told once a write has been sent.
+#[derive(Clone, Copy, Debug)]
+pub struct Pulse {
+    /// The servo's number in the configuration.
+    index: usize,
+    output: Output,
+    /// rad
+    angle: Option<f32>,
+}
+
 impl Servos {
-    /// Bytes on the bus of the transfer of [`Servos::write_next`]: 93 µs at 400 kHz.
+    /// Bytes on the bus of a write of [`Servos::next_write`], address included: 93 µs at 400 kHz.
     pub const WRITE_BYTES: u32 = 4;
 
     /// Servos without pulses. The configuration must be valid.
@@ -94,35 +107,33 @@ impl Servos {
         self.servos.len()
     }
 
-    /// How often [`Servos::write_next`] must be called in a control period of `period_s`, s, so that each servo of those
+    /// How often [`Servos::next_write`] must be called in a control period of `period_s`, s, so that each servo of those
     /// that move is written every 20 ms: once, for up to 16 servos and 1.25 ms.
     #[must_use]
     pub fn writes_per_period(&self, period_s: f32) -> usize {
         libm::ceilf(self.servos.len() as f32 * period_s / UPDATE_S) as usize
     }
 
-    /// Whether [`Servos::write_next`] has something to write.
-    #[must_use]
-    pub fn has_changed(&self) -> bool {
-        self.next_changed().is_some()
+    /// The write for the next servo in turn that has a new pulse, [`Servos::WRITE_BYTES`] long; `None` when none has.
+    /// [`Servos::sent`] is called when it has been sent: until then that servo may have either pulse.
+    pub fn next_write(&mut self) -> Option<(Write, Pulse)> {
+        let count = self.servos.len();
+        let (index, output) = (0..count).map(|turn| (self.next + turn) % count).find_map(|index| {
+            let servo = &self.servos[index];
+            let wanted = servo.wanted(&self.chip);
+            (servo.written != Some(wanted)).then_some((index, wanted))
+        })?;
+        self.next = (index + 1) % count;
+        let servo = &mut self.servos[index];
+        servo.written = None;
+        let angle = servo.motion.map(|motion| motion.angle);
+        Some((self.chip.set_off_count(servo.config.output, output), Pulse { index, output, angle }))
     }
 
-    /// Tells the chip the pulse of the next servo in turn that has a new one: one transfer of [`Servos::WRITE_BYTES`], or
-    /// none.
-    ///
-    /// # Errors
-    /// A failed transfer. The servo may then have either pulse; it is first in turn.
-    pub async fn write_next<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
-        let Some(index) = self.next_changed() else { return Ok(()) };
-        self.next = index;
-        let servo = &mut self.servos[index];
-        let output = servo.wanted(&self.chip);
-        servo.written = None;
-        self.chip.set_off_count(bus, servo.config.output, output).await?;
-        servo.written = Some(output);
-        servo.sent = servo.motion.map(|motion| motion.angle);
-        self.next = (index + 1) % self.servos.len();
-        Ok(())
+    /// The write with this pulse has been sent.
+    pub fn sent(&mut self, pulse: Pulse) {
+        let servo = &mut self.servos[pulse.index];
+        (servo.written, servo.sent) = (Some(pulse.output), pulse.angle);
     }
 
     /// Brings the chip from any state to where no servo gets pulses, and reads that back; see [`Pca9685::init`].
@@ -182,15 +193,6 @@ impl Servos {
             Some(output) => self.chip.verify(bus, servo.config.output, output).await,
             None => Ok(()),
         }
-    }
-
-    fn next_changed(&self) -> Option<usize> {
-        let count = self.servos.len();
-        let mut turns = (0..count).map(|turn| (self.next + turn) % count);
-        turns.find(|index| {
-            let servo = &self.servos[*index];
-            servo.written != Some(servo.wanted(&self.chip))
-        })
     }
 
     fn forget(&mut self) {

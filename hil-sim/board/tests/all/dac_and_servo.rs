@@ -350,6 +350,14 @@ async fn use_dac(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
     chip.verify(rig, &[4095, 1, 2, 3]).await
 }
 
+/// The next servo in turn, if one has a new pulse.
+async fn write_next(servos: &mut Servos, rig: &mut Rig) -> Result<(), RigError> {
+    let Some((write, pulse)) = servos.next_write() else { return Ok(()) };
+    write.send(rig).await?;
+    servos.sent(pulse);
+    Ok(())
+}
+
 async fn use_servos(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
     let mut servos = Servos::new(servo_chip(25e6, false), &[servo(3), servo(15)]);
     servos.init(rig).await?;
@@ -357,8 +365,8 @@ async fn use_servos(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
         servos.command(0, angle);
         servos.command(1, -angle);
         servos.step(1.0);
-        servos.write_next(rig).await?;
-        servos.write_next(rig).await?;
+        write_next(&mut servos, rig).await?;
+        write_next(&mut servos, rig).await?;
         servos.verify(rig, 0).await?;
         servos.verify(rig, 1).await?;
     }
@@ -460,7 +468,7 @@ proptest! {
             servos.init(&mut rig).await.unwrap();
             for (index, angle) in angles.into_iter().enumerate() {
                 servos.command(index, angle);
-                servos.write_next(&mut rig).await.unwrap();
+                write_next(&mut servos, &mut rig).await.unwrap();
             }
             rig.wait(60 * MS).await;
             let half_count_s = 0.5 * count_s(&rig.pwm.borrow(), oscillator_hz);
@@ -484,7 +492,7 @@ fn an_oscillator_that_is_not_calibrated_scales_all_pulses() {
         let mut servos = Servos::new(servo_chip(25e6, false), &[servo(0)]);
         servos.init(&mut rig).await.unwrap();
         servos.command(0, 0.0);
-        servos.write_next(&mut rig).await.unwrap();
+        write_next(&mut servos, &mut rig).await.unwrap();
         rig.wait(50 * MS).await;
         // 1.5 ms by a clock that is 25 / 24 too long; a count is 5 us.
         assert!((rig.pulse_s(0, 24_000_000) - 1.5625e-3).abs() < 2.5e-6);
@@ -503,9 +511,9 @@ fn sixteen_servos_that_move_are_each_written_within_20_ms() {
             servos.command(index, 0.9);
         }
         for _ in 0..16 {
-            servos.write_next(&mut rig).await.unwrap();
+            write_next(&mut servos, &mut rig).await.unwrap();
         }
-        assert!(!servos.has_changed());
+        assert!(servos.next_write().is_none());
         rig.look_from_here();
         let begin_ns = rig.clock.now_ns();
         for ms in 1..=800u64 {
@@ -514,7 +522,7 @@ fn sixteen_servos_that_move_are_each_written_within_20_ms() {
                 servos.command(index, -0.9);
             }
             servos.step(0.001);
-            servos.write_next(&mut rig).await.unwrap();
+            write_next(&mut servos, &mut rig).await.unwrap();
             let until_ns = begin_ns + ms * MS;
             rig.clock.sleep_until(until_ns).await;
         }
@@ -547,7 +555,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
             servos.init(&mut rig).await.unwrap();
             for (index, angle) in [(0, 0.5), (1, -0.5)] {
                 servos.command(index, angle);
-                servos.write_next(&mut rig).await.unwrap();
+                write_next(&mut servos, &mut rig).await.unwrap();
             }
             rig.wait(50 * MS).await;
             let pulses = [0, 1, 2].map(|output| rig.pulse_s(output, 25_000_000));
@@ -559,7 +567,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
             let written: Vec<_> = rig.wire().into_iter().map(|record| record.written).collect();
             for _ in 0..100 {
                 servos.step(0.001);
-                servos.write_next(&mut rig).await.unwrap();
+                write_next(&mut servos, &mut rig).await.unwrap();
             }
             rig.wait(50 * MS).await;
             let held = [0, 1, 2].map(|output| rig.pulse_s(output, 25_000_000));
@@ -571,7 +579,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
                 assert_eq!(servos.angle(0), None);
                 // It starts again where the next command says.
                 servos.command(0, 0.25);
-                servos.write_next(&mut rig).await.unwrap();
+                write_next(&mut servos, &mut rig).await.unwrap();
                 rig.wait(50 * MS).await;
                 assert!((rig.pulse_s(0, 25_000_000) - pulse_at(0.25)).abs() < 2.5e-6);
             }

@@ -179,6 +179,12 @@ fn with_outputs<T>(work: impl AsyncFnOnce(&mut Outputs<RigBus>, &RigBus, &Clock)
     })
 }
 
+/// One bridge at `duty`, or on the way to it, and nothing else.
+async fn drive(outputs: &mut Outputs<RigBus>, index: usize, duty: f32) -> Result<f32, OutputFault> {
+    let applied = outputs.drive(index, duty);
+    outputs.flush(|_| false).await.map(|_| applied)
+}
+
 fn driver() -> Pca9685 {
     let config = *pwm_of(&mut osmc_bench().config);
     Pca9685::new(config.address, config.frequency_hz)
@@ -255,14 +261,14 @@ fn an_unchanged_direction_writes_two_registers_of_one_line() {
         let lines = *lines_of(&mut osmc_bench().config);
         for (sign, low_line) in [(1.0, lines.bli), (-1.0, lines.ali)] {
             // Through the direction change, if there is one.
-            while outputs.drive(0, 0.25 * sign).await.unwrap() == 0.0 {
+            while drive(outputs, 0, 0.25 * sign).await == Ok(0.0) {
                 outputs.begin_tick();
                 clock.sleep(MS).await;
             }
             for (duty, off_count) in [(0.5, Some([0x00, 0x08])), (0.5, None), (0.75, Some([0x00, 0x0C]))] {
                 bus.0.borrow_mut().bus.set_trace(100);
                 outputs.begin_tick();
-                assert_eq!(outputs.drive(0, duty * sign).await, Ok(duty * sign));
+                assert_eq!(drive(outputs, 0, duty * sign).await, Ok(duty * sign));
                 let written: Vec<_> = bus.0.borrow().bus.trace().map(|record| record.written.clone()).collect();
                 // LEDn_OFF_L is the third of a line's four registers.
                 let expected: Vec<_> =
@@ -339,7 +345,7 @@ proptest! {
                 match *step {
                     Step::Drive { index, duty } => {
                         outputs.begin_tick();
-                        let now = outputs.drive(index, duty).await.expect("faults pass");
+                        let now = drive(outputs, index, duty).await.expect("faults pass");
                         assert!(now == duty || now == 0.0, "{now} on the way to {duty}");
                     }
                     Step::MakeSafe => outputs.make_safe().await.expect("faults pass"),
@@ -370,19 +376,19 @@ proptest! {
     fn a_flipped_bit_is_found_by_reading_back(from in -0.9f32..0.9, to in -0.9f32..0.9, byte in 0..17usize, bit in 0..8u8) {
         let run = |flip: Option<Disturbance>| {
             with_outputs(async |outputs, bus, clock| {
-                let drive = async |outputs: &mut Outputs<RigBus>, duty| {
+                let turn = async |outputs: &mut Outputs<RigBus>, duty| {
                     for _ in 0..5 {
                         outputs.begin_tick();
-                        outputs.drive(0, duty).await.unwrap();
+                        drive(outputs, 0, duty).await.unwrap();
                         clock.sleep(2 * MS).await;
                     }
                 };
-                drive(outputs, from).await;
+                turn(outputs, from).await;
                 if let Some(disturbance) = flip {
                     let span = Span::Transfers { count: 1 };
                     bus.0.borrow_mut().bus.inject(Injection { disturbance, span, address: None });
                 }
-                drive(outputs, to).await;
+                turn(outputs, to).await;
                 bus.0.borrow_mut().bus.clear_injections();
                 let mut found = false;
                 for _ in 0..CHECKS {

@@ -7,7 +7,7 @@ use embedded_hal_async::i2c::I2c;
 use registers as reg;
 
 use super::{ChipError, compare};
-use crate::within::Within;
+use crate::{platform::Write, within::Within};
 
 /// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). Differs by several percent from chip to chip.
 const OSCILLATOR_HZ: f32 = 25e6;
@@ -80,12 +80,6 @@ impl Output {
             (false, true) => (0, 2),
             (false, false) => (0, 4),
         }
-    }
-
-    /// Bytes on the bus, address included, of [`Pca9685::change`].
-    #[must_use]
-    pub fn change_bytes(self, before: Self) -> u32 {
-        2 + self.change_from(before).1 as u32
     }
 
     /// The bytes of `ON_L, ON_H, OFF_L, OFF_H`.
@@ -180,40 +174,37 @@ impl Pca9685 {
         bus.write(self.address, &[reg::ALL_LED_OFF_H, reg::FULL]).await
     }
 
-    /// Sets up to four neighbouring outputs from `first` in one transfer, so that they change in the same PWM period.
-    ///
-    /// # Errors
-    /// A failed transfer.
-    pub async fn set<B: I2c>(&self, bus: &mut B, first: u8, outputs: &[Output]) -> Result<(), B::Error> {
-        let mut bytes = [0; 17];
+    /// The write that sets up to four neighbouring outputs from `first` on, so that they change in the same PWM period.
+    #[must_use]
+    pub fn set(&self, first: u8, outputs: &[Output]) -> Write {
+        let mut bytes = [0; Write::MAX];
         bytes[0] = on_register(first);
         let mut end = 1;
         for (bytes, output) in bytes[1..].chunks_exact_mut(4).zip(outputs) {
             bytes.copy_from_slice(&output.registers());
             end += 4;
         }
-        bus.write(self.address, &bytes[..end]).await
+        Write::new(self.address, bytes, end)
     }
 
-    /// Changes only the "off" count of `output`, whose "on" count is 0 as after [`Pca9685::init`]: 3 bytes after the address.
-    ///
-    /// # Errors
-    /// A failed transfer.
-    pub async fn set_off_count<B: I2c>(&self, bus: &mut B, output: u8, to: Output) -> Result<(), B::Error> {
+    /// The write that changes only the "off" count of `output`, whose "on" count is 0 as after [`Pca9685::init`]: 3 bytes after
+    /// the address.
+    #[must_use]
+    pub fn set_off_count(&self, output: u8, to: Output) -> Write {
         let [_, _, low, high] = to.registers();
-        bus.write(self.address, &[on_register(output) + 2, low, high]).await
+        let mut bytes = [0; Write::MAX];
+        bytes[..3].copy_from_slice(&[on_register(output) + 2, low, high]);
+        Write::new(self.address, bytes, 3)
     }
 
-    /// Changes `output` from what it was written to, `before`, by the registers that differ.
-    ///
-    /// # Errors
-    /// A failed transfer.
-    pub async fn change<B: I2c>(&self, bus: &mut B, output: u8, before: Output, to: Output) -> Result<(), B::Error> {
+    /// The write that changes `output` from what it was written to, `before`, by the registers that differ.
+    #[must_use]
+    pub fn change(&self, output: u8, before: Output, to: Output) -> Write {
         let (first, count) = to.change_from(before);
-        let mut bytes = [0; 5];
+        let mut bytes = [0; Write::MAX];
         bytes[0] = on_register(output) + first;
         bytes[1..=count].copy_from_slice(&to.registers()[usize::from(first)..][..count]);
-        bus.write(self.address, &bytes[..=count]).await
+        Write::new(self.address, bytes, 1 + count)
     }
 
     /// Reads `output` back and compares.
@@ -293,7 +284,10 @@ mod tests {
         // Both at the end of the period: only where they begin differs.
         assert_eq!(longest.change_from(Output::high_from(2048, 0.95)), (0, 2));
         assert_eq!((longest.low().change_from(longest), longest.low().is_low()), ((2, 2), true));
-        assert_eq!([short.change_bytes(longer), longer.change_bytes(longest)], [4, 6]);
+        let chip = Pca9685::new(0x40, 1526.0);
+        let [_, _, low, high] = short.registers();
+        assert_eq!(chip.change(3, longer, short).bytes(), [0x14, low, high]);
+        assert_eq!(chip.change(3, longest, longer).bytes(), [[0x12].as_slice(), &longer.registers()].concat());
     }
 
     #[test]

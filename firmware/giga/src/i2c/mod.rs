@@ -11,10 +11,12 @@
 //! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] has them from the formulas of
 //!   RM0399, 50.4.5 and 50.4.9.
 
+mod chain;
+
 use core::{
     future::{Future, poll_fn},
     pin::pin,
-    task::Poll,
+    task::{Context, Poll},
 };
 
 use embassy_futures::select::{Either, select};
@@ -27,10 +29,11 @@ use embassy_stm32::{
 };
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::i2c::{Error as I2cError, ErrorKind, ErrorType, I2c as I2cBus, NoAcknowledgeSource, Operation};
-use r4_firmware::platform;
+use r4_firmware::platform::{self, Write, write_each};
 use r4_protocol::message::MAX_RAW;
 
 use crate::pins::Place;
+pub(crate) use chain::{Chain, Next, Rearm};
 
 /// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
 const HALF_CLOCK: Duration = Duration::from_micros(5);
@@ -269,6 +272,7 @@ pub(crate) struct Bus {
     driver: I2c<'static, Async, Master>,
     wiring: Wiring,
     bounce: Option<&'static mut Bounce>,
+    chain: Option<Chain>,
 }
 
 impl Bus {
@@ -279,7 +283,12 @@ impl Bus {
         bounce: Option<&'static mut Bounce>,
     ) -> Self {
         wiring.start();
-        Self { driver, wiring, bounce }
+        Self { driver, wiring, bounce, chain: None }
+    }
+
+    /// The same with `chain` for writes that follow each other: that of this controller, whose memory its DMA reaches.
+    pub(crate) fn with_chain(self, chain: Chain) -> Self {
+        Self { chain: Some(chain), ..self }
     }
 }
 
@@ -364,6 +373,23 @@ impl Drop for ByHand {
 }
 
 impl platform::Bus for Bus {
+    async fn write_all(
+        &mut self,
+        writes: &[Write],
+        mut stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), BusError>) {
+        let Some(chain) = &mut self.chain else { return write_each(self, writes, stops).await };
+        let mut sent = 0;
+        for writes in writes.chunks(chain::LENGTH) {
+            let (more, result) = chain.send(&self.wiring, writes, &mut stops).await;
+            sent += more;
+            if more < writes.len() {
+                return (sent, result);
+            }
+        }
+        (sent, Ok(()))
+    }
+
     async fn recover(&mut self) {
         let lines = ByHand::take(self.wiring);
         let Wiring { scl, sda, .. } = self.wiring;
