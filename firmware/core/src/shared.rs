@@ -136,6 +136,28 @@ fn command_slot(place: Place, mode: Mode) -> usize {
     }
 }
 
+/// A set of outputs: a bit for each slot of a command.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Commanded(u64);
+
+const _: () = assert!(OUTPUTS <= u64::BITS as usize, "a bit for each slot");
+
+impl Commanded {
+    /// Whether an output has a command; for a brushless drive, another than to its brake.
+    pub(crate) fn has(self, place: Place) -> bool {
+        self.has_slot(slot(place))
+    }
+
+    /// Whether the brake of a brushless drive has one.
+    pub(crate) fn has_brake(self, bldc: usize) -> bool {
+        self.has_slot(command_slot(Place::Bldc(bldc), Mode::Brake))
+    }
+
+    fn has_slot(self, slot: usize) -> bool {
+        self.0 >> slot & 1 != 0
+    }
+}
+
 /// The one host session a board can have.
 #[derive(Clone, Copy, Debug)]
 struct Session {
@@ -431,6 +453,14 @@ impl<M: RawMutex> Shared<M> {
         self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
     }
 
+    /// Which outputs have a command of the arming `epoch` now. What is given from here on is seen the next time.
+    pub(crate) fn commanded(&self, epoch: u16) -> Commanded {
+        let is_of_epoch = |command: &Option<(u16, Setpoint)>| command.is_some_and(|(given, _)| given == epoch);
+        self.with(|s| {
+            Commanded(s.commands.iter().rev().fold(0, |set, command| set << 1 | u64::from(is_of_epoch(command))))
+        })
+    }
+
     fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
         self.with(|s| s.commands[slot].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
     }
@@ -483,6 +513,11 @@ impl<M: RawMutex> Shared<M> {
 
     pub(crate) fn publish(&self, place: Place, status: Status) {
         self.with(|s| s.statuses[slot(place)] = status);
+    }
+
+    /// The same for several, in one critical section: few at once, and what is short to compute.
+    pub(crate) fn publish_each(&self, statuses: impl Iterator<Item = (Place, Status)>) {
+        self.with(|s| statuses.for_each(|(place, status)| s.statuses[slot(place)] = status));
     }
 
     pub(crate) fn status(&self, place: Place) -> Status {

@@ -53,24 +53,23 @@ impl Inputs {
     /// Reads all and tells hosts; returns the causes they show.
     pub(super) fn sense<M: RawMutex>(&mut self, shared: &Shared<M>, peripherals: &mut impl Peripherals) -> Causes {
         let mut causes = Causes::NONE;
-        for (index, (number, switch)) in self.switches.iter_mut().enumerate() {
+        shared.publish_each(self.switches.iter_mut().enumerate().map(|(index, (number, switch))| {
             let closed = switch.update(peripherals.is_high(*number));
-            shared.publish(Place::Switch(index), Status::Scalar(closed.into()));
-        }
-        for (index, (number, radians, encoder)) in self.encoders.iter_mut().enumerate() {
+            (Place::Switch(index), Status::Scalar(closed.into()))
+        }));
+        shared.publish_each(self.encoders.iter_mut().enumerate().map(|(index, (number, radians, encoder))| {
             let (position, counts_per_s) = encoder.update(peripherals.count(*number));
             let illegal = peripherals.illegal(*number);
-            let status = Status::Encoder { position, speed: counts_per_s * *radians, illegal };
-            shared.publish(Place::Encoder(index), status);
-        }
-        for (index, (input, analog)) in self.analogs.iter_mut().enumerate() {
+            (Place::Encoder(index), Status::Encoder { position, speed: counts_per_s * *radians, illegal })
+        }));
+        let now = Instant::now();
+        shared.publish_each(self.analogs.iter_mut().enumerate().map(|(index, (input, analog))| {
             let reading = analog.update(peripherals.code(*input));
             let age = Duration::from_millis(reading.age_ms.into());
             // One that has never been good is older than the board.
-            let taken = Instant::now().checked_sub(age).unwrap_or(Instant::MIN);
-            let status = Status::Reading { value: reading.volts, quality: reading.quality, taken };
-            shared.publish(Place::Analog(index), status);
-        }
+            let taken = now.checked_sub(age).unwrap_or(Instant::MIN);
+            (Place::Analog(index), Status::Reading { value: reading.volts, quality: reading.quality, taken })
+        }));
         for (index, supply) in self.supplies.iter_mut().enumerate() {
             let (volts, in_range) = supply.update(peripherals.code(supply.analog()));
             shared.publish(Place::Supply(index), Status::Scalar(volts));

@@ -24,7 +24,7 @@ use crate::{
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals},
     sensing::{analog::Supply, storm::IllegalRate},
-    shared::{MotorStatus, SafetyView, Shared, Status},
+    shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
     storage::faults::{Recorder, SNAPSHOT_MS},
 };
 
@@ -212,19 +212,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {
         let config = shared.config();
-        for (index, motor) in self.motors.iter().enumerate() {
-            shared.publish(Place::Motor(index), Status::Motor(motor.status()));
-        }
-        for index in 0..config.bldcs.len() {
-            shared.publish(Place::Bldc(index), Status::Scalar(self.outputs.drive_share(index)));
-        }
-        for index in 0..config.servos.len() {
-            shared.publish(Place::Servo(index), Status::Scalar(self.outputs.servo_angle(index)));
-        }
-        for index in 0..config.relays.len() {
-            shared.publish(Place::Relay(index), Status::Scalar(self.outputs.is_closed(index).into()));
-        }
-        for (index, status) in self.steppers.iter().flat_map(Bank::status).enumerate() {
+        let motors = self.motors.iter().enumerate();
+        shared.publish_each(motors.map(|(index, motor)| (Place::Motor(index), Status::Motor(motor.status()))));
+        let outputs = &self.outputs;
+        let bldcs = (0..config.bldcs.len()).map(|index| (Place::Bldc(index), outputs.drive_share(index)));
+        let servos = (0..config.servos.len()).map(|index| (Place::Servo(index), outputs.servo_angle(index)));
+        let relays = (0..config.relays.len()).map(|index| (Place::Relay(index), outputs.is_closed(index).into()));
+        let told = bldcs.chain(servos).chain(relays);
+        shared.publish_each(told.map(|(place, value)| (place, Status::Scalar(value))));
+        let steppers = self.steppers.iter().flat_map(Bank::status).enumerate();
+        shared.publish_each(steppers.map(|(index, status)| {
             let setpoint = self.stepper_setpoints[index];
             // A search ends at rest where it found its place.
             let found = setpoint.mode == Mode::Home && status.homed && !status.moving;
@@ -236,8 +233,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 settled: status.settled || found,
                 homed: status.homed,
             };
-            shared.publish(Place::Stepper(index), Status::Motor(status));
-        }
+            (Place::Stepper(index), Status::Motor(status))
+        }));
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
@@ -307,10 +304,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         shared.end_leases(Instant::now());
-        self.take_commands(shared, view);
+        let commanded = shared.commanded(view.epoch);
+        self.take_commands(shared, view, commanded);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
-        if !self.drive_motors(shared, view, osmc).await {
+        if !self.drive_motors(shared, view, commanded, osmc).await {
             return Ok(());
         }
         let check = self.tick % CHECK_EVERY == 1 && self.outputs.reserve_check();
@@ -319,7 +317,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         if !dhb_first {
             self.write_drives_and_servos();
         }
-        if !self.drive_motors(shared, view, dhb).await {
+        if !self.drive_motors(shared, view, commanded, dhb).await {
             return Ok(());
         }
         if dhb_first {
@@ -349,12 +347,20 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Steps some motors, whose bridges are written with the next [`Outputs::flush`]; false when a stop came meanwhile, which has then
     /// been carried out.
-    async fn drive_motors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, motors: Order) -> bool {
+    async fn drive_motors<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        view: SafetyView,
+        commanded: Commanded,
+        motors: Order,
+    ) -> bool {
         // The motors' supply has just been closed: drivers need it before their inputs move.
         let powered = Instant::now() >= self.powered_at;
         for index in motors {
             let motor = &mut self.motors[index];
-            if let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch) {
+            if commanded.has(Place::Motor(index))
+                && let Some(setpoint) = shared.take_command(Place::Motor(index), view.epoch)
+            {
                 motor.command(setpoint);
             }
             if !powered {
@@ -383,15 +389,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Takes the commands of all outputs but motors, and lets their rules make a step.
-    fn take_commands<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+    fn take_commands<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, commanded: Commanded) {
         let config = shared.config();
+        let take = |place| commanded.has(place).then(|| shared.take_command(place, view.epoch)).flatten();
         for index in 0..config.relays.len() {
-            if let Some(setpoint) = shared.take_command(Place::Relay(index), view.epoch) {
+            if let Some(setpoint) = take(Place::Relay(index)) {
                 self.outputs.switch(index, setpoint.value != 0.0);
             }
         }
         for (index, dac) in config.dacs.iter().enumerate() {
-            if let Some(setpoint) = shared.take_command(Place::Dac(index), view.epoch) {
+            if let Some(setpoint) = take(Place::Dac(index)) {
                 self.peripherals.set(dac.id.index, dac_code(setpoint.value));
                 shared.publish(Place::Dac(index), Status::Scalar(setpoint.value));
             }
@@ -400,9 +407,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             return;
         }
         for index in 0..config.bldcs.len() {
-            let share = shared.take_command(Place::Bldc(index), view.epoch).map(|setpoint| setpoint.value);
+            let share = take(Place::Bldc(index)).map(|setpoint| setpoint.value);
+            let brake = commanded.has_brake(index).then(|| shared.take_brake(index, view.epoch)).flatten();
             // Of a speed and an applied brake in the same period, the brake is taken; a released one leaves the speed.
-            let command = match (shared.take_brake(index, view.epoch), share) {
+            let command = match (brake, share) {
                 (Some(true), _) => DriveCommand::Brake,
                 (_, Some(share)) => DriveCommand::Run(share),
                 (Some(false), None) => DriveCommand::Run(0.0),
@@ -412,7 +420,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         self.outputs.step_drives();
         for index in 0..config.servos.len() {
-            if let Some(setpoint) = shared.take_command(Place::Servo(index), view.epoch) {
+            if let Some(setpoint) = take(Place::Servo(index)) {
                 self.outputs.command_servo(index, setpoint.value);
             }
         }
@@ -422,7 +430,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             bank.arm(&mut self.peripherals);
         }
         for index in 0..config.steppers.len() {
-            let Some(setpoint) = shared.take_command(Place::Stepper(index), view.epoch) else { continue };
+            let Some(setpoint) = take(Place::Stepper(index)) else { continue };
             let command = match setpoint.mode {
                 Mode::Position => StepperCommand::Position(setpoint.value),
                 Mode::Speed => StepperCommand::Speed(setpoint.value),

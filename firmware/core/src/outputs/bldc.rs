@@ -45,13 +45,17 @@ pub struct Wanted {
 #[derive(Clone, Debug)]
 pub struct Bldcs {
     drives: Vec<Drive, MAX_BLDCS>,
+    /// What the drives ask for, together.
+    wanted: Wanted,
 }
 
 impl Bldcs {
     /// Drives in their safe state. The configuration must be valid.
     #[must_use]
     pub fn new(configs: &[BldcConfig], chip: DacChipConfig) -> Self {
-        Self { drives: configs.iter().take(MAX_BLDCS).map(|config| Drive::new(*config, chip.full_scale_v)).collect() }
+        let drives: Vec<_, _> =
+            configs.iter().take(MAX_BLDCS).map(|config| Drive::new(*config, chip.full_scale_v)).collect();
+        Self { wanted: wanted(&drives), drives }
     }
 
     /// Tells drive number `index` of the configuration what to do, from the next [`Bldcs::step`] on.
@@ -65,27 +69,24 @@ impl Bldcs {
             drive.command = Command::Brake;
             drive.brake();
         }
-        self.wanted()
+        self.asked()
     }
 
     /// One step of `period_s`, s, towards the commands.
     pub fn step(&mut self, period_s: f32) -> Wanted {
         self.drives.iter_mut().for_each(|drive| drive.step(period_s));
-        self.wanted()
+        self.asked()
     }
 
     /// What the last step or safe state asked for.
     #[must_use]
-    pub fn wanted(&self) -> Wanted {
-        let mut wanted = Wanted { codes: [0; OUTPUTS], mask: 0, levels: 0 };
-        for drive in &self.drives {
-            wanted.codes[usize::from(drive.config.output)] = drive.code();
-            for (bit, high) in drive.lines() {
-                wanted.mask |= 1 << bit;
-                wanted.levels |= u16::from(high) << bit;
-            }
-        }
-        wanted
+    pub const fn wanted(&self) -> Wanted {
+        self.wanted
+    }
+
+    fn asked(&mut self) -> Wanted {
+        self.wanted = wanted(&self.drives);
+        self.wanted
     }
 
     /// Keeps the directions that the expander's pins, driven to `levels`, tell the drives.
@@ -96,6 +97,7 @@ impl Bldcs {
             }
             drive.at_neutral_us = 0;
         }
+        self.asked();
     }
 
     /// Share of full speed that drive number `index` is now told, -1..=1.
@@ -103,6 +105,18 @@ impl Bldcs {
     pub fn share(&self, index: usize) -> f32 {
         self.drives[index].share
     }
+}
+
+fn wanted(drives: &[Drive]) -> Wanted {
+    let mut wanted = Wanted { codes: [0; OUTPUTS], mask: 0, levels: 0 };
+    for drive in drives {
+        wanted.codes[usize::from(drive.config.output)] = drive.code();
+        for (bit, high) in drive.lines() {
+            wanted.mask |= 1 << bit;
+            wanted.levels |= u16::from(high) << bit;
+        }
+    }
+    wanted
 }
 
 #[derive(Clone, Debug)]
@@ -289,7 +303,7 @@ mod tests {
         let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
         let codes = [2.0, f32::INFINITY, -2.0, f32::NEG_INFINITY].map(|share| {
             drives.drives[0].share = share;
-            drives.wanted().codes[1]
+            wanted(&drives.drives).codes[1]
         });
         assert_eq!(codes, [2458, 2458, 999, 999]);
     }

@@ -140,6 +140,14 @@ impl Generators {
         self.clock
     }
 
+    /// What `look` sees of the driver of `axis`: nothing that it wants done.
+    fn read<R: Default>(axis: u8, look: impl FnOnce(&mut Driver) -> R) -> R {
+        critical_section::with(|cs| match DRIVERS.borrow_ref_mut(cs).get_mut(usize::from(axis)) {
+            Some(Some(driver)) => look(driver),
+            _ => R::default(),
+        })
+    }
+
     /// Does `what` with the driver of `axis`, and what it then wants done.
     fn with<R: Default>(axis: u8, what: impl FnOnce(&mut Driver) -> R) -> R {
         critical_section::with(|cs| {
@@ -208,11 +216,11 @@ impl Steppers for Generators {
     }
 
     fn pending(&mut self, axis: u8) -> u32 {
-        Self::with(axis, |driver| driver.generator.pending(Clock::ticks()))
+        Self::read(axis, |driver| driver.generator.pending(Clock::ticks()))
     }
 
     fn position(&mut self, axis: u8) -> i32 {
-        Self::with(axis, |driver| driver.generator.position(Clock::ticks()))
+        Self::read(axis, |driver| driver.generator.position(Clock::ticks()))
     }
 
     fn stop(&mut self, axis: u8) {
