@@ -261,15 +261,20 @@ fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
 /// The state that all tasks share, from what is built in and, with `flash`, what was saved since.
 #[inline(never)]
 fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
-    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
-    #[unsafe(link_section = ".dtcm.shared")]
-    static SHARED: StaticCell<Board> = StaticCell::new();
     let built_in = built_in();
-    let Some(flash) = flash else {
-        return SHARED.init_with(|| Shared::new(built_in.clone(), built_in, reset).with_log(log::for_hosts()));
+    let config = match flash {
+        Some(flash) => saved(flash, &built_in),
+        None => built_in.clone(),
     };
-    let loaded = block_on(load(flash, &built_in));
+    share(config, built_in, reset)
+}
+
+/// What is built in, with what was saved.
+///
+/// By itself: with [`share`] in one frame, it took two thirds of the stack, for configurations that were moved about.
+#[inline(never)]
+fn saved(flash: &mut Bank2, built_in: &BoardConfig) -> BoardConfig {
+    let loaded = block_on(load(flash, built_in));
     match loaded.saved {
         Saved::Nothing => defmt::info!("no saved parameters"),
         Saved::Changes => defmt::info!("{} saved parameters", loaded.changes.values.len()),
@@ -277,7 +282,16 @@ fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
         Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
         Saved::Damaged => defmt::error!("saved parameters are damaged"),
     }
-    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset).with_log(log::for_hosts()))
+    loaded.config
+}
+
+#[inline(never)]
+fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> &'static Board {
+    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
+    #[unsafe(link_section = ".dtcm.shared")]
+    static SHARED: StaticCell<Board> = StaticCell::new();
+    SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the

@@ -15,7 +15,7 @@ mod common;
 mod cycles;
 #[path = "../src/encoders/mod.rs"]
 mod encoders;
-#[path = "../src/i2c.rs"]
+#[path = "../src/i2c/mod.rs"]
 mod i2c;
 #[path = "../src/pins.rs"]
 mod pins;
