@@ -23,6 +23,7 @@ use crate::{
     peripherals::{
         adc::Adc12,
         backup::Backup,
+        crc::Crc,
         crs::Crs,
         dac::Dac,
         dbgmcu::Dbgmcu,
@@ -72,6 +73,7 @@ struct Devices<F> {
     fdcan: Fdcan,
     spi: Spi,
     rng: Rng,
+    crc: Crc,
 }
 
 impl<F: FlashCells> Devices<F> {
@@ -100,6 +102,7 @@ impl<F: FlashCells> Devices<F> {
             fdcan: Fdcan::new(),
             spi: Spi::new(),
             rng: Rng::new(0),
+            crc: Crc::new(),
         }
     }
 
@@ -128,6 +131,7 @@ impl<F: FlashCells> Devices<F> {
         const DAC: usize = Id::Dac1 as usize;
         const SPI: usize = Id::Spi1 as usize;
         const RNG: usize = Id::Rng as usize;
+        const CRC: usize = Id::Crc as usize;
         match id {
             0 => &mut self.rcc,
             1 => &mut self.pwr,
@@ -151,7 +155,8 @@ impl<F: FlashCells> Devices<F> {
             I2C..FDCAN => &mut self.i2cs[id - I2C],
             FDCAN => &mut self.fdcan,
             SPI => &mut self.spi,
-            RNG.. => &mut self.rng,
+            RNG => &mut self.rng,
+            CRC.. => &mut self.crc,
         }
     }
 }
