@@ -79,7 +79,10 @@ pub(crate) fn check() -> Image {
         }
         !CRC.dr32().read()
     });
-    Image { info, whole: found == crc && !faults && ptr::eq(&raw const RECORD, start.wrapping_add(RECORD_AT / RECORD_BYTES)) }
+    Image {
+        info,
+        whole: found == crc && !faults && ptr::eq(&raw const RECORD, start.wrapping_add(RECORD_AT / RECORD_BYTES)),
+    }
 }
 
 /// Turns the unit on, for CRC-32/ISO-HDLC (RM0399, 22.3.3): polynomial and initial value are those of its reset.

@@ -15,7 +15,8 @@ mod seal;
 pub use binary::Binary;
 pub use elf::{FileError, Image, Segment};
 pub use place::{CHIP, DFU_DEVICE, Place};
-pub use seal::{Seal, seal};
+pub use r4_protocol::image::{RECORD_AT, RECORD_BYTES};
+pub use seal::{Seal, seal, seal_elf};
 
 use sha2::{Digest, Sha256};
 

@@ -1,6 +1,6 @@
 //! The record by which an image is known to be whole: its length and CRC, as [`r4_protocol::image`] lays them out.
 
-use r4_protocol::image::{CRC_AT, MAGIC, RECORD_AT};
+use r4_protocol::image::{CRC_AT, MAGIC, RECORD_AT, RECORD_BYTES};
 
 use crate::{Binary, ImageError};
 
@@ -43,22 +43,30 @@ impl Seal {
 
 const LENGTH_AT: usize = RECORD_AT + MAGIC.len();
 
+/// Fills in the record of an image's bytes.
+///
+/// # Errors
+/// [`ImageError::NoRecord`] where they have no place for it.
+pub fn seal(binary: &mut Binary) -> Result<Seal, ImageError> {
+    let no_record = ImageError::NoRecord { address: binary.start.wrapping_add(RECORD_AT as u32) };
+    // The length is under the CRC.
+    let length = u32::try_from(binary.bytes.len()).map_err(|_| no_record)?;
+    binary.bytes.get_mut(LENGTH_AT..LENGTH_AT + 4).ok_or(no_record)?.copy_from_slice(&length.to_le_bytes());
+    let seal = Seal::due(binary).ok_or(no_record)?;
+    binary.bytes.get_mut(CRC_AT..CRC_AT + 4).ok_or(no_record)?.copy_from_slice(&seal.crc.to_le_bytes());
+    Ok(seal)
+}
+
 /// Fills in the record of an ELF file that was just linked.
 ///
 /// # Errors
 /// [`ImageError::NoRecord`] where the firmware has no place for it, and those of [`Binary::of`].
-pub fn seal(elf: &mut [u8]) -> Result<Seal, ImageError> {
+pub fn seal_elf(elf: &mut [u8]) -> Result<Seal, ImageError> {
     let mut binary = Binary::of(elf)?;
+    let seal = seal(&mut binary)?;
     let address = binary.start.wrapping_add(RECORD_AT as u32);
-    let no_record = ImageError::NoRecord { address };
-    let at = Binary::offset_in(elf, address).ok_or(no_record)?;
-    // The length is under the CRC.
-    let length = u32::try_from(binary.bytes.len()).map_err(|_| no_record)?.to_le_bytes();
-    binary.bytes.get_mut(LENGTH_AT..LENGTH_AT + 4).ok_or(no_record)?.copy_from_slice(&length);
-    let seal = Seal::due(&binary).ok_or(no_record)?;
-    let record = elf.get_mut(at + MAGIC.len()..).and_then(|record| record.get_mut(..8)).ok_or(no_record)?;
-    record[..4].copy_from_slice(&length);
-    record[4..].copy_from_slice(&seal.crc.to_le_bytes());
+    let record = Binary::offset_in(elf, address).and_then(|at| elf.get_mut(at..)?.get_mut(..RECORD_BYTES));
+    record.ok_or(ImageError::NoRecord { address })?.copy_from_slice(&binary.bytes[RECORD_AT..RECORD_AT + RECORD_BYTES]);
     Ok(seal)
 }
 
@@ -85,19 +93,19 @@ mod tests {
     #[test]
     fn a_sealed_image_is_whole_and_sealing_again_changes_nothing() {
         let mut elf = linked();
-        let sealed = seal(&mut elf).expect("it has a record");
+        let sealed = seal_elf(&mut elf).expect("it has a record");
         // Computed by another program, in Python: zlib.crc32(content[:0x3E8] + b"\xff" * 4 + content[0x3EC:] + b"\xff" * 16).
         assert_eq!(sealed, Seal { bytes: BYTES as u32, crc: 0x193E_870B });
         assert_eq!(Seal::of(&Binary::of(&elf).expect("good")), Ok(sealed));
         let before = elf.clone();
-        assert_eq!(seal(&mut elf), Ok(sealed));
+        assert_eq!(seal_elf(&mut elf), Ok(sealed));
         assert_eq!(elf, before);
     }
 
     #[test]
     fn one_wrong_bit_anywhere_is_found() {
         let mut elf = linked();
-        seal(&mut elf).expect("it has a record");
+        seal_elf(&mut elf).expect("it has a record");
         let whole = Binary::of(&elf).expect("good");
         for bit in 0..8 * BYTES {
             let mut wrong = whole.clone();
@@ -111,7 +119,7 @@ mod tests {
         let mut elf = linked();
         let never = Seal::of(&Binary::of(&elf).expect("good"));
         assert!(matches!(never, Err(ImageError::Damaged { bytes: u32::MAX, .. })), "{never:?}");
-        seal(&mut elf).expect("it has a record");
+        seal_elf(&mut elf).expect("it has a record");
         let mut cut = Binary::of(&elf).expect("good");
         for length in (0..BYTES).step_by(32).rev() {
             cut.bytes.truncate(length);
@@ -121,6 +129,6 @@ mod tests {
         }
         let mut other = linked();
         other[84 + RECORD_AT] = b'r';
-        assert_eq!(seal(&mut other), Err(ImageError::NoRecord { address: 0x0804_03E0 }));
+        assert_eq!(seal_elf(&mut other), Err(ImageError::NoRecord { address: 0x0804_03E0 }));
     }
 }

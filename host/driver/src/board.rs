@@ -14,8 +14,9 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogInfo, Mode, ParameterInfo,
-    ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, VERSION,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogInfo, Mode,
+    ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, VERSION,
     config::{MAX_NAME, PidGains},
     message::MAX_RAW,
 };

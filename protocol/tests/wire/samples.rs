@@ -2,9 +2,9 @@
 
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
-    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, ToHost, Unit,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot,
+    Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
+    Telemetry, ToDevice, ToHost, Unit,
     config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},

@@ -11,9 +11,9 @@ use proptest::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
-    DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo,
-    ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost,
-    Unit,
+    DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
+    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, ToHost, Unit,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,

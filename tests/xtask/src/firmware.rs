@@ -82,7 +82,7 @@ impl Firmware {
             .current_dir(&folder))?;
         let built = target.join("giga").join(TARGET).join("release/r4-giga");
         let mut elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
-        let seal = r4_image::seal(&mut elf).map_err(|error| format!("{}: {error}", built.display()))?;
+        let seal = r4_image::seal_elf(&mut elf).map_err(|error| format!("{}: {error}", built.display()))?;
         let image = Image::read(&elf).ok_or_else(|| format!("{} is no ELF file of 32 bits", built.display()))?;
         let path = self.elf(root)?;
         fs::create_dir_all(path.parent().unwrap_or(root))

@@ -30,7 +30,7 @@ use crate::{
         dma::{self, Bdma, Dma12},
         exti::Exti,
         fdcan::Fdcan,
-        flash::{Flash, FlashCells, LoadError},
+        flash::{Flash, FlashCells, LoadError, WORD_BYTES},
         fmc::Fmc,
         gpio::{Function, Gpio},
         i2c::I2c,
@@ -555,6 +555,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
         self.devices.fdcan.receive(bus, at_ns, frame);
         self.ask_next(Id::Fdcan as usize);
+    }
+
+    /// The flash word at `address` fails its error correction from now on, as after a power cut while it was programmed
+    /// (RM0399, 4.3 "Error code correction"), until it is erased.
+    pub fn spoil_flash(&mut self, address: u32) {
+        let word = address.wrapping_sub(BANK_1) / WORD_BYTES as u32;
+        self.devices.flash.cells.abandon(word, 1);
+        self.follow_flash();
     }
 
     /// Where the processor starts: at the vector table to which a bootloader would jump, if not that of bank 1.
