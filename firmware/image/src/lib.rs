@@ -14,7 +14,7 @@ mod seal;
 
 pub use binary::Binary;
 pub use elf::{FileError, Image, Segment};
-pub use place::{CHIP, DFU_DEVICE, Place};
+pub use place::{CHIP, DFU_DEVICE, DFU_USB, Place, dfu_util};
 pub use r4_protocol::image::{RECORD_AT, RECORD_BYTES};
 pub use seal::{Seal, seal, seal_elf};
 

@@ -6,6 +6,7 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `flash` | from a board that runs to one that runs another image |
 //! | `update` | from any state of the bootloader to an image that is written, read back and started |
 //! | `io` | control transfers as `dfu-core` wants them |
 //! | `device` | bootloaders on this machine's USB |
@@ -14,9 +15,11 @@
 
 #[cfg(feature = "usb")]
 pub mod device;
+mod flash;
 mod io;
 mod update;
 
 pub use dfu_core::{State, Status};
+pub use flash::{Asked, FlashError, Flashed, Machine, Note, Running, flash};
 pub use io::{Descriptor, Usb, UsbError};
 pub use update::{Progress, Step, UpdateError, Updated, leave, update};

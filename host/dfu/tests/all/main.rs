@@ -1,5 +1,6 @@
 //! Updates of a bootloader's flash, with all that goes wrong on the way.
 
+mod board;
 mod model;
 
 use model::{Bootloader, FLASH, SECTOR, Wrong};
