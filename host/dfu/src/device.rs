@@ -21,7 +21,7 @@ const DFU: (u8, u8) = (0xFE, 0x01);
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The operating system's.
-    #[error("cannot list the USB devices")]
+    #[error("cannot list the USB devices: a container or a virtual machine has to be given the board first")]
     List(#[source] nusb::Error),
     /// More than one board is in its bootloader.
     #[error("{count} boards are in their bootloader: leave one of them plugged in")]
