@@ -3,18 +3,25 @@
 use std::{fs, path::PathBuf};
 
 use crate::program::*;
+use r4_image::{RECORD_AT, seal_elf};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-/// An ELF file with one segment of 100 bytes at `address`, that begins with these words.
+/// Bytes of its segment.
+const BYTES: usize = 1100;
+
+/// An ELF file with one segment at `address`, that begins with these words, and its record of a CRC.
 fn elf(address: u32, stack: u32, entry: u32) -> Vec<u8> {
     let mut elf = vec![0; 52];
     elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
     (elf[0x1C], elf[0x2A], elf[0x2C]) = (52, 32, 1);
-    for value in [1, 84, address, address, 100, 100, 5, 4, stack, entry] {
+    for value in [1, 84, address, address, BYTES as u32, BYTES as u32, 5, 4, stack, entry] {
         elf.extend(u32::to_le_bytes(value));
     }
-    elf.resize(84 + 100, 0x5A);
+    elf.resize(84 + BYTES, 0x5A);
+    elf[84 + RECORD_AT..][..32].fill(0xFF);
+    elf[84 + RECORD_AT..][..4].copy_from_slice(b"R4im");
+    seal_elf(&mut elf).expect("it has a place for it");
     elf
 }
 
@@ -43,6 +50,12 @@ fn files_that_no_board_would_start_are_refused_before_a_probe_is_looked_for() {
     let cut = file(&folder, "cut.elf", &bare()[..120]);
     let elsewhere = file(&folder, "elsewhere.elf", &elf(0x0810_0000, 0x2401_0000, 0x0810_0041));
     let no_stack = file(&folder, "no-stack.elf", &elf(0x0800_0000, 0x1001_0000, 0x0800_0041));
+    let mut flipped = bare();
+    flipped[84 + 1000] ^= 1;
+    let flipped = file(&folder, "flipped.elf", &flipped);
+    let mut other = bare();
+    other[84 + RECORD_AT] = 0;
+    let other = file(&folder, "other.elf", &other);
     let no_entry = file(&folder, "no-entry.elf", &elf(0x0800_0000, 0x2401_0000, 0x0804_0041));
     let bare = file(&folder, "bare.elf", &bare());
     all_refused([
@@ -51,6 +64,8 @@ fn files_that_no_board_would_start_are_refused_before_a_probe_is_looked_for() {
         (&["flash", path(&elsewhere)], &["0x08100000", "(bare)", "(hosted)"]),
         (&["flash", path(&no_stack)], &["0x10010000", "no stack"]),
         (&["flash", path(&no_entry)], &["0x08040041", "no function"]),
+        (&["flash", path(&flipped)], &["flipped.elf", "its record says 1120 bytes", "Build it again"]),
+        (&["flash", path(&other)], &["other.elf", "no record of its CRC at 0x080003e0"]),
         (&["flash", "nowhere.elf"], &["cannot read", "nowhere.elf"]),
         (&["flash", "--robot", "no-such-robot"], &["no-such-robot-bare.elf", "cargo xtask firmware"]),
         (&["flash", "--robot", "no-such-robot", "--dfu"], &["no-such-robot-hosted.elf", "--image hosted"]),
@@ -67,7 +82,7 @@ fn without_a_probe_it_says_which_image_it_would_have_been_and_what_to_do() {
     let image = file(&folder, "robot-bare.elf", &bare());
     let seen = r4(&["flash", path(&image), "--probe", "0483:374e:NO-SUCH-PROBE"]);
     assert!(seen.code == Some(1) && seen.out.is_empty(), "{seen:?}");
-    let mut says = vec!["bare image, 128 bytes from 0x08000000", "r4 flash --dfu"];
+    let mut says = vec!["bare image, 1120 bytes from 0x08000000", "r4 flash --dfu"];
     if cfg!(feature = "probe") {
         says.extend(["no debug probe", "probe-setup", "NO-SUCH-PROBE"]);
     } else {
@@ -80,6 +95,7 @@ fn without_a_probe_it_says_which_image_it_would_have_been_and_what_to_do() {
     }
 }
 
+#[cfg(not(feature = "dfu"))]
 #[test]
 fn dfu_makes_the_file_and_tells_how_it_is_written() {
     let folder = TempDir::new().expect("a folder");
@@ -87,16 +103,28 @@ fn dfu_makes_the_file_and_tells_how_it_is_written() {
     let raw = folder.path().join("robot-hosted.bin");
     let told = good(&["flash", path(&image), "--dfu"]);
     let command = format!("dfu-util -d 2341:0366 -a 0 -s 0x08040000:leave -D {}", path(&raw));
-    for says in ["twice", &command, &hex_digest(&hosted())] {
+    for says in ["twice", "--features dfu", &command, &hex_digest(&hosted())] {
         assert!(told.contains(says), "{says}: {told}");
     }
     // Whole flash words, the last filled up as erased flash is.
     let written = fs::read(&raw).expect("the file is there");
-    assert_eq!(written[..100], hosted()[84..184]);
-    assert_eq!(written[100..], [0xFF; 28]);
+    assert_eq!(written[..BYTES], hosted()[84..]);
+    assert_eq!(written[BYTES..], [0xFF; 20]);
 
     let report = good_json(&["flash", path(&image), "--dfu", "--json"]);
-    assert_eq!((text(&report, "image"), number(&report, "bytes")), ("hosted", 128.0));
+    assert_eq!((text(&report, "image"), number(&report, "bytes")), ("hosted", 1120.0));
     assert_eq!(text(&report, "sha256"), hex_digest(&hosted()));
     assert_eq!(array(&report, "command").len(), 9);
+}
+
+/// Before it looks for anything on USB.
+#[cfg(feature = "dfu")]
+#[test]
+fn dfu_goes_to_no_board_that_is_not_on_usb() {
+    let folder = TempDir::new().expect("a folder");
+    let image = file(&folder, "robot-hosted.elf", &hosted());
+    for board in ["sim:osmc-bench", "tcp:localhost:1"] {
+        let seen = r4(&["flash", path(&image), "--dfu", "--board", board]);
+        assert!(seen.code == Some(1) && seen.err.contains("no board on USB"), "{seen:?}");
+    }
 }

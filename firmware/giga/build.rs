@@ -8,6 +8,7 @@
 use std::{env, error::Error, fmt::Write, fs, path::PathBuf};
 
 use r4_boards::Carrier;
+use r4_protocol::image::RECORD_AT;
 
 /// Bank 1: 8 sectors of 128 KiB (RM0399, table 15). Bank 2 holds parameters and trips, and nothing that runs.
 const BANK_1: u32 = 0x0800_0000;
@@ -40,7 +41,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let memory = fs::read_to_string("memory.x.in")?
         .replace("@FLASH_ORIGIN@", &format!("{:#010X}", BANK_1 + offset))
-        .replace("@FLASH_LENGTH@", &format!("{:#X}", BANK_1_LEN - offset));
+        .replace("@FLASH_LENGTH@", &format!("{:#X}", BANK_1_LEN - offset))
+        .replace("@RECORD_AT@", &format!("{RECORD_AT:#X}"));
     fs::write(out.join("memory.x"), memory)?;
     println!("cargo:rustc-link-search={}", out.display());
     // The list of tests for probe-rs, from embedded-test.

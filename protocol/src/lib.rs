@@ -9,6 +9,7 @@
 //! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`log`] | the log of a board's firmware |
+//! | [`image`] | the image of a board's firmware, and how it is known to be whole |
 //! | [`frame`] | COBS + CRC-16 frames on a byte link |
 //! | [`can`] | a byte link on a CAN bus |
 //!
@@ -22,6 +23,7 @@ pub mod channel;
 pub mod config;
 pub mod cycle;
 pub mod frame;
+pub mod image;
 pub mod log;
 pub mod message;
 pub mod parameter;
@@ -30,6 +32,7 @@ pub mod state;
 pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
 pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unscaled};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
+pub use image::ImageInfo;
 pub use log::{LogChunk, LogInfo};
 pub use message::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
@@ -39,7 +42,7 @@ pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 6;
+pub const VERSION: u16 = 7;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///

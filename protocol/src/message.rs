@@ -12,6 +12,7 @@ use crate::{
     channel::{ChannelId, ChannelInfo, Mode, Range},
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, Cycle, CycleChannel, CycleState},
+    image::ImageInfo,
     log::{LogChunk, LogInfo},
     parameter::ParameterKey,
     state::{Causes, SafetyState},
@@ -195,6 +196,11 @@ pub enum Request {
         /// Whether to send it.
         on: bool,
     },
+    /// Which image the board runs.
+    Image,
+    /// Restarts the board into the bootloader that started it, which takes another image over USB. Refused while the board is
+    /// armed, and by an image without a bootloader.
+    Bootloader,
 }
 
 /// Most bytes in one raw transfer.
@@ -237,6 +243,8 @@ pub enum Reply {
     Bytes(Vec<u8, MAX_RAW>),
     /// To [`Request::Log`].
     Log(LogInfo),
+    /// To [`Request::Image`].
+    Image(ImageInfo),
 }
 
 /// A parameter and its values.
@@ -454,6 +462,10 @@ pub enum Refusal {
     },
     /// This firmware has no log: it is a simulated board's.
     NoLog,
+    /// This firmware is no image in flash: it is a simulated board's.
+    NoImage,
+    /// No bootloader has started this firmware: it is a bare image, or a simulated board's.
+    NoBootloader,
 }
 
 impl fmt::Display for Refusal {
@@ -526,6 +538,11 @@ impl fmt::Display for Refusal {
             Self::NoLog => f.write_str(
                 "a simulated board has no log: that of the firmware's image is read on a real board or an emulated one, as in \
                  emu:osmc-bench",
+            ),
+            Self::NoImage => f.write_str("a simulated board has no image in flash: a real or an emulated one has"),
+            Self::NoBootloader => f.write_str(
+                "no bootloader has started this firmware: press the reset button twice if the Arduino bootloader is there, else \
+                 flash by a debug probe",
             ),
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }

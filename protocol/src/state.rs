@@ -64,11 +64,13 @@ pub enum Cause {
     RepeatedBadStarts = 15,
     /// An input had more edges than its sensor can make: its interrupt is masked, and its edges are lost.
     InterruptStorm = 16,
+    /// The firmware's image in flash is not what was built: the board only holds its outputs safe, until it is flashed.
+    DamagedImage = 17,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -86,6 +88,7 @@ impl Cause {
         Self::ClockFault,
         Self::RepeatedBadStarts,
         Self::InterruptStorm,
+        Self::DamagedImage,
     ];
 
     /// What a person does about it.
@@ -111,6 +114,7 @@ impl Cause {
             Self::ClockFault => "switch the board off and on; if it comes back, replace the crystal",
             Self::RepeatedBadStarts => "outputs are only held safe: read the log, then switch off and on, or flash",
             Self::InterruptStorm => "check wire and shield of encoder 3 and the range sensors; the log names the input",
+            Self::DamagedImage => "outputs are only held safe: flash the firmware again, as with `r4 flash`",
         }
     }
 }
@@ -135,6 +139,7 @@ impl fmt::Display for Cause {
             Self::ClockFault => "clock fault",
             Self::RepeatedBadStarts => "repeated bad starts",
             Self::InterruptStorm => "interrupt storm",
+            Self::DamagedImage => "damaged image",
         })
     }
 }

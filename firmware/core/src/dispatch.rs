@@ -20,7 +20,7 @@ use crate::{
     log::Feed,
     ranging,
     safety::Event,
-    shared::Shared,
+    shared::{Restart, Shared},
     storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
@@ -202,8 +202,10 @@ fn answer<M: RawMutex>(
         Request::SetName { robot } => shared.set_pending(BoardConfig { robot, ..shared.pending() }),
         Request::ResetParameters => shared.set_pending(shared.built_in().clone()),
         Request::Restart => {
-            shared.restart()?;
+            shared.restart(Restart::Firmware)?;
         }
+        Request::Bootloader => shared.restart(Restart::Bootloader)?,
+        Request::Image => return shared.image().map(Reply::Image),
         Request::Log { on } => {
             let log = shared.log().ok_or(Refusal::NoLog)?;
             if on {

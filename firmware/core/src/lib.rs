@@ -40,7 +40,7 @@ mod telemetry;
 mod testing;
 mod within;
 
-pub use shared::{MotorStatus, ResetCause, Shared};
+pub use shared::{MotorStatus, ResetCause, Restart, Shared};
 
 /// Version of this firmware, as told to hosts.
 pub const FIRMWARE_VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -9,7 +9,7 @@ use embassy_sync::{
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, DeviceStats, Mode, Quality, Refusal, SafetyState, Setpoint,
+    Cause, Causes, DeviceStats, ImageInfo, Mode, Quality, Refusal, SafetyState, Setpoint,
     config::{
         ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SERVOS, MAX_SUPPLIES,
         PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
@@ -37,6 +37,8 @@ pub enum ResetCause {
     Clock,
     /// The firmware ended badly several times in a row: nothing runs but links, and outputs are only held safe.
     RepeatedBadStarts,
+    /// The image in flash is not what was built: as above.
+    DamagedImage,
 }
 
 impl ResetCause {
@@ -48,8 +50,23 @@ impl ResetCause {
             Self::Watchdog => Some(Cause::WatchdogReset),
             Self::Clock => Some(Cause::ClockFault),
             Self::RepeatedBadStarts => Some(Cause::RepeatedBadStarts),
+            Self::DamagedImage => Some(Cause::DamagedImage),
         }
     }
+
+    /// Whether nothing runs but links, until the next start.
+    const fn holds(self) -> bool {
+        matches!(self, Self::RepeatedBadStarts | Self::DamagedImage)
+    }
+}
+
+/// What a board starts when it restarts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Restart {
+    /// This firmware.
+    Firmware,
+    /// The bootloader, which waits for another image.
+    Bootloader,
 }
 
 /// What a motor or stepper does, as published by the control loop each period.
@@ -233,12 +250,13 @@ pub struct Shared<M: RawMutex> {
     pub(crate) supervisor: Signal<M, ()>,
     /// Wakes the control loop out of turn: outputs must be made safe.
     pub(crate) make_safe: Signal<M, ()>,
-    restart: Signal<M, ()>,
+    restart: Signal<M, Restart>,
     /// What is kept over a restart; [`crate::storage::run`] serves it.
     pub storage: Storage<M>,
     /// Raw access to connectors; its own task serves it.
     pub passthrough: Passthrough<M>,
     log: Option<Log>,
+    image: Option<ImageInfo>,
 }
 
 impl<M: RawMutex> Shared<M> {
@@ -250,7 +268,6 @@ impl<M: RawMutex> Shared<M> {
             None => Safety::Disarmed,
             Some(cause) => Safety::Tripped { causes: Causes::only(cause) },
         };
-        let held = reset == ResetCause::RepeatedBadStarts;
         let mut statuses = [Status::Scalar(0.0); CHANNELS];
         for (_, place) in config.channels() {
             statuses[slot(place)] = match place {
@@ -265,7 +282,9 @@ impl<M: RawMutex> Shared<M> {
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, config.validate().is_err());
         // No task takes it away again: such a board cannot be armed before its next start.
-        control_causes.set(Cause::RepeatedBadStarts, held);
+        if let (true, Some(cause)) = (reset.holds(), reset.cause()) {
+            control_causes.set(cause, true);
+        }
         Self {
             built_in,
             state: Mutex::new(RefCell::new(State {
@@ -284,7 +303,7 @@ impl<M: RawMutex> Shared<M> {
                 leases: Vec::new(),
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
-                held,
+                held: reset.holds(),
                 // Silent from now on, and not from the beginning of time.
                 ranges: [RangeReading { updated: Instant::now(), ..RangeReading::NONE }; RANGE_SENSORS],
                 trips: u32::from(reset.cause().is_some()),
@@ -301,6 +320,7 @@ impl<M: RawMutex> Shared<M> {
             storage: Storage::new(),
             passthrough: Passthrough::new(),
             log: None,
+            image: None,
         }
     }
 
@@ -309,6 +329,17 @@ impl<M: RawMutex> Shared<M> {
     pub fn with_log(mut self, log: Log) -> Self {
         self.log = Some(log);
         self
+    }
+
+    /// The same on a board that runs an image in flash.
+    #[must_use]
+    pub fn with_image(mut self, image: ImageInfo) -> Self {
+        self.image = Some(image);
+        self
+    }
+
+    pub(crate) fn image(&self) -> Result<ImageInfo, Refusal> {
+        self.image.ok_or(Refusal::NoImage)
     }
 
     pub(crate) fn log(&self) -> Option<&Log> {
@@ -563,16 +594,19 @@ impl<M: RawMutex> Shared<M> {
     /// Asks whoever runs the board to restart it, which cannot be armed any more.
     ///
     /// # Errors
-    /// [`Refusal::NotWhile`] while it is armed.
-    pub(crate) fn restart(&self) -> Result<(), Refusal> {
+    /// [`Refusal::NotWhile`] while it is armed, [`Refusal::NoBootloader`] where none has started it.
+    pub(crate) fn restart(&self, restart: Restart) -> Result<(), Refusal> {
+        if restart == Restart::Bootloader && !self.image.is_some_and(|image| image.hosted) {
+            return Err(Refusal::NoBootloader);
+        }
         core::mem::forget(self.hold_arming()?);
-        self.restart.signal(());
+        self.restart.signal(restart);
         Ok(())
     }
 
     /// Ready when a host has asked for a restart, which is only taken while the board is not armed.
-    pub async fn restart_requested(&self) {
-        self.restart.wait().await;
+    pub async fn restart_requested(&self) -> Restart {
+        self.restart.wait().await
     }
 
     // Links.

@@ -27,7 +27,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
-    ResetCause, Shared,
+    ResetCause, Restart, Shared,
     control::{self, BoardIo},
     link::serve,
     outputs::{OutputFault, rest_dacs},
@@ -36,7 +36,7 @@ use r4_firmware::{
     screen::{self, ScreenPins},
     storage::parameters::{Saved, load},
 };
-use r4_protocol::config::BoardConfig;
+use r4_protocol::{ImageInfo, config::BoardConfig};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::{
@@ -49,6 +49,7 @@ use crate::{
     flash::Bank2,
     guard, hold,
     i2c::{self, Bounce, Bus, Chain, Timing, Wiring},
+    image,
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     log,
     peripherals::Processor,
@@ -190,9 +191,11 @@ pub(crate) fn run() -> ! {
     quiet();
     processor();
     sweep::run_from_the_internal_oscillator();
-    let start = Start::take();
+    let mut start = Start::take();
     let swept = make_outputs_safe(start.mode());
     watchdog::allow_boot();
+    let image = image::check();
+    start.damaged = !image.whole;
     no_speculation();
 
     // After bad starts the crystal is not relied on: it may be what they come from.
@@ -213,6 +216,9 @@ pub(crate) fn run() -> ! {
 
     defmt::info!("R4 {} for {}, image {}", r4_firmware::FIRMWARE_VERSION, env!("R4_ROBOT_NAME"), env!("R4_IMAGE_KIND"));
     defmt::info!("start: {}, mode {}", start, start.mode());
+    if start.damaged {
+        defmt::error!("flash does not hold the image of {} bytes with CRC {:#010x}", image.info.bytes, image.info.crc);
+    }
     if swept.is_err() {
         defmt::error!("not every output chip could be told its safe state at the start");
     }
@@ -226,7 +232,7 @@ pub(crate) fn run() -> ! {
     if supply::brown_out_level() == 0 {
         defmt::warn!("the option bytes have no brown-out reset: docs/bring-up.md, option bytes, BOR_LEV");
     }
-    let (shared, screen) = start_tasks(p, &start, source);
+    let (shared, screen) = start_tasks(p, &start, image.info, source);
     defmt::info!("tasks run");
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
     EXECUTOR.init_with(Executor::new).run(|spawner| {
@@ -260,13 +266,13 @@ fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
 
 /// The state that all tasks share, from what is built in and, with `flash`, what was saved since.
 #[inline(never)]
-fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
+fn board(flash: Option<&mut Bank2>, reset: ResetCause, image: ImageInfo) -> &'static Board {
     let built_in = built_in();
     let config = match flash {
         Some(flash) => saved(flash, &built_in),
         None => built_in.clone(),
     };
-    share(config, built_in, reset)
+    share(config, built_in, reset, image)
 }
 
 /// What is built in, with what was saved.
@@ -286,12 +292,12 @@ fn saved(flash: &mut Bank2, built_in: &BoardConfig) -> BoardConfig {
 }
 
 #[inline(never)]
-fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> &'static Board {
+fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause, image: ImageInfo) -> &'static Board {
     #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
     // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
     #[unsafe(link_section = ".dtcm.shared")]
     static SHARED: StaticCell<Board> = StaticCell::new();
-    SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()))
+    SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()).with_image(image))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the
@@ -299,10 +305,10 @@ fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> &'sta
 ///
 /// Not part of [`run`], which never returns: what these take of the stack is free again for the tasks.
 #[inline(never)]
-fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'static Board, Screen) {
+fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::Source) -> (&'static Board, Screen) {
     let held = start.mode() != Mode::Run;
     let mut flash = Bank2::new(p.FLASH);
-    let shared = board((!held).then_some(&mut flash), start.cause());
+    let shared = board((!held).then_some(&mut flash), start.cause(), image);
     watchdog::feed();
     let has_ranges = !shared.config().ranges.is_empty();
 
@@ -336,7 +342,7 @@ fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'stat
         executors.links.spawn(restart_task(shared).expect("one"));
     };
     if held {
-        defmt::error!("{} bad starts in a row: outputs are only held safe", start.bad_starts);
+        defmt::error!("{}, {} bad starts in a row: outputs are only held safe", start.mode(), start.bad_starts);
         spawn_links(&executors::start());
         hold::beside_links(shared.config());
     }
@@ -626,9 +632,12 @@ async fn well_task() {
 /// A restart that a host asked for; it is only taken while the board is not armed.
 #[embassy_executor::task]
 async fn restart_task(shared: &'static Board) -> ! {
-    shared.restart_requested().await;
+    let restart = shared.restart_requested().await;
     defmt::info!("a host asked for a restart");
     Timer::after(FAREWELL).await;
+    if restart == Restart::Bootloader {
+        reset::ask_for_bootloader();
+    }
     cortex_m::peripheral::SCB::sys_reset()
 }
 

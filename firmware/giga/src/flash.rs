@@ -5,19 +5,12 @@
 //! accesses go through one [`Bank2`], which has no operation under way when it reads.
 //!
 //! # A word that fails its error correction
-//! A word of 256 bits with two wrong bits, as a power cut while it is programmed may leave, sets DBECCERR and answers the
-//! read with a bus error (RM0399, 4.3 "Error code correction"), which on a Cortex-M7 is a precise BusFault. [`Bank2`] reads each
-//! word with FAULTMASK set and CCR.BFHFNMIGN set: with FAULTMASK the execution priority is -1 (ARMv7-M Architecture Reference
-//! Manual, B1.4.3), and at a priority below 0 that bit has data bus faults of loads ignored instead of locking up (B3.2.8).
-//! The load then gives anything and the processor goes on. DBECCERR, and CFSR.PRECISERR or IMPRECISERR, tell that it happened; both
-//! are cleared before and after. A synchronisation barrier before FAULTMASK is cleared has an error that comes late come
-//! inside. Nothing else runs meanwhile: that is 8 loads, less than 1 µs.
+//! It answers the read with a bus error, which [`bus_faults`] survives; DBECCERR tells of it, too, and is cleared before and after.
+//! Nothing else runs meanwhile: that is 8 loads, less than 1 µs.
 //!
 //! One wrong bit is corrected (SNECCERR) and is no error.
 
-use core::sync::atomic::{Ordering, compiler_fence};
-
-use cortex_m::{asm, peripheral::SCB};
+use cortex_m::asm;
 use embassy_stm32::{
     Peri,
     pac::{FLASH, flash},
@@ -26,7 +19,7 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Timer};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 
-use crate::watchdog;
+use crate::{bus_faults, watchdog};
 
 /// First address of bank 2, and of what is kept there.
 const BANK: u32 = 0x0810_0000;
@@ -46,12 +39,6 @@ const ERASE_LOOK: Duration = Duration::from_millis(2);
 /// Ten times what the data sheet gives a word, and twice what it gives a sector at the slowest parallelism.
 const WRITE_WAIT: Duration = Duration::from_millis(10);
 const ERASE_WAIT: Duration = Duration::from_secs(8);
-
-/// Bits of SCB.CCR and SCB.CFSR.
-const BFHFNMIGN: u32 = 1 << 8;
-const BUS_FAULTS: u32 = 0xFF << 8;
-const PRECISERR: u32 = 1 << 9;
-const IMPRECISERR: u32 = 1 << 10;
 
 /// Why flash was not read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
@@ -212,39 +199,24 @@ async fn erase(sector: u8) -> Result<(), FlashError> {
 
 /// Reads a word; see the module about how.
 fn read_word(address: u32) -> Result<[u8; WORD_BYTES], FlashError> {
-    let mut word = [0; WORD_BYTES];
     bank().ccr().write(|w| w.set_clr_dbeccerr(true));
-    #[allow(unsafe_code, reason = "survives a bus error")]
-    // SAFETY: aligned, within the sectors. CCR and CFSR are only changed here, by a task, in which nothing intervenes.
-    let faults = unsafe {
-        let scb = &*SCB::PTR;
-        core::arch::asm!("cpsid f", options(nostack, preserves_flags));
-        compiler_fence(Ordering::SeqCst);
-        scb.ccr.modify(|ccr| ccr | BFHFNMIGN);
-        scb.cfsr.write(BUS_FAULTS);
-        asm::dsb();
-        asm::isb();
+    let (word, faults) = bus_faults::ignored(|| {
+        let mut word = [0; WORD_BYTES];
         let (parts, _) = word.as_chunks_mut::<4>();
         for (part, at) in parts.iter_mut().zip((address..).step_by(4)) {
-            *part = core::ptr::with_exposed_provenance::<u32>(at as usize).read_volatile().to_le_bytes();
+            #[allow(unsafe_code, reason = "flash is read by its address")]
+            // SAFETY: aligned, within the sectors.
+            let value = unsafe { core::ptr::with_exposed_provenance::<u32>(at as usize).read_volatile() };
+            *part = value.to_le_bytes();
         }
-        asm::dsb();
-        asm::isb();
-        let faults = scb.cfsr.read();
-        scb.cfsr.write(BUS_FAULTS);
-        scb.ccr.modify(|ccr| ccr & !BFHFNMIGN);
-        asm::dsb();
-        asm::isb();
-        compiler_fence(Ordering::SeqCst);
-        core::arch::asm!("cpsie f", options(nostack, preserves_flags));
-        faults
-    };
+        word
+    });
     let uncorrectable = bank().sr().read().dbeccerr();
     bank().ccr().write(|w| {
         w.set_clr_dbeccerr(true);
         w.set_clr_sneccerr(true);
     });
-    if uncorrectable || faults & (PRECISERR | IMPRECISERR) != 0 { Err(FlashError::Uncorrectable) } else { Ok(word) }
+    if uncorrectable || faults { Err(FlashError::Uncorrectable) } else { Ok(word) }
 }
 
 impl ErrorType for Bank2 {

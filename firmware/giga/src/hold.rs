@@ -1,4 +1,4 @@
-//! Hold mode: what a board does whose firmware ended badly several times in a row.
+//! Hold mode: what a board does whose firmware ended badly several times in a row, or is not whole in flash (`image`).
 //!
 //! It only keeps its outputs safe: the stop lines are driven, every output chip is told its safe state again and again, and that
 //! alone feeds the watchdog. No loop is closed, no sensor is read, nothing saved is used, and the heartbeat stands still, so

@@ -7,6 +7,7 @@
 //! | `boot` | from reset to running tasks, in order |
 //! | `executors` | who interrupts whom, in one table |
 //! | `sweep`, `hold` | outputs made safe right after the reset, and held so after repeated bad starts |
+//! | `image` | whether flash holds what was built |
 //! | `cycles` | time before there is a clock |
 //! | `clocks` | the clock tree, with and without crystal |
 //! | `pins` | the carrier's pins, from its file |
@@ -19,7 +20,7 @@
 //! | `links` | byte links to hosts, and the UART connectors |
 //! | `peripherals` | counters, converters, pulses: what the control loop uses |
 //! | `encoders`, `steppers`, `ranging`, `analog`, `switches` | its parts |
-//! | `flash` | what keeps parameters and trips |
+//! | `flash`, `bus_faults` | what keeps parameters and trips; reads that may fail |
 //! | `tcm` | code and data in the memories that are as fast as the processor |
 //! | `log` | what defmt writes, for probes and hosts |
 #![no_std]
@@ -27,6 +28,7 @@
 
 mod analog;
 mod boot;
+mod bus_faults;
 mod clocks;
 mod cycles;
 mod encoders;
@@ -35,6 +37,7 @@ mod flash;
 mod guard;
 mod hold;
 mod i2c;
+mod image;
 mod links;
 mod log;
 mod panic;

@@ -68,6 +68,8 @@ pub(crate) struct Start {
     pub(crate) record: Option<Record>,
     /// How many runs in a row ended badly before they had run well, the last one included.
     pub(crate) bad_starts: u16,
+    /// The image in flash is not what was built.
+    pub(crate) damaged: bool,
 }
 
 impl Start {
@@ -93,7 +95,7 @@ impl Start {
             more: read(FIRST + 4),
         });
         write(FIRST, 0);
-        let mut start = Self { flags, note, record, bad_starts: 0 };
+        let mut start = Self { flags, note, record, bad_starts: 0, damaged: false };
         if start.ended_badly() {
             // What power-up leaves in the register is no count.
             let before = read(BAD_STARTS) ^ BAD_STARTS_MAGIC;
@@ -113,15 +115,17 @@ impl Start {
     /// What is to be started.
     pub(crate) fn mode(&self) -> Mode {
         match self.bad_starts {
-            0..HOLD => Mode::Run,
-            HOLD..HOLD_ALONE => Mode::Hold,
             HOLD_ALONE.. => Mode::HoldAlone,
+            HOLD.. => Mode::Hold,
+            0..HOLD if self.damaged => Mode::Hold,
+            0..HOLD => Mode::Run,
         }
     }
 
     /// As the application is told: a panic or fault is a watchdog bite that came early.
     pub(crate) fn cause(&self) -> ResetCause {
         match self.record {
+            _ if self.damaged => ResetCause::DamagedImage,
             _ if self.mode() != Mode::Run => ResetCause::RepeatedBadStarts,
             Some(Record { kind: Kind::Clock, .. }) => ResetCause::Clock,
             _ if self.ended_badly() => ResetCause::Watchdog,
@@ -154,6 +158,13 @@ pub(crate) const RUN_WELL: Duration = Duration::from_secs(10);
 /// The board has run for [`RUN_WELL`].
 pub(crate) fn ran_well() {
     write(BAD_STARTS, BAD_STARTS_MAGIC);
+}
+
+/// Asks the Arduino bootloader to stay, and to wait for another image (mcuboot-arduino-stm32h7, app/main.cpp: its magic number in
+/// RTC_BKP_DR0), at the reset that is to follow.
+pub(crate) fn ask_for_bootloader() {
+    open();
+    write(0, 0xDF59);
 }
 
 /// Leaves `record` for the next start.

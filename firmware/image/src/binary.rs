@@ -37,7 +37,7 @@ impl Binary {
         }
         let mut bytes = vec![ERASED; length.next_multiple_of(WORD)];
         let mut free = 0;
-        for Segment { address, bytes: content } in segments {
+        for Segment { address, bytes: content, .. } in segments {
             let from = (address - start) as usize;
             if from < free {
                 return Err(ImageError::Overlap { address });
@@ -46,6 +46,14 @@ impl Binary {
             bytes[from..free].copy_from_slice(content);
         }
         Ok(Self { start, bytes })
+    }
+
+    /// Where an ELF file has the byte that is loaded to `address`.
+    pub(crate) fn offset_in(elf: &[u8], address: u32) -> Option<usize> {
+        segments(elf)?.into_iter().find_map(|segment| {
+            let within = address.checked_sub(segment.address)? as usize;
+            (within < segment.bytes.len()).then_some(segment.offset + within)
+        })
     }
 
     /// Behind the last byte.
@@ -62,6 +70,8 @@ impl Binary {
 }
 
 struct Segment<'e> {
+    /// Of the first byte, from the beginning of the file.
+    offset: usize,
     address: u32,
     bytes: &'e [u8],
 }
@@ -80,7 +90,7 @@ fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
         let (kind, offset, address, size) = (word(header)?, word(header + 4)?, word(header + 12)?, word(header + 16)?);
         if kind == LOAD && size > 0 {
             let offset = offset as usize;
-            segments.push(Segment { address, bytes: elf.get(offset..offset.checked_add(size as usize)?)? });
+            segments.push(Segment { offset, address, bytes: elf.get(offset..offset.checked_add(size as usize)?)? });
         }
     }
     Some(segments)

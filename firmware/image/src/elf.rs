@@ -26,6 +26,18 @@ pub struct Segment {
 }
 
 impl Segment {
+    /// The first of its addresses in flash.
+    #[must_use]
+    pub fn stored_at(self) -> u32 {
+        self.stored
+    }
+
+    /// Behind the last of its addresses in flash.
+    #[must_use]
+    pub fn stored_end(self) -> u32 {
+        self.stored.saturating_add(self.len)
+    }
+
     /// Where the flash has what the program uses at `address`.
     #[must_use]
     pub fn stored(self, address: u32) -> Option<u32> {
@@ -99,6 +111,12 @@ impl Image {
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let elf = fs::read(path).map_err(|source| FileError::Unreadable { path: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), elf })
+    }
+
+    /// The same file with other contents, as a test or a tool has made them.
+    #[must_use]
+    pub fn with_elf(&self, elf: Vec<u8>) -> Self {
+        Self { path: self.path.clone(), elf }
     }
 
     /// Its bytes.

@@ -4,15 +4,19 @@
 //! | --- | --- |
 //! | `binary` | the bytes that go into flash, out of an ELF file |
 //! | `elf` | the file: where it is looked for, and which it is |
+//! | `seal` | the record by which an image is known to be whole |
 //! | `place` | where images lie, and what is expected of them there |
 
 mod binary;
 mod elf;
 mod place;
+mod seal;
 
 pub use binary::Binary;
 pub use elf::{FileError, Image, Segment};
-pub use place::{CHIP, DFU_DEVICE, Place};
+pub use place::{CHIP, DFU_DEVICE, DFU_USB, Place, dfu_util};
+pub use r4_protocol::image::{RECORD_AT, RECORD_BYTES};
+pub use seal::{Seal, seal, seal_elf};
 
 use sha2::{Digest, Sha256};
 
@@ -55,6 +59,27 @@ pub enum ImageError {
     NoStack {
         /// What is there.
         word: u32,
+    },
+    /// Not made by the program that makes images, or of before there was a record.
+    #[error("it has no record of its CRC at {address:#010x}: build it with `cargo xtask firmware`")]
+    NoRecord {
+        /// Where it belongs.
+        address: u32,
+    },
+    /// Changed since it was made, or never finished.
+    #[error(
+        "its record says {bytes} bytes with CRC {crc:#010x}, but the file has {found_bytes} with {found:#010x}: the board would only \
+         hold its outputs safe. Build it again with `cargo xtask firmware`"
+    )]
+    Damaged {
+        /// Length by the record.
+        bytes: u32,
+        /// CRC by the record.
+        crc: u32,
+        /// Length in the file.
+        found_bytes: u32,
+        /// CRC of what is in the file.
+        found: u32,
     },
     /// No vector table in front.
     #[error("its second word is {word:#010x}, which is no function of it: the processor could not start there")]

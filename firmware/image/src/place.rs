@@ -1,11 +1,15 @@
 //! Where images lie, and what is expected of them there.
 
+use std::{ffi::OsString, path::Path};
+
 use crate::{Binary, ImageError};
 
 /// As probe-rs lists it: `probe-rs chip list`. Its file of the family is probe-rs/targets/STM32H7_Series.yaml.
 pub const CHIP: &str = "STM32H747XIHx";
 /// The Giga in the Arduino bootloader (ArduinoCore-mbed, boards.txt).
 pub const DFU_DEVICE: &str = "2341:0366";
+/// The same as numbers: vendor and product.
+pub const DFU_USB: (u16, u16) = (0x2341, 0x0366);
 /// Bank 1 ends here; the bootloader starts nothing that goes on (mcuboot-arduino-stm32h7, app/main.cpp), and parameters and trips
 /// follow.
 const END: u32 = 0x0810_0000;
@@ -60,6 +64,14 @@ impl Place {
         }
         Ok(place)
     }
+}
+
+/// The program and the words that write a raw file of a hosted image, and start it.
+#[must_use]
+pub fn dfu_util(raw: &Path) -> Vec<OsString> {
+    let place = format!("{:#010x}:leave", Place::Hosted.start());
+    let words = ["dfu-util", "-d", DFU_DEVICE, "-a", "0", "-s", &place, "-D"];
+    words.into_iter().map(OsString::from).chain([raw.into()]).collect()
 }
 
 #[cfg(test)]

@@ -54,7 +54,10 @@ impl VirtualBoard for SimBoard {
 
     fn restart_requested(&self) -> Pin<Box<dyn Future<Output = ()> + '_>> {
         let shared = self.shared.borrow().clone();
-        Box::pin(async move { shared.restart_requested().await })
+        // It has no bootloader.
+        Box::pin(async move {
+            shared.restart_requested().await;
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 //! Tests and `r4 bench safety` break the same things in the same way. The image keeps no hooks for this: what is broken is
 //! found by its symbols, and stays broken or is whole again after the reset that it leads to.
 
+use r4_image::{Binary, RECORD_AT, RECORD_BYTES};
 use r4_mcu::{Chip, Machine, Reason, Stopped, cpu::Core};
 
 use crate::{
@@ -208,6 +209,21 @@ impl<C: Core + 'static> EmuBoard<C> {
         self.watch(LoseCrystal);
     }
 
+    /// Makes the image whole by its record again: what is wrong with it now, it was built with. The record as it was before, and
+    /// its address; `None` for a program that has none.
+    fn seal(&self, machine: &Machine<C, BoardSoc>) -> Option<(u32, Vec<u8>)> {
+        let start = self.segments.iter().map(|segment| segment.stored_at()).min()?;
+        let end = self.segments.iter().map(|segment| segment.stored_end()).max()?;
+        let mut binary = Binary { start, bytes: vec![0; (end - start).next_multiple_of(RECORD_BYTES as u32) as usize] };
+        machine.chip.memory().read_slice(start, &mut binary.bytes)?;
+        let record = |binary: &Binary| Some(binary.bytes.get(RECORD_AT..RECORD_AT + RECORD_BYTES)?.to_vec());
+        let before = record(&binary)?;
+        r4_image::seal(&mut binary).ok()?;
+        let address = start + RECORD_AT as u32;
+        machine.chip.memory().write_slice(address, &record(&binary)?)?;
+        Some((address, before))
+    }
+
     /// Breaks the running program; it acts when the program next comes to the place.
     ///
     /// # Errors
@@ -222,7 +238,10 @@ impl<C: Core + 'static> EmuBoard<C> {
             let stored = self.segments.iter().find_map(|segment| segment.stored(address));
             places.extend(stored.filter(|stored| *stored != address));
         }
-        let patch = Patch::write(&mut machine, &places, &code)?;
+        let mut patch = Patch::write(&mut machine, &places, &code)?;
+        if lasting == Lasting::Always {
+            patch.before.extend(self.seal(&machine));
+        }
         drop(machine);
         if lasting == Lasting::UntilReset {
             self.watch(Repair(Some(patch.clone())));

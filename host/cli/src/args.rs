@@ -153,7 +153,7 @@ pub(crate) enum Command {
         /// Which trip: 0 is the newest
         index: Option<u8>,
     },
-    /// Write the firmware into a board's flash over a debug probe, or tell how to over USB
+    /// Write the firmware into a board's flash, over a debug probe or USB
     Flash(commands::flash::Flash),
     /// Write to a device on an external I2C connector, then read from it
     I2c(I2c),

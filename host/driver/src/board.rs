@@ -14,8 +14,9 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, LogInfo, Mode, ParameterInfo,
-    ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice, VERSION,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogInfo, Mode,
+    ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, VERSION,
     config::{MAX_NAME, PidGains},
     message::MAX_RAW,
 };
@@ -490,6 +491,25 @@ impl<C: Clock> Board<C> {
         self.wire.done("restart", Request::Restart).await
     }
 
+    /// Which image the board runs.
+    ///
+    /// # Errors
+    /// [`Refusal::NoImage`], besides the errors of any request.
+    pub async fn image(&self) -> Result<ImageInfo, Error> {
+        match self.wire.request("image", Request::Image).await? {
+            Reply::Image(info) => Ok(info),
+            _ => Err(Error::WrongReply { request: "image" }),
+        }
+    }
+
+    /// Restarts the board into its bootloader, which ends this session.
+    ///
+    /// # Errors
+    /// [`Refusal::NoBootloader`], [`Refusal::NotWhile`] on an armed board, besides the errors of any request.
+    pub async fn restart_in_bootloader(&self) -> Result<(), Error> {
+        self.wire.done("bootloader", Request::Bootloader).await
+    }
+
     /// The trips that the board remembers, the newest first.
     ///
     /// # Errors
@@ -580,6 +600,7 @@ fn may_be_repeated(request: &Request) -> bool {
             | Request::Stats
             | Request::Subscribe { .. }
             | Request::Log { .. }
+            | Request::Image
             | Request::Bind { .. }
             | Request::DescribeParameter { .. }
             | Request::Disarm

@@ -81,11 +81,13 @@ pub fn request_name(request: &Request) -> &'static str {
         Request::UartRead { .. } => "uart-read",
         Request::Bind { .. } => "bind",
         Request::Log { .. } => "log",
+        Request::Image => "image",
+        Request::Bootloader => "bootloader",
     }
 }
 
 /// Requests that are named only.
-const PLAIN: [Request; 9] = [
+const PLAIN: [Request; 10] = [
     Request::Bye,
     Request::Arm,
     Request::Disarm,
@@ -95,6 +97,7 @@ const PLAIN: [Request; 9] = [
     Request::SaveParameters,
     Request::ResetParameters,
     Request::Restart,
+    Request::Bootloader,
 ];
 
 impl RequestMessage {
@@ -108,6 +111,7 @@ impl RequestMessage {
             | Request::Set { .. }
             | Request::Hello { .. }
             | Request::Log { .. }
+            | Request::Image
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }
             | Request::Fault { .. }
@@ -120,7 +124,8 @@ impl RequestMessage {
             | Request::Stats
             | Request::SaveParameters
             | Request::ResetParameters
-            | Request::Restart => {}
+            | Request::Restart
+            | Request::Bootloader => {}
             Request::Subscribe { channel, period_ms } => {
                 (message.channel, message.period_ms) = (Some(channel.to_string()), Some(*period_ms));
             }

@@ -2,9 +2,9 @@
 
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
-    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, ToHost, Unit,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot,
+    Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
+    Telemetry, ToDevice, ToHost, Unit,
     config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},
@@ -55,6 +55,10 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
             ("log", Ok(Reply::Log(LogInfo { image: 0x1234_5678 }))),
             ("log-largest", Ok(Reply::Log(LogInfo { image: u32::MAX }))),
             ("refused-no-log", Err(Refusal::NoLog)),
+            ("image", Ok(Reply::Image(ImageInfo { hosted: true, bytes: 0x6_E720, crc: 0xCBF4_3926 }))),
+            ("image-largest", Ok(Reply::Image(ImageInfo { hosted: true, bytes: u32::MAX, crc: u32::MAX }))),
+            ("refused-no-image", Err(Refusal::NoImage)),
+            ("refused-no-bootloader", Err(Refusal::NoBootloader)),
         ])
         .zip(1..)
         .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
@@ -266,6 +270,7 @@ fn requests() -> Vec<(&'static str, Request)> {
     ]);
     // Since version 5.
     requests.extend([("log", Request::Log { on: true }), ("log-end", Request::Log { on: false })]);
+    requests.extend([("image", Request::Image), ("bootloader", Request::Bootloader)]);
     requests
 }
 

@@ -11,9 +11,9 @@ use proptest::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
-    DeviceStats, FaultInfo, FaultSnapshot, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter, ParameterInfo,
-    ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost,
-    Unit,
+    DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
+    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, ToHost, Unit,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,
@@ -99,6 +99,7 @@ fn service_request() -> BoxedStrategy<Request> {
         (key(), f32s()).prop_map(|(key, value)| Request::SetParameter { key, value }),
         string::<MAX_NAME>().prop_map(|robot| Request::SetName { robot }),
         select(vec![Request::SaveParameters, Request::ResetParameters, Request::Restart]),
+        select(vec![Request::Image, Request::Bootloader]),
         any::<u8>().prop_map(|index| Request::Fault { index }),
         any::<(u8, u8)>().prop_map(|(index, snapshot)| Request::FaultSnapshot { index, snapshot }),
         (any::<(u8, u8, u8)>(), raw()).prop_map(|((bus, address, read), write)| Request::I2cTransfer {
@@ -131,6 +132,7 @@ fn reply() -> BoxedStrategy<Reply> {
         channel_info().prop_map(Reply::Channel),
         stats().prop_map(Reply::Stats),
         any::<u32>().prop_map(|image| Reply::Log(LogInfo { image })),
+        (any::<bool>(), u32s(), u32s()).prop_map(|(hosted, bytes, crc)| Reply::Image(ImageInfo { hosted, bytes, crc })),
         Just(Reply::Done),
         parameter_info().prop_map(Reply::Parameter),
         fault_info().prop_map(Reply::Fault),
@@ -164,7 +166,9 @@ fn refusal() -> BoxedStrategy<Refusal> {
             Refusal::BadTransfer,
             Refusal::TransferFailed,
             Refusal::Busy,
-            Refusal::NoLog
+            Refusal::NoLog,
+            Refusal::NoImage,
+            Refusal::NoBootloader
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
         channel().prop_map(|channel| Refusal::BadBinding { channel }),

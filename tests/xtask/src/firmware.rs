@@ -6,6 +6,8 @@ use std::{
     process::{Command, ExitCode},
 };
 
+use r4_image::Seal;
+
 use crate::{
     image::{Image, Sizes},
     toolchain::{self, TARGET},
@@ -79,13 +81,14 @@ impl Firmware {
             .env("R4_IMAGE", &self.image)
             .current_dir(&folder))?;
         let built = target.join("giga").join(TARGET).join("release/r4-giga");
-        let elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
+        let mut elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
+        let seal = r4_image::seal_elf(&mut elf).map_err(|error| format!("{}: {error}", built.display()))?;
         let image = Image::read(&elf).ok_or_else(|| format!("{} is no ELF file of 32 bits", built.display()))?;
         let path = self.elf(root)?;
         fs::create_dir_all(path.parent().unwrap_or(root))
             .and_then(|()| fs::write(&path, &elf))
             .map_err(|error| format!("{}: {error}", path.display()))?;
-        Ok(Built { path, digest: r4_image::digest(&elf), image })
+        Ok(Built { path, digest: r4_image::digest(&elf), seal, image })
     }
 
     /// Where [`Self::build`] puts it.
@@ -121,6 +124,8 @@ pub(crate) struct Built {
     pub(crate) path: PathBuf,
     /// SHA-256 of the file.
     digest: String,
+    /// What the board compares its flash with.
+    seal: Seal,
     /// What it takes.
     pub(crate) image: Image,
 }
@@ -129,6 +134,7 @@ impl fmt::Display for Built {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Sizes { text, data, bss } = self.image.sizes;
         writeln!(f, "{}\n  text {text}, data {data}, bss {bss} bytes", self.path.display())?;
+        writeln!(f, "  {} bytes in flash, CRC {:08x}", self.seal.bytes, self.seal.crc)?;
         write!(f, "  SHA-256 {}", self.digest)
     }
 }

@@ -8,7 +8,7 @@ use std::{
     process::{Command, ExitCode, Stdio},
 };
 
-use r4_image::{Binary, CHIP, DFU_DEVICE, Place};
+use r4_image::{Binary, CHIP, Place, dfu_util};
 
 use crate::firmware::Firmware;
 
@@ -128,10 +128,7 @@ impl Flash {
                     .into()
             }
             Way::Dfu => {
-                let place = format!("{:#010x}:leave", Place::Hosted.start());
-                let mut arguments: Vec<OsString> =
-                    ["-d", DFU_DEVICE, "-a", "0", "-s", &place, "-D"].into_iter().map(OsString::from).collect();
-                arguments.push(raw(elf).into());
+                let arguments = dfu_util(&raw(elf)).split_off(1);
                 vec![CommandLine { program: "dfu-util", arguments }]
             }
         }
@@ -156,7 +153,8 @@ impl Way {
             }
             Self::Dfu => {
                 "dfu-util is not installed, or not in PATH. Install it with what installs software on this machine, as in `sudo \
-                 apt-get install dfu-util` or `brew install dfu-util`"
+                 apt-get install dfu-util` or `brew install dfu-util`; or let r4 write it, which also restarts the board into its \
+                 bootloader and reads back: `cargo run --release -p r4 --features dfu -- flash --dfu --robot NAME`"
             }
         }
     }

@@ -79,7 +79,7 @@ const FULL: &[Step] = &[
         "lints",
         cargo(
             ".",
-            &["clippy", "--workspace", "--all-targets", "--features", "r4/emu,r4/probe", "--", "-D", "warnings"],
+            &["clippy", "--workspace", "--all-targets", "--features", "r4/dfu,r4/emu,r4/probe", "--", "-D", "warnings"],
         ),
     ),
     // Only the program is another one without it.

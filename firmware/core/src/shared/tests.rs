@@ -1,5 +1,6 @@
 //! [`State::apply`] in full, and what the tasks ask of [`Shared`] at its limits.
 
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use r4_protocol::{ChannelId, ChannelKind};
 
 use super::*;
@@ -282,7 +283,7 @@ fn arming_waits_for_all_that_hold_it_back() {
     let board = armed();
     let armed = Refusal::NotWhile { state: SafetyState::Armed };
     assert_eq!(board.hold_arming().err(), Some(armed));
-    assert_eq!(board.restart(), Err(armed));
+    assert_eq!(board.restart(Restart::Firmware), Err(armed));
     assert_eq!(board.request(Event::Disarm), Ok(()));
     let (one, other) = (board.hold_arming().expect("disarmed"), board.hold_arming().expect("disarmed"));
     assert_eq!(board.request(Event::Arm), Err(Refusal::Busy));
@@ -291,9 +292,41 @@ fn arming_waits_for_all_that_hold_it_back() {
     drop(other);
     assert_eq!(board.request(Event::Arm), Ok(()));
     assert_eq!(board.request(Event::Disarm), Ok(()));
-    assert_eq!(board.restart(), Ok(()));
-    assert!(board.restart.try_take().is_some());
+    assert_eq!(board.restart(Restart::Firmware), Ok(()));
+    assert_eq!(board.restart.try_take(), Some(Restart::Firmware));
     assert_eq!(board.request(Event::Arm), Err(Refusal::Busy), "it is about to restart");
+}
+
+#[test]
+fn only_a_hosted_image_restarts_into_a_bootloader() {
+    let image = |hosted| ImageInfo { hosted, bytes: 64, crc: 1 };
+    let board = || -> Shared<NoopRawMutex> {
+        let config = robot("every-interface");
+        Shared::new(config.clone(), config, ResetCause::Normal)
+    };
+    for bare in [board(), board().with_image(image(false))] {
+        assert_eq!(bare.restart(Restart::Bootloader), Err(Refusal::NoBootloader));
+        assert_eq!(bare.restart.try_take(), None);
+        assert_eq!(bare.request(Event::Arm), Ok(()), "a refusal changes nothing");
+    }
+    let hosted = board().with_image(image(true));
+    assert_eq!(hosted.request(Event::Arm), Ok(()));
+    assert_eq!(hosted.restart(Restart::Bootloader), Err(Refusal::NotWhile { state: SafetyState::Armed }));
+    assert_eq!(hosted.request(Event::Disarm), Ok(()));
+    assert_eq!(hosted.restart(Restart::Bootloader), Ok(()));
+    assert_eq!(hosted.restart.try_take(), Some(Restart::Bootloader));
+    assert_eq!((board().image(), hosted.image()), (Err(Refusal::NoImage), Ok(image(true))));
+}
+
+#[test]
+fn a_damaged_image_cannot_be_cleared() {
+    let board = crate::testing::board(robot("osmc-bench"), ResetCause::DamagedImage);
+    let causes = Causes::only(Cause::DamagedImage);
+    assert_eq!(board.safety().causes, causes);
+    for event in [Event::Arm, Event::Clear] {
+        let refused = board.request(event).expect_err("it is held");
+        assert!(matches!(refused, Refusal::CausesPresent { causes: present } if present.contains(Cause::DamagedImage)));
+    }
 }
 
 #[test]

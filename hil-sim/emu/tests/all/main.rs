@@ -11,6 +11,7 @@ mod faults;
 mod flash;
 mod gdb;
 mod hung;
+mod image;
 mod log;
 mod stops;
 mod storms;

@@ -3,6 +3,7 @@
 pub(crate) mod access;
 pub mod adc;
 pub mod backup;
+pub mod crc;
 pub mod crs;
 pub mod dac;
 pub mod dbgmcu;

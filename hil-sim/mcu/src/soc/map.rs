@@ -50,6 +50,7 @@ pub(super) enum Id {
     Fdcan,
     Spi1,
     Rng,
+    Crc,
 }
 
 /// Block of 1 KiB: first address, blocks, peripheral.
@@ -102,6 +103,7 @@ const MAP: &[(u32, u32, Id)] = &[
     (0x5802_0000, 11, Id::Gpio),
     (0x5802_4400, 1, Id::Rcc),
     (0x5802_4800, 1, Id::Pwr),
+    (0x5802_4C00, 1, Id::Crc),
     // BDMA, DMAMUX2.
     (0x5802_5400, 2, Id::Bdma),
     (0x5C00_1000, 1, Id::Dbgmcu),
@@ -109,7 +111,7 @@ const MAP: &[(u32, u32, Id)] = &[
 
 impl Id {
     /// How many there are.
-    pub(super) const COUNT: usize = Self::Rng as usize + 1;
+    pub(super) const COUNT: usize = Self::Crc as usize + 1;
 
     /// Every one, in order of its discriminant.
     #[cfg(test)]

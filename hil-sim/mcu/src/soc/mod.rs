@@ -23,13 +23,14 @@ use crate::{
     peripherals::{
         adc::Adc12,
         backup::Backup,
+        crc::Crc,
         crs::Crs,
         dac::Dac,
         dbgmcu::Dbgmcu,
         dma::{self, Bdma, Dma12},
         exti::Exti,
         fdcan::Fdcan,
-        flash::{Flash, FlashCells, LoadError},
+        flash::{Flash, FlashCells, LoadError, WORD_BYTES},
         fmc::Fmc,
         gpio::{Function, Gpio},
         i2c::I2c,
@@ -72,6 +73,7 @@ struct Devices<F> {
     fdcan: Fdcan,
     spi: Spi,
     rng: Rng,
+    crc: Crc,
 }
 
 impl<F: FlashCells> Devices<F> {
@@ -100,6 +102,7 @@ impl<F: FlashCells> Devices<F> {
             fdcan: Fdcan::new(),
             spi: Spi::new(),
             rng: Rng::new(0),
+            crc: Crc::new(),
         }
     }
 
@@ -128,6 +131,7 @@ impl<F: FlashCells> Devices<F> {
         const DAC: usize = Id::Dac1 as usize;
         const SPI: usize = Id::Spi1 as usize;
         const RNG: usize = Id::Rng as usize;
+        const CRC: usize = Id::Crc as usize;
         match id {
             0 => &mut self.rcc,
             1 => &mut self.pwr,
@@ -151,7 +155,8 @@ impl<F: FlashCells> Devices<F> {
             I2C..FDCAN => &mut self.i2cs[id - I2C],
             FDCAN => &mut self.fdcan,
             SPI => &mut self.spi,
-            RNG.. => &mut self.rng,
+            RNG => &mut self.rng,
+            CRC.. => &mut self.crc,
         }
     }
 }
@@ -550,6 +555,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
         self.devices.fdcan.receive(bus, at_ns, frame);
         self.ask_next(Id::Fdcan as usize);
+    }
+
+    /// The flash word at `address` fails its error correction from now on, as after a power cut while it was programmed
+    /// (RM0399, 4.3 "Error code correction"), until it is erased.
+    pub fn spoil_flash(&mut self, address: u32) {
+        let word = address.wrapping_sub(BANK_1) / WORD_BYTES as u32;
+        self.devices.flash.cells.abandon(word, 1);
+        self.follow_flash();
     }
 
     /// Where the processor starts: at the vector table to which a bootloader would jump, if not that of bank 1.

@@ -1,15 +1,14 @@
-//! `r4 flash`: the firmware's image into a board, over a debug probe; or what to do without one.
+//! `r4 flash`: the firmware's image into a board, over a debug probe or by the Arduino bootloader over USB; or what to do without
+//! either.
 
+mod dfu;
 mod probe;
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::PathBuf};
 
 use anyhow::Context;
 use clap::{ArgGroup, ValueEnum};
-use r4_image::{Binary, DFU_DEVICE, Image, Place};
+use r4_image::{Binary, Image, Place, Seal, dfu_util};
 use serde::Serialize;
 
 use crate::{args::Args, output};
@@ -29,7 +28,8 @@ pub(crate) struct Flash {
     /// Which of several debug probes, as the message that there are several lists them
     #[arg(long, value_name = "VID:PID[:SERIAL]", conflicts_with = "dfu")]
     pub(crate) probe: Option<String>,
-    /// Write no board: make the file for dfu-util beside the ELF file, and tell how the Arduino bootloader takes it over USB
+    /// Over USB, by the Arduino bootloader: restart the running board into it, write, read back, start, and ask the board which image
+    /// it runs; --board serial: names one of several. A program built without `dfu` makes the file for dfu-util, and tells how
     #[arg(long)]
     pub(crate) dfu: bool,
 }
@@ -68,6 +68,12 @@ struct Report {
     bytes: usize,
     /// The debug probe by which it was written, and read back.
     probe: Option<String>,
+    /// CRC-32 of what is written, as the board tells it.
+    crc: u32,
+    /// It was written over USB: read back and the same; `null` where it was not written so.
+    verified: Option<bool>,
+    /// The board came back, and says that it runs this image.
+    confirmed: Option<bool>,
     /// The file for dfu-util.
     binary: Option<PathBuf>,
     /// What writes that.
@@ -80,6 +86,7 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
     let refuse = |source| FlashError::Image { path: path.to_owned(), source };
     let binary = Binary::of(file.elf()).map_err(refuse)?;
     let place = Place::of(&binary).map_err(refuse)?;
+    let seal = Seal::of(&binary).map_err(refuse)?;
     let mut report = Report {
         file: path.to_owned(),
         sha256: file.digest(),
@@ -87,6 +94,9 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
         start: binary.start,
         bytes: binary.bytes.len(),
         probe: None,
+        crc: seal.crc,
+        verified: None,
+        confirmed: None,
         binary: None,
         command: None,
     };
@@ -94,10 +104,17 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
         if place == Place::Bare {
             return Err(FlashError::NotHosted(path.to_owned()).into());
         }
-        let raw = path.with_extension("bin");
-        fs::write(&raw, &binary.bytes).with_context(|| format!("cannot write {}", raw.display()))?;
-        report.command = Some(dfu_command(&raw));
-        report.binary = Some(raw);
+        if cfg!(feature = "dfu") {
+            eprintln!("r4: {}", report.subject());
+        }
+        if let Some(written) = dfu::write(args, &binary, seal)? {
+            (report.verified, report.confirmed) = (Some(written.verified), Some(written.confirmed));
+        } else {
+            let raw = path.with_extension("bin");
+            fs::write(&raw, &binary.bytes).with_context(|| format!("cannot write {}", raw.display()))?;
+            report.command = Some(dfu_util(&raw).iter().map(|word| word.to_string_lossy().into_owned()).collect());
+            report.binary = Some(raw);
+        }
     } else {
         // Before it: whatever comes of it, the user knows of which file.
         eprintln!("r4: {}", report.subject());
@@ -126,20 +143,15 @@ impl Flash {
     }
 }
 
-fn dfu_command(raw: &Path) -> Vec<String> {
-    let place = format!("{:#010x}:leave", Place::Hosted.start());
-    let raw = raw.display().to_string();
-    ["dfu-util", "-d", DFU_DEVICE, "-a", "0", "-s", &place, "-D", &raw].map(str::to_owned).into()
-}
-
 impl Report {
     fn subject(&self) -> String {
         format!(
-            "{}, {} image, {} bytes from {:#010x}, SHA-256 {}",
+            "{}, {} image, {} bytes from {:#010x}, CRC {:08x}, SHA-256 {}",
             self.file.display(),
             self.image,
             self.bytes,
             self.start,
+            self.crc,
             self.sha256
         )
     }
@@ -148,9 +160,22 @@ impl Report {
         if let Some(probe) = &self.probe {
             output::line(format_args!("written, read back and started by {probe}"))?;
         }
+        if let (Some(verified), Some(confirmed)) = (self.verified, self.confirmed) {
+            let read_back = if verified { ", read back" } else { "" };
+            output::line(match confirmed {
+                true => format!("written{read_back} and started: the board runs it"),
+                false => format!(
+                    "written{read_back} and started, but no board has answered yet: `r4 ports` finds it; if it does not, press reset once"
+                ),
+            })?;
+        }
         if let (Some(binary), Some(command)) = (&self.binary, &self.command) {
             output::line(self.subject())?;
             output::line(format_args!("for dfu-util: {}\n", binary.display()))?;
+            output::line(
+                "This r4 was built without USB's DFU: `cargo install --locked --path host/cli --features dfu` in the repository makes one",
+            )?;
+            output::line("that does all of what follows by itself.\n")?;
             output::line(
                 "1. Press the board's reset button twice quickly: the green light pulses, the bootloader waits.",
             )?;

@@ -230,6 +230,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::SaveParameters => board.save_parameters().await,
             Request::ResetParameters => board.reset_parameters().await,
             Request::Restart => board.restart().await,
+            Request::Bootloader => board.restart_in_bootloader().await,
             Request::I2cTransfer { bus, address, write, read } => {
                 board.i2c_transfer(*bus, *address, write, *read).await.map(|_| ())
             }
@@ -239,6 +240,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::Hello { .. }
             | Request::Bind { .. }
             | Request::Log { .. }
+            | Request::Image
             | Request::Bye
             | Request::Describe { .. }
             | Request::DescribeParameter { .. }

@@ -1,0 +1,44 @@
+//! Reads of flash that may answer with a bus error.
+//!
+//! A word of 256 bits with two wrong bits, as a power cut while it is programmed may leave, sets DBECCERR and answers the
+//! read with a bus error (RM0399, 4.3 "Error code correction"), which on a Cortex-M7 is a precise BusFault. With FAULTMASK the
+//! execution priority is -1 (ARMv7-M Architecture Reference Manual, B1.4.3), and at a priority below 0 CCR.BFHFNMIGN has data bus
+//! faults of loads ignored instead of locking up (B3.2.8). The load then gives anything and the processor goes on.
+//! CFSR.PRECISERR or IMPRECISERR tell that it happened. A synchronisation barrier before FAULTMASK is cleared has an error that
+//! comes late come inside.
+
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use cortex_m::{asm, peripheral::SCB};
+
+/// Bits of SCB.CCR and SCB.CFSR.
+const BFHFNMIGN: u32 = 1 << 8;
+const BUS_FAULTS: u32 = 0xFF << 8;
+const PRECISERR: u32 = 1 << 9;
+const IMPRECISERR: u32 = 1 << 10;
+
+/// Runs `reads` with data bus faults ignored, and tells whether there was one. Nothing else runs meanwhile.
+pub(crate) fn ignored<R>(reads: impl FnOnce() -> R) -> (R, bool) {
+    #[allow(unsafe_code, reason = "survives a bus error")]
+    // SAFETY: CCR and CFSR are only changed here, by code in which nothing intervenes.
+    unsafe {
+        let scb = &*SCB::PTR;
+        core::arch::asm!("cpsid f", options(nostack, preserves_flags));
+        compiler_fence(Ordering::SeqCst);
+        scb.ccr.modify(|ccr| ccr | BFHFNMIGN);
+        scb.cfsr.write(BUS_FAULTS);
+        asm::dsb();
+        asm::isb();
+        let result = reads();
+        asm::dsb();
+        asm::isb();
+        let faults = scb.cfsr.read();
+        scb.cfsr.write(BUS_FAULTS);
+        scb.ccr.modify(|ccr| ccr & !BFHFNMIGN);
+        asm::dsb();
+        asm::isb();
+        compiler_fence(Ordering::SeqCst);
+        core::arch::asm!("cpsie f", options(nostack, preserves_flags));
+        (result, faults & (PRECISERR | IMPRECISERR) != 0)
+    }
+}

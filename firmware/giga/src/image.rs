@@ -1,0 +1,103 @@
+//! Whether the image in flash is what was built: its record (see [`r4_protocol::image`]) against what flash holds.
+//!
+//! Checked at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46 million bytes
+//! are 20 instructions for each 32 of them, 0.3 million. Code that runs before it is the start alone: the vector table, `main`, the
+//! sweep.
+
+use core::ptr;
+
+use embassy_stm32::pac::{
+    CRC, RCC,
+    crc::{
+        regs::Cr,
+        vals::{RevIn, RevOut},
+    },
+};
+use r4_protocol::image::{CRC_AT, ImageInfo, MAGIC, RECORD_AT, RECORD_BYTES};
+
+use crate::bus_faults;
+
+/// Words of a flash word.
+const WORDS: usize = RECORD_BYTES / 4;
+/// As the erased flash has them.
+const ERASED: u32 = u32::MAX;
+/// Bank 1 without what is before this image: nothing else may be meant by a length.
+const LARGEST: usize = 0x10_0000;
+
+/// The record; `cargo xtask firmware` fills in what is not known before the image is linked.
+#[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+// SAFETY: the section is in flash, and takes any data.
+#[unsafe(link_section = ".r4_image")]
+#[used]
+static RECORD: [u32; WORDS] = {
+    let mut record = [ERASED; WORDS];
+    record[0] = u32::from_le_bytes(MAGIC);
+    record
+};
+
+/// What the image is.
+#[derive(Clone, Copy)]
+pub(crate) struct Image {
+    pub(crate) info: ImageInfo,
+    /// Flash holds what its record says.
+    pub(crate) whole: bool,
+}
+
+/// Compares the image with its record.
+pub(crate) fn check() -> Image {
+    #[allow(unsafe_code, reason = "a symbol of the linker's")]
+    // SAFETY: only its address is used.
+    unsafe extern "C" {
+        safe static __vector_table: [u32; WORDS];
+    }
+    let start: *const [u32; WORDS] = &raw const __vector_table;
+    let read = |word: usize| {
+        #[allow(unsafe_code, reason = "flash is read by its address")]
+        // SAFETY: aligned, and within bank 1, which is there whatever is programmed into it: LARGEST.
+        unsafe {
+            start.wrapping_add(word).read_volatile()
+        }
+    };
+    // Volatile: what the compiler knows of it is of before it was filled in.
+    let [_, bytes, crc, ..] = read(RECORD_AT / RECORD_BYTES);
+    let info = ImageInfo { hosted: env!("R4_IMAGE_KIND") == "hosted", bytes, crc };
+    let length = bytes as usize;
+    let room = LARGEST - (start.addr() & (LARGEST - 1));
+    if !length.is_multiple_of(RECORD_BYTES) || length <= RECORD_AT || length > room {
+        return Image { info, whole: false };
+    }
+    // A word that a power cut left half programmed fails its error correction, and answers with a bus error.
+    let (found, faults) = bus_faults::ignored(|| {
+        begin();
+        for word in 0..length / RECORD_BYTES {
+            let mut words = read(word);
+            if word == RECORD_AT / RECORD_BYTES {
+                words[CRC_AT % RECORD_BYTES / 4] = ERASED;
+            }
+            for word in words {
+                CRC.dr32().write_value(word);
+            }
+        }
+        !CRC.dr32().read()
+    });
+    Image {
+        info,
+        whole: found == crc && !faults && ptr::eq(&raw const RECORD, start.wrapping_add(RECORD_AT / RECORD_BYTES)),
+    }
+}
+
+/// Turns the unit on, for CRC-32/ISO-HDLC (RM0399, 22.3.3): polynomial and initial value are those of its reset.
+fn begin() {
+    RCC.ahb4enr().modify(|w| w.set_crcen(true));
+    // The clock is there two cycles later (RM0399, 9.5.10).
+    let _ = RCC.ahb4enr().read();
+    RCC.ahb4rstr().modify(|w| w.set_crcrst(true));
+    RCC.ahb4rstr().modify(|w| w.set_crcrst(false));
+    CRC.cr().write_value({
+        let mut control = Cr::default();
+        control.set_rev_in(RevIn::WORD);
+        control.set_rev_out(RevOut::REVERSED);
+        control.set_reset(true);
+        control
+    });
+}

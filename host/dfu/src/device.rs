@@ -1,0 +1,117 @@
+//! Bootloaders on this machine's USB.
+
+use std::{thread, time::Duration};
+
+use dfu_core::functional_descriptor::FunctionalDescriptor;
+use nusb::{
+    Interface, MaybeFuture,
+    transfer::{ControlIn, ControlOut, ControlType, Recipient, TransferError},
+};
+
+use crate::{Descriptor, Usb, UsbError};
+
+/// A sector is erased within one request by some bootloaders: 4 s by the data sheet of an STM32H7.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Strings are answered at once.
+const STRING: Duration = Duration::from_secs(3);
+/// Class and subclass of a DFU interface (DFU 1.1, table 4.4).
+const DFU: (u8, u8) = (0xFE, 0x01);
+
+/// Why there is no bootloader to talk to.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The operating system's.
+    #[error("cannot list the USB devices: a container or a virtual machine has to be given the board first")]
+    List(#[source] nusb::Error),
+    /// More than one board is in its bootloader.
+    #[error("{count} boards are in their bootloader: leave one of them plugged in")]
+    Several {
+        /// So many.
+        count: usize,
+    },
+    /// May this user?
+    #[error(
+        "cannot open the bootloader: does another program use it, and may you? On Linux only root may until the rule from \
+         docs/program.md is installed; Windows needs the driver WinUSB for it (zadig.akeo.ie)"
+    )]
+    Open(#[source] nusb::Error),
+    /// It is another kind of device.
+    #[error("the bootloader's USB device has no DFU interface for flash")]
+    NoInterface,
+}
+
+/// The flash of a bootloader on USB.
+pub struct Device {
+    interface: Interface,
+    descriptor: Descriptor,
+}
+
+impl Device {
+    /// The one that is there, of this vendor and product; `None` when there is none.
+    ///
+    /// # Errors
+    /// [`OpenError`]
+    pub fn find(vendor: u16, product: u16) -> Result<Option<Self>, OpenError> {
+        let devices = nusb::list_devices().wait().map_err(OpenError::List)?;
+        let mut found: Vec<_> =
+            devices.filter(|info| (info.vendor_id(), info.product_id()) == (vendor, product)).collect();
+        let Some(info) = found.pop() else { return Ok(None) };
+        if !found.is_empty() {
+            return Err(OpenError::Several { count: found.len() + 1 });
+        }
+        let device = info.open().wait().map_err(OpenError::Open)?;
+        let configuration = device.active_configuration().map_err(|_| OpenError::NoInterface)?;
+        let dfu = configuration.interface_alt_settings().find(|alt| (alt.class(), alt.subclass()) == DFU);
+        let alt = dfu.ok_or(OpenError::NoInterface)?;
+        let (number, setting, name) = (alt.interface_number(), alt.alternate_setting(), alt.string_index());
+        let functional = configuration
+            .interface_alt_settings()
+            .flat_map(|alt| alt.descriptors().collect::<Vec<_>>())
+            .find_map(|bytes| FunctionalDescriptor::from_bytes(&bytes))
+            .and_then(Result::ok)
+            .ok_or(OpenError::NoInterface)?;
+        let interface = device.detach_and_claim_interface(number).wait().map_err(OpenError::Open)?;
+        interface.set_alt_setting(setting).wait().map_err(OpenError::Open)?;
+        let languages = device.get_string_descriptor_supported_languages(STRING).wait();
+        let language = languages.ok().and_then(|mut all| all.next()).unwrap_or_default();
+        let memory = name.and_then(|name| device.get_string_descriptor(name, language, STRING).wait().ok());
+        Ok(Some(Self { interface, descriptor: Descriptor { functional, memory: memory.unwrap_or_default() } }))
+    }
+}
+
+fn of(error: TransferError) -> UsbError {
+    match error {
+        TransferError::Stall => UsbError::Stalled,
+        TransferError::Disconnected => UsbError::Gone,
+        TransferError::Cancelled => UsbError::TimedOut,
+        other => UsbError::System(other.to_string()),
+    }
+}
+
+impl Usb for Device {
+    fn descriptor(&self) -> Descriptor {
+        self.descriptor.clone()
+    }
+
+    fn control_out(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError> {
+        let index = self.interface.interface_number().into();
+        let (control_type, recipient) = (ControlType::Class, Recipient::Interface);
+        let control = ControlOut { control_type, recipient, request, value, index, data };
+        self.interface.control_out(control, PATIENCE).wait().map_err(of)
+    }
+
+    fn control_in(&mut self, request: u8, value: u16, buffer: &mut [u8]) -> Result<usize, UsbError> {
+        let index = self.interface.interface_number().into();
+        let (control_type, recipient) = (ControlType::Class, Recipient::Interface);
+        let length = u16::try_from(buffer.len()).unwrap_or(u16::MAX);
+        let control = ControlIn { control_type, recipient, request, value, index, length };
+        let data = self.interface.control_in(control, PATIENCE).wait().map_err(of)?;
+        let got = data.len().min(buffer.len());
+        buffer[..got].copy_from_slice(&data[..got]);
+        Ok(got)
+    }
+
+    fn sleep(&mut self, time: Duration) {
+        thread::sleep(time);
+    }
+}
