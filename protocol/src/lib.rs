@@ -32,14 +32,14 @@ pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unsca
 pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use log::{LogChunk, LogInfo};
 pub use message::{
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
-    Sample, Setpoint, Telemetry, ToDevice, ToHost,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, MotorSnapshot, ParameterInfo, Quality, Refusal,
+    Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost, Winding,
 };
 pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 6;
+pub const VERSION: u16 = 7;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///

@@ -61,6 +61,8 @@ pub enum ToHost {
         state: SafetyState,
         /// Causes latched by a trip.
         causes: Causes,
+        /// Motors whose windings are close to what they withstand: see [`Winding::hot`].
+        hot: Vec<HotWinding, MAX_MOTORS>,
     },
     /// Samples of subscribed channels.
     Telemetry(Telemetry),
@@ -566,6 +568,8 @@ pub enum Sample {
         settled: bool,
         /// Whether the position is known, and not only counted from where power came on.
         homed: bool,
+        /// How hot its winding is; `None` for a channel whose winding's heat nothing computes.
+        winding: Option<Winding>,
     },
     /// Of a channel that has one number and nothing more to tell.
     Scalar {
@@ -596,6 +600,26 @@ pub enum Sample {
         /// Transitions that no shaft makes, since power-up; only where edges are decoded by the processor.
         illegal: u32,
     },
+}
+
+/// How hot a motor's winding is, by the board's thermal model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Winding {
+    /// Share of what the winding withstands, %, rounded down; at 100 the board trips with [`Cause::Overload`].
+    ///
+    /// [`Cause::Overload`]: crate::Cause::Overload
+    pub heat_percent: u8,
+    /// The board's warning before that trip: it begins above 80 %, and ends below 75 %.
+    pub hot: bool,
+}
+
+/// A motor with [`Winding::hot`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct HotWinding {
+    /// Which.
+    pub channel: ChannelId,
+    /// As [`Winding::heat_percent`].
+    pub heat_percent: u8,
 }
 
 /// Whether a reading can be relied on.

@@ -14,3 +14,4 @@ mod hung;
 mod log;
 mod stops;
 mod storms;
+mod windings;

@@ -4,6 +4,7 @@ use r4_protocol::{ChannelInfo, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
+use super::state::Hot;
 use crate::{args::Args, output, quantity::human, session, table};
 
 #[derive(Serialize)]
@@ -14,6 +15,7 @@ struct Report {
     protocol: u16,
     state: String,
     causes: Vec<String>,
+    hot_windings: Vec<Hot>,
     link_timeout_ms: u16,
     channels: Vec<Channel>,
 }
@@ -66,6 +68,7 @@ impl From<&ChannelInfo> for Channel {
 pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     let (report, _) = session::run(args, Pace::Free, async |session| {
         let info = session.board.info();
+        let hot = session.board.hot_windings();
         Ok(Report {
             board: args.board.to_string(),
             robot: info.robot.to_string(),
@@ -73,6 +76,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
             protocol: r4_protocol::VERSION,
             state: info.state.to_string(),
             causes: info.causes.iter().map(|cause| cause.to_string()).collect(),
+            hot_windings: hot.iter().map(Hot::from).collect(),
             link_timeout_ms: info.link_timeout_ms,
             channels: session.board.channels().iter().map(Channel::from).collect(),
         })
@@ -87,6 +91,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     ))?;
     for cause in &report.causes {
         output::line(format_args!("  tripped by: {cause}"))?;
+    }
+    for hot in &report.hot_windings {
+        output::line(format_args!("  {} winding {} %", hot.channel, hot.heat_percent))?;
     }
     let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
     for channel in &report.channels {
