@@ -335,6 +335,11 @@ pub struct DeviceStats {
     pub cycles_refused: u32,
     /// Set points of cycles that grew too old while they were followed: their channels were stopped.
     pub setpoints_expired: u32,
+    /// How often the board went off the CAN bus by its own errors (bus-off). It is back on it after 50 ms and 128 times 11
+    /// recessive bits.
+    pub can_bus_off: u32,
+    /// How often one of its error counters on the CAN bus reached the warning limit of 96.
+    pub can_warnings: u32,
 }
 
 /// Why a request was not carried out. Nothing was changed.

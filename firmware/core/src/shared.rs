@@ -549,6 +549,11 @@ impl<M: RawMutex> Shared<M> {
 
     // Links.
 
+    /// What the CAN controller has counted: how often it was off the bus, and how often its counters reached the warning limit.
+    pub fn note_can(&self, bus_off: u32, warnings: u32) {
+        self.count(|stats| (stats.can_bus_off, stats.can_warnings) = (bus_off, warnings));
+    }
+
     pub(crate) fn stats(&self) -> DeviceStats {
         self.with(|s| s.stats)
     }

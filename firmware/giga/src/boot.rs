@@ -27,7 +27,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
-    ResetCause, Shared,
+    Shared,
     control::{self, BoardIo},
     link::serve,
     outputs::{OutputFault, rest_dacs},
@@ -140,7 +140,8 @@ bind_interrupts!(struct Irqs {
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
     DMA2_STREAM1 => uart::OnRing;
     DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
-    FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
+    // In this order: the second clears what the first counts.
+    FDCAN2_IT0 => can_link::OnError, can::IT0InterruptHandler<stm32::FDCAN2>;
     FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
     OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
     BDMA_CHANNEL0 => dma::InterruptHandler<stm32::BDMA_CH0>;
@@ -258,18 +259,21 @@ fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
     Sweeper::new(cycles::AT_RESET_MHZ).sweep(&config)
 }
 
-/// The state that all tasks share, from what is built in and, with `flash`, what was saved since.
+/// What the board works with: what was saved for it, and in hold mode what is built in.
+///
+/// Of what was saved the rate of the CAN bus and the board's number on it hold in hold mode, too: with others the board would
+/// disturb the bus on which it is to answer why it does nothing else. Flash is only read. Where hold mode has ended badly, too, that
+/// is left out.
 #[inline(never)]
-fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
-    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
-    #[unsafe(link_section = ".dtcm.shared")]
-    static SHARED: StaticCell<Board> = StaticCell::new();
-    let built_in = built_in();
-    let Some(flash) = flash else {
-        return SHARED.init_with(|| Shared::new(built_in.clone(), built_in, reset).with_log(log::for_hosts()));
-    };
-    let loaded = block_on(load(flash, &built_in));
+fn configuration(flash: &mut Bank2, start: &Start, built_in: &BoardConfig) -> BoardConfig {
+    let is_held = start.mode() != Mode::Run;
+    if is_held && !start.is_first_hold() {
+        return built_in.clone();
+    }
+    let loaded = block_on(load(flash, built_in));
+    if is_held {
+        return BoardConfig { can: loaded.config.can, ..built_in.clone() };
+    }
     match loaded.saved {
         Saved::Nothing => defmt::info!("no saved parameters"),
         Saved::Changes => defmt::info!("{} saved parameters", loaded.changes.values.len()),
@@ -277,7 +281,19 @@ fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
         Saved::NewerLayout(layout) => defmt::warn!("saved parameters have the newer layout {}", layout),
         Saved::Damaged => defmt::error!("saved parameters are damaged"),
     }
-    SHARED.init_with(|| Shared::new(loaded.config, built_in, reset).with_log(log::for_hosts()))
+    loaded.config
+}
+
+/// The state that all tasks share.
+#[inline(never)]
+fn board(flash: &mut Bank2, start: &Start) -> &'static Board {
+    #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
+    #[unsafe(link_section = ".dtcm.shared")]
+    static SHARED: StaticCell<Board> = StaticCell::new();
+    let built_in = built_in();
+    let config = configuration(flash, start, &built_in);
+    SHARED.init_with(|| Shared::new(config, built_in, start.cause()).with_log(log::for_hosts()))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the
@@ -288,7 +304,7 @@ fn board(flash: Option<&mut Bank2>, reset: ResetCause) -> &'static Board {
 fn start_tasks(p: Peripherals, start: &Start, source: clocks::Source) -> (&'static Board, Screen) {
     let held = start.mode() != Mode::Run;
     let mut flash = Bank2::new(p.FLASH);
-    let shared = board((!held).then_some(&mut flash), start.cause());
+    let shared = board(&mut flash, start);
     watchdog::feed();
     let has_ranges = !shared.config().ranges.is_empty();
 
@@ -550,10 +566,13 @@ async fn uart_task(shared: &'static Board, rx: uart::Receiver, tx: UartTx<'stati
 #[embassy_executor::task]
 async fn can_task(shared: &'static Board, rx: can_link::Receiver, tx: can_link::Sender) -> ! {
     let (mut rx, mut tx) = (Receiver::Can(rx), Sender::Can(tx));
-    loop {
-        serve(shared, 1, &mut rx, &mut tx).await;
-        Timer::after(LINK_PAUSE).await;
-    }
+    let link = async {
+        loop {
+            serve(shared, 1, &mut rx, &mut tx).await;
+            Timer::after(LINK_PAUSE).await;
+        }
+    };
+    join(link, can_link::watch(shared)).await.0
 }
 
 #[embassy_executor::task]

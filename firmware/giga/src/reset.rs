@@ -128,6 +128,11 @@ impl Start {
         }
     }
 
+    /// Whether hold mode is tried for the first time. What it can do without is left out when that has ended badly, too.
+    pub(crate) fn is_first_hold(&self) -> bool {
+        self.bad_starts == HOLD
+    }
+
     /// As the application is told: a panic or fault is a watchdog bite that came early.
     pub(crate) fn cause(&self) -> ResetCause {
         match self.record {

@@ -291,6 +291,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
         telemetry_dropped: 8,
         cycles_refused: 9,
         setpoints_expired: 10,
+        can_bus_off: 11,
+        can_warnings: 12,
     };
     vec![
         (
@@ -351,6 +353,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
                 telemetry_dropped: u32::MAX,
                 cycles_refused: u32::MAX,
                 setpoints_expired: u32::MAX,
+                can_bus_off: u32::MAX,
+                can_warnings: u32::MAX,
             }),
         ),
         ("done", Reply::Done),

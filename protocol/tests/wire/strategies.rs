@@ -208,7 +208,7 @@ fn channel_info() -> impl Strategy<Value = ChannelInfo> {
 }
 
 fn stats() -> impl Strategy<Value = DeviceStats> {
-    std::array::from_fn::<_, 10, _>(|_| u32s()).prop_map(
+    std::array::from_fn::<_, 12, _>(|_| u32s()).prop_map(
         |[
             ticks,
             late_ticks,
@@ -220,6 +220,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             telemetry_dropped,
             cycles_refused,
             setpoints_expired,
+            can_bus_off,
+            can_warnings,
         ]| DeviceStats {
             ticks,
             late_ticks,
@@ -231,6 +233,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             telemetry_dropped,
             cycles_refused,
             setpoints_expired,
+            can_bus_off,
+            can_warnings,
         },
     )
 }
