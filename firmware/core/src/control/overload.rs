@@ -259,7 +259,9 @@ mod tests {
         #[test]
         fn damaged_words_are_not_taken(heat_current in 0.0f32..3.0, at in 0u32..32, burst in 1u32..0x1000, other in 1u8..8) {
             let mut motor = Overload::new(WINDING, 1e-2);
-            (0..500).for_each(|_| drop(motor.step(heat_current)));
+            for _ in 0..500 {
+                motor.step(heat_current);
+            }
             let word = motor.word(CHANNEL).expect("the first");
             let fresh = || Overload::new(WINDING, 1e-2);
             let damaged = word ^ burst.checked_shl(at).unwrap_or(0);
