@@ -3,7 +3,7 @@
 use std::{fmt::Display, str::FromStr};
 
 use r4_protocol::{
-    can::{BITRATES_KBIT, Node},
+    can::{BITRATES_KBIT, DATA_RATES_KBIT, Node},
     channel::{ChannelId, ChannelKind, Range},
     config::{DUTY_HARD_MAX, STOP_BRAKE_MAX_MS},
 };
@@ -95,6 +95,15 @@ pub(crate) fn air_temperature_c<'de, D: Deserializer<'de>>(deserializer: D) -> R
 /// The bit rate of the CAN bus, kbit/s.
 pub(crate) fn can_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| BITRATES_KBIT.iter().any(|rate| f64::from(*rate) == value), "125, 250, 500 or 1000")
+}
+
+/// The bit rate of the data of CAN FD frames, kbit/s.
+pub(crate) fn can_data_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    checked(
+        deserializer,
+        |value| DATA_RATES_KBIT.iter().any(|rate| f64::from(*rate) == value),
+        "500, 1000 or 2000, or 0 for classic frames only",
+    )
 }
 
 /// The number of the board on its CAN bus.

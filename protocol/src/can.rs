@@ -52,6 +52,11 @@ pub const BITRATE: u32 = 1_000_000;
 /// Bit rates of boards, kbit/s: the usual ones (CiA 301) that are fast enough for a session, for buses of 500, 250, 100 and 25 m.
 pub const BITRATES_KBIT: [u16; 4] = [125, 250, 500, 1000];
 
+/// Bit rates of the data phase of CAN FD, kbit/s; 0 is none, and classic frames only. None is faster than the transceiver of the
+/// board's carrier and its delay allow: an SN65HVD230, made for 1 Mbit/s, whose loop of at most 135 ns (its data sheet) is seen
+/// before the sample of a bit at 2 Mbit/s.
+pub const DATA_RATES_KBIT: [u16; 4] = [0, 500, 1000, 2000];
+
 /// Position of `ToDevice::Cycle` among its variants.
 const CYCLE_VARIANT: u8 = 2;
 

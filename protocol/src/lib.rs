@@ -35,8 +35,8 @@ pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use image::ImageInfo;
 pub use log::{LogChunk, LogInfo};
 pub use message::{
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, MotorSnapshot, ParameterInfo, Quality, Refusal, Reply, Request,
-    Sample, Setpoint, Telemetry, ToDevice, ToHost,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, MotorSnapshot, ParameterInfo, Quality, Refusal,
+    Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost, Winding,
 };
 pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};

@@ -62,6 +62,8 @@ pub enum ToHost {
         state: SafetyState,
         /// Causes latched by a trip.
         causes: Causes,
+        /// Motors whose windings are close to what they withstand: see [`Winding::hot`].
+        hot: Vec<HotWinding, MAX_MOTORS>,
     },
     /// Samples of subscribed channels.
     Telemetry(Telemetry),
@@ -341,6 +343,11 @@ pub struct DeviceStats {
     pub cycles_refused: u32,
     /// Set points of cycles that grew too old while they were followed: their channels were stopped.
     pub setpoints_expired: u32,
+    /// How often the board went off the CAN bus by its own errors (bus-off). It is back on it after 50 ms and 128 times 11
+    /// recessive bits.
+    pub can_bus_off: u32,
+    /// How often one of its error counters on the CAN bus reached the warning limit of 96.
+    pub can_warnings: u32,
 }
 
 /// Why a request was not carried out. Nothing was changed.
@@ -583,6 +590,8 @@ pub enum Sample {
         settled: bool,
         /// Whether the position is known, and not only counted from where power came on.
         homed: bool,
+        /// How hot its winding is; `None` for a channel whose winding's heat nothing computes.
+        winding: Option<Winding>,
     },
     /// Of a channel that has one number and nothing more to tell.
     Scalar {
@@ -613,6 +622,26 @@ pub enum Sample {
         /// Transitions that no shaft makes, since power-up; only where edges are decoded by the processor.
         illegal: u32,
     },
+}
+
+/// How hot a motor's winding is, by the board's thermal model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Winding {
+    /// Share of what the winding withstands, %, rounded down; at 100 the board trips with [`Cause::Overload`].
+    ///
+    /// [`Cause::Overload`]: crate::Cause::Overload
+    pub heat_percent: u8,
+    /// The board's warning before that trip: it begins above 80 %, and ends below 75 %.
+    pub hot: bool,
+}
+
+/// A motor with [`Winding::hot`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct HotWinding {
+    /// Which.
+    pub channel: ChannelId,
+    /// As [`Winding::heat_percent`].
+    pub heat_percent: u8,
 }
 
 /// Whether a reading can be relied on.

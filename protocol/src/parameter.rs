@@ -142,10 +142,12 @@ pub enum Parameter {
     CanRate,
     /// Of the board: [`crate::config::CanConfig::node`].
     CanNode,
+    /// Of the board, kbit/s: [`crate::config::CanConfig::data_kbit_per_s`].
+    CanDataRate,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 64] = [
+    const NAMES: [(Self, &'static str); 65] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -210,6 +212,7 @@ impl Parameter {
         (Self::StopBrakeMs, "stop_brake_ms"),
         (Self::CanRate, "can_rate"),
         (Self::CanNode, "can_node"),
+        (Self::CanDataRate, "can_data_rate"),
     ];
 
     /// Every parameter, in the order of the variants.

@@ -15,7 +15,7 @@ use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
-    number::{air_temperature_c, can_kbit_per_s, can_node, control_period_us, link_timeout_ms},
+    number::{air_temperature_c, can_data_kbit_per_s, can_kbit_per_s, can_node, control_period_us, link_timeout_ms},
     source::{Claims, Folder, Source, Tables},
 };
 
@@ -74,12 +74,14 @@ struct Can {
     kbit_per_s: u16,
     #[serde(deserialize_with = "can_node")]
     node: u16,
+    #[serde(deserialize_with = "can_data_kbit_per_s")]
+    data_kbit_per_s: u16,
 }
 
 impl Default for Can {
     fn default() -> Self {
-        let CanConfig { kbit_per_s, node } = CanConfig::default();
-        Self { kbit_per_s, node }
+        let CanConfig { kbit_per_s, node, data_kbit_per_s } = CanConfig::default();
+        Self { kbit_per_s, node, data_kbit_per_s }
     }
 }
 
@@ -241,7 +243,11 @@ impl Reader<'_> {
             ranges,
             analogs,
             supplies,
-            can: CanConfig { kbit_per_s: file.can.kbit_per_s, node: file.can.node },
+            can: CanConfig {
+                kbit_per_s: file.can.kbit_per_s,
+                node: file.can.node,
+                data_kbit_per_s: file.can.data_kbit_per_s,
+            },
         };
         self.home_switches(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {

@@ -58,7 +58,8 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
         ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
             let view = shared.safety();
             let device_us = now.as_micros();
-            Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes })
+            let hot = shared.hot_windings();
+            Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes, hot })
         }
         ToDevice::Heartbeat { .. } => Outcome::Nothing,
         ToDevice::Cycle(cycle) => Outcome::Answer(host.bound.answer(shared, link, cycle, now)),

@@ -133,6 +133,15 @@ pub trait AnalogInputs {
     fn code(&mut self, index: u8) -> u16;
 }
 
+/// Words that outlive every reset of the processor, though not the loss of its power: one for each motor, by
+/// [`MAX_MOTORS`](r4_protocol::config::MAX_MOTORS).
+pub trait KeptWords {
+    /// What was kept at `index` last, by whichever firmware; anything after the loss of power. Numbers there are not read 0.
+    fn kept(&mut self, index: usize) -> u32;
+    /// Keeps `word`, in one piece. Numbers there are not do nothing.
+    fn keep(&mut self, index: usize, word: u32);
+}
+
 /// What one stepper driver's lines do, and when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepEvent {
@@ -184,9 +193,12 @@ pub trait Steppers {
 }
 
 /// Everything of the processor that the control loop uses, in one.
-pub trait Peripherals: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers {}
+pub trait Peripherals:
+    Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords
+{
+}
 
-impl<P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers> Peripherals for P {}
+impl<P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords> Peripherals for P {}
 
 /// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
 pub trait Ranging {

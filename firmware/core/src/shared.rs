@@ -9,7 +9,7 @@ use embassy_sync::{
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, DeviceStats, ImageInfo, Mode, Quality, Refusal, SafetyState, Setpoint,
+    Cause, Causes, DeviceStats, HotWinding, ImageInfo, Mode, Quality, Refusal, SafetyState, Setpoint, Winding,
     config::{
         ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SERVOS, MAX_SUPPLIES,
         PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
@@ -84,11 +84,20 @@ pub struct MotorStatus {
     pub settled: bool,
     /// Whether the position is known, and not only counted from where power came on.
     pub homed: bool,
+    /// How hot its winding is; `None` where nothing computes that.
+    pub winding: Option<Winding>,
 }
 
 impl MotorStatus {
-    pub(crate) const IDLE: Self =
-        Self { setpoint: Setpoint::NONE, position: 0, speed: 0.0, duty: 0.0, settled: false, homed: false };
+    pub(crate) const IDLE: Self = Self {
+        setpoint: Setpoint::NONE,
+        position: 0,
+        speed: 0.0,
+        duty: 0.0,
+        settled: false,
+        homed: false,
+        winding: None,
+    };
 }
 
 /// What a channel does or shows now.
@@ -555,6 +564,20 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.statuses[slot(place)])
     }
 
+    /// The motors whose windings are close to what they withstand, in the order of the configuration.
+    pub(crate) fn hot_windings(&self) -> Vec<HotWinding, MAX_MOTORS> {
+        let motors = self.config.motors.iter().enumerate();
+        self.with(|s| {
+            let hot = motors.filter_map(|(index, motor)| match s.statuses[slot(Place::Motor(index))] {
+                Status::Motor(MotorStatus { winding: Some(Winding { heat_percent, hot: true }), .. }) => {
+                    Some(HotWinding { channel: motor.id, heat_percent })
+                }
+                _ => None,
+            });
+            hot.collect()
+        })
+    }
+
     pub(crate) fn count(&self, f: impl FnOnce(&mut DeviceStats)) {
         self.with(|s| f(&mut s.stats));
     }
@@ -610,6 +633,11 @@ impl<M: RawMutex> Shared<M> {
     }
 
     // Links.
+
+    /// What the CAN controller has counted: how often it was off the bus, and how often its counters reached the warning limit.
+    pub fn note_can(&self, bus_off: u32, warnings: u32) {
+        self.count(|stats| (stats.can_bus_off, stats.can_warnings) = (bus_off, warnings));
+    }
 
     pub(crate) fn stats(&self) -> DeviceStats {
         self.with(|s| s.stats)

@@ -75,8 +75,8 @@ impl Subscriptions {
 fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, now: Instant) -> Option<Sample> {
     let place = shared.config().place(channel)?;
     Some(match shared.status(place) {
-        Status::Motor(MotorStatus { setpoint, position, speed, duty, settled, homed }) => {
-            Sample::Motor { channel, setpoint, position, speed, duty, settled, homed }
+        Status::Motor(MotorStatus { setpoint, position, speed, duty, settled, homed, winding }) => {
+            Sample::Motor { channel, setpoint, position, speed, duty, settled, homed, winding }
         }
         Status::Scalar(value) => Sample::Scalar { channel, value },
         Status::Encoder { position, speed, illegal } => Sample::Encoder { channel, position, speed, illegal },

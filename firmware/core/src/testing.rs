@@ -27,10 +27,10 @@ use embedded_hal::{
     i2c,
 };
 use embedded_hal_async::{digital::Wait, i2c::I2c};
-use r4_protocol::config::BoardConfig;
+use r4_protocol::config::{BoardConfig, MAX_MOTORS};
 
 use crate::{
-    platform::{AnalogInputs, AnalogOutputs, Bus, EdgeInputs, Encoders, StepEvent, Steppers, SwitchInputs},
+    platform::{AnalogInputs, AnalogOutputs, Bus, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs},
     shared::{ResetCause, Shared},
 };
 
@@ -343,6 +343,7 @@ pub(crate) struct PeripheralsState {
     pub(crate) storm: Cell<bool>,
     pub(crate) codes: [Cell<u16>; 6],
     pub(crate) dacs: [Cell<u16>; 2],
+    pub(crate) kept: [Cell<u32>; MAX_MOTORS],
 }
 
 impl core::ops::Deref for Peripherals {
@@ -384,6 +385,16 @@ impl AnalogOutputs for Peripherals {
 impl AnalogInputs for Peripherals {
     fn code(&mut self, index: u8) -> u16 {
         self.codes[usize::from(index)].get()
+    }
+}
+
+impl KeptWords for Peripherals {
+    fn kept(&mut self, index: usize) -> u32 {
+        self.kept[index].get()
+    }
+
+    fn keep(&mut self, index: usize, word: u32) {
+        self.kept[index].set(word);
     }
 }
 

@@ -27,7 +27,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
-    ResetCause, Restart, Shared,
+    Restart, Shared,
     control::{self, BoardIo},
     link::serve,
     outputs::{OutputFault, rest_dacs},
@@ -141,7 +141,8 @@ bind_interrupts!(struct Irqs {
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
     DMA2_STREAM1 => uart::OnRing;
     DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
-    FDCAN2_IT0 => can::IT0InterruptHandler<stm32::FDCAN2>;
+    // In this order: the second clears what the first counts.
+    FDCAN2_IT0 => can_link::OnError, can::IT0InterruptHandler<stm32::FDCAN2>;
     FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
     OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
     BDMA_CHANNEL0 => dma::InterruptHandler<stm32::BDMA_CH0>;
@@ -264,23 +265,21 @@ fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
     Sweeper::new(cycles::AT_RESET_MHZ).sweep(&config)
 }
 
-/// The state that all tasks share, from what is built in and, with `flash`, what was saved since.
-#[inline(never)]
-fn board(flash: Option<&mut Bank2>, reset: ResetCause, image: ImageInfo) -> &'static Board {
-    let built_in = built_in();
-    let config = match flash {
-        Some(flash) => saved(flash, &built_in),
-        None => built_in.clone(),
-    };
-    share(config, built_in, reset, image)
-}
-
-/// What is built in, with what was saved.
+/// What the board works with: what was saved for it, and in hold mode what is built in.
 ///
-/// By itself: with [`share`] in one frame, it took two thirds of the stack, for configurations that were moved about.
+/// Of what was saved the rate of the CAN bus and the board's number on it hold in hold mode, too: with others the board would
+/// disturb the bus on which it is to answer why it does nothing else. Flash is only read. Where hold mode has ended badly, too, that
+/// is left out.
 #[inline(never)]
-fn saved(flash: &mut Bank2, built_in: &BoardConfig) -> BoardConfig {
+fn configuration(flash: &mut Bank2, start: &Start, built_in: &BoardConfig) -> BoardConfig {
+    let is_held = start.mode() != Mode::Run;
+    if is_held && !start.is_first_hold() {
+        return built_in.clone();
+    }
     let loaded = block_on(load(flash, built_in));
+    if is_held {
+        return BoardConfig { can: loaded.config.can, ..built_in.clone() };
+    }
     match loaded.saved {
         Saved::Nothing => defmt::info!("no saved parameters"),
         Saved::Changes => defmt::info!("{} saved parameters", loaded.changes.values.len()),
@@ -291,13 +290,16 @@ fn saved(flash: &mut Bank2, built_in: &BoardConfig) -> BoardConfig {
     loaded.config
 }
 
+/// The state that all tasks share.
 #[inline(never)]
-fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause, image: ImageInfo) -> &'static Board {
+fn board(flash: &mut Bank2, start: &Start, image: ImageInfo) -> &'static Board {
     #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
     // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
     #[unsafe(link_section = ".dtcm.shared")]
     static SHARED: StaticCell<Board> = StaticCell::new();
-    SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()).with_image(image))
+    let built_in = built_in();
+    let config = configuration(flash, start, &built_in);
+    SHARED.init_with(|| Shared::new(config, built_in, start.cause()).with_log(log::for_hosts()).with_image(image))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the
@@ -308,7 +310,7 @@ fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause, image: I
 fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::Source) -> (&'static Board, Screen) {
     let held = start.mode() != Mode::Run;
     let mut flash = Bank2::new(p.FLASH);
-    let shared = board((!held).then_some(&mut flash), start.cause(), image);
+    let shared = board(&mut flash, start, image);
     watchdog::feed();
     let has_ranges = !shared.config().ranges.is_empty();
 
@@ -571,10 +573,13 @@ async fn uart_task(shared: &'static Board, rx: uart::Receiver, tx: UartTx<'stati
 #[embassy_executor::task]
 async fn can_task(shared: &'static Board, rx: can_link::Receiver, tx: can_link::Sender) -> ! {
     let (mut rx, mut tx) = (Receiver::Can(rx), Sender::Can(tx));
-    loop {
-        serve(shared, 1, &mut rx, &mut tx).await;
-        Timer::after(LINK_PAUSE).await;
-    }
+    let link = async {
+        loop {
+            serve(shared, 1, &mut rx, &mut tx).await;
+            Timer::after(LINK_PAUSE).await;
+        }
+    };
+    join(link, can_link::watch(shared)).await.0
 }
 
 #[embassy_executor::task]

@@ -1,10 +1,10 @@
 //! Hold mode: what a board does whose firmware ended badly several times in a row, or is not whole in flash (`image`).
 //!
 //! It only keeps its outputs safe: the stop lines are driven, every output chip is told its safe state again and again, and that
-//! alone feeds the watchdog. No loop is closed, no sensor is read, nothing saved is used, and the heartbeat stands still, so
-//! that a charge pump on it opens the motors' supply. The red light flashes. In the first of two stages the links to hosts run
-//! beside it, by interrupts, and the board answers why; it cannot be armed. In the second, when the first has ended badly too,
-//! nothing else runs at all, from the internal oscillator.
+//! alone feeds the watchdog. No loop is closed, no sensor is read, of what was saved only the CAN bus's rates and the board's number
+//! on it are used, and the heartbeat stands still, so that a charge pump on it opens the motors' supply. The red light flashes. In
+//! the first of two stages the links to hosts run beside it, by interrupts, and the board answers why; it cannot be armed. In the
+//! second, when the first has ended badly too, nothing else runs at all, from the internal oscillator.
 //!
 //! Both are left by switching off and on, by the reset pin or a debugger; the first also by a host's request to restart.
 

@@ -1,11 +1,13 @@
 //! Everything of the processor that the control loop uses, in one.
 
-use r4_firmware::platform::{AnalogInputs, AnalogOutputs, EdgeInputs, Encoders, StepEvent, Steppers, SwitchInputs};
+use r4_firmware::platform::{
+    AnalogInputs, AnalogOutputs, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs,
+};
 
 use crate::{
     analog::{Inputs, Outputs},
     encoders::Counters,
-    ranging,
+    ranging, reset,
     steppers::Generators,
     switches::Switches,
 };
@@ -66,6 +68,16 @@ impl AnalogInputs for Processor {
 impl AnalogOutputs for Processor {
     fn set(&mut self, index: u8, code: u16) {
         self.outputs.set(index, code);
+    }
+}
+
+impl KeptWords for Processor {
+    fn kept(&mut self, index: usize) -> u32 {
+        reset::kept(index)
+    }
+
+    fn keep(&mut self, index: usize, word: u32) {
+        reset::keep(index, word);
     }
 }
 

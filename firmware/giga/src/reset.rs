@@ -1,7 +1,7 @@
 //! Why the processor started, and what the last run left in the backup registers.
 //!
 //! The registers of the RTC's domain keep their content over every reset, and over a power cut if VBAT is supplied. Of the 32
-//! the Arduino bootloader uses DR0 (request for an upload) and DR8 (reset cause); ours are DR16 to DR22:
+//! the Arduino bootloader uses DR0 (request for an upload) and DR8 (reset cause); ours are DR16 to DR22 and DR24 to DR31:
 //!
 //! | register | holds |
 //! | --- | --- |
@@ -11,19 +11,28 @@
 //! | DR20 | of a fault HFSR, of a panic the address of its file's name |
 //! | DR21 | clock source of the run that ended: 1 crystal, 2 internal |
 //! | DR22 | "BS" and how many runs in a row ended badly before they had run well |
+//! | DR24 to DR31 | of each motor the heat of its winding: `r4_firmware::control::overload` |
+//!
+//! Each is written in one piece: a reset finds the old word or the new.
 
 use embassy_stm32::pac::{PWR, RCC, RTC};
 use embassy_time::Duration;
 use r4_firmware::ResetCause;
+use r4_protocol::config::MAX_MOTORS;
 
 const MAGIC: u32 = 0x5234_0000;
 const FIRST: usize = 16;
 const CLOCK: usize = 21;
 const BAD_STARTS: usize = 22;
+/// The first of the words that are kept for the application.
+const KEPT: usize = 24;
 const BAD_STARTS_MAGIC: u32 = 0x4253_0000;
 /// The Arduino bootloader's note, numbered as mbed's `reset_reason_t`.
 const BOOTLOADER_NOTE: usize = 8;
 const MBED_WATCHDOG: u32 = 4;
+
+/// A backup register for each motor, of the 32 that there are.
+const _: () = assert!(KEPT + MAX_MOTORS <= 32);
 
 /// RCC_RSR (RM0399, 8.7.40).
 const RMVF: u32 = 1 << 16;
@@ -122,6 +131,11 @@ impl Start {
         }
     }
 
+    /// Whether hold mode is tried for the first time. What it can do without is left out when that has ended badly, too.
+    pub(crate) fn is_first_hold(&self) -> bool {
+        self.bad_starts == HOLD
+    }
+
     /// As the application is told: a panic or fault is a watchdog bite that came early.
     pub(crate) fn cause(&self) -> ResetCause {
         match self.record {
@@ -180,6 +194,18 @@ pub(crate) fn leave(record: &Record) {
 /// Notes what the clock is made from, for a debugger and for the next start.
 pub(crate) fn note_clock(crystal: bool) {
     write(CLOCK, if crystal { 1 } else { 2 });
+}
+
+/// A word that is kept for the application; 0 where there is none.
+pub(crate) fn kept(index: usize) -> u32 {
+    if index < MAX_MOTORS { read(KEPT + index) } else { 0 }
+}
+
+/// Keeps a word for the application. [`Start::take`] has opened the domain.
+pub(crate) fn keep(index: usize, word: u32) {
+    if index < MAX_MOTORS {
+        write(KEPT + index, word);
+    }
 }
 
 /// The backup domain is write-protected after a reset (RM0399, 7.4.5).

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use r4_mcu::{CanFrame, Chip, Moment, Size, StackArea, cpu::Core};
+use r4_mcu::{CanFrame, CanOutcome, Chip, Moment, Size, StackArea, cpu::Core};
 
 use crate::board::EmuBoard;
 
@@ -88,6 +88,35 @@ impl<C: Core + 'static> EmuBoard<C> {
         self.machine().chip.can_receive(FDCAN, at_ns, frame);
     }
 
+    /// The same as a frame of CAN FD, its data at the rate of the data phase where `bit_rate_switch`.
+    pub fn can_receive_fd(&self, at_ns: u64, identifier: u16, bit_rate_switch: bool, data: Vec<u8>) {
+        let id = identifier.into();
+        let frame = CanFrame { id, extended: false, remote: false, fd: true, bit_rate_switch, data };
+        self.machine().chip.can_receive(FDCAN, at_ns, frame);
+    }
+
+    /// The frames that the board has sent on the CAN connector since this was last asked; the newest 1024.
+    #[must_use]
+    pub fn take_can_frames(&self) -> Vec<CanFrame> {
+        self.machine().chip.outside().take_can_frames()
+    }
+
+    /// What becomes of frames that the board sends on the CAN connector from now on; at first somebody acknowledges them.
+    pub fn set_can_outcome(&self, outcome: CanOutcome) {
+        self.machine().chip.outside().set_can_outcome(outcome);
+    }
+
+    /// The CAN bus is held dominant from now on, or no longer.
+    pub fn hold_can_dominant(&self, held: bool) {
+        self.machine().chip.hold_can_dominant(FDCAN, held);
+    }
+
+    /// The end of the frame that the board is sending on the CAN connector.
+    #[must_use]
+    pub fn can_sends_until_ns(&self) -> Option<u64> {
+        self.machine().chip.can_sends_until_ns(FDCAN)
+    }
+
     /// Frames that the board has sent on the CAN connector with a standard identifier.
     #[must_use]
     pub fn can_sent(&self, identifier: u16) -> u64 {
@@ -98,6 +127,12 @@ impl<C: Core + 'static> EmuBoard<C> {
     #[must_use]
     pub fn can_bit_rate(&self) -> f64 {
         self.machine().chip.can_bit_rates(FDCAN).0
+    }
+
+    /// That of the data phase of CAN FD.
+    #[must_use]
+    pub fn can_data_bit_rate(&self) -> f64 {
+        self.machine().chip.can_bit_rates(FDCAN).1
     }
 
     /// The board goes off the bus now, as after 32 frames that somebody destroyed.

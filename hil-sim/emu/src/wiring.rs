@@ -2,7 +2,7 @@
 
 use std::{
     cell::{RefCell, RefMut},
-    collections::BTreeMap,
+    collections::{BTreeMap, VecDeque},
     rc::Rc,
 };
 
@@ -21,6 +21,9 @@ use crate::roles::{Role, Roles};
 
 /// The converter's reference, which the chip's pins must not exceed, V.
 const REFERENCE_V: f64 = 3.3;
+
+/// Frames on the CAN bus that are kept for whoever asks.
+const CAN_FRAMES: usize = 1024;
 
 /// A line that someone outside drives, and the level the chip was told last.
 struct Watched {
@@ -65,6 +68,10 @@ pub struct Wiring {
     scl_low: Vec<(u8, bool)>,
     /// Frames on the CAN bus, by their identifiers.
     can_sent: BTreeMap<u32, u64>,
+    /// The newest of them, until they are taken.
+    can_frames: VecDeque<CanFrame>,
+    /// What becomes of them.
+    can_outcome: CanOutcome,
 }
 
 impl Wiring {
@@ -89,6 +96,8 @@ impl Wiring {
             controllers: controllers(carrier),
             scl_low: Vec::new(),
             can_sent: BTreeMap::new(),
+            can_frames: VecDeque::new(),
+            can_outcome: CanOutcome::Acknowledged,
         }
     }
 
@@ -103,6 +112,16 @@ impl Wiring {
     }
 
     /// Frames that the chip has sent with a standard identifier.
+    /// The frames that the board has sent on the CAN connector since this was last asked, as far as they are kept.
+    pub(crate) fn take_can_frames(&mut self) -> Vec<CanFrame> {
+        self.can_frames.drain(..).collect()
+    }
+
+    /// What becomes of the frames that the board sends on the CAN connector from now on.
+    pub(crate) fn set_can_outcome(&mut self, outcome: CanOutcome) {
+        self.can_outcome = outcome;
+    }
+
     pub(crate) fn can_sent(&self, identifier: u16) -> u64 {
         self.can_sent.get(&identifier.into()).copied().unwrap_or(0)
     }
@@ -325,8 +344,14 @@ impl Outside for Wiring {
 
     fn can_sent(&mut self, _bus: u8, _at_ns: u64, frame: &CanFrame) -> CanOutcome {
         // A host's CAN adapter is on the bus and acknowledges; what it hears is counted.
-        *self.can_sent.entry(frame.id).or_default() += 1;
-        CanOutcome::Acknowledged
+        if self.can_outcome == CanOutcome::Acknowledged {
+            *self.can_sent.entry(frame.id).or_default() += 1;
+            if self.can_frames.len() == CAN_FRAMES {
+                self.can_frames.pop_front();
+            }
+            self.can_frames.push_back(frame.clone());
+        }
+        self.can_outcome
     }
 
     fn wants_to_run(&self) -> bool {

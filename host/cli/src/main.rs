@@ -6,6 +6,7 @@ mod choice;
 mod commands;
 mod emulated;
 mod failure;
+mod heat;
 mod known;
 mod output;
 mod plants;

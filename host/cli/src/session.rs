@@ -2,6 +2,7 @@
 
 use std::{
     cell::Cell,
+    convert::Infallible,
     fs,
     future::Future,
     io,
@@ -32,6 +33,7 @@ use crate::{
     args::{Args, Command},
     cable::{Cable, CableState},
     emulated::{self, LinkLog},
+    heat::Warned,
     known, plants,
     record::{Listened, Recording, SharedTap},
 };
@@ -145,6 +147,8 @@ pub(crate) struct Session<'s> {
     /// `None` at the end of a link.
     surroundings: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
     target: &'s Target,
+    /// Of which hot windings a person has been warned.
+    pub(crate) warned: Warned,
     /// What the driver's time is.
     pub(crate) clock: HostClock,
     /// What is recorded of this session.
@@ -173,14 +177,30 @@ impl Session<'_> {
         self.gains_at_end.set(gains);
     }
 
-    /// Arms, runs `work`, and disarms whatever came of it.
+    /// Arms, runs `work`, and disarms whatever came of it. Warns meanwhile of windings that become hot.
     pub(crate) async fn armed<T>(&self, work: impl AsyncFnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
         self.board.arm().await.context("cannot arm")?;
-        let result = work().await;
+        let result = match select(pin!(work()), pin!(self.watch_heat())).await {
+            Either::Left((result, _)) => result,
+            Either::Right((never, _)) => match never {},
+        };
+        self.warned.tell(&self.board.hot_windings());
         let disarmed = self.board.disarm().await;
         let value = result?;
         disarmed.context("cannot disarm; closing the session makes the board stop by itself")?;
         Ok(value)
+    }
+}
+
+/// How often hot windings are looked for, s: heartbeats tell of them.
+const HEAT_EVERY_S: f64 = 0.05;
+
+impl Session<'_> {
+    async fn watch_heat(&self) -> Infallible {
+        loop {
+            self.warned.tell(&self.board.hot_windings());
+            self.board.sleep_s(HEAT_EVERY_S).await;
+        }
     }
 }
 
@@ -332,6 +352,7 @@ pub(crate) fn run_with<T>(
         let session = Session {
             board: connected,
             gains_at_end: Cell::new(None),
+            warned: Warned::default(),
             surroundings,
             target: &args.board,
             clock: host_clock.clone(),
@@ -380,6 +401,7 @@ fn run_on<T>(
             let session = Session {
                 board: connected,
                 gains_at_end: Cell::new(None),
+                warned: Warned::default(),
                 surroundings: None,
                 target: &args.board,
                 clock: clock.clone(),
@@ -428,6 +450,7 @@ pub(crate) fn keep<T>(
             let session = Session {
                 board,
                 gains_at_end: Cell::new(None),
+                warned: Warned::default(),
                 surroundings: None,
                 target: &args.board,
                 clock: clock.clone(),

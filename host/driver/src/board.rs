@@ -14,8 +14,8 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogInfo, Mode,
-    ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
+    Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogInfo,
+    Mode, ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
     ToDevice, VERSION,
     config::{MAX_NAME, PidGains},
     message::MAX_RAW,
@@ -161,6 +161,13 @@ impl<C: Clock> Board<C> {
     #[must_use]
     pub fn safety(&self) -> (SafetyState, Causes) {
         lock(&self.wire.state).safety.unwrap_or((SafetyState::Disarmed, Causes::NONE))
+    }
+
+    /// Motors whose windings are close to what they withstand, and how hot they are, when the board was last heard of: it is the
+    /// board that warns, before it trips.
+    #[must_use]
+    pub fn hot_windings(&self) -> Vec<HotWinding> {
+        lock(&self.wire.state).hot.clone()
     }
 
     /// Frames from the board that were damaged and dropped.

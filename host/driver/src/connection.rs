@@ -14,8 +14,8 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, LogChunk, Refusal, Reply, Request, SafetyState,
-    Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
+    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, HotWinding, LogChunk, Refusal, Reply, Request,
+    SafetyState, Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
 };
 
 use crate::{
@@ -37,6 +37,8 @@ pub(crate) struct State {
     pub(crate) pending: HashMap<u16, oneshot::Sender<Result<Reply, Refusal>>>,
     pub(crate) telemetry: Streams<Telemetry>,
     pub(crate) safety: Option<(SafetyState, Causes)>,
+    /// As the last heartbeat told.
+    pub(crate) hot: Vec<HotWinding>,
     pub(crate) end: Option<Error>,
     pub(crate) bad_frames: u64,
     pub(crate) clock: ClockMap,
@@ -88,7 +90,9 @@ impl State {
                     let _ = waiting.send(result);
                 }
             }
-            ToHost::Heartbeat { host_us, device_us, state, causes } => {
+            ToHost::Heartbeat { host_us, device_us, state, causes, hot } => {
+                self.hot.clear();
+                self.hot.extend_from_slice(&hot);
                 self.clock.seen(host_us, device_us, now_us);
                 self.safety = Some((state, causes));
                 if let Some(session) = &mut self.session {

@@ -5,7 +5,7 @@
 //!
 //! | topic | fields |
 //! | --- | --- |
-//! | `/osmc0` … (rotary) | `setpoint_mode`, the set point in a field of that mode such as `setpoint_position_rad`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled`, `homed` |
+//! | `/osmc0` … (rotary) | `setpoint_mode`, the set point in a field of that mode such as `setpoint_position_rad`, `position_counts`, `position_rad`, `speed_rad_s`, `duty`, `settled`, `homed`, `winding_heat` |
 //! | `/actuator1` … (linear) | the same with `setpoint_position_m`, `position_m`, `speed_m_s` |
 //! | `/encoder0` … | `position_counts`, `position_rad`, `speed_rad_s`, `illegal` |
 //! | `/supply0` … | one of `voltage_v`, `angle_rad`, `speed_rad_s`, `distance_m`, `speed_m_s`, `duty`, `on` |

@@ -118,6 +118,9 @@ MotorMessage {} setpoint {
     /// Not in the first logs.
     #[serde(default)]
     pub(crate) homed: bool,
+    /// Of boards that compute it, from protocol 7 on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) winding_heat: Option<f32>,
 }
 }
 
@@ -325,6 +328,7 @@ pub(crate) fn motor_schema(linear: bool) -> Schema {
         ("duty", "number", "Share of the supply at the bridge, -1 to 1"),
         ("settled", "boolean", "At the set point and at rest"),
         ("homed", "boolean", "Whether the position is known, and not only counted from where power came on"),
+        ("winding_heat", "number", "Heat of the winding, share of what it withstands"),
     ]);
     schema(name, &fields)
 }

@@ -124,6 +124,8 @@ pub struct MotorSample {
     pub settled: bool,
     /// Whether the position is known, and not only counted from where power came on.
     pub homed: bool,
+    /// Heat of its winding, share of what it withstands.
+    pub winding_heat: f64,
 }
 
 /// A motor channel over a run.
@@ -545,6 +547,7 @@ impl Reader {
             duty: number(message.duty),
             settled: message.settled,
             homed: message.homed,
+            winding_heat: number(message.winding_heat),
         };
         self.motors.entry(id).or_default().push(sample);
         Some(())

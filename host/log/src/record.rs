@@ -103,7 +103,7 @@ impl<W: Write> Recorder<W> {
                 (resolution.is_finite() && resolution != 0.0).then_some(position)
             };
             match *sample {
-                Sample::Motor { setpoint, position, speed, duty, settled, homed, .. } => {
+                Sample::Motor { setpoint, position, speed, duty, settled, homed, winding, .. } => {
                     let measured = measured(position);
                     let message = MotorMessage {
                         position_counts: position,
@@ -114,6 +114,7 @@ impl<W: Write> Recorder<W> {
                         duty: finite(duty),
                         settled,
                         homed,
+                        winding_heat: winding.map(|winding| f32::from(winding.heat_percent) / 100.0),
                         ..MotorMessage::default()
                     };
                     let message = message.with_setpoint(setpoint, linear);

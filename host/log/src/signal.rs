@@ -115,6 +115,7 @@ impl Log {
                 add("duty", Kind::Continuous, field(|sample| single(sample.duty)));
                 add("settled", Kind::Held, field(|sample| Some(Value::Switch(sample.settled))));
                 add("homed", Kind::Held, field(|sample| Some(Value::Switch(sample.homed))));
+                add("winding_heat", Kind::Continuous, field(|sample| single(sample.winding_heat)));
             }
             if let Some(series) = self.encoder(id) {
                 let field = |value: fn(&EncoderSample) -> Option<Value>| of(&series.samples, |s| (s.time_s, value(s)));

@@ -266,7 +266,7 @@ impl<W: Write> Tap<W> {
                     }
                 }
             }
-            ToHost::Heartbeat { host_us, device_us, state, causes } => {
+            ToHost::Heartbeat { host_us, device_us, state, causes, .. } => {
                 self.clock_seen(host_us, device_us, now_us);
                 self.recorder().map_or(Ok(()), |recorder| recorder.state(device_us, state, causes))
             }

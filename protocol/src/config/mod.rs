@@ -25,7 +25,7 @@ pub use output::{
 };
 
 use crate::{
-    can::{BITRATES_KBIT, Node},
+    can::{BITRATES_KBIT, DATA_RATES_KBIT, Node},
     channel::{ChannelId, ChannelKind, Range},
 };
 
@@ -122,12 +122,15 @@ pub struct CanConfig {
     pub kbit_per_s: u16,
     /// The board's number on the bus, 0 to 127.
     pub node: u16,
+    /// Bit rate of the data phase, kbit/s: 500, 1000 or 2000, not below `kbit_per_s`. The board then takes and sends frames of
+    /// CAN FD, which every node of the bus must know: one that does not destroys them. 0: classic frames only.
+    pub data_kbit_per_s: u16,
 }
 
 impl Default for CanConfig {
-    /// 1 Mbit/s and number 0, which hosts take where nothing is said.
+    /// Classic frames, 1 Mbit/s and number 0, which hosts take where nothing is said.
     fn default() -> Self {
-        Self { kbit_per_s: 1000, node: 0 }
+        Self { kbit_per_s: 1000, node: 0, data_kbit_per_s: 0 }
     }
 }
 
@@ -280,6 +283,11 @@ impl BoardConfig {
         rule((10_000..=400_000).contains(&self.i2c_hz), "i2c_hz must be 10000 to 400000")?;
         rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
         rule(BITRATES_KBIT.contains(&self.can.kbit_per_s), "can_rate must be 125, 250, 500 or 1000 kbit/s")?;
+        let CanConfig { kbit_per_s, data_kbit_per_s, .. } = self.can;
+        rule(
+            DATA_RATES_KBIT.contains(&data_kbit_per_s) && (data_kbit_per_s == 0 || data_kbit_per_s >= kbit_per_s),
+            "can_data_rate must be 500, 1000 or 2000 kbit/s, not below can_rate, or 0 for classic frames only",
+        )?;
         rule(self.can.node < u16::from(Node::COUNT), "can_node must be 0 to 127")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;

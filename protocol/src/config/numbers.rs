@@ -149,6 +149,7 @@ macro_rules! lend {
                     (P::AirTemperatureC, _) => air_temperature_c,
                     (P::CanRate, _) => &$($mut)? can.kbit_per_s,
                     (P::CanNode, _) => &$($mut)? can.node,
+                    (P::CanDataRate, _) => &$($mut)? can.data_kbit_per_s,
                     (P::ServoOscillatorHz, Some(ServoChipConfig { oscillator_hz, .. })) => oscillator_hz,
                     _ => return None,
                 })

@@ -70,7 +70,7 @@ fn parameters_are_listed_once_in_the_order_of_the_channels() {
     let order: Vec<_> = [None].into_iter().chain(config.channels().map(|(id, _)| Some(id))).collect();
     let place = |key: &ParameterKey| order.iter().position(|channel| *channel == key.channel);
     assert!(keys.is_sorted_by_key(|key| (place(key), key.parameter)));
-    let names: Vec<_> = keys.iter().take(6).map(ToString::to_string).collect();
+    let names: Vec<_> = keys.iter().take(7).map(ToString::to_string).collect();
     assert_eq!(
         names,
         [
@@ -79,6 +79,7 @@ fn parameters_are_listed_once_in_the_order_of_the_channels() {
             "board.servo_oscillator_hz",
             "board.can_rate",
             "board.can_node",
+            "board.can_data_rate",
             "osmc0.duty_max"
         ]
     );

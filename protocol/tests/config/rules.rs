@@ -69,6 +69,8 @@ const BOARD: &[Case] = {
     const ROOM: &str = "i2c_hz and control_period_us must leave room for every output in a period";
     const BUS: &str = "i2c_hz must be 10000 to 400000";
     const CAN_RATE: &str = "can_rate must be 125, 250, 500 or 1000 kbit/s";
+    const CAN_DATA_RATE: &str =
+        "can_data_rate must be 500, 1000 or 2000 kbit/s, not below can_rate, or 0 for classic frames only";
     const CAN_NODE: &str = "can_node must be 0 to 127";
     const AIR: &str = "air_temperature_c must be -40 to 60";
     const PWM: &str = "the PWM chip has 24 to 1526 Hz";
@@ -93,6 +95,8 @@ const BOARD: &[Case] = {
         (None, BUS, |c| c.i2c_hz = 400_001),
         (None, CAN_RATE, |c| c.can.kbit_per_s = 0),
         (None, CAN_RATE, |c| c.can.kbit_per_s = 800),
+        (None, CAN_DATA_RATE, |c| c.can.data_kbit_per_s = 500),
+        (None, CAN_DATA_RATE, |c| c.can.data_kbit_per_s = 4000),
         (None, CAN_NODE, |c| c.can.node = 128),
         (None, AIR, |c| c.air_temperature_c = -41.0),
         (None, AIR, |c| c.air_temperature_c = 61.0),
@@ -479,6 +483,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.link_timeout_ms = 1000,
         |c| c.can.kbit_per_s = 125,
         |c| c.can.node = 127,
+        |c| (c.can.kbit_per_s, c.can.data_kbit_per_s) = (500, 500),
+        |c| c.can.data_kbit_per_s = 2000,
         |c| {
             c.motors.clear();
             (c.i2c_hz, c.control_period_us) = (10_000, 20_000);

@@ -9,8 +9,8 @@ use r4_protocol::{Refusal, Request, SCHEMA_HASH, ToDevice, ToHost, VERSION};
 
 use crate::{coverage, frame, gives_back, payload, samples};
 
-/// Of `VERSION` 6.
-const PINNED_SCHEMA_HASH: u64 = 0xb82d_339c_4bfc_73fb;
+/// Of `VERSION` 7.
+const PINNED_SCHEMA_HASH: u64 = 0x6c5a_8afd_91d8_a710;
 
 #[test]
 fn every_message_has_the_bytes_of_the_golden_table() {

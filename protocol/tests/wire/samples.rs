@@ -2,9 +2,9 @@
 
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot,
-    Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
-    Telemetry, ToDevice, ToHost, Unit,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo,
+    MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState,
+    Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
     config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},
@@ -178,6 +178,7 @@ const LARGEST_SAMPLE: Sample = Sample::Motor {
     duty: f32::MIN_POSITIVE,
     settled: true,
     homed: true,
+    winding: Some(Winding { heat_percent: u8::MAX, hot: true }),
 };
 
 /// Of the board, and of the channel and parameter with the largest bytes.
@@ -295,6 +296,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
         telemetry_dropped: 8,
         cycles_refused: 9,
         setpoints_expired: 10,
+        can_bus_off: 11,
+        can_warnings: 12,
     };
     vec![
         (
@@ -355,6 +358,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
                 telemetry_dropped: u32::MAX,
                 cycles_refused: u32::MAX,
                 setpoints_expired: u32::MAX,
+                can_bus_off: u32::MAX,
+                can_warnings: u32::MAX,
             }),
         ),
         ("done", Reply::Done),
@@ -453,12 +458,20 @@ fn later_refusals() -> Vec<(&'static str, Refusal)> {
     ]
 }
 
-fn heartbeats() -> [(&'static str, ToHost); 4] {
-    let beat = |state, causes| ToHost::Heartbeat { host_us: 1_234_567, device_us: 2_000_000, state, causes };
+fn heartbeats() -> [(&'static str, ToHost); 5] {
+    let beat = |state, causes, hot: &[HotWinding]| ToHost::Heartbeat {
+        host_us: 1_234_567,
+        device_us: 2_000_000,
+        state,
+        causes,
+        hot: hot.iter().copied().collect(),
+    };
+    let hot = HotWinding { channel: OSMC0, heat_percent: 83 };
     [
-        ("heartbeat-disarmed", beat(SafetyState::Disarmed, Causes::NONE)),
-        ("heartbeat-armed", beat(SafetyState::Armed, Causes::NONE)),
-        ("heartbeat-tripped", beat(SafetyState::Tripped, Causes::only(Cause::LinkLost))),
+        ("heartbeat-disarmed", beat(SafetyState::Disarmed, Causes::NONE, &[])),
+        ("heartbeat-armed", beat(SafetyState::Armed, Causes::NONE, &[])),
+        ("heartbeat-hot", beat(SafetyState::Armed, Causes::NONE, &[hot])),
+        ("heartbeat-tripped", beat(SafetyState::Tripped, Causes::only(Cause::LinkLost), &[])),
         (
             "heartbeat-largest",
             ToHost::Heartbeat {
@@ -466,6 +479,7 @@ fn heartbeats() -> [(&'static str, ToHost); 4] {
                 device_us: u64::MAX,
                 state: SafetyState::Tripped,
                 causes: Causes::from_bits(u32::MAX),
+                hot: [HotWinding { channel: LAST, heat_percent: u8::MAX }; MAX_MOTORS].into_iter().collect(),
             },
         ),
     ]
@@ -480,6 +494,7 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
         duty: -0.25,
         settled,
         homed: settled,
+        winding: settled.then_some(Winding { heat_percent: 83, hot: true }),
     };
     let reading = |value, age_ms, quality| Sample::Reading {
         channel: ChannelId::new(ChannelKind::Range, 3),

@@ -3,6 +3,7 @@
 use proptest::{
     arbitrary::any,
     collection::vec,
+    option,
     prelude::{BoxedStrategy, Just, Strategy},
     prop_oneof,
     sample::select,
@@ -11,9 +12,9 @@ use proptest::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
-    DeviceStats, FaultInfo, FaultSnapshot, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot, Parameter,
-    ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, ToHost, Unit,
+    DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot,
+    Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
+    Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,
@@ -58,17 +59,28 @@ pub(crate) fn to_host() -> BoxedStrategy<ToHost> {
     let result = prop_oneof![reply().prop_map(Ok), refusal().prop_map(Err)];
     prop_oneof![
         3 => (u16s(), result).prop_map(|(seq, result)| ToHost::Response { seq, result }),
-        1 => (u64s(), u64s(), state(), causes()).prop_map(|(host_us, device_us, state, causes)| ToHost::Heartbeat {
-            host_us,
-            device_us,
-            state,
-            causes
-        }),
+        1 => (u64s(), u64s(), state(), causes(), vec(hot_winding(), 0..=MAX_MOTORS)).prop_map(
+            |(host_us, device_us, state, causes, hot)| ToHost::Heartbeat {
+                host_us,
+                device_us,
+                state,
+                causes,
+                hot: hot.into_iter().collect()
+            }
+        ),
         2 => telemetry().prop_map(ToHost::Telemetry),
         1 => cycle_state().prop_map(ToHost::Cycle),
         1 => (any::<u32>(), raw()).prop_map(|(position, bytes)| ToHost::Log(LogChunk { position, bytes })),
     ]
     .boxed()
+}
+
+fn hot_winding() -> impl Strategy<Value = HotWinding> {
+    (channel(), any::<u8>()).prop_map(|(channel, heat_percent)| HotWinding { channel, heat_percent })
+}
+
+fn winding() -> impl Strategy<Value = Winding> {
+    any::<(u8, bool)>().prop_map(|(heat_percent, hot)| Winding { heat_percent, hot })
 }
 
 fn request() -> BoxedStrategy<Request> {
@@ -200,7 +212,7 @@ fn channel_info() -> impl Strategy<Value = ChannelInfo> {
 }
 
 fn stats() -> impl Strategy<Value = DeviceStats> {
-    std::array::from_fn::<_, 10, _>(|_| u32s()).prop_map(
+    std::array::from_fn::<_, 12, _>(|_| u32s()).prop_map(
         |[
             ticks,
             late_ticks,
@@ -212,6 +224,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             telemetry_dropped,
             cycles_refused,
             setpoints_expired,
+            can_bus_off,
+            can_warnings,
         ]| DeviceStats {
             ticks,
             late_ticks,
@@ -223,6 +237,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             telemetry_dropped,
             cycles_refused,
             setpoints_expired,
+            can_bus_off,
+            can_warnings,
         },
     )
 }
@@ -258,15 +274,16 @@ fn telemetry() -> impl Strategy<Value = Telemetry> {
 
 fn sample() -> impl Strategy<Value = Sample> {
     prop_oneof![
-        (channel(), setpoint(), any::<i32>(), f32s(), f32s(), any::<(bool, bool)>()).prop_map(
-            |(channel, setpoint, position, speed, duty, (settled, homed))| Sample::Motor {
+        (channel(), setpoint(), any::<i32>(), f32s(), f32s(), any::<(bool, bool)>(), option::of(winding())).prop_map(
+            |(channel, setpoint, position, speed, duty, (settled, homed), winding)| Sample::Motor {
                 channel,
                 setpoint,
                 position,
                 speed,
                 duty,
                 settled,
-                homed
+                homed,
+                winding
             }
         ),
         (channel(), f32s()).prop_map(|(channel, value)| Sample::Scalar { channel, value }),

@@ -497,6 +497,7 @@ impl Motor {
             duty: self.applied,
             settled: self.is_settled(),
             homed: self.homed,
+            winding: None,
         }
     }
 }

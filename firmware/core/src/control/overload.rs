@@ -4,15 +4,31 @@
 //! lag (the thermal replica of IEC 60255-149 with one time constant). So a constant current of `n` times the rated one
 //! reaches the limit after `thermal_s ln((n² - h) / (n² - 1))` from the heat `h`; the rated current never does.
 
-use r4_protocol::config::WindingConfig;
+use crc::{CRC_12_CDMA2000, Crc, NoTable};
+use r4_protocol::{ChannelId, Winding, config::WindingConfig};
 
 /// A winding that has reached its limit stays an overload until it has cooled to this share.
 ///
-/// A board does not know how long it was off and what its motors did before, so this is also the heat every motor starts
-/// with: a restart leaves a motor no more than a trip leaves it that has been cleared. It may spare an operator the wait for
-/// that, 0.22 time constants, and never more. At half of it a restart would forget three times as much heat; at 1 no motor
-/// could start before it has cooled.
+/// Over a reset the heat is kept ([`Overload::resume`]). A board that has been without power does not know for how long and
+/// what its motors did before, so this is the heat every motor starts with there: switching off and on leaves a motor no more
+/// than a trip leaves it that has been cleared. It may spare an operator the wait for that, 0.22 time constants, and never
+/// more. At half of it a restart would forget three times as much heat; at 1 no motor could start before it has cooled.
 pub const COOLED: f64 = 0.8;
+
+/// Hosts are warned of a winding above this share of what it withstands. What every motor starts with is not above it.
+pub const HOT: f64 = 0.8;
+
+/// A warning ends below this share: 6 % of a time constant of cooling between two warnings.
+pub const HOT_ENDS: f64 = 0.75;
+
+/// Over a kept word, with its channel: a burst of up to 12 damaged bits is always seen, other damage but for 1 in 4096.
+const CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_12_CDMA2000);
+/// What the bits of a kept word mean.
+const LAYOUT: u8 = 1;
+/// A kept word is, from the top, the heat's 19 bits, whether it is an overload, and 12 bits of checksum.
+const VALUE_SHIFT: u32 = 12;
+/// Of the mantissa of an `f32`, these bits are not kept.
+const DROPPED: u32 = 12;
 
 /// The heat in one motor's winding, stepped each control period, whether or not the board is armed.
 #[derive(Clone, Debug)]
@@ -24,6 +40,9 @@ pub struct Overload {
     /// of an `f32`.
     heat: f64,
     present: bool,
+    hot: bool,
+    /// The value in the last word that was given out to be kept.
+    kept: Option<u32>,
 }
 
 impl Overload {
@@ -31,7 +50,42 @@ impl Overload {
     #[must_use]
     pub fn new(winding: WindingConfig, period_s: f32) -> Self {
         let share = -libm::expm1(-f64::from(period_s) / f64::from(winding.thermal_s));
-        Self { winding, share, heat: COOLED, present: false }
+        Self { winding, share, heat: COOLED, present: false, hot: false, kept: None }
+    }
+
+    /// The same with the heat and the overload of the `word` that was kept for `channel` before a reset; where that is not
+    /// one of [`Overload::word`]'s, with [`COOLED`] as it is. Never less heat than before the reset, and at most 0.05 % more.
+    ///
+    /// What is kept is in A², so that another `rated_a` since then is another share of what the winding withstands now.
+    #[must_use]
+    pub fn resume(mut self, channel: ChannelId, word: u32) -> Self {
+        let value = word >> VALUE_SHIFT;
+        let heat_a2 = f64::from(f32::from_bits((value >> 1) << DROPPED));
+        if checked(channel, value) == word && heat_a2.is_finite() {
+            self.heat = heat_a2 / self.rated_a2();
+            self.present = value & 1 != 0 && self.heat >= COOLED;
+            self.hot = self.heat > HOT;
+        }
+        self
+    }
+
+    /// The word to keep over a reset for `channel`, if it is another than the last one given out. Each is checked by itself: a
+    /// reset between two of them damages none.
+    pub fn word(&mut self, channel: ChannelId) -> Option<u32> {
+        // Up by a step, so that nothing is lost by dropping bits; never to what is infinite.
+        let magnitude = (((self.heat * self.rated_a2()) as f32).to_bits() >> DROPPED) + 1;
+        let value = magnitude.min((f32::INFINITY.to_bits() >> DROPPED) - 1) << 1 | u32::from(self.present);
+        (self.kept.replace(value) != Some(value)).then(|| checked(channel, value))
+    }
+
+    fn rated_a2(&self) -> f64 {
+        f64::from(self.winding.rated_a) * f64::from(self.winding.rated_a)
+    }
+
+    /// As hosts are told. The percentage is rounded down: it says 100 only where the limit is reached.
+    #[must_use]
+    pub fn status(&self) -> Winding {
+        Winding { heat_percent: (self.heat * 100.0) as u8, hot: self.hot }
     }
 
     /// What it was configured with.
@@ -51,8 +105,16 @@ impl Overload {
         let ratio = f64::from(current_a / self.winding.rated_a);
         self.heat += (ratio * ratio - self.heat) * self.share;
         self.present = self.heat >= if self.present { COOLED } else { 1.0 };
+        self.hot = if self.hot { self.heat >= HOT_ENDS } else { self.heat > HOT };
         self.present
     }
+}
+
+/// A kept `value` with its checksum.
+fn checked(channel: ChannelId, value: u32) -> u32 {
+    // In the word's order, so that what is said of bursts holds.
+    let [_, a, b, c] = value.to_be_bytes();
+    value << VALUE_SHIFT | u32::from(CHECKSUM.checksum(&[LAYOUT, channel.kind as u8, channel.index, a, b, c]))
 }
 
 /// Mean current of a motor, A: positive where it drives forwards.
@@ -73,8 +135,11 @@ pub fn current_a(winding: &WindingConfig, duty: f32, speed: f32, supply_v: f32) 
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use r4_protocol::ChannelKind;
 
     use super::*;
+
+    const CHANNEL: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 
     const WINDING: WindingConfig = WindingConfig {
         supply: None,
@@ -115,7 +180,98 @@ mod tests {
         assert!((4463..=4475).contains(&cooling), "{cooling} ms");
     }
 
+    #[test]
+    fn a_warning_comes_before_the_limit_and_ends_below_where_it_began() {
+        let mut motor = Overload::new(WINDING, 1e-3);
+        assert_eq!(motor.status(), Winding { heat_percent: 80, hot: false }, "as it starts it is not above");
+        motor.step(0.99 * WINDING.rated_a);
+        assert!(motor.status().hot);
+        while motor.status().hot {
+            assert!(motor.heat() >= HOT_ENDS * 0.999);
+            motor.step(0.0);
+        }
+        assert_eq!(motor.status().heat_percent, 74);
+        // Between both it is as it was: no current of 0.77 of the limit's heat makes another warning.
+        let between = (0.77f32).sqrt() * WINDING.rated_a;
+        assert!((0..100_000).all(|_| !motor.step(between) && !motor.status().hot));
+        while !motor.step(6.0) {
+            assert!(motor.heat() <= HOT || motor.status().hot);
+        }
+        assert_eq!(motor.status(), Winding { heat_percent: 100, hot: true });
+    }
+
+    /// What a backup register holds that nothing was ever written to, or that no bit of works.
+    #[test]
+    fn words_that_nobody_kept_are_not_taken() {
+        for word in [0, u32::MAX, 0x8000_0000, 1] {
+            assert_eq!(Overload::new(WINDING, 1e-3).resume(CHANNEL, word).heat(), COOLED, "{word:#010x}");
+        }
+    }
+
+    #[test]
+    fn a_word_is_given_out_only_when_it_changes() {
+        let mut motor = Overload::new(WINDING, 1e-3);
+        assert!(motor.word(CHANNEL).is_some());
+        assert_eq!(motor.word(CHANNEL), None);
+        while !motor.step(6.0) {}
+        assert!(motor.word(CHANNEL).is_some());
+    }
+
+    #[test]
+    fn a_reset_does_not_clear_an_overload() {
+        let mut motor = Overload::new(WINDING, 1e-3);
+        while !motor.step(6.0) {}
+        while motor.heat() > 0.9 {
+            motor.step(0.0);
+        }
+        let word = motor.word(CHANNEL).expect("it has changed");
+        let mut resumed = Overload::new(WINDING, 1e-3).resume(CHANNEL, word);
+        assert!(resumed.step(0.0), "it has not cooled to {COOLED}");
+        // One that is hot without having reached the limit is none.
+        let mut motor = Overload::new(WINDING, 1e-3);
+        while motor.heat() < 0.9 {
+            motor.step(6.0);
+        }
+        let word = motor.word(CHANNEL).expect("it has changed");
+        assert!(!Overload::new(WINDING, 1e-3).resume(CHANNEL, word).step(0.0));
+    }
+
     proptest! {
+        /// However hot, and with whatever rated current before and after: as much heat as there was, within a step of 2^-11.
+        #[test]
+        fn heat_is_never_less_after_a_reset(
+            currents in prop::collection::vec(-20.0f32..20.0, 0..100),
+            rated_a in [0.05f32..200.0, 0.05f32..200.0],
+        ) {
+            let with = |rated_a| WindingConfig { rated_a, ..WINDING };
+            let mut before = Overload::new(with(rated_a[0]), 1e-2);
+            for current in currents {
+                before.step(current);
+            }
+            let word = before.word(CHANNEL).expect("the first");
+            let after = Overload::new(with(rated_a[1]), 1e-2).resume(CHANNEL, word);
+            let expected = before.heat() * (f64::from(rated_a[0]) / f64::from(rated_a[1])).powi(2);
+            prop_assert!(after.heat() >= expected * (1.0 - 1e-12), "{} of {}", after.heat(), expected);
+            prop_assert!(after.heat() <= expected * (1.0 + 1.0 / 2048.0) + 1e-30, "{} of {}", after.heat(), expected);
+        }
+
+        /// Any burst of up to twelve wrong bits of a word is seen; so is the word of another channel.
+        #[test]
+        fn damaged_words_are_not_taken(heat_current in 0.0f32..3.0, at in 0u32..32, burst in 1u32..0x1000, other in 1u8..8) {
+            let mut motor = Overload::new(WINDING, 1e-2);
+            for _ in 0..500 {
+                motor.step(heat_current);
+            }
+            let word = motor.word(CHANNEL).expect("the first");
+            let fresh = || Overload::new(WINDING, 1e-2);
+            let damaged = word ^ burst.checked_shl(at).unwrap_or(0);
+            if damaged != word {
+                prop_assert_eq!(fresh().resume(CHANNEL, damaged).heat(), COOLED);
+            }
+            prop_assert_eq!(fresh().resume(ChannelId::new(ChannelKind::Osmc, other), word).heat(), COOLED);
+            prop_assert_eq!(fresh().resume(ChannelId::new(ChannelKind::Dhb, 0), word).heat(), COOLED);
+        }
+
         /// Whatever time constant, period and constant current: it trips in the period in which the closed form reaches 1,
         /// within one of it for rounding, and at the rated current never.
         #[test]

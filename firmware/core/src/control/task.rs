@@ -140,13 +140,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
         let steppers = steppers(config, &mut peripherals);
-        let windings = config.motors.iter().filter(|_| valid).map(|motor| {
+        let windings = config.motors.iter().filter(|_| valid).enumerate().map(|(index, motor)| {
             let winding = motor.winding?;
             let supply = config.supplies.iter().position(|supply| Some(supply.id.index) == winding.supply);
-            Some((Overload::new(winding, period_s), supply))
+            Some((Overload::new(winding, period_s).resume(motor.id, peripherals.kept(index)), supply))
         });
+        let windings = windings.collect();
         Self {
-            windings: windings.collect(),
+            windings,
             illegal: [IllegalRate::new(period_s); MAX_MOTORS],
             outputs: Outputs::new(io.bus, config),
             motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
@@ -212,8 +213,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {
         let config = shared.config();
-        let motors = self.motors.iter().enumerate();
-        shared.publish_each(motors.map(|(index, motor)| (Place::Motor(index), Status::Motor(motor.status()))));
+        let windings = self.windings.iter().map(|winding| winding.as_ref().map(|(overload, _)| overload.status()));
+        shared.publish_each(self.motors.iter().zip(windings).enumerate().map(|(index, (motor, winding))| {
+            (Place::Motor(index), Status::Motor(MotorStatus { winding, ..motor.status() }))
+        }));
         let outputs = &self.outputs;
         let bldcs = (0..config.bldcs.len()).map(|index| (Place::Bldc(index), outputs.drive_share(index)));
         let servos = (0..config.servos.len()).map(|index| (Place::Servo(index), outputs.servo_angle(index)));
@@ -232,6 +235,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 duty: 0.0,
                 settled: status.settled || found,
                 homed: status.homed,
+                winding: None,
             };
             (Place::Stepper(index), Status::Motor(status))
         }));
@@ -254,14 +258,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
         }
-        causes.set(Cause::Overload, self.is_overloaded());
+        causes.set(Cause::Overload, self.is_overloaded(shared.config()));
         self.sensors = causes;
     }
 
-    /// Lets every winding warm by the current of the last period, and cool.
-    fn is_overloaded(&mut self) -> bool {
+    /// Lets every winding warm by the current of the last period, and cool; its heat is kept over a reset from now on.
+    fn is_overloaded(&mut self, config: &BoardConfig) -> bool {
         let mut overloaded = false;
-        for (motor, winding) in self.motors.iter_mut().zip(&mut self.windings) {
+        for (index, (motor, winding)) in self.motors.iter().zip(&mut self.windings).enumerate() {
             let Some((overload, supply)) = winding else { continue };
             let winding = overload.winding();
             let supply = supply.and_then(|index| self.inputs.supply(index));
@@ -276,6 +280,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 None => overload::current_a(winding, duty, speed, supply.map_or(winding.nominal_v, Supply::volts)),
             };
             overloaded |= overload.step(current_a);
+            if let Some(word) = overload.word(config.motors[index].id) {
+                self.peripherals.keep(index, word);
+            }
         }
         overloaded
     }

@@ -1,20 +1,36 @@
-//! The link over CAN: FDCAN2 with classic frames, cut as `r4_protocol::can` says, and its short way for set points.
+//! The link over CAN: FDCAN2, frames cut as `r4_protocol::can` says, and its short way for set points.
+//!
+//! Frames are classic, unless the configuration has a rate for the data phase of CAN FD. The board then sends CAN FD, and hosts
+//! do from its first frame on; classic frames it takes all the same. Without that rate the controller interprets every frame as a
+//! classic one and destroys those of CAN FD by an error frame, as every classic node does (RM0399, 59.4.1 "CAN FD operation").
+//!
+//! A controller that was the cause of too many errors is off the bus (bus-off). It is let back on it by [`watch`], not by its
+//! driver: so long as a bus is shorted, 32 failed frames would follow each other at once, again and again.
 
 use core::convert::Infallible;
 use core::num::{NonZeroU8, NonZeroU16};
+use core::sync::atomic::{AtomicU32, Ordering};
 
-use embassy_stm32::can::{
-    BufferedCanReceiver, BufferedCanSender, CanConfigurator, Frame, RxBuf, TxBuf,
-    config::{GlobalFilter, NominalBitTiming, TxBufferMode},
-    filter::{Action, FilterType, StandardFilter, StandardFilterSlot},
+use embassy_stm32::{
+    can::{
+        BufferedFdCanReceiver, BufferedFdCanSender, CanConfigurator, RxFdBuf, TxFdBuf,
+        config::{DataBitTiming, FrameTransmissionConfig, GlobalFilter, NominalBitTiming, TxBufferMode},
+        filter::{Action, FilterType, StandardFilter, StandardFilterSlot},
+        frame::{FdFrame, Header},
+    },
+    interrupt::typelevel::{FDCAN2_IT0, Handler},
+    pac::FDCAN2,
 };
+use embassy_sync::{blocking_mutex::raw::CriticalSectionRawMutex, signal::Signal};
 use embassy_time::{Duration, Timer};
 use embedded_can::Id;
 use embedded_io_async::{ErrorType, Read, Write};
 use r4_protocol::{
-    can::{BITRATES_KBIT, Direction, Inbound, Node, NotTaken, cut},
+    can::{BITRATES_KBIT, DATA_RATES_KBIT, Direction, Inbound, Node, NotTaken, cut, cut_fd},
     config::CanConfig,
 };
+
+use crate::boot::Board;
 
 /// Frames that wait to be read: 7 ms of a full bus.
 const RECEIVED: usize = 64;
@@ -22,6 +38,9 @@ const RECEIVED: usize = 64;
 const WAITING: usize = 32;
 /// After an error of the bus: it lasts, and must not keep the processor.
 const PAUSE: Duration = Duration::from_millis(1);
+/// From bus-off to the next attempt: at most 20 in a second, each of which costs 32 frames of 0.1 ms. Short beside the link
+/// timeout of a host.
+const BUS_OFF_PAUSE: Duration = Duration::from_millis(50);
 
 const KERNEL_HZ: u32 = 80_000_000;
 /// Quanta of a bit: one to synchronise, and those before and after the sample, at 85 %, which lets the bus be as long as 1 Mbit/s
@@ -50,16 +69,89 @@ fn timing(kbit_per_s: u16) -> Option<NominalBitTiming> {
     })
 }
 
+/// Quanta of a bit of the data phase before and after its sample, at 80 % (our choice). The transceiver's delay, see
+/// `DATA_RATES_KBIT`, is not compensated: it ends before the sample.
+const DATA_BEFORE_SAMPLE: NonZeroU8 = NonZeroU8::new(15).expect("not 0");
+const DATA_AFTER_SAMPLE: NonZeroU8 = NonZeroU8::new(4).expect("not 0");
+const DATA_PRESCALER_KBIT: u32 = KERNEL_HZ / 1000 / (1 + DATA_BEFORE_SAMPLE.get() + DATA_AFTER_SAMPLE.get()) as u32;
+// So is every rate of the data phase, and its prescaler fits DBRP.
+const _: () = {
+    let mut index = 1;
+    while index < DATA_RATES_KBIT.len() {
+        let kbit_per_s = DATA_RATES_KBIT[index] as u32;
+        assert!(DATA_PRESCALER_KBIT.is_multiple_of(kbit_per_s) && DATA_PRESCALER_KBIT / kbit_per_s <= 31);
+        index += 1;
+    }
+};
+
+/// The bit of the data phase; `None` for classic frames only.
+fn data_timing(kbit_per_s: u16) -> Option<DataBitTiming> {
+    let prescaler = DATA_PRESCALER_KBIT.checked_div(kbit_per_s.into())?;
+    Some(DataBitTiming {
+        transceiver_delay_compensation: false,
+        prescaler: NonZeroU16::new(u16::try_from(prescaler).ok()?)?,
+        seg1: DATA_BEFORE_SAMPLE,
+        seg2: DATA_AFTER_SAMPLE,
+        sync_jump_width: DATA_AFTER_SAMPLE,
+    })
+}
+
+/// How often the controller went off the bus, and how often one of its error counters reached the warning limit.
+static BUS_OFF: AtomicU32 = AtomicU32::new(0);
+static WARNINGS: AtomicU32 = AtomicU32::new(0);
+/// One of them has changed.
+static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// Counts the controller's errors. Before embassy's handler, which clears the flag of bus-off.
+pub(crate) struct OnError;
+
+impl Handler<FDCAN2_IT0> for OnError {
+    #[allow(unsafe_code, reason = "the trait's")]
+    unsafe fn on_interrupt() {
+        let flags = FDCAN2.ir().read();
+        if !flags.bo() && !flags.ew() {
+            return;
+        }
+        // Both flags are of a change in either direction.
+        let state = FDCAN2.psr().read();
+        if flags.bo() && state.bo() {
+            BUS_OFF.fetch_add(1, Ordering::Relaxed);
+        }
+        if flags.ew() {
+            FDCAN2.ir().write(|w| w.set_ew(true));
+            if state.ew() {
+                WARNINGS.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+        CHANGED.signal(());
+    }
+}
+
+/// Tells hosts of the controller's errors, and lets it back on the bus after a pause: it then waits by itself for 128 times 11
+/// recessive bits (ISO 11898-1; RM0399, 59.5.13).
+pub(crate) async fn watch(shared: &Board) -> ! {
+    loop {
+        CHANGED.wait().await;
+        let count = BUS_OFF.load(Ordering::Relaxed);
+        shared.note_can(count, WARNINGS.load(Ordering::Relaxed));
+        if FDCAN2.psr().read().bo() {
+            defmt::warn!("CAN: off the bus by errors, for the {}. time", count);
+            Timer::after(BUS_OFF_PAUSE).await;
+            FDCAN2.cccr().modify(|w| w.set_init(false));
+        }
+    }
+}
+
 /// Where frames wait.
 pub(crate) struct Buffers {
-    rx: RxBuf<RECEIVED>,
-    tx: TxBuf<WAITING>,
+    rx: RxFdBuf<RECEIVED>,
+    tx: TxFdBuf<WAITING>,
 }
 
 impl Buffers {
     /// Nothing waits.
     pub(crate) const fn new() -> Self {
-        Self { rx: RxBuf::new(), tx: TxBuf::new() }
+        Self { rx: RxFdBuf::new(), tx: TxFdBuf::new() }
     }
 }
 
@@ -77,21 +169,35 @@ pub(crate) fn start(
         // In the order of writing: frames of one identifier must not overtake each other.
         .set_tx_buffer_mode(TxBufferMode::Fifo)
         .set_global_filter(GlobalFilter::reject_all())
-        .set_automatic_bus_off_recovery(true);
+        .set_automatic_bus_off_recovery(false);
     if let Some(timing) = timing {
         registers = registers.set_nominal_bit_timing(timing);
+    }
+    let format = match data_timing(config.data_kbit_per_s) {
+        None => Format::Classic,
+        Some(timing) => {
+            let switch = config.data_kbit_per_s != config.kbit_per_s;
+            let transmission =
+                if switch { FrameTransmissionConfig::AllowFdCanAndBRS } else { FrameTransmissionConfig::AllowFdCan };
+            registers = registers.set_data_bit_timing(timing).set_frame_transmit(transmission);
+            Format::Fd { switch }
+        }
+    };
+    if format == Format::Classic {
+        registers = registers.set_frame_transmit(FrameTransmissionConfig::ClassicCanOnly);
     }
     can.set_config(registers);
     let (stream, setpoints) = (standard(node.identifier(Direction::ToDevice)), standard(node.setpoint_identifier()));
     let filter = StandardFilter { filter: FilterType::DedicatedDual(stream, setpoints), action: Action::StoreInFifo0 };
     can.properties().set_standard_filter(StandardFilterSlot::_0, filter);
-    let can = can.into_normal_mode().buffered(&mut buffers.tx, &mut buffers.rx);
+    let can = can.into_normal_mode().buffered_fd(&mut buffers.tx, &mut buffers.rx);
     let (reader, writer) = (can.reader(), can.writer());
     // The halves count as users of the controller, which is switched off when there are none.
     core::mem::forget(can);
+    FDCAN2.ie().modify(|w| w.set_ewe(true));
     (
         Receiver { frames: reader, inbound: Inbound::new(node), waiting: None },
-        Sender { frames: writer, identifier: node.identifier(Direction::ToHost) },
+        Sender { frames: writer, id: standard(node.identifier(Direction::ToHost)).into(), format },
     )
 }
 
@@ -102,15 +208,15 @@ fn standard(identifier: u16) -> embedded_can::StandardId {
 
 /// Bytes out of the frames to this board.
 pub(crate) struct Receiver {
-    frames: BufferedCanReceiver,
+    frames: BufferedFdCanReceiver,
     inbound: Inbound,
     /// One that has to wait until the bytes before it are read.
-    waiting: Option<Frame>,
+    waiting: Option<FdFrame>,
 }
 
 impl Receiver {
     /// Takes `frame`, or keeps it; false when it is kept.
-    fn take(&mut self, frame: Frame) -> bool {
+    fn take(&mut self, frame: FdFrame) -> bool {
         let Id::Standard(id) = *frame.id() else { return true };
         let full = self.inbound.take(id.as_raw(), frame.data()) == Err(NotTaken::Full);
         if full {
@@ -157,10 +263,35 @@ impl Read for Receiver {
     }
 }
 
+/// Which frames are sent.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Classic,
+    /// CAN FD, with the data phase at a rate of its own or at that of the rest.
+    Fd {
+        switch: bool,
+    },
+}
+
 /// Frames to hosts.
 pub(crate) struct Sender {
-    frames: BufferedCanSender,
-    identifier: u16,
+    frames: BufferedFdCanSender,
+    id: Id,
+    format: Format,
+}
+
+impl Sender {
+    async fn send(&mut self, data: &[u8]) {
+        // A piece has at most 64 bytes, and a length that frames can have.
+        let length = data.len() as u8;
+        let header = match self.format {
+            Format::Classic => Header::new(self.id, length, false),
+            Format::Fd { switch } => Header::new_fd(self.id, length, false, switch),
+        };
+        if let Ok(frame) = FdFrame::new(header, data) {
+            self.frames.write(frame).await;
+        }
+    }
 }
 
 impl ErrorType for Sender {
@@ -170,10 +301,13 @@ impl ErrorType for Sender {
 impl Write for Sender {
     /// Done when the frames wait for the bus. While nobody else is on it, nobody acknowledges, and they wait for ever.
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        for data in cut(bytes) {
-            // Neither the identifier nor the length is too long.
-            if let Ok(frame) = Frame::new_standard(self.identifier, data) {
-                self.frames.write(frame).await;
+        if self.format == Format::Classic {
+            for data in cut(bytes) {
+                self.send(data).await;
+            }
+        } else {
+            for data in cut_fd(bytes) {
+                self.send(&data).await;
             }
         }
         Ok(bytes.len())

@@ -17,7 +17,7 @@ use r4_boards::{Robot, SimulatedRail};
 use r4_plants::{Drive, Plant, PlantError, PlantKind};
 use r4_protocol::{
     ChannelId,
-    config::{RelayConfig, RelayRole},
+    config::{MAX_MOTORS, RelayConfig, RelayRole},
 };
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
@@ -62,6 +62,8 @@ pub struct World {
     counters: [Option<encoders::Counter>; 4],
     /// Whether the robot uses the encoder that interrupts count.
     encoder_3: bool,
+    /// Words of the processor's that outlive its resets, and nothing else: zeros after power-on.
+    kept_words: [u32; MAX_MOTORS],
     noise: Pcg64,
 }
 
@@ -129,6 +131,7 @@ impl World {
             pins,
             counters,
             encoder_3,
+            kept_words: [0; MAX_MOTORS],
             noise: Pcg64::seed_from_u64(seed),
         })
     }

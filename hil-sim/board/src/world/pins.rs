@@ -4,7 +4,7 @@ use std::{cell::RefCell, rc::Rc, task::Waker};
 
 use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, EchoState, Ranging, SwitchInputs},
+    platform::{AnalogInputs, AnalogOutputs, EchoState, KeptWords, Ranging, SwitchInputs},
     sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
 };
 use r4_protocol::ChannelId;
@@ -271,6 +271,18 @@ impl AnalogInputs for Processor {
 impl SwitchInputs for Processor {
     fn is_high(&mut self, index: u8) -> bool {
         self.0.borrow_mut().switch_is_high(index.into())
+    }
+}
+
+impl KeptWords for Processor {
+    fn kept(&mut self, index: usize) -> u32 {
+        self.0.borrow().kept_words.get(index).copied().unwrap_or_default()
+    }
+
+    fn keep(&mut self, index: usize, word: u32) {
+        if let Some(kept) = self.0.borrow_mut().kept_words.get_mut(index) {
+            *kept = word;
+        }
     }
 }
 

@@ -68,9 +68,15 @@ impl World {
         self.look_at_lines();
     }
 
+    /// A word that the processor keeps over its resets, by its number, to look at and to damage.
+    pub fn kept_word(&mut self, index: usize) -> Option<&mut u32> {
+        self.kept_words.get_mut(index)
+    }
+
     /// The processor is reset: its lines float until it drives them again, to where nothing moves; what it counted is
     /// lost. A transfer that it had under way on a bus stays as it is, without STOP. Trigger lines keep their level.
     pub fn reset_processor(&mut self) {
+        // What the processor keeps over a reset stays.
         self.catch_up();
         self.set_osmc_disabled(true);
         self.set_pwm_outputs_disabled(true);

@@ -2,14 +2,19 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::harness::{Bench, bench};
+use crate::{
+    harness::{Bench, HostClock, MS, bench, plant_with},
+    restart::Restarts,
+};
 use r4_boards::{Robot, SimulatedAnalog};
-use r4_firmware::control::overload::COOLED;
-use r4_plants::{Effect, effect::friction::CoulombFriction};
+use r4_driver::Board;
+use r4_firmware::{ResetCause, control::overload::COOLED};
+use r4_plants::{Effect, Plant, effect::friction::CoulombFriction};
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelKind, Mode, Range, SafetyState,
+    Cause, Causes, ChannelId, ChannelKind, HotWinding, Mode, Range, SafetyState, Sample, Setpoint, Winding,
     config::{AnalogConfig, CurrentSense, Feedback},
 };
+use r4_sim::Clock;
 
 const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
 /// More friction than any of the motors overcomes, N m.
@@ -186,4 +191,129 @@ fn a_measured_current_takes_the_place_of_the_computed_one() {
     assert_eq!(tripped(2.5, duty), None);
     let broken = tripped(0.0, duty);
     assert!(broken.is_some_and(|after_s| (predicted_s..predicted_s + 0.3).contains(&after_s)), "{broken:?}");
+}
+
+/// What the board tells of a motor's winding.
+async fn winding(host: &Board<HostClock>, channel: ChannelId) -> Winding {
+    let mut telemetry = host.telemetry();
+    host.subscribe(channel, 5).await.unwrap();
+    let frame = telemetry.next().await.unwrap();
+    host.subscribe(channel, 0).await.unwrap();
+    let heat = frame.samples.iter().find_map(|sample| match *sample {
+        Sample::Motor { channel: of, winding, .. } if of == channel => winding,
+        _ => None,
+    });
+    heat.expect("every motor of openscout has a winding")
+}
+
+/// Lets a blocked wheel of openscout warm by the current of `duty` until it has this heat, %.
+async fn warm(host: &Board<HostClock>, clock: &Clock, duty: f32, heat_percent: u8) {
+    host.arm().await.unwrap();
+    while winding(host, WHEEL).await.heat_percent < heat_percent {
+        assert_eq!(host.safety(), (SafetyState::Armed, Causes::NONE));
+        host.set(WHEEL, Setpoint { mode: Mode::Duty, value: duty }).await.unwrap();
+        clock.sleep(20 * MS).await;
+    }
+}
+
+/// The board with a blocked first wheel.
+fn blocked(robot: &Robot) -> Restarts {
+    let board = Restarts::new(robot);
+    let plant = plant_with(robot, WHEEL, Effect::CoulombFriction(CoulombFriction { level: BLOCKED_NM }));
+    board.board.world().set_plant(WHEEL, Plant::new(&plant, 1));
+    board
+}
+
+/// Hosts are warned before the trip, in heartbeats and in telemetry; the warning ends after the trip is over.
+#[test]
+fn a_warning_comes_before_the_trip_and_ends_when_the_winding_has_cooled() {
+    let robot = openscout();
+    blocked(&robot).session(async |host, _, clock| {
+        assert_eq!(winding(host, WHEEL).await, Winding { heat_percent: 79, hot: false }, "80 %, and it cools");
+        warm(host, clock, 0.35, 82).await;
+        let Winding { heat_percent, hot } = winding(host, WHEEL).await;
+        assert!(hot && (82..=84).contains(&heat_percent), "{heat_percent} %");
+        clock.sleep(60 * MS).await;
+        let told = host.hot_windings();
+        assert!(matches!(told[..], [HotWinding { channel: WHEEL, heat_percent: 82..=84 }]), "{told:?}");
+        while host.safety().0 == SafetyState::Armed {
+            host.set(WHEEL, Setpoint { mode: Mode::Duty, value: 0.5 }).await.ok();
+            clock.sleep(50 * MS).await;
+        }
+        assert_eq!(host.safety(), (SafetyState::Tripped, Causes::only(Cause::Overload)));
+        assert!(winding(host, WHEEL).await.heat_percent >= 99);
+        let mut ended_at = None;
+        for _ in 0..400 {
+            clock.sleep(100 * MS).await;
+            let Winding { heat_percent, hot } = winding(host, WHEEL).await;
+            assert!(hot || heat_percent < 75, "{heat_percent} %");
+            if !hot {
+                ended_at = Some(heat_percent);
+                break;
+            }
+        }
+        assert_eq!(ended_at, Some(74));
+        clock.sleep(60 * MS).await;
+        assert_eq!(host.hot_windings(), []);
+    });
+}
+
+/// Whatever the reset: the winding is as hot after it as before.
+#[test]
+fn heat_outlives_a_reset() {
+    let robot = openscout();
+    for cause in [ResetCause::Normal, ResetCause::Watchdog, ResetCause::Clock] {
+        let mut board = blocked(&robot);
+        let before = board.session(async |host, _, clock| {
+            warm(host, clock, 0.35, 90).await;
+            winding(host, WHEEL).await
+        });
+        assert!(before.hot && (90..=91).contains(&before.heat_percent), "{before:?}");
+        board.restart(cause);
+        let (after, other) = board.session(async |host, _, _| {
+            let other = winding(host, ChannelId::new(ChannelKind::Dhb, 1)).await;
+            (winding(host, WHEEL).await, other)
+        });
+        // 0.05 % of rounding up, and some 20 ms of cooling in 40 s.
+        assert!(after.hot && before.heat_percent.abs_diff(after.heat_percent) <= 1, "{cause:?}: {before:?}, {after:?}");
+        assert!(other.heat_percent < 80 && !other.hot, "{cause:?}: {other:?} of a motor that has cooled");
+    }
+}
+
+/// The way around a trip: a reset instead of waiting until the winding has cooled.
+#[test]
+fn a_reset_does_not_end_an_overload() {
+    let robot = openscout();
+    let mut board = blocked(&robot);
+    board.session(async |host, _, clock| {
+        warm(host, clock, 0.45, 95).await;
+        while host.safety().0 == SafetyState::Armed {
+            clock.sleep(10 * MS).await;
+        }
+    });
+    board.restart(ResetCause::Normal);
+    board.session(async |host, _, _| {
+        let refused = host.arm().await;
+        assert!(refused.is_err(), "armed with a winding at {:?}", winding(host, WHEEL).await);
+        let (state, causes) = host.safety();
+        assert_eq!((state, causes), (SafetyState::Tripped, Causes::only(Cause::Overload)));
+        assert!(host.clear().await.is_err());
+    });
+}
+
+/// What the processor kept is damaged: the motor starts as after power-on, and the others as they were.
+#[test]
+fn a_damaged_word_is_not_taken_for_a_heat() {
+    let robot = openscout();
+    let mut board = blocked(&robot);
+    board.session(async |host, board, clock| {
+        warm(host, clock, 0.35, 90).await;
+        *board.world().kept_word(1).expect("it is kept") ^= 1 << 30;
+    });
+    board.restart(ResetCause::Watchdog);
+    board.session(async |host, _, _| {
+        assert!(winding(host, WHEEL).await.heat_percent >= 89);
+        let other = winding(host, ChannelId::new(ChannelKind::Dhb, 1)).await;
+        assert_eq!((other.heat_percent, other.hot), (79, false));
+    });
 }

@@ -12,20 +12,20 @@ use r4_protocol::{
 use r4_sim::{Clock, Pace, SimBoard, Simulation, VirtualBoard};
 
 /// A board that can be restarted between sessions.
-struct Restarts {
+pub(crate) struct Restarts {
     simulation: Simulation,
-    board: Rc<SimBoard>,
+    pub(crate) board: Rc<SimBoard>,
 }
 
 impl Restarts {
-    fn new(robot: &Robot) -> Self {
+    pub(crate) fn new(robot: &Robot) -> Self {
         let mut simulation = Simulation::new(Pace::Free);
         let board = Rc::new(SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world"));
         Self { simulation, board }
     }
 
     /// One session, to its end.
-    fn session<T>(&mut self, work: impl AsyncFnOnce(&Board<HostClock>, &SimBoard, &Clock) -> T) -> T {
+    pub(crate) fn session<T>(&mut self, work: impl AsyncFnOnce(&Board<HostClock>, &SimBoard, &Clock) -> T) -> T {
         let port = self.board.connect().expect("nobody is connected");
         let clock = self.simulation.clock();
         let board = self.board.clone();
@@ -34,7 +34,7 @@ impl Restarts {
         self.simulation.block_on(session).expect("time goes on").expect("a session")
     }
 
-    fn restart(&mut self, cause: ResetCause) {
+    pub(crate) fn restart(&mut self, cause: ResetCause) {
         self.board.restart(&mut self.simulation, cause);
     }
 

@@ -15,3 +15,4 @@ mod image;
 mod log;
 mod stops;
 mod storms;
+mod windings;

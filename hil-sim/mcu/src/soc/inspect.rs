@@ -64,4 +64,16 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.call(Id::Fdcan as usize, |devices, context| devices.fdcan.inject_bus_off(bus, context));
         self.settle();
     }
+
+    /// Something holds CAN bus 1 or 2 dominant from now on, or no longer.
+    pub fn hold_can_dominant(&mut self, bus: u8, held: bool) {
+        self.call(Id::Fdcan as usize, |devices, context| devices.fdcan.hold_dominant(bus, held, context));
+        self.settle();
+    }
+
+    /// The end of the frame that node 1 or 2 is sending.
+    #[must_use]
+    pub fn can_sends_until_ns(&self, bus: u8) -> Option<u64> {
+        self.devices.fdcan.sends_until_ns(bus)
+    }
 }

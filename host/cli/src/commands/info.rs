@@ -4,6 +4,7 @@ use r4_protocol::{ChannelInfo, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
 
+use super::state::Hot;
 use crate::{args::Args, output, quantity::human, session, table};
 
 #[derive(Serialize)]
@@ -14,8 +15,17 @@ struct Report {
     protocol: u16,
     state: String,
     causes: Vec<String>,
+    hot_windings: Vec<Hot>,
     link_timeout_ms: u16,
+    can: Can,
     channels: Vec<Channel>,
+}
+
+/// What the board counted on its CAN bus since it started.
+#[derive(Serialize)]
+struct Can {
+    bus_off: u32,
+    error_warnings: u32,
 }
 
 #[derive(Serialize)]
@@ -65,7 +75,9 @@ impl From<&ChannelInfo> for Channel {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     let (report, _) = session::run(args, Pace::Free, async |session| {
+        let stats = session.board.stats().await?;
         let info = session.board.info();
+        let hot = session.board.hot_windings();
         Ok(Report {
             board: args.board.to_string(),
             robot: info.robot.to_string(),
@@ -73,7 +85,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
             protocol: r4_protocol::VERSION,
             state: info.state.to_string(),
             causes: info.causes.iter().map(|cause| cause.to_string()).collect(),
+            hot_windings: hot.iter().map(Hot::from).collect(),
             link_timeout_ms: info.link_timeout_ms,
+            can: Can { bus_off: stats.can_bus_off, error_warnings: stats.can_warnings },
             channels: session.board.channels().iter().map(Channel::from).collect(),
         })
     })?;
@@ -87,6 +101,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     ))?;
     for cause in &report.causes {
         output::line(format_args!("  tripped by: {cause}"))?;
+    }
+    let Can { bus_off, error_warnings } = report.can;
+    if bus_off != 0 || error_warnings != 0 {
+        output::line(format_args!(
+            "  CAN: off the bus {bus_off} times, {error_warnings} warnings of errors: check wiring, termination and bit rate"
+        ))?;
+    }
+    for hot in &report.hot_windings {
+        output::line(format_args!("  {} winding {} %", hot.channel, hot.heat_percent))?;
     }
     let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
     for channel in &report.channels {

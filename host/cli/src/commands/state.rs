@@ -1,13 +1,13 @@
 //! `r4 arm`, `r4 disarm`, `r4 clear`
 
 use anyhow::bail;
-use r4_protocol::SafetyState;
+use r4_protocol::{HotWinding, SafetyState};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use crate::{
     args::Args,
-    output,
+    heat, output,
     session::{self, Session},
 };
 
@@ -16,6 +16,20 @@ struct State {
     board: String,
     state: String,
     causes: Vec<String>,
+    hot_windings: Vec<Hot>,
+}
+
+/// A motor whose winding is close to what it withstands.
+#[derive(Serialize)]
+pub(crate) struct Hot {
+    pub(crate) channel: String,
+    pub(crate) heat_percent: u8,
+}
+
+impl From<&HotWinding> for Hot {
+    fn from(hot: &HotWinding) -> Self {
+        Self { channel: hot.channel.to_string(), heat_percent: hot.heat_percent }
+    }
 }
 
 /// How often an armed board is looked at, s.
@@ -64,10 +78,12 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     session.board.subscribe(first.id, 10).await?;
     let frame = telemetry.next().await?;
     session.board.subscribe(first.id, 0).await?;
+    let hot = session.board.hot_windings();
     let state = State {
         board: args.board.to_string(),
         state: frame.state.to_string(),
         causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
+        hot_windings: hot.iter().map(Hot::from).collect(),
     };
     if args.json {
         return output::json(&state);
@@ -75,6 +91,9 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     output::line(format_args!("{} is {}", args.board.described(), state.state))?;
     for cause in frame.causes.iter() {
         output::line(format_args!("  {cause}: {}", cause.advice()))?;
+    }
+    for hot in &hot {
+        output::line(format_args!("  {}", heat::words(hot)))?;
     }
     Ok(())
 }

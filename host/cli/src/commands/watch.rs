@@ -5,14 +5,14 @@ use std::{cell::RefCell, future::pending};
 use anyhow::anyhow;
 use r4_driver::Clock;
 use r4_links::Event;
-use r4_protocol::{ChannelId, ChannelInfo, Mode, Quality, Sample, Telemetry, Unit};
+use r4_protocol::{ChannelId, ChannelInfo, HotWinding, Mode, Quality, Sample, Telemetry, Unit, Winding};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::speed_unit;
 use crate::{
     args::{Args, Watch},
-    output,
+    heat, output,
     quantity::{Quantity, human},
     session::{self, HostClock, Session},
 };
@@ -39,11 +39,21 @@ struct Value {
     #[serde(skip_serializing_if = "Option::is_none")]
     homed: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    winding: Option<WindingHeat>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     illegal: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     age_ms: Option<u16>,
     #[serde(skip_serializing_if = "Option::is_none")]
     quality: Option<String>,
+}
+
+/// How hot a motor's winding is.
+#[derive(Clone, Copy, Serialize)]
+struct WindingHeat {
+    heat_percent: u8,
+    /// The board's warning.
+    hot: bool,
 }
 
 impl Value {
@@ -56,10 +66,14 @@ impl Value {
             speed: None,
             duty: None,
             homed: None,
+            winding: None,
             illegal: None,
             age_ms: None,
             quality: None,
         };
+        if let Sample::Motor { winding: Some(Winding { heat_percent, hot }), .. } = *sample {
+            value.winding = Some(WindingHeat { heat_percent, hot });
+        }
         let number = match *sample {
             // A motor that nothing measures has only its duty to tell.
             Sample::Motor { duty, .. } if info.unit == Unit::Duty => duty.into(),
@@ -231,6 +245,16 @@ pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
 }
 
+/// A motor of whose winding the board warns.
+pub(super) fn hot(sample: &Sample) -> Option<HotWinding> {
+    match *sample {
+        Sample::Motor { channel, winding: Some(Winding { heat_percent, hot: true }), .. } => {
+            Some(HotWinding { channel, heat_percent })
+        }
+        _ => None,
+    }
+}
+
 /// Short enough for a column.
 fn fault(quality: Quality) -> &'static str {
     match quality {
@@ -256,6 +280,9 @@ fn print_line(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> a
             line += &format!("{duty:>8}");
         }
     }
+    for hot in samples.iter().filter_map(hot) {
+        line += &format!("  {}", heat::words(&hot));
+    }
     if !frame.causes.is_empty() {
         line += &format!("  {}", frame.causes);
     }
@@ -272,6 +299,9 @@ fn print_list(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> a
         }
         if !duty.is_empty() {
             line += &format!("{duty:>8} duty");
+        }
+        if let Some(hot) = hot(sample) {
+            line += &format!("  winding {} %", hot.heat_percent);
         }
         output::line(line.trim_end())?;
     }

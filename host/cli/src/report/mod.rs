@@ -381,6 +381,7 @@ mod tests {
                 duty: 0.5,
                 settled: tick > 1_580,
                 homed: true,
+                winding: None,
             };
             let samples = [sample].into_iter().collect();
             let frame = Telemetry { device_us: 5_000_000 + u64::from(tick) * 1_000, state, causes, samples };

@@ -462,6 +462,7 @@ fn log() -> Vec<u8> {
             duty: f32::from(tick) / 8.0,
             settled: false,
             homed: false,
+            winding: None,
         };
         let mut samples = vec![motor(osmc(0)), motor(osmc(1))];
         if tick % 3 == 0 {

@@ -7,7 +7,9 @@ use crate::common::{ACTUATOR, DHB, ENCODER, OSMC, RANGE, SUPPLY, SWITCH, header,
 use mcap::records::op;
 use proptest::{collection::vec, prelude::*};
 use r4_log::{Log, RecordError, Recorder};
-use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample, Setpoint, Telemetry};
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample, Setpoint, Telemetry, Winding,
+};
 
 #[test]
 fn every_kind_of_message_comes_back() {
@@ -85,7 +87,7 @@ fn messages_have_units_in_their_names_and_follow_their_schema() {
         ("/encoder4", r#"{"position_counts":-1,"position_rad":-0.009999999776482582,"speed_rad_s":-1.5,"illegal":3}"#),
         (
             "/osmc0",
-            r#"{"setpoint_mode":"position","setpoint_position_rad":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false}"#,
+            r#"{"setpoint_mode":"position","setpoint_position_rad":1.5,"position_counts":7,"position_rad":0.007000000332482159,"speed_rad_s":0.25,"duty":0.033333335,"settled":false,"homed":false,"winding_heat":0.81}"#,
         ),
         ("/range5", r#"{"distance_m":0.75,"age_ms":1,"quality":"good"}"#),
         ("/state", r#"{"state":"disarmed","causes":[],"causes_bits":0}"#),
@@ -183,12 +185,21 @@ fn floats() -> impl Strategy<Value = f32> {
 }
 
 fn motors() -> impl Strategy<Value = Sample> {
-    (any::<bool>(), modes(), floats(), any::<i32>(), floats(), floats(), any::<bool>(), any::<bool>()).prop_map(
-        |(linear, mode, value, position, speed, duty, settled, homed)| {
+    (any::<bool>(), modes(), floats(), any::<i32>(), floats(), floats(), any::<[bool; 2]>(), any::<Option<u8>>())
+        .prop_map(|(linear, mode, value, position, speed, duty, [settled, homed], heat)| {
             let channel = if linear { ACTUATOR } else { OSMC };
-            Sample::Motor { channel, setpoint: Setpoint { mode, value }, position, speed, duty, settled, homed }
-        },
-    )
+            let winding = heat.map(|heat_percent| Winding { heat_percent, hot: heat_percent > 80 });
+            Sample::Motor {
+                channel,
+                setpoint: Setpoint { mode, value },
+                position,
+                speed,
+                duty,
+                settled,
+                homed,
+                winding,
+            }
+        })
 }
 
 fn samples() -> impl Strategy<Value = Sample> {
@@ -246,7 +257,7 @@ proptest! {
             let read = log.motor(id).map_or(&[][..], |series| &series.samples);
             prop_assert_eq!(read.len(), of(id).count());
             for (read, (time_s, written)) in read.iter().zip(of(id)) {
-                let Sample::Motor { setpoint, position, speed, duty, settled, homed, .. } = *written else {
+                let Sample::Motor { setpoint, position, speed, duty, settled, homed, winding, .. } = *written else {
                     unreachable!()
                 };
                 prop_assert_eq!((read.time_s, read.position_counts), (*time_s, position));
@@ -254,6 +265,8 @@ proptest! {
                 prop_assert_eq!(read.position, f64::from(position) * f64::from(resolution));
                 prop_assert_eq!(read.setpoint.mode, setpoint.mode);
                 prop_assert!(same(read.setpoint.value, logged(setpoint.value)));
+                let heat = winding.map_or(f64::NAN, |winding| f64::from(f32::from(winding.heat_percent) / 100.0));
+                prop_assert!(same(read.winding_heat, heat));
                 prop_assert!(same(read.speed, logged(speed)) && same(read.duty, logged(duty)));
             }
         }

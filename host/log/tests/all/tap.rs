@@ -186,8 +186,16 @@ fn a_session_is_recorded_with_everything_that_was_asked_for() {
     link.ask(3_000, Request::SetGains { channel: OSMC, mode: Mode::Position, gains });
     link.ask(4_000, set);
     link.answer(4_100, Err(Refusal::NotArmed { state: SafetyState::Disarmed }));
-    let sample =
-        Sample::Motor { channel: OSMC, setpoint, position: 7, speed: 0.5, duty: 0.25, settled: false, homed: true };
+    let sample = Sample::Motor {
+        channel: OSMC,
+        setpoint,
+        position: 7,
+        speed: 0.5,
+        duty: 0.25,
+        settled: false,
+        homed: true,
+        winding: None,
+    };
     let telemetry = Telemetry {
         device_us: AHEAD_US + 5_000,
         state: SafetyState::Armed,
@@ -197,7 +205,10 @@ fn a_session_is_recorded_with_everything_that_was_asked_for() {
     link.tap.received(5_100, &frame(&ToHost::Telemetry(telemetry)));
     let causes = Causes::only(Cause::HostStop);
     let (device_us, state) = (AHEAD_US + 6_000, SafetyState::Tripped);
-    link.tap.received(6_100, &frame(&ToHost::Heartbeat { host_us: 5_900, device_us, state, causes }));
+    link.tap.received(
+        6_100,
+        &frame(&ToHost::Heartbeat { host_us: 5_900, device_us, state, causes, hot: Default::default() }),
+    );
     // A question that every program asks anew.
     link.ask(6_200, Request::Fault { index: 0 });
     link.ask(7_000, Request::Bye);
@@ -242,6 +253,7 @@ fn a_recording_does_not_depend_on_how_the_bytes_come() {
         device_us: AHEAD_US + 950,
         state: SafetyState::Armed,
         causes: Causes::NONE,
+        hot: Default::default(),
     });
     whole.tap.received(1_000, &bytes);
     bytes.iter().for_each(|byte| single.tap.received(1_000, &[*byte]));
@@ -251,7 +263,13 @@ fn a_recording_does_not_depend_on_how_the_bytes_come() {
 #[test]
 fn damaged_frames_are_counted_and_the_next_good_one_is_recorded() {
     let mut link = Link::open();
-    let state = |device_us, state| ToHost::Heartbeat { host_us: 900, device_us, state, causes: Causes::NONE };
+    let state = |device_us, state| ToHost::Heartbeat {
+        host_us: 900,
+        device_us,
+        state,
+        causes: Causes::NONE,
+        hot: Default::default(),
+    };
     let mut damaged = frame(&state(AHEAD_US + 1_000, SafetyState::Tripped));
     damaged[3] ^= 0x55;
     link.tap.received(1_000, &damaged);

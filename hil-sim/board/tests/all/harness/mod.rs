@@ -205,7 +205,7 @@ pub(crate) fn plant(robot: &Robot, channel: ChannelId) -> PlantSpec {
     PlantSpec::from_toml(&motor.plant.name, &motor.plant.text).expect("built in")
 }
 
-fn plant_with(robot: &Robot, channel: ChannelId, effect: Effect) -> PlantSpec {
+pub(crate) fn plant_with(robot: &Robot, channel: ChannelId, effect: Effect) -> PlantSpec {
     let mut spec = plant(robot, channel);
     spec.push_effect(effect).expect("the motor can have the effect");
     spec

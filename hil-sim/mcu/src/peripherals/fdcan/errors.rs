@@ -7,14 +7,33 @@ use super::{Module, Recovery};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LastError {
     None = 0,
+    Stuff = 1,
     Form = 2,
     Acknowledge = 3,
+    Bit1 = 4,
     Bit0 = 5,
     NoChange = 7,
 }
 
 /// Sequences of 11 recessive bits after which a bus-off node takes part again (RM0399, 59.5.13; ISO 11898-1 has 128).
 pub(super) const RECOVERY_SEQUENCES: u32 = 129;
+
+/// A bus that is held dominant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Dominant {
+    /// The node was sending when it began.
+    transmitter: bool,
+    /// When its counter goes up next; `u64::MAX` when it does not any more.
+    pub(super) next_ns: u64,
+}
+
+/// Bits of an error flag, then those after which a dominant bus counts first, and again each time (Bosch CAN 2.0, part B, 8,
+/// rule 6).
+const FLAG_BITS: u64 = 6;
+const FIRST_DOMINANT_BITS: u64 = 14;
+const MORE_DOMINANT_BITS: u64 = 8;
+/// Error delimiter and intermission, or bus integration.
+const IDLE_BITS: u64 = 11;
 
 /// Counters and what the host was told.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +115,52 @@ impl Module {
         if (self.errors.transmit, self.errors.receive) != (transmit, receive) {
             self.log();
         }
+    }
+
+    /// From now on the bus is dominant, or no longer.
+    pub(super) fn hold_dominant(&mut self, held: bool, now_ns: u64) {
+        if held == self.dominant.is_some() {
+            return;
+        }
+        if held {
+            let transmitter = self.transmission.take().is_some();
+            let takes_part = self.takes_part(now_ns);
+            let next_ns = self.bits_after(now_ns, FLAG_BITS + FIRST_DOMINANT_BITS);
+            self.dominant = Some(Dominant { transmitter, next_ns: if takes_part { next_ns } else { u64::MAX } });
+            match (takes_part, transmitter) {
+                (false, _) => {}
+                (true, true) => self.protocol_error(LastError::Bit1, false, |errors| errors.transmit += 8),
+                (true, false) => {
+                    self.protocol_error(LastError::Stuff, false, |errors| {
+                        errors.receive = (errors.receive + 1).min(128);
+                    });
+                }
+            }
+            return;
+        }
+        self.dominant = None;
+        let idle_ns = self.bits_after(now_ns, IDLE_BITS);
+        self.synchronised_ns = self.synchronised_ns.max(idle_ns);
+        self.free_ns = self.free_ns.max(idle_ns);
+        if let Some(recovery) = &mut self.recovery {
+            // Sequences that were seen count; the one that was broken off does not.
+            let seen = u64::from(recovery.seen);
+            let recovery = Recovery { since_ns: now_ns, ..*recovery };
+            let seen_ns = self.bits_after(now_ns, 11 * seen) - now_ns;
+            self.recovery = Some(Recovery { since_ns: now_ns.saturating_sub(seen_ns), ..recovery });
+        }
+    }
+
+    /// So many more dominant bits have passed.
+    pub(super) fn dominant_bits(&mut self, dominant: Dominant) {
+        if dominant.transmitter {
+            self.count(|errors| errors.transmit += 8);
+        } else {
+            self.count(|errors| errors.receive = (errors.receive + 8).min(128));
+        }
+        let over = if dominant.transmitter { self.errors.bus_off } else { self.errors.receive >= 128 };
+        let next_ns = if over { u64::MAX } else { self.bits_after(dominant.next_ns, MORE_DOMINANT_BITS) };
+        self.dominant = Some(Dominant { next_ns, ..dominant });
     }
 
     fn log(&mut self) {

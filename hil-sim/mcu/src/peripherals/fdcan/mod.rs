@@ -31,7 +31,7 @@ use std::collections::VecDeque;
 use crate::context::{Clocks, Context, Ticks};
 use crate::outside::CanFrame;
 
-use self::errors::{Errors, LastError};
+use self::errors::{Dominant, Errors, LastError};
 use self::ram::MessageRam;
 use self::receive::RxFifo;
 use self::registers as register;
@@ -76,7 +76,7 @@ impl Fdcan {
     #[must_use]
     pub fn acknowledges(&self, bus: u8, now_ns: u64) -> bool {
         let module = self.module(bus);
-        module.takes_part(now_ns) && !module.on(cccr::MON) && !module.loops_back()
+        module.takes_part(now_ns) && module.dominant.is_none() && !module.on(cccr::MON) && !module.loops_back()
     }
 
     /// The end of EOF of the frame that the node is sending.
@@ -112,6 +112,13 @@ impl Fdcan {
                 errors.receive = u32::from(receive).min(128);
             });
         });
+    }
+
+    /// Something holds the bus dominant from now on, or no longer: a short, or a transceiver that fails. A frame that this node is
+    /// sending breaks off.
+    pub fn hold_dominant(&mut self, bus: u8, held: bool, context: &mut Context<'_>) {
+        let now_ns = context.now_ns;
+        self.inject(bus, context, |module| module.hold_dominant(held, now_ns));
     }
 
     /// A frame of another node is destroyed now: REC goes up by one.
@@ -160,6 +167,8 @@ struct Module {
     /// Takes part in communication from then on, while INIT is 0.
     synchronised_ns: u64,
     recovery: Option<Recovery>,
+    /// Something holds the bus dominant.
+    dominant: Option<Dominant>,
     /// The bus is not free for a frame of ours before then.
     free_ns: u64,
     requested_ns: u64,
@@ -194,6 +203,7 @@ impl Module {
             protocol: 0,
             synchronised_ns: 0,
             recovery: None,
+            dominant: None,
             free_ns: 0,
             requested_ns: 0,
             transmission: None,
@@ -305,6 +315,7 @@ impl Module {
 
     fn recovery_ns(&self) -> u64 {
         self.recovery
+            .filter(|_| self.dominant.is_none())
             .map_or(u64::MAX, |recovery| self.bits_after(recovery.since_ns, 11 * (u64::from(recovery.seen) + 1)))
     }
 
@@ -352,7 +363,9 @@ impl Module {
     }
 
     fn next_but_wrap_ns(&self) -> u64 {
-        [self.transmission_ns(), self.coming_ns(), self.start_ns().unwrap_or(u64::MAX), self.recovery_ns()]
+        let start_ns = self.start_ns().unwrap_or(u64::MAX);
+        let dominant_ns = self.dominant.map_or(u64::MAX, |dominant| dominant.next_ns);
+        [self.transmission_ns(), self.coming_ns(), start_ns, self.recovery_ns(), dominant_ns]
             .into_iter()
             .min()
             .unwrap_or(u64::MAX)
@@ -370,6 +383,8 @@ impl Module {
                 self.raise(ir::TSW);
             } else if let Some(recovery) = self.recovery.filter(|_| at_ns == self.recovery_ns()) {
                 self.recovery_sequence(recovery);
+            } else if let Some(dominant) = self.dominant.filter(|dominant| at_ns == dominant.next_ns) {
+                self.dominant_bits(dominant);
             } else if at_ns == self.transmission_ns() {
                 self.transmission_event(at_ns, ram, context);
             } else if at_ns == self.coming_ns() {

@@ -67,7 +67,7 @@ impl Module {
         context: &mut Context<'_>,
     ) {
         let started_ns = at_ns.saturating_sub(self.frame_ns(frame));
-        if !self.takes_part(started_ns) || self.loops_back() {
+        if !self.takes_part(started_ns) || self.dominant.is_some() || self.loops_back() {
             return;
         }
         self.free_ns = self.free_ns.max(self.bits_after(at_ns, INTERMISSION_BITS));

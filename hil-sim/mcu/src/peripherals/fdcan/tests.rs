@@ -332,6 +332,59 @@ fn destroyed_frames_lead_to_bus_off_and_init_back_from_it() {
     assert_eq!(bench.wires.can.len(), 33, "the request was kept");
 }
 
+/// Rule 6: a dominant bus counts 8 after the 14th bit behind the error flag, and 8 again after each 8 more.
+#[test]
+fn a_transmitter_on_a_dominant_bus_goes_off_it_and_stays_so_until_it_is_recessive() {
+    let mut bench = running(0);
+    fill(&mut bench, 0, 0x100, 0);
+    bench.write(TXBAR, 1);
+    bench.run_until(bench.now_ns + 20 * BIT_NS);
+    let begin_ns = bench.now_ns;
+    assert!(bench.peripheral.sends_until_ns(1).is_some());
+    bench.with(|fdcan, context| fdcan.hold_dominant(1, true, context));
+    assert_eq!((bench.read(ECR) & 0xFF, bench.read(PSR) & 7), (8, 4), "Bit1Error");
+    bench.run_until(begin_ns + 20 * BIT_NS - 1);
+    assert_eq!(bench.read(ECR) & 0xFF, 8);
+    bench.run_until(begin_ns + 20 * BIT_NS);
+    assert_eq!(bench.read(ECR) & 0xFF, 16);
+    bench.run_until(begin_ns + (20 + 8 * 10) * BIT_NS);
+    assert_eq!((bench.read(ECR) & 0xFF, bench.read(PSR) & psr::EW), (96, psr::EW));
+    // 8, 16, then 30 times 8 are 256.
+    bench.run_until(begin_ns + (20 + 8 * 30) * BIT_NS - 1);
+    assert_eq!(bench.read(PSR) & psr::BO, 0);
+    bench.run_until(begin_ns + (20 + 8 * 30) * BIT_NS);
+    assert_eq!(bench.read(PSR) & psr::BO, psr::BO);
+    bench.write(CCCR, 0);
+    bench.run_until(bench.now_ns + 10_000 * BIT_NS);
+    assert_eq!((bench.read(PSR) & psr::BO, bench.read(ECR) >> 8 & 0x7F), (psr::BO, 0), "no recessive bit yet");
+    let end_ns = bench.now_ns;
+    bench.with(|fdcan, context| fdcan.hold_dominant(1, false, context));
+    bench.run_until(end_ns + 129 * 11 * BIT_NS - 1);
+    assert_eq!(bench.read(PSR) & psr::BO, psr::BO);
+    assert_eq!(sent_ids(&bench), []);
+    bench.run_until(end_ns + 129 * 11 * BIT_NS + 1_000_000);
+    assert_eq!(bench.read(PSR) & psr::BO, 0);
+    assert_eq!(sent_ids(&bench), [0x100], "the request was kept");
+}
+
+#[test]
+fn a_receiver_on_a_dominant_bus_becomes_error_passive_and_loses_no_request() {
+    let mut bench = running(0);
+    let begin_ns = bench.now_ns;
+    bench.with(|fdcan, context| fdcan.hold_dominant(1, true, context));
+    fill(&mut bench, 0, 0x100, 0);
+    bench.write(TXBAR, 1);
+    bench.run_until(begin_ns + 10_000 * BIT_NS);
+    assert_eq!(bench.read(ECR) & 0xFFFF, 1 << 15 | 127 << 8, "error passive by what it received");
+    assert_eq!(bench.read(PSR) & (psr::BO | psr::EP), psr::EP);
+    let end_ns = bench.now_ns;
+    bench.with(|fdcan, context| fdcan.hold_dominant(1, false, context));
+    bench.run_until(end_ns + 11 * BIT_NS - 1);
+    assert_eq!(bench.peripheral.sends_until_ns(1), None);
+    bench.run_until(end_ns + 1_000_000);
+    assert_eq!(sent_ids(&bench), [0x100]);
+}
+
 #[test]
 fn without_retransmission_a_lost_frame_is_cancelled() {
     let mut bench = running(cccr::DAR);

@@ -184,6 +184,7 @@ impl Module {
             && !self.on(cccr::ASM)
             && (!self.on(cccr::MON) || self.loops_back())
             && self.reg(register::TXBRP) != 0
+            && self.dominant.is_none()
             && self.transmission.is_none();
         if !may {
             return None;

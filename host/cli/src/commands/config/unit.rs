@@ -57,7 +57,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::PositionKd | Parameter::SpeedKp | Parameter::DutyPerSpeed => "duty s/rad",
         Parameter::SpeedKd => "duty s²/rad",
         Parameter::SpeedFilter | Parameter::PulseLow | Parameter::PulseHigh | Parameter::ThermalS => "s",
-        Parameter::CanRate => "kbit/s",
+        Parameter::CanRate | Parameter::CanDataRate => "kbit/s",
         Parameter::CountsPerTurn | Parameter::StepsPerTurn | Parameter::CanNode => "",
         Parameter::PotLowCode | Parameter::PotHighCode => "code",
         Parameter::PotLowPosition | Parameter::PotHighPosition | Parameter::StopBelow => "m",

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     commands::{config::Units, speed_unit, watch},
+    heat,
     quantity::{Quantity, human},
     screen::state::{QUIET, WRONG, badge, wrapped},
 };
@@ -220,7 +221,7 @@ fn head(state: &State, width: u16) -> Vec<Line<'static>> {
     let gap = usize::from(width).saturating_sub(name.chars().count() + time.chars().count());
     let title = Line::styled(format!("{name}{}{time}", " ".repeat(gap)), Style::new().add_modifier(Modifier::BOLD));
     let (causes, advice) = words(state);
-    let style = if state.causes.is_empty() { Style::new() } else { WRONG };
+    let style = if state.causes.is_empty() && causes.is_empty() { Style::new() } else { WRONG };
     let badge = badge(Some(state.safety).filter(|_| !is_lost));
     let supplies = rows_of(state, ChannelKind::Supply).map(|row| format!("{} {} V", row.info.id, value(row)));
     let [first, second] = link(state, width);
@@ -254,6 +255,11 @@ fn words(state: &State) -> (String, String) {
     if state.link.lost.is_some() {
         let last = format!("last heard of {}, {}", state.safety, causes(state.causes));
         return (last, "a board that hears nothing from its host makes its outputs safe by itself".into());
+    }
+    let hot: Vec<_> = state.rows.iter().filter_map(|row| watch::hot(row.sample.as_ref()?)).collect();
+    if state.causes.is_empty() && !hot.is_empty() {
+        let windings: Vec<_> = hot.iter().map(heat::words).collect();
+        return (windings.join(", "), "drive it less, or let it cool; at 100 % the board trips".into());
     }
     let advice = match (state.causes.iter().next(), state.safety) {
         (Some(cause), _) => cause.advice(),
@@ -495,11 +501,14 @@ fn title(row: &Row) -> String {
     if !unit.is_empty() {
         title += &format!(" in {unit}");
     }
-    if let Some(Sample::Motor { setpoint: Setpoint { mode, value }, settled, homed, .. }) = row.sample {
+    if let Some(Sample::Motor { setpoint: Setpoint { mode, value }, settled, homed, winding, .. }) = row.sample {
         let unit = row.info.mode(mode).map_or(Unit::Duty, |info| info.unit);
         title += &format!(", told {mode} {}", Quantity::new(value.into(), unit));
         title += if settled { ", settled" } else { "" };
         title += if homed { ", homed" } else { "" };
+        if let Some(winding) = winding {
+            title += &format!(", winding {} %", winding.heat_percent);
+        }
     }
     if let Some(Sample::Reading { quality, age_ms, .. }) = row.sample {
         title += &format!(", {quality}, {age_ms} ms old");

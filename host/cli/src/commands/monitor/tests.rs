@@ -5,7 +5,7 @@ use std::{collections::BTreeSet, f64::consts::TAU};
 use crossterm::event::KeyCode::{self, Backspace, Char, Down, Enter, Esc, Home, PageDown, Up};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, DeviceInfo, DeviceStats, FaultInfo, Mode, ModeInfo,
-    ParameterInfo, ParameterKey, Quality, Range, Refusal, SafetyState, Sample, Setpoint, Telemetry, Unit,
+    ParameterInfo, ParameterKey, Quality, Range, Refusal, SafetyState, Sample, Setpoint, Telemetry, Unit, Winding,
     message::MAX_SAMPLES,
 };
 use ratatui::{Terminal, backend::TestBackend};
@@ -81,6 +81,7 @@ fn sample(info: &ChannelInfo, at_s: f64) -> Sample {
             duty: 0.25,
             settled: false,
             homed: channel.kind == ChannelKind::Actuator,
+            winding: None,
         },
         ChannelKind::Encoder => Sample::Encoder { channel, position, speed: 0.0, illegal: 0 },
         ChannelKind::Range => Sample::Reading { channel, value: 0.0, age_ms: 40, quality: Quality::NoAnswer },
@@ -128,6 +129,27 @@ fn a_tripped_board_that_will_not_be_cleared() {
     state.done("clear", Err(Refusal::CausesPresent { causes: Causes::only(Cause::DeadMan) }.into()));
     state.select(1);
     assert_is("monitor-tripped", &state);
+}
+
+#[test]
+fn a_hot_winding_is_named_until_it_has_cooled() {
+    let screen = |state: &State| snapshot::text(120, 40, |frame| draw(frame, state));
+    let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
+    assert!(!screen(&state).contains("winding"));
+    for (hot, heat_percent) in [(true, 83), (false, 70)] {
+        let mut of = sample(&few()[0], 2.0);
+        if let Sample::Motor { winding, .. } = &mut of {
+            *winding = Some(Winding { heat_percent, hot });
+        }
+        let samples = [of].into_iter().collect();
+        state.telemetry(
+            &Telemetry { device_us: 3_000_000, state: SafetyState::Armed, causes: Causes::NONE, samples },
+            102.0,
+        );
+        let screen = screen(&state);
+        assert_eq!(screen.contains("osmc0 winding 83 %"), hot, "{screen}");
+        assert!(screen.contains(&format!(", winding {heat_percent} %")), "{screen}");
+    }
 }
 
 #[test]

@@ -17,7 +17,7 @@ use mcap::{
 use r4_log::{Header, Recorder};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Quality, Range, SafetyState, Sample, Setpoint,
-    Telemetry, Unit,
+    Telemetry, Unit, Winding,
 };
 
 pub(crate) const OSMC: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
@@ -93,6 +93,7 @@ pub(crate) fn run_every(period_us: u64) -> Vec<u8> {
             duty: f32::from(tick) / 30.0,
             settled: tick > 15,
             homed: tick > 10,
+            winding: (channel == OSMC).then_some(Winding { heat_percent: 80 + tick as u8, hot: true }),
         };
         let (state, causes) = match tick {
             ..18 => (SafetyState::Armed, Causes::NONE),

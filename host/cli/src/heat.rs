@@ -1,0 +1,50 @@
+//! Warnings of windings that are close to what they withstand.
+
+use std::cell::RefCell;
+
+use r4_protocol::{ChannelId, HotWinding};
+
+/// A winding as people read it: `osmc0 winding 83 %`.
+pub(crate) fn words(hot: &HotWinding) -> String {
+    format!("{} winding {} %", hot.channel, hot.heat_percent)
+}
+
+/// The channels whose winding a person has been warned of, and that have not cooled since.
+#[derive(Default)]
+pub(crate) struct Warned(RefCell<Vec<ChannelId>>);
+
+impl Warned {
+    /// Those of `hot` of which a person is to be warned now: once until the board says that they have cooled.
+    pub(crate) fn fresh(&self, hot: &[HotWinding]) -> Vec<HotWinding> {
+        let mut warned = self.0.borrow_mut();
+        let fresh = hot.iter().filter(|hot| !warned.contains(&hot.channel)).copied().collect();
+        *warned = hot.iter().map(|hot| hot.channel).collect();
+        fresh
+    }
+
+    /// Warns on stderr.
+    pub(crate) fn tell(&self, hot: &[HotWinding]) {
+        for hot in self.fresh(hot) {
+            eprintln!("r4: warning: {}: drive it less, or let it cool; at 100 % the board trips", words(&hot));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::ChannelKind;
+
+    use super::*;
+
+    #[test]
+    fn a_warning_comes_once_for_each_crossing() {
+        let hot = |index, heat_percent| HotWinding { channel: ChannelId::new(ChannelKind::Osmc, index), heat_percent };
+        let warned = Warned::default();
+        assert_eq!(warned.fresh(&[]), []);
+        assert_eq!(warned.fresh(&[hot(0, 81)]), [hot(0, 81)]);
+        assert_eq!(warned.fresh(&[hot(0, 90), hot(1, 83)]), [hot(1, 83)]);
+        assert_eq!(warned.fresh(&[hot(0, 85)]), []);
+        assert_eq!(warned.fresh(&[hot(0, 85), hot(1, 81)]), [hot(1, 81)], "it had cooled");
+        assert_eq!(words(&hot(0, 83)), "osmc0 winding 83 %");
+    }
+}
