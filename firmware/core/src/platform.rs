@@ -183,6 +183,8 @@ pub trait Steppers {
     fn enable(&mut self, high: bool);
     /// Appends events, which are in order of time and in the future; returns how many found room, counted from the first.
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize;
+    /// All axes have been told the events of a period: hardware that is set up for them is set up now.
+    fn queued(&mut self) {}
     /// Events not yet carried out.
     fn pending(&mut self, axis: u8) -> u32;
     /// Pulses made with the direction line positive less those with it negative, since power-up, wrapping.

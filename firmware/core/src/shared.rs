@@ -163,7 +163,7 @@ fn command_slot(place: Place, mode: Mode) -> usize {
 }
 
 /// A set of outputs: a bit for each slot of a command.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Commanded(u64);
 
 const _: () = assert!(OUTPUTS <= u64::BITS as usize, "a bit for each slot");
@@ -229,6 +229,8 @@ struct State {
     next_session: u16,
     /// With the arming they were given in.
     commands: [Option<(u16, Setpoint)>; OUTPUTS],
+    /// Which of these have not been looked at.
+    commanded: Commanded,
     /// Newest set point that each output was given in this arming.
     given: [Option<Given>; OUTPUTS],
     /// One for each channel at most.
@@ -308,6 +310,7 @@ impl<M: RawMutex> Shared<M> {
                 session: None,
                 next_session: FIRST_SESSION,
                 commands: [None; OUTPUTS],
+                commanded: Commanded::default(),
                 given: [None; OUTPUTS],
                 leases: Vec::new(),
                 gains: [[None; 2]; MAX_MOTORS],
@@ -493,16 +496,17 @@ impl<M: RawMutex> Shared<M> {
         self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
     }
 
-    /// Which outputs have a command of the arming `epoch` now. What is given from here on is seen the next time.
-    pub(crate) fn commanded(&self, epoch: u16) -> Commanded {
-        let is_of_epoch = |command: &Option<(u16, Setpoint)>| command.is_some_and(|(given, _)| given == epoch);
-        self.with(|s| {
-            Commanded(s.commands.iter().rev().fold(0, |set, command| set << 1 | u64::from(is_of_epoch(command))))
-        })
+    /// Which outputs have a command now, of this arming or one before. What is given from here on is seen the next time.
+    pub(crate) fn commanded(&self) -> Commanded {
+        self.with(|s| s.commanded)
     }
 
     fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
-        self.with(|s| s.commands[slot].take_if(|(given, _)| *given == epoch)).map(|(_, setpoint)| setpoint)
+        let taken = self.with(|s| {
+            s.commanded.0 &= !(1 << slot);
+            s.commands[slot].take_if(|(given, _)| *given == epoch)
+        });
+        taken.map(|(_, setpoint)| setpoint)
     }
 
     /// Commands the channels to rest whose cycles have stopped coming.
@@ -800,6 +804,7 @@ impl State {
         self.leases.retain(|lease| lease.place != output);
         let slot = command_slot(output, setpoint.mode);
         self.commands[slot] = Some((self.epoch, setpoint));
+        self.commanded.0 |= 1 << slot;
         self.given[slot] = Some(Given { setpoint, sent_us });
         Ok(())
     }
@@ -827,6 +832,7 @@ impl State {
         if changed && next == Safety::Armed {
             self.epoch = self.epoch.wrapping_add(1);
             self.commands = [None; OUTPUTS];
+            self.commanded = Commanded::default();
             self.given = [None; OUTPUTS];
             self.leases.clear();
         }

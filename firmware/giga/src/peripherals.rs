@@ -98,6 +98,10 @@ impl Steppers for Processor {
         self.steppers.queue(axis, events)
     }
 
+    fn queued(&mut self) {
+        self.steppers.queued();
+    }
+
     fn pending(&mut self, axis: u8) -> u32 {
         self.steppers.pending(axis)
     }

@@ -77,10 +77,11 @@ mod tests {
                 // One rounding of speed ± a dt; the last step takes what is left of two.
                 let steps = if now == 0.0 { 2.0 } else { 1.0 };
                 prop_assert!((now - last_speed).abs() <= steps * acceleration * dt * 1.001 + 1e-6);
-                // Past the target by no more than the last step, and the roundings of thousands of steps from far away.
-                prop_assert!(to_go * distance.signum() >= -acceleration * dt * dt * 2.0 - distance.abs() * 5e-5, "{}", to_go);
                 last_speed = now;
                 periods += 1;
+                // Past the target by no more than the last step, and half an ulp of the distance for each step.
+                let roundings = distance.abs() * f32::EPSILON / 2.0 * periods as f32;
+                prop_assert!(to_go * distance.signum() >= -acceleration * dt * dt * 2.0 - roundings, "{}", to_go);
                 if to_go == 0.0 && now == 0.0 {
                     break;
                 }

@@ -311,25 +311,22 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
         shared.end_leases(Instant::now());
-        let commanded = shared.commanded(view.epoch);
+        let commanded = shared.commanded();
         self.take_commands(shared, view, commanded);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
-        if !self.drive_motors(shared, view, commanded, osmc).await {
-            return Ok(());
-        }
+        self.step_motors(shared, view, commanded, osmc);
         let check = self.tick % CHECK_EVERY == 1 && self.outputs.reserve_check();
         // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
         let dhb_first = self.tick.is_multiple_of(2);
         if !dhb_first {
             self.write_drives_and_servos();
         }
-        if !self.drive_motors(shared, view, commanded, dhb).await {
-            return Ok(());
-        }
+        self.step_motors(shared, view, commanded, dhb);
         if dhb_first {
             self.write_drives_and_servos();
         }
+        // A stop that came since, or comes now, leaves off what has not been sent.
         self.outputs.flush(|context| shared.has_changed(view, context)).await?;
         if self.may_go_on(shared, view).await && check {
             self.outputs.check_next().await?;
@@ -352,15 +349,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         goes_on
     }
 
-    /// Steps some motors, whose bridges are written with the next [`Outputs::flush`]; false when a stop came meanwhile, which has then
-    /// been carried out.
-    async fn drive_motors<M: RawMutex>(
-        &mut self,
-        shared: &Shared<M>,
-        view: SafetyView,
-        commanded: Commanded,
-        motors: Order,
-    ) -> bool {
+    /// Steps some motors, whose bridges are written with the next [`Outputs::flush`].
+    fn step_motors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, commanded: Commanded, motors: Order) {
         // The motors' supply has just been closed: drivers need it before their inputs move.
         let powered = Instant::now() >= self.powered_at;
         for index in motors {
@@ -375,14 +365,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));
-            if !self.may_go_on(shared, view).await {
-                return false;
-            }
             let duty = self.limit_regeneration(index, duty);
             let applied = self.outputs.drive(index, duty);
             self.motors[index].set_applied(applied);
         }
-        true
     }
 
     /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.

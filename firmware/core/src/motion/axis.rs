@@ -13,6 +13,7 @@ use super::{
     StepperConfig,
     scurve::{Limits, Motion, Path},
     steps::{DriverTiming, Pulses, TickTiming},
+    to_f64,
 };
 use crate::platform::{StepAction, StepEvent, Steppers};
 
@@ -326,7 +327,7 @@ impl Axis {
     }
 
     fn path_time_s(&self, tick: u64) -> f64 {
-        tick.saturating_sub(self.path_start) as f64 / self.tick_hz
+        to_f64(tick.saturating_sub(self.path_start)) / self.tick_hz
     }
 
     fn search_on(&mut self, switch_closed: Option<bool>) -> Result<(), Fault> {

@@ -149,6 +149,7 @@ impl Bank {
                 fault(index, what);
             }
         }
+        hw.queued();
     }
 
     /// For telemetry, in the order of the configuration.

@@ -7,6 +7,7 @@
 //!
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
+use super::to_f64;
 use crate::within::Within;
 use heapless::Vec;
 
@@ -40,7 +41,9 @@ impl Position {
     /// From here to a step.
     #[must_use]
     pub fn distance_to(self, steps: i64) -> f64 {
-        steps.wrapping_sub(self.steps) as f64 - self.fraction
+        let distance = steps.wrapping_sub(self.steps);
+        let size = to_f64(distance.unsigned_abs());
+        if distance < 0 { -size - self.fraction } else { size - self.fraction }
     }
 
     fn moved(self, distance: f64) -> Self {

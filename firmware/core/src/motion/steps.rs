@@ -3,7 +3,10 @@
 //! A pulse is due when the path passes the middle between two steps, so that what has been made is always the step nearest
 //! to the path. Each moment is solved from the path's own polynomials and rounded to a tick: no error adds up.
 
-use super::scurve::{Path, Piece};
+use super::{
+    scurve::{Path, Piece},
+    to_f64,
+};
 use crate::platform::{StepAction, StepEvent, Steppers};
 
 /// What a driver needs from its lines.
@@ -106,7 +109,7 @@ impl Pulses {
     /// The direction line is turned as late as it may be, [`TickTiming`]'s time before the pulse, which can be before `from`.
     pub fn along(&mut self, path: &Path, start: u64, from: u64, to: u64, mut emit: impl FnMut(StepEvent)) {
         let tick_hz = f64::from(self.timing.tick_hz);
-        let (from_s, to_s) = (from as f64 / tick_hz, to as f64 / tick_hz);
+        let (from_s, to_s) = (to_f64(from) / tick_hz, to_f64(to) / tick_hz);
         let pieces = path.pieces();
         let ends = pieces.iter().skip(1).map(|next| next.start_s).chain([f64::INFINITY]);
         for (piece, end_s) in pieces.iter().zip(ends) {

@@ -536,3 +536,11 @@ proptest! {
         prop_assert_eq!(rig.board.sum(0), 0);
     }
 }
+
+proptest! {
+    #[test]
+    fn whole_numbers_become_the_nearest(whole: u64) {
+        prop_assert_eq!(super::to_f64(whole), whole as f64);
+        prop_assert_eq!(super::to_f64(whole >> 32), (whole >> 32) as f64);
+    }
+}

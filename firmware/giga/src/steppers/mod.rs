@@ -140,7 +140,7 @@ impl Generators {
         self.clock
     }
 
-    /// What `look` sees of the driver of `axis`: nothing that it wants done.
+    /// Does `look` with the driver of `axis`, and nothing of what it then wants done.
     fn read<R: Default>(axis: u8, look: impl FnOnce(&mut Driver) -> R) -> R {
         critical_section::with(|cs| match DRIVERS.borrow_ref_mut(cs).get_mut(usize::from(axis)) {
             Some(Some(driver)) => look(driver),
@@ -212,7 +212,11 @@ impl Steppers for Generators {
     }
 
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
-        Self::with(axis, |driver| driver.generator.queue(events))
+        Self::read(axis, |driver| driver.generator.queue(events))
+    }
+
+    fn queued(&mut self) {
+        critical_section::with(serve);
     }
 
     fn pending(&mut self, axis: u8) -> u32 {
