@@ -27,7 +27,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use r4_firmware::{
-    Restart, Shared,
+    ResetCause, Restart, Shared,
     control::{self, BoardIo},
     link::serve,
     outputs::{OutputFault, rest_dacs},
@@ -291,15 +291,22 @@ fn configuration(flash: &mut Bank2, start: &Start, built_in: &BoardConfig) -> Bo
 }
 
 /// The state that all tasks share.
+///
+/// What takes configurations by value is in functions of its own: in one, moving them about took two thirds of the stack.
 #[inline(never)]
 fn board(flash: &mut Bank2, start: &Start, image: ImageInfo) -> &'static Board {
+    let built_in = built_in();
+    let config = configuration(flash, start, &built_in);
+    share(config, built_in, start.cause(), image)
+}
+
+#[inline(never)]
+fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause, image: ImageInfo) -> &'static Board {
     #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
     // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
     #[unsafe(link_section = ".dtcm.shared")]
     static SHARED: StaticCell<Board> = StaticCell::new();
-    let built_in = built_in();
-    let config = configuration(flash, start, &built_in);
-    SHARED.init_with(|| Shared::new(config, built_in, start.cause()).with_log(log::for_hosts()).with_image(image))
+    SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()).with_image(image))
 }
 
 /// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the

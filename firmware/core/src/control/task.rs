@@ -193,9 +193,12 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
     fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let now_us = Instant::now().as_micros();
-        // Copying the moments takes as long as four transfers, so not in the period that made the outputs safe.
-        if let Some(tripped_us) = self.tripped_us.take() {
-            shared.storage.record(self.recorder.freeze(tripped_us, shared.trip_causes()));
+        // Not in the period that made the outputs safe, and only a part in each that follows.
+        if let Some(tripped_us) = self.tripped_us.take_if(|_| !self.recorder.is_frozen()) {
+            self.recorder.freeze(tripped_us, shared.trip_causes());
+        }
+        if let Some(trip) = self.recorder.copy_on() {
+            shared.storage.record(trip);
         }
         if self.tick.is_multiple_of(self.moment_every) {
             let motors = self.motors.iter().map(|motor| {

@@ -45,10 +45,14 @@ pub struct Trip {
     pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
 }
 
-/// The last moments, in memory. Takes 2.7 KiB.
+/// Snapshots copied at once: all of them took more than a control period's whole share of the processor.
+const COPIED_AT_ONCE: usize = 2;
+
+/// The last moments, in memory, and a trip that is being made of them. Takes 5.4 KiB.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     moments: Deque<Moment, SNAPSHOTS>,
+    trip: Option<Trip>,
 }
 
 #[derive(Clone, Debug)]
@@ -59,13 +63,17 @@ struct Moment {
 }
 
 impl Recorder {
-    /// Notes what the board looks like now; to be called every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] goes.
+    /// Notes what the board looks like now; to be called every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] goes. Nothing is noted
+    /// while a trip is being made.
     pub fn note(
         &mut self,
         device_us: u64,
         motors: impl IntoIterator<Item = MotorSnapshot>,
         supplies_v: impl IntoIterator<Item = f32>,
     ) {
+        if self.trip.is_some() {
+            return;
+        }
         if self.moments.is_full() {
             self.moments.pop_front();
         }
@@ -76,17 +84,27 @@ impl Recorder {
         let _ = self.moments.push_back(Moment { device_us, snapshot });
     }
 
-    /// What was noted, as seen from a trip at `device_us`.
+    /// What was noted becomes a trip at `device_us`, unless one is being made. [`Recorder::copy_on`] makes it.
+    pub fn freeze(&mut self, device_us: u64, causes: Causes) {
+        let _ = self.trip.get_or_insert(Trip { device_us, causes, snapshots: Vec::new() });
+    }
+
+    /// Whether a trip is being made.
     #[must_use]
-    pub fn freeze(&self, device_us: u64, causes: Causes) -> Trip {
-        let mut trip = Trip { device_us, causes, snapshots: Vec::new() };
-        // Copied whole, once: the control loop does this.
-        trip.snapshots.extend(self.moments.iter().map(|moment| moment.snapshot.clone()));
-        for (snapshot, moment) in trip.snapshots.iter_mut().zip(&self.moments) {
-            let before_ms = device_us.saturating_sub(moment.device_us) / 1000;
-            snapshot.before_ms = u16::try_from(before_ms).unwrap_or(u16::MAX);
+    pub const fn is_frozen(&self) -> bool {
+        self.trip.is_some()
+    }
+
+    /// A part of the trip that is being made; the trip, once it has all.
+    pub fn copy_on(&mut self) -> Option<Trip> {
+        let trip = self.trip.as_mut()?;
+        let left = self.moments.iter().skip(trip.snapshots.len());
+        for moment in left.take(COPIED_AT_ONCE) {
+            let before_ms = trip.device_us.saturating_sub(moment.device_us) / 1000;
+            let before_ms = u16::try_from(before_ms).unwrap_or(u16::MAX);
+            let _ = trip.snapshots.push(FaultSnapshot { before_ms, ..moment.snapshot.clone() });
         }
-        trip
+        self.trip.take_if(|trip| trip.snapshots.len() == self.moments.len())
     }
 }
 
@@ -247,7 +265,11 @@ mod tests {
             let motor = MotorSnapshot { position: step, speed: 0.5, duty: -0.25 };
             recorder.note(step as u64 * step_us, [motor], [24.0, 5.0]);
         }
-        let trip = recorder.freeze(24 * step_us + 3_000, Causes::only(Cause::Stalled));
+        recorder.freeze(24 * step_us + 3_000, Causes::only(Cause::Stalled));
+        // Later ones are of another trip.
+        recorder.note(25 * step_us, [], []);
+        let parts = core::iter::from_fn(|| recorder.is_frozen().then(|| recorder.copy_on()));
+        let trip = parts.flatten().next().expect("it is made at last");
         assert_eq!(trip.snapshots.len(), SNAPSHOTS);
         for (snapshot, step) in trip.snapshots.iter().zip(5..) {
             assert_eq!(snapshot.motors[0].position, step);
@@ -260,7 +282,8 @@ mod tests {
     fn more_motors_than_there_can_be_are_left_out() {
         let mut recorder = Recorder::default();
         recorder.note(0, [MotorSnapshot::default(); MAX_MOTORS + 1], [0.0; MAX_SUPPLIES + 1]);
-        let trip = recorder.freeze(u64::MAX, Causes::NONE);
+        recorder.freeze(u64::MAX, Causes::NONE);
+        let trip = recorder.copy_on().expect("of one moment");
         assert_eq!((trip.snapshots[0].motors.len(), trip.snapshots[0].supplies_v.len()), (MAX_MOTORS, MAX_SUPPLIES));
         assert_eq!(trip.snapshots[0].before_ms, u16::MAX);
     }
