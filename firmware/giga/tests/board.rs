@@ -6,6 +6,8 @@
 #![allow(dead_code, unused_imports, unused_macros, reason = "of the firmware's modules each test needs a part")]
 #![allow(unexpected_cfgs, reason = "embedded-test asks for `rust_analyzer`")]
 
+#[path = "../src/bus_faults.rs"]
+mod bus_faults;
 #[path = "../src/clocks.rs"]
 mod clocks;
 mod common;
