@@ -320,6 +320,9 @@ pub struct DeviceInfo {
     pub causes: Causes,
 }
 
+/// The share of the processor that a control period is promised to take at most, in 99.9 % of them.
+pub const CONTROL_SHARE: f32 = 0.04;
+
 /// What the board counted since power-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct DeviceStats {
@@ -348,6 +351,11 @@ pub struct DeviceStats {
     pub can_bus_off: u32,
     /// How often one of its error counters on the CAN bus reached the warning limit of 96.
     pub can_warnings: u32,
+    /// Most cycles of the processor that the control task took in one period, with those of the interrupts that came meanwhile;
+    /// 0 where nobody counts them, as on simulated boards.
+    pub worst_tick_cycles: u32,
+    /// Control periods in which these were more than [`CONTROL_SHARE`] of the period.
+    pub ticks_over_share: u32,
 }
 
 /// Why a request was not carried out. Nothing was changed.

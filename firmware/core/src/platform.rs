@@ -115,6 +115,15 @@ pub trait EdgeInputs {
     fn storm(&mut self) -> bool;
 }
 
+/// What the control task takes of the processor.
+pub trait ControlCycles {
+    /// Cycles in a second; 0 where they are not counted.
+    const CYCLES_HZ: u32;
+
+    /// Cycles that the control task took until it was last entered, with those of the interrupts that came meanwhile; wrapping.
+    fn control_cycles(&mut self) -> u32;
+}
+
 /// The switches beside the encoders.
 pub trait SwitchInputs {
     /// The level of switch input `index`. Inputs are pulled up; numbers the board does not have read high.
@@ -196,11 +205,14 @@ pub trait Steppers {
 
 /// Everything of the processor that the control loop uses, in one.
 pub trait Peripherals:
-    Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords
+    Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
 {
 }
 
-impl<P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords> Peripherals for P {}
+impl<P> Peripherals for P where
+    P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
+{
+}
 
 /// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
 pub trait Ranging {

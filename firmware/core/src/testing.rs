@@ -30,7 +30,10 @@ use embedded_hal_async::{digital::Wait, i2c::I2c};
 use r4_protocol::config::{BoardConfig, MAX_MOTORS};
 
 use crate::{
-    platform::{AnalogInputs, AnalogOutputs, Bus, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs},
+    platform::{
+        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers,
+        SwitchInputs,
+    },
     shared::{ResetCause, Shared},
 };
 
@@ -341,6 +344,7 @@ pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
     pub(crate) illegal: [Cell<u32>; 4],
     pub(crate) storm: Cell<bool>,
+    pub(crate) cycles: Cell<u32>,
     pub(crate) codes: [Cell<u16>; 6],
     pub(crate) dacs: [Cell<u16>; 2],
     pub(crate) kept: [Cell<u32>; MAX_MOTORS],
@@ -367,6 +371,14 @@ impl Encoders for Peripherals {
 impl EdgeInputs for Peripherals {
     fn storm(&mut self) -> bool {
         self.storm.get()
+    }
+}
+
+impl ControlCycles for Peripherals {
+    const CYCLES_HZ: u32 = 1_000_000;
+
+    fn control_cycles(&mut self) -> u32 {
+        self.cycles.get()
     }
 }
 

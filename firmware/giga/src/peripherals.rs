@@ -1,13 +1,14 @@
 //! Everything of the processor that the control loop uses, in one.
 
 use r4_firmware::platform::{
-    AnalogInputs, AnalogOutputs, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs,
+    AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs,
 };
 
 use crate::{
     analog::{Inputs, Outputs},
+    cycles,
     encoders::Counters,
-    ranging, reset,
+    executors, ranging, reset,
     steppers::Generators,
     switches::Switches,
 };
@@ -50,6 +51,14 @@ impl EdgeInputs for Processor {
             self.storms = storms;
         }
         storms.contains(&true)
+    }
+}
+
+impl ControlCycles for Processor {
+    const CYCLES_HZ: u32 = cycles::RUNNING_MHZ * 1_000_000;
+
+    fn control_cycles(&mut self) -> u32 {
+        executors::control_cycles()
     }
 }
 

@@ -298,6 +298,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
         setpoints_expired: 10,
         can_bus_off: 11,
         can_warnings: 12,
+        worst_tick_cycles: 13,
+        ticks_over_share: 14,
     };
     vec![
         (
@@ -360,6 +362,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
                 setpoints_expired: u32::MAX,
                 can_bus_off: u32::MAX,
                 can_warnings: u32::MAX,
+                worst_tick_cycles: u32::MAX,
+                ticks_over_share: u32::MAX,
             }),
         ),
         ("done", Reply::Done),

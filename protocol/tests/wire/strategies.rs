@@ -212,7 +212,7 @@ fn channel_info() -> impl Strategy<Value = ChannelInfo> {
 }
 
 fn stats() -> impl Strategy<Value = DeviceStats> {
-    std::array::from_fn::<_, 12, _>(|_| u32s()).prop_map(
+    std::array::from_fn::<_, 14, _>(|_| u32s()).prop_map(
         |[
             ticks,
             late_ticks,
@@ -226,6 +226,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             setpoints_expired,
             can_bus_off,
             can_warnings,
+            worst_tick_cycles,
+            ticks_over_share,
         ]| DeviceStats {
             ticks,
             late_ticks,
@@ -239,6 +241,8 @@ fn stats() -> impl Strategy<Value = DeviceStats> {
             setpoints_expired,
             can_bus_off,
             can_warnings,
+            worst_tick_cycles,
+            ticks_over_share,
         },
     )
 }

@@ -7,6 +7,7 @@ use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
     config::{BoardConfig, Feedback, MAX_MOTORS, Place, STEPPERS},
+    message::CONTROL_SHARE,
 };
 
 use super::{
@@ -56,9 +57,13 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
     shared.set_started();
 
     let period = Duration::from_micros(config.control_period_us.into());
+    let share = (P::CYCLES_HZ as f32 * config.control_period_us as f32 * 1e-6 * CONTROL_SHARE) as u32;
     let mut due = Instant::now();
     let mut late_in_a_row = 0;
+    let mut cycles = control.peripherals.control_cycles();
     loop {
+        let until_now = control.peripherals.control_cycles();
+        let taken = until_now.wrapping_sub(core::mem::replace(&mut cycles, until_now));
         let begin = period_begins(Instant::now());
         shared.control_tick(begin);
         control.tick(shared).await;
@@ -67,6 +72,8 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
         shared.count(|stats| {
             stats.ticks = stats.ticks.wrapping_add(1);
             stats.worst_tick_us = stats.worst_tick_us.max((end - begin).as_micros() as u32);
+            stats.worst_tick_cycles = stats.worst_tick_cycles.max(taken);
+            stats.ticks_over_share = stats.ticks_over_share.wrapping_add((taken > share).into());
             stats.bus_retries = stats.bus_retries.wrapping_add(control.outputs.take_retries());
             if end > due {
                 stats.late_ticks = stats.late_ticks.wrapping_add(1);

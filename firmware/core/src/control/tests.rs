@@ -358,3 +358,21 @@ fn a_masked_line_trips_and_keeps_tripped() {
     bench.advance(2);
     assert_eq!(bench.shared.request(Event::Clear), Ok(()));
 }
+
+/// The share is 40 of the 1000 cycles that a period has here. The counter wraps on the way.
+#[test]
+fn what_a_period_takes_of_the_processor_is_counted() {
+    let mut bench = Bench::new();
+    bench.inputs.cycles.set(u32::MAX - 50);
+    bench.advance(20);
+    let counted = |bench: &Bench| {
+        let stats = bench.shared.stats();
+        (stats.worst_tick_cycles, stats.ticks_over_share)
+    };
+    assert_eq!(counted(&bench), (0, 0));
+    for (taken, expected) in [(40, (40, 0)), (41, (41, 1)), (7, (41, 1)), (300, (300, 2))] {
+        bench.inputs.cycles.set(bench.inputs.cycles.get().wrapping_add(taken));
+        bench.advance(1);
+        assert_eq!(counted(&bench), expected);
+    }
+}

@@ -4,7 +4,7 @@ use std::{cell::RefCell, rc::Rc, task::Waker};
 
 use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, EchoState, KeptWords, Ranging, SwitchInputs},
+    platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, Ranging, SwitchInputs},
     sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
 };
 use r4_protocol::ChannelId;
@@ -265,6 +265,15 @@ pub(super) fn analog_v(world: &mut World, input: usize) -> f64 {
 impl AnalogInputs for Processor {
     fn code(&mut self, index: u8) -> u16 {
         self.0.borrow_mut().analog_code(index.into())
+    }
+}
+
+/// There is no processor whose cycles could be counted.
+impl ControlCycles for Processor {
+    const CYCLES_HZ: u32 = 0;
+
+    fn control_cycles(&mut self) -> u32 {
+        0
     }
 }
 

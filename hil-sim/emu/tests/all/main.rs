@@ -4,6 +4,7 @@ mod boot;
 mod boot_safety;
 mod can;
 mod crystal;
+mod cycles;
 mod debugging;
 mod determinism;
 mod emulated;

@@ -1,6 +1,6 @@
 //! `r4 info`
 
-use r4_protocol::{ChannelInfo, Unit};
+use r4_protocol::{ChannelInfo, DeviceStats, Unit, message::CONTROL_SHARE};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -17,8 +17,28 @@ struct Report {
     causes: Vec<String>,
     hot_windings: Vec<Hot>,
     link_timeout_ms: u16,
+    control: Control,
     can: Can,
     channels: Vec<Channel>,
+}
+
+/// Control periods since the board started.
+#[derive(Serialize)]
+struct Control {
+    ticks: u32,
+    late_ticks: u32,
+    worst_tick_us: u32,
+    /// What the control task took of the processor in one period, at most; 0 where nobody counts it.
+    worst_tick_cycles: u32,
+    /// Periods in which it took more than it is promised to.
+    ticks_over_share: u32,
+}
+
+impl From<&DeviceStats> for Control {
+    fn from(stats: &DeviceStats) -> Self {
+        let DeviceStats { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share, .. } = *stats;
+        Self { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share }
+    }
 }
 
 /// What the board counted on its CAN bus since it started.
@@ -87,6 +107,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
             causes: info.causes.iter().map(|cause| cause.to_string()).collect(),
             hot_windings: hot.iter().map(Hot::from).collect(),
             link_timeout_ms: info.link_timeout_ms,
+            control: Control::from(&stats),
             can: Can { bus_off: stats.can_bus_off, error_warnings: stats.can_warnings },
             channels: session.board.channels().iter().map(Channel::from).collect(),
         })
@@ -101,6 +122,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     ))?;
     for cause in &report.causes {
         output::line(format_args!("  tripped by: {cause}"))?;
+    }
+    let Control { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share } = report.control;
+    output::line(format_args!("  {ticks} control periods, {late_ticks} late, the longest {worst_tick_us} us"))?;
+    if worst_tick_cycles != 0 {
+        output::line(format_args!(
+            "  control took {worst_tick_cycles} cycles of the processor at most; {ticks_over_share} periods more than {:.0} %",
+            CONTROL_SHARE * 100.0
+        ))?;
     }
     let Can { bus_off, error_warnings } = report.can;
     if bus_off != 0 || error_warnings != 0 {
