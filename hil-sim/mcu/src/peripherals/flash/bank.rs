@@ -25,14 +25,13 @@ pub(super) const WRPERR: u32 = 1 << 17;
 pub(super) const PGSERR: u32 = 1 << 18;
 pub(super) const STRBERR: u32 = 1 << 19;
 pub(super) const INCERR: u32 = 1 << 21;
-pub(super) const OPERR: u32 = 1 << 22;
 pub(super) const RDPERR: u32 = 1 << 23;
 pub(super) const SNECCERR: u32 = 1 << 25;
 pub(super) const DBECCERR: u32 = 1 << 26;
 /// Flags, and with the same places in CR what makes them interrupts and in CCR what clears them.
 pub(super) const FLAGS: u32 = 0x1FEF_0000;
-/// While one of these is set, nothing can be programmed. Not so WRPERR (4.7.2).
-const PROGRAM_ERRORS: u32 = PGSERR | STRBERR | INCERR | OPERR;
+/// While one of these is set, nothing can be programmed; the others do not block (4.8, table 26).
+const PROGRAM_ERRORS: u32 = PGSERR | INCERR;
 
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
@@ -243,8 +242,8 @@ impl Bank {
             return;
         }
         if buffer.written & mask != 0 {
+            // The new bytes replace the old ones (4.7.4).
             self.flags |= STRBERR;
-            return;
         }
         buffer.bytes[at..at + bytes.len()].copy_from_slice(bytes);
         buffer.written |= mask;
