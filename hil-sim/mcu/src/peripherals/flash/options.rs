@@ -61,7 +61,10 @@ pub(super) fn unmodelled(options: u32) -> Option<Unmodelled> {
         names.push("RDP level 2 (0xCC), which nothing can take back on a chip");
     }
     (!names.is_empty()).then(|| {
-        let what = format!("option bytes OPTSR {options:#010x}: not modelled are {}", names.join(", "));
+        let what = format!(
+            "option bytes OPTSR {options:#010x}: not modelled is {}; keep what {DELIVERED:#010x} has there",
+            names.join(", ")
+        );
         Unmodelled { peripheral: "FLASH", what }
     })
 }
