@@ -208,6 +208,36 @@ fn at_level_1_a_debugger_s_program_in_ram_meets_bus_errors() {
     assert!(error.to_string().contains("backup registers at readout protection"), "{error}");
 }
 
+/// DMA2 copies a word to AXI SRAM, memory to memory; whether it ended in a transfer error, and the word.
+fn dma_copies(board: &mut Board, address: u32) -> (bool, Option<u32>) {
+    const DMA2: u32 = 0x4002_0400;
+    // RCC_AHB1ENR.DMA2EN; NDTR, PAR, M0AR, FCR.DMDIS; words, DIR 2, EN.
+    let start = 0b10 << 13 | 0b10 << 11 | 0b10 << 6 | 1;
+    let writes =
+        [(0x14, 1), (0x18, address), (0x1C, AXI), (0x24, 1 << 2), (0x10, start)].map(|(at, value)| (DMA2 + at, value));
+    for (at, value) in [(0x5802_44D8, 1 << 1)].into_iter().chain(writes) {
+        let now_ns = board.now_ns();
+        board.chip.write(now_ns, at, Size::Word, value).unwrap();
+    }
+    // LISR.TEIF0.
+    (peek(board, DMA2) >> 3 & 1 != 0, board.chip.memory().read(AXI, Size::Word))
+}
+
+#[test]
+fn dma_reads_what_the_processor_reads_directly() {
+    let unchanged = (true, Some(Memory::POWER_ON));
+    let mut board = swapped(&COUNTS);
+    assert_eq!(dma_copies(&mut board, 0x081F_0000), (false, Some(0xE7FD_3301)));
+    let mut board = swapped(&COUNTS);
+    assert_eq!(dma_copies(&mut board, 0x0808_0000), unchanged);
+    assert!(board.chip.misuse()[0].what.contains("DMA cannot reach"), "{:?}", board.chip.misuse());
+    let mut board = two_banks(&COUNTS);
+    board.chip.set_option_bytes(LEVEL_1);
+    board.chip.set_debugger(true);
+    assert_eq!(dma_copies(&mut board, CODE), unchanged);
+    assert_eq!(peek(&mut board, FLASH + 0x10), 1 << 23, "RDPERR");
+}
+
 #[test]
 fn the_way_back_to_level_0_takes_its_time_and_erases_all_that_was_protected() {
     let mut board = board(&[FOR_EVER]);
