@@ -20,11 +20,12 @@ use crate::peripheral::Size;
 pub enum Bank {
     /// Instruction TCM, only the core and MDMA reach it.
     Itcm,
-    /// Flash bank 1, sectors 0 to 7.
+    /// Flash, the lower megabyte: bank 1, sectors 0 to 7, unless banks are swapped.
     Flash1,
-    /// Flash bank 2, sectors 0 to 3.
+    /// Flash, the lower half of the upper megabyte: bank 2, sectors 0 to 3.
     Flash2,
-    /// Flash bank 2, sectors 4 to 7: every access goes to the chip, where errors of its code (ECC) are modelled.
+    /// Flash, the upper half of the upper megabyte: bank 2, sectors 4 to 7, where every access goes to the chip
+    /// ([`Memory::kept`]). With swapped banks these are bank 1's, like all its others.
     Storage,
     /// Data TCM, only the core and MDMA reach it.
     Dtcm,
@@ -46,8 +47,8 @@ impl fmt::Display for Bank {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Itcm => "ITCM",
-            Self::Flash1 => "flash bank 1",
-            Self::Flash2 | Self::Storage => "flash bank 2",
+            Self::Flash1 => "the flash's lower megabyte",
+            Self::Flash2 | Self::Storage => "the flash's upper megabyte",
             Self::Dtcm => "DTCM",
             Self::Axi => "AXI SRAM",
             Self::Sram1 => "SRAM1",
@@ -136,6 +137,8 @@ pub struct Region {
     pub base: u32,
     bytes: Rc<[Cell<u8>]>,
     enabled: Cell<bool>,
+    /// The cells are elsewhere: every access goes to the chip.
+    kept: Cell<bool>,
     /// Addresses that are never accessed directly, in order.
     holes: RefCell<Vec<Range<u32>>>,
     /// Blocks of 1 KiB from which a core has decoded instructions.
@@ -164,7 +167,7 @@ impl Region {
     /// What the core does with it by itself at present: nothing while its clock is off.
     #[must_use]
     pub fn direct(&self) -> Direct {
-        let on = self.enabled.get() && self.bank != Bank::Storage;
+        let on = self.enabled.get() && !self.kept.get();
         Direct { read: on, write: on && !self.bank.is_flash(), execute: on }
     }
 
@@ -221,7 +224,8 @@ impl Memory {
             let fill = if bank.is_flash() { [0xFF; 4] } else { Self::POWER_ON.to_le_bytes() };
             let bytes = fill.into_iter().cycle().take(len as usize).map(Cell::new).collect();
             let code = (0..len >> CODE_BITS).map(|_| Cell::new(false)).collect();
-            Region { bank, base, bytes, enabled: Cell::new(true), holes: RefCell::default(), code }
+            let kept = Cell::new(bank == Bank::Storage);
+            Region { bank, base, bytes, enabled: Cell::new(true), kept, holes: RefCell::default(), code }
         };
         Self { regions: Bank::ALL.into_iter().map(region).collect(), mapping: Cell::new(0), code: Cell::new(0) }
     }
@@ -265,6 +269,27 @@ impl Memory {
         if before != *self.region(bank).holes.borrow() {
             self.mapping.set(self.mapping.get().wrapping_add(1));
         }
+    }
+
+    /// Addresses of bank 2's sectors 4 to 7: their cells are elsewhere, every access to them goes to the chip, where errors of
+    /// their code (ECC) are modelled, and nothing is executed there. With swapped banks they are in the lower megabyte, and
+    /// whoever swaps makes a hole of them.
+    #[must_use]
+    pub fn kept(&self) -> Range<u32> {
+        let (base, len) = Bank::Storage.span();
+        let moved = if self.region(Bank::Storage).kept.get() { 0 } else { Bank::Flash1.span().1 };
+        base - moved..base - moved + len
+    }
+
+    /// Exchanges the contents of the flash's two megabytes: the banks have swapped their addresses (RM0399, 4.3.13).
+    pub fn swap_flash(&self) {
+        let [lower, middle, upper] = [Bank::Flash1, Bank::Flash2, Bank::Storage].map(|bank| self.region(bank));
+        for (low, high) in lower.bytes.iter().zip(middle.bytes.iter().chain(upper.bytes.iter())) {
+            low.swap(high);
+        }
+        upper.kept.set(!upper.kept.get());
+        self.mapping.set(self.mapping.get().wrapping_add(1));
+        self.code_changed();
     }
 
     /// Code was changed otherwise than by this type's functions.
@@ -383,6 +408,24 @@ mod tests {
         let unchanged = memory.mapping_version();
         memory.set_enabled(Bank::Sram1, false);
         assert_eq!(memory.mapping_version(), unchanged);
+    }
+
+    #[test]
+    fn swapped_flash_has_its_kept_sectors_in_the_lower_megabyte() {
+        let memory = Memory::new();
+        for (address, value) in [(0x0800_0000, 1), (0x080F_FFFC, 2), (0x0810_0000, 3), (0x0817_FFFC, 4)] {
+            memory.write(address, Size::Word, value).unwrap();
+        }
+        let before = (memory.mapping_version(), memory.code_version());
+        let read = |address| memory.read(address, Size::Word);
+        memory.swap_flash();
+        assert_ne!((memory.mapping_version(), memory.code_version()), before);
+        assert_eq!([0x0810_0000, 0x081F_FFFC, 0x0800_0000, 0x0807_FFFC].map(read), [1, 2, 3, 4].map(Some));
+        assert_eq!(memory.kept(), 0x0808_0000..0x0810_0000);
+        assert!(memory.region(Bank::Storage).direct().execute);
+        memory.swap_flash();
+        assert_eq!((read(0x080F_FFFC), memory.kept()), (Some(2), 0x0818_0000..0x0820_0000));
+        assert!(!memory.region(Bank::Storage).direct().read);
     }
 
     #[test]

@@ -21,10 +21,10 @@ use gdbstub::{
     },
 };
 use gdbstub_arch::arm::ArmBreakpointKind;
-use r4_mcu::{Bank, Chip as _, Size, cpu::Core};
+use r4_mcu::{Bank, Chip, Size, cpu::Core};
 
 use super::registers::{CortexM7, Number, Values};
-use crate::{tracing::Tracer, watch::SharedMachine};
+use crate::{board::BoardSoc, tracing::Tracer, watch::SharedMachine};
 
 /// Of the system control space (DDI0403E B3.2), what can be read without effect: NVIC and system control block, floating
 /// point; gdb needs it to look behind exceptions. SysTick, below, forgets a flag when it is read.
@@ -80,14 +80,21 @@ impl<C: Core> Inferior<C> {
             }
             return if start.is_multiple_of(4) { read } else { 0 };
         }
-        let memory = machine.chip.memory();
+        let len = into.len().min(Self::reaches(&machine.chip, start) as usize);
+        machine.chip.memory().read_slice(start, &mut into[..len]).map_or(0, |()| len)
+    }
+
+    /// Bytes of memory from an address on that may be looked at and changed: to the end of what holds it.
+    fn reaches(chip: &BoardSoc, start: u32) -> u32 {
+        let memory = chip.memory();
         let Some((region, offset)) = memory.locate(start) else { return 0 };
         // The cells of these sectors are elsewhere, and reading them by the bus can raise an error's flag.
-        if region.bank == Bank::Storage {
+        let kept = memory.kept();
+        if kept.contains(&start) || chip.is_closed() && (region.bank.is_flash() || region.bank == Bank::Backup) {
             return 0;
         }
-        let len = into.len().min((region.len() - offset) as usize);
-        memory.read_slice(start, &mut into[..len]).map_or(0, |()| len)
+        let end = region.base + region.len();
+        if (start..end).contains(&kept.start) { kept.start - start } else { region.len() - offset }
     }
 }
 
@@ -115,9 +122,8 @@ impl<C: Core> SingleThreadBase for Inferior<C> {
 
     fn write_addrs(&mut self, start: u32, data: &[u8]) -> TargetResult<(), Self> {
         let machine = self.machine.borrow();
-        let memory = machine.chip.memory();
-        let storage = memory.locate(start).is_some_and(|(region, _)| region.bank == Bank::Storage);
-        if storage || memory.write_slice(start, data).is_none() {
+        let fits = data.len() as u64 <= u64::from(Self::reaches(&machine.chip, start));
+        if !fits || machine.chip.memory().write_slice(start, data).is_none() {
             return Err(TargetError::NonFatal);
         }
         Ok(())

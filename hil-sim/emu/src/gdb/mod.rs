@@ -4,7 +4,9 @@
 //! without clocks and without effects; peripherals are refused, for to read one can change it: `monitor read` does so on
 //! purpose. Of the system control space NVIC, SCB and floating point are read, which has no effect. Breakpoints, of which
 //! there are as many as one likes, are kept by the machine and not in flash. A step is one instruction, or the entry of an
-//! exception that is due. Neither breakpoints nor steps change what the program does or when.
+//! exception that is due. Neither breakpoints nor steps change what the program does or when. A connected gdb does so at
+//! readout protection level 1 (RM0399, 4.5.3): flash and backup SRAM are refused then, and the program cannot go on from
+//! flash either.
 
 mod inferior;
 mod monitor;
@@ -116,6 +118,7 @@ impl<C: Core + 'static> Server<C> {
         match connected {
             Ok(Some(wire)) => {
                 self.state.set(State::Attached);
+                self.connect(true);
                 let stub = GdbStub::new(wire).run_state_machine(&mut self.inferior);
                 self.keep(stub);
             }
@@ -132,7 +135,19 @@ impl<C: Core + 'static> Server<C> {
         }
     }
 
+    /// The chip notices a debugger.
+    fn connect(&self, connected: bool) {
+        let mut machine = self.inferior.machine.borrow_mut();
+        machine.chip.set_debugger(connected);
+        if connected && machine.chip.is_closed() {
+            let what = "readout protection level 1 (RDP of the option bytes): with a debugger flash and backup SRAM \
+                        cannot be accessed, and a program in flash locks up, until the power has been off";
+            self.starter.say(what);
+        }
+    }
+
     fn end(&mut self, error: &dyn std::fmt::Display) {
+        self.connect(false);
         self.starter.say(&format!("gdb: {error}; the machine runs on"));
         self.inferior.breakpoints.clear();
         self.state.set(State::Detached);
@@ -170,6 +185,7 @@ impl<C: Core + 'static> Server<C> {
                 Disconnected(mut disconnected) => {
                     // What was answered last.
                     let _ = disconnected.borrow_conn().flush();
+                    self.connect(false);
                     self.inferior.breakpoints.clear();
                     self.inferior.resume = Resume::Continue;
                     if disconnected.get_reason() == DisconnectReason::Kill {

@@ -15,6 +15,7 @@ use r4_mcu::{
     cpu::{Core as _, Register},
     machine::Trace,
 };
+use r4_sim::VirtualBoard as _;
 
 /// Boots, sets up every chip on the bus, and goes about its periods.
 const LONG_NS: u64 = 60_000_000;
@@ -157,6 +158,37 @@ fn the_protocol_stops_steps_and_reads_and_changes_nothing() {
     assert_eq!(state.get(), State::Detached);
     let machine = debugged.board.machine();
     assert_eq!((machine.trace(), machine.instructions()), undisturbed());
+}
+
+/// Option bytes (OPTSR, RM0399 4.9.8) as the Giga is delivered, with RDP 0xBB: readout protection level 1.
+const PROTECTED: u32 = 0x0B86_BBF0;
+
+#[test]
+fn at_readout_protection_level_1_flash_is_refused_and_the_program_cannot_go_on() {
+    let (mut debugged, address, _) = waiting();
+    debugged.board.machine().chip.set_option_bytes(PROTECTED);
+    let client = thread::spawn(move || {
+        let mut gdb = Client::connect(address);
+        assert!(gdb.ask("?").starts_with("T05"), "halted");
+        // Both banks and the backup SRAM; RAM and the system control space are as ever.
+        for refused in ["m8000000,4", "m8100000,4", "m38800000,4", "M8000000,4:00000000", "M38800000,4:00000000"] {
+            assert_eq!(&gdb.ask(refused)[..1], "E", "{refused}");
+        }
+        assert_eq!(gdb.ask("M24000000,4:78563412"), "OK");
+        assert_eq!((gdb.word(0x2400_0000), gdb.word(0xE000_ED00) >> 24), (0x1234_5678, 0x41), "RAM, CPUID");
+        let stopped = gdb.ask("c");
+        assert!(stopped.starts_with("S06") || stopped.starts_with("T06"), "SIGABRT: {stopped}");
+        let misuse = gdb.ask(&format!("qRcmd,{}", hex("misuse")));
+        assert!(text(&misuse[1..]).contains("readout protection level 1"), "{}", text(&misuse[1..]));
+        assert_eq!(gdb.answer(), "OK");
+        gdb.ask("D");
+    });
+    let clock = debugged.clock.clone();
+    // Virtual time goes on without the processor.
+    let _ = debugged.simulation.block_on(clock.sleep_until(LONG_NS));
+    client.join().expect("the client's checks hold");
+    let failure = debugged.board.failure();
+    assert!(failure.as_deref().is_some_and(|failure| failure.contains("lock-up")), "{failure:?}");
 }
 
 #[test]

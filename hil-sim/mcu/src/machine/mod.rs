@@ -26,7 +26,7 @@ use crate::chip::Chip;
 use crate::context::ResetCause;
 use crate::cpu::take::{Failure, Taker, active, masks};
 use crate::cpu::{Cause, Core, CoreStop, Fault, Masks, Processor, Protection, Purpose, Register, Requests, Why};
-use crate::memory::{Bank, Region};
+use crate::memory::Region;
 use bus::Bus;
 use poll::{OneBlock, Polls};
 use time::Instructions;
@@ -456,7 +456,11 @@ impl<C: Core, S: Chip> Machine<C, S> {
                         return Ok(None);
                     }
                     (Fault::Load | Fault::Store, cause) => cause.unwrap_or(Cause::Unaligned),
-                    (Fault::Fetch, _) => self.fetch_fault()?,
+                    (Fault::Fetch, _) => {
+                        let cause = self.fetch_fault()?;
+                        self.flag_fetch(cause);
+                        cause
+                    }
                     (Fault::Undefined, _) => Cause::Undefined,
                     (Fault::NoCoprocessor, _) => Cause::NoCoprocessor,
                     (Fault::InvalidState, _) => Cause::InvalidState,
@@ -500,13 +504,28 @@ impl<C: Core, S: Chip> Machine<C, S> {
             return Err(self.processor_error(format!("execution from {} at {pc:#010x} is not modelled", region.bank)));
         }
         if let Some((region, _)) = self.chip.memory().locate(pc)
-            && region.bank == Bank::Storage
+            && self.chip.memory().kept().contains(&pc)
         {
             return Err(self.processor_error(format!("execution from {} at {pc:#010x} is not modelled", region.bank)));
         }
         // Peripherals, external devices and the system area are never executed from (B3.1).
         let never = matches!(pc, 0x4000_0000..0x6000_0000 | 0xA000_0000..);
         Ok(if never { Cause::FetchViolation } else { Cause::FetchError })
+    }
+
+    /// The flash flags a fetch that it answers with a bus error, as it does a load.
+    fn flag_fetch(&mut self, cause: Cause) {
+        let (pc, now_ns) = (self.core.get(Register::Pc), self.time.now_ns());
+        let in_flash = |at: u32| self.chip.memory().locate(at).is_some_and(|(region, _)| region.bank.is_flash());
+        if cause == Cause::FetchError && in_flash(pc) {
+            // A wide instruction may fail by its second half.
+            for at in [pc, pc.wrapping_add(2)] {
+                if self.chip.read(now_ns, at & !3, crate::Size::Word).is_err() {
+                    break;
+                }
+            }
+            bus::take_irqs(&mut self.chip, &mut self.cpu, &mut self.irqs);
+        }
     }
 
     fn go_to_sleep(&mut self, sleep: Sleep) -> Result<(), MachineError> {

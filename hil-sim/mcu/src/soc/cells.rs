@@ -5,15 +5,21 @@ use std::{cell::Cell, collections::BTreeMap, ops::Range, rc::Rc};
 
 use crate::{
     memory::{Bank, Memory},
-    peripherals::flash::{BANK_WORDS, FlashCells, PowerLost, SECTOR_WORDS, WORD_BYTES, Word},
+    peripherals::flash::{BANK_WORDS, BASE, FlashCells, PowerLost, SECTOR_WORDS, WORD_BYTES, Word},
 };
+
+/// The parts of the flash, in order of address.
+pub(super) const FLASH: [Bank; 3] = [Bank::Flash1, Bank::Flash2, Bank::Storage];
 
 /// The first word of those that are kept elsewhere: sector 4 of bank 2.
 const KEPT: u32 = BANK_WORDS + 4 * SECTOR_WORDS;
 
 /// Cells of a chip.
 pub(super) struct Cells<F> {
-    banks: [Rc<[Cell<u8>]>; 2],
+    /// What the processor reads directly, by address.
+    places: [Rc<[Cell<u8>]>; 3],
+    /// The banks' addresses are exchanged.
+    swapped: bool,
     kept: F,
     /// Words of the banks that do not read as their bytes.
     spoiled: BTreeMap<u32, Word>,
@@ -22,8 +28,15 @@ pub(super) struct Cells<F> {
 
 impl<F: FlashCells> Cells<F> {
     pub(super) fn new(memory: &Memory, kept: F) -> Self {
-        let banks = [Bank::Flash1, Bank::Flash2].map(|bank| Rc::clone(memory.region(bank).bytes()));
-        Self { banks, kept, spoiled: BTreeMap::new(), changed: false }
+        let places = FLASH.map(|bank| Rc::clone(memory.region(bank).bytes()));
+        Self { places, swapped: false, kept, spoiled: BTreeMap::new(), changed: false }
+    }
+
+    /// The banks' addresses are exchanged or not; whether that is new, and the contents of [`Memory`] are to follow.
+    pub(super) fn swap(&mut self, swapped: bool) -> bool {
+        let changes = std::mem::replace(&mut self.swapped, swapped) != swapped;
+        self.changed |= changes;
+        changes
     }
 
     /// Whether what the processor reads directly has changed since the last time.
@@ -31,24 +44,40 @@ impl<F: FlashCells> Cells<F> {
         std::mem::take(&mut self.changed)
     }
 
-    /// Addresses of words in a bank (0, 1) that cannot be read directly.
-    pub(super) fn holes(&self, bank: usize) -> Vec<Range<u32>> {
-        let first = bank as u32 * BANK_WORDS;
+    /// Addresses in a part of the flash that cannot be read directly: spoiled words, and what is kept elsewhere.
+    pub(super) fn holes(&self, bank: Bank) -> Vec<Range<u32>> {
+        let (base, len) = bank.span();
+        let first = self.place((base - BASE) / WORD_BYTES as u32);
         let mut holes: Vec<Range<u32>> = Vec::new();
-        for (word, _) in self.spoiled.range(first..first + BANK_WORDS) {
-            let start = Bank::Flash1.span().0 + word * WORD_BYTES as u32;
+        for (word, _) in self.spoiled.range(first..first + len / WORD_BYTES as u32) {
+            let start = BASE + self.place(*word) * WORD_BYTES as u32;
             let end = start + WORD_BYTES as u32;
             match holes.last_mut().filter(|hole| hole.end == start) {
                 Some(hole) => hole.end = end,
                 None => holes.push(start..end),
             }
         }
+        if self.swapped && bank == Bank::Flash1 {
+            // Behind all that can be spoiled here.
+            holes.push(BASE + self.place(KEPT) * WORD_BYTES as u32..base + len);
+        }
         holes
     }
 
+    /// The place in the memory map of a word, or the word of a place.
+    fn place(&self, index: u32) -> u32 {
+        index ^ if self.swapped { BANK_WORDS } else { 0 }
+    }
+
     fn bytes(&self, index: u32) -> &[Cell<u8>] {
-        let (bank, word) = ((index / BANK_WORDS).min(1) as usize, (index % BANK_WORDS) as usize);
-        self.banks[bank].get(word * WORD_BYTES..(word + 1) * WORD_BYTES).unwrap_or(&[])
+        let mut at = self.place(index) as usize * WORD_BYTES;
+        for bytes in &self.places {
+            if at < bytes.len() {
+                return bytes.get(at..at + WORD_BYTES).unwrap_or(&[]);
+            }
+            at -= bytes.len();
+        }
+        &[]
     }
 
     /// The part of some words that is here, and the part that is kept.

@@ -46,11 +46,28 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.devices.pwr.supply_mv()
     }
 
-    /// The option bytes (OPTSR) are these from now on, as a programmer has left them.
+    /// The option bytes (OPTSR) are these from now on, as a programmer has left them; swapped banks come with the next reset.
+    /// What of them is not modelled ends the run at the program's next access to a peripheral.
     pub fn set_option_bytes(&mut self, options: u32) {
-        self.devices.flash.set_options(options);
+        if let Err(unmodelled) = self.devices.flash.set_options(options) {
+            self.unmodelled.get_or_insert(unmodelled);
+        }
         self.link_power();
+        self.follow_flash();
         self.settle();
+    }
+
+    /// A debugger is connected from now on, or no longer. What that does depends on the option bytes: see the first comment of
+    /// `peripherals/flash`.
+    pub fn set_debugger(&mut self, connected: bool) {
+        self.devices.flash.set_debugger(connected);
+        self.follow_flash();
+    }
+
+    /// Readout protection keeps everybody, the debugger first, from the flash and the backup SRAM.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.devices.flash.is_closed()
     }
 
     /// Bits per second of an FDCAN's arbitration and data phases, by the clock tree as of the last access.

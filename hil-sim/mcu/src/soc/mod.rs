@@ -11,7 +11,7 @@ mod map;
 
 pub use activity::{Accesses, Activity};
 
-use cells::Cells;
+use cells::{Cells, FLASH as FLASH_PARTS};
 use map::Id;
 
 use crate::{
@@ -30,7 +30,7 @@ use crate::{
         dma::{self, Bdma, Dma12},
         exti::Exti,
         fdcan::Fdcan,
-        flash::{Flash, FlashCells, LoadError, WORD_BYTES},
+        flash::{Flash, FlashCells, LoadError},
         fmc::Fmc,
         gpio::{Function, Gpio},
         i2c::I2c,
@@ -211,8 +211,6 @@ const DOMAIN_3: u32 = 0x3800_0000;
 /// Peripherals that see pins.
 const EXTI: usize = Id::Exti as usize;
 const FLASH: usize = Id::Flash as usize;
-/// What the processor reads directly of each bank.
-const FLASH_BANKS: [(usize, Bank); 2] = [(0, Bank::Flash1), (1, Bank::Flash2)];
 const TIM1: usize = Id::Tim1 as usize;
 const TIM17: usize = Id::Tim17 as usize;
 /// Places for blocks that are known to have their clock.
@@ -398,13 +396,20 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     fn bus_access(&mut self, beat: dma::Beat) -> Result<u32, dma::BusError> {
         if let Some((region, _)) = self.memory.locate(beat.address) {
             let bank = region.bank;
-            let in_bank = usize::from(bank != Bank::Flash1);
-            if bank.is_flash() && self.devices.flash.busy_until_ns(in_bank).is_some() {
+            if bank.is_flash() && self.devices.flash.is_closed() {
+                // The flag, and the misuse.
+                let load = |devices: &mut Devices<F>, context: &mut Context<'_>| {
+                    let _ = devices.flash.load(beat.address, beat.size, context);
+                };
+                self.call(FLASH, load);
+                return Err(dma::BusError);
+            }
+            if bank.is_flash() && self.devices.flash.busy_until_ns(beat.address).is_some() {
                 let what = format!("DMA reads {:#010x} while the bank programs or erases: it would wait", beat.address);
                 self.unmodelled = self.unmodelled.take().or(Some(Unmodelled { peripheral: "FLASH", what }));
                 return Err(dma::BusError);
             }
-            if !bank.on_bus() || !self.memory.is_enabled(bank) || bank == Bank::Storage {
+            if !bank.on_bus() || !self.memory.is_enabled(bank) || self.memory.kept().contains(&beat.address) {
                 let at_ns = self.now_ns;
                 let what = format!("DMA cannot reach {bank} at {:#010x} (RM0399, 2.1; 9.5)", beat.address);
                 self.misuse.push(Misuse { at_ns, peripheral: "DMA", what });
@@ -448,22 +453,36 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// Memories of domains 2 and 3 follow their enable bits.
     fn update_memory_clocks(&mut self) {
         for bank in [Bank::Sram1, Bank::Sram2, Bank::Sram3, Bank::Backup] {
-            self.memory.set_enabled(bank, self.devices.rcc.is_enabled(bank.span().0));
+            let closed = bank == Bank::Backup && self.devices.flash.is_closed();
+            self.memory.set_enabled(bank, self.devices.rcc.is_enabled(bank.span().0) && !closed);
         }
     }
 
     /// What the flash has become, and whether it can be read, after an access to it or an event in it.
     fn follow_flash(&mut self) {
         let flash = &mut self.devices.flash;
+        if flash.cells.swap(flash.is_swapped()) {
+            self.memory.swap_flash();
+        }
         if flash.cells.take_changed() {
-            for (number, bank) in FLASH_BANKS {
-                self.memory.set_holes(bank, flash.cells.holes(number));
+            for bank in FLASH_PARTS {
+                self.memory.set_holes(bank, flash.cells.holes(bank));
             }
             self.memory.code_changed();
         }
-        for (number, bank) in FLASH_BANKS {
-            self.memory.set_enabled(bank, flash.busy_until_ns(number).is_none());
+        for bank in FLASH_PARTS {
+            let waits = flash.busy_until_ns(bank.span().0).is_some();
+            self.memory.set_enabled(bank, !waits && !flash.is_closed());
         }
+        if flash.take_backup_erase() {
+            self.devices.backup.clear();
+            // Filled with zeros: our choice, the manual does not say.
+            let (base, len) = Bank::Backup.span();
+            (base..base + len).step_by(4).for_each(|address| {
+                self.memory.write(address, Size::Word, 0);
+            });
+        }
+        self.update_memory_clocks();
     }
 
     /// What RCC, PWR and SYSCFG tell each other, after a write to one of them or an event in it.
@@ -560,8 +579,9 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// The flash word at `address` fails its error correction from now on, as after a power cut while it was programmed
     /// (RM0399, 4.3 "Error code correction"), until it is erased.
     pub fn spoil_flash(&mut self, address: u32) {
-        let word = address.wrapping_sub(BANK_1) / WORD_BYTES as u32;
-        self.devices.flash.cells.abandon(word, 1);
+        if let Some(word) = self.devices.flash.word_at(address) {
+            self.devices.flash.cells.abandon(word, 1);
+        }
         self.follow_flash();
     }
 
@@ -597,6 +617,10 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             let what = format!("nothing is modelled at {address:#010x}");
             return Err(Unmodelled { peripheral: "bus", what }.into());
         };
+        if id == Id::Backup as usize && self.devices.flash.is_closed() {
+            let what = "the backup registers at readout protection level 1 with a debugger (RM0399, 4.5.3)".into();
+            return Err(Unmodelled { peripheral: "RTC", what }.into());
+        }
         self.activity.accessed(id, address, write);
         let block = address >> 10;
         let place = block as usize % CLOCKED;
@@ -729,6 +753,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             self.devices.pwr.power_on();
             self.devices.rcc.reset_backup();
             self.devices.backup.clear();
+            self.devices.flash.power_on();
             self.memory.lose_power();
         }
         for id in 0..Id::COUNT {
@@ -768,8 +793,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
     }
 
     fn fetch_waits_until_ns(&self, address: u32) -> Option<u64> {
-        let (region, _) = self.memory.locate(address).filter(|(region, _)| region.bank.is_flash())?;
-        self.devices.flash.busy_until_ns(usize::from(region.bank != Bank::Flash1))
+        self.devices.flash.busy_until_ns(address)
     }
 
     fn is_halted(&self) -> bool {
@@ -791,7 +815,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         let result = self.call(Id::Flash as usize, |devices, context| devices.flash.load(address, size, context));
         self.settle();
         result.map_err(|error| match error {
-            LoadError::Ecc | LoadError::Outside => AccessError::Bus,
+            LoadError::Ecc | LoadError::Protected | LoadError::Outside => AccessError::Bus,
             LoadError::Busy { until_ns } => AccessError::Busy { until_ns },
         })
     }

@@ -4,6 +4,7 @@
 
 mod faults;
 mod flash;
+mod options;
 mod polling;
 mod protection;
 

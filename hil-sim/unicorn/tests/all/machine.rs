@@ -312,7 +312,7 @@ fn uses_of_the_processor_that_are_not_modelled_say_so<C: Tested>() {
     // movw r6,#1; movt r6,#0x0818; bx r6
     let mut machine = program::<C>(&[0xF240, 0x0601, 0xF6C0, 0x0618, 0x4730], &SPIN);
     let error = machine.run_until(MILLISECOND).unwrap_err().to_string();
-    assert_eq!(error, "at 13 ns, 0x08180000: execution from flash bank 2 at 0x08180000 is not modelled");
+    assert_eq!(error, "at 13 ns, 0x08180000: execution from the flash's upper megabyte at 0x08180000 is not modelled");
 }
 
 fn sleep_on_exit_does_not_go_back_to_the_main_program<C: Tested>() {

@@ -21,17 +21,17 @@ const BSY: u32 = 1;
 const WBNE: u32 = 1 << 1;
 const QW: u32 = 1 << 2;
 pub(super) const EOP: u32 = 1 << 16;
-const WRPERR: u32 = 1 << 17;
+pub(super) const WRPERR: u32 = 1 << 17;
 pub(super) const PGSERR: u32 = 1 << 18;
 pub(super) const STRBERR: u32 = 1 << 19;
 pub(super) const INCERR: u32 = 1 << 21;
-pub(super) const OPERR: u32 = 1 << 22;
+pub(super) const RDPERR: u32 = 1 << 23;
 pub(super) const SNECCERR: u32 = 1 << 25;
 pub(super) const DBECCERR: u32 = 1 << 26;
 /// Flags, and with the same places in CR what makes them interrupts and in CCR what clears them.
 pub(super) const FLAGS: u32 = 0x1FEF_0000;
-/// While one of these is set, nothing can be programmed.
-const PROGRAM_ERRORS: u32 = WRPERR | PGSERR | STRBERR | INCERR | OPERR;
+/// While one of these is set, nothing can be programmed; the others do not block (4.8, table 26).
+const PROGRAM_ERRORS: u32 = PGSERR | INCERR;
 
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
@@ -66,6 +66,10 @@ struct Buffer {
 pub(super) struct Bank {
     /// In cells, the number of its first word.
     base: u32,
+    /// Its first address.
+    address: u32,
+    /// Readout protection keeps everybody out.
+    pub(super) closed: bool,
     pub(super) cr: u32,
     flags: u32,
     /// How many of the keys were given; `None` after a wrong one, until a reset.
@@ -77,9 +81,11 @@ pub(super) struct Bank {
 }
 
 impl Bank {
-    pub(super) fn new(number: u32) -> Self {
+    pub(super) fn new(number: u32, address: u32) -> Self {
         Self {
             base: number * BANK_WORDS,
+            address,
+            closed: false,
             cr: CR_AT_RESET,
             flags: 0,
             keys: Some(0),
@@ -92,6 +98,10 @@ impl Bank {
     pub(super) fn status(&self) -> u32 {
         let busy = if self.queue.is_empty() { 0 } else { BSY | QW };
         self.flags | busy | if self.buffer.is_some() { WBNE } else { 0 }
+    }
+
+    pub(super) fn is_locked(&self) -> bool {
+        self.cr & LOCK != 0
     }
 
     pub(super) fn interrupt(&self) -> bool {
@@ -153,8 +163,31 @@ impl Bank {
         }
     }
 
+    /// OPTCR.MER: BER and START are set in both banks (4.3.10).
+    pub(super) fn mass_erase(&mut self, now_ns: u64) {
+        self.cr |= BER;
+        self.start_erase(now_ns);
+    }
+
+    /// The erase of a bank, whatever its lock and flags say, with `more_ns` for the option bytes; says when it ends.
+    pub(super) fn erase_for_regression(&mut self, now_ns: u64, more_ns: u64) -> u64 {
+        let takes_ns = ERASE_BANK_NS[self.parallelism()] + more_ns;
+        let (first, words) = (self.base, BANK_WORDS);
+        self.buffer = None;
+        self.enqueue(Operation { step: Step::Erase, first, words, takes_ns, ends_ns: 0 }, now_ns)
+    }
+
+    /// PSIZE.
+    fn parallelism(&self) -> usize {
+        (self.cr >> 4 & 3) as usize
+    }
+
     fn start_erase(&mut self, now_ns: u64) {
-        let size = (self.cr >> 4 & 3) as usize;
+        if self.closed {
+            self.flags |= WRPERR;
+            return;
+        }
+        let size = self.parallelism();
         let (first, words, takes_ns) = if self.cr & BER != 0 {
             (self.base, BANK_WORDS, ERASE_BANK_NS[size])
         } else if self.cr & SER != 0 {
@@ -171,18 +204,25 @@ impl Bank {
     }
 
     fn start_program(&mut self, buffer: Buffer, now_ns: u64) {
-        let takes_ns = PROGRAM_NS[(self.cr >> 4 & 3) as usize];
+        let takes_ns = PROGRAM_NS[self.parallelism()];
         let step = Step::Program(buffer.bytes);
         self.enqueue(Operation { step, first: buffer.index, words: 1, takes_ns, ends_ns: 0 }, now_ns);
     }
 
-    fn enqueue(&mut self, mut operation: Operation, now_ns: u64) {
+    /// Says when it ends.
+    fn enqueue(&mut self, mut operation: Operation, now_ns: u64) -> u64 {
         operation.ends_ns = self.queue.back().map_or(now_ns, |last| last.ends_ns) + operation.takes_ns;
+        let ends_ns = operation.ends_ns;
         self.queue.push_back(operation);
+        ends_ns
     }
 
     /// A store of the core: `word` in the bank, `at` in the word.
     pub(super) fn store(&mut self, word: u32, at: usize, bytes: &[u8], context: &mut Context<'_>) {
+        if self.closed {
+            self.flags |= WRPERR;
+            return;
+        }
         let erasing = self.cr & (SER | BER) != 0;
         if self.cr & LOCK != 0 || self.cr & PG == 0 || erasing || self.flags & PROGRAM_ERRORS != 0 {
             self.flags |= PGSERR;
@@ -202,12 +242,16 @@ impl Bank {
             return;
         }
         if buffer.written & mask != 0 {
+            // The new bytes replace the old ones (4.7.4).
             self.flags |= STRBERR;
-            return;
         }
         buffer.bytes[at..at + bytes.len()].copy_from_slice(bytes);
         buffer.written |= mask;
-        if buffer.written == u32::MAX { self.start_program(buffer, context.now_ns) } else { self.buffer = Some(buffer) }
+        if buffer.written == u32::MAX {
+            self.start_program(buffer, context.now_ns);
+        } else {
+            self.buffer = Some(buffer);
+        }
     }
 
     /// Ends what ends until now. `Err` when the power went in a step.
@@ -220,7 +264,7 @@ impl Bank {
             match operation.step {
                 Step::Program(bytes) => {
                     if cells.word(operation.first) != Word::ERASED {
-                        let address = super::BASE + operation.first * WORD_BYTES as u32;
+                        let address = self.address + (operation.first - self.base) * WORD_BYTES as u32;
                         context.misuse("FLASH", format!("the word at {address:#010x} is programmed without having been erased: it becomes unreadable (RM0399, 4.3.9)"));
                     }
                     cells.program(operation.first, &bytes)?;
@@ -232,6 +276,17 @@ impl Bank {
         Ok(())
     }
 
+    /// A read while readout protection forbids it.
+    pub(super) fn refuse_read(&mut self, address: u32, context: &mut Context<'_>) {
+        if self.flags & RDPERR == 0 {
+            let what = format!(
+                "{address:#010x} is read at readout protection level 1 while a debugger is or was connected: a bus error (RM0399, 4.5.3)"
+            );
+            context.misuse("FLASH", what);
+        }
+        self.flags |= RDPERR;
+    }
+
     /// A read found an error: the flags, and the address of the first.
     pub(super) fn note_ecc(&mut self, flag: u32, word: u32) {
         if self.flags & (SNECCERR | DBECCERR) == 0 {
@@ -240,12 +295,12 @@ impl Bank {
         self.flags |= flag;
     }
 
-    /// A reset of the chip.
-    pub(super) fn reset(&mut self, cells: &mut dyn FlashCells) {
+    /// A reset of the chip, after which the bank begins at `address`.
+    pub(super) fn reset(&mut self, cells: &mut dyn FlashCells, address: u32) {
         // Only the first has begun.
         if let Some(operation) = self.queue.front() {
             cells.abandon(operation.first, operation.words);
         }
-        *self = Self::new(self.base / BANK_WORDS);
+        *self = Self::new(self.base / BANK_WORDS, address);
     }
 }

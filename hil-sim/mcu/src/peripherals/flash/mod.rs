@@ -7,18 +7,29 @@
 //! cleared by CCR); a write to it does nothing.
 //!
 //! **Option bytes** (4.4): OPTSR_PRG is unlocked by OPTKEYR and goes into force by OPTCR.OPTSTART, which takes 100 ms (the manual
-//! gives no time; this is only so that a program has to wait). Of its bits the brown-out level and the watchdog's hardware mode
-//! do something; bank swap, read-out protection, security and other boot settings end the run. Not modelled either: write
-//! protection, PCROP and secure areas, CRC, mass erase (OPTCR.MER); their registers and bits end the run.
+//! gives no time; this is only so that a program has to wait). A reset before that keeps the old ones. They are:
+//!
+//! - the brown-out level and the watchdog's hardware mode;
+//! - **bank swap** (4.3.13): the next reset after the change exchanges the banks' addresses and the two sets of registers, so that
+//!   the registers from 0x000 on are those of the bank at 0x0800_0000;
+//! - **readout protection** (4.5.3), levels 0 and 1. At level 1 [`Flash::set_debugger`] closes the flash, the backup SRAM and the
+//!   backup registers: reads are bus errors with RDPERR, stores and erases WRPERR. They stay closed without the debugger until the
+//!   power has been off (the manual says "is or has been connected", not until when). Back to level 0 takes the time of a mass
+//!   erase besides and erases all of these. Boots from RAM or system memory, which close it too, are not modelled.
+//!
+//! Any other option ends the run with its name: level 2, security, boot settings, write protection, PCROP and secure areas. So
+//! does the CRC unit.
 
 mod bank;
 mod cells;
+mod options;
 #[cfg(test)]
 mod tests;
 mod wait_states;
 
 use bank::Bank;
 pub use cells::{BANK_SECTORS, BANK_WORDS, FlashCells, PlainCells, PowerLost, SECTOR_WORDS, WORD_BYTES, Word};
+use options::{Level, Options};
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
@@ -48,19 +59,6 @@ const CCR: u32 = 0x14;
 const WPSN_CUR: u32 = 0x38;
 const ECC_FA: u32 = 0x60;
 
-/// As the Arduino Giga is delivered: RDP level 0, the Cortex-M7 boots and the Cortex-M4 does not, software watchdogs, banks
-/// not swapped.
-const OPTIONS: u32 = 0x0B86_AAF0;
-const OPTION_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
-const OPTION_NS: u64 = 100_000_000;
-/// OPTCR.
-const OPTLOCK: u32 = 1;
-const OPTSTART: u32 = 1 << 1;
-/// OPTSR: OPT_BUSY, which is not programmed; what can be changed here: BOR_LEV, IWDG1_SW and IWDG2_SW, and resets, freezes and I/O
-/// speed, which have no meaning without low-power modes.
-const OPT_BUSY: u32 = 1;
-const CHANGEABLE: u32 = 0b11 << 2 | 0b1111 << 4 | 0b11 << 17 | 0b11 << 24 | 1 << 29;
-const IWDG1_SW: u32 = 1 << 4;
 /// LATENCY 7, WRHIGHFREQ 3.
 const ACR_AT_RESET: u32 = 0x37;
 
@@ -71,6 +69,8 @@ const IRQ: u16 = 4;
 pub enum LoadError {
     /// A bus error: the word has more wrong bits than can be corrected.
     Ecc,
+    /// A bus error: readout protection, and a debugger.
+    Protected,
     /// The bank programs or erases; the bus waits.
     Busy {
         /// Until then.
@@ -87,14 +87,15 @@ pub struct Flash<C> {
     acr: u32,
     banks: [Bank; 2],
     conditions: (u64, VoltageScale),
-    /// OPTSR_CUR, and OPTSR_PRG.
-    options: u32,
-    options_next: u32,
-    /// How many of the keys were given; `None` after a wrong one, until a reset.
-    option_keys: Option<usize>,
-    options_unlocked: bool,
-    /// When the change is in force.
-    options_at_ns: u64,
+    options: Options,
+    /// OPTCR.SWAP_BANK.
+    swapped: bool,
+    /// A debugger is connected.
+    debugger: bool,
+    /// One was since the power came.
+    intruded: bool,
+    /// The backup SRAM and the backup registers are to be erased.
+    erases_backup: bool,
     raised: bool,
     power_lost: bool,
 }
@@ -106,91 +107,134 @@ impl<C: FlashCells> Flash<C> {
         Self {
             cells,
             acr: ACR_AT_RESET,
-            banks: [Bank::new(0), Bank::new(1)],
+            banks: [Bank::new(0, BASE), Bank::new(1, BASE + BYTES / 2)],
             conditions: (0, VoltageScale::Vos3),
-            options: OPTIONS,
-            options_next: OPTIONS,
-            option_keys: Some(0),
-            options_unlocked: false,
-            options_at_ns: u64::MAX,
+            options: Options::new(),
+            swapped: false,
+            debugger: false,
+            intruded: false,
+            erases_backup: false,
             raised: false,
             power_lost: false,
         }
     }
 
-    /// Until when bank 0 or 1 programs or erases, and cannot be read.
+    /// Until when the bank at an address programs or erases, and cannot be read.
     #[must_use]
-    pub fn busy_until_ns(&self, bank: usize) -> Option<u64> {
-        self.banks.get(bank).map(Bank::busy_until_ns).filter(|until_ns| *until_ns != u64::MAX)
+    pub fn busy_until_ns(&self, address: u32) -> Option<u64> {
+        let (number, ..) = self.locate(address)?;
+        Some(self.banks[number].busy_until_ns()).filter(|until_ns| *until_ns != u64::MAX)
+    }
+
+    /// The banks' addresses are exchanged: since the last reset, by SWAP_BANK_OPT.
+    #[must_use]
+    pub fn is_swapped(&self) -> bool {
+        self.swapped
+    }
+
+    /// Readout protection keeps everybody from the flash, the backup SRAM and the backup registers.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.intruded && self.options.level() == Level::One
+    }
+
+    /// A debugger is connected or not.
+    pub fn set_debugger(&mut self, connected: bool) {
+        self.debugger = connected;
+        self.intruded |= connected;
+        self.follow_protection();
+    }
+
+    /// The power has been off.
+    pub fn power_on(&mut self) {
+        self.intruded = self.debugger;
+        self.follow_protection();
+    }
+
+    /// Whether the backup SRAM and registers are to be erased, once.
+    pub fn take_backup_erase(&mut self) -> bool {
+        std::mem::take(&mut self.erases_backup)
+    }
+
+    fn follow_protection(&mut self) {
+        let closed = self.is_closed();
+        self.banks.iter_mut().for_each(|bank| bank.closed = closed);
     }
 
     /// IWDG1_SW is cleared: the watchdog runs from each reset on.
     #[must_use]
     pub fn starts_watchdog(&self) -> bool {
-        self.options & IWDG1_SW == 0
+        self.options.current & options::IWDG1_SW == 0
     }
 
     /// BOR_LEV of the option bytes in force, 0 to 3.
     #[must_use]
     pub fn brown_out_level(&self) -> u8 {
-        (self.options >> 2 & 3) as u8
+        (self.options.current >> 2 & 3) as u8
     }
 
-    /// The option bytes (OPTSR) as a programmer has left them.
-    pub fn set_options(&mut self, options: u32) {
-        (self.options, self.options_next) = (options, options);
+    /// The option bytes (OPTSR) as a programmer has left them; a bank swap comes with the next reset.
+    ///
+    /// # Errors
+    /// Those that are not modelled, by name; nothing has changed then.
+    pub fn set_options(&mut self, options: u32) -> Result<(), Unmodelled> {
+        options::unmodelled(options).map_or(Ok(()), Err)?;
+        self.options.set(options);
+        self.follow_protection();
+        Ok(())
     }
 
-    fn write_option_key(&mut self, key: u32, context: &mut Context<'_>) {
-        self.option_keys = match self.option_keys {
-            Some(given) if !self.options_unlocked && OPTION_KEYS.get(given) == Some(&key) => Some(given + 1),
-            _ => {
-                let what = "a wrong key: option bytes stay locked until a reset (RM0399, 4.5.1)";
-                context.misuse("FLASH", what);
-                self.options_unlocked = false;
-                None
-            }
-        };
-        if self.option_keys == Some(OPTION_KEYS.len()) {
-            (self.options_unlocked, self.option_keys) = (true, Some(0));
-        }
+    fn option_control(&self) -> u32 {
+        let lock = if self.options.unlocked { 0 } else { options::OPTLOCK };
+        lock | if self.swapped { options::SWAP_BANK } else { 0 }
     }
 
     fn write_option_control(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
-        let refuse = |what: &str| Err(Unmodelled { peripheral: "FLASH", what: what.into() });
-        if !self.options_unlocked {
-            if value & !OPTLOCK != 0 {
+        use options::{MER, OPTCHANGEERRIE, OPTLOCK, OPTSTART, SWAP_BANK};
+        if !self.options.unlocked {
+            if value & !(OPTLOCK | SWAP_BANK) != 0 {
                 let what = "OPTCR is written while it is locked; the chip ignores it (RM0399, 4.5.1)";
                 context.misuse("FLASH", what);
             }
             return Ok(());
         }
-        if value & 1 << 4 != 0 {
-            return refuse("the erase of both banks (OPTCR.MER)");
+        if value & OPTCHANGEERRIE != 0 {
+            let what = "the interrupt of option bytes (OPTCR.OPTCHANGEERRIE)".into();
+            return Err(Unmodelled { peripheral: "FLASH", what });
         }
-        if value & 1 << 30 != 0 {
-            return refuse("the interrupt of option bytes (OPTCR.OPTCHANGEERRIE)");
+        if value & MER != 0 {
+            if self.banks.iter().any(Bank::is_locked) {
+                let what = "OPTCR.MER while CR1 or CR2 is locked; both are to be unlocked before (RM0399, 4.3.10)";
+                context.misuse("FLASH", what);
+            } else {
+                self.banks.iter_mut().for_each(|bank| bank.mass_erase(context.now_ns));
+            }
         }
-        if value & OPTSTART != 0 && self.options_at_ns == u64::MAX {
-            self.options_at_ns = context.now_ns + OPTION_NS;
+        if value & OPTSTART != 0 {
+            self.start_change(context.now_ns);
         }
-        self.options_unlocked = value & OPTLOCK == 0;
+        self.options.unlocked = value & OPTLOCK == 0;
         Ok(())
     }
 
-    fn write_options(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
-        if !self.options_unlocked {
-            let what = "OPTSR_PRG is written while OPTCR is locked; the chip ignores it (RM0399, 4.4.3)";
-            context.misuse("FLASH", what);
-            return Ok(());
+    /// Without a difference there is nothing to do (4.4.3).
+    fn start_change(&mut self, now_ns: u64) {
+        if self.options.next == self.options.current {
+            return;
         }
-        let refused = (value ^ self.options_next) & !(CHANGEABLE | OPT_BUSY);
-        if refused != 0 {
-            let what = format!("option bytes {refused:#010x} of OPTSR_PRG (bank swap, protection or boot settings)");
-            return Err(Unmodelled { peripheral: "FLASH", what });
+        self.options.ends_ns = now_ns + options::CHANGE_NS;
+        if self.options.regresses() {
+            for bank in &mut self.banks {
+                let ends_ns = bank.erase_for_regression(now_ns, options::CHANGE_NS);
+                self.options.ends_ns = self.options.ends_ns.max(ends_ns);
+            }
         }
-        self.options_next = value & !OPT_BUSY;
-        Ok(())
+    }
+
+    fn finish_change(&mut self) {
+        self.erases_backup |= self.options.regresses();
+        self.options.finish();
+        self.follow_protection();
     }
 
     /// Whether the cells told that the power went during a step. The chip is off then, and nobody should run it.
@@ -225,10 +269,17 @@ impl<C: FlashCells> Flash<C> {
     }
 
     /// Bank, word in it, byte in the word.
-    fn locate(address: u32) -> Option<(usize, u32, usize)> {
+    fn locate(&self, address: u32) -> Option<(usize, u32, usize)> {
         let offset = address.checked_sub(BASE).filter(|offset| *offset < BYTES)?;
         let word = offset / WORD_BYTES as u32;
-        Some(((word / BANK_WORDS) as usize, word % BANK_WORDS, offset as usize % WORD_BYTES))
+        let bank = (word / BANK_WORDS) as usize ^ usize::from(self.swapped);
+        Some((bank, word % BANK_WORDS, offset as usize % WORD_BYTES))
+    }
+
+    /// The cells' number of the word at an address.
+    #[must_use]
+    pub fn word_at(&self, address: u32) -> Option<u32> {
+        self.locate(address).map(|(bank, word, _)| bank as u32 * BANK_WORDS + word)
     }
 
     /// The core or a DMA reads. Aligned accesses only.
@@ -237,8 +288,13 @@ impl<C: FlashCells> Flash<C> {
     /// A bus error, or that it takes longer.
     pub fn load(&mut self, address: u32, size: Size, context: &mut Context<'_>) -> Result<u32, LoadError> {
         self.advance(context);
-        let (number, word, at) = Self::locate(address).ok_or(LoadError::Outside)?;
+        let (number, word, at) = self.locate(address).ok_or(LoadError::Outside)?;
         let bank = &mut self.banks[number];
+        if bank.closed {
+            bank.refuse_read(address, context);
+            self.raise(context);
+            return Err(LoadError::Protected);
+        }
         let until_ns = bank.busy_until_ns();
         if until_ns != u64::MAX {
             return Err(LoadError::Busy { until_ns });
@@ -264,7 +320,7 @@ impl<C: FlashCells> Flash<C> {
     /// are there. Aligned accesses only. What goes wrong is in SR.
     pub fn store(&mut self, address: u32, size: Size, value: u32, context: &mut Context<'_>) {
         self.advance(context);
-        let Some((number, word, at)) = Self::locate(address) else { return };
+        let Some((number, word, at)) = self.locate(address) else { return };
         let bytes = &value.to_le_bytes()[..size.bytes() as usize];
         self.banks[number].store(word, at, bytes, context);
         self.raise(context);
@@ -278,9 +334,10 @@ impl<C: FlashCells> Flash<C> {
         }
     }
 
-    /// Registers of the first bank and common ones, and the bank.
-    fn split(offset: u32) -> (usize, u32) {
-        if offset >= BANK_2 { (1, (offset - BANK_2) & !3) } else { (0, offset & !3) }
+    /// The bank whose registers are there (4.3.13, table 19), and the offset in its set; common ones are in both.
+    fn split(&self, offset: u32) -> (usize, u32) {
+        let (second, at) = if offset >= BANK_2 { (true, offset - BANK_2) } else { (false, offset) };
+        (usize::from(second ^ self.swapped), at & !3)
     }
 
     fn value(&self, bank: &Bank, at: u32) -> Option<u32> {
@@ -291,9 +348,9 @@ impl<C: FlashCells> Flash<C> {
             SR => Some(bank.status()),
             ECC_FA => Some(bank.fault_word),
             OPTKEYR | OPTCCR => Some(0),
-            OPTCR => Some(u32::from(!self.options_unlocked)),
-            OPTSR_CUR => Some(self.options | u32::from(self.options_at_ns != u64::MAX)),
-            OPTSR_PRG => Some(self.options_next),
+            OPTCR => Some(self.option_control()),
+            OPTSR_CUR => Some(self.options.status()),
+            OPTSR_PRG => Some(self.options.next),
             // No sector is protected.
             WPSN_CUR => Some(0xFF),
             _ => None,
@@ -304,14 +361,19 @@ impl<C: FlashCells> Flash<C> {
 impl<C: FlashCells> Peripheral for Flash<C> {
     fn read(&mut self, offset: u32, size: Size, context: &mut Context<'_>) -> Result<u32, Unmodelled> {
         self.advance(context);
-        let (number, at) = Self::split(offset);
-        let value = self.value(&self.banks[number], at).ok_or_else(|| Unmodelled::register("FLASH", offset))?;
+        let (number, at) = self.split(offset);
+        let value = self.value(&self.banks[number], at).ok_or_else(|| options::unmodelled_register(offset))?;
         Ok(part(value, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         self.advance(context);
-        let (number, at) = Self::split(offset);
+        let (number, at) = self.split(offset);
+        if self.options.is_busy() {
+            let what = "a register is written while option bytes change; the chip ignores it (RM0399, 4.9.8, OPT_BUSY)";
+            context.misuse("FLASH", what);
+            return Ok(());
+        }
         let bank = &mut self.banks[number];
         match at {
             ACR => {
@@ -325,15 +387,18 @@ impl<C: FlashCells> Peripheral for Flash<C> {
             CR => bank.write_cr(merged(bank.cr, offset, size, value), context),
             SR => {}
             CCR => bank.clear(merged(0, offset, size, value)),
-            OPTKEYR => self.write_option_key(value, context),
+            OPTKEYR => self.options.write_key(value, context),
             OPTCR => {
-                let before = u32::from(!self.options_unlocked);
-                self.write_option_control(merged(before, offset, size, value), context)?;
+                let value = merged(self.option_control(), offset, size, value);
+                self.write_option_control(value, context)?;
             }
-            OPTSR_PRG => self.write_options(merged(self.options_next, offset, size, value), context)?,
+            OPTSR_PRG => {
+                let value = merged(self.options.next, offset, size, value);
+                self.options.write_next(value, context)?;
+            }
             // It clears OPTCHANGEERR, which is never set.
             OPTCCR => {}
-            _ => return Err(Unmodelled::register("FLASH", offset)),
+            _ => return Err(options::unmodelled_register(offset)),
         }
         self.raise(context);
         Ok(())
@@ -341,7 +406,7 @@ impl<C: FlashCells> Peripheral for Flash<C> {
 
     fn next_event_ns(&self) -> u64 {
         let banks_ns = self.banks[0].busy_until_ns().min(self.banks[1].busy_until_ns());
-        if self.power_lost { u64::MAX } else { banks_ns.min(self.options_at_ns) }
+        if self.power_lost { u64::MAX } else { banks_ns.min(self.options.ends_ns) }
     }
 
     fn stable_until_ns(&self, _: u32, _: u64) -> Option<u64> {
@@ -355,8 +420,8 @@ impl<C: FlashCells> Peripheral for Flash<C> {
         for bank in &mut self.banks {
             self.power_lost |= bank.advance(&mut self.cells, context).is_err();
         }
-        if self.options_at_ns <= context.now_ns {
-            (self.options, self.options_at_ns) = (self.options_next, u64::MAX);
+        if self.options.ends_ns <= context.now_ns && !self.power_lost {
+            self.finish_change();
         }
         self.raise(context);
     }
@@ -364,13 +429,13 @@ impl<C: FlashCells> Peripheral for Flash<C> {
     /// A reset of the chip. What was being programmed or erased is abandoned.
     fn reset(&mut self, context: &mut Context<'_>) {
         self.advance(context);
-        for bank in &mut self.banks {
-            bank.reset(&mut self.cells);
+        self.options.reset();
+        self.swapped = self.options.current & options::SWAP_BANK_OPT != 0;
+        for (number, bank) in self.banks.iter_mut().enumerate() {
+            bank.reset(&mut self.cells, BASE + (number as u32 ^ u32::from(self.swapped)) * BYTES / 2);
         }
+        self.follow_protection();
         (self.acr, self.power_lost) = (ACR_AT_RESET, false);
-        // A change that was not finished is none.
-        (self.options_next, self.options_at_ns) = (self.options, u64::MAX);
-        (self.option_keys, self.options_unlocked) = (Some(0), false);
         self.raise(context);
     }
 }

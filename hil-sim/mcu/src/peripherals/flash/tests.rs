@@ -1,6 +1,12 @@
 //! Programming, erasing and reading as a driver does it.
 
-use super::{bank::*, *};
+use super::{
+    bank::*,
+    options::{
+        CHANGE_NS as OPTION_NS, DELIVERED as OPTIONS, IWDG1_SW, KEYS as OPTION_KEYS, MER, OPT_BUSY, OPTLOCK, OPTSTART,
+    },
+    *,
+};
 use crate::{Signal, testing::Bench};
 
 /// Sector 4 of bank 2, as the R4 firmware keeps its configuration in, and the first registers of bank 2.
@@ -110,10 +116,9 @@ fn a_single_error_is_corrected_and_flagged() {
 
 #[test]
 fn sequences_that_the_chip_refuses_set_their_flag() {
-    let cases: [(&str, u32, &[u32], u32); 4] = [
+    let cases: [(&str, u32, &[u32], u32); 3] = [
         ("without PG", X64, &[0], PGSERR),
         ("another word before the first is full", X64 | PG, &[0, 32], INCERR),
-        ("the same byte twice", X64 | PG, &[0, 0], STRBERR),
         ("with a sector erase chosen", X64 | PG | 1 << 2, &[0], PGSERR),
     ];
     for (name, cr, stores, flag) in cases {
@@ -130,6 +135,17 @@ fn sequences_that_the_chip_refuses_set_their_flag() {
         program(&mut flash, &mut bench, SECTOR, 1);
         assert_eq!(bench.read(&mut flash, SR2), 0b101, "{name}");
     }
+}
+
+#[test]
+fn a_byte_stored_twice_is_flagged_and_the_newer_one_is_programmed() {
+    let (mut flash, mut bench) = unlocked();
+    bench.write(&mut flash, CR2, X64 | PG);
+    store(&mut flash, &mut bench, SECTOR, 1);
+    program(&mut flash, &mut bench, SECTOR, 100);
+    assert_eq!(bench.read(&mut flash, SR2), STRBERR | 0b101, "and it goes on");
+    bench.run(&mut flash, 100_000);
+    assert_eq!(load(&mut flash, &mut bench, SECTOR), Ok(100));
 }
 
 #[test]
@@ -267,20 +283,303 @@ fn a_wrong_option_key_and_a_change_that_a_reset_interrupts_change_nothing() {
     assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS);
 }
 
-#[test]
-fn what_is_not_modelled_of_the_flash_ends_the_run() {
+const SWAP: u32 = 1 << 31;
+const BANK_1: u32 = BASE;
+const BANK_2_ADDRESS: u32 = BASE + BYTES / 2;
+
+fn unlock_options(flash: &mut Flash<PlainCells>, bench: &mut Bench) {
+    OPTION_KEYS.iter().for_each(|key| bench.write(flash, OPTKEYR, *key));
+}
+
+fn unlock_bank_1(flash: &mut Flash<PlainCells>, bench: &mut Bench) {
+    for key in [0x4567_0123, 0xCDEF_89AB] {
+        bench.write(flash, KEYR, key);
+    }
+}
+
+/// Both banks unlocked and the option bytes too, with the first word of each sector programmed: 0x100 * bank + sector.
+fn filled() -> (Flash<PlainCells>, Bench) {
     let (mut flash, mut bench) = unlocked();
-    for key in OPTION_KEYS {
-        bench.write(&mut flash, OPTKEYR, key);
+    unlock_bank_1(&mut flash, &mut bench);
+    unlock_options(&mut flash, &mut bench);
+    for index in 0..2 * BANK_SECTORS {
+        let value = 0x100 * (index / BANK_SECTORS + 1) + index % BANK_SECTORS;
+        let bytes = value.to_le_bytes();
+        flash.cells.load(index * SECTOR_WORDS * WORD_BYTES as u32, &bytes);
     }
-    // Swap, read-out protection, the other core's boot; mass erase; CRC.
-    for (at, value) in [
-        (OPTSR_PRG, OPTIONS ^ 1 << 31),
-        (OPTSR_PRG, OPTIONS ^ 1 << 8),
-        (OPTSR_PRG, OPTIONS ^ 1 << 22),
-        (OPTCR, 1 << 4),
-        (CR2, X64 | CRC_EN),
-    ] {
-        assert!(bench.try_write(&mut flash, at, Size::Word, value).is_err(), "{at:#x} {value:#x}");
+    (flash, bench)
+}
+
+/// The first word of each sector in order of address; `None` where it is erased.
+fn sectors(flash: &mut Flash<PlainCells>, bench: &mut Bench) -> Vec<Option<u32>> {
+    let firsts = (BASE..BASE + BYTES).step_by(SECTOR_WORDS as usize * WORD_BYTES);
+    firsts.map(|address| load(flash, bench, address).ok().filter(|value| *value != u32::MAX)).collect()
+}
+
+fn full(bank: u32) -> Vec<Option<u32>> {
+    (0..BANK_SECTORS).map(|sector| Some(0x100 * bank + sector)).collect()
+}
+
+fn erased() -> Vec<Option<u32>> {
+    vec![None; BANK_SECTORS as usize]
+}
+
+fn change_options(flash: &mut Flash<PlainCells>, bench: &mut Bench, options: u32) {
+    bench.write(flash, OPTSR_PRG, options);
+    bench.write(flash, OPTCR, OPTSTART);
+}
+
+fn swapped() -> (Flash<PlainCells>, Bench) {
+    let (mut flash, mut bench) = filled();
+    change_options(&mut flash, &mut bench, OPTIONS | SWAP);
+    bench.run(&mut flash, OPTION_NS);
+    flash.reset(&mut bench.context());
+    unlock_bank_1(&mut flash, &mut bench);
+    for key in [0x4567_0123, 0xCDEF_89AB] {
+        bench.write(&mut flash, KEYR2, key);
     }
+    (flash, bench)
+}
+
+#[test]
+fn banks_are_swapped_by_the_reset_after_the_change_and_not_before() {
+    let (mut flash, mut bench) = filled();
+    change_options(&mut flash, &mut bench, OPTIONS | SWAP);
+    bench.run(&mut flash, OPTION_NS);
+    assert_eq!((bench.read(&mut flash, OPTSR_CUR), bench.read(&mut flash, OPTCR)), (OPTIONS | SWAP, 0));
+    assert_eq!(sectors(&mut flash, &mut bench), [full(1), full(2)].concat());
+    flash.reset(&mut bench.context());
+    assert_eq!(bench.read(&mut flash, OPTCR), 1 << 31 | OPTLOCK);
+    assert_eq!(bench.read(&mut flash, BANK_2 + OPTCR), 1 << 31 | OPTLOCK, "common registers are in both sets");
+    assert_eq!(sectors(&mut flash, &mut bench), [full(2), full(1)].concat());
+    assert!(flash.is_swapped());
+    // And back: SWAP_BANK cannot be written, and writing it with the rest is no offence.
+    unlock_options(&mut flash, &mut bench);
+    bench.modify(&mut flash, OPTCR, 1 << 31, 0);
+    assert_eq!(bench.read(&mut flash, OPTCR), 1 << 31);
+    bench.write(&mut flash, OPTSR_PRG, OPTIONS);
+    bench.modify(&mut flash, OPTCR, 0, OPTSTART);
+    bench.run(&mut flash, bench.now_ns + OPTION_NS);
+    flash.reset(&mut bench.context());
+    assert_eq!(sectors(&mut flash, &mut bench), [full(1), full(2)].concat());
+    bench.assert_no_misuse();
+}
+
+#[test]
+fn a_power_cut_before_the_end_of_the_change_keeps_the_banks() {
+    for (ns, is_swapped) in [(OPTION_NS - 1, false), (OPTION_NS, true)] {
+        let (mut flash, mut bench) = filled();
+        change_options(&mut flash, &mut bench, OPTIONS | SWAP);
+        bench.run(&mut flash, ns);
+        flash.power_on();
+        flash.reset(&mut bench.context());
+        assert_eq!(flash.is_swapped(), is_swapped);
+        assert_eq!(bench.read(&mut flash, OPTSR_PRG) & SWAP != 0, is_swapped);
+    }
+}
+
+#[test]
+fn with_swapped_banks_the_first_registers_are_those_of_the_first_address() {
+    let (mut flash, mut bench) = swapped();
+    bench.write(&mut flash, CR, X64 | ERASE_SECTOR_4);
+    assert_eq!((bench.read(&mut flash, SR) & 1, bench.read(&mut flash, SR2) & 1), (1, 0));
+    assert!(flash.busy_until_ns(BANK_1).is_some() && flash.busy_until_ns(BANK_2_ADDRESS).is_none());
+    bench.run(&mut flash, bench.now_ns + 1_000_000_000);
+    let mut first = full(2);
+    first[4] = None;
+    assert_eq!(sectors(&mut flash, &mut bench), [first, full(1)].concat());
+    // Cells are numbered by banks: it was bank 2's sector.
+    assert_eq!(flash.cells.word(BANK_WORDS + 4 * SECTOR_WORDS), Word::ERASED);
+    // Programming, its misuse and the address of an error go by address too.
+    bench.write(&mut flash, CR2, X64 | PG);
+    for _ in 0..2 {
+        program(&mut flash, &mut bench, SECTOR + 64, 5);
+        bench.run(&mut flash, bench.now_ns + 100_000);
+    }
+    assert!(bench.take_misuse()[0].contains("0x08180040 is programmed without"));
+    assert_eq!(load(&mut flash, &mut bench, SECTOR + 64), Err(LoadError::Ecc));
+    assert_eq!(bench.read(&mut flash, BANK_2 + ECC_FA), 4 * 4096 + 2);
+    assert_eq!((flash.word_at(SECTOR + 64), bench.read(&mut flash, SR) & DBECCERR), (Some(4 * 4096 + 2), 0));
+}
+
+#[test]
+fn a_bank_is_erased_in_5_s_and_the_other_is_not() {
+    const BER: u32 = 1 << 3;
+    for (at, bank) in [(CR, 0), (CR2, 1)] {
+        let (mut flash, mut bench) = filled();
+        // SER besides changes nothing (4.3.10).
+        bench.write(&mut flash, at, X64 | BER | ERASE_SECTOR_4);
+        bench.run(&mut flash, 4_999_999_999);
+        assert!(flash.busy_until_ns(BASE + bank * BYTES / 2).is_some());
+        bench.run(&mut flash, 5_000_000_000);
+        let mut expected = [full(1), full(2)];
+        expected[bank as usize] = erased();
+        assert_eq!(sectors(&mut flash, &mut bench), expected.concat());
+        bench.assert_no_misuse();
+    }
+}
+
+#[test]
+fn a_mass_erase_takes_both_banks_at_once_and_only_unlocked_ones() {
+    let (mut flash, mut bench) = filled();
+    // PSIZE of each bank: 8 s by half-words.
+    bench.write(&mut flash, CR2, 1 << 4);
+    bench.write(&mut flash, OPTCR, MER);
+    assert_eq!([CR, CR2].map(|at| bench.read(&mut flash, at) >> 3 & 1), [1, 1], "BER");
+    assert_eq!((bench.read(&mut flash, OPTCR), bench.read(&mut flash, OPTSR_CUR)), (0, OPTIONS), "no option changes");
+    bench.run(&mut flash, 5_000_000_000);
+    assert_eq!([SR, SR2].map(|at| bench.read(&mut flash, at)), [EOP, 0b101]);
+    bench.run(&mut flash, 8_000_000_000);
+    assert_eq!([SR, SR2].map(|at| bench.read(&mut flash, at)), [EOP, EOP]);
+    assert_eq!(sectors(&mut flash, &mut bench), [erased(), erased()].concat());
+    bench.assert_no_misuse();
+
+    let (mut flash, mut bench) = filled();
+    bench.write(&mut flash, CR, X64 | LOCK);
+    bench.write(&mut flash, OPTCR, MER);
+    assert!(bench.take_misuse()[0].contains("OPTCR.MER while CR1 or CR2 is locked"));
+    assert_eq!([SR, SR2].map(|at| bench.read(&mut flash, at)), [0, 0]);
+}
+
+/// Readout protection level 1 by two of its values.
+const LEVEL_1: u32 = OPTIONS & !0xFF00 | 0xBB00;
+const ALSO_LEVEL_1: u32 = OPTIONS & !0xFF00;
+
+#[test]
+fn readout_protection_closes_the_flash_once_a_debugger_is_connected_until_power_on() {
+    for options in [LEVEL_1, ALSO_LEVEL_1] {
+        let (mut flash, mut bench) = filled();
+        change_options(&mut flash, &mut bench, options);
+        bench.run(&mut flash, OPTION_NS);
+        flash.reset(&mut bench.context());
+        let all = [full(1), full(2)].concat();
+        assert_eq!(sectors(&mut flash, &mut bench), all, "nobody is there");
+        bench.assert_no_misuse();
+        flash.set_debugger(true);
+        assert!(flash.is_closed());
+        for address in [BANK_1, BANK_2_ADDRESS] {
+            assert_eq!(load(&mut flash, &mut bench, address), Err(LoadError::Protected));
+        }
+        assert_eq!([SR, SR2].map(|at| bench.read(&mut flash, at)), [RDPERR, RDPERR]);
+        assert!(bench.take_misuse()[0].contains("0x08000000 is read at readout protection level 1"));
+        flash.set_debugger(false);
+        flash.reset(&mut bench.context());
+        assert_eq!(load(&mut flash, &mut bench, BANK_1), Err(LoadError::Protected), "a reset does not open it");
+        flash.power_on();
+        flash.reset(&mut bench.context());
+        assert_eq!(sectors(&mut flash, &mut bench), all);
+    }
+}
+
+#[test]
+fn a_debugger_at_level_0_changes_nothing_until_the_level_does() {
+    let (mut flash, mut bench) = filled();
+    flash.set_debugger(true);
+    assert_eq!(sectors(&mut flash, &mut bench), [full(1), full(2)].concat());
+    change_options(&mut flash, &mut bench, LEVEL_1);
+    bench.run(&mut flash, OPTION_NS - 1);
+    assert!(!flash.is_closed());
+    bench.run(&mut flash, OPTION_NS);
+    assert!(flash.is_closed());
+}
+
+#[test]
+fn a_closed_flash_is_neither_programmed_nor_erased() {
+    let (mut flash, mut bench) = filled();
+    flash.set_options(LEVEL_1).unwrap();
+    flash.set_debugger(true);
+    bench.write(&mut flash, CR2, X64 | PG | WRPERR);
+    program(&mut flash, &mut bench, SECTOR + 32, 1);
+    assert_eq!(bench.read(&mut flash, SR2), WRPERR);
+    assert_eq!(bench.take_signals(), [Signal::Irq { number: IRQ, level: true }]);
+    bench.write(&mut flash, CR, X64 | ERASE_SECTOR_4);
+    assert_eq!(bench.read(&mut flash, SR), WRPERR);
+    bench.write(&mut flash, OPTCR, MER);
+    assert_eq!(flash.next_event_ns(), u64::MAX, "nothing is under way");
+    flash.set_debugger(false);
+    flash.power_on();
+    // The flag does not block (4.7.2).
+    bench.write(&mut flash, CR2, X64 | PG);
+    program(&mut flash, &mut bench, SECTOR + 32, 1);
+    bench.run(&mut flash, 100_000);
+    assert_eq!(load(&mut flash, &mut bench, SECTOR + 32), Ok(1));
+    assert_eq!(sectors(&mut flash, &mut bench), [full(1), full(2)].concat());
+}
+
+#[test]
+fn back_to_level_0_everything_is_erased_and_a_reset_on_the_way_leaves_level_1() {
+    const ALL_NS: u64 = 5_000_000_000 + OPTION_NS;
+    let (mut flash, mut bench) = filled();
+    flash.set_options(LEVEL_1).unwrap();
+    flash.set_debugger(true);
+    change_options(&mut flash, &mut bench, OPTIONS);
+    bench.run(&mut flash, ALL_NS - 1);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), LEVEL_1 | OPT_BUSY);
+    assert!(flash.is_closed() && !flash.take_backup_erase());
+    bench.run(&mut flash, ALL_NS);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS);
+    assert_eq!(sectors(&mut flash, &mut bench), [erased(), erased()].concat());
+    assert_eq!((flash.take_backup_erase(), flash.take_backup_erase()), (true, false), "told once");
+    bench.assert_no_misuse();
+
+    let (mut flash, mut bench) = filled();
+    flash.set_options(LEVEL_1).unwrap();
+    change_options(&mut flash, &mut bench, OPTIONS);
+    bench.run(&mut flash, ALL_NS - 1);
+    flash.reset(&mut bench.context());
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), LEVEL_1);
+    for address in [BANK_1, BANK_2_ADDRESS] {
+        assert_eq!(load(&mut flash, &mut bench, address), Err(LoadError::Ecc), "half erased");
+    }
+    assert!(!flash.take_backup_erase());
+}
+
+#[test]
+fn from_level_1_to_level_1_nothing_is_erased() {
+    let (mut flash, mut bench) = filled();
+    flash.set_options(LEVEL_1).unwrap();
+    change_options(&mut flash, &mut bench, ALSO_LEVEL_1);
+    bench.run(&mut flash, OPTION_NS);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), ALSO_LEVEL_1);
+    assert_eq!(sectors(&mut flash, &mut bench), [full(1), full(2)].concat());
+}
+
+#[test]
+fn registers_are_not_written_while_options_change_and_no_difference_is_no_change() {
+    let (mut flash, mut bench) = filled();
+    bench.write(&mut flash, OPTCR, OPTSTART);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS, "at once");
+    change_options(&mut flash, &mut bench, OPTIONS | SWAP);
+    bench.write(&mut flash, OPTSR_PRG, OPTIONS);
+    assert!(bench.take_misuse()[0].contains("while option bytes change"));
+    bench.run(&mut flash, OPTION_NS);
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS | SWAP);
+}
+
+#[test]
+fn what_is_not_modelled_of_the_flash_ends_the_run_with_its_name() {
+    let (mut flash, mut bench) = filled();
+    let cases = [
+        (OPTSR_PRG, OPTIONS ^ 1 << 22, "BOOT_CM4"),
+        (OPTSR_PRG, OPTIONS ^ 1 << 23, "BOOT_CM7"),
+        (OPTSR_PRG, OPTIONS ^ 1 << 21, "SECURITY"),
+        (OPTSR_PRG, OPTIONS ^ (1 << 20 | 1 << 21), "SECURITY, ST_RAM_SIZE"),
+        (OPTSR_PRG, OPTIONS ^ 1 << 16, "reserved bits"),
+        (OPTSR_PRG, OPTIONS & !0xFF00 | 0xCC00, "RDP level 2"),
+        (OPTCR, 1 << 30, "OPTCHANGEERRIE"),
+        (CR2, X64 | CRC_EN, "CRC unit"),
+        (0x2C, 0, "PCROP"),
+        (BANK_2 + 0x34, 0, "secure-only"),
+        (0x3C, 0, "write protection"),
+        (0x44, 0, "boot addresses of the Cortex-M7"),
+        (0x14C, 0, "boot addresses of the Cortex-M4"),
+        (0x50, 0, "CRC unit"),
+        (0x244, 0, "register at offset 0x244"),
+    ];
+    for (at, value, name) in cases {
+        let refused = bench.try_write(&mut flash, at, Size::Word, value).unwrap_err();
+        assert!(refused.what.contains(name), "{at:#x} {value:#x}: {}", refused.what);
+    }
+    assert!(flash.set_options(OPTIONS ^ 1 << 21).unwrap_err().what.contains("SECURITY"));
+    assert_eq!(bench.read(&mut flash, OPTSR_CUR), OPTIONS);
 }
