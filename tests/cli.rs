@@ -327,14 +327,14 @@ fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
     ]);
 }
 
-/// A motor that is held at 1.5 A with a rated current of 1.58 A: it becomes hot, and never trips.
+/// A motor that is held at 1.5 A with a rated current of 1.2 A: it is hot after 8.4 s, and would trip after 18.
 #[test]
 fn a_hot_winding_is_told_once() {
     let robot = edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0;
-    let robot = edited(&robot, "[actuator.winding]", "rated_a", "rated_a = 1.58").0;
+    let robot = edited(&robot, "[actuator.winding]", "rated_a", "rated_a = 1.2").0;
     let own = Own::new(&robot, &stuck());
-    let seen = r4(&["--board", &own.robot, "duty", "actuator1", "40%", "--for", "3"]);
-    assert_eq!((seen.code, seen.err.matches("warning: actuator1 winding 80 %").count()), (Some(0), 1), "{seen:?}");
+    let seen = r4(&["--board", &own.robot, "duty", "actuator1", "40%", "--for", "10"]);
+    assert_eq!((seen.code, seen.err.matches("warning: actuator1 winding 90 %").count()), (Some(0), 1), "{seen:?}");
     assert_eq!(seen.err.matches("winding").count(), 1, "{seen:?}");
     let cool = r4(&["duty", "actuator1", "40%", "--for", "1"]);
     assert!(!cool.err.contains("winding"), "{cool:?}");

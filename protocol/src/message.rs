@@ -639,7 +639,7 @@ pub struct Winding {
     ///
     /// [`Cause::Overload`]: crate::Cause::Overload
     pub heat_percent: u8,
-    /// The board's warning before that trip: it begins above 80 %, and ends below 75 %.
+    /// The board's warning before that trip: it begins above 90 %, and ends below 85 %.
     pub hot: bool,
 }
 

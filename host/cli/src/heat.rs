@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use r4_protocol::{ChannelId, HotWinding};
 
-/// A winding as people read it: `osmc0 winding 83 %`.
+/// A winding as people read it: `osmc0 winding 91 %`.
 pub(crate) fn words(hot: &HotWinding) -> String {
     format!("{} winding {} %", hot.channel, hot.heat_percent)
 }

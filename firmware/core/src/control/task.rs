@@ -26,7 +26,7 @@ use crate::{
     platform::{Bus, Peripherals},
     sensing::{analog::Supply, storm::IllegalRate},
     shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
-    storage::faults::{Recorder, SNAPSHOT_MS},
+    storage::faults::SNAPSHOT_MS,
 };
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
@@ -131,8 +131,7 @@ struct Control<B, P> {
     braked: Option<u16>,
     bad_configuration: bool,
     sensors: Causes,
-    /// The last moments, how many trips have been made of them, and when one was seen that is still to be made.
-    recorder: Recorder,
+    /// How many trips have been seen, and when one was that is still to be handed over.
     trips: u32,
     tripped_us: Option<u64>,
     /// Periods between two moments.
@@ -170,7 +169,6 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             safe: false,
             braked: None,
             sensors: Causes::NONE,
-            recorder: Recorder::default(),
             trips: 0,
             tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
@@ -200,19 +198,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
     fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let now_us = Instant::now().as_micros();
-        // Not in the period that made the outputs safe, and only a part in each that follows.
-        if let Some(tripped_us) = self.tripped_us.take_if(|_| !self.recorder.is_frozen()) {
-            self.recorder.freeze(tripped_us, shared.trip_causes());
-        }
-        if let Some(trip) = self.recorder.copy_on() {
-            shared.storage.record(trip);
+        // In the period after: by then there are the causes that came with the first.
+        if let Some(tripped_us) = self.tripped_us.take() {
+            shared.storage.trip(tripped_us, shared.trip_causes());
         }
         if self.tick.is_multiple_of(self.moment_every) {
             let motors = self.motors.iter().map(|motor| {
                 let MotorStatus { position, speed, duty, .. } = motor.status();
                 MotorSnapshot { position, speed, duty }
             });
-            self.recorder.note(now_us, motors, self.inputs.supplies_v());
+            shared.storage.note(now_us, motors, self.inputs.supplies_v());
         }
         let trips = shared.trips();
         if trips != self.trips {

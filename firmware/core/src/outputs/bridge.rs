@@ -130,10 +130,10 @@ impl Bridge {
         }
     }
 
-    /// The write of this plan has been sent, just now; until then the bridge does what it did before.
-    pub fn sent(&mut self, planned: Planned) {
+    /// The write of this plan was sent at `pwm_since`, or before; until then the bridge does what it did before.
+    pub fn sent(&mut self, planned: Planned, pwm_since: Instant) {
         let Planned { direction, pwm, applied } = planned;
-        self.state = State::On { direction, pwm, pwm_since: Instant::now() };
+        self.state = State::On { direction, pwm, pwm_since };
         self.applied = applied;
     }
 

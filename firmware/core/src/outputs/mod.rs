@@ -8,6 +8,7 @@ mod slew;
 
 use core::task::Context;
 
+use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::config::{BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig};
 
@@ -183,6 +184,8 @@ pub struct Outputs<B> {
     /// What is to be written in this period, and has not been.
     queue: Queue,
     period_s: f32,
+    /// Nine bits on the bus, rounded down.
+    byte_time: Duration,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
     bits_left: u32,
@@ -207,7 +210,7 @@ impl<B: Bus> Outputs<B> {
             let before = config.motors.iter().take(index).filter(same_chip).count();
             let phase = (PHASES * before / count) as u16;
             // A change takes effect at the end of the running PWM period; a whole one must then pass with the bridge at rest.
-            let reversal = chip.map_or(embassy_time::Duration::MIN, |chip| 2 * chip.period());
+            let reversal = chip.map_or(Duration::MIN, |chip| 2 * chip.period());
             Bridge::new(motor.bridge, motor.inverted, phase, reversal)
         });
         let expander = config.expander.filter(|_| valid);
@@ -227,6 +230,7 @@ impl<B: Bus> Outputs<B> {
             servos,
             servos_due: 0,
             queue: Queue::default(),
+            byte_time: Duration::from_micros((9e6 / config.i2c_hz as f32) as u64),
             period_s,
             bits_per_tick,
             bits_left: bits_per_tick,
@@ -383,12 +387,16 @@ impl<B: Bus> Outputs<B> {
     pub async fn flush(&mut self, stops: impl FnMut(&mut Context<'_>) -> bool) -> Result<bool, OutputFault> {
         let (sent, result) = self.bus.send(&self.queue.writes, stops).await;
         let complete = sent == self.queue.writes.len();
-        for change in self.queue.changes.iter().take(sent) {
+        // Each ended before those behind it took the bus: at least nine bits for each byte.
+        let mut ended = Instant::now();
+        for (write, change) in self.queue.writes.iter().zip(&self.queue.changes).take(sent).rev() {
             match *change {
-                Change::Bridge(index, planned) => self.bridges[index].sent(planned),
+                Change::Bridge(index, planned) => self.bridges[index].sent(planned, ended),
                 Change::Drives(codes) => self.drives.iter_mut().for_each(|drives| drives.written = Some(codes)),
                 Change::Servo(pulse) => self.servos.iter_mut().for_each(|servos| servos.sent(pulse)),
             }
+            let took = self.byte_time * (1 + write.bytes().len() as u32);
+            ended = ended.checked_sub(took).unwrap_or(ended);
         }
         self.forget_queue();
         result.map(|()| complete)

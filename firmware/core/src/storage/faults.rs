@@ -1,6 +1,7 @@
 //! The history of trips, each with what the board looked like before it.
 //!
-//! [`Recorder`] is a ring in memory that the control loop feeds; a trip freezes it. In flash a trip is one item:
+//! [`Recorder`] is a ring in memory that the control loop feeds; a trip freezes it, until the task that owns the flash has copied
+//! it. In flash a trip is one item:
 //!
 //! ```text
 //! layout: u8 | FaultInfo | FaultSnapshot, oldest first | FaultSnapshot ...
@@ -45,14 +46,12 @@ pub struct Trip {
     pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
 }
 
-/// Snapshots copied at once: all of them took more than a control period's whole share of the processor.
-const COPIED_AT_ONCE: usize = 2;
-
-/// The last moments, in memory, and a trip that is being made of them. Takes 5.4 KiB.
+/// The last moments, in memory. Takes 2.7 KiB.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     moments: Deque<Moment, SNAPSHOTS>,
-    trip: Option<Trip>,
+    /// Trips that are still to be made of them.
+    frozen: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -63,15 +62,21 @@ struct Moment {
 }
 
 impl Recorder {
+    /// Nothing noted yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { moments: Deque::new(), frozen: 0 }
+    }
+
     /// Notes what the board looks like now; to be called every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] goes. Nothing is noted
-    /// while a trip is being made.
+    /// while it is frozen.
     pub fn note(
         &mut self,
         device_us: u64,
         motors: impl IntoIterator<Item = MotorSnapshot>,
         supplies_v: impl IntoIterator<Item = f32>,
     ) {
-        if self.trip.is_some() {
+        if self.frozen > 0 {
             return;
         }
         if self.moments.is_full() {
@@ -84,27 +89,22 @@ impl Recorder {
         let _ = self.moments.push_back(Moment { device_us, snapshot });
     }
 
-    /// What was noted becomes a trip at `device_us`, unless one is being made. [`Recorder::copy_on`] makes it.
-    pub fn freeze(&mut self, device_us: u64, causes: Causes) {
-        let _ = self.trip.get_or_insert(Trip { device_us, causes, snapshots: Vec::new() });
+    /// Keeps what was noted, for a trip.
+    pub fn freeze(&mut self) {
+        self.frozen += 1;
     }
 
-    /// Whether a trip is being made.
+    /// The trip has been made, or is not going to be.
+    pub fn thaw(&mut self) {
+        self.frozen = self.frozen.saturating_sub(1);
+    }
+
+    /// Moment `index`, 0 being the oldest, as seen from a trip at `device_us`.
     #[must_use]
-    pub const fn is_frozen(&self) -> bool {
-        self.trip.is_some()
-    }
-
-    /// A part of the trip that is being made; the trip, once it has all.
-    pub fn copy_on(&mut self) -> Option<Trip> {
-        let trip = self.trip.as_mut()?;
-        let left = self.moments.iter().skip(trip.snapshots.len());
-        for moment in left.take(COPIED_AT_ONCE) {
-            let before_ms = trip.device_us.saturating_sub(moment.device_us) / 1000;
-            let before_ms = u16::try_from(before_ms).unwrap_or(u16::MAX);
-            let _ = trip.snapshots.push(FaultSnapshot { before_ms, ..moment.snapshot.clone() });
-        }
-        self.trip.take_if(|trip| trip.snapshots.len() == self.moments.len())
+    pub fn snapshot(&self, index: usize, device_us: u64) -> Option<FaultSnapshot> {
+        let moment = self.moments.get(index)?;
+        let before_ms = device_us.saturating_sub(moment.device_us) / 1000;
+        Some(FaultSnapshot { before_ms: u16::try_from(before_ms).unwrap_or(u16::MAX), ..moment.snapshot.clone() })
     }
 }
 
@@ -265,27 +265,29 @@ mod tests {
             let motor = MotorSnapshot { position: step, speed: 0.5, duty: -0.25 };
             recorder.note(step as u64 * step_us, [motor], [24.0, 5.0]);
         }
-        recorder.freeze(24 * step_us + 3_000, Causes::only(Cause::Stalled));
+        recorder.freeze();
         // Later ones are of another trip.
         recorder.note(25 * step_us, [], []);
-        let parts = core::iter::from_fn(|| recorder.is_frozen().then(|| recorder.copy_on()));
-        let trip = parts.flatten().next().expect("it is made at last");
-        assert_eq!(trip.snapshots.len(), SNAPSHOTS);
-        for (snapshot, step) in trip.snapshots.iter().zip(5..) {
+        let tripped_us = 24 * step_us + 3_000;
+        assert_eq!(recorder.snapshot(SNAPSHOTS, tripped_us), None);
+        for (index, step) in (0..SNAPSHOTS).zip(5..) {
+            let snapshot = recorder.snapshot(index, tripped_us).expect("noted");
             assert_eq!(snapshot.motors[0].position, step);
             assert_eq!(i32::from(snapshot.before_ms), (24 - step) * i32::from(SNAPSHOT_MS) + 3);
             assert_eq!(snapshot.supplies_v, [24.0, 5.0]);
         }
+        recorder.thaw();
+        recorder.note(26 * step_us, [], []);
+        assert!(recorder.snapshot(SNAPSHOTS - 1, tripped_us).is_some_and(|newest| newest.motors.is_empty()));
     }
 
     #[test]
     fn more_motors_than_there_can_be_are_left_out() {
         let mut recorder = Recorder::default();
         recorder.note(0, [MotorSnapshot::default(); MAX_MOTORS + 1], [0.0; MAX_SUPPLIES + 1]);
-        recorder.freeze(u64::MAX, Causes::NONE);
-        let trip = recorder.copy_on().expect("of one moment");
-        assert_eq!((trip.snapshots[0].motors.len(), trip.snapshots[0].supplies_v.len()), (MAX_MOTORS, MAX_SUPPLIES));
-        assert_eq!(trip.snapshots[0].before_ms, u16::MAX);
+        let snapshot = recorder.snapshot(0, u64::MAX).expect("noted");
+        assert_eq!((snapshot.motors.len(), snapshot.supplies_v.len()), (MAX_MOTORS, MAX_SUPPLIES));
+        assert_eq!(snapshot.before_ms, u16::MAX);
     }
 
     #[test]

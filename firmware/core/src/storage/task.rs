@@ -1,15 +1,24 @@
 //! The task that owns the flash, and how other tasks ask it.
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::{
+    cell::RefCell,
+    sync::atomic::{AtomicU32, Ordering},
+};
 
 use embassy_futures::select::{Either, select};
-use embassy_sync::{blocking_mutex::raw::RawMutex, channel::Channel, mutex::Mutex, signal::Signal};
+use embassy_sync::{
+    blocking_mutex::{Mutex as Locked, raw::RawMutex},
+    channel::Channel,
+    mutex::Mutex,
+    signal::Signal,
+};
 use embassy_time::{Duration, with_timeout};
 use embedded_storage_async::nor_flash::NorFlash;
-use r4_protocol::{FaultInfo, FaultSnapshot, Refusal};
+use heapless::Vec;
+use r4_protocol::{Causes, FaultInfo, FaultSnapshot, MotorSnapshot, Refusal};
 
 use super::{
-    faults::{History, Trip},
+    faults::{History, Recorder, Trip},
     parameters::{self, Changes},
 };
 
@@ -53,13 +62,15 @@ pub enum Done {
     Snapshot(FaultSnapshot),
 }
 
-/// What the task that owns the flash shares with the others. Takes 7.2 KiB.
+/// What the task that owns the flash shares with the others. Takes 4.5 KiB.
 pub struct Storage<M: RawMutex> {
     /// Whose job is under way, and what number the next one has: answers that nobody waits for any more have an older one.
     turn: Mutex<M, u32>,
     job: Signal<M, (u32, Job)>,
     done: Signal<M, (u32, Result<Done, Refusal>)>,
-    trips: Channel<M, Trip, WAITING>,
+    moments: Locked<M, RefCell<Recorder>>,
+    /// When, and why, of those that are to be made of the moments.
+    trips: Channel<M, (u64, Causes), WAITING>,
     lost: AtomicU32,
 }
 
@@ -71,6 +82,7 @@ impl<M: RawMutex> Storage<M> {
             turn: Mutex::new(0),
             job: Signal::new(),
             done: Signal::new(),
+            moments: Locked::new(RefCell::new(Recorder::new())),
             trips: Channel::new(),
             lost: AtomicU32::new(0),
         }
@@ -96,11 +108,41 @@ impl<M: RawMutex> Storage<M> {
         with_timeout(PATIENCE, work).await.unwrap_or(Err(Refusal::StorageFailed))
     }
 
-    /// Hands over a trip to be written; never waits. One that finds no room is counted and lost.
-    pub fn record(&self, trip: Trip) {
-        if self.trips.try_send(trip).is_err() {
+    /// Notes what the board looks like: see [`Recorder::note`].
+    pub fn note(
+        &self,
+        device_us: u64,
+        motors: impl IntoIterator<Item = MotorSnapshot>,
+        supplies_v: impl IntoIterator<Item = f32>,
+    ) {
+        self.with_moments(|moments| moments.note(device_us, motors, supplies_v));
+    }
+
+    /// Has a trip at `device_us` written, with the moments before it; never waits. One that finds no room is counted and lost.
+    pub fn trip(&self, device_us: u64, causes: Causes) {
+        // [`run`] copies the moments: all of them at once take more than a control period's share of the processor.
+        self.with_moments(Recorder::freeze);
+        if self.trips.try_send((device_us, causes)).is_err() {
+            self.with_moments(Recorder::thaw);
             self.count_lost();
         }
+    }
+
+    fn with_moments<T>(&self, f: impl FnOnce(&mut Recorder) -> T) -> T {
+        self.moments.lock(|moments| f(&mut moments.borrow_mut()))
+    }
+
+    /// The trip, with the moments that were frozen for it, one at a time; they are free again.
+    fn made(&self, device_us: u64, causes: Causes) -> Trip {
+        let snapshot = |index| self.with_moments(|moments| moments.snapshot(index, device_us));
+        let mut trip = Trip { device_us, causes, snapshots: Vec::new() };
+        while let Some(snapshot) = snapshot(trip.snapshots.len()) {
+            if trip.snapshots.push(snapshot).is_err() {
+                break;
+            }
+        }
+        self.with_moments(Recorder::thaw);
+        trip
     }
 
     /// Trips since the start of the board that could not be written.
@@ -126,7 +168,8 @@ pub async fn run<M: RawMutex, F: NorFlash>(storage: &Storage<M>, mut flash: F, b
     let mut history = History::open(&mut flash).await;
     loop {
         match select(storage.trips.receive(), storage.job.wait()).await {
-            Either::First(trip) => {
+            Either::First((device_us, causes)) => {
+                let trip = storage.made(device_us, causes);
                 if history.record(&mut flash, &trip).await.is_err() {
                     storage.count_lost();
                 }

@@ -19,7 +19,7 @@ use r4_firmware::storage::{
     run,
 };
 use r4_protocol::{
-    Cause, Causes, ChannelId, ChannelKind, MotorSnapshot, Parameter, ParameterKey, Range, Refusal,
+    Cause, Causes, ChannelId, ChannelKind, FaultSnapshot, MotorSnapshot, Parameter, ParameterKey, Range, Refusal,
     config::{BoardConfig, CanConfig, MAX_MOTORS, MAX_SUPPLIES, SupplyConfig},
 };
 use r4_sim::{
@@ -287,8 +287,19 @@ fn trip(number: u32, motors: usize, snapshots: usize) -> Trip {
         let at_us = end_us - before * u64::from(SNAPSHOT_MS) * 1000;
         recorder.note(at_us, vec![motor; motors], vec![number as f32; motors.min(MAX_SUPPLIES)]);
     }
-    recorder.freeze(end_us, Causes::only(Cause::ALL[number as usize % Cause::ALL.len()]));
-    std::iter::from_fn(|| Some(recorder.copy_on())).flatten().next().expect("it is made at last")
+    Trip {
+        device_us: end_us,
+        causes: Causes::only(Cause::ALL[number as usize % Cause::ALL.len()]),
+        snapshots: (0..snapshots).map(|index| recorder.snapshot(index, end_us).expect("noted")).collect(),
+    }
+}
+
+/// As the control loop does.
+fn hand_over(storage: &Storage<NoopRawMutex>, trip: &Trip) {
+    for FaultSnapshot { before_ms, motors, supplies_v } in trip.snapshots.clone() {
+        storage.note(trip.device_us - u64::from(before_ms) * 1000, motors, supplies_v);
+    }
+    storage.trip(trip.device_us, trip.causes);
 }
 
 fn large(number: u32) -> Trip {
@@ -542,8 +553,9 @@ fn the_task_does_what_it_is_asked() {
         assert_eq!(storage.request(Job::Save(changes(1))).await, Ok(Done::Saved));
         // A new flash is erased first: 1 s. Then the seal, a mark, a header and two words of item: 0.1 ms each.
         assert_eq!(clock.now_ns(), 1_000_000_000 + 5 * 100_000);
-        storage.record(small(1));
-        storage.record(small(2));
+        hand_over(&storage, &small(1));
+        // Of the same moments: the first has not been made of them yet.
+        hand_over(&storage, &small(2));
         let Ok(Done::Fault(info)) = storage.request(Job::Fault { index: 0 }).await else { panic!("no trip") };
         assert_eq!((info.number, info.device_us, info.snapshots), (2, 2_000_000, 1));
         let snapshot = storage.request(Job::Snapshot { index: 1, snapshot: 0 }).await;
@@ -557,7 +569,7 @@ fn the_task_does_what_it_is_asked() {
 fn trips_that_find_no_room_are_counted() {
     with_task(async |storage, clock| {
         // Nothing is written while this test keeps its turn; two can wait.
-        (1..=5).for_each(|number| storage.record(small(number)));
+        (1..=5).for_each(|number| hand_over(&storage, &small(number)));
         assert_eq!(storage.lost(), 3);
         clock.sleep(3_000_000_000).await;
         let Ok(Done::Fault(info)) = storage.request(Job::Fault { index: 0 }).await else { panic!("no trip") };

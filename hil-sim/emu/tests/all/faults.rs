@@ -243,8 +243,8 @@ fn can_off_the_bus_comes_back() {
         assert!(!is_bus_off(&emu.emulated));
         emu.emulated.machine().chip.inject_can_bus_off(2);
         assert!(is_bus_off(&emu.emulated));
-        // 129 times 11 recessive bits of 1 us, and up to a look of the firmware.
-        emu.sleep_ms(10).await;
+        // The 50 ms that the firmware waits, 129 times 11 recessive bits of 1 us, and up to a look of the firmware.
+        emu.sleep_ms(60).await;
         assert!(!is_bus_off(&emu.emulated), "it stays off");
         assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE));
         assert!(emu.device().duty(ROTARY) > 0.5);

@@ -124,7 +124,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
         output::line(format_args!("  tripped by: {cause}"))?;
     }
     let Control { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share } = report.control;
-    output::line(format_args!("  {ticks} control periods, {late_ticks} late, the longest {worst_tick_us} us"))?;
+    if late_ticks != 0 {
+        output::line(format_args!(
+            "  {late_ticks} of {ticks} control periods were late, the longest took {worst_tick_us} us"
+        ))?;
+    }
     if worst_tick_cycles != 0 {
         output::line(format_args!(
             "  control took {worst_tick_cycles} cycles of the processor at most; {ticks_over_share} periods more than {:.0} %",
