@@ -230,7 +230,7 @@ impl<B: Bus> Outputs<B> {
             servos,
             servos_due: 0,
             queue: Queue::default(),
-            byte_time: Duration::from_micros((9e6 / config.i2c_hz as f32) as u64),
+            byte_time: Duration::from_micros(9_000_000_u32.checked_div(config.i2c_hz).unwrap_or(0).into()),
             period_s,
             bits_per_tick,
             bits_left: bits_per_tick,

@@ -85,5 +85,7 @@ fn heat_outlives_the_watchdog_a_panic_and_a_restart() {
         }
         assert!((2..=5).contains(&(after - cooled)), "1 s of 30 s are 3.3 %: {after} % to {cooled} %");
     });
-    assert_eq!(misuse, Vec::<String>::new());
+    // A processor that ends in the middle of a read leaves it so; the next start frees the bus before it does anything else.
+    let others: Vec<_> = misuse.into_iter().filter(|what| !what.contains("read of no bytes")).collect();
+    assert_eq!(others, Vec::<String>::new());
 }
