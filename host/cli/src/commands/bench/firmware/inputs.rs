@@ -227,7 +227,7 @@ impl<'b> Tormentor<'b> {
 
     /// Transfers on the connectors.
     async fn raw(&self, until_ns: u64) -> anyhow::Result<()> {
-        for step in 0_u8.. {
+        for step in (0..=u8::MAX).cycle() {
             if self.clock.now_ns() >= until_ns {
                 break;
             }
