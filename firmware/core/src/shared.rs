@@ -229,7 +229,7 @@ struct State {
     next_session: u16,
     /// With the arming they were given in.
     commands: [Option<(u16, Setpoint)>; OUTPUTS],
-    /// Which of these have not been looked at.
+    /// Which of these there are.
     commanded: Commanded,
     /// Newest set point that each output was given in this arming.
     given: [Option<Given>; OUTPUTS],
@@ -496,15 +496,19 @@ impl<M: RawMutex> Shared<M> {
         self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
     }
 
-    /// Which outputs have a command now, of this arming or one before. What is given from here on is seen the next time.
+    /// Which outputs have a command now, of whichever arming. What is given from here on is seen the next time.
     pub(crate) fn commanded(&self) -> Commanded {
         self.with(|s| s.commanded)
     }
 
     fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
         let taken = self.with(|s| {
-            s.commanded.0 &= !(1 << slot);
-            s.commands[slot].take_if(|(given, _)| *given == epoch)
+            let taken = s.commands[slot].take_if(|(given, _)| *given == epoch);
+            // One of a later arming than the caller's is still to be taken.
+            if s.commands[slot].is_none() {
+                s.commanded.0 &= !(1 << slot);
+            }
+            taken
         });
         taken.map(|(_, setpoint)| setpoint)
     }

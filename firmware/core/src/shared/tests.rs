@@ -112,8 +112,10 @@ fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
     // Of a later arming: it stays for the period that knows of it.
     assert_eq!(board.take_command(MOTOR, epoch.wrapping_sub(1)), None);
     assert_eq!(board.take_command(Place::Motor(1), epoch), None);
+    assert!(board.commanded().has(MOTOR) && !board.commanded().has(Place::Motor(1)));
     assert_eq!(board.take_command(MOTOR, epoch), Some(DUTY));
     assert_eq!(board.take_command(MOTOR, epoch), None);
+    assert!(!board.commanded().has(MOTOR));
     assert_eq!(board.command(MOTOR, DUTY, 0), Ok(()));
     board.trip(Cause::HostStop);
     assert_eq!(board.command(MOTOR, DUTY, 0), Err(Refusal::NotArmed { state: SafetyState::Tripped }));
