@@ -121,6 +121,7 @@ fn what_is_not_there_is_named() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "emu"), ignore = "logs of emulated boards are read by programs built with --features emu")]
 fn a_simulated_board_has_no_log() {
     let served = Served::new("osmc-bench", "--pty");
     for board in [&served.board, "sim:osmc-bench"] {
