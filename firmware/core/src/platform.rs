@@ -38,10 +38,10 @@ impl Write {
         &self.bytes[..usize::from(self.length)]
     }
 
-    /// Sends it, and nothing else.
+    /// Sends it in one transfer.
     ///
     /// # Errors
-    /// The bus's.
+    /// A failed transfer, as the bus tells it.
     pub async fn send<B: I2c + ?Sized>(&self, bus: &mut B) -> Result<(), B::Error> {
         bus.write(self.address, self.bytes()).await
     }

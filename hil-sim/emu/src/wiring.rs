@@ -22,7 +22,7 @@ use crate::roles::{Role, Roles};
 /// The converter's reference, which the chip's pins must not exceed, V.
 const REFERENCE_V: f64 = 3.3;
 
-/// Frames on the CAN bus that are kept for whoever asks.
+/// Frames of the CAN bus that are kept until they are taken.
 const CAN_FRAMES: usize = 1024;
 
 /// A line that someone outside drives, and the level the chip was told last.
@@ -111,7 +111,6 @@ impl Wiring {
         &self.uarts
     }
 
-    /// Frames that the chip has sent with a standard identifier.
     /// The frames that the board has sent on the CAN connector since this was last asked, as far as they are kept.
     pub(crate) fn take_can_frames(&mut self) -> Vec<CanFrame> {
         self.can_frames.drain(..).collect()
@@ -122,6 +121,7 @@ impl Wiring {
         self.can_outcome = outcome;
     }
 
+    /// Frames that the chip has sent with a standard identifier.
     pub(crate) fn can_sent(&self, identifier: u16) -> u64 {
         self.can_sent.get(&identifier.into()).copied().unwrap_or(0)
     }

@@ -69,13 +69,13 @@ impl Bldcs {
             drive.command = Command::Brake;
             drive.brake();
         }
-        self.asked()
+        self.renew()
     }
 
     /// One step of `period_s`, s, towards the commands.
     pub fn step(&mut self, period_s: f32) -> Wanted {
         self.drives.iter_mut().for_each(|drive| drive.step(period_s));
-        self.asked()
+        self.renew()
     }
 
     /// What the last step or safe state asked for.
@@ -84,7 +84,8 @@ impl Bldcs {
         self.wanted
     }
 
-    fn asked(&mut self) -> Wanted {
+    /// Computes [`Bldcs::wanted`] anew.
+    fn renew(&mut self) -> Wanted {
         self.wanted = wanted(&self.drives);
         self.wanted
     }
@@ -97,7 +98,7 @@ impl Bldcs {
             }
             drive.at_neutral_us = 0;
         }
-        self.asked();
+        self.renew();
     }
 
     /// Share of full speed that drive number `index` is now told, -1..=1.

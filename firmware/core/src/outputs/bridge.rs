@@ -51,7 +51,7 @@ enum Step {
     SetAll { direction: Direction, pwm: Output },
 }
 
-/// What [`Bridge::plan`] found.
+/// How a bridge comes to a duty: the answer of [`Bridge::plan`].
 #[derive(Clone, Copy, Debug)]
 pub enum Plan {
     /// The lines are as they should be, and give this duty.

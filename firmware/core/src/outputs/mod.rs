@@ -73,11 +73,11 @@ impl Drives {
 /// What one write of the queue changes, once it has been sent.
 #[derive(Clone, Copy, Debug)]
 enum Change {
-    /// Bridge of this index.
+    /// The lines of the bridge with this index.
     Bridge(usize, Planned),
-    /// The voltages of the brushless drives.
+    /// The codes of the brushless drives' voltages.
     Drives([u16; DAC_OUTPUTS]),
-    /// One servo.
+    /// The pulse of one servo.
     Servo(Pulse),
 }
 
@@ -85,12 +85,12 @@ enum Change {
 #[derive(Debug, Default)]
 struct Queue {
     writes: Vec<Write, QUEUE>,
-    /// Of each write.
+    /// What each of the writes changes.
     changes: Vec<Change, QUEUE>,
 }
 
 impl Queue {
-    /// The caller has asked [`Queue::has_room`].
+    /// Adds a write; the caller has asked [`Queue::has_room`].
     fn push(&mut self, write: Write, change: Change) {
         if self.writes.push(write).is_ok() {
             let _ = self.changes.push(change);

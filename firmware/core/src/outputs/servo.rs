@@ -56,7 +56,7 @@ pub struct Pulse {
     /// The servo's number in the configuration.
     index: usize,
     output: Output,
-    /// rad
+    /// The angle that it stands for, rad; `None` where the pulses end.
     angle: Option<f32>,
 }
 
