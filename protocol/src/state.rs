@@ -216,7 +216,17 @@ impl Causes {
 
     /// The causes this version knows, in bit order.
     pub fn iter(self) -> impl Iterator<Item = Cause> {
-        Cause::ALL.into_iter().filter(move |cause| self.contains(*cause))
+        let mut left = self.0;
+        core::iter::from_fn(move || {
+            while left != 0 {
+                let bit = left.trailing_zeros();
+                left &= left - 1;
+                if let Some(cause) = Cause::ALL.get(bit as usize) {
+                    return Some(*cause);
+                }
+            }
+            None
+        })
     }
 }
 

@@ -48,7 +48,7 @@ use crate::{
     executors::{self, Executors},
     flash::Bank2,
     guard, hold,
-    i2c::{self, Bounce, Bus, Chain, Timing, Wiring},
+    i2c::{self, BoardBus, Bounce, Bus, Timing, Wiring},
     image,
     links::{Receiver, Sender, can as can_link, uart, usb as usb_link},
     log,
@@ -121,17 +121,14 @@ bind_interrupts!(struct Irqs {
     TIM2 => steppers::OnClock;
     I2C1_EV => EventInterruptHandler<stm32::I2C1>;
     I2C1_ER => ErrorInterruptHandler<stm32::I2C1>;
-    I2C2_EV => i2c::Next, EventInterruptHandler<stm32::I2C2>, i2c::Rearm;
-    I2C2_ER => i2c::Next, ErrorInterruptHandler<stm32::I2C2>, i2c::Rearm;
+    I2C2_EV => i2c::OnBoard;
+    I2C2_ER => i2c::OnBoard;
     I2C4_EV => EventInterruptHandler<stm32::I2C4>;
     I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
     // embassy's first: uart::OnLine puts right what it does to the receiver.
     USART1 => usart::InterruptHandler<stm32::USART1>, uart::OnLine;
     USART2 => usart::InterruptHandler<stm32::USART2>, uart::OnLine;
     UART4 => usart::InterruptHandler<stm32::UART4>, uart::OnLine;
-    // What is sent to the board's chips. In this order: the second sees what the first leaves.
-    DMA1_STREAM0 => i2c::Sent, dma::InterruptHandler<stm32::DMA1_CH0>;
-    DMA1_STREAM1 => dma::InterruptHandler<stm32::DMA1_CH1>;
     DMA1_STREAM2 => dma::InterruptHandler<stm32::DMA1_CH2>;
     DMA1_STREAM3 => dma::InterruptHandler<stm32::DMA1_CH3>;
     DMA1_STREAM4 => dma::InterruptHandler<stm32::DMA1_CH4>;
@@ -371,16 +368,14 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     // Low for good: what is written to the DAC takes effect at once.
     core::mem::forget(Output::new(pin!(p, dac_ldac_n), Level::Low, Speed::Low));
 
-    let board_bus = Bus::new(
-        I2c::new(
+    let board_bus = BoardBus::new(
+        I2c::new_blocking(
             p.I2C2,
             pin!(p, i2c_board_scl as I2C2_SCL),
             pin!(p, i2c_board_sda as I2C2_SDA),
-            p.DMA1_CH0,
-            p.DMA1_CH1,
-            Irqs,
             Timing::FAST.config(false),
         ),
+        p.DMA1_CH0,
         Wiring {
             registers: pac::I2C2,
             reset: rcc::enable_and_reset::<stm32::I2C2>,
@@ -388,9 +383,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
             sda: pins::I2C_BOARD_SDA,
             timing: Timing::FAST,
         },
-        None,
-    )
-    .with_chain(Chain::new());
+    );
     let connector_a = Bus::new(
         I2c::new(
             p.I2C1,
@@ -557,7 +550,7 @@ async fn safety_task(shared: &'static Board, pins: SafetyPins<Line, Drive>) -> !
 }
 
 #[embassy_executor::task]
-async fn control_task(shared: &'static Board, io: BoardIo<Bus, Processor>) -> ! {
+async fn control_task(shared: &'static Board, io: BoardIo<BoardBus, Processor>) -> ! {
     control::run(shared, io).await
 }
 

@@ -7,7 +7,7 @@
 //! in cycles for each, and needs no interrupt, no DMA and no timer.
 //!
 //! The bus is clocked by HSI, which the I2C controllers can take directly, so that its timing is the same before the clock tree is
-//! set up and after. It must not be used beside [`crate::i2c::Bus`].
+//! set up and after. It must not be used beside [`crate::i2c::BoardBus`].
 
 use embassy_futures::block_on;
 use embassy_stm32::pac::{
@@ -219,7 +219,7 @@ impl Polled {
 
     fn transfer(&self, address: u8, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         if usize::from(u8::MAX) < write.len().max(read.len()) {
-            return Err(BusError::TooLong);
+            return Err(BusError::BadLength);
         }
         let result = self.carry_out(address, write, read);
         if result.is_err() {
@@ -252,7 +252,7 @@ impl I2c for Polled {
             [Operation::Read(read)] => self.transfer(address, &[], read),
             [Operation::Write(write), Operation::Read(read)] => self.transfer(address, write, read),
             // Nothing in the firmware asks for other shapes.
-            _ => Err(BusError::TooLong),
+            _ => Err(BusError::BadLength),
         }
     }
 }

@@ -11,29 +11,28 @@
 //! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] has them from the formulas of
 //!   RM0399, 50.4.5 and 50.4.9.
 
-mod chain;
+mod board;
 
 use core::{
     future::{Future, poll_fn},
     pin::pin,
-    task::{Context, Poll},
+    task::Poll,
 };
 
 use embassy_futures::select::{Either, select};
 use embassy_stm32::{
     i2c::{Config, Error, I2c, Master},
-    interrupt::typelevel,
     mode::Async,
-    pac::{self, gpio::vals::Moder, i2c::I2c as Registers},
+    pac::{gpio::vals::Moder, i2c::I2c as Registers},
     time::Hertz,
 };
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::i2c::{Error as I2cError, ErrorKind, ErrorType, I2c as I2cBus, NoAcknowledgeSource, Operation};
-use r4_firmware::platform::{self, Write, write_each};
+use r4_firmware::platform;
 use r4_protocol::message::MAX_RAW;
 
 use crate::pins::Place;
-pub(crate) use chain::{Chain, Next, Rearm};
+pub(crate) use board::{BoardBus, OnBoard};
 
 /// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
 const HALF_CLOCK: Duration = Duration::from_micros(5);
@@ -126,6 +125,28 @@ impl Wiring {
         self.registers.cr1().modify(|w| w.set_pe(true));
     }
 
+    /// Clocks until no chip holds a line, and ends that with a stop.
+    async fn free(&self) {
+        let lines = ByHand::take(*self);
+        let Wiring { scl, sda, .. } = *self;
+        for _ in 0..CLOCKS {
+            scl.set(false);
+            Timer::after(HALF_CLOCK).await;
+            scl.set(true);
+            Timer::after(HALF_CLOCK).await;
+        }
+        // A stop: data rises while the clock is high.
+        scl.set(false);
+        Timer::after(HALF_CLOCK).await;
+        sda.set(false);
+        Timer::after(HALF_CLOCK).await;
+        scl.set(true);
+        Timer::after(HALF_CLOCK).await;
+        sda.set(true);
+        Timer::after(HALF_CLOCK).await;
+        drop(lines);
+    }
+
     /// Waits for the end of a stop. It is microseconds away, or past, or the line is held.
     fn is_free(&self) -> bool {
         let mut until = None;
@@ -212,15 +233,15 @@ pub(crate) enum BusError {
     Arbitration,
     /// The controller was not served in time.
     Overrun,
-    /// More than the connector's buffer takes.
-    TooLong,
+    /// More bytes than there is room for, or none.
+    BadLength,
 }
 
 impl I2cError for BusError {
     fn kind(&self) -> ErrorKind {
         match self {
             Self::NoAcknowledge => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
-            Self::Held | Self::TooLong => ErrorKind::Other,
+            Self::Held | Self::BadLength => ErrorKind::Other,
             Self::Bus => ErrorKind::Bus,
             Self::Arbitration => ErrorKind::ArbitrationLoss,
             Self::Overrun => ErrorKind::Overrun,
@@ -236,7 +257,7 @@ impl From<Error> for BusError {
             Error::Arbitration => Self::Arbitration,
             Error::Overrun => Self::Overrun,
             Error::Bus | Error::Crc => Self::Bus,
-            Error::ZeroLengthTransfer => Self::TooLong,
+            Error::ZeroLengthTransfer => Self::BadLength,
         }
     }
 }
@@ -254,25 +275,11 @@ impl Bounce {
     }
 }
 
-/// The end of the DMA that sends to the board's chips, before embassy's handler.
-///
-/// The transfer ends with the controller's own interrupt, two bytes later, and asks the stream itself then. embassy's handler
-/// would wake the control loop here in vain: 600 instructions of each transfer. Errors of the stream are left to it.
-pub(crate) struct Sent;
-
-impl typelevel::Handler<typelevel::DMA1_STREAM0> for Sent {
-    #[allow(unsafe_code, reason = "an interrupt handler is declared so")]
-    unsafe fn on_interrupt() {
-        pac::DMA1.ifcr(0).write(|w| w.set_tcif(0, true));
-    }
-}
-
-/// A bus.
+/// The bus of a connector.
 pub(crate) struct Bus {
     driver: I2c<'static, Async, Master>,
     wiring: Wiring,
     bounce: Option<&'static mut Bounce>,
-    chain: Option<Chain>,
 }
 
 impl Bus {
@@ -283,12 +290,7 @@ impl Bus {
         bounce: Option<&'static mut Bounce>,
     ) -> Self {
         wiring.start();
-        Self { driver, wiring, bounce, chain: None }
-    }
-
-    /// The same with `chain` for writes that follow each other: that of this controller, whose memory its DMA reaches.
-    pub(crate) fn with_chain(self, chain: Chain) -> Self {
-        Self { chain: Some(chain), ..self }
+        Self { driver, wiring, bounce }
     }
 }
 
@@ -301,7 +303,7 @@ impl I2cBus for Bus {
         let Some(bounce) = &mut self.bounce else {
             return guarded!(&self.wiring, self.driver.read(address, read));
         };
-        let back = bounce.back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
+        let back = bounce.back.get_mut(..read.len()).ok_or(BusError::BadLength)?;
         guarded!(&self.wiring, self.driver.read(address, back))?;
         read.copy_from_slice(back);
         Ok(())
@@ -311,7 +313,7 @@ impl I2cBus for Bus {
         let Some(bounce) = &mut self.bounce else {
             return guarded!(&self.wiring, self.driver.write(address, write));
         };
-        let out = bounce.out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
+        let out = bounce.out.get_mut(..write.len()).ok_or(BusError::BadLength)?;
         out.copy_from_slice(write);
         guarded!(&self.wiring, self.driver.write(address, out))
     }
@@ -321,8 +323,8 @@ impl I2cBus for Bus {
             return guarded!(&self.wiring, self.driver.write_read(address, write, read));
         };
         let Bounce { out, back } = bounce;
-        let out = out.get_mut(..write.len()).ok_or(BusError::TooLong)?;
-        let back = back.get_mut(..read.len()).ok_or(BusError::TooLong)?;
+        let out = out.get_mut(..write.len()).ok_or(BusError::BadLength)?;
+        let back = back.get_mut(..read.len()).ok_or(BusError::BadLength)?;
         out.copy_from_slice(write);
         guarded!(&self.wiring, self.driver.write_read(address, out, back))?;
         read.copy_from_slice(back);
@@ -335,7 +337,7 @@ impl I2cBus for Bus {
             [Operation::Read(read)] => self.read(address, read).await,
             [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
             // Nothing in the firmware asks for other shapes.
-            _ if self.bounce.is_some() => Err(BusError::TooLong),
+            _ if self.bounce.is_some() => Err(BusError::BadLength),
             _ => guarded!(&self.wiring, self.driver.transaction(address, operations)),
         }
     }
@@ -373,41 +375,7 @@ impl Drop for ByHand {
 }
 
 impl platform::Bus for Bus {
-    async fn write_all(
-        &mut self,
-        writes: &[Write],
-        mut stops: impl FnMut(&mut Context<'_>) -> bool,
-    ) -> (usize, Result<(), BusError>) {
-        let Some(chain) = &mut self.chain else { return write_each(self, writes, stops).await };
-        let mut sent = 0;
-        for writes in writes.chunks(chain::LENGTH) {
-            let (more, result) = chain.send(&self.wiring, writes, &mut stops).await;
-            sent += more;
-            if more < writes.len() {
-                return (sent, result);
-            }
-        }
-        (sent, Ok(()))
-    }
-
     async fn recover(&mut self) {
-        let lines = ByHand::take(self.wiring);
-        let Wiring { scl, sda, .. } = self.wiring;
-        for _ in 0..CLOCKS {
-            scl.set(false);
-            Timer::after(HALF_CLOCK).await;
-            scl.set(true);
-            Timer::after(HALF_CLOCK).await;
-        }
-        // A stop: data rises while the clock is high.
-        scl.set(false);
-        Timer::after(HALF_CLOCK).await;
-        sda.set(false);
-        Timer::after(HALF_CLOCK).await;
-        scl.set(true);
-        Timer::after(HALF_CLOCK).await;
-        sda.set(true);
-        Timer::after(HALF_CLOCK).await;
-        drop(lines);
+        self.wiring.free().await;
     }
 }

@@ -1,0 +1,382 @@
+//! The bus with the board's chips, I2C2: the interrupt at the end of a transfer begins the next.
+//!
+//! The control loop has up to ten writes and a read a period. For each, embassy's driver wakes its task, which goes through the
+//! futures of a whole period and sets up a transfer: 2 300 to 2 700 instructions for a write, where the interrupt here takes 58
+//! (docs/performance.md). What is written goes by DMA; what is read comes a byte an interrupt: it is one to four bytes while
+//! armed. The controller sends the stop by itself (AUTOEND) and interrupts after it, so that nothing waits for one.
+
+use core::{
+    future::poll_fn,
+    sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, fence},
+    task::{Context, Poll},
+};
+
+use embassy_futures::select::{Either, select};
+use embassy_stm32::{
+    Peri,
+    i2c::{I2c, Master},
+    interrupt::typelevel::{self, Handler},
+    mode::Blocking,
+    pac::{
+        self,
+        dma::vals::{Dir, Dmdis, Size},
+        i2c::{
+            regs::{Cr2, Isr},
+            vals::{Autoend, Dir as Direction},
+        },
+    },
+    peripherals,
+};
+use embassy_sync::waitqueue::AtomicWaker;
+use embassy_time::{Duration, Timer};
+use embedded_hal_async::i2c::{ErrorType, I2c as I2cBus, Operation};
+use r4_firmware::platform::{self, Write};
+
+use super::{BusError, Transfer, Wiring};
+
+/// Writes that go out together.
+const LENGTH: usize = 32;
+/// Bytes of a read: the longest is that of the MCP4728, 24.
+const READ: usize = 32;
+/// Bytes of a transfer without reloading NBYTES.
+const MOST: usize = 255;
+const REGISTERS: pac::i2c::I2c = pac::I2C2;
+const DMA: pac::dma::Dma = pac::DMA1;
+/// Of its streams, and of the first half of the flags.
+const STREAM: usize = 0;
+/// I2C2_TX of DMAMUX1 (RM0399, table 121).
+const REQUEST: u8 = 36;
+/// Allowed for each byte: twice what a byte and its acknowledge take at 400 kHz, with its share of START and STOP.
+const BYTE: Duration = Duration::from_micros(60);
+
+/// What the interrupts know of the transfers.
+struct Shared {
+    /// CR2 of each, and the address of its bytes where they are written.
+    starts: [AtomicU32; LENGTH],
+    bytes: [AtomicU32; LENGTH],
+    /// CR2 of a read behind a write without a stop.
+    reread: AtomicU32,
+    /// How many are to be carried out, how many have been.
+    count: AtomicU32,
+    done: AtomicU32,
+    read: [AtomicU8; READ],
+    received: AtomicU32,
+    running: AtomicBool,
+    /// Flags of ISR that ended them; 0 while none has.
+    failure: AtomicU32,
+    waker: AtomicWaker,
+}
+
+static SHARED: Shared = Shared {
+    starts: [const { AtomicU32::new(0) }; LENGTH],
+    bytes: [const { AtomicU32::new(0) }; LENGTH],
+    reread: AtomicU32::new(0),
+    count: AtomicU32::new(0),
+    done: AtomicU32::new(0),
+    read: [const { AtomicU8::new(0) }; READ],
+    received: AtomicU32::new(0),
+    running: AtomicBool::new(false),
+    failure: AtomicU32::new(0),
+    waker: AtomicWaker::new(),
+};
+
+impl Shared {
+    /// Begins the transfer that is next.
+    fn start(&self) {
+        let next = self.done.load(Ordering::Relaxed) as usize;
+        let (Some(start), Some(bytes)) = (self.starts.get(next), self.bytes.get(next)) else { return };
+        let start = Cr2(start.load(Ordering::Relaxed));
+        if start.dir() == Direction::WRITE {
+            let stream = DMA.st(STREAM);
+            DMA.ifcr(0).write(|w| {
+                w.set_tcif(STREAM, true);
+                w.set_htif(STREAM, true);
+                w.set_teif(STREAM, true);
+                w.set_dmeif(STREAM, true);
+                w.set_feif(STREAM, true);
+            });
+            stream.m0ar().write_value(bytes.load(Ordering::Relaxed));
+            stream.ndtr().write(|w| w.set_ndt(start.nbytes().into()));
+            stream.cr().modify(|w| w.set_en(true));
+        }
+        REGISTERS.cr2().write_value(start);
+    }
+
+    /// The controller has something to say.
+    fn on_interrupt(&self) {
+        if !self.running.load(Ordering::Relaxed) {
+            return;
+        }
+        let flags = REGISTERS.isr().read();
+        if flags.nackf() || flags.berr() || flags.arlo() || flags.ovr() {
+            self.failure.store(flags.0, Ordering::Relaxed);
+            self.end();
+        } else if flags.rxne() {
+            // Before the stop behind the last byte.
+            let byte = REGISTERS.rxdr().read().rxdata();
+            let received = self.received.load(Ordering::Relaxed);
+            self.read.get(received as usize).into_iter().for_each(|place| place.store(byte, Ordering::Relaxed));
+            self.received.store(received + 1, Ordering::Relaxed);
+        } else if flags.tc() {
+            REGISTERS.cr2().write_value(Cr2(self.reread.load(Ordering::Relaxed)));
+        } else if flags.stopf() {
+            REGISTERS.icr().write(|w| w.set_stopcf(true));
+            let done = self.done.load(Ordering::Relaxed) + 1;
+            self.done.store(done, Ordering::Relaxed);
+            if done < self.count.load(Ordering::Relaxed) { self.start() } else { self.end() }
+        }
+    }
+
+    /// No transfer is begun after the one that is under way. An interrupt in between begins at most one.
+    fn end_after_this(&self) {
+        self.count.store(self.done.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+    }
+
+    /// Ends it all, whether or not a transfer is under way.
+    fn end(&self) {
+        self.running.store(false, Ordering::Release);
+        interrupts(false);
+        DMA.st(STREAM).cr().modify(|w| w.set_en(false));
+        self.waker.wake();
+    }
+}
+
+/// Lets the controller ask for bytes, and tell of bytes, ends and errors.
+fn interrupts(on: bool) {
+    REGISTERS.cr1().modify(|w| {
+        w.set_txdmaen(on);
+        w.set_rxie(on);
+        w.set_tcie(on);
+        w.set_stopie(on);
+        w.set_nackie(on);
+        w.set_errie(on);
+    });
+}
+
+/// Both interrupts of the controller.
+pub(crate) struct OnBoard;
+
+macro_rules! handlers {
+    ($($interrupt:ident)*) => {$(
+        impl Handler<typelevel::$interrupt> for OnBoard {
+            #[allow(unsafe_code, reason = "an interrupt handler is declared so")]
+            unsafe fn on_interrupt() {
+                SHARED.on_interrupt();
+            }
+        }
+    )*};
+}
+
+handlers!(I2C2_EV I2C2_ER);
+
+/// Ends the transfers when the caller gives them up: their bytes are the caller's.
+struct Running;
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        critical_section::with(|_| {
+            if SHARED.running.load(Ordering::Relaxed) {
+                SHARED.end();
+            }
+        });
+        // What the stream still holds of a byte is dropped with the request; it ends with the access that is under way.
+        while DMA.st(STREAM).cr().read().en() {}
+    }
+}
+
+/// The bus with the board's chips.
+pub(crate) struct BoardBus {
+    wiring: Wiring,
+    /// Pins and clock; their embassy driver is not used.
+    _controller: I2c<'static, Blocking, Master>,
+    _stream: Peri<'static, peripherals::DMA1_CH0>,
+}
+
+impl BoardBus {
+    /// `controller` must be that of `wiring`, I2C2. What is written must lie where DMA1 reaches it.
+    pub(crate) fn new(
+        controller: I2c<'static, Blocking, Master>,
+        stream: Peri<'static, peripherals::DMA1_CH0>,
+        wiring: Wiring,
+    ) -> Self {
+        wiring.start();
+        Self { wiring, _controller: controller, _stream: stream }
+    }
+
+    /// Carries out what has been [put](put), and `bytes` at most. How many of them, and why not all.
+    async fn carry_out(
+        &mut self,
+        count: usize,
+        bytes: usize,
+        mut stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), BusError>) {
+        if poll_fn(|context| Poll::Ready(stops(context))).await {
+            return (0, Ok(()));
+        }
+        let transfer = match Transfer::begin(&self.wiring) {
+            Ok(transfer) => transfer,
+            Err(error) => return (0, Err(error)),
+        };
+        begin(count);
+        let running = Running;
+        let mut goes_on = true;
+        let all = poll_fn(|context| {
+            SHARED.waker.register(context.waker());
+            if goes_on && stops(context) {
+                goes_on = false;
+                SHARED.end_after_this();
+            }
+            if SHARED.running.load(Ordering::Acquire) { Poll::Pending } else { Poll::Ready(()) }
+        });
+        let deadline = self.wiring.timing.deadline + BYTE * bytes as u32;
+        let result = match select(all, Timer::after(deadline)).await {
+            Either::First(()) => failure(),
+            Either::Second(()) => Err(BusError::Held),
+        };
+        drop(running);
+        (SHARED.done.load(Ordering::Relaxed) as usize, transfer.end(result))
+    }
+}
+
+/// CR2 of a transfer of `length` bytes, at most [`MOST`].
+fn start(address: u8, direction: Direction, length: usize, end: Autoend) -> Cr2 {
+    let mut cr2 = Cr2(0);
+    cr2.set_sadd(u16::from(address) << 1);
+    cr2.set_dir(direction);
+    cr2.set_nbytes(length as u8);
+    cr2.set_autoend(end);
+    cr2.set_start(true);
+    cr2
+}
+
+/// Puts a transfer at `place`, below [`LENGTH`], to be carried out next; `bytes` of a read are none.
+fn put(place: usize, start: Cr2, bytes: &[u8]) {
+    if let (Some(to), Some(from)) = (SHARED.starts.get(place), SHARED.bytes.get(place)) {
+        to.store(start.0, Ordering::Relaxed);
+        from.store(bytes.as_ptr().addr() as u32, Ordering::Relaxed);
+    }
+}
+
+/// Begins the first of `count` transfers.
+fn begin(count: usize) {
+    SHARED.count.store(count as u32, Ordering::Relaxed);
+    SHARED.done.store(0, Ordering::Relaxed);
+    SHARED.received.store(0, Ordering::Relaxed);
+    SHARED.failure.store(0, Ordering::Relaxed);
+    if count == 0 {
+        return;
+    }
+    // What the stream reads has been written before it is started.
+    fence(Ordering::SeqCst);
+    let stream = DMA.st(STREAM);
+    pac::DMAMUX1.ccr(STREAM).write(|w| w.set_dmareq_id(REQUEST));
+    stream.par().write_value(REGISTERS.txdr().as_ptr().addr() as u32);
+    stream.fcr().write(|w| w.set_dmdis(Dmdis::ENABLED));
+    stream.cr().write(|w| {
+        w.set_dir(Dir::MEMORY_TO_PERIPHERAL);
+        w.set_minc(true);
+        w.set_msize(Size::BITS8);
+        w.set_psize(Size::BITS8);
+    });
+    SHARED.running.store(true, Ordering::Release);
+    interrupts(true);
+    SHARED.start();
+}
+
+/// What ended the transfers, if not the end of the last.
+fn failure() -> Result<(), BusError> {
+    match Isr(SHARED.failure.load(Ordering::Relaxed)) {
+        flags if flags.nackf() => Err(BusError::NoAcknowledge),
+        flags if flags.berr() => Err(BusError::Bus),
+        flags if flags.arlo() => Err(BusError::Arbitration),
+        flags if flags.ovr() => Err(BusError::Overrun),
+        _ => Ok(()),
+    }
+}
+
+/// Copies what has been read to `to`, which it fills.
+fn take(to: &mut [u8]) {
+    to.iter_mut().zip(&SHARED.read).for_each(|(to, from)| *to = from.load(Ordering::Relaxed));
+}
+
+/// Refuses a transfer that NBYTES or what is kept of a read cannot hold.
+fn check(write: &[u8], read: &[u8]) -> Result<(), BusError> {
+    if write.len() > MOST || read.len() > READ || write.is_empty() && read.is_empty() {
+        return Err(BusError::BadLength);
+    }
+    Ok(())
+}
+
+impl ErrorType for BoardBus {
+    type Error = BusError;
+}
+
+impl I2cBus for BoardBus {
+    async fn read(&mut self, address: u8, read: &mut [u8]) -> Result<(), BusError> {
+        check(&[], read)?;
+        put(0, start(address, Direction::READ, read.len(), Autoend::AUTOMATIC), &[]);
+        self.carry_out(1, 1 + read.len(), |_| false).await.1?;
+        take(read);
+        Ok(())
+    }
+
+    async fn write(&mut self, address: u8, write: &[u8]) -> Result<(), BusError> {
+        check(write, &[])?;
+        put(0, start(address, Direction::WRITE, write.len(), Autoend::AUTOMATIC), write);
+        self.carry_out(1, 1 + write.len(), |_| false).await.1
+    }
+
+    async fn write_read(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if write.is_empty() {
+            return self.read(address, read).await;
+        }
+        if read.is_empty() {
+            return self.write(address, write).await;
+        }
+        check(write, read)?;
+        put(0, start(address, Direction::WRITE, write.len(), Autoend::SOFTWARE), write);
+        let reread = start(address, Direction::READ, read.len(), Autoend::AUTOMATIC);
+        SHARED.reread.store(reread.0, Ordering::Relaxed);
+        self.carry_out(1, 2 + write.len() + read.len(), |_| false).await.1?;
+        take(read);
+        Ok(())
+    }
+
+    async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
+        match operations {
+            [Operation::Write(write)] => self.write(address, write).await,
+            [Operation::Read(read)] => self.read(address, read).await,
+            [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
+            // Nothing in the firmware asks for other shapes.
+            _ => Err(BusError::BadLength),
+        }
+    }
+}
+
+impl platform::Bus for BoardBus {
+    async fn write_all(
+        &mut self,
+        writes: &[Write],
+        mut stops: impl FnMut(&mut Context<'_>) -> bool,
+    ) -> (usize, Result<(), BusError>) {
+        let mut sent = 0;
+        for writes in writes.chunks(LENGTH) {
+            let mut bytes = 0;
+            for (place, write) in writes.iter().enumerate() {
+                let length = write.bytes().len();
+                put(place, start(write.address(), Direction::WRITE, length, Autoend::AUTOMATIC), write.bytes());
+                bytes += 1 + length;
+            }
+            let (more, result) = self.carry_out(writes.len(), bytes, &mut stops).await;
+            sent += more;
+            if more < writes.len() {
+                return (sent, result);
+            }
+        }
+        (sent, Ok(()))
+    }
+
+    async fn recover(&mut self) {
+        self.wiring.free().await;
+    }
+}
