@@ -61,6 +61,8 @@ pub(super) struct Wheel {
     pub(super) speed_unit: Unit,
     /// Share of the supply.
     pub(super) duty: Option<f64>,
+    /// Share of what its winding withstands, %, while the board warns of it.
+    pub(super) hot_percent: Option<u8>,
 }
 
 const HELP: [&str; 2] = [
@@ -144,7 +146,9 @@ fn wheel_line(wheel: &Wheel) -> Line<'static> {
     let speed = number(wheel.speed.map(|speed| Quantity::new(speed, wheel.speed_unit)));
     let (told, side) = (number(Some(wheel.told)), wheel.side);
     let duty = wheel.duty.map_or("-".into(), |value| Quantity::new(value, Unit::Duty).number());
-    Line::raw(format!("{side:<7}{:<12}{told:>18}{speed:>20}{duty:>10}", wheel.channel.to_string()))
+    let row = Span::raw(format!("{side:<7}{:<12}{told:>18}{speed:>20}{duty:>10}", wheel.channel.to_string()));
+    let hot = wheel.hot_percent.map(|percent| Span::styled(format!(" winding {percent} %"), WRONG));
+    Line::from_iter([row].into_iter().chain(hot))
 }
 
 /// A bar from the middle, to the right for positive shares.
@@ -171,6 +175,7 @@ mod tests {
             speed: Some(2.03).filter(|_| index != 3),
             speed_unit: Unit::RadPerS,
             duty: Some(0.214),
+            hot_percent: (index == 1).then_some(91),
         };
         State {
             board: "serial:/dev/ttyACM0".into(),

@@ -15,7 +15,7 @@ use crossterm::event::{KeyCode, KeyEvent};
 use futures::future::{Either, select};
 use r4_boards::{Ackermann, Drive as Geometry, Interval, SteeringLaw};
 use r4_driver::Error;
-use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Unit};
+use r4_protocol::{ChannelId, HotWinding, Mode, SafetyState, Sample, Setpoint, Unit};
 use r4_sim::Pace;
 
 use super::{setpoint, speed_unit};
@@ -110,6 +110,7 @@ pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
                         let state = &mut *state.borrow_mut();
                         (state.safety, state.causes) = (frame.state, frame.causes);
                         state.look(&frame.samples);
+                        state.warn_of(&session.board.hot_windings());
                     }
                     Err(error) => return error,
                 }
@@ -257,6 +258,7 @@ impl Pair {
             speed: None,
             speed_unit: board.channel(channel).map_or(Unit::RadPerS, |info| speed_unit(info.unit)),
             duty: None,
+            hot_percent: None,
         };
         State {
             board: args.board.described(),
@@ -288,6 +290,13 @@ fn geometry(args: &Args, session: &Session<'_>) -> Option<Geometry> {
 }
 
 impl State {
+    fn warn_of(&mut self, hot: &[HotWinding]) {
+        for wheel in &mut self.wheels {
+            let hot = hot.iter().find(|hot| hot.channel == wheel.channel);
+            wheel.hot_percent = hot.map(|hot| hot.heat_percent);
+        }
+    }
+
     fn look(&mut self, samples: &[Sample]) {
         for sample in samples {
             let Some(wheel) = self.wheels.iter_mut().find(|wheel| wheel.channel == sample.channel()) else { continue };
