@@ -634,11 +634,68 @@ fn escaped(text: &str) -> Result<Bytes, String> {
 
 #[cfg(test)]
 mod tests {
+    use clap::error::ErrorKind;
+
     use super::*;
 
     #[test]
     fn definitions_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    /// What a page has people type, behind a prompt or not, and `false`; the verbs that its text names, and `true`.
+    fn commands_of(page: &str) -> Vec<(String, bool)> {
+        let is_ours = |(command, _): &(String, bool)| command.starts_with("r4 ");
+        let typed = page.lines().map(|line| (line.trim_start_matches("$ ").to_owned(), false));
+        let named = page.split('`').skip(1).step_by(2).map(|span| (span.replace('\n', " "), true));
+        typed.chain(named).filter(is_ours).collect()
+    }
+
+    /// As a shell has them: without what follows `#`, `&`, `|`, `>` or two spaces, behind which a page says what it does.
+    fn words_of(command: &str) -> Vec<String> {
+        let command = command.split("  ").next().unwrap_or(command);
+        let mut words = vec![String::new()];
+        let mut quote = None;
+        for letter in command.chars() {
+            match (quote, letter) {
+                (None, '\'' | '"') => quote = Some(letter),
+                (Some(open), close) if open == close => quote = None,
+                (None, '#' | '&' | '|' | '>' | ';') if words.last().is_none_or(String::is_empty) => break,
+                (None, ' ') => words.push(String::new()),
+                _ => words.last_mut().expect("there is one").push(letter),
+            }
+        }
+        words.retain(|word| !word.is_empty());
+        words
+    }
+
+    #[test]
+    fn every_page_types_what_is_understood() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let docs = std::fs::read_dir(root.join("docs")).expect("a folder").map(|entry| entry.expect("an entry").path());
+        let more = ["README.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "boards/README.md", "firmware/giga/README.md"];
+        let (mut seen, mut problems) = (0, Vec::new());
+        for path in docs.filter(|path| path.extension() == Some("md".as_ref())).chain(more.map(|page| root.join(page)))
+        {
+            let page = std::fs::read_to_string(&path).expect("a page");
+            for (command, is_named) in commands_of(&page) {
+                let words = words_of(&command);
+                // What is left out, one of several, or a name to be put in, is no command.
+                let stands_for = |word: &String| word.contains(['\u{2026}', '[', '|', '<']) || word == "VERB";
+                if words.iter().any(stands_for) {
+                    continue;
+                }
+                seen += 1;
+                let Err(problem) = Args::try_parse_from(&words) else { continue };
+                let is_short =
+                    is_named && matches!(problem.kind(), ErrorKind::MissingRequiredArgument | ErrorKind::InvalidValue);
+                if problem.use_stderr() && !is_short {
+                    problems.push(format!("{}: {command}: {problem}", path.display()));
+                }
+            }
+        }
+        assert!(problems.is_empty(), "{}", problems.join("\n"));
+        assert!(seen > 150, "{seen} commands found");
     }
 
     #[test]
