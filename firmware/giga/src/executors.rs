@@ -7,7 +7,7 @@
 //! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
 //! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart, and more than 100 in a ms are masked; a wait must end, and a released handle be seen, whatever task runs |
 //! | 2 | supervisor | must run when all else is late |
-//! | 3 | DMA, I2C2: the end of what the control loop waits for; CAN: three frames fill its memory, in 0.2 ms | only wakes and copies |
+//! | 3 | I2C2: the next transfer of the control loop, and the end of the last; DMA; CAN: three frames fill its memory, in 0.2 ms | only begins, wakes and copies |
 //! | 4 | control, ranging | 1 kHz |
 //! | 6 | UARTs, I2C1, I2C4, USB | only wakes and copies |
 //! | 8 | links, passthrough, storage | as long as a request takes |
