@@ -17,7 +17,7 @@ use r4_protocol::{
     Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogInfo,
     Mode, ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
     ToDevice, VERSION,
-    config::{MAX_NAME, PidGains},
+    config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains},
     message::MAX_RAW,
 };
 
@@ -122,7 +122,10 @@ impl<C: Clock> Board<C> {
             let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
             // Not the same one again: each opens a session of its own, and the last one counts.
             match wire.request_within("hello", hello, after_ms).await {
-                Ok(Reply::Hello(info)) => return Ok((info, sent_us)),
+                // Heartbeats go by it: with another there would be none, or nothing else.
+                Ok(Reply::Hello(info)) if LINK_TIMEOUT_MS.contains(&info.link_timeout_ms) => {
+                    return Ok((info, sent_us));
+                }
                 Ok(_) => return Err(Error::WrongReply { request: "hello" }),
                 Err(Error::TimedOut { after_ms, .. }) => waited_ms += after_ms,
                 Err(error) => return Err(error),

@@ -7,7 +7,7 @@ mod motor;
 mod numbers;
 mod output;
 
-use core::fmt;
+use core::{fmt, ops::RangeInclusive};
 
 use heapless::{String, Vec};
 use postcard_schema::Schema;
@@ -58,6 +58,8 @@ pub const MAX_EXACT: u32 = 1 << 24;
 
 /// Longest time that a controlled stop may brake, ms: a vehicle that needs more has a hill under it.
 pub const STOP_BRAKE_MAX_MS: u16 = 5000;
+/// Time-outs that a link may have, ms.
+pub const LINK_TIMEOUT_MS: RangeInclusive<u16> = 20..=1000;
 const STOP_BRAKE_RULE: &str = "stop_brake_ms must be at most 5000";
 
 /// One R4 board in one robot.
@@ -279,7 +281,7 @@ impl BoardConfig {
     fn validate_board(&self) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(None, holds, rule);
         rule((500..=20_000).contains(&self.control_period_us), "control_period_us must be 500 to 20000")?;
-        rule((20..=1000).contains(&self.link_timeout_ms), "link_timeout_ms must be 20 to 1000")?;
+        rule(LINK_TIMEOUT_MS.contains(&self.link_timeout_ms), "link_timeout_ms must be 20 to 1000")?;
         rule((10_000..=400_000).contains(&self.i2c_hz), "i2c_hz must be 10000 to 400000")?;
         rule(Range::new(-40.0, 60.0).contains(self.air_temperature_c), "air_temperature_c must be -40 to 60")?;
         rule(BITRATES_KBIT.contains(&self.can.kbit_per_s), "can_rate must be 125, 250, 500 or 1000 kbit/s")?;

@@ -13,8 +13,8 @@ use crate::script::{Step, steps};
 const MS: u64 = 1_000_000;
 /// Until a board takes its first message.
 const STARTED_NS: u64 = 5 * MS;
-/// Twice the link timeout: longer than any board of these moves for a host that has gone.
-const GONE_NS: u64 = 400 * MS;
+/// Beyond what a board may take for a host that has gone.
+const MARGIN_NS: u64 = 100 * MS;
 /// What is under way, a few ticks of control, and the start of a board whose chips take their time.
 const QUIET_NS: u64 = 50 * MS;
 
@@ -83,7 +83,7 @@ fn run(robot: &Robot, steps: impl Iterator<Item = Step>) -> bool {
                 }
             }
         }
-        heard.listen(&mut port.rx, &clock, if asked_to_arm { GONE_NS } else { QUIET_NS }).await;
+        heard.listen(&mut port.rx, &clock, if asked_to_arm { gone_ns(robot) } else { QUIET_NS }).await;
     };
     simulation.block_on(work).expect("time goes on");
     if !asked_to_arm {
@@ -96,6 +96,11 @@ fn run(robot: &Robot, steps: impl Iterator<Item = Step>) -> bool {
         assert!(!is_driven, "{channel} is driven without a host: duty {duty}, {throttle_v} V");
     }
     heard.messages > 0
+}
+
+/// How long a board moves for a host that has gone, at most: until it notices, and until its motors' brakes let go.
+fn gone_ns(robot: &Robot) -> u64 {
+    u64::from(robot.config.link_timeout_ms + robot.config.stop_brake_ms()) * MS + MARGIN_NS
 }
 
 /// What a command can reach.

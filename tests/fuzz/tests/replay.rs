@@ -11,6 +11,7 @@ use std::{
 };
 
 use r4_fuzz::{TARGETS, Target, mutate::Mutator};
+use r4_protocol::{FrameDecoder, Request, SCHEMA_HASH, ToDevice, VERSION};
 
 /// Inputs of a target: its corpus, and files that the project has anyway.
 fn seeds(name: &str) -> Vec<Vec<u8>> {
@@ -67,6 +68,17 @@ fn try_it(name: &str, target: Target, input: &[u8]) -> bool {
         eprintln!("{name}: this input fails: {}", kept.display());
         resume_unwind(why)
     })
+}
+
+/// One of another version is refused at its first message, and nothing behind that is reached.
+#[test]
+fn the_corpus_is_of_this_protocol() {
+    let said = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus/link/hello")).unwrap();
+    let mut decoder = FrameDecoder::new();
+    let hello = said.iter().find_map(|byte| decoder.push::<ToDevice>(*byte)).and_then(Result::ok);
+    let ours = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+    let is_ours = matches!(hello, Some(ToDevice::Request { ref request, .. }) if *request == ours);
+    assert!(is_ours, "write it anew: cargo run -p r4-fuzz --example seeds; it says {hello:?}");
 }
 
 macro_rules! replays {

@@ -1,11 +1,12 @@
-//! Boards of the version before, by what they were recorded to say: the host is told so by a typed error.
+//! Boards of the version before, by what they were recorded to say, and one that says what none can: the host is told so by a
+//! typed error.
 
 use std::{collections::VecDeque, convert::Infallible};
 
 use crate::simulated::{VirtualClock, simulated_link};
 use embedded_io_async::{ErrorType, Read};
 use r4_driver::{Board, Error, with_board};
-use r4_protocol::{Refusal, VERSION};
+use r4_protocol::{Causes, DeviceInfo, Refusal, Reply, SafetyState, ToHost, VERSION, encode_frame, frame::MAX_FRAME};
 
 /// Frames of every message, direction, name and bytes.
 const GOLDEN: &str = include_str!("../../../../protocol/tests/golden/v4.txt");
@@ -70,4 +71,30 @@ fn no_message_of_version_4_opens_a_session() {
         assert!(matches!(error, Error::LinkFailed { .. }), "{error:?} of {bytes:02x?}");
     }
     assert!(matches!(told(said), Error::LinkFailed { .. }));
+}
+
+/// Heartbeats are sent four to a time-out: without end at one moment where that is 0.
+#[test]
+fn a_time_out_that_no_board_has_opens_no_session() {
+    for (link_timeout_ms, is_refused) in [(0, true), (19, true), (20, false), (1000, false), (1001, true)] {
+        let info = DeviceInfo {
+            robot: "r".try_into().expect("short"),
+            firmware: "f".try_into().expect("short"),
+            session: 1,
+            channels: 1,
+            link_timeout_ms,
+            device_us: 0,
+            state: SafetyState::Disarmed,
+            causes: Causes::NONE,
+        };
+        let mut buffer = [0; MAX_FRAME];
+        let hello = ToHost::Response { seq: 0, result: Ok(Reply::Hello(info)) };
+        let error = told(vec![encode_frame(&hello, &mut buffer).expect("a frame").to_vec()]);
+        // One that is taken says nothing more, and its link ends.
+        assert_eq!(
+            matches!(error, Error::WrongReply { request: "hello" }),
+            is_refused,
+            "{link_timeout_ms} ms: {error:?}"
+        );
+    }
 }
