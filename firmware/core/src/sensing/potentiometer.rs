@@ -162,6 +162,23 @@ mod tests {
         }
     }
 
+    /// 3 % of the span beyond either end, and from one period to the next; here 900 codes, or 3 mm.
+    #[test]
+    fn a_code_may_lie_and_jump_as_far_as_the_margin() {
+        let point = |code, position_m| PotPoint { code, position_m };
+        let pot = || Potentiometer::new(point(20_000, 0.0), point(50_000, 0.1), 1e-3, 0.05);
+        for (code, plausible) in [(19_099, false), (19_100, true), (50_900, true), (50_901, false)] {
+            assert_eq!(pot().update(code).is_ok(), plausible, "{code}");
+        }
+        // One code more or less, for rounding.
+        for (code, taken) in [(30_000 + 899, true), (30_000 + 901, false), (30_000 - 899, true), (30_000 - 901, false)]
+        {
+            let mut pot = pot();
+            let (rest_m, _) = pot.update(30_000).expect("plausible");
+            assert_eq!(pot.update(code).expect("bridged").0 != rest_m, taken, "{code}");
+        }
+    }
+
     #[test]
     fn crackling_is_bridged_and_a_lost_wiper_is_not() {
         let mut pot = bench();
