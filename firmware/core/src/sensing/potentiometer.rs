@@ -131,14 +131,14 @@ mod tests {
         #[test]
         fn code_and_position_are_inverse(
             low in 0u16..20_000, span in 1_000u16..40_000, falling: bool,
-            length_m in 0.01f32..1.0, share in 0.0f32..=1.0,
+            low_m in -0.5f32..0.5, length_m in 0.01f32..1.0, share in 0.0f32..=1.0,
         ) {
             let (first, second) = if falling { (low + span, low) } else { (low, low + span) };
             let scale = PotScale::new(
-                PotPoint { code: first, position_m: 0.0 },
-                PotPoint { code: second, position_m: length_m },
+                PotPoint { code: first, position_m: low_m },
+                PotPoint { code: second, position_m: low_m + length_m },
             );
-            let position_m = share * length_m;
+            let position_m = low_m + share * length_m;
             // Codes up to 65535 carry 2^-8 of rounding in f32; that times metres per code bounds the error.
             let tolerance_m = length_m / f32::from(span) * 0.02 + 1e-6;
             prop_assert!((scale.position_m(scale.code(position_m)) - position_m).abs() < tolerance_m);
@@ -159,6 +159,20 @@ mod tests {
         // Shorted to a rail, with hundreds of codes of converter offset.
         for code in [0, 40, 900, 64_800, u16::MAX] {
             assert_eq!(bench().update(code), Err(Implausible), "{code}");
+        }
+    }
+
+    /// 6 codes in a period of 1 ms are 10 mm/s on the bench, either way.
+    #[test]
+    fn a_rod_s_speed_is_that_of_its_position() {
+        for sign in [1, -1] {
+            let mut pot = bench();
+            let speeds =
+                (0..1000i32).map(|period| pot.update((32_000 + sign * 6 * period) as u16).expect("plausible").1);
+            let speed_m_s = speeds.last().expect("stepped");
+            let expected = sign as f32 * 6.0 * pot.scale.metres_per_code * 1e3;
+            // Twenty time constants, and positions of 50 mm in f32: 4e-9 m in a period of 1 ms, smoothed over 50.
+            assert!((speed_m_s - expected).abs() < 1e-5, "{speed_m_s} m/s, not {expected}");
         }
     }
 
