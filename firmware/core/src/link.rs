@@ -113,3 +113,122 @@ async fn transmit<M: RawMutex, W: Write>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use core::{cell::RefCell, convert::Infallible, future::poll_fn, task::Poll};
+    use std::{collections::VecDeque, rc::Rc, task::Waker, vec::Vec};
+
+    use embedded_io_async::ErrorType;
+    use r4_protocol::{DeviceStats, Reply, SCHEMA_HASH, VERSION};
+
+    use super::*;
+    use crate::{
+        shared::ResetCause,
+        testing::{Board, Tasks, board, robot},
+    };
+
+    /// One direction of a link.
+    #[derive(Clone, Default)]
+    struct Pipe(Rc<RefCell<(VecDeque<u8>, Option<Waker>)>>);
+
+    impl Pipe {
+        fn take(&self) -> Vec<u8> {
+            self.0.borrow_mut().0.drain(..).collect()
+        }
+
+        fn put(&self, bytes: &[u8]) {
+            let mut pipe = self.0.borrow_mut();
+            pipe.0.extend(bytes);
+            pipe.1.take().into_iter().for_each(Waker::wake);
+        }
+    }
+
+    impl ErrorType for Pipe {
+        type Error = Infallible;
+    }
+
+    impl Read for Pipe {
+        async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+            poll_fn(|context| {
+                let mut pipe = self.0.borrow_mut();
+                if pipe.0.is_empty() {
+                    pipe.1 = Some(context.waker().clone());
+                    return Poll::Pending;
+                }
+                let len = pipe.0.len().min(buffer.len());
+                buffer[..len].fill_with(|| pipe.0.pop_front().unwrap_or_default());
+                Poll::Ready(Ok(len))
+            })
+            .await
+        }
+    }
+
+    impl Write for Pipe {
+        async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+            self.put(bytes);
+            Ok(bytes.len())
+        }
+
+        async fn flush(&mut self) -> Result<(), Infallible> {
+            Ok(())
+        }
+    }
+
+    /// A board whose control loop has not begun, and a host at its link.
+    struct Bench {
+        board: Board,
+        tasks: Tasks,
+        to_board: Pipe,
+        to_host: Pipe,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let mut config = robot("every-interface");
+            config.ranges.clear();
+            let board = board(config, ResetCause::Normal);
+            let (to_board, to_host) = (Pipe::default(), Pipe::default());
+            let mut tasks = Tasks::default();
+            tasks.spawn(serve(board, 1, to_board.clone(), to_host.clone()));
+            Self { board, tasks, to_board, to_host }
+        }
+
+        fn ask(&mut self, seq: u16, request: Request) {
+            let mut buffer = [0; MAX_FRAME];
+            let frame = encode_frame(&ToDevice::Request { seq, request }, &mut buffer).expect("it fits");
+            self.to_board.put(frame);
+        }
+
+        fn answers(bytes: &[u8]) -> Vec<ToHost> {
+            let mut decoder = FrameDecoder::new();
+            bytes.iter().filter_map(|byte| decoder.push::<ToHost>(*byte)).map(|frame| frame.expect("whole")).collect()
+        }
+    }
+
+    /// Nothing is answered before the outputs are in a known state; then all is. Before its first answer, and only there, a board
+    /// ends what half a frame the host may still hold.
+    #[test]
+    fn a_host_is_answered_once_the_outputs_are_known() {
+        let mut bench = Bench::new();
+        bench.ask(1, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
+        bench.tasks.advance(Duration::from_millis(100));
+        assert!(bench.to_host.take().is_empty() && !bench.board.has_session(1));
+        bench.board.set_started();
+        bench.tasks.advance(START_POLL);
+        let bytes = bench.to_host.take();
+        assert_eq!((bytes[0], bytes.iter().filter(|byte| **byte == 0).count()), (0, 2));
+        let answers = Bench::answers(&bytes[1..]);
+        assert!(matches!(answers[..], [ToHost::Response { seq: 1, result: Ok(Reply::Hello(_)) }]), "{answers:?}");
+        // Damaged bytes are counted, and the next frame is taken.
+        bench.to_board.put(b"\x05noise\0");
+        bench.ask(2, Request::Stats);
+        bench.tasks.settle();
+        let bytes = bench.to_host.take();
+        assert_eq!(bytes.iter().filter(|byte| **byte == 0).count(), 1);
+        let stats = DeviceStats { frames: 2, bad_frames: 1, ..DeviceStats::default() };
+        assert_eq!(Bench::answers(&bytes), [ToHost::Response { seq: 2, result: Ok(Reply::Stats(stats)) }]);
+    }
+}

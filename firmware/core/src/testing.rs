@@ -27,7 +27,7 @@ use embedded_hal::{
     i2c,
 };
 use embedded_hal_async::{digital::Wait, i2c::I2c};
-use r4_protocol::config::{BoardConfig, MAX_MOTORS};
+use r4_protocol::config::{BoardConfig, MAX_MOTORS, STEPPERS, SWITCHES};
 
 use crate::{
     platform::{
@@ -344,10 +344,18 @@ pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
     pub(crate) illegal: [Cell<u32>; 4],
     pub(crate) storm: Cell<bool>,
+    /// Of the switches: all are high at first.
+    pub(crate) low: [Cell<bool>; SWITCHES],
     pub(crate) cycles: Cell<u32>,
     pub(crate) codes: [Cell<u16>; 6],
     pub(crate) dacs: [Cell<u16>; 2],
     pub(crate) kept: [Cell<u32>; MAX_MOTORS],
+    /// Of the step generators: how many events they were told, and how many more they take.
+    pub(crate) told: [Cell<usize>; STEPPERS],
+    pub(crate) room: Cell<usize>,
+    pub(crate) steppers_enabled: Cell<bool>,
+    /// Steps they have made.
+    pub(crate) made: [Cell<i32>; STEPPERS],
 }
 
 impl core::ops::Deref for Peripherals {
@@ -383,8 +391,8 @@ impl ControlCycles for Peripherals {
 }
 
 impl SwitchInputs for Peripherals {
-    fn is_high(&mut self, _: u8) -> bool {
-        true
+    fn is_high(&mut self, number: u8) -> bool {
+        !self.low[usize::from(number)].get()
     }
 }
 
@@ -410,7 +418,7 @@ impl KeptWords for Peripherals {
     }
 }
 
-/// Without steppers.
+/// Step generators that make the steps that the test says, whatever they are told.
 impl Steppers for Peripherals {
     const TICK_HZ: u32 = 1_000_000;
     const PULSE_TICKS: u32 = 5;
@@ -420,18 +428,24 @@ impl Steppers for Peripherals {
         Instant::now().as_micros() as u32
     }
 
-    fn enable(&mut self, _: bool) {}
+    fn enable(&mut self, on: bool) {
+        self.steppers_enabled.set(on);
+    }
 
-    fn queue(&mut self, _: u8, _: &[StepEvent]) -> usize {
-        0
+    fn queue(&mut self, index: u8, events: &[StepEvent]) -> usize {
+        let taken = events.len().min(self.room.get());
+        self.room.set(self.room.get() - taken);
+        let told = &self.told[usize::from(index)];
+        told.set(told.get() + taken);
+        taken
     }
 
     fn pending(&mut self, _: u8) -> u32 {
         0
     }
 
-    fn position(&mut self, _: u8) -> i32 {
-        0
+    fn position(&mut self, index: u8) -> i32 {
+        self.made[usize::from(index)].get()
     }
 
     fn stop(&mut self, _: u8) {}

@@ -100,3 +100,123 @@ impl Inputs {
         self.supplies.iter().map(Supply::volts)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::Quality;
+
+    use super::*;
+    use crate::{
+        shared::ResetCause,
+        testing::{self, Board, Peripherals, Tasks},
+    };
+
+    const PERIOD_S: f32 = 1e-3;
+
+    /// Of each kind the number 1, 2 or 3 and no other, so that the place in the configuration is not the number; 24 V.
+    fn bench() -> (Board, Inputs, Peripherals) {
+        let mut config = testing::robot("every-interface");
+        config.encoders.retain(|encoder| encoder.id.index == 2);
+        config.switches.retain(|switch| switch.id.index == 3);
+        config.analogs.retain(|analog| analog.id.index == 1);
+        let inputs = Inputs::new(&config, PERIOD_S);
+        let board = testing::board(config, ResetCause::Normal);
+        let peripherals = Peripherals::default();
+        peripherals.codes[4].set(code(board, 0, 24.0));
+        peripherals.codes[5].set(code(board, 1, 12.0));
+        (board, inputs, peripherals)
+    }
+
+    fn code(board: Board, supply: usize, volts: f32) -> u16 {
+        (volts / board.config().supplies[supply].volts_per_code) as u16
+    }
+
+    #[test]
+    fn a_switch_is_known_by_its_number_once_it_is_steady() {
+        let (board, mut inputs, mut peripherals) = bench();
+        peripherals.low[3].set(true);
+        assert_eq!((inputs.is_closed(3), inputs.is_closed(0)), (None, None));
+        for low in [true, false] {
+            peripherals.low[3].set(low);
+            for _ in 0..5 {
+                inputs.sense(board, &mut peripherals);
+            }
+            assert_eq!((inputs.is_closed(3), inputs.is_closed(0)), (Some(low), None));
+            assert_eq!(board.status(Place::Switch(0)), Status::Scalar(low.into()));
+        }
+    }
+
+    /// 2400 counts to a turn; a steady count in a period is its speed within the ripple of the filter.
+    #[test]
+    fn an_encoder_shows_counts_turns_and_what_no_shaft_does() {
+        let (board, mut inputs, mut peripherals) = bench();
+        peripherals.illegal[2].set(7);
+        for counts in 0..1000 {
+            peripherals.counts[2].set(counts);
+            inputs.sense(board, &mut peripherals);
+        }
+        let Status::Encoder { position, speed, illegal } = board.status(Place::Encoder(0)) else {
+            panic!("an encoder")
+        };
+        assert_eq!((position, illegal), (999, 7));
+        let expected = TAU / 2400.0 / PERIOD_S;
+        assert!((speed / expected - 1.0).abs() < 1e-3, "{speed} rad/s");
+        // Backward Euler of 20 ms: 1 - (1 + 1/20)^-20 of the step to twice that.
+        for counts in 0..20 {
+            peripherals.counts[2].set(1001 + 2 * counts);
+            inputs.sense(board, &mut peripherals);
+        }
+        let Status::Encoder { speed, .. } = board.status(Place::Encoder(0)) else { panic!("an encoder") };
+        assert!((speed / expected - 1.623).abs() < 2e-3, "{speed} rad/s");
+    }
+
+    /// The time of a reading is that of its last good code.
+    #[test]
+    fn an_analog_input_shows_its_volts_and_when_they_were_good() {
+        let (board, mut inputs, mut peripherals) = bench();
+        let mut tasks = Tasks::default();
+        let analog = board.config().analogs[0];
+        assert_eq!(inputs.analog_v(1), None);
+        peripherals.codes[1].set(0);
+        inputs.sense(board, &mut peripherals);
+        // The oldest that can be told.
+        let never = Instant::now() - Duration::from_millis(u16::MAX.into());
+        let never = Status::Reading { value: 0.0, quality: Quality::Low, taken: never };
+        assert_eq!(board.status(Place::Analog(0)), never);
+        peripherals.codes[1].set(20_000);
+        for _ in 0..20 {
+            tasks.advance(Duration::from_millis(1));
+            inputs.sense(board, &mut peripherals);
+        }
+        let (good, volts) = (Instant::now(), 20_000.0 * analog.volts_per_code + analog.offset_v);
+        assert_eq!((inputs.analog_v(1), inputs.analog_v(0)), (Some(volts), None));
+        let shown = Status::Reading { value: volts, quality: Quality::Good, taken: good };
+        assert_eq!(board.status(Place::Analog(0)), shown);
+        peripherals.codes[1].set(0);
+        for _ in 0..20 {
+            tasks.advance(Duration::from_millis(1));
+            inputs.sense(board, &mut peripherals);
+        }
+        assert_eq!(inputs.analog_v(1), None);
+        let shown = Status::Reading { value: volts, quality: Quality::Low, taken: good };
+        assert_eq!(board.status(Place::Analog(0)), shown);
+    }
+
+    /// Each by itself is a cause, and shown to hosts.
+    #[test]
+    fn every_supply_is_watched() {
+        for (low, volts) in [(0, [12.0, 12.0]), (1, [24.0, 5.0])] {
+            let (board, mut inputs, mut peripherals) = bench();
+            assert_eq!(inputs.sense(board, &mut peripherals), Causes::NONE);
+            let (_, mut inputs, _) = bench();
+            peripherals.codes[4 + low].set(code(board, low, volts[low]));
+            assert_eq!(inputs.sense(board, &mut peripherals), Causes::only(Cause::SupplyOutOfRange));
+            for (index, (shown, volts)) in inputs.supplies_v().zip(volts).enumerate() {
+                assert!((shown - volts).abs() < 0.01, "{shown} V");
+                assert_eq!(board.status(Place::Supply(index)), Status::Scalar(shown));
+                assert_eq!(inputs.supply(index).map(Supply::volts), Some(shown));
+            }
+            assert!(inputs.supply(2).is_none());
+        }
+    }
+}

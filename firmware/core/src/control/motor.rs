@@ -501,3 +501,6 @@ impl Motor {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

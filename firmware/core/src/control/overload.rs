@@ -239,6 +239,26 @@ mod tests {
         assert!(!Overload::new(WINDING, 1e-3).resume(CHANNEL, word).step(0.0));
     }
 
+    /// A warning that was on goes on, where the heat is not known to have been less; below where warnings end there is none.
+    #[test]
+    fn a_warning_outlives_a_reset() {
+        for (heat, hot) in [(0.86, true), (0.84, false)] {
+            let mut motor = Overload { heat, ..Overload::new(WINDING, 1e-3) };
+            let word = motor.word(CHANNEL).expect("the first");
+            assert_eq!(Overload::new(WINDING, 1e-3).resume(CHANNEL, word).status().hot, hot, "{heat}");
+        }
+    }
+
+    /// More heat than an `f32` holds, as a broken current sensor makes up, is kept as the most that it does hold.
+    #[test]
+    fn heat_without_end_is_kept_as_much() {
+        let mut motor = Overload::new(WINDING, 1e-3);
+        motor.step(1e22);
+        let word = motor.word(CHANNEL).expect("the first");
+        let resumed = Overload::new(WINDING, 1e-3).resume(CHANNEL, word);
+        assert!(resumed.heat() > 1e38 && resumed.heat() < motor.heat(), "{}", resumed.heat());
+    }
+
     proptest! {
         /// However hot, and with whatever rated current before and after: as much heat as there was, within a step of 2^-11.
         #[test]

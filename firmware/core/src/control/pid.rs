@@ -181,6 +181,15 @@ mod tests {
     }
 
     #[test]
+    fn without_an_integral_part_what_was_pushed_is_let_go_in_5_s() {
+        let mut pid = pid(0.0, 0.0, 0.0);
+        pid.push(0.5, FREE);
+        let after_5_s = (0..=5000).map(|_| pid.step(1.0, 0.0, 0.0, FREE)).last().expect("stepped");
+        // (1 - 1/5000)^5000
+        assert!((after_5_s - 0.5 * 0.36784).abs() < 1e-4, "{after_5_s}");
+    }
+
+    #[test]
     fn a_period_that_is_no_time_is_refused() {
         for bad in [0.0, -1e-3, f32::NAN, f32::INFINITY] {
             assert_eq!(Pid::new(PidGains { kp: 1.0, ki: 0.0, kd: 0.0 }, bad).err(), Some(BadPeriod));

@@ -93,6 +93,7 @@ mod tests {
                 let (was, is) = [duty, limited].map(|duty| overload::current_a(&WINDING, duty, speed, supply_v)).into();
                 let share_of = (share * was).abs();
                 prop_assert!((is.abs() <= share_of + 1e-3) || limited.abs() == 1.0, "{was} A became {is} A");
+                prop_assert!(is * was.signum() >= -1e-3, "{was} A became {is} A, which drives");
                 prop_assert!(share > 0.0 || after.abs() < 1e-3 || limited.abs() == 1.0, "{after} A are fed back");
             }
         }

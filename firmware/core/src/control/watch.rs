@@ -188,6 +188,56 @@ mod tests {
         }
     }
 
+    /// Where it was when it was driven the other way, or not, is forgotten.
+    #[test]
+    fn travel_counts_from_where_the_drive_began() {
+        let moved_before = |period: u32| Seen { duty: if period < 400 { 0.0 } else { 1.0 }, position: 5.0, ..AT_REST };
+        at(until(1000, moved_before), 700, Cause::Stalled);
+        // 0.1 rad after it should have come round, and then still: the other way it has not moved at all.
+        let turned = |period: u32| Seen {
+            duty: if period < 250 { 1.0 } else { -1.0 },
+            position: f64::from(period.min(250)) * 1e-3,
+            ..AT_REST
+        };
+        at(until(1000, turned), 250 + 300, Cause::Stalled);
+        // Each 300 ms are judged by themselves: 0.03 rad forwards, and then nothing.
+        let stops = |period: u32| Seen { duty: 1.0, position: f64::from(period.min(300)) * 1e-4, ..AT_REST };
+        at(until(1000, stops), 601, Cause::Stalled);
+        // Or as much back and further, before it should have come round once more.
+        let falls_back = |period: u32| {
+            let back = f64::from(period.clamp(310, 370) - 310) * 1e-3;
+            Seen { position: stops(period).position - back, ..stops(period) }
+        };
+        at(until(1000, falls_back), 601, Cause::Stalled);
+    }
+
+    /// In numbers that are exact in binary: a stall of 256 periods without 1/64 rad.
+    #[test]
+    fn a_stall_is_to_the_period_and_to_the_count() {
+        let config = ControlConfig { stall: StallConfig { duty: 0.75, travel: 1.0 / 64.0, time_ms: 250 }, ..config() };
+        for (travel, stalled) in [(0.0, true), (1.0 / 64.0 - 1e-6, true), (1.0 / 64.0, false)] {
+            let mut watch = Watch::default();
+            let mut step = |position| watch.step(Seen { duty: 1.0, position, ..AT_REST }, 1.0, 1.0 / 1024.0, &config);
+            // The drive begins with the first.
+            for period in 0..256 {
+                assert_eq!(step(0.0), Causes::NONE, "{period}");
+            }
+            assert_eq!(step(travel).contains(Cause::Stalled), stalled, "{travel}");
+        }
+    }
+
+    /// In numbers that are exact in binary: 4 · 4 rad/s · 1/1024 s and eight counts of 1/1024 rad.
+    #[test]
+    fn the_most_that_a_motor_moves_is_no_jump() {
+        for (rad, jumped) in [(24.0 / 1024.0, false), (24.001 / 1024.0, true)] {
+            let mut watch = Watch::default();
+            let config = ControlConfig { speed_max: 4.0, ..config() };
+            let mut step = |position| watch.step(Seen { position, ..AT_REST }, 1.0 / 1024.0, 1.0 / 1024.0, &config);
+            assert_eq!(step(0.0), Causes::NONE);
+            assert_eq!(step(rad).contains(Cause::EncoderImplausible), jumped, "{rad}");
+        }
+    }
+
     /// Off its path for 100 ms: misread if it goes away from it, too slow otherwise. A moment on it ends the time.
     #[test]
     fn a_motor_off_its_path_is_slow_or_misread() {
@@ -202,11 +252,25 @@ mod tests {
         assert_eq!(until(1000, back), None);
     }
 
+    /// A stall's duty just above friction counts as a tenth above it: 0.04 beyond it reach 4 · 0.1 · 0.3 s after 3 s.
+    #[test]
+    fn a_stall_close_to_friction_leaves_time() {
+        let mut watch = Watch::default();
+        let mut config = config();
+        (config.feed_forward.static_duty, config.stall.duty) = (0.7, 0.75);
+        let seen = Seen { duty: 0.74, wants_motion: true, ..AT_REST };
+        let mut step = || watch.step(seen, RESOLUTION, PERIOD_S, &config);
+        at((0..5000).map(|period| (period, step())).find(|(_, causes)| !causes.is_empty()), 3000, Cause::Stalled);
+    }
+
     /// Four stalls' worth of duty beyond friction, 4 · (0.75 − 0.25) · 0.3 s: the harder, the sooner.
     #[test]
     fn duty_that_moves_nothing_adds_up() {
         for (duty, periods) in [(0.5f32, 2400), (0.7, 1333), (-0.7, 1333)] {
-            at(until(3000, |_| Seen { duty, wants_motion: true, ..AT_REST }), periods, Cause::Stalled);
+            // Wherever it stands.
+            for position in [0.0, 5.0, -5.0] {
+                at(until(3000, |_| Seen { duty, position, wants_motion: true, ..AT_REST }), periods, Cause::Stalled);
+            }
         }
         assert_eq!(until(10_000, |_| Seen { duty: 0.25, wants_motion: true, ..AT_REST }), None);
         assert_eq!(until(10_000, |_| Seen { duty: 0.7, wants_motion: false, ..AT_REST }), None);

@@ -2,12 +2,12 @@
 
 extern crate std;
 
-use r4_protocol::{Cycle, CycleChannel, CycleOutcome, CycleState, cycle::NOTHING};
+use r4_protocol::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, cycle::NOTHING};
 use std::vec::Vec as List;
 
 use super::*;
 use crate::{
-    shared::{ResetCause, Status},
+    shared::{MotorStatus, ResetCause, Status},
     testing::{Board, Tasks, board, robot},
 };
 
@@ -266,5 +266,405 @@ fn a_refused_cycle_stops_what_it_has_set_points_for() {
                 assert_eq!(taken, [stopped, stopped, None], "{outcome:?} {steps:?} {late_us} {leased} {newer}");
             }
         }
+    }
+}
+
+fn id(name: &str) -> ChannelId {
+    name.parse().expect("a channel")
+}
+
+/// A board that nobody has greeted.
+fn alone() -> Bench {
+    let board = board(robot("every-interface"), ResetCause::Normal);
+    Bench { board, host: Host::default(), tasks: Tasks::default() }
+}
+
+/// Of each kind, what it measures or takes, in what, how often, how finely, and how it can be commanded.
+#[test]
+fn every_kind_of_channel_is_described() {
+    const TURN: f32 = core::f32::consts::TAU;
+    let of = |mode, unit, min, max| ModeInfo { mode, unit, range: Range::new(min, max) };
+    let duty = |max: f32| of(Mode::Duty, Unit::Duty, -max, max);
+    let off_on = |mode| of(mode, Unit::Bool, 0.0, 1.0);
+    let moves = |range: f32, speed: f32| {
+        [of(Mode::Position, Unit::Rad, -range, range), of(Mode::Speed, Unit::RadPerS, -speed, speed)]
+    };
+    let home = of(Mode::Home, Unit::RadPerS, -2.0, 2.0);
+    let motor = moves(62.83186, 5.0);
+    let stepper = moves(20.0, 12.0);
+    let servo = |angle: f32| List::from([of(Mode::Position, Unit::Rad, -angle, angle)]);
+    let analog = board(robot("every-interface"), ResetCause::Normal).config().analogs[0];
+    let turns = (Unit::Rad, Range::symmetric(f32::MAX));
+    let volts = |min, max| (Unit::V, Range::new(min, max));
+    let bool = (Unit::Bool, Range::new(0.0, 1.0));
+    let own = |modes: &List<ModeInfo>| (modes[0].unit, modes[0].range);
+    let outputs = [
+        ("osmc0", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902), home])),
+        ("osmc1", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902)])),
+        ("dhb0", 1000.0, 0.0, List::from([duty(0.95)])),
+        ("stepper1", 1000.0, TURN / 1600.0, List::from([stepper[0], stepper[1], home])),
+        ("stepper2", 1000.0, TURN / 1600.0, stepper.to_vec()),
+        ("servo0", 50.0, 0.0, servo(0.785)),
+        ("servo15", 50.0, 0.0, servo(1.571)),
+        ("bldc0", 1000.0, 0.0, List::from([duty(1.0), off_on(Mode::Brake)])),
+        ("relay1", 1000.0, 0.0, List::from([off_on(Mode::Switch)])),
+        ("dac1", 1000.0, 0.0, List::from([of(Mode::Voltage, Unit::V, 0.5, 2.8)])),
+    ];
+    let inputs = [
+        // The relay in the motors' supply is the firmware's own.
+        ("relay0", 1000.0, 0.0, bool),
+        ("encoder1", 1000.0, TURN / 2400.0, turns),
+        ("switch2", 1000.0, 0.0, bool),
+        // Four take turns of 60 ms.
+        (
+            "range3",
+            1e6 / 240_000.0,
+            0.0,
+            (Unit::M, board(robot("every-interface"), ResetCause::Normal).config().ranges[3].range_m),
+        ),
+        ("analog1", 1000.0, 0.0, volts(analog.offset_v, analog.offset_v + 65_535.0 * analog.volts_per_code)),
+        ("supply1", 1000.0, 0.0, volts(10.0, 15.0)),
+        ("dead-man1", 1000.0, 0.0, bool),
+    ];
+    let outputs =
+        outputs.into_iter().map(|(name, rate_hz, resolution, modes)| (name, rate_hz, resolution, own(&modes), modes));
+    let inputs =
+        inputs.into_iter().map(|(name, rate_hz, resolution, own)| (name, rate_hz, resolution, own, List::new()));
+    let mut bench = Bench::armed();
+    let count = bench.board.config().channels().count() as u8;
+    let mut described = List::new();
+    for index in 0..count {
+        let Ok(Reply::Channel(info)) = bench.ask(LINK, Request::Describe { index }) else { panic!("channel {index}") };
+        described.push(info);
+    }
+    assert_eq!(bench.ask(LINK, Request::Describe { index: count }), Err(Refusal::NoSuchIndex { index: count }));
+    for (name, rate_hz, resolution, (unit, range), modes) in outputs.chain(inputs) {
+        let info = described.iter().find(|info| info.id == id(name)).expect(name);
+        let expected =
+            ChannelInfo { id: id(name), unit, range, rate_hz, resolution, modes: modes.into_iter().collect() };
+        assert_eq!(info, &expected);
+    }
+}
+
+/// A drive that no line and no voltage turns round, and one without a brake; a rod that is measured in metres.
+#[test]
+fn what_an_output_cannot_do_is_not_described() {
+    let mut config = robot("every-interface");
+    config.bldcs[0].reverse = Reverse::None;
+    config.bldcs[1].brake = None;
+    let modes = |name: &str| -> List<_> {
+        let of = modes_of(&config, config.place(id(name)).expect("it has it"));
+        of.into_iter().map(|info| (info.mode, info.range)).collect()
+    };
+    assert_eq!(modes("bldc0"), [(Mode::Duty, Range::new(0.0, 1.0)), (Mode::Brake, SWITCH)]);
+    assert_eq!(modes("bldc1"), [(Mode::Duty, Range::new(-1.0, 1.0))]);
+    // The converter cannot give all that the device behind it would take.
+    config.dacs[0].range_v = Range::new(-1.0, 5.0);
+    let dac = modes_of(&config, Place::Dac(0));
+    assert_eq!(dac[0].range, Range::new(0.0, DAC_FULL_SCALE_V));
+    let bench = robot("osmc-bench");
+    let rod = modes_of(&bench, bench.place(id("actuator1")).expect("it has one"));
+    let units: List<_> = rod.iter().map(|info| (info.mode, info.unit)).collect();
+    assert_eq!(units, [(Mode::Position, Unit::M), (Mode::Speed, Unit::MPerS), (Mode::Duty, Unit::Duty)]);
+}
+
+/// Both ends of each range, and both ends of the time: 50 ms late or early to the ms are taken, 51 are not.
+#[test]
+fn set_points_are_taken_up_to_every_limit() {
+    let mut bench = Bench::armed();
+    for (channel, place, ModeInfo { mode, range, .. }) in outputs(bench.board) {
+        for value in [range.min, range.max] {
+            for late_us in [0, 50_999, -50_999] {
+                bench.again();
+                let sent_us = now_us().saturating_add_signed(-late_us);
+                assert_eq!(bench.set(LINK, channel, Setpoint { mode, value }, sent_us), Ok(Reply::Done), "{channel}");
+                assert_eq!(bench.taken(place), Some(Setpoint { mode, value }));
+            }
+        }
+    }
+    let duty = Setpoint { mode: Mode::Duty, value: 0.5 };
+    let mut late = |late_us: i64| bench.set(LINK, id("osmc0"), duty, now_us().saturating_add_signed(-late_us));
+    assert_eq!(late(51_000), Err(Refusal::Expired { age_ms: 51, ttl_ms: TTL_MS }));
+    assert_eq!(late(-51_000), Err(Refusal::ClockAhead { ahead_ms: 51 }));
+    let home = Setpoint { mode: Mode::Home, value: 0.0 };
+    let nowhere = Refusal::OutOfRange { channel: id("osmc0"), asked: 0.0, range: Range::symmetric(2.0) };
+    assert_eq!(bench.set(LINK, id("osmc0"), home, now_us()), Err(nowhere));
+}
+
+/// Before a greeting a board says what it speaks, ends nothing, and stops; it answers nothing else, also not later.
+#[test]
+fn without_a_greeting_a_board_only_stops() {
+    let mut bench = alone();
+    for request in
+        [Request::Stats, Request::Arm, Request::SaveParameters, Request::Image, Request::UartRead { port: 0 }]
+    {
+        assert_eq!(bench.ask(LINK, request), Err(Refusal::NoSession));
+    }
+    assert_eq!(bench.ask(LINK, Request::Bye), Ok(Reply::Done));
+    for (version, schema) in [(VERSION + 1, SCHEMA_HASH), (VERSION, SCHEMA_HASH ^ 1)] {
+        let refused = bench.ask(LINK, Request::Hello { version, schema });
+        assert_eq!(refused, Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }));
+    }
+    let Ok(Reply::Hello(info)) = bench.ask(LINK, Request::Hello { version: VERSION, schema: SCHEMA_HASH }) else {
+        panic!("greeted")
+    };
+    let config = bench.board.config();
+    assert_eq!((info.robot.as_str(), info.link_timeout_ms), ("every-interface", 200));
+    assert_eq!(usize::from(info.channels), config.channels().count());
+    assert_eq!((info.firmware.as_str(), info.device_us), (FIRMWARE_VERSION, now_us()));
+    assert_eq!((info.state, info.causes), (r4_protocol::SafetyState::Disarmed, r4_protocol::Causes::NONE));
+    assert_eq!(bench.board.stats().refused, 7);
+    assert_eq!(bench.ask(LINK, Request::Stats), Ok(Reply::Stats(bench.board.stats())));
+    // A heartbeat is answered to the host that has the session, and to no other.
+    let mut beat = |link, session| {
+        let heartbeat = ToDevice::Heartbeat { session, host_us: 7 };
+        match dispatch(bench.board, link, &mut bench.host, heartbeat) {
+            Outcome::Answer(ToHost::Heartbeat { host_us, device_us, .. }) => Some((host_us, device_us)),
+            _ => None,
+        }
+    };
+    assert_eq!(beat(LINK, info.session), Some((7, now_us())));
+    assert_eq!((beat(LINK, info.session + 1), beat(OTHER_LINK, info.session)), (None, None));
+}
+
+#[test]
+fn a_host_stops_clears_and_arms() {
+    let mut bench = Bench::armed();
+    for (request, state) in [
+        (Request::Stop, r4_protocol::SafetyState::Tripped),
+        (Request::Clear, r4_protocol::SafetyState::Disarmed),
+        (Request::Arm, r4_protocol::SafetyState::Armed),
+        (Request::Disarm, r4_protocol::SafetyState::Disarmed),
+    ] {
+        assert_eq!(bench.ask(LINK, request), Ok(Reply::Done));
+        assert_eq!(bench.board.safety().state, state);
+    }
+}
+
+/// What waits for flash or a connector is answered later, and that which cannot be waits for nothing.
+#[test]
+fn what_takes_time_is_answered_later() {
+    let mut bench = Bench::armed();
+    let raw = || core::iter::empty().collect();
+    for request in [
+        Request::SaveParameters,
+        Request::Fault { index: 0 },
+        Request::FaultSnapshot { index: 0, snapshot: 0 },
+        Request::I2cTransfer { bus: 0, address: 0x20, write: raw(), read: 1 },
+        Request::UartWrite { port: 0, bytes: raw() },
+        Request::UartRead { port: 0 },
+    ] {
+        let message = ToDevice::Request { seq: 3, request: request.clone() };
+        match dispatch(bench.board, LINK, &mut bench.host, message) {
+            Outcome::Later { seq: 3, request: later } => assert_eq!(later, request),
+            _ => panic!("{request:?} is put off"),
+        }
+        assert_eq!(bench.ask(OTHER_LINK, request), Err(Refusal::NoSession));
+    }
+    // A sector may have to be erased.
+    let saved = embassy_futures::block_on(carry_out(bench.board, 4, Request::SaveParameters));
+    let armed = Refusal::NotWhile { state: r4_protocol::SafetyState::Armed };
+    assert_eq!(saved, ToHost::Response { seq: 4, result: Err(armed) });
+}
+
+/// Of another link, of another mode, of a channel without a loop, or of no number: refused.
+#[test]
+fn gains_are_taken_for_the_loops_of_motors() {
+    let mut bench = Bench::armed();
+    let gains = r4_protocol::config::PidGains { kp: 1.5, ki: 0.0, kd: 0.0 };
+    let set = |channel: &str, mode, gains| Request::SetGains { channel: id(channel), mode, gains };
+    for mode in [Mode::Position, Mode::Speed] {
+        assert_eq!(bench.ask(LINK, set("osmc2", mode, gains)), Ok(Reply::Done));
+        assert_eq!(bench.board.take_gains(), Some((2, mode, gains)));
+    }
+    for (channel, mode) in [
+        ("osmc2", Mode::Duty),
+        ("osmc0", Mode::Home),
+        ("dhb0", Mode::Speed),
+        ("stepper0", Mode::Speed),
+        ("servo0", Mode::Position),
+    ] {
+        let wrong = Refusal::WrongMode { channel: id(channel), mode };
+        assert_eq!(bench.ask(LINK, set(channel, mode, gains)), Err(wrong));
+    }
+    let bad = r4_protocol::config::PidGains { kp: f32::NAN, ..gains };
+    assert_eq!(bench.ask(LINK, set("osmc0", Mode::Speed, bad)), Err(Refusal::BadGains { channel: id("osmc0") }));
+    assert_eq!(
+        bench.ask(LINK, set("osmc7", Mode::Speed, gains)),
+        Err(Refusal::UnknownChannel { channel: id("osmc7") })
+    );
+    assert_eq!(bench.board.take_gains(), None);
+}
+
+/// What hosts change holds from the next start on; until then it is told beside what holds.
+#[test]
+fn parameters_are_changed_for_the_next_start() {
+    let mut bench = Bench::armed();
+    let count = bench.board.config().parameters().count() as u16;
+    let end = Refusal::NoSuchIndex { index: u8::try_from(count).unwrap_or(u8::MAX) };
+    assert_eq!(bench.ask(LINK, Request::DescribeParameter { index: count }), Err(end));
+    let describe = |bench: &mut Bench, index| match bench.ask(LINK, Request::DescribeParameter { index }) {
+        Ok(Reply::Parameter(info)) => info,
+        other => panic!("{other:?}"),
+    };
+    let index =
+        (0..count).find(|index| describe(&mut bench, *index).key.parameter == r4_protocol::Parameter::LinkTimeoutMs);
+    let index = index.expect("every board has it");
+    let before = describe(&mut bench, index);
+    assert_eq!((before.active, before.set, before.built_in), (200.0, 200.0, 200.0));
+    assert_eq!(bench.ask(LINK, Request::SetParameter { key: before.key, value: 300.0 }), Ok(Reply::Done));
+    let after = describe(&mut bench, index);
+    assert_eq!((after.active, after.set, after.built_in), (200.0, 300.0, 200.0));
+    let bad = Refusal::BadParameter { key: before.key, value: -1.0 };
+    assert_eq!(bench.ask(LINK, Request::SetParameter { key: before.key, value: -1.0 }), Err(bad));
+    let key = r4_protocol::ParameterKey { channel: Some(id("osmc7")), parameter: r4_protocol::Parameter::DutyMax };
+    let unknown = Refusal::UnknownParameter { key };
+    assert_eq!(bench.ask(LINK, Request::SetParameter { key, value: 0.5 }), Err(unknown));
+    let robot = String::try_from("renamed").expect("short");
+    assert_eq!(bench.ask(LINK, Request::SetName { robot }), Ok(Reply::Done));
+    let pending = bench.board.pending();
+    assert_eq!((pending.robot.as_str(), pending.link_timeout_ms), ("renamed", 300));
+    assert_eq!(bench.ask(LINK, Request::ResetParameters), Ok(Reply::Done));
+    assert_eq!(&bench.board.pending(), bench.board.built_in());
+}
+
+/// Subscriptions, bound channels and the log end with the session, at its end and where another begins.
+#[test]
+fn what_a_host_asked_for_ends_with_its_session() {
+    for last in [Request::Bye, Request::Hello { version: VERSION, schema: SCHEMA_HASH }] {
+        let mut bench = Bench::armed();
+        let unknown = Request::Subscribe { channel: id("osmc7"), period_ms: 10 };
+        assert_eq!(bench.ask(LINK, unknown), Err(Refusal::UnknownChannel { channel: id("osmc7") }));
+        assert_eq!(bench.host.subscriptions.next_due(), Instant::MAX);
+        assert_eq!(bench.ask(LINK, Request::Subscribe { channel: id("osmc0"), period_ms: 10 }), Ok(Reply::Done));
+        assert_ne!(bench.host.subscriptions.next_due(), Instant::MAX);
+        let channel = CycleChannel { channel: id("osmc0"), mode: Mode::Duty, position_scale: 1e-3, speed_scale: 1e-3 };
+        let bind = Request::Bind { channels: [channel].into_iter().collect(), ttl_ms: TTL_MS };
+        assert_eq!(bench.ask(LINK, bind), Ok(Reply::Done));
+        let cycle = |bench: &mut Bench| bench.cycle(Cycle::new(0, None, None, [NOTHING; 4])).outcome();
+        assert_eq!(cycle(&mut bench), CycleOutcome::Taken);
+        assert!(bench.ask(LINK, last).is_ok());
+        assert_eq!(bench.host.subscriptions.next_due(), Instant::MAX);
+        assert_eq!([0; 2].map(|_| cycle(&mut bench)), [CycleOutcome::Unbound; 2]);
+        assert_eq!(bench.board.stats().cycles_refused, 2);
+    }
+}
+
+/// A board tells its log to those who ask, and which image's ELF makes text of it.
+#[test]
+fn a_log_is_begun_and_ended() {
+    let mut bench = Bench::armed();
+    assert_eq!(bench.ask(LINK, Request::Log { on: true }), Err(Refusal::NoLog));
+    let ring: &'static crate::log::Ring = std::boxed::Box::leak(std::boxed::Box::default());
+    let config = robot("every-interface");
+    let board = crate::shared::Shared::new(config.clone(), config, ResetCause::Normal);
+    let board: Board = std::boxed::Box::leak(std::boxed::Box::new(board.with_log(crate::log::Log { ring, image: 5 })));
+    let mut bench = Bench { board, ..alone() };
+    assert!(bench.ask(LINK, Request::Hello { version: VERSION, schema: SCHEMA_HASH }).is_ok());
+    for (on, due) in [(true, Instant::now()), (false, Instant::MAX)] {
+        assert_eq!(bench.ask(LINK, Request::Log { on }), Ok(Reply::Log(LogInfo { image: 5 })));
+        assert_eq!(bench.host.log.next_due(), due);
+    }
+}
+
+/// Restarts are asked for by their kind; the image is told where there is one.
+#[test]
+fn a_restart_is_passed_on() {
+    let mut bench = Bench::armed();
+    let armed = Refusal::NotWhile { state: r4_protocol::SafetyState::Armed };
+    assert_eq!(bench.ask(LINK, Request::Restart), Err(armed));
+    assert_eq!(bench.ask(LINK, Request::Disarm), Ok(Reply::Done));
+    assert_eq!(bench.ask(LINK, Request::Bootloader), Err(Refusal::NoBootloader));
+    assert_eq!(bench.ask(LINK, Request::Image), Err(Refusal::NoImage));
+    assert_eq!(bench.ask(LINK, Request::Restart), Ok(Reply::Done));
+    assert_eq!(embassy_futures::block_on(bench.board.restart_requested()), Restart::Firmware);
+}
+
+/// What is bound and answered: by each channel's own scales, with what it does.
+#[test]
+fn a_cycle_answers_what_its_channels_do() {
+    let mut bench = Bench::armed();
+    let of = |name, mode| CycleChannel { channel: id(name), mode, position_scale: 1e-3, speed_scale: 0.5 };
+    let bind =
+        |channels: &[CycleChannel]| Request::Bind { channels: channels.iter().copied().collect(), ttl_ms: TTL_MS };
+    for (name, mode) in
+        [("servo0", Mode::Position), ("osmc0", Mode::Home), ("dhb0", Mode::Speed), ("relay1", Mode::Switch)]
+    {
+        let refused = Refusal::WrongMode { channel: id(name), mode };
+        assert_eq!(bench.ask(LINK, bind(&[of(name, mode)])), Err(refused));
+    }
+    let twice = [of("osmc0", Mode::Duty), of("osmc1", Mode::Duty), of("osmc0", Mode::Speed)];
+    assert_eq!(bench.ask(LINK, bind(&twice)), Err(Refusal::BadBinding { channel: id("osmc0") }));
+    let unscaled = CycleChannel { speed_scale: 0.0, ..of("osmc0", Mode::Duty) };
+    assert_eq!(bench.ask(LINK, bind(&[unscaled])), Err(Refusal::BadBinding { channel: id("osmc0") }));
+    let unknown = Refusal::UnknownChannel { channel: id("osmc7") };
+    assert_eq!(bench.ask(LINK, bind(&[of("osmc7", Mode::Duty)])), Err(unknown));
+
+    let channels = [of("osmc1", Mode::Position), of("bldc2", Mode::Duty), of("stepper3", Mode::Speed)];
+    assert_eq!(bench.ask(LINK, bind(&channels)), Ok(Reply::Done));
+    let places = channels.map(|channel| place(bench.board, channel.channel).expect("bound"));
+    let status = MotorStatus { position: -77, speed: 2.0, duty: -1.0, settled: true, ..MotorStatus::IDLE };
+    bench.board.publish(places[0], Status::Motor(status));
+    bench.board.publish(places[1], Status::Scalar(0.5));
+    let sent_us = now_us() - 10_000;
+    let state = bench.cycle(Cycle::new(9, None, Some(sent_us), [500, 16_384, 4, NOTHING]));
+    assert_eq!((state.seq, state.outcome()), (9, CycleOutcome::Taken));
+    let [motor, drive, stepper, none] = state.motors();
+    let moving = |position, speed, duty, settled| CycleMotor { position, speed, duty, settled };
+    assert_eq!(motor, moving(-77, 4, -32_767, true));
+    assert_eq!(drive, moving(0, NOTHING, 16_384, false));
+    assert_eq!((stepper, none), (moving(0, 0, 0, false), CycleMotor::NONE));
+    let expected = [
+        Setpoint { mode: Mode::Position, value: 0.5 },
+        Setpoint { mode: Mode::Duty, value: 16_384.0 / 32_767.0 },
+        Setpoint { mode: Mode::Speed, value: 2.0 },
+    ];
+    assert_eq!(places.map(|place| bench.taken(place)), expected.map(Some));
+    // They are followed for what is left of their time, and then stopped.
+    bench.board.end_leases(Instant::from_micros(sent_us + 50_000));
+    assert_eq!(places.map(|place| bench.taken(place)), [None; 3]);
+    bench.board.end_leases(Instant::from_micros(sent_us + 50_001));
+    let rest = Setpoint { mode: Mode::Speed, value: 0.0 };
+    assert_eq!(places.map(|place| bench.taken(place)), [Some(rest), Some(Setpoint::NONE), Some(rest)]);
+    // To the µs, both ways.
+    for (late_us, outcome) in [
+        (50_000, CycleOutcome::Taken),
+        (50_001, CycleOutcome::Stale),
+        (-50_000, CycleOutcome::Taken),
+        (-50_001, CycleOutcome::Stale),
+    ] {
+        bench.again();
+        let sent_us = now_us().saturating_add_signed(-late_us);
+        let state = bench.cycle(Cycle::new(1, None, Some(sent_us), [0, NOTHING, NOTHING, NOTHING]));
+        assert_eq!(state.outcome(), outcome, "{late_us} us");
+    }
+    // Another link has no session, whatever it has bound.
+    let mut other = Host::default();
+    assert_eq!(other.bound.bind(bench.board, &channels, TTL_MS), Ok(()));
+    let cycle = ToDevice::Cycle(Cycle::new(1, None, None, [0; 4]));
+    let Outcome::Answer(ToHost::Cycle(state)) = dispatch(bench.board, OTHER_LINK, &mut other, cycle) else {
+        panic!("answered at once")
+    };
+    assert_eq!(state.outcome(), CycleOutcome::Unbound);
+}
+
+/// The same frame once more, after its time, stops nothing; one of the same date that cannot be taken does.
+#[test]
+fn a_cycle_that_comes_twice_stops_nothing() {
+    for (wait_ms, set, outcome, stopped) in
+        [(60, 1000, CycleOutcome::Stale, false), (0, 32_000, CycleOutcome::Refused, true)]
+    {
+        let mut bench = Bench::armed();
+        let channel = CycleChannel { channel: id("osmc0"), mode: Mode::Speed, position_scale: 1e-3, speed_scale: 1e-3 };
+        let bind = Request::Bind { channels: [channel].into_iter().collect(), ttl_ms: TTL_MS };
+        assert_eq!(bench.ask(LINK, bind), Ok(Reply::Done));
+        let sent_us = now_us();
+        let speed = |value| Setpoint { mode: Mode::Speed, value };
+        assert_eq!(bench.set(LINK, id("osmc0"), speed(1.0), sent_us), Ok(Reply::Done));
+        bench.pass_ms(wait_ms);
+        assert_eq!(bench.taken(Place::Motor(0)), Some(speed(1.0)));
+        let cycle = Cycle::new(0, None, Some(sent_us), [set, NOTHING, NOTHING, NOTHING]);
+        assert_eq!(bench.cycle(cycle).outcome(), outcome);
+        assert_eq!(bench.taken(Place::Motor(0)), stopped.then_some(speed(0.0)));
     }
 }

@@ -236,3 +236,211 @@ impl Bridge {
         outputs
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use embassy_futures::block_on;
+    use r4_protocol::config::{BridgeLines, DhbLines};
+
+    use super::*;
+    use crate::testing::{Registers, Tasks};
+
+    const CHIP: u8 = 0x40;
+    /// Not in the order of the chip's outputs, of which the first is 4.
+    const OSMC: BridgeConfig = BridgeConfig::Osmc(BridgeLines { ahi: 6, ali: 4, bhi: 5, bli: 7 });
+    const DHB: BridgeConfig = BridgeConfig::Dhb(DhbLines { in1: 6, in2: 5, en: 4 });
+    const REVERSAL: Duration = Duration::from_micros(1312);
+    const PHASE: u16 = 0x0300;
+
+    const LOW: [u8; 4] = [0, 0, 0, 0x10];
+    const HIGH: [u8; 4] = [0, 0x10, 0, 0];
+    /// A PWM line at duty 0 keeps the count at which its pulses begin.
+    const REST: [u8; 4] = [0x00, 0x03, 0, 0x10];
+    /// A quarter of the period, from count 0x300 on.
+    const QUARTER: [u8; 4] = [0x00, 0x03, 0x00, 0x07];
+
+    struct Rig {
+        chip: Pca9685,
+        bus: Registers,
+        tasks: Tasks,
+        bridge: Bridge,
+    }
+
+    impl Rig {
+        /// A bridge that has just been switched off.
+        fn new(wiring: BridgeConfig, inverted: bool) -> Self {
+            let bus = Registers::default();
+            bus.set(CHIP, 0xFD, 0);
+            (0..16).for_each(|output| bus.set(CHIP, 6 + 4 * output + 3, 0x10));
+            let bridge = Bridge::new(wiring, inverted, PHASE, REVERSAL);
+            Self { chip: Pca9685::new(CHIP, 1526.0), bus, tasks: Tasks::default(), bridge }
+        }
+
+        /// The same after its rest, so that it may go either way.
+        fn rested(wiring: BridgeConfig, inverted: bool) -> Self {
+            let mut rig = Self::new(wiring, inverted);
+            rig.tasks.advance(REVERSAL);
+            rig
+        }
+
+        /// Plans, sends what there is to be sent, and says what the motor gets and how many bytes that took.
+        fn drive(&mut self, duty: f32) -> (f32, usize) {
+            match self.bridge.plan(&self.chip, duty) {
+                Plan::Keep(applied) => (applied, 0),
+                Plan::Send(write, planned) => {
+                    block_on(write.send(&mut self.bus)).expect("the bus works");
+                    self.bridge.sent(planned, Instant::now());
+                    (planned.applied(), write.bytes().len())
+                }
+            }
+        }
+
+        /// Registers of the outputs from 4 on.
+        fn lines<const N: usize>(&self) -> [[u8; 4]; N] {
+            core::array::from_fn(|line| {
+                core::array::from_fn(|byte| self.bus.get(CHIP, 6 + 4 * (4 + line as u8) + byte as u8))
+            })
+        }
+
+        /// Which lines are not as they should be.
+        fn mismatches(&mut self) -> Vec<usize> {
+            let line_count = self.bridge.line_count();
+            let differs = |line: &usize| block_on(self.bridge.verify(&self.chip, &mut self.bus, *line)).is_err();
+            (0..line_count).filter(differs).collect()
+        }
+    }
+
+    /// Forwards and backwards, of both kinds of bridge, straight and with the motor's wires swapped: one line pulses from its
+    /// phase on, its counterpart stays low.
+    #[test]
+    fn each_direction_pulses_one_line_beside_the_steady_ones() {
+        for inverted in [false, true] {
+            for forwards in [true, false] {
+                let duty = if forwards != inverted { 0.25 } else { -0.25 };
+                let mut rig = Rig::rested(OSMC, inverted);
+                assert_eq!(rig.drive(duty), (duty, 17));
+                let expected = if forwards { [LOW, HIGH, HIGH, QUARTER] } else { [QUARTER, HIGH, HIGH, LOW] };
+                assert_eq!(rig.lines(), expected, "{duty} of an OSMC, inverted: {inverted}");
+                assert!(rig.bridge.is_osmc());
+
+                let mut rig = Rig::rested(DHB, inverted);
+                assert_eq!(rig.drive(duty), (duty, 13));
+                let expected = if forwards { [HIGH, LOW, QUARTER] } else { [HIGH, QUARTER, LOW] };
+                assert_eq!(rig.lines(), expected, "{duty} of a DHB, inverted: {inverted}");
+                assert!(!rig.bridge.is_osmc());
+                assert_eq!((rig.bridge.applied(), rig.bridge.is_on()), (duty, true));
+            }
+        }
+    }
+
+    /// A bridge that was switched off rests as long as one that turns round, counted from the first time it was.
+    #[test]
+    fn a_bridge_that_is_off_rests_before_it_is_switched_on() {
+        let mut rig = Rig::new(OSMC, false);
+        rig.tasks.advance(REVERSAL - Duration::from_ticks(1));
+        rig.bridge.now_off();
+        assert_eq!(rig.drive(0.25), (0.0, 0));
+        assert!(!rig.bridge.is_on());
+        rig.tasks.advance(Duration::from_ticks(1));
+        assert_eq!(rig.drive(0.25), (0.25, 17));
+        rig.bridge.now_off();
+        assert_eq!((rig.bridge.applied(), rig.bridge.is_on()), (0.0, false));
+        assert_eq!(rig.drive(0.25), (0.0, 0));
+    }
+
+    /// Low first, for two PWM periods from when that was sent on; then all lines in one transfer.
+    #[test]
+    fn a_turn_takes_the_pulses_away_waits_and_sets_all_lines_at_once() {
+        for duty in [0.25, -0.25] {
+            let mut rig = Rig::rested(OSMC, false);
+            assert_eq!(rig.drive(duty), (duty, 17));
+            let before: [_; 4] = rig.lines();
+            let at_rest = before.map(|line| if line == QUARTER { REST } else { line });
+            assert_eq!(rig.drive(-duty), (0.0, 3));
+            assert_eq!(rig.lines(), at_rest);
+            rig.tasks.advance(REVERSAL - Duration::from_ticks(1));
+            assert_eq!(rig.drive(-duty), (0.0, 0));
+            assert_eq!(rig.lines(), at_rest);
+            rig.tasks.advance(Duration::from_ticks(1));
+            assert_eq!(rig.drive(-duty), (-duty, 17));
+            let [ali, ahi, bhi, bli] = before;
+            assert_eq!(rig.lines(), [bli, ahi, bhi, ali]);
+        }
+    }
+
+    /// The way back to the direction it had needs no rest, and standing still no other direction.
+    #[test]
+    fn the_same_direction_writes_only_the_count_that_moves() {
+        let mut rig = Rig::rested(OSMC, false);
+        rig.drive(0.25);
+        assert_eq!(rig.drive(0.25), (0.25, 0));
+        assert_eq!(rig.drive(0.5), (0.5, 3));
+        // The motor is shorted, by the line that pulsed.
+        for zero in [0.0, -0.0, -1e-5] {
+            rig.drive(0.25);
+            assert_eq!(rig.drive(zero), (zero, 3), "{zero}");
+            assert_eq!(rig.lines(), [LOW, HIGH, HIGH, REST], "{zero}");
+            assert_eq!(rig.drive(zero), (zero, 0), "{zero}");
+            assert!(rig.bridge.is_on());
+        }
+        assert_eq!(rig.drive(0.25), (0.25, 3));
+        assert_eq!(rig.lines(), [LOW, HIGH, HIGH, QUARTER]);
+    }
+
+    /// Duty 0 counts as positive: a bridge that was switched on with it takes a positive one at once, and a negative one after a
+    /// rest.
+    #[test]
+    fn a_bridge_that_is_switched_on_at_rest_is_on_its_way_forwards() {
+        for inverted in [false, true] {
+            for (duty, expected) in [(0.25, (0.25, 5)), (-0.25, (0.0, 0))] {
+                let mut rig = Rig::rested(OSMC, inverted);
+                assert_eq!(rig.drive(0.0), (0.0, 17));
+                assert_eq!(rig.lines(), [LOW, HIGH, HIGH, LOW]);
+                assert_eq!(rig.drive(duty), expected, "inverted: {inverted}");
+            }
+        }
+    }
+
+    #[test]
+    fn only_its_own_lines_are_switched_off() {
+        for (wiring, lines) in [(OSMC, 4), (DHB, 3)] {
+            let mut rig = Rig::rested(wiring, false);
+            rig.drive(0.25);
+            for output in (0..16).filter(|output| !(4..4 + lines).contains(output)) {
+                rig.bus.set(CHIP, 6 + 4 * output + 3, 0x01);
+            }
+            block_on(rig.bridge.off(&rig.chip, &mut rig.bus)).expect("the bus works");
+            for output in 0..16 {
+                let expected = if (4..4 + lines).contains(&output) { 0x10 } else { 0x01 };
+                assert_eq!(rig.bus.get(CHIP, 6 + 4 * output + 3), expected, "{output}");
+            }
+            assert_eq!((rig.bridge.applied(), rig.bridge.is_on()), (0.0, false));
+            // Once: a bridge that is off is left alone.
+            rig.bus.fail(1);
+            assert!(block_on(rig.bridge.off(&rig.chip, &mut rig.bus)).is_ok());
+        }
+    }
+
+    /// On or off, a line that is not as it was told is found, and by its number.
+    #[test]
+    fn a_line_that_changes_is_found() {
+        for wiring in [OSMC, DHB] {
+            for on in [true, false] {
+                for line in 0..Rig::new(wiring, false).bridge.line_count() {
+                    let mut rig = Rig::rested(wiring, false);
+                    if on {
+                        rig.drive(-0.25);
+                    }
+                    assert!(rig.mismatches().is_empty());
+                    let register = 6 + 4 * (4 + line as u8) + 3;
+                    rig.bus.set(CHIP, register, rig.bus.get(CHIP, register) ^ 0x10);
+                    assert_eq!(rig.mismatches(), [line], "{wiring:?}, on: {on}");
+                }
+            }
+        }
+    }
+}

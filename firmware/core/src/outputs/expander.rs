@@ -110,12 +110,16 @@ impl Expander {
 
 #[cfg(test)]
 mod tests {
+    use embassy_futures::block_on;
     use r4_protocol::{ChannelId, ChannelKind};
 
     use super::*;
+    use crate::testing::Registers;
 
-    #[test]
-    fn polarity_is_per_relay_and_motor_power_is_only_that() {
+    const CHIP: u8 = 0x20;
+
+    /// The motors' supply by a relay that closes while its line is low, and one of general use.
+    fn expander() -> Expander {
         let relay = |index, bit, active_low, role| RelayConfig {
             id: ChannelId::new(ChannelKind::Relay, index),
             bit,
@@ -123,14 +127,78 @@ mod tests {
             role,
         };
         let relays = [relay(0, 8, true, RelayRole::MotorPower), relay(3, 11, false, RelayRole::General)];
-        let mut relays = Expander::new(ExpanderConfig { address: 0x20 }, relays.into_iter().collect());
+        Expander::new(ExpanderConfig { address: CHIP }, relays.into_iter().collect())
+    }
+
+    /// What the pins show.
+    fn pins(bus: &Registers) -> u16 {
+        u16::from_le_bytes([0x14, 0x15].map(|register| bus.get(CHIP, register)))
+    }
+
+    /// What is to change is written once, and again after a failure.
+    #[test]
+    fn a_change_is_written_once() {
+        let (mut expander, mut bus) = (expander(), Registers::default());
+        (0..2).for_each(|register| bus.set(CHIP, register, 0xFF));
+        assert_eq!(block_on(expander.driven(&mut bus)).ok(), Some(None), "as after power-up");
+        assert!(expander.has_changed());
+        assert!(block_on(expander.init(&mut bus)).is_ok());
+        assert_eq!((pins(&bus), block_on(expander.driven(&mut bus)).ok()), (0x0100, Some(Some(0x0100))));
+        assert!(!expander.has_changed());
+        expander.switch(1, true);
+        expander.set_lines(0x0003);
+        assert!(expander.has_changed());
+        bus.fail(1);
+        assert!(block_on(expander.rewrite(&mut bus)).is_err());
+        assert!(expander.has_changed());
+        assert!(block_on(expander.rewrite(&mut bus)).is_ok());
+        assert_eq!((pins(&bus), expander.has_changed()), (0x0903, false));
+        // Back to what they were once told: still a change.
+        bus.fail(1);
+        expander.switch(1, false);
+        assert!(block_on(expander.rewrite(&mut bus)).is_err());
+        expander.switch(1, true);
+        assert!(expander.has_changed());
+        assert!(block_on(expander.rewrite(&mut bus)).is_ok());
+        assert!(!expander.has_changed());
+        // A chip that has just been powered, or that another program has set up in its other register map.
+        bus.set(CHIP, 0x00, 0xFF);
+        bus.set(CHIP, 0x0A, 0x80);
+        assert!(block_on(expander.force(&mut bus)).is_ok());
+        assert_eq!([0x00, 0x01, 0x05, 0x0A].map(|register| bus.get(CHIP, register)), [0; 4]);
+        assert_eq!(pins(&bus), 0x0903);
+        // Nothing was read back.
+        assert!(expander.has_changed());
+    }
+
+    #[test]
+    fn a_pin_that_changes_is_found() {
+        let (mut expander, mut bus) = (expander(), Registers::default());
+        assert!(block_on(expander.init(&mut bus)).is_ok());
+        assert!(block_on(expander.verify(&mut bus)).is_ok());
+        for register in [0x00, 0x01, 0x14, 0x15] {
+            bus.set(CHIP, register, bus.get(CHIP, register) ^ 0x40);
+            assert!(block_on(expander.verify(&mut bus)).is_err(), "{register:#x}");
+            bus.set(CHIP, register, bus.get(CHIP, register) ^ 0x40);
+        }
+        expander.switch(1, true);
+        assert!(block_on(expander.verify(&mut bus)).is_err(), "it was not told yet");
+    }
+
+    #[test]
+    fn polarity_is_per_relay_and_motor_power_is_only_that() {
+        let mut relays = expander();
+        assert!(relays.has_motor_power());
+        let general = relays.relays.iter().filter(|relay| relay.role == RelayRole::General).copied();
+        assert!(!Expander::new(ExpanderConfig { address: CHIP }, general.collect()).has_motor_power());
         assert_eq!(relays.levels(), 0x0100, "all open");
         relays.close_motor_power();
         assert_eq!(relays.levels(), 0x0000);
         relays.switch(1, true);
-        assert_eq!(relays.levels(), 0x0800);
+        assert_eq!((relays.levels(), [0, 1].map(|index| relays.is_closed(index))), (0x0800, [true; 2]));
         relays.open_general();
         assert_eq!(relays.levels(), 0x0000, "the motors' supply stays");
+        assert_eq!([0, 1].map(|index| relays.is_closed(index)), [true, false]);
         relays.open_all();
         assert_eq!(relays.levels(), 0x0100);
         relays.open_general();

@@ -224,9 +224,12 @@ impl Servo {
 
 #[cfg(test)]
 mod tests {
+    use embassy_futures::{block_on, join::join};
+    use embassy_time::Duration;
     use r4_protocol::{ChannelId, ChannelKind, config::ServoPoint};
 
     use super::*;
+    use crate::testing::{Registers, Tasks};
 
     const CHIP: ServoChipConfig =
         ServoChipConfig { address: 0x42, frequency_hz: 50.0, oscillator_hz: 25e6, hold_when_safe: false };
@@ -273,5 +276,141 @@ mod tests {
         for (count, period_s, calls) in [(0, 0.001, 0), (1, 0.001, 1), (16, 0.001, 1), (16, 0.002, 2), (16, 0.02, 16)] {
             assert_eq!(Servos::new(CHIP, &all[..count]).writes_per_period(period_s), calls, "{count} at {period_s} s");
         }
+    }
+
+    /// Servos on outputs 0, 5 and 3, set up on a bus.
+    fn rig(hold_when_safe: bool) -> (Servos, Registers) {
+        let mut servos =
+            Servos::new(ServoChipConfig { hold_when_safe, ..CHIP }, &[0, 5, 3].map(|output| config(output, 1.0)));
+        let mut bus = Registers::default();
+        init(&mut servos, &mut bus);
+        (servos, bus)
+    }
+
+    /// Sets them up, which waits for the chip's oscillator.
+    fn init(servos: &mut Servos, bus: &mut Registers) {
+        let wait = async { Tasks::default().advance(Duration::from_millis(1)) };
+        let (result, ()) = block_on(join(servos.init(bus), wait));
+        result.expect("the chip answers");
+    }
+
+    /// The write that is due, sent: to which output.
+    fn write(servos: &mut Servos, bus: &mut Registers) -> Option<u8> {
+        let (write, pulse) = servos.next_write()?;
+        assert_eq!((write.address(), write.bytes().len() as u32 + 1), (0x42, Servos::WRITE_BYTES));
+        block_on(write.send(bus)).expect("the bus works");
+        servos.sent(pulse);
+        Some((write.bytes()[0] - 8) / 4)
+    }
+
+    /// 1.5 ms, in the middle, and 1 ms, at -1 rad.
+    const MIDDLE: [u8; 2] = [0x33, 0x01];
+    const LOWEST: [u8; 2] = [0xCD, 0x00];
+
+    fn pulse(bus: &Registers, output: u8) -> [u8; 2] {
+        [2, 3].map(|byte| bus.get(0x42, 6 + 4 * output + byte))
+    }
+
+    /// Each in its turn, by its own output; who was not sent, or has moved on, comes again after the others.
+    #[test]
+    fn servos_take_turns() {
+        let (mut servos, mut bus) = rig(false);
+        assert_eq!(servos.count(), 3);
+        assert!(servos.next_write().is_none());
+        for index in 0..3 {
+            servos.command(index, 0.0);
+        }
+        assert_eq!([0; 4].map(|_| write(&mut servos, &mut bus)), [Some(0), Some(5), Some(3), None]);
+        assert_eq!([0, 5, 3].map(|output| pulse(&bus, output)), [MIDDLE; 3]);
+        for index in [0, 2] {
+            servos.command(index, -1.0);
+        }
+        servos.step(0.5);
+        assert_eq!(write(&mut servos, &mut bus), Some(0));
+        // Left off by a stop: it may have either pulse.
+        let (left_off, _) = servos.next_write().expect("the last");
+        assert_eq!(left_off.bytes()[0], 6 + 4 * 3 + 2);
+        servos.command(0, 0.0);
+        servos.step(0.5);
+        assert_eq!([0; 3].map(|_| write(&mut servos, &mut bus)), [Some(0), Some(3), None]);
+        assert_eq!([0, 5, 3].map(|output| pulse(&bus, output)), [MIDDLE, MIDDLE, LOWEST]);
+    }
+
+    /// Without pulses servos are limp, and the next command is a first one again.
+    #[test]
+    fn when_safe_pulses_end() {
+        let (mut servos, mut bus) = rig(false);
+        servos.command(1, -1.0);
+        write(&mut servos, &mut bus);
+        block_on(servos.make_safe(&mut bus)).expect("the bus works");
+        assert_eq!((servos.angle(1), pulse(&bus, 5)), (None, [LOWEST[0], 0x10]));
+        assert!(servos.next_write().is_none());
+        assert!(block_on(servos.verify(&mut bus, 1)).is_ok());
+        servos.command(1, 0.0);
+        assert_eq!(servos.angle(1), Some(0.0), "at once");
+        write(&mut servos, &mut bus);
+        // And on a chip in any state, whose outputs may be inverted.
+        bus.set(0x42, 0x01, 0x10);
+        block_on(servos.force_safe(&mut bus)).expect("the bus works");
+        assert_eq!((servos.angle(1), pulse(&bus, 5)[1], bus.get(0x42, 0x01)), (None, 0x10, 0x04));
+        for call in [true, false] {
+            bus.fail(1);
+            let result =
+                if call { block_on(servos.make_safe(&mut bus)) } else { block_on(servos.force_safe(&mut bus)) };
+            assert!(result.is_err());
+        }
+    }
+
+    /// At the pulse that was sent, and not where it was to go; nothing is written.
+    #[test]
+    fn servos_that_are_held_stay_where_they_were_sent() {
+        let (mut servos, mut bus) = rig(true);
+        for index in [0, 1] {
+            servos.command(index, 0.0);
+            write(&mut servos, &mut bus);
+        }
+        servos.command(0, -1.0);
+        servos.step(0.25);
+        servos.command(2, 0.5);
+        bus.fail(1);
+        assert!(block_on(servos.make_safe(&mut bus)).is_ok());
+        bus.fail(0);
+        assert_eq!([0, 1, 2].map(|index| servos.angle(index)), [Some(0.0), Some(0.0), None]);
+        servos.step(10.0);
+        assert_eq!(servos.angle(0), Some(0.0));
+        // As after a reset of the processor: nobody knows where they are, and they are left alone.
+        bus.fail(1);
+        assert!(block_on(servos.force_safe(&mut bus)).is_ok());
+        bus.fail(0);
+        assert_eq!((servos.angle(0), pulse(&bus, 0)), (None, MIDDLE));
+    }
+
+    /// A pulse, its end, mode and prescaler: what is not as it was told is found; what may be either is not judged.
+    #[test]
+    fn a_register_that_changes_is_found() {
+        let (mut servos, mut bus) = rig(false);
+        let ok = |servos: &Servos, bus: &mut Registers| {
+            (
+                [0, 1, 2].map(|index| block_on(servos.verify(bus, index)).is_ok()),
+                block_on(servos.verify_mode(bus)).is_ok(),
+            )
+        };
+        servos.command(0, 0.0);
+        write(&mut servos, &mut bus);
+        assert_eq!(ok(&servos, &mut bus), ([true; 3], true));
+        bus.set(0x42, 0xFE, bus.get(0x42, 0xFE) ^ 1);
+        assert_eq!(ok(&servos, &mut bus), ([true; 3], false));
+        bus.set(0x42, 0xFE, bus.get(0x42, 0xFE) ^ 1);
+        bus.set(0x42, 8, 0);
+        bus.set(0x42, 6 + 4 * 3 + 3, 0);
+        assert_eq!(ok(&servos, &mut bus), ([false, true, false], true));
+        // Being written.
+        servos.command(0, 1.0);
+        servos.step(1.0);
+        servos.next_write().expect("it moves");
+        assert_eq!(ok(&servos, &mut bus), ([true, true, false], true));
+        // Setting up puts all right, and forgets all.
+        init(&mut servos, &mut bus);
+        assert_eq!((ok(&servos, &mut bus), servos.angle(0)), (([true; 3], true), None));
     }
 }

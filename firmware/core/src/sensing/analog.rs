@@ -148,12 +148,6 @@ impl Supply {
         &self.config
     }
 
-    /// The same, while they are in range.
-    #[must_use]
-    pub fn good_volts(&self) -> Option<f32> {
-        (self.quality == Quality::Good).then(|| self.filter.value())
-    }
-
     /// Volts of the last [`Supply::update`] alone, without the filter's delay.
     #[must_use]
     pub fn measured_v(&self) -> f32 {

@@ -112,6 +112,17 @@ mod tests {
         }
     }
 
+    /// Half a second after the last count, and not before.
+    #[test]
+    fn a_shaft_stands_still_after_half_a_second() {
+        let mut encoder = Encoder::new(false, 1.0 / 1024.0, 0.0);
+        encoder.update(0);
+        encoder.update(1);
+        for period in 1..600 {
+            assert_eq!(encoder.update(1).1 == 0.0, period >= 512, "{period}");
+        }
+    }
+
     #[test]
     fn a_stopped_shaft_reads_zero() {
         let mut encoder = Encoder::new(false, 1e-3, 0.02);

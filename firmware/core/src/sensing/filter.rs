@@ -45,5 +45,8 @@ mod tests {
         let end = (0..5000).map(|_| filter.step(1.0)).last().expect("stepped");
         // It stops where a step is lost in the rounding: half an ulp over the share of a period, 3e-8 / 0.01.
         assert!((end - 1.0).abs() < 6e-6, "DC gain is 1: {end}");
+        assert_eq!(filter.value(), end);
+        filter.reset(-2.5);
+        assert_eq!((filter.value(), filter.step(-2.5)), (-2.5, -2.5), "at rest there");
     }
 }

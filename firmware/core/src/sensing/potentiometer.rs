@@ -131,14 +131,14 @@ mod tests {
         #[test]
         fn code_and_position_are_inverse(
             low in 0u16..20_000, span in 1_000u16..40_000, falling: bool,
-            length_m in 0.01f32..1.0, share in 0.0f32..=1.0,
+            low_m in -0.5f32..0.5, length_m in 0.01f32..1.0, share in 0.0f32..=1.0,
         ) {
             let (first, second) = if falling { (low + span, low) } else { (low, low + span) };
             let scale = PotScale::new(
-                PotPoint { code: first, position_m: 0.0 },
-                PotPoint { code: second, position_m: length_m },
+                PotPoint { code: first, position_m: low_m },
+                PotPoint { code: second, position_m: low_m + length_m },
             );
-            let position_m = share * length_m;
+            let position_m = low_m + share * length_m;
             // Codes up to 65535 carry 2^-8 of rounding in f32; that times metres per code bounds the error.
             let tolerance_m = length_m / f32::from(span) * 0.02 + 1e-6;
             prop_assert!((scale.position_m(scale.code(position_m)) - position_m).abs() < tolerance_m);
@@ -159,6 +159,37 @@ mod tests {
         // Shorted to a rail, with hundreds of codes of converter offset.
         for code in [0, 40, 900, 64_800, u16::MAX] {
             assert_eq!(bench().update(code), Err(Implausible), "{code}");
+        }
+    }
+
+    /// 6 codes in a period of 1 ms are 10 mm/s on the bench, either way.
+    #[test]
+    fn a_rod_s_speed_is_that_of_its_position() {
+        for sign in [1, -1] {
+            let mut pot = bench();
+            let speeds =
+                (0..1000i32).map(|period| pot.update((32_000 + sign * 6 * period) as u16).expect("plausible").1);
+            let speed_m_s = speeds.last().expect("stepped");
+            let expected = sign as f32 * 6.0 * pot.scale.metres_per_code * 1e3;
+            // Twenty time constants, and positions of 50 mm in f32: 4e-9 m in a period of 1 ms, smoothed over 50.
+            assert!((speed_m_s - expected).abs() < 1e-5, "{speed_m_s} m/s, not {expected}");
+        }
+    }
+
+    /// 3 % of the span beyond either end, and from one period to the next; here 900 codes, or 3 mm.
+    #[test]
+    fn a_code_may_lie_and_jump_as_far_as_the_margin() {
+        let point = |code, position_m| PotPoint { code, position_m };
+        let pot = || Potentiometer::new(point(20_000, 0.0), point(50_000, 0.1), 1e-3, 0.05);
+        for (code, plausible) in [(19_099, false), (19_100, true), (50_900, true), (50_901, false)] {
+            assert_eq!(pot().update(code).is_ok(), plausible, "{code}");
+        }
+        // One code more or less, for rounding.
+        for (code, taken) in [(30_000 + 899, true), (30_000 + 901, false), (30_000 - 899, true), (30_000 - 901, false)]
+        {
+            let mut pot = pot();
+            let (rest_m, _) = pot.update(30_000).expect("plausible");
+            assert_eq!(pot.update(code).expect("bridged").0 != rest_m, taken, "{code}");
         }
     }
 

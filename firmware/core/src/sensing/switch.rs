@@ -18,8 +18,6 @@ pub struct Switch {
     /// The level of the last samples, as closed or not, and how many there have been, up to `debounce_periods`.
     steady: (bool, u32),
     closed: Option<bool>,
-    /// Whether `closed` changed in the last period, and not from unknown.
-    changed: bool,
 }
 
 impl Switch {
@@ -31,7 +29,6 @@ impl Switch {
             debounce_periods: periods(DEBOUNCE_S, period_s),
             steady: (false, 0),
             closed: None,
-            changed: false,
         }
     }
 
@@ -40,10 +37,8 @@ impl Switch {
         let closed = high != self.active_low;
         let samples = if closed == self.steady.0 { self.steady.1 + 1 } else { 1 };
         self.steady = (closed, samples.min(self.debounce_periods));
-        self.changed = false;
         if self.steady.1 == self.debounce_periods {
-            let before = self.closed.replace(closed);
-            self.changed = before == Some(!closed);
+            self.closed = Some(closed);
         }
         self.closed == Some(true)
     }
@@ -52,18 +47,6 @@ impl Switch {
     #[must_use]
     pub fn closed(&self) -> Option<bool> {
         self.closed
-    }
-
-    /// Whether it closed in the last period. A switch that is closed from the start has not just closed.
-    #[must_use]
-    pub fn just_closed(&self) -> bool {
-        self.changed && self.closed == Some(true)
-    }
-
-    /// Whether it opened in the last period.
-    #[must_use]
-    pub fn just_opened(&self) -> bool {
-        self.changed && self.closed == Some(false)
     }
 }
 
@@ -86,30 +69,27 @@ mod tests {
     }
 
     #[test]
-    fn the_first_steady_level_is_where_it_starts_and_no_edge() {
+    fn the_first_steady_level_is_where_it_starts() {
         for (active_low, high) in [(false, false), (false, true), (true, false), (true, true)] {
             let mut switch = switch(active_low);
             assert!(!hold(&mut switch, high, PERIODS - 1));
             assert_eq!(switch.closed(), None);
             let closed = switch.update(high);
             assert_eq!((closed, switch.closed()), (high != active_low, Some(high != active_low)));
-            assert!(!switch.just_closed() && !switch.just_opened());
         }
     }
 
     #[test]
-    fn an_edge_is_told_once_after_the_bounce() {
+    fn an_edge_is_told_after_the_bounce() {
         let mut switch = switch(true);
         hold(&mut switch, true, PERIODS);
         for high in [false, true, false, true, true, false, true] {
-            assert!(!switch.update(high) && !switch.just_closed() && !switch.just_opened());
+            assert!(!switch.update(high));
         }
-        assert!(!hold(&mut switch, false, PERIODS - 1) && !switch.just_closed());
-        assert!(switch.update(false) && switch.just_closed() && !switch.just_opened());
-        assert!(switch.update(false) && !switch.just_closed());
-        assert!(hold(&mut switch, true, PERIODS - 1) && !switch.just_opened());
-        assert!(!switch.update(true) && switch.just_opened() && !switch.just_closed());
-        assert!(!switch.update(true) && !switch.just_opened());
+        assert!(!hold(&mut switch, false, PERIODS - 1));
+        assert!(switch.update(false));
+        assert!(hold(&mut switch, true, PERIODS - 1));
+        assert!(!switch.update(true));
     }
 
     #[test]
@@ -133,14 +113,11 @@ mod tests {
                 for _ in 0..periods {
                     length = if level == Some(high) { length + 1 } else { 1 };
                     level = Some(high);
-                    let before = expected;
                     if length >= PERIODS {
                         expected = Some(high);
                     }
                     prop_assert_eq!(switch.update(high), expected == Some(true));
                     prop_assert_eq!(switch.closed(), expected);
-                    prop_assert_eq!(switch.just_closed(), before == Some(false) && expected == Some(true));
-                    prop_assert_eq!(switch.just_opened(), before == Some(true) && expected == Some(false));
                 }
             }
         }

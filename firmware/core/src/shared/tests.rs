@@ -102,6 +102,40 @@ fn trips_are_counted_from_the_first_host_on() {
     assert_eq!((hung.trips(), hung.trip_causes()), (1, Causes::only(Cause::WatchdogReset)));
 }
 
+/// What the processor's own detectors see is present until they say otherwise.
+#[test]
+fn a_cause_of_the_processor_trips_and_stays() {
+    let board = armed();
+    board.set_processor_cause(Cause::ClockFault, false);
+    board.supervise(Causes::NONE, Instant::now());
+    assert_eq!(board.safety().state, SafetyState::Armed);
+    board.set_processor_cause(Cause::ClockFault, true);
+    let causes = Causes::only(Cause::ClockFault);
+    assert_eq!((board.safety().state, board.safety().causes), (SafetyState::Tripped, causes));
+    board.supervise(Causes::NONE, Instant::now());
+    assert_eq!(board.request(Event::Clear), Err(Refusal::CausesPresent { causes }));
+    board.set_processor_cause(Cause::ClockFault, false);
+    board.supervise(Causes::NONE, Instant::now());
+    assert_eq!(board.request(Event::Clear), Ok(()));
+}
+
+/// A write that is under way is asked whether to go on: the signal that says so is taken only when there is nothing to do.
+#[test]
+fn a_change_of_state_is_seen_and_its_signal_left() {
+    let board = armed();
+    let mut context = Context::from_waker(core::task::Waker::noop());
+    let view = board.safety();
+    assert!(board.make_safe.signaled(), "it was armed");
+    assert!(!board.has_changed(view, &mut context));
+    assert!(!board.make_safe.signaled());
+    board.trip(Cause::HostStop);
+    assert!(board.has_changed(view, &mut context));
+    assert!(board.make_safe.signaled());
+    // Without a signal, too: the supervisor's deadline may have come first.
+    board.make_safe.reset();
+    assert!(board.has_changed(view, &mut context));
+}
+
 #[test]
 fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
     let board = every_interface();
@@ -179,11 +213,16 @@ fn a_brake_is_commanded_beside_its_drive() {
     let epoch = board.safety().epoch;
     for (value, applied) in [(1.0, true), (0.0, false)] {
         assert_eq!(board.command(Place::Bldc(2), Setpoint { mode: Mode::Brake, value }, 0), Ok(()));
+        let commanded = board.commanded();
+        assert!(commanded.has_brake(2) && !commanded.has_brake(1) && !commanded.has(Place::Bldc(2)));
         assert_eq!(board.command(Place::Bldc(2), DUTY, 0), Ok(()));
+        assert!(board.commanded().has(Place::Bldc(2)));
         assert_eq!(board.take_brake(1, epoch), None);
         assert_eq!(board.take_brake(2, epoch), Some(applied));
         assert_eq!(board.take_brake(2, epoch), None);
+        assert!(!board.commanded().has_brake(2));
         assert_eq!(board.take_command(Place::Bldc(2), epoch), Some(DUTY));
+        assert!(!board.commanded().has(Place::Bldc(2)));
     }
 }
 
@@ -211,6 +250,23 @@ fn a_lease_that_is_not_renewed_ends_in_rest() {
         assert_eq!(board.take_command(Place::Motor(1), epoch), Some(rest));
         board.end_leases(now + MS);
         assert_eq!((board.take_command(MOTOR, epoch), board.stats().setpoints_expired), (None, 2));
+    }
+}
+
+/// Every channel that cycles can move at once.
+#[test]
+fn there_is_a_lease_for_each_channel() {
+    let board = armed();
+    let epoch = board.safety().epoch;
+    let now = Instant::now();
+    let motors = (0..MAX_MOTORS).map(Place::Motor);
+    let places = motors.chain((0..MAX_BLDCS).map(Place::Bldc)).chain((0..STEPPERS).map(Place::Stepper));
+    for place in places.clone() {
+        assert_eq!(board.lease(&[(place, DUTY)], 0, now), Ok(()));
+    }
+    board.end_leases(now + US);
+    for place in places {
+        assert_eq!(board.take_command(place, epoch), Some(Setpoint::NONE), "{place:?}");
     }
 }
 
@@ -361,6 +417,32 @@ fn the_board_has_started_when_its_guards_are_heard() {
     assert!(!board.has_started());
     board.set_started();
     assert!(board.has_started());
+}
+
+/// Of several at once, each in its place.
+#[test]
+fn what_is_published_is_shown_in_its_place() {
+    let board = every_interface();
+    let places = [Place::Servo(3), Place::Relay(1), Place::Bldc(2)];
+    board.publish_each(places.into_iter().zip([0.1, 0.2, 0.3]).map(|(place, value)| (place, Status::Scalar(value))));
+    assert_eq!(places.map(|place| board.status(place)), [0.1, 0.2, 0.3].map(Status::Scalar));
+    assert_eq!(board.status(Place::Servo(2)), Status::Scalar(0.0));
+    board.note_can(3, 5);
+    assert_eq!((board.stats().can_bus_off, board.stats().can_warnings), (3, 5));
+}
+
+/// Those that are close to what they withstand, with their names.
+#[test]
+fn hosts_are_warned_of_hot_windings() {
+    let board = every_interface();
+    let windings = [None, Some((90, true)), Some((60, false)), Some((97, true))];
+    for (index, winding) in windings.into_iter().enumerate() {
+        let winding = winding.map(|(heat_percent, hot)| Winding { heat_percent, hot });
+        board.publish(Place::Motor(index), Status::Motor(MotorStatus { winding, ..MotorStatus::IDLE }));
+    }
+    let hot = [(1, 90), (3, 97)];
+    let hot = hot.map(|(index, heat_percent)| HotWinding { channel: board.config().motors[index].id, heat_percent });
+    assert_eq!(board.hot_windings()[..], hot);
 }
 
 #[test]

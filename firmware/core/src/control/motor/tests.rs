@@ -1,0 +1,794 @@
+//! [`Motor`] on counts that the tests choose: what its loops, path, limits and searches make of them, in numbers that are exact
+//! in binary.
+
+use r4_protocol::{
+    Range,
+    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, SettleConfig, StallConfig},
+};
+
+use super::*;
+
+/// Periods of a second.
+const HZ: u32 = 1024;
+const PERIOD_S: f32 = 1.0 / HZ as f32;
+const COUNTS_PER_TURN: u32 = 2048;
+/// rad of a count
+const RESOLUTION: f32 = core::f32::consts::TAU / COUNTS_PER_TURN as f32;
+const LIMITS: OutputLimits = OutputLimits { magnitude: 0.75, slew_per_s: 8.0 };
+/// No slew limit worth the name, so that what the loops want is what they give.
+const FREE: OutputLimits = OutputLimits { magnitude: 1.0, slew_per_s: 4096.0 };
+const NO_GAINS: PidGains = PidGains { kp: 0.0, ki: 0.0, kd: 0.0 };
+/// Of a loop that keeps its integral: with none at all it is forgotten within seconds.
+const KEEPS: PidGains = PidGains { kp: 0.0, ki: 1e-12, kd: 0.0 };
+
+/// An encoder whose speed is not smoothed, ±8 rad, 4 rad/s and 8 rad/s², without gains and feed-forward, and without a watch
+/// that could see anything.
+fn config() -> ControlConfig {
+    ControlConfig {
+        feedback: Feedback::Encoder { index: 0, counts_per_turn: COUNTS_PER_TURN, inverted: false },
+        position: Range::new(-8.0, 8.0),
+        speed_max: 1e6,
+        position_pid: NO_GAINS,
+        speed_pid: NO_GAINS,
+        speed_filter_s: 0.0,
+        profile: ProfileLimits { speed: 4.0, acceleration: 8.0 },
+        feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 0.0 },
+        settle: SettleConfig { error: 0.0625, speed: 0.0625, time_ms: 250 },
+        stall: StallConfig { duty: 2.0, travel: 0.02, time_ms: u16::MAX },
+        follow: FollowConfig { error: 1e6, time_ms: u16::MAX },
+        homing: Some(HomingConfig { switch: 0, position: 1.5, speed_max: 4.0 }),
+    }
+}
+
+/// No motor stands still enough for this: nothing is pushed where it hangs short of its target.
+const NEVER_AT_REST: SettleConfig = SettleConfig { error: 0.0625, speed: -1.0, time_ms: 250 };
+
+/// Duties are a sixteenth of the speed on the path, whatever the motor does.
+fn shows_the_path(config: ControlConfig) -> ControlConfig {
+    ControlConfig { feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 1.0 / 16.0 }, ..config }
+}
+
+/// A motor whose counter is where the test puts it.
+struct Bench {
+    motor: Motor,
+    counts: i32,
+    switch: Option<bool>,
+    causes: Causes,
+}
+
+impl Bench {
+    fn with(config: ControlConfig, limits: OutputLimits) -> Self {
+        let motor = Motor::new(config, limits, PERIOD_S).expect("a period");
+        let mut bench = Self { motor, counts: 0, switch: None, causes: Causes::NONE };
+        bench.motor.sense(0, None);
+        bench
+    }
+
+    fn new(config: ControlConfig) -> Self {
+        Self::with(config, FREE)
+    }
+
+    fn command(&mut self, mode: Mode, value: f32) {
+        self.motor.command(Setpoint { mode, value });
+    }
+
+    /// One period, and its duty.
+    fn step(&mut self) -> f32 {
+        let sensed = self.motor.sense(self.counts as u16, self.switch);
+        let (duty, causes) = self.motor.step();
+        self.causes = self.causes.union(sensed).union(causes);
+        self.motor.set_applied(duty);
+        duty
+    }
+
+    /// So many periods, and the duty of the last.
+    fn steps(&mut self, periods: u32) -> f32 {
+        (0..periods).map(|_| self.step()).last().expect("one at least")
+    }
+
+    /// Puts the shaft at a position, as near as its counts allow, at rest there.
+    fn rest_at(&mut self, rad: f32) {
+        self.counts = (rad / RESOLUTION).round() as i32;
+        self.motor.sense(self.counts as u16, self.switch);
+        // The encoder calls a shaft still after half a second.
+        for _ in 0..HZ {
+            self.motor.sense(self.counts as u16, self.switch);
+        }
+    }
+
+    fn settled(&self) -> bool {
+        self.motor.status().settled
+    }
+}
+
+#[track_caller]
+fn near(value: f32, expected: f32, tolerance: f32) {
+    assert!((value - expected).abs() <= tolerance, "{value}, not {expected}");
+}
+
+#[test]
+fn an_open_duty_comes_at_the_slew_limit_and_within_the_largest() {
+    for (sign, value, reached) in [(1.0, 0.5, 0.5), (-1.0, 0.5, 0.5), (1.0, 2.0, 0.75), (-1.0, 2.0, 0.75)] {
+        let mut bench = Bench::with(config(), LIMITS);
+        bench.command(Mode::Duty, sign * value);
+        // 8/s are 1/128 in a period.
+        assert_eq!(bench.step(), sign / 128.0);
+        assert_eq!(bench.steps(31), sign * 0.25);
+        assert_eq!(bench.steps(128), sign * reached);
+        bench.command(Mode::Duty, 0.0);
+        assert_eq!(bench.step(), sign * (reached - 1.0 / 128.0));
+    }
+}
+
+#[test]
+fn counts_are_position_and_speed_at_the_shaft() {
+    let mut bench = Bench::new(config());
+    // From rest a speed is a mean over half a second.
+    bench.motor.sense(1, None);
+    for (before, counts) in [(1, 40), (40, 80), (80, -400)] {
+        bench.motor.sense(counts as u16, None);
+        bench.motor.set_applied(0.25);
+        let speed = (counts - before) as f32 * RESOLUTION * HZ as f32;
+        let status = bench.motor.status();
+        assert_eq!((status.position, status.duty, status.homed, status.settled), (counts, 0.25, false, false));
+        near(status.speed, speed, speed.abs() * 1e-6);
+        assert_eq!(bench.motor.applied(), (0.25, status.speed));
+    }
+}
+
+/// 100 mm between codes 2000 and 62000; a wiper at a rail is no place.
+#[test]
+fn a_potentiometer_knows_its_position_in_micrometres() {
+    let point = |code, position_m| PotPoint { code, position_m };
+    let feedback = Feedback::Potentiometer { analog: 0, low: point(2000, 0.0), high: point(62_000, 0.1) };
+    let mut motor = Motor::new(ControlConfig { feedback, ..config() }, FREE, PERIOD_S).expect("a period");
+    assert_eq!(motor.sense(u16::MAX, None), Causes::only(Cause::EncoderImplausible));
+    assert_eq!(motor.sense(32_000, None), Causes::NONE);
+    let status = motor.status();
+    assert!((status.position - 50_000).abs() <= 1, "{}", status.position);
+    assert!(status.homed);
+    // 600 codes in a period: 1 mm.
+    assert_eq!(motor.sense(32_600, None), Causes::NONE);
+    near(motor.status().speed, 1e-3 * HZ as f32, 1e-2);
+    assert_eq!(resolution(feedback), 1e-6);
+}
+
+#[test]
+fn a_speed_is_come_to_along_a_ramp() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.command(Mode::Speed, sign * 2.0);
+        // 8 rad/s² are 1/128 rad/s in a period.
+        assert_eq!(bench.step(), sign / 128.0 / 16.0);
+        assert_eq!(bench.steps(127), sign / 16.0);
+        assert_eq!(bench.steps(500), sign * 2.0 / 16.0);
+        // Told again and told another: from where the ramp is.
+        bench.command(Mode::Speed, sign * 1.0);
+        assert_eq!(bench.step(), sign * (2.0 - 1.0 / 128.0) / 16.0);
+    }
+}
+
+/// The friction's share has the direction of the ramp, and none at rest.
+#[test]
+fn a_speed_loop_adds_its_parts() {
+    let gains = PidGains { kp: 0.125, ki: 0.0, kd: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0 };
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(ControlConfig { speed_pid: gains, feed_forward, ..config() });
+        bench.command(Mode::Speed, sign * 2.0);
+        assert_eq!(bench.steps(256), sign * (0.25 + 0.125 * 2.0));
+    }
+    // A shaft at 3.14 rad/s is where the ramp begins, also that of a search; it is 2 rad/s further after a quarter of a second.
+    for mode in [Mode::Speed, Mode::Home] {
+        let mut bench = Bench::new(ControlConfig { speed_pid: gains, ..config() });
+        for periods in 0..512 {
+            if periods == 256 {
+                bench.command(mode, 8.0);
+            }
+            bench.counts += 1;
+            bench.step();
+        }
+        near(bench.motor.status().duty, 0.125 * 2.0, 1e-3);
+    }
+    // The derivative is on the shaft's acceleration: a count in a period, then two.
+    let gains = PidGains { kp: 0.0, ki: 0.0, kd: 1.0 / 8192.0 };
+    let mut bench = Bench::new(ControlConfig { speed_pid: gains, ..config() });
+    bench.command(Mode::Speed, 2.0);
+    for counts in [1, 2, 3, 5] {
+        bench.counts = counts;
+        bench.step();
+    }
+    near(bench.motor.status().duty, -RESOLUTION * 1024.0 * 1024.0 / 8192.0, 1e-4);
+}
+
+/// From the speed and the duty that it has, whatever gave them.
+#[test]
+fn another_mode_begins_where_the_last_one_left() {
+    for (mode, value) in [(Mode::Speed, 4.0), (Mode::Position, 6.0), (Mode::Home, 4.0)] {
+        let config = ControlConfig { position_pid: KEEPS, speed_pid: KEEPS, ..config() };
+        let mut bench = Bench::with(config, LIMITS);
+        bench.command(Mode::Duty, 0.5);
+        bench.steps(128);
+        bench.command(mode, value);
+        // The loops want nothing: back from 0.5 at the slew limit.
+        assert_eq!(bench.step(), 0.5 - 1.0 / 128.0, "{mode:?}");
+    }
+    for (mode, value) in [(Mode::Speed, 4.0), (Mode::Position, 6.0), (Mode::Home, 4.0)] {
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.counts = 1;
+        let mut speed = 0.0;
+        for _ in 0..100 {
+            bench.counts += 1;
+            bench.step();
+            speed = bench.motor.status().speed;
+        }
+        bench.command(mode, value);
+        bench.counts += 1;
+        // A count in each period are 3.14 rad/s: the ramp goes on from there.
+        near(bench.step() * 16.0, speed + 8.0 * PERIOD_S, 1e-4);
+    }
+}
+
+/// `v = sqrt(2 a s)`: 1 rad from the end of its range, 4 rad/s of 8 rad/s².
+#[test]
+fn a_speed_is_never_more_than_stops_before_the_end_of_the_range() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.rest_at(sign * 7.5);
+        bench.command(Mode::Speed, sign * 16.0);
+        let room = 8.0 - (7.5f32 / RESOLUTION).round() * RESOLUTION;
+        near(bench.steps(2048) * 16.0, sign * (2.0 * 8.0 * room).sqrt(), 1e-3);
+        // The other way there are 15.5 rad: 15.7 rad/s.
+        bench.command(Mode::Speed, -sign * 15.0);
+        near(bench.steps(4096) * 16.0, -sign * 15.0, 1e-3);
+    }
+}
+
+/// Duty that a load at rest needs in the tests of what holds it; friction alone takes 0.125.
+const LOAD: f32 = 0.5;
+
+/// At rest at speed 0, with the duty that holds a load.
+fn at_speed_zero(sign: f32) -> Bench {
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    // With a proportional part: without one, what the slew limit takes away would be unloaded in a period.
+    let speed_pid = PidGains { kp: 0.0625, ..KEEPS };
+    let mut bench = Bench::with(ControlConfig { speed_pid, feed_forward, ..config() }, LIMITS);
+    bench.command(Mode::Duty, sign * LOAD);
+    bench.steps(256);
+    bench.command(Mode::Speed, 0.0);
+    bench
+}
+
+/// Settled at position 0, with the duty that holds a load.
+fn at_position_zero(sign: f32) -> Bench {
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    let position_pid = PidGains { kp: 0.0, ki: 1.0, kd: 0.0 };
+    let mut bench = Bench::with(ControlConfig { position_pid, feed_forward, ..config() }, LIMITS);
+    bench.rest_at(-sign * 0.5);
+    bench.command(Mode::Position, 0.0);
+    assert!((0..8 * HZ).any(|_| bench.step().abs() >= LOAD + 0.125));
+    // It arrives. Friction is still overcome to where it came from.
+    bench.rest_at(0.0);
+    assert!(!bench.settled());
+    // 250 ms of rest.
+    bench.steps(255);
+    assert!(!bench.settled());
+    near(bench.step(), sign * (LOAD + 0.125), 1e-2);
+    assert!(bench.settled());
+    bench
+}
+
+/// By 1/e in a second, and from a hundredth on at once.
+#[test]
+fn at_rest_a_duty_is_let_go() {
+    for sign in [1.0, -1.0] {
+        for (mut bench, duty) in [(at_speed_zero(sign), LOAD), (at_position_zero(sign), LOAD + 0.125)] {
+            near(bench.steps(HZ), sign * duty * (-1.0f32).exp(), 5e-3);
+            let periods = (0..8 * HZ).find(|_| bench.step() == 0.0).expect("it ends");
+            near(periods as f32, (100.0 * duty).ln() * HZ as f32 - HZ as f32, 30.0);
+        }
+    }
+}
+
+/// By half the settling error, 0.03125 rad or 10.2 counts, against its duty: then it has again what it came to rest with.
+#[test]
+fn a_load_that_slips_is_held() {
+    for sign in [1.0, -1.0] {
+        for (counts, slips) in [(-11i32, true), (-10, false), (11, false)] {
+            for (mut bench, duty) in [(at_speed_zero(sign), LOAD), (at_position_zero(sign), LOAD + 0.125)] {
+                bench.steps(HZ);
+                // 0.05 rad/s are still rest.
+                let mut last = bench.step();
+                for period in 0..HZ * 2 {
+                    if period.is_multiple_of(64) && period / 64 < counts.unsigned_abs() {
+                        bench.counts += counts.signum() * sign as i32;
+                    }
+                    let duty = bench.step();
+                    assert!((duty - last).abs() <= 8.0 * PERIOD_S, "no jump");
+                    last = duty;
+                }
+                if slips {
+                    near(last, sign * duty, 1e-2);
+                } else {
+                    assert!(last.abs() < 0.1, "{counts}: {last}");
+                }
+            }
+        }
+    }
+}
+
+/// A load that slips on, however slowly, is the speed loop's, from what held it: 0.049 rad/s for a second.
+#[test]
+fn a_load_that_goes_on_slipping_is_driven_against() {
+    let mut bench = at_speed_zero(1.0);
+    let slip = |bench: &mut Bench, counts| {
+        (0..counts).fold(0.0, |_, _| {
+            bench.counts -= 1;
+            bench.steps(64)
+        })
+    };
+    let held = slip(&mut bench, 20);
+    near(held, LOAD, 2e-2);
+    bench.motor.set_gains(Mode::Speed, PidGains { kp: 0.0625, ki: 1.0, kd: 0.0 });
+    near(slip(&mut bench, 16) - held, 0.049, 5e-3);
+}
+
+/// What friction alone takes holds no load: it is let go, slip or not.
+#[test]
+fn friction_is_no_load() {
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    for (duty, held) in [(0.125, false), (0.126, true)] {
+        let mut bench = Bench::new(ControlConfig { speed_pid: KEEPS, feed_forward, ..config() });
+        bench.command(Mode::Duty, duty);
+        bench.step();
+        bench.command(Mode::Speed, 0.0);
+        bench.steps(64);
+        for _ in 0..20 {
+            bench.counts -= 1;
+            bench.steps(64);
+        }
+        assert_eq!(bench.step() > 0.12, held, "{duty}");
+    }
+}
+
+/// Friction's share of what it was held with is added again by the way on, and taken twice by the way back.
+#[test]
+fn a_held_motor_moves_on_without_a_jump() {
+    for sign in [1.0, -1.0] {
+        for (target, change) in [(0.5, 0.0), (-0.5, -0.25)] {
+            let mut bench = at_position_zero(sign);
+            let held = bench.step();
+            bench.command(Mode::Position, sign * target);
+            near(bench.steps(64), held + sign * change, 2e-2);
+        }
+    }
+}
+
+/// A motor that moves faster than what counts as rest is not let go; nor is one that is to move.
+#[test]
+fn a_motor_that_moves_is_not_let_go() {
+    let mut bench = at_speed_zero(1.0);
+    // 48 periods for a count: 0.065 rad/s.
+    let mut creep = |counts| {
+        (0..counts).fold(0.0, |_, _| {
+            bench.counts += 1;
+            bench.steps(48)
+        })
+    };
+    let begin = creep(4);
+    near(creep(40), begin, 1e-3);
+    assert!(begin > 0.4);
+    let mut bench = at_speed_zero(1.0);
+    bench.steps(HZ);
+    let held = bench.step();
+    bench.command(Mode::Speed, 0.5);
+    // Friction is added, and the proportional part of 0.5 rad/s.
+    let expected = held + 0.125 + 0.0625 * 0.5;
+    near(bench.steps(64), expected, 1e-2);
+    near(bench.steps(HZ), expected, 1e-2);
+}
+
+/// The path: 8 rad/s² up to 4 rad/s, and down again.
+#[test]
+fn a_position_is_come_to_along_its_path() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(shows_the_path(ControlConfig { settle: NEVER_AT_REST, ..config() }));
+        bench.command(Mode::Position, sign * 4.0);
+        assert_eq!(bench.step(), sign / 128.0 / 16.0);
+        assert_eq!(bench.steps(127), sign / 16.0);
+        assert_eq!(bench.steps(512), sign * 4.0 / 16.0);
+        // 1 s after half a second up, half a second down: 4 rad in 1.5 s.
+        near(bench.steps(HZ * 5 / 4 - 640) * 16.0, sign * 2.0, 0.02);
+        assert_eq!(bench.steps(HZ / 4 + 4), 0.0);
+        assert_eq!(bench.steps(100), 0.0);
+    }
+}
+
+/// `kp` of the distance from the path, `kd` of the speed relative to it, and friction in its direction.
+#[test]
+fn a_position_loop_adds_its_parts() {
+    for sign in [1.0, -1.0] {
+        let part = |kp, kd, static_duty| {
+            let position_pid = PidGains { kp, ki: 0.0, kd };
+            let feed_forward = FeedForward { static_duty, duty_per_speed: 0.0 };
+            let mut bench = Bench::new(ControlConfig { position_pid, feed_forward, ..config() });
+            bench.command(Mode::Position, sign * 4.0);
+            bench.steps(512)
+        };
+        // After half a second: 1 rad behind, at 4 rad/s; discrete sums have half a period more.
+        near(part(0.5, 0.0, 0.0), sign * 0.5, 2e-3);
+        near(part(0.0, 0.125, 0.0), sign * 0.5, 1e-6);
+        assert_eq!(part(0.0, 0.0, 0.25), sign * 0.25);
+        // A shaft at 3.14 rad/s.
+        let position_pid = PidGains { kp: 0.0, ki: 0.0, kd: 0.125 };
+        let mut bench = Bench::new(ControlConfig { position_pid, ..config() });
+        bench.command(Mode::Position, sign * 8.0);
+        let mut duty = 0.0;
+        for _ in 0..768 {
+            bench.counts += sign as i32;
+            duty = bench.step();
+        }
+        near(duty, sign * 0.125 * (4.0 - RESOLUTION * HZ as f32), 1e-3);
+    }
+}
+
+/// After the path the friction's share pushes towards the target, until the motor is within the band; there it stays as it was.
+#[test]
+fn friction_is_overcome_towards_the_target() {
+    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0 };
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(ControlConfig { feed_forward, ..config() });
+        bench.command(Mode::Position, sign * 1.0);
+        // It runs past its target.
+        bench.steps(HZ);
+        bench.rest_at(sign * 1.25);
+        near(bench.step(), sign * -0.25, 0.05);
+        bench.rest_at(sign * 1.02);
+        // That near it stays, also on the far side.
+        near(bench.steps(8), sign * -0.25, 0.05);
+        bench.rest_at(sign * 0.98);
+        near(bench.steps(8), sign * -0.25, 0.05);
+        // Nor does a target that is no further away than a step of its path change anything.
+        bench.command(Mode::Position, sign * 1.000_001);
+        near(bench.steps(8), sign * -0.25, 0.05);
+    }
+}
+
+/// A motor that stands short of its target is driven harder by 0.1 in a second; nothing is pushed on the way there, in the band,
+/// or while it moves.
+#[test]
+fn a_motor_that_stands_short_is_driven_harder() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(ControlConfig { position_pid: KEEPS, ..config() });
+        bench.command(Mode::Position, sign * 0.125);
+        // sqrt(4 · 0.125 / 8) s on the way.
+        near(bench.steps(250), 0.0, 1e-9);
+        let before = bench.steps(16);
+        near(bench.steps(HZ) - before, sign * 0.1, 2e-3);
+        // 48 periods for a count: 0.065 rad/s, more than rest.
+        let mut bench = Bench::new(ControlConfig { position_pid: KEEPS, ..config() });
+        bench.command(Mode::Position, sign * 0.25);
+        let mut last = 0.0;
+        for _ in 0..40 {
+            bench.counts += sign as i32;
+            last = bench.steps(48);
+        }
+        near(last, 0.0, 1e-9);
+        let mut bench = Bench::new(ControlConfig { position_pid: KEEPS, ..config() });
+        bench.command(Mode::Position, sign * 0.0625);
+        near(bench.steps(2 * HZ), 0.0, 1e-9);
+    }
+}
+
+/// What holds the motor away from its target is let go by 1/e in a second.
+#[test]
+fn an_integral_against_the_target_is_let_go() {
+    for sign in [1.0, -1.0] {
+        let position_pid = PidGains { kp: 0.0, ki: 1.0, kd: 0.0 };
+        let mut bench = Bench::new(ControlConfig { position_pid, ..config() });
+        bench.rest_at(-sign * 0.5);
+        bench.command(Mode::Position, 0.0);
+        assert!((0..8 * HZ).any(|_| bench.step().abs() >= LOAD));
+        // Beyond the target, in the band: the integral works against the way back, which itself adds 0.05 in a second.
+        bench.rest_at(sign * 0.05);
+        bench.command(Mode::Position, 0.0);
+        let begin = bench.step();
+        near(begin, sign * LOAD, 1e-2);
+        let after = bench.steps(200);
+        let expected = LOAD * (-200.0f32 / 1024.0).exp() - 0.05 * 200.0 / 1024.0;
+        near(after, sign * expected, 1e-2);
+    }
+}
+
+/// 250 ms within 0.0625 rad, at less than 0.0625 rad/s; it ends beyond twice that.
+#[test]
+fn a_motor_settles_and_is_pushed_away() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.rest_at(sign * 0.0614);
+        bench.command(Mode::Position, 0.0);
+        // The path there, and then the time.
+        let until = (0..HZ).find(|_| {
+            bench.step();
+            bench.settled()
+        });
+        // 2 sqrt(0.0614 / 8) s are 180 periods.
+        assert!(until.is_some_and(|periods| periods.abs_diff(180 + 256) < 5), "{until:?}");
+        bench.rest_at(sign * 0.122);
+        bench.steps(8);
+        assert!(bench.settled());
+        bench.rest_at(sign * 0.128);
+        // A path leads it back.
+        assert!(bench.step() * sign < 0.0);
+        assert!(!bench.settled());
+        // A shaft that moves is not at rest.
+        let mut bench = Bench::new(config());
+        bench.command(Mode::Position, 0.0);
+        for turn in 0..20 {
+            bench.counts += if turn % 2 == 0 { 1 } else { -1 };
+            bench.steps(40);
+            assert!(!bench.settled());
+        }
+    }
+    // Outside the band it never settles.
+    let mut bench = Bench::new(config());
+    bench.rest_at(0.066);
+    bench.command(Mode::Position, 0.0);
+    bench.steps(2 * HZ);
+    assert!(!bench.settled());
+}
+
+/// A host that tells the same again changes nothing; another position under way bends the path, without a stop.
+#[test]
+fn a_position_is_told_again_and_anew() {
+    let mut bench = Bench::new(config());
+    bench.command(Mode::Position, 0.0);
+    bench.steps(300);
+    assert!(bench.settled());
+    bench.command(Mode::Position, 0.0);
+    bench.step();
+    assert!(bench.settled());
+    let mut bench = Bench::new(shows_the_path(ControlConfig { settle: NEVER_AT_REST, ..config() }));
+    bench.command(Mode::Position, 4.0);
+    bench.steps(512);
+    bench.command(Mode::Position, 6.0);
+    assert_eq!(bench.step(), 4.0 / 16.0);
+    // 2 rad more are half a second more: up, 1 s, down.
+    near(bench.steps(HZ * 7 / 4 - 513) * 16.0, 2.0, 0.02);
+    assert_eq!(bench.steps(HZ), 0.0);
+    // And another one from rest.
+    bench.command(Mode::Position, 5.0);
+    assert_eq!(bench.step(), -1.0 / 128.0 / 16.0);
+}
+
+/// No duty drives further out; until the motor has come back by more than the settling error.
+#[test]
+fn the_end_of_the_range_stops_a_motor() {
+    for sign in [1.0, -1.0] {
+        for mode in [Mode::Duty, Mode::Speed] {
+            let mut bench = Bench::new(ControlConfig { speed_pid: KEEPS, ..shows_the_path(config()) });
+            let out = if mode == Mode::Duty { 0.25 } else { 2.0 };
+            // The last count within the range is 8 rad less a fifth of a count.
+            bench.counts = sign as i32 * 2607;
+            bench.command(mode, sign * out);
+            bench.steps(600);
+            assert!((0..10).all(|_| bench.step() * sign > 0.0), "{mode:?}");
+            bench.counts = sign as i32 * 2608;
+            assert_eq!(bench.step(), 0.0, "{mode:?}");
+            assert_eq!(bench.steps(10), 0.0, "{mode:?}");
+            // 0.0625 rad are 20.4 counts.
+            bench.counts = sign as i32 * 2588;
+            assert_eq!(bench.steps(10), 0.0, "{mode:?}");
+            bench.counts = sign as i32 * 2587;
+            assert!(bench.steps(10) * sign > 0.0, "{mode:?}");
+            // Inwards at any time.
+            bench.counts = sign as i32 * 2700;
+            bench.step();
+            bench.command(mode, -sign * out);
+            assert!(bench.steps(600) * sign < 0.0, "{mode:?}");
+        }
+        // A position at the very end is held from both sides: the range is wider by the settling error.
+        let position_pid = PidGains { kp: 4.0, ki: 0.0, kd: 0.0 };
+        let mut bench = Bench::new(ControlConfig { position_pid, ..config() });
+        bench.rest_at(sign * 8.0);
+        bench.command(Mode::Position, sign * 8.5);
+        bench.steps(HZ);
+        bench.counts = sign as i32 * 2627;
+        assert!(bench.step() * sign > 0.0);
+        bench.counts = sign as i32 * 2630;
+        assert_eq!(bench.step(), 0.0);
+    }
+}
+
+/// Seeks the switch, leaves it at a fifth of the speed, and takes where it opens for 1.5 rad.
+#[test]
+fn a_search_takes_the_place_where_its_switch_opens() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.switch = Some(false);
+        bench.counts = 77;
+        bench.command(Mode::Home, sign * 2.0);
+        assert_eq!(bench.step(), sign / 128.0 / 16.0);
+        assert_eq!(bench.steps(300), sign * 2.0 / 16.0);
+        assert!(!bench.motor.status().homed);
+        bench.switch = Some(true);
+        // It turns round along the ramp, and comes back at 0.4 rad/s.
+        near(bench.steps(HZ), -sign * 0.4 / 16.0, 1e-6);
+        bench.switch = Some(false);
+        bench.step();
+        let status = bench.motor.status();
+        assert!(status.homed);
+        // 1.5 rad are 489 counts, and the place where it stays.
+        bench.step();
+        assert_eq!(bench.motor.status().position, 489);
+        bench.steps(HZ);
+        assert!(bench.settled());
+        bench.counts += 10;
+        bench.step();
+        assert_eq!(bench.motor.status().position, 499);
+        // A second search forgets the first, from where it is.
+        bench.command(Mode::Home, sign * 2.0);
+        bench.step();
+        assert!(!bench.motor.status().homed);
+        assert_eq!(bench.causes, Causes::NONE);
+    }
+}
+
+/// The motor overshoots a short cam: the switch opens on the far side while the ramp turns, and that is no zero.
+#[test]
+fn a_switch_that_opens_on_the_far_side_is_no_zero() {
+    for sign in [1.0, -1.0] {
+        let mut bench = Bench::new(config());
+        bench.switch = Some(false);
+        bench.command(Mode::Home, sign * 2.0);
+        bench.steps(300);
+        for switch in [true, false] {
+            bench.switch = Some(switch);
+            bench.steps(32);
+        }
+        assert!(!bench.motor.status().homed);
+        // On the way back it closes once more, and opens where it should.
+        bench.steps(HZ);
+        for (switch, homed) in [(true, false), (false, true)] {
+            bench.switch = Some(switch);
+            bench.steps(32);
+            assert_eq!(bench.motor.status().homed, homed);
+        }
+    }
+}
+
+/// Seen again only on the way back: neither while the ramp still goes on, nor while the shaft does.
+#[test]
+fn a_switch_seen_while_the_motor_runs_on_does_not_count() {
+    for (backwards, homed) in [(false, false), (true, true)] {
+        let mut bench = Bench::new(config());
+        bench.switch = Some(false);
+        bench.command(Mode::Home, 2.0);
+        bench.steps(HZ);
+        for switch in [true, false] {
+            bench.switch = Some(switch);
+            // Half a second: the ramp has turned long ago.
+            for _ in 0..HZ / 2 {
+                bench.counts += if backwards { -1 } else { 1 };
+                bench.step();
+            }
+        }
+        assert_eq!(bench.motor.status().homed, homed, "{backwards}");
+    }
+}
+
+/// 1.2 times the range of 16 rad: 6258.3 counts either way. An unknown switch is no switch.
+#[test]
+fn a_search_that_goes_too_far_is_implausible() {
+    for (sign, switch) in [(1, Some(false)), (-1, None)] {
+        let mut bench = Bench::new(config());
+        bench.switch = switch;
+        bench.rest_at(1.0);
+        bench.command(Mode::Home, sign as f32);
+        bench.counts += sign * 6258;
+        bench.step();
+        assert_eq!(bench.causes, Causes::NONE);
+        bench.counts += sign;
+        bench.step();
+        assert_eq!(bench.causes, Causes::only(Cause::EncoderImplausible));
+    }
+}
+
+/// A search goes beyond the ends of the range: where they are is what it looks for.
+#[test]
+fn a_search_knows_no_ends() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.rest_at(9.0);
+    bench.command(Mode::Home, 2.0);
+    assert_eq!(bench.steps(300), 2.0 / 16.0);
+}
+
+#[test]
+fn a_repeated_search_goes_on() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.switch = Some(false);
+    bench.command(Mode::Home, 2.0);
+    bench.steps(300);
+    bench.switch = Some(true);
+    bench.steps(HZ);
+    bench.command(Mode::Home, 2.0);
+    // Another search would turn round again.
+    near(bench.step(), -0.4 / 16.0, 1e-6);
+    bench.command(Mode::Home, 1.0);
+    // Half as fast: this one begins with where the switch is closed.
+    near(bench.steps(200), -0.2 / 16.0, 1e-6);
+}
+
+#[test]
+fn a_stopped_motor_has_forgotten_everything() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.command(Mode::Speed, 2.0);
+    bench.steps(300);
+    bench.motor.stop();
+    let status = bench.motor.status();
+    assert_eq!((status.setpoint, status.duty), (Setpoint { mode: Mode::Duty, value: 0.0 }, 0.0));
+    assert_eq!(bench.motor.step(), (0.0, Causes::NONE));
+}
+
+/// Each mode has its own loop, and an open duty none.
+#[test]
+fn new_gains_are_for_one_loop() {
+    let gains = PidGains { kp: 0.25, ki: 0.0, kd: 0.0 };
+    for (changed, mode, duty) in [
+        (Mode::Speed, Mode::Speed, 0.25),
+        (Mode::Speed, Mode::Position, 0.0),
+        (Mode::Position, Mode::Position, 0.25),
+        (Mode::Position, Mode::Speed, 0.0),
+        (Mode::Duty, Mode::Speed, 0.0),
+        (Mode::Duty, Mode::Position, 0.0),
+    ] {
+        let mut bench = Bench::new(config());
+        bench.motor.set_gains(changed, gains);
+        bench.command(mode, 1.0);
+        // 1 rad/s or 1 rad away, by a ramp or a path; in a long time also what is pushed.
+        near(bench.steps(HZ), duty, 0.1);
+    }
+}
+
+/// What the watch is told of each mode: a loop whose sensor is dead drives without motion.
+#[test]
+fn a_dead_sensor_is_seen_in_every_mode_that_wants_motion() {
+    // More than 4 · 0.75 · 100 ms: half a second at 0.625 beyond friction.
+    let stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 100 };
+    let speed_pid = PidGains { kp: 0.3125, ki: 0.0, kd: 0.0 };
+    let config = ControlConfig { stall, speed_pid, position_pid: speed_pid, ..config() };
+    for (mode, value, seen) in
+        [(Mode::Speed, 2.0, true), (Mode::Position, 2.0, true), (Mode::Home, 2.0, true), (Mode::Duty, 0.625, false)]
+    {
+        let mut bench = Bench::new(config);
+        bench.command(mode, value);
+        bench.steps(HZ);
+        assert_eq!(bench.causes.contains(Cause::Stalled), seen, "{mode:?}");
+    }
+    // Neither does one that holds a load, at either place.
+    for mut bench in [at_speed_zero(1.0), at_position_zero(1.0)] {
+        // Three hundredths of duty beyond friction for a second, were it to want motion.
+        bench.motor.control.stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 12 };
+        bench.steps(HZ);
+        assert_eq!(bench.causes, Causes::NONE);
+    }
+    // Neither does one that is shaken at rest, which is not let go.
+    let mut bench = at_speed_zero(1.0);
+    bench.motor.control.stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 12 };
+    for turn in 0..20 {
+        bench.counts += if turn % 2 == 0 { 1 } else { -1 };
+        bench.steps(20);
+    }
+    assert_eq!(bench.causes, Causes::NONE);
+    // Behind its path: 100 ms at more than a quarter of a rad.
+    let follow = FollowConfig { error: 0.25, time_ms: 100 };
+    let mut bench = Bench::new(ControlConfig { follow, ..self::config() });
+    bench.command(Mode::Position, 4.0);
+    // sqrt(2 · 0.25 / 8) s: 256 periods, and 102 more.
+    let periods = (0..HZ).find(|_| {
+        bench.step();
+        !bench.causes.is_empty()
+    });
+    assert!(periods.is_some_and(|periods| periods.abs_diff(256 + 102) <= 3), "{periods:?}");
+    assert_eq!(bench.causes, Causes::only(Cause::Stalled));
+}
