@@ -172,6 +172,8 @@ pub struct Outputs<B> {
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
+    /// A bit for each that is an OSMC, and for each that is a DHB.
+    sets: [u32; 2],
     /// How fast the duty of those falls that a stop brakes before they are switched off, 1/s; `None` for the others.
     braked: Vec<Option<f32>, MAX_MOTORS>,
     /// The first OSMC and the first DHB that had to wait for the next period.
@@ -179,7 +181,8 @@ pub struct Outputs<B> {
     expander: Option<Expander>,
     drives: Option<Drives>,
     servos: Option<Servos>,
-    /// Writes of servos that are due, those with them that had to wait.
+    /// Writes of servos in each period; and those that are due, with them that had to wait.
+    servos_in_turn: usize,
     servos_due: usize,
     /// What is to be written in this period, and has not been.
     queue: Queue,
@@ -218,15 +221,19 @@ impl<B: Bus> Outputs<B> {
         let bits_per_tick = (period_s * BUS_SHARE * config.i2c_hz as f32) as u32;
         let drives = Drives::of(config).filter(|_| valid);
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
+        let bridges: Vec<Bridge, MAX_MOTORS> = bridges.collect();
+        let set = |osmc| bridges.iter().rev().fold(0, |set, bridge| set << 1 | u32::from(bridge.is_osmc() == osmc));
         Self {
             bus: Patient { bus, retries: 0 },
-            bridges: bridges.collect(),
+            sets: [set(true), set(false)],
+            bridges,
             braked: braked.collect(),
             waiting: [None; 2],
             osmc,
             dhb,
             expander: expander.map(|expander| Expander::new(expander, config.relays.clone())),
             drives,
+            servos_in_turn: servos.as_ref().map_or(0, |servos| servos.writes_per_period(period_s)),
             servos,
             servos_due: 0,
             queue: Queue::default(),
@@ -430,10 +437,9 @@ impl<B: Bus> Outputs<B> {
         self.expander.iter_mut().for_each(|expander| expander.switch(index, closed));
     }
 
-    /// Whether relay number `index` of the configuration is told to be closed.
-    #[must_use]
-    pub fn is_closed(&self, index: usize) -> bool {
-        self.expander.as_ref().is_some_and(|expander| expander.is_closed(index))
+    /// Whether each relay is told to be closed, in the order of the configuration.
+    pub fn closed_relays(&self) -> impl Iterator<Item = bool> + '_ {
+        self.expander.iter().flat_map(Expander::closed)
     }
 
     /// Tells the expander what has changed, if anything has.
@@ -475,12 +481,8 @@ impl<B: Bus> Outputs<B> {
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
     /// with the first that had to wait in the last.
     pub fn order(&mut self) -> [Order; 2] {
-        let [osmc, dhb] = core::mem::take(&mut self.waiting);
-        let beginning_with = |first: Option<usize>, osmc: bool| {
-            let left = self.bridges.iter().rev().fold(0, |set, bridge| set << 1 | u8::from(bridge.is_osmc() == osmc));
-            Order { left, first: first.unwrap_or(0) }
-        };
-        [beginning_with(osmc, true), beginning_with(dhb, false)]
+        let firsts = core::mem::take(&mut self.waiting);
+        core::array::from_fn(|kind| Order { left: self.sets[kind], first: firsts[kind].unwrap_or(0) })
     }
 
     /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
@@ -508,10 +510,9 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Share of full speed that brushless drive number `index` is told.
-    #[must_use]
-    pub fn drive_share(&self, index: usize) -> f32 {
-        self.drives.as_ref().map_or(0.0, |drives| drives.rules.share(index))
+    /// Share of full speed that each brushless drive is told, in the order of the configuration.
+    pub fn drive_shares(&self) -> impl Iterator<Item = f32> + '_ {
+        self.drives.iter().flat_map(|drives| drives.rules.shares())
     }
 
     /// Sends servo number `index` of the configuration to `angle`, rad.
@@ -527,7 +528,7 @@ impl<B: Bus> Outputs<B> {
     /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`]; up to as many again of
     /// those that had to wait.
     pub fn write_servos(&mut self) {
-        let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
+        let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
         for _ in 0..self.servos_due.min(2 * in_turn) {
             if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
@@ -543,10 +544,9 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
-    #[must_use]
-    pub fn servo_angle(&self, index: usize) -> f32 {
-        self.servos.as_ref().and_then(|servos| servos.angle(index)).unwrap_or(f32::NAN)
+    /// Angle that each servo is told, rad, in the order of the configuration; NaN when it gets no pulses.
+    pub fn servo_angles(&self) -> impl Iterator<Item = f32> + '_ {
+        self.servos.iter().flat_map(Servos::angles).map(|angle| angle.unwrap_or(f32::NAN))
     }
 
     fn chip_of(&self, bridge: &Bridge) -> Option<Pca9685> {
@@ -617,19 +617,22 @@ impl<B: Bus> Outputs<B> {
 #[derive(Clone, Debug)]
 pub struct Order {
     /// A bit for each that is left.
-    left: u8,
+    left: u32,
     first: usize,
 }
 
-const _: () = assert!(MAX_MOTORS <= u8::BITS as usize, "a bit for each bridge");
+const _: () = assert!(MAX_MOTORS <= u32::BITS as usize, "a bit for each bridge");
 
 impl Iterator for Order {
     type Item = usize;
 
     fn next(&mut self) -> Option<usize> {
-        let later = self.left & u8::MAX << self.first;
+        if self.left == 0 {
+            return None;
+        }
+        let later = self.left >> self.first << self.first;
         let next = if later == 0 { self.left } else { later }.trailing_zeros();
-        self.left &= !1_u8.checked_shl(next)?;
+        self.left ^= 1 << next;
         Some(next as usize)
     }
 }

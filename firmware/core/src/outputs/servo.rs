@@ -89,16 +89,15 @@ impl Servos {
     /// One step of `period_s`, s, towards the commanded angles.
     pub fn step(&mut self, period_s: f32) {
         for servo in &mut self.servos {
-            if let Some(motion) = &mut servo.motion {
+            if let Some(motion) = servo.motion.as_mut().filter(|motion| motion.angle != motion.target) {
                 motion.angle = towards(motion.angle, motion.target, servo.config.speed_max * period_s);
             }
         }
     }
 
-    /// The angle now asked of servo number `index`, rad; `None` when it gets no pulses.
-    #[must_use]
-    pub fn angle(&self, index: usize) -> Option<f32> {
-        self.servos[index].motion.map(|motion| motion.angle)
+    /// The angle now asked of each servo, rad; `None` when it gets no pulses.
+    pub fn angles(&self) -> impl Iterator<Item = Option<f32>> + '_ {
+        self.servos.iter().map(Servo::angle)
     }
 
     /// How many there are.
@@ -118,15 +117,19 @@ impl Servos {
     /// [`Servos::sent`] is called when it has been sent: until then that servo may have either pulse.
     pub fn next_write(&mut self) -> Option<(Write, Pulse)> {
         let count = self.servos.len();
-        let (index, output) = (0..count).map(|turn| (self.next + turn) % count).find_map(|index| {
+        let (index, output) = (self.next..count).chain(0..self.next).find_map(|index| {
             let servo = &self.servos[index];
+            // The same angle is the same pulse.
+            if servo.written.is_some() && servo.sent == servo.angle() {
+                return None;
+            }
             let wanted = servo.wanted(&self.chip);
             (servo.written != Some(wanted)).then_some((index, wanted))
         })?;
         self.next = (index + 1) % count;
         let servo = &mut self.servos[index];
         servo.written = None;
-        let angle = servo.motion.map(|motion| motion.angle);
+        let angle = servo.angle();
         Some((self.chip.set_off_count(servo.config.output, output), Pulse { index, output, angle }))
     }
 
@@ -210,6 +213,10 @@ impl Servos {
 }
 
 impl Servo {
+    fn angle(&self) -> Option<f32> {
+        self.motion.map(|motion| motion.angle)
+    }
+
     fn wanted(&self, chip: &Pca9685) -> Output {
         self.motion.map_or(Output::LOW, |motion| chip.pulse(self.pulse_s(motion.angle)))
     }
@@ -246,25 +253,29 @@ mod tests {
         [0, 1].map(|index| servos.servos[index].wanted(&servos.chip))
     }
 
+    fn angles(servos: &Servos) -> [Option<f32>; 2] {
+        [0, 1].map(|index| servos.servos[index].angle())
+    }
+
     #[test]
     fn the_first_command_jumps_and_later_ones_are_limited() {
         let mut servos = Servos::new(CHIP, &[config(0, 1.0), config(5, -1.0)]);
         servos.step(1.0);
-        assert_eq!((servos.angle(0), pulses(&servos)), (None, [Output::LOW; 2]));
+        assert_eq!((angles(&servos)[0], pulses(&servos)), (None, [Output::LOW; 2]));
         servos.command(0, 0.5);
         servos.command(1, 0.5);
         // 1.75 ms and 1.25 ms at 4.88 us: 358.6 and 256.1
         assert_eq!(pulses(&servos).map(Output::registers), [[0, 0, 0x67, 0x01], [0, 0, 0x00, 0x01]]);
         servos.command(0, -5.0);
         servos.step(0.25);
-        assert_eq!(servos.angle(0), Some(0.0));
+        assert_eq!(angles(&servos)[0], Some(0.0));
         servos.step(10.0);
-        assert_eq!(servos.angle(0), Some(-1.0), "the end of its travel");
+        assert_eq!(angles(&servos)[0], Some(-1.0), "the end of its travel");
         assert_eq!(pulses(&servos)[0].registers(), [0, 0, 0xCD, 0x00]); // 1 ms: 204.9
         servos.command(0, f32::NAN);
         servos.command(1, f32::INFINITY);
         servos.step(10.0);
-        assert_eq!([0, 1].map(|index| servos.angle(index)), [Some(-1.0), Some(1.0)]);
+        assert_eq!(angles(&servos), [Some(-1.0), Some(1.0)]);
     }
 
     #[test]
