@@ -289,7 +289,7 @@ impl Axis {
         if self.fastest.iter().any(|speed| *speed > start_stop) {
             self.homed = false;
         }
-        self.path = Path::rest(Motion::rest(self.position));
+        self.path.turn_to_speed(Motion::rest(self.position), 0.0, &self.limits);
         self.path_start = self.now;
         (self.told_to, self.speed) = (self.now, 0.0);
         self.pulses.reset(self.position, self.now);
