@@ -66,7 +66,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
         let taken = until_now.wrapping_sub(core::mem::replace(&mut cycles, until_now));
         let begin = period_begins(Instant::now());
         shared.control_tick(begin);
-        control.tick(shared).await;
+        control.tick(shared, due).await;
         due += period;
         let end = Instant::now();
         shared.count(|stats| {
@@ -175,7 +175,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    /// The period that was to begin at `due`.
+    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>, due: Instant) {
         self.tick = self.tick.wrapping_add(1);
         self.outputs.begin_tick();
         self.sense(shared);
@@ -184,6 +185,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
         self.step_steppers(shared);
+        self.outputs.leave_time(Instant::now().saturating_duration_since(due));
         let view = shared.safety();
         if view.state == SafetyState::Armed {
             self.drive(shared, view).await;

@@ -37,7 +37,8 @@ pub enum OutputFault {
 
 /// A transfer that fails so often has failed.
 const TRIES: u32 = 3;
-/// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
+/// Share of a control period that transfers may take: what is left is for the processor and for a repeat. A processor that is slow
+/// in a period leaves them less: see [`Outputs::leave_time`].
 const BUS_SHARE: f32 = 0.95;
 /// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
 const QUEUE: usize = 32;
@@ -189,6 +190,7 @@ pub struct Outputs<B> {
     period_s: f32,
     /// Nine bits on the bus, rounded down.
     byte_time: Duration,
+    bits_per_ms: u32,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
     bits_left: u32,
@@ -239,6 +241,7 @@ impl<B: Bus> Outputs<B> {
             queue: Queue::default(),
             byte_time: Duration::from_micros(9_000_000_u32.checked_div(config.i2c_hz).unwrap_or(0).into()),
             period_s,
+            bits_per_ms: config.i2c_hz / 1000,
             bits_per_tick,
             bits_left: bits_per_tick,
             next_check: 0,
@@ -383,6 +386,13 @@ impl<B: Bus> Outputs<B> {
     pub fn begin_tick(&mut self) {
         self.forget_queue();
         self.bits_left = self.bits_per_tick;
+    }
+
+    /// Leaves the processor time for the rest of this period, of which it has `taken` so much for inputs and steppers: outputs, values
+    /// for hosts and what interrupts take about twice that. What it has taken so far comes out of what [`BUS_SHARE`] leaves.
+    pub fn leave_time(&mut self, taken: Duration) {
+        let taken_us = taken.as_micros().min(u16::MAX.into()) as u32;
+        self.bits_left = self.bits_left.saturating_sub(2 * taken_us * self.bits_per_ms / 1000);
     }
 
     /// Sends what [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in this period, in that
@@ -691,7 +701,23 @@ impl<B: Bus> Patient<B> {
 mod tests {
     extern crate std;
 
-    use super::Order;
+    use embassy_time::Duration;
+
+    use super::{Order, Outputs};
+    use crate::testing::{Registers, robot};
+
+    /// 400 bits a ms at 400 kHz, 380 of them for transfers.
+    #[test]
+    fn a_processor_that_takes_long_leaves_transfers_less() {
+        let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));
+        let mut left_after = |taken_us| {
+            outputs.begin_tick();
+            outputs.leave_time(Duration::from_micros(taken_us));
+            outputs.bits_left
+        };
+        assert_eq!([0, 20, 475, 476, 3_600_000_000].map(&mut left_after), [380, 364, 0, 0, 0]);
+        assert_eq!(left_after(0), 380, "it is the period's alone");
+    }
 
     #[test]
     fn an_order_begins_with_the_first_and_has_each_bridge_once() {
