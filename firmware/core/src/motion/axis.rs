@@ -272,8 +272,8 @@ impl Axis {
     /// Takes account of the clock and the pulses made. Done at least every 2³¹ ticks, also while nothing is commanded.
     pub fn observe(&mut self, hw: &mut impl Steppers) {
         self.now += u64::from(hw.now().wrapping_sub(self.now as u32));
-        // Asked first: if nothing was left to do, the position is final.
-        self.pending = hw.pending(self.index) > 0;
+        // Asked first: if nothing was left to do, the position is final. While the path goes on there is something anyway.
+        self.pending = !self.path_rests() || hw.pending(self.index) > 0;
         let raw = hw.position(self.index);
         let moved = i64::from(raw.wrapping_sub(self.raw));
         self.position = self.position.wrapping_add(if self.config.inverted { -moved } else { moved });
@@ -289,6 +289,7 @@ impl Axis {
         if self.fastest.iter().any(|speed| *speed > start_stop) {
             self.homed = false;
         }
+        self.pending = hw.pending(self.index) > 0;
         self.path.turn_to_speed(Motion::rest(self.position), 0.0, &self.limits);
         self.path_start = self.now;
         (self.told_to, self.speed) = (self.now, 0.0);
@@ -331,7 +332,12 @@ impl Axis {
 
     /// Nothing moves, and nothing will.
     fn rests(&self) -> bool {
-        !self.pending && self.next.is_none() && self.path.rests_at(self.path_time_s(self.told_to))
+        !self.pending && self.next.is_none() && self.path_rests()
+    }
+
+    /// The path is over where pulses have been told.
+    fn path_rests(&self) -> bool {
+        self.path.rests_at(self.path_time_s(self.told_to))
     }
 
     fn path_time_s(&self, tick: u64) -> f64 {
@@ -386,7 +392,7 @@ impl Axis {
     fn tell(&mut self, hw: &mut impl Steppers) -> Result<(), Fault> {
         let [_, first, second, third] = self.fastest;
         self.fastest = [first, second, third, 0.0];
-        let rests = self.path.rests_at(self.path_time_s(self.told_to));
+        let rests = self.path_rests();
         let in_time = self.told_to >= self.now + self.period / MARGIN_SHARE;
         match (rests, in_time) {
             (false, false) => return Err(Fault::Late),
@@ -406,6 +412,9 @@ impl Axis {
         let from = self.told_to;
         self.told_to = from.max(self.now + LEAD_PERIODS * self.period);
         self.go_on(from);
+        if self.path_rests() {
+            self.observe(hw);
+        }
         self.queue(from, hw)
     }
 

@@ -194,6 +194,8 @@ pub struct Outputs<B> {
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
     bits_left: u32,
+    /// What can be read back, and what is next.
+    checks: usize,
     next_check: usize,
 }
 
@@ -225,8 +227,11 @@ impl<B: Bus> Outputs<B> {
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         let bridges: Vec<Bridge, MAX_MOTORS> = bridges.collect();
         let set = |osmc| bridges.iter().rev().fold(0, |set, bridge| set << 1 | u32::from(bridge.is_osmc() == osmc));
+        let lines = bridges.iter().map(Bridge::line_count).sum::<usize>();
+        let servo_checks = servos.as_ref().map_or(0, |servos| 1 + servos.count());
         Self {
             bus: Patient { bus, retries: 0 },
+            checks: 1 + osmc.iter().chain(&dhb).count() + lines + servo_checks,
             sets: [set(true), set(false)],
             bridges,
             braked: braked.collect(),
@@ -574,11 +579,8 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_next(&mut self) -> Result<(), OutputFault> {
-        let lines = self.bridges.iter().map(Bridge::line_count).sum::<usize>();
-        let servos = self.servos.as_ref().map_or(0, |servos| 1 + servos.count());
-        let checks = 1 + self.bridge_chips().count() + lines + servos;
         let mut step = self.next_check;
-        self.next_check = (step + 1) % checks;
+        self.next_check = (step + 1) % self.checks;
         if step == 0 {
             let Some(expander) = &self.expander else { return Ok(()) };
             return self.bus.checked(async |bus: &mut B| expander.verify(bus).await).await;

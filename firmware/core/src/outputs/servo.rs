@@ -95,7 +95,13 @@ impl Servos {
         }
     }
 
-    /// The angle now asked of each servo, rad; `None` when it gets no pulses.
+    /// The angle now asked of servo number `index`, rad; `None` when it gets no pulses.
+    #[must_use]
+    pub fn angle(&self, index: usize) -> Option<f32> {
+        self.servos[index].angle()
+    }
+
+    /// The same of each.
     pub fn angles(&self) -> impl Iterator<Item = Option<f32>> + '_ {
         self.servos.iter().map(Servo::angle)
     }
@@ -253,29 +259,25 @@ mod tests {
         [0, 1].map(|index| servos.servos[index].wanted(&servos.chip))
     }
 
-    fn angles(servos: &Servos) -> [Option<f32>; 2] {
-        [0, 1].map(|index| servos.servos[index].angle())
-    }
-
     #[test]
     fn the_first_command_jumps_and_later_ones_are_limited() {
         let mut servos = Servos::new(CHIP, &[config(0, 1.0), config(5, -1.0)]);
         servos.step(1.0);
-        assert_eq!((angles(&servos)[0], pulses(&servos)), (None, [Output::LOW; 2]));
+        assert_eq!((servos.angle(0), pulses(&servos)), (None, [Output::LOW; 2]));
         servos.command(0, 0.5);
         servos.command(1, 0.5);
         // 1.75 ms and 1.25 ms at 4.88 us: 358.6 and 256.1
         assert_eq!(pulses(&servos).map(Output::registers), [[0, 0, 0x67, 0x01], [0, 0, 0x00, 0x01]]);
         servos.command(0, -5.0);
         servos.step(0.25);
-        assert_eq!(angles(&servos)[0], Some(0.0));
+        assert_eq!(servos.angle(0), Some(0.0));
         servos.step(10.0);
-        assert_eq!(angles(&servos)[0], Some(-1.0), "the end of its travel");
+        assert_eq!(servos.angle(0), Some(-1.0), "the end of its travel");
         assert_eq!(pulses(&servos)[0].registers(), [0, 0, 0xCD, 0x00]); // 1 ms: 204.9
         servos.command(0, f32::NAN);
         servos.command(1, f32::INFINITY);
         servos.step(10.0);
-        assert_eq!(angles(&servos), [Some(-1.0), Some(1.0)]);
+        assert_eq!([0, 1].map(|index| servos.angle(index)), [Some(-1.0), Some(1.0)]);
     }
 
     #[test]
