@@ -179,6 +179,17 @@ impl Commanded {
         self.has_slot(command_slot(Place::Bldc(bldc), Mode::Brake))
     }
 
+    /// Those of `count` outputs that have a command, by their indices; `first` is the first of their kind.
+    pub(crate) fn among(self, first: Place, count: usize) -> impl Iterator<Item = usize> {
+        let mut left = (self.0 >> slot(first)) as u32;
+        let indices = core::iter::from_fn(move || {
+            let index = left.trailing_zeros();
+            left &= left.checked_sub(1)?;
+            Some(index as usize)
+        });
+        indices.take_while(move |index| *index < count)
+    }
+
     fn has_slot(self, slot: usize) -> bool {
         self.0 >> slot & 1 != 0
     }
@@ -279,11 +290,14 @@ impl<M: RawMutex> Shared<M> {
             None => Safety::Disarmed,
             Some(cause) => Safety::Tripped { causes: Causes::only(cause) },
         };
+        let valid = config.validate().is_ok();
         let mut statuses = [Status::Scalar(0.0); CHANNELS];
         for (_, place) in config.channels() {
             statuses[slot(place)] = match place {
                 Place::Motor(_) | Place::Stepper(_) => Status::Motor(MotorStatus::IDLE),
                 Place::Encoder(_) => Status::Encoder { position: 0, speed: 0.0, illegal: 0 },
+                // Of a board that drives nothing: without pulses.
+                Place::Servo(_) if !valid => Status::Scalar(f32::NAN),
                 Place::Range(_) | Place::Analog(_) => {
                     Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
                 }
@@ -291,7 +305,7 @@ impl<M: RawMutex> Shared<M> {
             };
         }
         let mut control_causes = Causes::NONE;
-        control_causes.set(Cause::BadConfiguration, config.validate().is_err());
+        control_causes.set(Cause::BadConfiguration, !valid);
         // No task takes it away again: such a board cannot be armed before its next start.
         if let (true, Some(cause)) = (reset.holds(), reset.cause()) {
             control_causes.set(cause, true);
@@ -563,9 +577,12 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.statuses[slot(place)] = status);
     }
 
-    /// The same for several, in one critical section: few at once, and what is short to compute.
-    pub(crate) fn publish_each(&self, statuses: impl Iterator<Item = (Place, Status)>) {
-        self.with(|s| statuses.for_each(|(place, status)| s.statuses[slot(place)] = status));
+    /// The same for all of a kind, from the `first` on, in one critical section: what is short to compute.
+    pub(crate) fn publish_each(&self, first: Place, statuses: impl Iterator<Item = Status>) {
+        self.with(|s| {
+            let mut slots = s.statuses.iter_mut().skip(slot(first));
+            statuses.for_each(|status| slots.next().into_iter().for_each(|slot| *slot = status));
+        });
     }
 
     pub(crate) fn status(&self, place: Place) -> Status {

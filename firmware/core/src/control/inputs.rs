@@ -53,23 +53,25 @@ impl Inputs {
     /// Reads all and tells hosts; returns the causes they show.
     pub(super) fn sense<M: RawMutex>(&mut self, shared: &Shared<M>, peripherals: &mut impl Peripherals) -> Causes {
         let mut causes = Causes::NONE;
-        shared.publish_each(self.switches.iter_mut().enumerate().map(|(index, (number, switch))| {
+        let switches = self.switches.iter_mut().map(|(number, switch)| {
             let closed = switch.update(peripherals.is_high(*number));
-            (Place::Switch(index), Status::Scalar(closed.into()))
-        }));
-        shared.publish_each(self.encoders.iter_mut().enumerate().map(|(index, (number, radians, encoder))| {
+            Status::Scalar(closed.into())
+        });
+        shared.publish_each(Place::Switch(0), switches);
+        let encoders = self.encoders.iter_mut().map(|(number, radians, encoder)| {
             let (position, counts_per_s) = encoder.update(peripherals.count(*number));
-            let illegal = peripherals.illegal(*number);
-            (Place::Encoder(index), Status::Encoder { position, speed: counts_per_s * *radians, illegal })
-        }));
+            Status::Encoder { position, speed: counts_per_s * *radians, illegal: peripherals.illegal(*number) }
+        });
+        shared.publish_each(Place::Encoder(0), encoders);
         let now = Instant::now();
-        shared.publish_each(self.analogs.iter_mut().enumerate().map(|(index, (input, analog))| {
+        let analogs = self.analogs.iter_mut().map(|(input, analog)| {
             let reading = analog.update(peripherals.code(*input));
             let age = Duration::from_millis(reading.age_ms.into());
             // One that has never been good is older than the board.
             let taken = now.checked_sub(age).unwrap_or(Instant::MIN);
-            (Place::Analog(index), Status::Reading { value: reading.volts, quality: reading.quality, taken })
-        }));
+            Status::Reading { value: reading.volts, quality: reading.quality, taken }
+        });
+        shared.publish_each(Place::Analog(0), analogs);
         for (index, supply) in self.supplies.iter_mut().enumerate() {
             let (volts, in_range) = supply.update(peripherals.code(supply.analog()));
             shared.publish(Place::Supply(index), Status::Scalar(volts));

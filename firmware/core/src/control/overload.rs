@@ -4,7 +4,7 @@
 //! lag (the thermal replica of IEC 60255-149 with one time constant). So a constant current of `n` times the rated one
 //! reaches the limit after `thermal_s ln((n² - h) / (n² - 1))` from the heat `h`; the rated current never does.
 
-use crc::{CRC_12_CDMA2000, Crc, NoTable};
+use crc::{CRC_12_CDMA2000, Crc};
 use r4_protocol::{ChannelId, Winding, config::WindingConfig};
 
 /// A winding that has reached its limit stays an overload until it has cooled to this share.
@@ -24,7 +24,7 @@ pub const HOT: f64 = 0.9;
 pub const HOT_ENDS: f64 = 0.85;
 
 /// Over a kept word, with its channel: a burst of up to 12 damaged bits is always seen, other damage but for 1 in 4096.
-const CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_12_CDMA2000);
+static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_12_CDMA2000);
 /// What the bits of a kept word mean.
 const LAYOUT: u8 = 1;
 /// A kept word is, from the top, the heat's 19 bits, whether it is an overload, and 12 bits of checksum.

@@ -66,7 +66,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
         let taken = until_now.wrapping_sub(core::mem::replace(&mut cycles, until_now));
         let begin = period_begins(Instant::now());
         shared.control_tick(begin);
-        control.tick(shared).await;
+        control.tick(shared, due).await;
         due += period;
         let end = Instant::now();
         shared.count(|stats| {
@@ -175,7 +175,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    /// The period that was to begin at `due`.
+    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>, due: Instant) {
         self.tick = self.tick.wrapping_add(1);
         self.outputs.begin_tick();
         self.sense(shared);
@@ -184,6 +185,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
         self.step_steppers(shared);
+        self.outputs.leave_time(Instant::now().saturating_duration_since(due));
         let view = shared.safety();
         if view.state == SafetyState::Armed {
             self.drive(shared, view).await;
@@ -217,23 +219,19 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {
-        let config = shared.config();
         let windings = self.windings.iter().map(|winding| winding.as_ref().map(|(overload, _)| overload.status()));
-        shared.publish_each(self.motors.iter().zip(windings).enumerate().map(|(index, (motor, winding))| {
-            (Place::Motor(index), Status::Motor(MotorStatus { winding, ..motor.status() }))
-        }));
-        let outputs = &self.outputs;
-        let bldcs = (0..config.bldcs.len()).map(|index| (Place::Bldc(index), outputs.drive_share(index)));
-        let servos = (0..config.servos.len()).map(|index| (Place::Servo(index), outputs.servo_angle(index)));
-        let relays = (0..config.relays.len()).map(|index| (Place::Relay(index), outputs.is_closed(index).into()));
-        let told = bldcs.chain(servos).chain(relays);
-        shared.publish_each(told.map(|(place, value)| (place, Status::Scalar(value))));
-        let steppers = self.steppers.iter().flat_map(Bank::status).enumerate();
-        shared.publish_each(steppers.map(|(index, status)| {
-            let setpoint = self.stepper_setpoints[index];
+        let motors = self.motors.iter().zip(windings);
+        let motors = motors.map(|(motor, winding)| Status::Motor(MotorStatus { winding, ..motor.status() }));
+        shared.publish_each(Place::Motor(0), motors);
+        shared.publish_each(Place::Bldc(0), self.outputs.drive_shares().map(Status::Scalar));
+        shared.publish_each(Place::Servo(0), self.outputs.servo_angles().map(Status::Scalar));
+        let relays = self.outputs.closed_relays().map(|closed| Status::Scalar(closed.into()));
+        shared.publish_each(Place::Relay(0), relays);
+        let steppers = self.steppers.iter().flat_map(Bank::status).zip(self.stepper_setpoints);
+        let steppers = steppers.map(|(status, setpoint)| {
             // A search ends at rest where it found its place.
             let found = setpoint.mode == Mode::Home && status.homed && !status.moving;
-            let status = MotorStatus {
+            Status::Motor(MotorStatus {
                 setpoint,
                 position: status.position_steps,
                 speed: status.speed,
@@ -241,9 +239,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 settled: status.settled || found,
                 homed: status.homed,
                 winding: None,
-            };
-            (Place::Stepper(index), Status::Motor(status))
-        }));
+            })
+        });
+        shared.publish_each(Place::Stepper(0), steppers);
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
@@ -315,19 +313,22 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
-        shared.end_leases(Instant::now());
+        let now = Instant::now();
+        shared.end_leases(now);
         let commanded = shared.commanded();
-        self.take_commands(shared, view, commanded);
+        // The motors' supply may just have been closed: drivers need it before their inputs move.
+        let powered = now >= self.powered_at;
+        self.take_commands(shared, view, commanded, powered);
         self.outputs.write_expander().await?;
         let [osmc, dhb] = self.outputs.order();
-        self.step_motors(shared, view, commanded, osmc);
+        self.step_motors(shared, view, commanded, powered, osmc);
         let check = self.tick % CHECK_EVERY == 1 && self.outputs.reserve_check();
         // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
         let dhb_first = self.tick.is_multiple_of(2);
         if !dhb_first {
             self.write_drives_and_servos();
         }
-        self.step_motors(shared, view, commanded, dhb);
+        self.step_motors(shared, view, commanded, powered, dhb);
         if dhb_first {
             self.write_drives_and_servos();
         }
@@ -355,9 +356,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Steps some motors, whose bridges are written with the next [`Outputs::flush`].
-    fn step_motors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, commanded: Commanded, motors: Order) {
-        // The motors' supply has just been closed: drivers need it before their inputs move.
-        let powered = Instant::now() >= self.powered_at;
+    fn step_motors<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        view: SafetyView,
+        commanded: Commanded,
+        powered: bool,
+        motors: Order,
+    ) {
         for index in motors {
             let motor = &mut self.motors[index];
             if commanded.has(Place::Motor(index))
@@ -387,25 +393,32 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Takes the commands of all outputs but motors, and lets their rules make a step.
-    fn take_commands<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView, commanded: Commanded) {
+    fn take_commands<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        view: SafetyView,
+        commanded: Commanded,
+        powered: bool,
+    ) {
         let config = shared.config();
-        let take = |place| commanded.has(place).then(|| shared.take_command(place, view.epoch)).flatten();
-        for index in 0..config.relays.len() {
+        let take = |place| shared.take_command(place, view.epoch);
+        for index in commanded.among(Place::Relay(0), config.relays.len()) {
             if let Some(setpoint) = take(Place::Relay(index)) {
                 self.outputs.switch(index, setpoint.value != 0.0);
             }
         }
-        for (index, dac) in config.dacs.iter().enumerate() {
+        for index in commanded.among(Place::Dac(0), config.dacs.len()) {
             if let Some(setpoint) = take(Place::Dac(index)) {
-                self.peripherals.set(dac.id.index, dac_code(setpoint.value));
+                self.peripherals.set(config.dacs[index].id.index, dac_code(setpoint.value));
                 shared.publish(Place::Dac(index), Status::Scalar(setpoint.value));
             }
         }
-        if Instant::now() < self.powered_at {
+        if !powered {
             return;
         }
         for index in 0..config.bldcs.len() {
-            let share = take(Place::Bldc(index)).map(|setpoint| setpoint.value);
+            let share = commanded.has(Place::Bldc(index)).then(|| take(Place::Bldc(index))).flatten();
+            let share = share.map(|setpoint| setpoint.value);
             let brake = commanded.has_brake(index).then(|| shared.take_brake(index, view.epoch)).flatten();
             // Of a speed and an applied brake in the same period, the brake is taken; a released one leaves the speed.
             let command = match (brake, share) {
@@ -417,7 +430,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             self.outputs.command_drive(index, command);
         }
         self.outputs.step_drives();
-        for index in 0..config.servos.len() {
+        for index in commanded.among(Place::Servo(0), config.servos.len()) {
             if let Some(setpoint) = take(Place::Servo(index)) {
                 self.outputs.command_servo(index, setpoint.value);
             }
@@ -427,7 +440,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         if !bank.is_armed() {
             bank.arm(&mut self.peripherals);
         }
-        for index in 0..config.steppers.len() {
+        for index in commanded.among(Place::Stepper(0), config.steppers.len()) {
             let Some(setpoint) = take(Place::Stepper(index)) else { continue };
             let command = match setpoint.mode {
                 Mode::Position => StepperCommand::Position(setpoint.value),

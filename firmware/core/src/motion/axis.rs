@@ -160,8 +160,9 @@ pub struct Axis {
     path: Path,
     path_start: u64,
     pulses: Pulses,
-    /// Until when pulses have been told.
+    /// Until when pulses have been told, and the path's speed there, steps/s.
     told_to: u64,
+    speed: f64,
     /// What the path is for, and what is to replace that.
     order: Order,
     next: Option<Order>,
@@ -205,6 +206,7 @@ impl Axis {
             path_start: 0,
             pulses: Pulses::new(timing),
             told_to: 0,
+            speed: 0.0,
             order: Order::Stop,
             next: None,
             search: None,
@@ -270,8 +272,8 @@ impl Axis {
     /// Takes account of the clock and the pulses made. Done at least every 2³¹ ticks, also while nothing is commanded.
     pub fn observe(&mut self, hw: &mut impl Steppers) {
         self.now += u64::from(hw.now().wrapping_sub(self.now as u32));
-        // Asked first: if nothing was left to do, the position is final.
-        self.pending = hw.pending(self.index) > 0;
+        // Asked first: if nothing was left to do, the position is final. While the path goes on there is something anyway.
+        self.pending = !self.path_rests() || hw.pending(self.index) > 0;
         let raw = hw.position(self.index);
         let moved = i64::from(raw.wrapping_sub(self.raw));
         self.position = self.position.wrapping_add(if self.config.inverted { -moved } else { moved });
@@ -287,9 +289,10 @@ impl Axis {
         if self.fastest.iter().any(|speed| *speed > start_stop) {
             self.homed = false;
         }
-        self.path = Path::rest(Motion::rest(self.position));
+        self.pending = hw.pending(self.index) > 0;
+        self.path.turn_to_speed(Motion::rest(self.position), 0.0, &self.limits);
         self.path_start = self.now;
-        self.told_to = self.now;
+        (self.told_to, self.speed) = (self.now, 0.0);
         self.pulses.reset(self.position, self.now);
         self.order = Order::Stop;
         self.next = None;
@@ -308,11 +311,17 @@ impl Axis {
         let moving = !self.rests();
         AxisStatus {
             position_steps: self.position as i32,
-            speed: (self.path.at(self.path_time_s(self.told_to)).speed / self.steps_per_rad) as f32,
+            speed: (self.speed / self.steps_per_rad) as f32,
             settled: !moving && matches!(self.order, Order::Position(target) if target == self.position),
             homed: self.homed,
             moving,
         }
+    }
+
+    /// What the path itself says of [`AxisStatus::speed`].
+    #[cfg(test)]
+    pub(super) fn path_speed(&self) -> f32 {
+        (self.path.at(self.path_time_s(self.told_to)).speed / self.steps_per_rad) as f32
     }
 
     /// The configuration.
@@ -323,7 +332,12 @@ impl Axis {
 
     /// Nothing moves, and nothing will.
     fn rests(&self) -> bool {
-        !self.pending && self.next.is_none() && self.path.rests_at(self.path_time_s(self.told_to))
+        !self.pending && self.next.is_none() && self.path_rests()
+    }
+
+    /// The path is over where pulses have been told.
+    fn path_rests(&self) -> bool {
+        self.path.rests_at(self.path_time_s(self.told_to))
     }
 
     fn path_time_s(&self, tick: u64) -> f64 {
@@ -376,9 +390,9 @@ impl Axis {
     }
 
     fn tell(&mut self, hw: &mut impl Steppers) -> Result<(), Fault> {
-        self.fastest.rotate_left(1);
-        self.fastest[self.fastest.len() - 1] = 0.0;
-        let rests = self.path.rests_at(self.path_time_s(self.told_to));
+        let [_, first, second, third] = self.fastest;
+        self.fastest = [first, second, third, 0.0];
+        let rests = self.path_rests();
         let in_time = self.told_to >= self.now + self.period / MARGIN_SHARE;
         match (rests, in_time) {
             (false, false) => return Err(Fault::Late),
@@ -391,43 +405,52 @@ impl Axis {
         }
         if let Some(order) = self.next.take() {
             let motion = self.path.at(self.path_time_s(self.told_to));
-            self.path = self.path_for(order, motion);
+            self.turn_to(order, motion);
             self.path_start = self.told_to;
             self.order = order;
         }
         let from = self.told_to;
         self.told_to = from.max(self.now + LEAD_PERIODS * self.period);
-        self.fastest[self.fastest.len() - 1] = self.fastest_between(from, self.told_to);
+        self.go_on(from);
+        if self.path_rests() {
+            self.observe(hw);
+        }
         self.queue(from, hw)
     }
 
-    fn path_for(&self, order: Order, motion: Motion) -> Path {
+    /// Makes the path that of an order, from a state of motion on.
+    fn turn_to(&mut self, order: Order, motion: Motion) {
+        let Self { path, limits, .. } = self;
         match order {
-            Order::Position(target) => Path::to_position(motion, target, &self.limits),
-            Order::Stop => Path::to_speed(motion, 0.0, &self.limits),
-            Order::Seek(speed) => Path::to_speed(motion, speed, &self.limits),
+            Order::Position(target) => path.turn_to_position(motion, target, limits),
+            Order::Stop => path.turn_to_speed(motion, 0.0, limits),
+            Order::Seek(speed) => path.turn_to_speed(motion, speed, limits),
             Order::Speed(speed) => {
                 let end = if speed > 0.0 { self.config.position.max } else { self.config.position.min };
                 if speed == 0.0 || end.is_infinite() {
-                    return Path::to_speed(motion, speed, &self.limits);
+                    return path.turn_to_speed(motion, speed, limits);
                 }
                 let end = f64::from(end) * self.steps_per_rad;
                 let end = if speed > 0.0 { libm::floor(end) } else { libm::ceil(end) } as i64;
                 if motion.position.distance_to(end) * speed <= 0.0 {
-                    return Path::to_speed(motion, 0.0, &self.limits);
+                    return path.turn_to_speed(motion, 0.0, limits);
                 }
-                Path::to_position(motion, end, &Limits { speed: speed.abs(), ..self.limits })
+                path.turn_to_position(motion, end, &Limits { speed: speed.abs(), ..*limits });
             }
         }
     }
 
-    /// Highest speed of the path between two ticks. Its extremes are at the ends of pieces, but for one that begins with
-    /// acceleration of the other sign: there it lies between speeds that come before.
-    fn fastest_between(&self, from: u64, to: u64) -> f64 {
-        let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(to));
-        let within = self.path.pieces().iter().filter(|piece| (from_s..to_s).contains(&piece.start_s));
-        let ends = [self.path.at(from_s).speed, self.path.at(to_s).speed];
-        within.map(|piece| piece.start.speed).chain(ends).fold(0.0, |fastest, speed| speed.abs().max(fastest))
+    /// Notes the speed at [`Axis::told_to`], and the highest since `from`. The path's extremes are at the ends of pieces, but for one
+    /// that begins with acceleration of the other sign: there it lies between speeds that come before.
+    fn go_on(&mut self, from: u64) {
+        let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(self.told_to));
+        self.path.go_on_to(from_s);
+        let later = self.path.pieces().iter().skip(1).take_while(|piece| piece.start_s < to_s);
+        let ends = [self.speed, self.path.speed_at(to_s)];
+        let speeds = later.map(|piece| piece.start.speed).chain(ends);
+        let [.., fastest] = &mut self.fastest;
+        *fastest = speeds.fold(0.0, |fastest, speed| speed.abs().max(fastest));
+        self.speed = ends[1];
     }
 
     /// Tells the hardware the pulses of `from..told_to`.

@@ -7,7 +7,7 @@
 //!
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
-use super::to_f64;
+use super::{rounded, to_f64};
 use crate::within::Within;
 use heapless::Vec;
 
@@ -47,9 +47,8 @@ impl Position {
     }
 
     fn moved(self, distance: f64) -> Self {
-        let place = self.fraction + distance;
-        let whole = libm::round(place);
-        Self { steps: self.steps.wrapping_add(whole as i64), fraction: place - whole }
+        let (whole, fraction) = rounded(self.fraction + distance);
+        Self { steps: self.steps.wrapping_add(whole), fraction }
     }
 }
 
@@ -121,15 +120,14 @@ fn ramp(speed: f64, acceleration: f64, to: f64, limits: &Limits) -> [Arc; 3] {
     let side = if to >= if_taken_back { 1.0 } else { -1.0 };
     let (start, change) = (side * acceleration, side * (to - speed));
     // From `start` up to the peak and from there to 0 must make up the change: (2 peak² - start²) / 2 jerk = change.
-    let free_peak = libm::sqrt((jerk * change + start * start / 2.0).max(0.0));
-    let peak = free_peak.min(most);
+    let free_peak_squared = (jerk * change + start * start / 2.0).max(0.0);
+    // A root takes as long as all else here, and often it is not needed.
+    let holds = free_peak_squared > most * most;
+    let peak = if holds { most } else { libm::sqrt(free_peak_squared) };
     let first_s = (peak - start).abs() / jerk;
     let last_s = peak / jerk;
-    let hold_s = if free_peak > most {
-        ((change - first_s * (start + peak) / 2.0 - last_s * peak / 2.0) / most).max(0.0)
-    } else {
-        0.0
-    };
+    let hold_s =
+        if holds { ((change - first_s * (start + peak) / 2.0 - last_s * peak / 2.0) / most).max(0.0) } else { 0.0 };
     let first_jerk = side * jerk.copysign(peak - start);
     [
         Arc { duration_s: first_s, acceleration, jerk: first_jerk },
@@ -149,6 +147,13 @@ fn along(ramp: &[Arc; 3], speed: f64, mut time_s: f64) -> Relative {
         time_s -= arc.duration_s;
     }
     state
+}
+
+/// Distance of a whole ramp that starts with `speed`.
+fn distance(ramp: &[Arc; 3], speed: f64) -> f64 {
+    let start = Relative { distance: 0.0, speed, acceleration: 0.0 };
+    let arcs = ramp.iter().filter(|arc| arc.duration_s > 0.0);
+    arcs.fold(start, |state, arc| state.after(*arc)).distance
 }
 
 fn duration_s(ramp: &[Arc; 3]) -> f64 {
@@ -191,6 +196,8 @@ const MAX_PIECES: usize = 8;
 #[derive(Clone, Debug)]
 pub struct Path {
     pieces: Vec<Piece, MAX_PIECES>,
+    /// The first of them that is not over.
+    first: usize,
 }
 
 /// Paths that would miss by less than this need no correction but the shift that takes them exactly to the target, steps.
@@ -200,7 +207,9 @@ impl Path {
     /// Stays at a state's position.
     #[must_use]
     pub fn rest(at: Motion) -> Self {
-        Builder::new(at).finish(0.0)
+        let mut path = Self { pieces: Vec::new(), first: 0 };
+        Builder::new(&mut path, at).finish(0.0);
+        path
     }
 
     /// The fastest way to rest at a step.
@@ -209,10 +218,17 @@ impl Path {
     /// before the target passes it and returns.
     #[must_use]
     pub fn to_position(from: Motion, target: i64, limits: &Limits) -> Self {
-        let distance = from.position.distance_to(target);
+        let mut path = Self::rest(from);
+        path.turn_to_position(from, target, limits);
+        path
+    }
+
+    /// Becomes [`Path::to_position`]: a path is large to be copied.
+    pub fn turn_to_position(&mut self, from: Motion, target: i64, limits: &Limits) {
+        let way = from.position.distance_to(target);
         let stop = ramp(from.speed, from.acceleration, 0.0, limits);
-        let excess = distance - along(&stop, from.speed, f64::INFINITY).distance;
-        let mut path = Builder::new(from);
+        let excess = way - distance(&stop, from.speed);
+        let mut path = Builder::new(self, from);
         if excess.abs() <= NEGLIGIBLE {
             path.ramp(&stop, f64::INFINITY);
         } else {
@@ -222,7 +238,7 @@ impl Path {
             let beyond = |time_s: f64| {
                 let Relative { distance: covered, speed, acceleration } = along(&out, from.speed, time_s);
                 let stop = ramp(speed, acceleration, 0.0, limits);
-                side * (covered + along(&stop, speed, f64::INFINITY).distance - distance)
+                side * (covered + distance(&stop, speed) - way)
             };
             let out_s = duration_s(&out);
             let short = -beyond(out_s);
@@ -233,25 +249,39 @@ impl Path {
             } else {
                 path.ramp(&out, root((0.0, -excess.abs()), (out_s, -short), beyond));
             }
-            let braking = path.pieces.len();
+            let braking = path.path.pieces.len();
             let stop = ramp(path.now.speed, path.now.acceleration, 0.0, limits);
             path.ramp(&stop, f64::INFINITY);
             // What rounding leaves of a long way goes where the path is fast.
             let missed = path.now.position.distance_to(target);
-            for piece in path.pieces.iter_mut().skip(braking) {
+            for piece in path.path.pieces.iter_mut().skip(braking) {
                 piece.start.position = piece.start.position.moved(missed);
             }
         }
         path.now.position = Position::at_step(target);
-        path.finish(0.0)
+        path.finish(0.0);
     }
 
     /// The fastest way to a speed, which is then held; 0 stops.
     #[must_use]
     pub fn to_speed(from: Motion, speed: f64, limits: &Limits) -> Self {
-        let mut path = Builder::new(from);
+        let mut path = Self::rest(from);
+        path.turn_to_speed(from, speed, limits);
+        path
+    }
+
+    /// Becomes [`Path::to_speed`].
+    pub fn turn_to_speed(&mut self, from: Motion, speed: f64, limits: &Limits) {
+        let mut path = Builder::new(self, from);
         path.ramp(&ramp(from.speed, from.acceleration, speed, limits), f64::INFINITY);
-        path.finish(speed)
+        path.finish(speed);
+    }
+
+    /// Forgets the parts that are over at a time after the start. What is asked from here on is not before that.
+    pub fn go_on_to(&mut self, time_s: f64) {
+        while self.pieces.get(self.first + 1).is_some_and(|next| next.start_s <= time_s) {
+            self.first += 1;
+        }
     }
 
     /// Calls all positions of it differently.
@@ -261,22 +291,35 @@ impl Path {
         }
     }
 
-    /// The parts, in order of time; never none. The last has no end, and constant speed.
+    /// The parts that are not over, in order of time; never none. The last has no end, and constant speed.
     #[must_use]
     pub fn pieces(&self) -> &[Piece] {
-        &self.pieces
+        &self.pieces[self.first..]
     }
 
     /// State at a time after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Motion {
-        let mut piece = &self.pieces[0];
-        for next in &self.pieces {
-            if next.start_s <= time_s {
-                piece = next;
-            }
-        }
+        let piece = self.piece_at(time_s);
         piece.at(time_s - piece.start_s)
+    }
+
+    /// Speed at a time after the start.
+    #[must_use]
+    pub fn speed_at(&self, time_s: f64) -> f64 {
+        let piece = self.piece_at(time_s);
+        piece.distance_and_speed(time_s - piece.start_s).1
+    }
+
+    fn piece_at(&self, time_s: f64) -> &Piece {
+        let mut piece = &self.pieces()[0];
+        for next in &self.pieces()[1..] {
+            if next.start_s > time_s {
+                break;
+            }
+            piece = next;
+        }
+        piece
     }
 
     /// When what the path leads to is reached, s after its start.
@@ -293,15 +336,17 @@ impl Path {
 }
 
 /// A path being put together.
-struct Builder {
-    pieces: Vec<Piece, MAX_PIECES>,
+struct Builder<'p> {
+    path: &'p mut Path,
     now: Motion,
     time_s: f64,
 }
 
-impl Builder {
-    fn new(from: Motion) -> Self {
-        Self { pieces: Vec::new(), now: from, time_s: 0.0 }
+impl<'p> Builder<'p> {
+    fn new(path: &'p mut Path, from: Motion) -> Self {
+        path.pieces.clear();
+        path.first = 0;
+        Self { path, now: from, time_s: 0.0 }
     }
 
     fn arc(&mut self, arc: Arc) {
@@ -314,7 +359,7 @@ impl Builder {
             jerk: arc.jerk,
         };
         // Three arcs, cruise, three arcs, the end: there is room.
-        let _ = self.pieces.push(piece);
+        let _ = self.path.pieces.push(piece);
         self.now = piece.at(arc.duration_s);
         self.time_s += arc.duration_s;
     }
@@ -332,10 +377,9 @@ impl Builder {
         self.now = Motion { speed, acceleration: 0.0, ..self.now };
     }
 
-    fn finish(mut self, speed: f64) -> Path {
+    fn finish(mut self, speed: f64) {
         self.settle(speed);
-        let _ = self.pieces.push(Piece { start_s: self.time_s, start: self.now, jerk: 0.0 });
-        Path { pieces: self.pieces }
+        let _ = self.path.pieces.push(Piece { start_s: self.time_s, start: self.now, jerk: 0.0 });
     }
 }
 

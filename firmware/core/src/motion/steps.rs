@@ -109,20 +109,26 @@ impl Pulses {
     /// The direction line is turned as late as it may be, [`TickTiming`]'s time before the pulse, which can be before `from`.
     pub fn along(&mut self, path: &Path, start: u64, from: u64, to: u64, mut emit: impl FnMut(StepEvent)) {
         let tick_hz = f64::from(self.timing.tick_hz);
-        let (from_s, to_s) = (to_f64(from) / tick_hz, to_f64(to) / tick_hz);
+        let from_ticks = to_f64(from);
+        let (from_s, to_s) = (from_ticks / tick_hz, to_f64(to) / tick_hz);
         let pieces = path.pieces();
         let ends = pieces.iter().skip(1).map(|next| next.start_s).chain([f64::INFINITY]);
-        for (piece, end_s) in pieces.iter().zip(ends) {
+        for (piece, end_s) in pieces.iter().zip(ends).take_while(|(piece, _)| piece.start_s < to_s) {
             let (low, high) = (from_s.max(piece.start_s) - piece.start_s, to_s.min(end_s) - piece.start_s);
             if high <= low {
                 continue;
             }
-            let to_tick = |time_s: f64| start + libm::round((piece.start_s + time_s) * tick_hz) as u64;
+            // Never before `from`; the nearest tick, by a conversion that the processor has.
+            let to_tick =
+                |time_s: f64| start + from + u64::from(((piece.start_s + time_s) * tick_hz - from_ticks + 0.5) as u32);
             let mut part = low;
-            for part_end in turns(piece).into_iter().filter(|turn| (low..high).contains(turn)).chain([high]) {
-                self.along_one_way(piece, part, part_end, to_tick, &mut emit);
-                part = part_end;
+            if may_turn(piece, low, high) {
+                for turn in turns(piece).into_iter().filter(|turn| (low..high).contains(turn)) {
+                    self.along_one_way(piece, part, turn, to_tick, &mut emit);
+                    part = turn;
+                }
             }
+            self.along_one_way(piece, part, high, to_tick, &mut emit);
         }
     }
 
@@ -167,6 +173,14 @@ impl Pulses {
 
 /// How exactly the moment of a step is solved, before it is rounded to a tick.
 const SOLVED_TICKS: f64 = 0.05;
+
+/// Whether a piece's speed may change its sign between two times. It does not where it only grows, or only falls, between two
+/// speeds of one sign.
+fn may_turn(piece: &Piece, low: f64, high: f64) -> bool {
+    let acceleration = |time_s: f64| piece.start.acceleration + piece.jerk * time_s;
+    let ((_, first), (_, last)) = (piece.distance_and_speed(low), piece.distance_and_speed(high));
+    first * last <= 0.0 || acceleration(low) * acceleration(high) < 0.0
+}
 
 /// When a piece's speed changes its sign, in order; NaN or infinite where it does not.
 fn turns(piece: &Piece) -> [f64; 2] {

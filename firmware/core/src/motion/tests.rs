@@ -172,6 +172,7 @@ impl Rig {
         self.board.run_to(due + late);
         let result = self.axis.step(closed, &mut self.board);
         self.board.now = due;
+        assert_eq!(self.axis.status().speed, self.axis.path_speed());
         result.map(|()| self.axis.status())
     }
 

@@ -74,8 +74,9 @@ impl Bldcs {
 
     /// One step of `period_s`, s, towards the commands.
     pub fn step(&mut self, period_s: f32) -> Wanted {
-        self.drives.iter_mut().for_each(|drive| drive.step(period_s));
-        self.renew()
+        let period_us = libm::roundf(period_s * 1e6) as u32;
+        let changed = self.drives.iter_mut().fold(false, |changed, drive| changed | drive.step(period_s, period_us));
+        if changed { self.renew() } else { self.wanted }
     }
 
     /// What the last step or safe state asked for.
@@ -93,18 +94,15 @@ impl Bldcs {
     /// Keeps the directions that the expander's pins, driven to `levels`, tell the drives.
     pub fn resume(&mut self, levels: u16) {
         for drive in &mut self.drives {
-            if let Reverse::Line { line, .. } = drive.config.reverse {
-                drive.backwards = (levels & 1 << line.bit != 0) != line.active_low;
-            }
+            drive.backwards = (levels ^ drive.inactive) & drive.direction_line != 0;
             drive.at_neutral_us = 0;
         }
         self.renew();
     }
 
-    /// Share of full speed that drive number `index` is now told, -1..=1.
-    #[must_use]
-    pub fn share(&self, index: usize) -> f32 {
-        self.drives[index].share
+    /// Share of full speed that each drive is now told, -1..=1.
+    pub fn shares(&self) -> impl Iterator<Item = f32> + '_ {
+        self.drives.iter().map(|drive| drive.share)
     }
 }
 
@@ -112,10 +110,8 @@ fn wanted(drives: &[Drive]) -> Wanted {
     let mut wanted = Wanted { codes: [0; OUTPUTS], mask: 0, levels: 0 };
     for drive in drives {
         wanted.codes[usize::from(drive.config.output)] = drive.code();
-        for (bit, high) in drive.lines() {
-            wanted.mask |= 1 << bit;
-            wanted.levels |= u16::from(high) << bit;
-        }
+        wanted.mask |= drive.direction_line | drive.brake_line;
+        wanted.levels |= drive.levels();
     }
     wanted
 }
@@ -126,6 +122,10 @@ struct Drive {
     full_scale_v: f32,
     /// Lowest and highest code it may get.
     window: [u16; 2],
+    /// Bits of the expander that are its lines, 0 where there is none, and their levels while neither is active.
+    direction_line: u16,
+    brake_line: u16,
+    inactive: u16,
     command: Command,
     /// Share of full speed it is told; negative only while the direction line, if there is one, is active.
     share: f32,
@@ -139,11 +139,17 @@ struct Drive {
 impl Drive {
     fn new(config: BldcConfig, full_scale_v: f32) -> Self {
         let backwards_v = if let Reverse::Voltage { full_v } = config.reverse { full_v } else { config.neutral_v };
+        let direction = if let Reverse::Line { line, .. } = config.reverse { Some(line) } else { None };
+        let [direction_line, brake_line] = [direction, config.brake].map(|line| line.map_or(0, |line| 1 << line.bit));
+        let active_low = [direction, config.brake].into_iter().flatten().filter(|line| line.active_low);
         let ends = [config.neutral_v, config.forward_v, backwards_v].map(|volts| code_for(volts, full_scale_v));
         Self {
             config,
             full_scale_v,
             window: ends.iter().fold([CODE_MAX, 0], |[low, high], code| [low.min(*code), high.max(*code)]),
+            direction_line,
+            brake_line,
+            inactive: active_low.fold(0, |levels, line| levels | 1 << line.bit),
             command: Command::Brake,
             share: 0.0,
             at_neutral_us: 0,
@@ -157,9 +163,16 @@ impl Drive {
         self.braked = true;
     }
 
-    fn step(&mut self, period_s: f32) {
+    /// Whether anything has changed that the chips are to hold.
+    fn step(&mut self, period_s: f32, period_us: u32) -> bool {
+        let before = (self.share, self.braked, self.backwards);
+        self.advance(period_s, period_us);
+        before != (self.share, self.braked, self.backwards)
+    }
+
+    fn advance(&mut self, period_s: f32, period_us: u32) {
         if self.share == 0.0 {
-            self.at_neutral_us = self.at_neutral_us.saturating_add(libm::roundf(period_s * 1e6) as u32);
+            self.at_neutral_us = self.at_neutral_us.saturating_add(period_us);
         }
         let Command::Run(share) = self.command else { return self.brake() };
         if self.braked {
@@ -193,18 +206,18 @@ impl Drive {
         code_for(neutral_v + self.share.abs() * (full_v - neutral_v), self.full_scale_v).clamp(low, high)
     }
 
-    /// Bits of the expander, each with whether it is high.
-    fn lines(&self) -> impl Iterator<Item = (u8, bool)> {
-        let direction = if let Reverse::Line { line, .. } = self.config.reverse { Some(line) } else { None };
-        let lines = [direction.map(|line| (line, self.backwards)), self.config.brake.map(|line| (line, self.braked))];
-        lines.into_iter().flatten().map(|(line, active)| (line.bit, active != line.active_low))
+    /// Levels of its lines.
+    fn levels(&self) -> u16 {
+        let direction = if self.backwards { self.direction_line } else { 0 };
+        let brake = if self.braked { self.brake_line } else { 0 };
+        self.inactive ^ direction ^ brake
     }
 }
 
 /// The nearest code. Half a code is 0.6 mV of 5 V, a fraction of the chip's own error.
 fn code_for(volts: f32, full_scale_v: f32) -> u16 {
     let codes = f32::from(CODE_MAX) + 1.0;
-    (libm::roundf(volts / full_scale_v * codes) as u16).min(CODE_MAX)
+    ((volts / full_scale_v * codes + 0.5) as u16).min(CODE_MAX)
 }
 
 #[cfg(test)]
@@ -263,7 +276,7 @@ mod tests {
         drives.command(0, Command::Run(0.5));
         assert_eq!(after(&mut drives, 100).codes[1], 2048);
         drives.command(0, Command::Run(-0.5));
-        let ramp = (1..).find(|_| drives.step(PERIOD_S).codes[1] == NEUTRAL && drives.share(0) == 0.0);
+        let ramp = (1..).find(|_| drives.step(PERIOD_S).codes[1] == NEUTRAL && drives.drives[0].share == 0.0);
         assert!(matches!(ramp, Some(50 | 51)), "{ramp:?} steps, the last for what rounding left");
         // 50 of rest; the line changes in the last of them.
         let before = after(&mut drives, 49);
@@ -271,7 +284,7 @@ mod tests {
         let changed = drives.step(PERIOD_S);
         assert_eq!((changed.codes[1], changed.levels & 1 << 2), (NEUTRAL, 1 << 2));
         assert_eq!(after(&mut drives, 51).codes[1], 2048, "the same voltages backwards");
-        assert_eq!(drives.share(0), -0.5);
+        assert_eq!(drives.drives[0].share, -0.5);
     }
 
     #[test]
@@ -414,7 +427,7 @@ mod tests {
                                 prop_assert!(at_neutral_us[index] >= 1000 * u32::from(rest_ms), "{} us", at_neutral_us[index]);
                             }
                         }
-                        let share = drives.share(index);
+                        let share = drives.drives[index].share;
                         let change = (share - last_share[index]).abs();
                         // One rounding of the sum, whose size is at most 1.
                         let most = config.slew_per_s * PERIOD_S + f32::EPSILON;

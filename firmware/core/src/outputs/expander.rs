@@ -47,9 +47,9 @@ impl Expander {
         self.closed[index] = closed;
     }
 
-    /// Whether one should be closed.
-    pub(super) fn is_closed(&self, index: usize) -> bool {
-        self.closed[index]
+    /// Whether each should be closed.
+    pub(super) fn closed(&self) -> impl Iterator<Item = bool> + '_ {
+        self.closed.iter().copied().take(self.relays.len())
     }
 
     /// Sets the lines of the drives, from the next [`Expander::write`] on. Bits with a relay must be 0.

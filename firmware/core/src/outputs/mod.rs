@@ -37,7 +37,8 @@ pub enum OutputFault {
 
 /// A transfer that fails so often has failed.
 const TRIES: u32 = 3;
-/// Share of a control period that transfers may take: what is left is for the processor and for a repeat.
+/// Share of a control period that transfers may take: what is left is for the processor and for a repeat. A processor that is slow
+/// in a period leaves them less: see [`Outputs::leave_time`].
 const BUS_SHARE: f32 = 0.95;
 /// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
 const QUEUE: usize = 32;
@@ -172,6 +173,8 @@ pub struct Outputs<B> {
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
+    /// A bit for each that is an OSMC, and for each that is a DHB.
+    sets: [u32; 2],
     /// How fast the duty of those falls that a stop brakes before they are switched off, 1/s; `None` for the others.
     braked: Vec<Option<f32>, MAX_MOTORS>,
     /// The first OSMC and the first DHB that had to wait for the next period.
@@ -179,16 +182,20 @@ pub struct Outputs<B> {
     expander: Option<Expander>,
     drives: Option<Drives>,
     servos: Option<Servos>,
-    /// Writes of servos that are due, those with them that had to wait.
+    /// Writes of servos in each period; and those that are due, with them that had to wait.
+    servos_in_turn: usize,
     servos_due: usize,
     /// What is to be written in this period, and has not been.
     queue: Queue,
     period_s: f32,
     /// Nine bits on the bus, rounded down.
     byte_time: Duration,
+    bits_per_ms: u32,
     /// Bits that fit a control period, and those left of this one.
     bits_per_tick: u32,
     bits_left: u32,
+    /// What can be read back, and what is next.
+    checks: usize,
     next_check: usize,
 }
 
@@ -218,20 +225,28 @@ impl<B: Bus> Outputs<B> {
         let bits_per_tick = (period_s * BUS_SHARE * config.i2c_hz as f32) as u32;
         let drives = Drives::of(config).filter(|_| valid);
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
+        let bridges: Vec<Bridge, MAX_MOTORS> = bridges.collect();
+        let set = |osmc| bridges.iter().rev().fold(0, |set, bridge| set << 1 | u32::from(bridge.is_osmc() == osmc));
+        let lines = bridges.iter().map(Bridge::line_count).sum::<usize>();
+        let servo_checks = servos.as_ref().map_or(0, |servos| 1 + servos.count());
         Self {
             bus: Patient { bus, retries: 0 },
-            bridges: bridges.collect(),
+            checks: 1 + osmc.iter().chain(&dhb).count() + lines + servo_checks,
+            sets: [set(true), set(false)],
+            bridges,
             braked: braked.collect(),
             waiting: [None; 2],
             osmc,
             dhb,
             expander: expander.map(|expander| Expander::new(expander, config.relays.clone())),
             drives,
+            servos_in_turn: servos.as_ref().map_or(0, |servos| servos.writes_per_period(period_s)),
             servos,
             servos_due: 0,
             queue: Queue::default(),
             byte_time: Duration::from_micros(9_000_000_u32.checked_div(config.i2c_hz).unwrap_or(0).into()),
             period_s,
+            bits_per_ms: config.i2c_hz / 1000,
             bits_per_tick,
             bits_left: bits_per_tick,
             next_check: 0,
@@ -378,6 +393,13 @@ impl<B: Bus> Outputs<B> {
         self.bits_left = self.bits_per_tick;
     }
 
+    /// Leaves the processor time for the rest of this period, of which it has `taken` so much for inputs and steppers: outputs, values
+    /// for hosts and what interrupts take about twice that. What it has taken so far comes out of what [`BUS_SHARE`] leaves.
+    pub fn leave_time(&mut self, taken: Duration) {
+        let taken_us = taken.as_micros().min(u16::MAX.into()) as u32;
+        self.bits_left = self.bits_left.saturating_sub(2 * taken_us * self.bits_per_ms / 1000);
+    }
+
     /// Sends what [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in this period, in that
     /// order. When `stops` says so ([`Bus::write_all`]), what has not been sent yet is forgotten: outputs are then as before.
     /// Whether all of it was sent.
@@ -430,10 +452,9 @@ impl<B: Bus> Outputs<B> {
         self.expander.iter_mut().for_each(|expander| expander.switch(index, closed));
     }
 
-    /// Whether relay number `index` of the configuration is told to be closed.
-    #[must_use]
-    pub fn is_closed(&self, index: usize) -> bool {
-        self.expander.as_ref().is_some_and(|expander| expander.is_closed(index))
+    /// Whether each relay is told to be closed, in the order of the configuration.
+    pub fn closed_relays(&self) -> impl Iterator<Item = bool> + '_ {
+        self.expander.iter().flat_map(Expander::closed)
     }
 
     /// Tells the expander what has changed, if anything has.
@@ -475,12 +496,8 @@ impl<B: Bus> Outputs<B> {
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
     /// with the first that had to wait in the last.
     pub fn order(&mut self) -> [Order; 2] {
-        let [osmc, dhb] = core::mem::take(&mut self.waiting);
-        let beginning_with = |first: Option<usize>, osmc: bool| {
-            let left = self.bridges.iter().rev().fold(0, |set, bridge| set << 1 | u8::from(bridge.is_osmc() == osmc));
-            Order { left, first: first.unwrap_or(0) }
-        };
-        [beginning_with(osmc, true), beginning_with(dhb, false)]
+        let firsts = core::mem::take(&mut self.waiting);
+        core::array::from_fn(|kind| Order { left: self.sets[kind], first: firsts[kind].unwrap_or(0) })
     }
 
     /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
@@ -508,10 +525,9 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Share of full speed that brushless drive number `index` is told.
-    #[must_use]
-    pub fn drive_share(&self, index: usize) -> f32 {
-        self.drives.as_ref().map_or(0.0, |drives| drives.rules.share(index))
+    /// Share of full speed that each brushless drive is told, in the order of the configuration.
+    pub fn drive_shares(&self) -> impl Iterator<Item = f32> + '_ {
+        self.drives.iter().flat_map(|drives| drives.rules.shares())
     }
 
     /// Sends servo number `index` of the configuration to `angle`, rad.
@@ -527,7 +543,7 @@ impl<B: Bus> Outputs<B> {
     /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`]; up to as many again of
     /// those that had to wait.
     pub fn write_servos(&mut self) {
-        let in_turn = self.servos.as_ref().map_or(0, |servos| servos.writes_per_period(self.period_s));
+        let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
         for _ in 0..self.servos_due.min(2 * in_turn) {
             if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
@@ -543,10 +559,9 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Angle that servo number `index` is told, rad; NaN when it gets no pulses.
-    #[must_use]
-    pub fn servo_angle(&self, index: usize) -> f32 {
-        self.servos.as_ref().and_then(|servos| servos.angle(index)).unwrap_or(f32::NAN)
+    /// Angle that each servo is told, rad, in the order of the configuration; NaN when it gets no pulses.
+    pub fn servo_angles(&self) -> impl Iterator<Item = f32> + '_ {
+        self.servos.iter().flat_map(Servos::angles).map(|angle| angle.unwrap_or(f32::NAN))
     }
 
     fn chip_of(&self, bridge: &Bridge) -> Option<Pca9685> {
@@ -564,11 +579,8 @@ impl<B: Bus> Outputs<B> {
     /// # Errors
     /// See [`OutputFault`].
     pub async fn check_next(&mut self) -> Result<(), OutputFault> {
-        let lines = self.bridges.iter().map(Bridge::line_count).sum::<usize>();
-        let servos = self.servos.as_ref().map_or(0, |servos| 1 + servos.count());
-        let checks = 1 + self.bridge_chips().count() + lines + servos;
         let mut step = self.next_check;
-        self.next_check = (step + 1) % checks;
+        self.next_check = (step + 1) % self.checks;
         if step == 0 {
             let Some(expander) = &self.expander else { return Ok(()) };
             return self.bus.checked(async |bus: &mut B| expander.verify(bus).await).await;
@@ -617,19 +629,22 @@ impl<B: Bus> Outputs<B> {
 #[derive(Clone, Debug)]
 pub struct Order {
     /// A bit for each that is left.
-    left: u8,
+    left: u32,
     first: usize,
 }
 
-const _: () = assert!(MAX_MOTORS <= u8::BITS as usize, "a bit for each bridge");
+const _: () = assert!(MAX_MOTORS <= u32::BITS as usize, "a bit for each bridge");
 
 impl Iterator for Order {
     type Item = usize;
 
     fn next(&mut self) -> Option<usize> {
-        let later = self.left & u8::MAX << self.first;
+        if self.left == 0 {
+            return None;
+        }
+        let later = self.left >> self.first << self.first;
         let next = if later == 0 { self.left } else { later }.trailing_zeros();
-        self.left &= !1_u8.checked_shl(next)?;
+        self.left ^= 1 << next;
         Some(next as usize)
     }
 }
@@ -688,7 +703,23 @@ impl<B: Bus> Patient<B> {
 mod tests {
     extern crate std;
 
-    use super::Order;
+    use embassy_time::Duration;
+
+    use super::{Order, Outputs};
+    use crate::testing::{Registers, robot};
+
+    /// 400 bits a ms at 400 kHz, 380 of them for transfers.
+    #[test]
+    fn a_processor_that_takes_long_leaves_transfers_less() {
+        let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));
+        let mut left_after = |taken_us| {
+            outputs.begin_tick();
+            outputs.leave_time(Duration::from_micros(taken_us));
+            outputs.bits_left
+        };
+        assert_eq!([0, 20, 475, 476, 3_600_000_000].map(&mut left_after), [380, 364, 0, 0, 0]);
+        assert_eq!(left_after(0), 380, "it is the period's alone");
+    }
 
     #[test]
     fn an_order_begins_with_the_first_and_has_each_bridge_once() {

@@ -89,7 +89,7 @@ impl Servos {
     /// One step of `period_s`, s, towards the commanded angles.
     pub fn step(&mut self, period_s: f32) {
         for servo in &mut self.servos {
-            if let Some(motion) = &mut servo.motion {
+            if let Some(motion) = servo.motion.as_mut().filter(|motion| motion.angle != motion.target) {
                 motion.angle = towards(motion.angle, motion.target, servo.config.speed_max * period_s);
             }
         }
@@ -98,7 +98,12 @@ impl Servos {
     /// The angle now asked of servo number `index`, rad; `None` when it gets no pulses.
     #[must_use]
     pub fn angle(&self, index: usize) -> Option<f32> {
-        self.servos[index].motion.map(|motion| motion.angle)
+        self.servos[index].angle()
+    }
+
+    /// The same of each.
+    pub fn angles(&self) -> impl Iterator<Item = Option<f32>> + '_ {
+        self.servos.iter().map(Servo::angle)
     }
 
     /// How many there are.
@@ -118,15 +123,19 @@ impl Servos {
     /// [`Servos::sent`] is called when it has been sent: until then that servo may have either pulse.
     pub fn next_write(&mut self) -> Option<(Write, Pulse)> {
         let count = self.servos.len();
-        let (index, output) = (0..count).map(|turn| (self.next + turn) % count).find_map(|index| {
+        let (index, output) = (self.next..count).chain(0..self.next).find_map(|index| {
             let servo = &self.servos[index];
+            // The same angle is the same pulse.
+            if servo.written.is_some() && servo.sent == servo.angle() {
+                return None;
+            }
             let wanted = servo.wanted(&self.chip);
             (servo.written != Some(wanted)).then_some((index, wanted))
         })?;
         self.next = (index + 1) % count;
         let servo = &mut self.servos[index];
         servo.written = None;
-        let angle = servo.motion.map(|motion| motion.angle);
+        let angle = servo.angle();
         Some((self.chip.set_off_count(servo.config.output, output), Pulse { index, output, angle }))
     }
 
@@ -210,6 +219,10 @@ impl Servos {
 }
 
 impl Servo {
+    fn angle(&self) -> Option<f32> {
+        self.motion.map(|motion| motion.angle)
+    }
+
     fn wanted(&self, chip: &Pca9685) -> Output {
         self.motion.map_or(Output::LOW, |motion| chip.pulse(self.pulse_s(motion.angle)))
     }

@@ -52,9 +52,10 @@ impl Encoder {
         if delta != 0 {
             // Each interval counts for as long as it lasted: held into the next one, the mean would come out too high.
             let counts_per_s = delta as f32 / (periods * self.period_s);
-            for _ in 0..self.periods_since_count {
-                self.filter.step(counts_per_s);
-            }
+            match self.periods_since_count {
+                1 => self.filter.step(counts_per_s),
+                periods => self.filter.step_times(counts_per_s, periods),
+            };
             self.periods_since_count = 0;
         } else {
             // Less than one count in all this time: the speed cannot be higher than one count over it.

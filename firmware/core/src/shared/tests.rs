@@ -475,3 +475,24 @@ fn a_board_begins_at_rest() {
     }
     assert!(board.config().place(ChannelId::new(ChannelKind::DeadMan, 1)).is_some());
 }
+
+/// What is asked of a kind is what is asked of each channel of it, whatever the kinds beside it were commanded.
+#[test]
+fn commanded_channels_of_a_kind_are_those_one_by_one() {
+    let config = robot("every-interface");
+    let kinds: [(fn(usize) -> Place, usize); 5] = [
+        (Place::Motor, config.motors.len()),
+        (Place::Servo, config.servos.len()),
+        (Place::Stepper, config.steppers.len()),
+        (Place::Relay, config.relays.len()),
+        (Place::Dac, config.dacs.len()),
+    ];
+    for every in 1..8 {
+        let slots = (0..OUTPUTS).filter(|slot| slot % every == 0);
+        let commanded = Commanded(slots.fold(0, |set, slot| set | 1 << slot));
+        for (place, count) in kinds {
+            let one_by_one = (0..count).filter(|index| commanded.has(place(*index)));
+            assert!(commanded.among(place(0), count).eq(one_by_one), "every {every} at {:?}", place(0));
+        }
+    }
+}

@@ -32,7 +32,7 @@ impl Output {
     #[must_use]
     pub fn high_for(share: f32) -> Self {
         // On == off must not be programmed (datasheet 7.3.3), and 4096 does not fit: both ends have their own flags.
-        match libm::roundf(share * STEPS) as u16 {
+        match nearest(share * STEPS) {
             0 => Self::LOW,
             4096.. => Self::HIGH,
             off => {
@@ -47,8 +47,7 @@ impl Output {
     /// began: nothing depends on what the output did before. `phase` is below 4096.
     #[must_use]
     pub fn high_from(phase: u16, share: f32) -> Self {
-        let length = libm::roundf(share * STEPS) as u16;
-        match length {
+        match nearest(share * STEPS) {
             0 => Self::LOW,
             4096.. => Self::HIGH,
             length => {
@@ -240,6 +239,11 @@ impl Pca9685 {
         bus.write_read(self.address, &[reg::PRE_SCALE], &mut prescale).await?;
         compare(reg::PRE_SCALE, [self.prescale], prescale)
     }
+}
+
+/// The nearest count to what is not negative; 0 for NaN.
+fn nearest(counts: f32) -> u16 {
+    (counts + 0.5) as u16
 }
 
 const fn on_register(output: u8) -> u8 {
