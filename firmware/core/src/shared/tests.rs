@@ -479,8 +479,8 @@ fn a_board_begins_at_rest() {
 #[test]
 fn commanded_channels_of_a_kind_are_those_one_by_one() {
     let config = robot("every-interface");
-    let kinds: [(fn(usize) -> Place, usize); 5] = [
-        (Place::Motor, config.motors.len()),
+    let kinds = [
+        (Place::Motor as fn(usize) -> Place, config.motors.len()),
         (Place::Servo, config.servos.len()),
         (Place::Stepper, config.steppers.len()),
         (Place::Relay, config.relays.len()),
