@@ -203,7 +203,7 @@ impl BoardBus {
         Self { wiring, _controller: controller, _stream: stream }
     }
 
-    /// Carries out what has been [put](put), and `bytes` at most. How many of them, and why not all.
+    /// Carries out the first `count` transfers that were [`put`], `bytes` together: how many of them, and why not all.
     async fn carry_out(
         &mut self,
         count: usize,
