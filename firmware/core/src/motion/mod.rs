@@ -18,8 +18,8 @@ fn to_f64(whole: u64) -> f64 {
     f64::from((whole >> 32) as u32) * 4_294_967_296.0 + f64::from(whole as u32)
 }
 
-/// The whole number nearest to `number`, and what is left of that. Where 32 bits hold it the processor converts it by itself,
-/// as above.
+/// The whole number nearest to `number`, and the remainder, -0.5..=0.5. Numbers that fit 32 bits are converted by an instruction of
+/// the processor, others by the library.
 fn rounded(number: f64) -> (i64, f64) {
     if number.abs() < 2e9 {
         let whole = (number + 0.5f64.copysign(number)) as i32;

@@ -223,7 +223,7 @@ impl Path {
         path
     }
 
-    /// Becomes [`Path::to_position`]: a path is large to be copied.
+    /// Replaces this path by [`Path::to_position`]'s, in place.
     pub fn turn_to_position(&mut self, from: Motion, target: i64, limits: &Limits) {
         let way = from.position.distance_to(target);
         let stop = ramp(from.speed, from.acceleration, 0.0, limits);
@@ -270,7 +270,7 @@ impl Path {
         path
     }
 
-    /// Becomes [`Path::to_speed`].
+    /// Replaces this path by [`Path::to_speed`]'s, in place, without a copy of its pieces.
     pub fn turn_to_speed(&mut self, from: Motion, speed: f64, limits: &Limits) {
         let mut path = Builder::new(self, from);
         path.ramp(&ramp(from.speed, from.acceleration, speed, limits), f64::INFINITY);

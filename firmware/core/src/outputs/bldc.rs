@@ -85,7 +85,7 @@ impl Bldcs {
         self.wanted
     }
 
-    /// Computes [`Bldcs::wanted`] anew.
+    /// Computes the codes and line levels that [`Bldcs::wanted`] returns, from the drives' present state.
     fn renew(&mut self) -> Wanted {
         self.wanted = wanted(&self.drives);
         self.wanted

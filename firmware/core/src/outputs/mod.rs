@@ -37,8 +37,8 @@ pub enum OutputFault {
 
 /// A transfer that fails so often has failed.
 const TRIES: u32 = 3;
-/// Share of a control period that transfers may take: what is left is for the processor and for a repeat. A processor that is slow
-/// in a period leaves them less: see [`Outputs::leave_time`].
+/// Share of a control period that transfers may take: the rest is for the processor and for a repeat. A processor that is slow
+/// in a period reduces it: see [`Outputs::leave_time`].
 const BUS_SHARE: f32 = 0.95;
 /// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
 const QUEUE: usize = 32;
@@ -452,7 +452,7 @@ impl<B: Bus> Outputs<B> {
         self.expander.iter_mut().for_each(|expander| expander.switch(index, closed));
     }
 
-    /// Whether each relay is told to be closed, in the order of the configuration.
+    /// Whether each relay is commanded to close, in the order of the configuration.
     pub fn closed_relays(&self) -> impl Iterator<Item = bool> + '_ {
         self.expander.iter().flat_map(Expander::closed)
     }
@@ -525,7 +525,7 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Share of full speed that each brushless drive is told, in the order of the configuration.
+    /// Share of full speed commanded of each brushless drive, -1..=1, in the order of the configuration.
     pub fn drive_shares(&self) -> impl Iterator<Item = f32> + '_ {
         self.drives.iter().flat_map(|drives| drives.rules.shares())
     }
@@ -559,7 +559,7 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Angle that each servo is told, rad, in the order of the configuration; NaN when it gets no pulses.
+    /// Angle commanded of each servo, rad, in the order of the configuration; NaN when it gets no pulses.
     pub fn servo_angles(&self) -> impl Iterator<Item = f32> + '_ {
         self.servos.iter().flat_map(Servos::angles).map(|angle| angle.unwrap_or(f32::NAN))
     }
