@@ -160,9 +160,10 @@ pub struct Axis {
     path: Path,
     path_start: u64,
     pulses: Pulses,
-    /// Until when pulses have been told, and the path's speed there, steps/s.
+    /// Until when pulses have been told, the path's speed there, steps/s, and whether it is over there: nothing moves, then.
     told_to: u64,
     speed: f64,
+    path_rests: bool,
     /// What the path is for, and what is to replace that.
     order: Order,
     next: Option<Order>,
@@ -207,6 +208,7 @@ impl Axis {
             pulses: Pulses::new(timing),
             told_to: 0,
             speed: 0.0,
+            path_rests: true,
             order: Order::Stop,
             next: None,
             search: None,
@@ -273,7 +275,7 @@ impl Axis {
     pub fn observe(&mut self, hw: &mut impl Steppers) {
         self.now += u64::from(hw.now().wrapping_sub(self.now as u32));
         // Asked first: if nothing was left to do, the position is final. While the path goes on there is something anyway.
-        self.pending = !self.path_rests() || hw.pending(self.index) > 0;
+        self.pending = !self.path_rests || hw.pending(self.index) > 0;
         let raw = hw.position(self.index);
         let moved = i64::from(raw.wrapping_sub(self.raw));
         self.position = self.position.wrapping_add(if self.config.inverted { -moved } else { moved });
@@ -292,7 +294,7 @@ impl Axis {
         self.pending = hw.pending(self.index) > 0;
         self.path.turn_to_speed(Motion::rest(self.position), 0.0, &self.limits);
         self.path_start = self.now;
-        (self.told_to, self.speed) = (self.now, 0.0);
+        (self.told_to, self.speed, self.path_rests) = (self.now, 0.0, true);
         self.pulses.reset(self.position, self.now);
         self.order = Order::Stop;
         self.next = None;
@@ -332,12 +334,7 @@ impl Axis {
 
     /// Nothing moves, and nothing will.
     fn rests(&self) -> bool {
-        !self.pending && self.next.is_none() && self.path_rests()
-    }
-
-    /// The path is over where pulses have been told.
-    fn path_rests(&self) -> bool {
-        self.path.rests_at(self.path_time_s(self.told_to))
+        !self.pending && self.next.is_none() && self.path_rests
     }
 
     fn path_time_s(&self, tick: u64) -> f64 {
@@ -392,9 +389,8 @@ impl Axis {
     fn tell(&mut self, hw: &mut impl Steppers) -> Result<(), Fault> {
         let [_, first, second, third] = self.fastest;
         self.fastest = [first, second, third, 0.0];
-        let rests = self.path_rests();
         let in_time = self.told_to >= self.now + self.period / MARGIN_SHARE;
-        match (rests, in_time) {
+        match (self.path_rests, in_time) {
             (false, false) => return Err(Fault::Late),
             (true, _) if self.next.is_none() => {
                 let done = !self.pending && self.now > self.told_to;
@@ -412,7 +408,7 @@ impl Axis {
         let from = self.told_to;
         self.told_to = from.max(self.now + LEAD_PERIODS * self.period);
         self.go_on(from);
-        if self.path_rests() {
+        if self.path_rests {
             self.observe(hw);
         }
         self.queue(from, hw)
@@ -440,7 +436,7 @@ impl Axis {
         }
     }
 
-    /// Notes the speed at [`Axis::told_to`], and the highest since `from`. The path's extremes are at the ends of pieces, but for one
+    /// Notes the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The path's extremes are at the ends of pieces, but for one
     /// that begins with acceleration of the other sign: there it lies between speeds that come before.
     fn go_on(&mut self, from: u64) {
         let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(self.told_to));
@@ -451,6 +447,7 @@ impl Axis {
         let [.., fastest] = &mut self.fastest;
         *fastest = speeds.fold(0.0, |fastest, speed| speed.abs().max(fastest));
         self.speed = ends[1];
+        self.path_rests = self.path.rests_at(to_s);
     }
 
     /// Tells the hardware the pulses of `from..told_to`.
