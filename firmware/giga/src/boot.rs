@@ -123,6 +123,7 @@ bind_interrupts!(struct Irqs {
     I2C1_ER => ErrorInterruptHandler<stm32::I2C1>;
     I2C2_EV => i2c::OnBoard;
     I2C2_ER => i2c::OnBoard;
+    TIM7 => i2c::OnBoard;
     I2C4_EV => EventInterruptHandler<stm32::I2C4>;
     I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
     // embassy's first: uart::OnLine puts right what it does to the receiver.
@@ -376,6 +377,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
             Timing::FAST.config(false),
         ),
         p.DMA1_CH0,
+        p.TIM7,
         Wiring {
             registers: pac::I2C2,
             reset: rcc::enable_and_reset::<stm32::I2C2>,

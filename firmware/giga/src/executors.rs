@@ -58,7 +58,10 @@ pub(crate) fn prioritise() {
         (STEPS, &[interrupt::TIM2][..]),
         (EDGES, &[interrupt::TIM5, interrupt::EXTI9_5, interrupt::EXTI15_10]),
         (SUPERVISOR, &[interrupt::SAI1]),
-        (TRANSFERS, &[interrupt::I2C2_EV, interrupt::I2C2_ER, interrupt::FDCAN2_IT0, interrupt::FDCAN2_IT1]),
+        (
+            TRANSFERS,
+            &[interrupt::I2C2_EV, interrupt::I2C2_ER, interrupt::TIM7, interrupt::FDCAN2_IT0, interrupt::FDCAN2_IT1],
+        ),
         (CONTROL, &[interrupt::SAI2]),
         (
             TALK,

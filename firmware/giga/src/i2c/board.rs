@@ -11,11 +11,13 @@ use core::{
     task::{Context, Poll},
 };
 
-use embassy_futures::select::{Either, select};
 use embassy_stm32::{
     Peri,
     i2c::{I2c, Master},
-    interrupt::typelevel::{self, Handler},
+    interrupt::{
+        self, InterruptExt,
+        typelevel::{self, Handler},
+    },
     mode::Blocking,
     pac::{
         self,
@@ -24,11 +26,12 @@ use embassy_stm32::{
             regs::{Cr2, Isr},
             vals::{Autoend, Dir as Direction},
         },
+        timer::vals::Urs,
     },
-    peripherals,
+    peripherals, rcc,
 };
 use embassy_sync::waitqueue::AtomicWaker;
-use embassy_time::{Duration, Timer};
+use embassy_time::Duration;
 use embedded_hal_async::i2c::{ErrorType, I2c as I2cBus, Operation};
 use r4_firmware::platform::{self, Write};
 
@@ -46,6 +49,8 @@ const DMA: pac::dma::Dma = pac::DMA1;
 const STREAM: usize = 0;
 /// I2C2_TX of DMAMUX1 (RM0399, table 121).
 const REQUEST: u8 = 36;
+/// The timer of the deadline. One of the executor's would take 290 instructions for each transfer, of which a stop has thirteen.
+const DEADLINE: pac::timer::TimBasic = pac::TIM7;
 /// Allowed for each byte: twice what a byte and its acknowledge take at 400 kHz, with its share of START and STOP.
 const BYTE: Duration = Duration::from_micros(60);
 
@@ -62,7 +67,7 @@ struct Shared {
     read: [AtomicU8; READ],
     received: AtomicU32,
     running: AtomicBool,
-    /// Flags of ISR that ended them; 0 while none has.
+    /// Flags of ISR that ended them, TIMEOUT for the deadline; 0 while none has.
     failure: AtomicU32,
     waker: AtomicWaker,
 }
@@ -127,6 +132,17 @@ impl Shared {
         }
     }
 
+    /// The transfers take too long: a chip or a fault holds a line.
+    fn on_deadline(&self) {
+        DEADLINE.sr().write(|w| w.set_uif(false));
+        if self.running.load(Ordering::Relaxed) {
+            let mut held = Isr(0);
+            held.set_timeout(true);
+            self.failure.store(held.0, Ordering::Relaxed);
+            self.end();
+        }
+    }
+
     /// No transfer is begun after the one that is under way. An interrupt in between begins at most one.
     fn end_after_this(&self) {
         self.count.store(self.done.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
@@ -135,6 +151,7 @@ impl Shared {
     /// Ends it all, whether or not a transfer is under way.
     fn end(&self) {
         self.running.store(false, Ordering::Release);
+        stop_deadline();
         interrupts(false);
         DMA.st(STREAM).cr().modify(|w| w.set_en(false));
         self.waker.wake();
@@ -153,21 +170,45 @@ fn interrupts(on: bool) {
     });
 }
 
-/// Both interrupts of the controller.
+/// Handles both interrupts of the controller and that of the deadline.
 pub(crate) struct OnBoard;
 
 macro_rules! handlers {
-    ($($interrupt:ident)*) => {$(
+    ($($interrupt:ident: $handler:ident)*) => {$(
         impl Handler<typelevel::$interrupt> for OnBoard {
             #[allow(unsafe_code, reason = "an interrupt handler is declared so")]
             unsafe fn on_interrupt() {
-                SHARED.on_interrupt();
+                SHARED.$handler();
             }
         }
     )*};
 }
 
-handlers!(I2C2_EV I2C2_ER);
+handlers!(I2C2_EV: on_interrupt I2C2_ER: on_interrupt TIM7: on_deadline);
+
+/// Starts the deadline, a timer that counts microseconds once.
+fn start_deadline(after: Duration) {
+    let ticks = after.as_micros().min(u16::MAX.into()) as u16;
+    DEADLINE.arr().write(|w| w.set_arr(ticks));
+    // Loads what was written and begins at 0.
+    DEADLINE.egr().write(|w| w.set_ug(true));
+    count_deadline(true);
+}
+
+/// Stops the deadline. Its handler clears what it may have asked for meanwhile before the next transfer begins: it is more urgent than
+/// the control task.
+fn stop_deadline() {
+    count_deadline(false);
+}
+
+/// Lets the timer count, to its end and once, or stops it. Only that end is an interrupt, and not that it is set to its beginning.
+fn count_deadline(counts: bool) {
+    DEADLINE.cr1().write(|w| {
+        w.set_opm(true);
+        w.set_urs(Urs::COUNTER_ONLY);
+        w.set_cen(counts);
+    });
+}
 
 /// Ends the transfers when the caller gives them up: their bytes are the caller's.
 struct Running;
@@ -190,6 +231,7 @@ pub(crate) struct BoardBus {
     /// Pins and clock; their embassy driver is not used.
     _controller: I2c<'static, Blocking, Master>,
     _stream: Peri<'static, peripherals::DMA1_CH0>,
+    _deadline: Peri<'static, peripherals::TIM7>,
 }
 
 impl BoardBus {
@@ -197,10 +239,21 @@ impl BoardBus {
     pub(crate) fn new(
         controller: I2c<'static, Blocking, Master>,
         stream: Peri<'static, peripherals::DMA1_CH0>,
+        deadline: Peri<'static, peripherals::TIM7>,
         wiring: Wiring,
     ) -> Self {
         wiring.start();
-        Self { wiring, _controller: controller, _stream: stream }
+        rcc::enable_and_reset::<peripherals::TIM7>();
+        let microsecond = rcc::frequency::<peripherals::TIM7>().0 / 1_000_000;
+        DEADLINE.psc().write_value((microsecond - 1) as u16);
+        stop_deadline();
+        DEADLINE.dier().write(|w| w.set_uie(true));
+        #[allow(unsafe_code, reason = "interrupts are enabled so")]
+        // SAFETY: its handler is bound, and works on its own registers and atomics.
+        unsafe {
+            interrupt::TIM7.enable();
+        }
+        Self { wiring, _controller: controller, _stream: stream, _deadline: deadline }
     }
 
     /// Carries out the first `count` transfers that were [`put`], `bytes` together: how many of them, and why not all.
@@ -217,24 +270,20 @@ impl BoardBus {
             Ok(transfer) => transfer,
             Err(error) => return (0, Err(error)),
         };
-        begin(count);
+        begin(count, self.wiring.timing.deadline + BYTE * bytes as u32);
         let running = Running;
         let mut goes_on = true;
-        let all = poll_fn(|context| {
+        poll_fn(|context| {
             SHARED.waker.register(context.waker());
             if goes_on && stops(context) {
                 goes_on = false;
                 SHARED.end_after_this();
             }
             if SHARED.running.load(Ordering::Acquire) { Poll::Pending } else { Poll::Ready(()) }
-        });
-        let deadline = self.wiring.timing.deadline + BYTE * bytes as u32;
-        let result = match select(all, Timer::after(deadline)).await {
-            Either::First(()) => failure(),
-            Either::Second(()) => Err(BusError::Held),
-        };
+        })
+        .await;
         drop(running);
-        (SHARED.done.load(Ordering::Relaxed) as usize, transfer.end(result))
+        (SHARED.done.load(Ordering::Relaxed) as usize, transfer.end(failure()))
     }
 }
 
@@ -257,8 +306,8 @@ fn put(place: usize, start: Cr2, bytes: &[u8]) {
     }
 }
 
-/// Begins the first of `count` transfers.
-fn begin(count: usize) {
+/// Begins the first of `count` transfers, which are given up after `deadline`.
+fn begin(count: usize, deadline: Duration) {
     SHARED.count.store(count as u32, Ordering::Relaxed);
     SHARED.done.store(0, Ordering::Relaxed);
     SHARED.received.store(0, Ordering::Relaxed);
@@ -279,6 +328,7 @@ fn begin(count: usize) {
         w.set_psize(Size::BITS8);
     });
     SHARED.running.store(true, Ordering::Release);
+    start_deadline(deadline);
     interrupts(true);
     SHARED.start();
 }
@@ -286,6 +336,7 @@ fn begin(count: usize) {
 /// What ended the transfers, if not the end of the last.
 fn failure() -> Result<(), BusError> {
     match Isr(SHARED.failure.load(Ordering::Relaxed)) {
+        flags if flags.timeout() => Err(BusError::Held),
         flags if flags.nackf() => Err(BusError::NoAcknowledge),
         flags if flags.berr() => Err(BusError::Bus),
         flags if flags.arlo() => Err(BusError::Arbitration),
