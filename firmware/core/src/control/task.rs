@@ -349,7 +349,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// be written.
     async fn may_go_on<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> bool {
         let goes_on = shared.safety() == view;
-        if !goes_on && !self.safe {
+        if !goes_on {
             self.stop(shared).await;
         }
         goes_on
@@ -499,10 +499,15 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    /// Brakes, or makes safe at once: whichever the supervisor has begun.
+    /// Brakes, or makes safe at once: whichever the supervisor has begun, and once. A stop that comes within a period is carried out
+    /// there, and asked for again behind it.
     async fn stop<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let view = shared.safety();
-        if view.braking { self.brake(shared, view.epoch).await } else { self.make_safe(shared).await }
+        if view.braking {
+            self.brake(shared, view.epoch).await;
+        } else if !self.safe {
+            self.make_safe(shared).await;
+        }
     }
 
     /// Begins to brake, once for the stop of each arming.

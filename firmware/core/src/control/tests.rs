@@ -134,6 +134,23 @@ fn three_failures_in_a_row_are_an_i2c_fault() {
     bench.is_armed();
 }
 
+/// A stop is written at once. Asked for again, as behind one that came within a period, it is not written again: that would be the
+/// longest of all ticks.
+#[test]
+fn a_stop_is_carried_out_once() {
+    let mut bench = Bench::armed();
+    bench.drive(0, 0.5);
+    bench.advance(5);
+    let before = bench.pins();
+    assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+    bench.tasks.advance(Duration::from_micros(1));
+    assert_ne!(bench.pins(), before, "the motors' supply opens");
+    bench.bus.set(EXPANDER, 0x14, 0xEE);
+    bench.shared.make_safe.signal(());
+    bench.tasks.advance(Duration::from_micros(1));
+    assert_eq!(bench.bus.get(EXPANDER, 0x14), 0xEE);
+}
+
 /// The supervisor knows of it before the period with the failure ends.
 #[test]
 fn a_dead_bus_trips_at_once_and_stays_a_fault() {

@@ -65,17 +65,20 @@ impl Bldcs {
 
     /// All drives at neutral and braked, until commanded again.
     pub fn make_safe(&mut self) -> Wanted {
-        for drive in &mut self.drives {
+        let changed = self.drives.iter_mut().fold(false, |changed, drive| {
             drive.command = Command::Brake;
-            drive.brake();
-        }
-        self.renew()
+            changed | drive.changes(Drive::brake)
+        });
+        if changed { self.renew() } else { self.wanted }
     }
 
     /// One step of `period_s`, s, towards the commands.
     pub fn step(&mut self, period_s: f32) -> Wanted {
         let period_us = libm::roundf(period_s * 1e6) as u32;
-        let changed = self.drives.iter_mut().fold(false, |changed, drive| changed | drive.step(period_s, period_us));
+        let changed = self
+            .drives
+            .iter_mut()
+            .fold(false, |changed, drive| changed | drive.changes(|drive| drive.step(period_s, period_us)));
         if changed { self.renew() } else { self.wanted }
     }
 
@@ -163,14 +166,14 @@ impl Drive {
         self.braked = true;
     }
 
-    /// Whether anything has changed that the chips are to hold.
-    fn step(&mut self, period_s: f32, period_us: u32) -> bool {
+    /// Does `what`. Whether that changes anything that the chips are to hold.
+    fn changes(&mut self, what: impl FnOnce(&mut Self)) -> bool {
         let before = (self.share, self.braked, self.backwards);
-        self.advance(period_s, period_us);
+        what(self);
         before != (self.share, self.braked, self.backwards)
     }
 
-    fn advance(&mut self, period_s: f32, period_us: u32) {
+    fn step(&mut self, period_s: f32, period_us: u32) {
         if self.share == 0.0 {
             self.at_neutral_us = self.at_neutral_us.saturating_add(period_us);
         }

@@ -140,24 +140,11 @@ impl Generators {
         self.clock
     }
 
-    /// Does `look` with the driver of `axis`, and nothing of what it then wants done.
-    fn read<R: Default>(axis: u8, look: impl FnOnce(&mut Driver) -> R) -> R {
-        critical_section::with(|cs| match DRIVERS.borrow_ref_mut(cs).get_mut(usize::from(axis)) {
-            Some(Some(driver)) => look(driver),
-            _ => R::default(),
-        })
-    }
-
-    /// Does `what` with the driver of `axis`, and what it then wants done.
+    /// Does `what` with the driver of `axis`. What it then wants done sooner than before is done by [`Steppers::queued`].
     fn with<R: Default>(axis: u8, what: impl FnOnce(&mut Driver) -> R) -> R {
-        critical_section::with(|cs| {
-            let result = {
-                let mut drivers = DRIVERS.borrow_ref_mut(cs);
-                let Some(Some(driver)) = drivers.get_mut(usize::from(axis)) else { return R::default() };
-                what(driver)
-            };
-            serve(cs);
-            result
+        critical_section::with(|cs| match DRIVERS.borrow_ref_mut(cs).get_mut(usize::from(axis)) {
+            Some(Some(driver)) => what(driver),
+            _ => R::default(),
         })
     }
 }
@@ -212,7 +199,7 @@ impl Steppers for Generators {
     }
 
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize {
-        Self::read(axis, |driver| driver.generator.queue(events))
+        Self::with(axis, |driver| driver.generator.queue(events))
     }
 
     fn queued(&mut self) {
@@ -220,14 +207,15 @@ impl Steppers for Generators {
     }
 
     fn pending(&mut self, axis: u8) -> u32 {
-        Self::read(axis, |driver| driver.generator.pending(Clock::ticks()))
+        Self::with(axis, |driver| driver.generator.pending(Clock::ticks()))
     }
 
     fn position(&mut self, axis: u8) -> i32 {
-        Self::read(axis, |driver| driver.generator.position(Clock::ticks()))
+        Self::with(axis, |driver| driver.generator.position(Clock::ticks()))
     }
 
     fn stop(&mut self, axis: u8) {
+        // Nothing is wanted sooner because of it: the compare may come in vain.
         Self::with(axis, |driver| driver.generator.stop(&mut driver.axis));
     }
 }

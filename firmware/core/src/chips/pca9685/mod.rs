@@ -179,9 +179,9 @@ impl Pca9685 {
         let mut bytes = [0; Write::MAX];
         bytes[0] = on_register(first);
         let mut end = 1;
-        for (bytes, output) in bytes[1..].chunks_exact_mut(4).zip(outputs) {
-            bytes.copy_from_slice(&output.registers());
-            end += 4;
+        for (registers, output) in bytes[1..].as_chunks_mut().0.iter_mut().zip(outputs) {
+            *registers = output.registers();
+            end += registers.len();
         }
         Write::new(self.address, bytes, end)
     }
