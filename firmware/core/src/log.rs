@@ -141,6 +141,35 @@ mod tests {
             read.extend(chunk.bytes);
         }
         assert_eq!(read, all);
+        // A debugger finds them there.
+        assert_eq!(ring.place(), ring.bytes.as_ptr());
+    }
+
+    /// From the oldest on, at most a message each 10 ms; a second request does not begin anew.
+    #[test]
+    fn a_host_is_fed_message_by_message() {
+        let ring: &'static Ring = std::boxed::Box::leak(std::boxed::Box::default());
+        let (log, mut feed, mut tasks) = (Log { ring, image: 0 }, Feed::default(), crate::testing::Tasks::default());
+        assert_eq!((feed.next_due(), feed.chunk(&log)), (Instant::MAX, None));
+        let all: Vec<u8> = (0..MAX_LOG + 5).map(|index| index as u8).collect();
+        ring.push(&all);
+        let begin = Instant::now();
+        feed.begin(&log, begin);
+        assert_eq!(feed.next_due(), begin);
+        for (period, piece) in (1..).zip([&all[..MAX_LOG], &all[MAX_LOG..]]) {
+            let position = (period - 1) * MAX_LOG as u32;
+            let bytes = piece.iter().copied().collect();
+            assert_eq!(feed.chunk(&log), Some(LogChunk { position, bytes }));
+            assert_eq!(feed.next_due(), begin + PERIOD * period);
+            tasks.advance(PERIOD);
+            feed.begin(&log, begin);
+        }
+        // Nothing new.
+        assert_eq!((feed.chunk(&log), feed.next_due()), (None, begin + PERIOD * 3));
+        ring.push(b"more");
+        assert_eq!(feed.chunk(&log).map(|chunk| chunk.position), Some(all.len() as u32));
+        feed.clear();
+        assert_eq!((feed.next_due(), feed.chunk(&log)), (Instant::MAX, None));
     }
 
     /// Also where the count of all bytes wraps.

@@ -242,3 +242,52 @@ pub enum EchoState {
         width_us: u32,
     },
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use embassy_futures::block_on;
+
+    use super::*;
+    use crate::testing::Registers;
+
+    const CHIP: u8 = 0x20;
+
+    /// Three writes to registers 1 to 3, up to the one that a stop or a failure comes before; by the bus and by who borrows it.
+    #[test]
+    fn writes_are_sent_until_a_stop_or_a_failure() {
+        fn check<B: Bus>(mut bus: B, registers: &Registers) {
+            let writes: Vec<_> = (1..=3)
+                .map(|register| {
+                    let mut bytes = [0; Write::MAX];
+                    bytes[..2].copy_from_slice(&[register, 0x50 + register]);
+                    Write::new(CHIP, bytes, 2)
+                })
+                .collect();
+            let held = || [1, 2, 3].map(|register| registers.get(CHIP, register));
+            for stopped_before in 0..=3 {
+                (1..=3).for_each(|register| registers.set(CHIP, register, 0));
+                let mut asked = 0;
+                let stops = |_: &mut Context<'_>| {
+                    asked += 1;
+                    asked > stopped_before
+                };
+                let (sent, result) = block_on(bus.write_all(&writes, stops));
+                assert_eq!((sent, result.is_ok()), (stopped_before, true));
+                assert_eq!(held(), [1, 2, 3].map(|register| if register <= sent { 0x50 + register as u8 } else { 0 }));
+            }
+            registers.fail(1);
+            let (sent, result) = block_on(bus.write_all(&writes, |_| false));
+            assert_eq!((sent, result.is_err()), (0, true));
+            let before = registers.recoveries();
+            block_on(bus.recover());
+            assert_eq!(registers.recoveries(), before + 1);
+        }
+        let registers = Registers::default();
+        check(registers.clone(), &registers);
+        check(&mut registers.clone(), &registers);
+    }
+}

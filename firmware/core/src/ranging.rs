@@ -86,3 +86,168 @@ async fn ping<H: Ranging>(hardware: &mut H, index: u8) -> Echo {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use core::cell::RefCell;
+    use std::{rc::Rc, vec, vec::Vec};
+
+    use r4_protocol::{ChannelId, ChannelKind, Quality, Range};
+
+    use super::*;
+    use crate::testing::Tasks;
+
+    const MS: Duration = Duration::from_millis(1);
+    const US: Duration = Duration::from_micros(1);
+
+    fn config(index: u8, stop_below_m: Option<f32>) -> RangeConfig {
+        RangeConfig { id: ChannelId::new(ChannelKind::Range, index), range_m: Range::new(0.02, 4.0), stop_below_m }
+    }
+
+    /// Four cycles, to the microsecond, whichever sensor is silent; a sensor that only measures stops nothing.
+    #[test]
+    fn silence_beyond_four_cycles_stops_for_each_sensor_with_a_limit() {
+        let begin = Instant::now();
+        for sensors in 1..=RANGE_SENSORS {
+            let silence = Duration::from_millis(60 * sensors as u64 * 4);
+            for silent in 0..sensors {
+                for limited in 0..sensors {
+                    let of = |place: usize| config(place as u8, (place == limited).then_some(0.5));
+                    let configs: Vec<_> = (0..sensors).map(of).collect();
+                    let must_stop_after = |age: Duration, stop: bool| {
+                        let now = begin + age;
+                        let mut readings = vec![RangeReading { updated: now, ..RangeReading::NONE }; sensors];
+                        readings[silent] = RangeReading { updated: begin, stop, ..RangeReading::NONE };
+                        must_stop(&configs, &readings, now)
+                    };
+                    assert!(!must_stop_after(silence, false), "{sensors} {silent} {limited}");
+                    assert_eq!(must_stop_after(silence + US, false), silent == limited);
+                    assert_eq!(must_stop_after(Duration::MIN, true), silent == limited);
+                }
+            }
+        }
+        assert!(!must_stop(&[], &[], begin));
+    }
+
+    /// What is before a sensor, or wrong with it.
+    #[derive(Clone, Copy, Debug)]
+    enum Front {
+        /// The echo rises 500 µs after the trigger, for this long.
+        Echo(Duration),
+        Unplugged,
+        /// The echo line is high from this age of the last trigger on.
+        HighFrom(Duration),
+        Shorted,
+    }
+
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Event {
+        Cleared,
+        /// How long the trigger was high.
+        Triggered(Duration),
+        Published(usize, RangeReading),
+    }
+
+    /// Sensors by their connectors, and what happened when; of what was published, the place is the connector.
+    struct Bench {
+        fronts: [Front; 2],
+        triggered: [Option<Instant>; 2],
+        events: Vec<(Instant, usize, Event)>,
+    }
+
+    struct Hardware(Rc<RefCell<Bench>>);
+
+    impl Ranging for Hardware {
+        fn trigger(&mut self, index: u8, high: bool) {
+            let (bench, now) = (&mut *self.0.borrow_mut(), Instant::now());
+            let begun = bench.triggered[usize::from(index)].replace(now);
+            if let (Some(begun), false) = (begun, high) {
+                bench.events.push((now, index.into(), Event::Triggered(now - begun)));
+            }
+        }
+
+        fn clear(&mut self, index: u8) {
+            self.0.borrow_mut().triggered[usize::from(index)] = None;
+            self.0.borrow_mut().events.push((Instant::now(), index.into(), Event::Cleared));
+        }
+
+        fn echo(&mut self, index: u8) -> EchoState {
+            let bench = self.0.borrow();
+            let since = |from: Duration, age: Duration| EchoState::High { since_us: (age - from).as_micros() as u32 };
+            let rise = US * 500;
+            let age = bench.triggered[usize::from(index)].map(|at| at.elapsed());
+            match (bench.fronts[usize::from(index)], age) {
+                (Front::Shorted, _) => EchoState::High { since_us: 0 },
+                (Front::HighFrom(from), Some(age)) if age >= from => since(from, age),
+                (Front::Echo(width), Some(age)) if age >= rise + width => {
+                    EchoState::Done { width_us: width.as_micros() as u32 }
+                }
+                (Front::Echo(_), Some(age)) if age >= rise => since(rise, age),
+                _ => EchoState::Idle,
+            }
+        }
+    }
+
+    /// Sixteen turns of two sensors, of which the one at connector 1 is the first.
+    fn sixteen_turns(fronts: [Front; 2]) -> (Instant, Vec<(Instant, usize, Event)>) {
+        let bench = Rc::new(RefCell::new(Bench { fronts, triggered: [None; 2], events: Vec::new() }));
+        let (begin, seen, hardware) = (Instant::now(), bench.clone(), Hardware(bench.clone()));
+        let mut tasks = Tasks::default();
+        tasks.spawn(async move {
+            let publish = |place: usize, reading| {
+                seen.borrow_mut().events.push((Instant::now(), 1 - place, Event::Published(place, reading)));
+            };
+            run(&[config(1, None), config(0, Some(0.5))], 20.0, hardware, publish).await;
+        });
+        tasks.advance(MS * 1010);
+        let events = core::mem::take(&mut bench.borrow_mut().events);
+        (begin, events)
+    }
+
+    /// Turns of 60 ms, the first one of them waited for; each clears what was captured, triggers for 10 µs and more, and
+    /// publishes within a millisecond of the echo's end, or 40 ms after the trigger where there is none.
+    #[test]
+    fn each_turn_tells_what_came_of_its_ping() {
+        const NONE: Duration = Duration::from_millis(40);
+        for (front, quality, ends) in [
+            (Front::Echo(MS * 10), Quality::Good, US * 10_500),
+            (Front::Echo(US * 38_000), Quality::OutOfRange, US * 38_500),
+            (Front::Unplugged, Quality::NoAnswer, NONE),
+            (Front::HighFrom(MS * 20), Quality::Stuck, NONE),
+        ] {
+            let (begin, events) = sixteen_turns([front, Front::Echo(MS * 2)]);
+            let turns: Vec<_> = events.chunks(3).collect();
+            assert_eq!(turns.len(), 16, "{front:?}");
+            let mut due = begin + MS * 60;
+            for (turn, events) in turns.iter().enumerate() {
+                let connector = 1 - turn % 2;
+                assert!(events.iter().all(|(_, of, _)| *of == connector), "{events:?}");
+                let [(cleared, _, Event::Cleared), (pinged, _, Event::Triggered(length)), (published, _, outcome)] =
+                    events
+                else {
+                    panic!("{events:?}");
+                };
+                assert!(*cleared >= due && *cleared <= due + US && *length >= US * 10 && *length < US * 20);
+                due = *cleared + MS * 60;
+                let Event::Published(place, reading) = outcome else { panic!("{events:?}") };
+                let (quality, ends) = if connector == 0 { (quality, ends) } else { (Quality::Good, US * 2500) };
+                assert_eq!((*place, reading.quality, reading.updated), (turn % 2, quality, *published), "{front:?}");
+                let late = *published - *pinged;
+                assert!(late >= ends && late <= ends + MS, "{front:?}: {late} after the ping, not {ends}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_echo_that_is_high_already_is_not_triggered() {
+        let (_, events) = sixteen_turns([Front::Shorted, Front::Shorted]);
+        assert!(events.iter().all(|(.., event)| !matches!(event, Event::Triggered(_))), "{events:?}");
+        let qualities = events.iter().filter_map(|(.., event)| match event {
+            Event::Published(_, reading) => Some(reading.quality),
+            _ => None,
+        });
+        assert_eq!(qualities.collect::<Vec<_>>(), [Quality::Stuck; 16]);
+    }
+}

@@ -86,3 +86,175 @@ fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, now: Instant) -> 
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec as List;
+
+    use r4_protocol::{Cause, Causes, Mode, Quality, SafetyState, Setpoint, config::Place, message::MAX_SAMPLES};
+
+    use super::*;
+    use crate::{
+        shared::ResetCause,
+        testing::{Board, Tasks, board, robot},
+    };
+
+    const MS: Duration = Duration::from_millis(1);
+
+    /// A board with every kind of channel, and its channels.
+    fn full() -> (Board, List<(ChannelId, Place)>) {
+        let board = board(robot("every-interface"), ResetCause::Normal);
+        (board, board.config().channels().collect())
+    }
+
+    /// The channels of what is due now.
+    fn told(subscriptions: &mut Subscriptions, board: Board) -> List<ChannelId> {
+        let telemetry = subscriptions.telemetry(board);
+        let samples = telemetry.into_iter().flat_map(|telemetry| telemetry.samples);
+        let channel = |sample| match sample {
+            Sample::Motor { channel, .. }
+            | Sample::Scalar { channel, .. }
+            | Sample::Encoder { channel, .. }
+            | Sample::Reading { channel, .. } => channel,
+        };
+        samples.map(channel).collect()
+    }
+
+    /// The same moments for channels that were asked for at different times, from the shortest period to the longest.
+    #[test]
+    fn samples_come_on_one_grid_for_each_period() {
+        let (board, channels) = full();
+        let [(one, _), (other, _), ..] = channels[..] else { panic!("two channels at least") };
+        for period_ms in [1, 10, 7, u16::MAX] {
+            let (mut subscriptions, mut tasks) = (Subscriptions::default(), Tasks::default());
+            let period = MS * period_ms.into();
+            tasks.advance(Duration::from_micros(3));
+            assert_eq!(subscriptions.next_due(), Instant::MAX);
+            subscriptions.set(one, period_ms, Instant::now()).expect("room");
+            let first = subscriptions.next_due();
+            assert!(first >= Instant::now() && first < Instant::now() + period);
+            assert_eq!(first.as_ticks() % period.as_ticks(), 0);
+            assert_eq!(told(&mut subscriptions, board), []);
+            tasks.advance_to(first);
+            // It is on the grid now: due at once.
+            subscriptions.set(other, period_ms, Instant::now()).expect("room");
+            for number in 0..5 {
+                assert_eq!(subscriptions.next_due(), first + period * number);
+                assert_eq!(told(&mut subscriptions, board), [one, other]);
+                assert_eq!(told(&mut subscriptions, board), []);
+                tasks.advance(period - Duration::from_micros(1));
+                assert_eq!(told(&mut subscriptions, board), []);
+                tasks.advance(Duration::from_micros(1));
+            }
+            assert_eq!(board.stats().telemetry_dropped, 0);
+        }
+    }
+
+    /// A link that was busy gets the newest once; what it missed is counted, for each channel.
+    #[test]
+    fn what_a_busy_link_missed_is_counted_and_not_made_up_for() {
+        let (board, channels) = full();
+        let (mut subscriptions, mut tasks) = (Subscriptions::default(), Tasks::default());
+        for ((channel, _), period_ms) in channels.iter().zip([10, 10, 25]) {
+            subscriptions.set(*channel, period_ms, Instant::now()).expect("room");
+        }
+        let begin = Instant::now();
+        assert_eq!(told(&mut subscriptions, board).len(), 3);
+        // Six of 10 ms are due and two of 25 ms: of each, one is told.
+        tasks.advance(MS * 69);
+        assert_eq!(told(&mut subscriptions, board).len(), 3);
+        assert_eq!(board.stats().telemetry_dropped, 5 + 5 + 1);
+        assert_eq!(subscriptions.next_due(), begin + MS * 70);
+        tasks.advance(MS);
+        assert_eq!(told(&mut subscriptions, board).len(), 2);
+        tasks.advance(MS * 5);
+        assert_eq!(told(&mut subscriptions, board), [channels[2].0]);
+        assert_eq!(board.stats().telemetry_dropped, 11);
+    }
+
+    #[test]
+    fn a_period_is_changed_and_ended_and_all_channels_find_room() {
+        let (board, channels) = full();
+        let (mut subscriptions, mut tasks) = (Subscriptions::default(), Tasks::default());
+        let now = Instant::now();
+        for (channel, _) in &channels {
+            for period_ms in [100, 10] {
+                subscriptions.set(*channel, period_ms, now).expect("room");
+            }
+        }
+        let (last, rest) = channels.split_last().expect("some");
+        subscriptions.set(last.0, 0, now).expect("an end needs no room");
+        // As many as a message holds at a time, in the order in which they were asked for.
+        let mut all = List::new();
+        loop {
+            match told(&mut subscriptions, board) {
+                none if none.is_empty() => break,
+                some => {
+                    assert_eq!(some.len(), MAX_SAMPLES.min(rest.len() - all.len()));
+                    all.extend(some);
+                }
+            }
+        }
+        assert_eq!(all, rest.iter().map(|(channel, _)| *channel).collect::<List<_>>());
+        tasks.advance(MS * 10);
+        assert_eq!(told(&mut subscriptions, board).len(), MAX_SAMPLES);
+        subscriptions.clear();
+        assert_eq!((subscriptions.next_due(), told(&mut subscriptions, board)), (Instant::MAX, List::new()));
+        // Only what is no channel of a board can be one too many.
+        for number in 0..=MAX_SUBSCRIPTIONS {
+            let channel = ChannelId { index: number as u8, ..last.0 };
+            assert_eq!(subscriptions.set(channel, 10, now).is_ok(), number < MAX_SUBSCRIPTIONS);
+        }
+    }
+
+    #[test]
+    fn samples_say_what_their_channels_show() {
+        let (board, channels) = full();
+        let (mut subscriptions, mut tasks) = (Subscriptions::default(), Tasks::default());
+        let motor = MotorStatus {
+            setpoint: Setpoint { mode: Mode::Speed, value: 2.0 },
+            position: -7,
+            speed: 1.5,
+            duty: 0.25,
+            settled: true,
+            homed: true,
+            winding: None,
+        };
+        let taken = Instant::now();
+        let reading = |value| Status::Reading { value, quality: Quality::Good, taken };
+        let place = |wanted| channels.iter().find(|(_, place)| *place == wanted).expect("it has one").0;
+        for (place, status) in [
+            (Place::Motor(1), Status::Motor(motor)),
+            (Place::Servo(0), Status::Scalar(0.5)),
+            (Place::Encoder(0), Status::Encoder { position: 9, speed: -3.0, illegal: 4 }),
+            (Place::Analog(0), reading(2.5)),
+        ] {
+            board.publish(place, status);
+        }
+        let [motor_id, servo, encoder, analog] =
+            [Place::Motor(1), Place::Servo(0), Place::Encoder(0), Place::Analog(0)].map(place);
+        for channel in [motor_id, servo, encoder, analog] {
+            subscriptions.set(channel, 1, taken).expect("room");
+        }
+        board.trip(Cause::Stalled);
+        // An age that is more than can be told is the most that can be.
+        for (age_ms, told_ms) in [(0, 0), (1, 1), (65_535, 65_535), (65_536, 65_535)] {
+            tasks.advance_to(taken + MS * age_ms);
+            let telemetry = subscriptions.telemetry(board).expect("due");
+            assert_eq!(telemetry.device_us, Instant::now().as_micros());
+            assert_eq!((telemetry.state, telemetry.causes), (SafetyState::Tripped, Causes::only(Cause::Stalled)));
+            let MotorStatus { setpoint, position, speed, duty, settled, homed, winding } = motor;
+            assert_eq!(
+                telemetry.samples[..],
+                [
+                    Sample::Motor { channel: motor_id, setpoint, position, speed, duty, settled, homed, winding },
+                    Sample::Scalar { channel: servo, value: 0.5 },
+                    Sample::Encoder { channel: encoder, position: 9, speed: -3.0, illegal: 4 },
+                    Sample::Reading { channel: analog, value: 2.5, age_ms: told_ms, quality: Quality::Good },
+                ]
+            );
+        }
+    }
+}

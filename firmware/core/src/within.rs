@@ -26,11 +26,15 @@ impl Within for f64 {}
 mod tests {
     use super::*;
 
+    /// To the bit: bounds that are zeros of either sign too.
     #[test]
     fn numbers_are_kept_as_the_standard_library_keeps_them() {
-        for value in [f32::NEG_INFINITY, -1.5, -1.0, -0.0, 0.0, 0.25, 1.0, 1.5, f32::INFINITY, f32::NAN] {
-            let expected = value.clamp(-1.0, 1.0);
-            assert_eq!(value.within(-1.0, 1.0).to_bits(), expected.to_bits(), "{value}");
+        for (low, high) in [(-1.0, 1.0), (0.0, 1.0), (-0.0, 1.0), (-1.0, 0.0), (-1.0, -0.0), (-0.0, 0.0), (0.25, 0.25)]
+        {
+            for value in [f32::NEG_INFINITY, -1.5, -1.0, -0.0, 0.0, 0.25, 1.0, 1.5, f32::INFINITY, f32::NAN] {
+                let expected = value.clamp(low, high);
+                assert_eq!(value.within(low, high).to_bits(), expected.to_bits(), "{value} in {low}..={high}");
+            }
         }
     }
 

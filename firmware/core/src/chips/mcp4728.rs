@@ -179,3 +179,195 @@ fn compare_half<E>(read: &[u8], half: Half, codes: &[u16]) -> Result<(), ChipErr
         compare(first + position as u8, setting(*code), [bytes[position], bytes[position + 1]])
     })
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use core::{
+        cell::{Cell, RefCell},
+        convert::Infallible,
+    };
+    use std::{rc::Rc, vec, vec::Vec};
+
+    use embassy_futures::block_on;
+    use embedded_hal::i2c::{ErrorType, Operation};
+
+    use super::*;
+    use crate::testing::Tasks;
+
+    const ADDRESS: u8 = 0x60;
+    const CODES: [u16; OUTPUTS] = [0, 1, 0xABC, CODE_MAX];
+
+    /// What is read of a chip: of each output the input register, then the EEPROM (figure 5-15).
+    type Image = [u8; 24];
+
+    /// RDY/BSY and power-on-reset set, then the output's number and the address: not what was written to it.
+    fn image(input: [u16; OUTPUTS], eeprom: [u16; OUTPUTS]) -> Image {
+        let mut image = [0; 24];
+        for (place, code) in input.into_iter().zip(eeprom).flat_map(|(input, eeprom)| [input, eeprom]).enumerate() {
+            let [upper, lower] = code.to_be_bytes();
+            image[3 * place..][..3].copy_from_slice(&[0xC0 | (place as u8 / 2) << 4, upper, lower]);
+        }
+        image
+    }
+
+    /// A chip that shows what the test says, and notes what it is told.
+    #[derive(Clone)]
+    struct Chip {
+        shows: Rc<Cell<Image>>,
+        /// From this moment on it is ready.
+        ready_at: Rc<Cell<Instant>>,
+        /// What it shows when it has been told to write its EEPROM, and how long that takes.
+        written: Image,
+        takes: Duration,
+        writes: Rc<RefCell<Vec<Vec<u8>>>>,
+        reads: Rc<RefCell<Vec<usize>>>,
+    }
+
+    impl Chip {
+        fn new(shows: Image) -> Self {
+            Self {
+                shows: Rc::new(Cell::new(shows)),
+                ready_at: Rc::new(Cell::new(Instant::MIN)),
+                written: shows,
+                takes: Duration::MIN,
+                writes: Rc::default(),
+                reads: Rc::default(),
+            }
+        }
+    }
+
+    impl ErrorType for Chip {
+        type Error = Infallible;
+    }
+
+    impl I2c for Chip {
+        async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Infallible> {
+            assert_eq!((address, operations.len()), (ADDRESS, 1));
+            match &mut operations[0] {
+                Operation::Write(bytes) => {
+                    self.writes.borrow_mut().push(bytes.to_vec());
+                    if bytes[0] & 0xF8 == 0x50 {
+                        self.shows.set(self.written);
+                        self.ready_at.set(Instant::now() + self.takes);
+                    }
+                }
+                Operation::Read(bytes) => {
+                    let mut shows = self.shows.get();
+                    if Instant::now() < self.ready_at.get() {
+                        shows[0] &= 0x7F;
+                    }
+                    bytes.copy_from_slice(&shows[..bytes.len()]);
+                    self.reads.borrow_mut().push(bytes.len());
+                }
+            }
+            Ok(())
+        }
+    }
+
+    /// Multi-writes (figure 5-8): `01000`, output, UDAC 0, then the supply as reference, powered, gain 1, and the code.
+    const FORCED: [u8; 12] = [0x40, 0, 0, 0x42, 0, 1, 0x44, 0x0A, 0xBC, 0x46, 0x0F, 0xFF];
+    /// A sequential write from output A (figure 5-9).
+    const STORED: [u8; 9] = [0x50, 0, 0, 0, 1, 0x0A, 0xBC, 0x0F, 0xFF];
+
+    #[test]
+    fn the_eeprom_is_written_only_when_it_holds_something_else() {
+        for (eeprom, expected) in [(CODES, vec![FORCED.to_vec()]), ([7; 4], vec![FORCED.to_vec(), STORED.to_vec()])] {
+            let mut chip = Chip { written: image(CODES, CODES), ..Chip::new(image(CODES, eeprom)) };
+            assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, CODES)), Ok(()));
+            assert_eq!(*chip.writes.borrow(), expected);
+        }
+        // Codes that the chip does not have become its highest.
+        let mut chip = Chip::new(image([CODE_MAX; 4], [CODE_MAX; 4]));
+        assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, [u16::MAX; 4])), Ok(()));
+    }
+
+    /// Every bit that a chip may show wrong after it was set up: in an input register at once and after its EEPROM was written, in
+    /// the EEPROM only when it has been written. The first of each three bytes is no setting.
+    #[test]
+    fn a_chip_that_does_not_hold_what_was_written_is_found() {
+        let good = image(CODES, CODES);
+        for (place, bit) in (0..24).flat_map(|place| (0..8).map(move |bit| (place, 1 << bit))) {
+            let mut wrong = good;
+            wrong[place] ^= bit;
+            let (written, read) = (good[place], wrong[place]);
+            let mismatch = Err(ChipError::Mismatch { register: place as u8, written, read });
+            let is_setting = place % 3 != 0;
+            let busy = place == 0 && bit == 0x80;
+            for (before, after) in [(wrong, wrong), (image(CODES, [7; 4]), wrong)] {
+                let mut chip = Chip { written: after, ..Chip::new(before) };
+                let expected = if is_setting { mismatch } else { Ok(()) };
+                // Waiting for one that is never ready is another test's.
+                if !busy {
+                    assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, CODES)), expected, "{place} {bit:#x}");
+                }
+            }
+            for outputs in 0..=OUTPUTS {
+                let mut chip = Chip::new(wrong);
+                let result = block_on(Mcp4728::new(ADDRESS).verify(&mut chip, &CODES[..outputs]));
+                // The input registers of those outputs, and of the first whether it is ready.
+                let expected = match () {
+                    () if outputs > 0 && busy => Err(ChipError::Mismatch { register: 0, written: 0x80, read: 0 }),
+                    () if is_setting && place % 6 < 3 && place / 6 < outputs => mismatch,
+                    () => Ok(()),
+                };
+                assert_eq!(result, expected, "{outputs} outputs, {place} {bit:#x}");
+            }
+        }
+    }
+
+    #[test]
+    fn as_much_is_read_back_as_is_compared() {
+        for (outputs, length) in [(1, 3), (2, 9), (3, 15), (4, 21), (5, 21)] {
+            let mut chip = Chip::new(image(CODES, CODES));
+            let codes: Vec<_> = CODES.into_iter().chain([0]).take(outputs).collect();
+            assert_eq!(block_on(Mcp4728::new(ADDRESS).verify(&mut chip, &codes)), Ok(()));
+            assert_eq!(*chip.reads.borrow(), [length]);
+        }
+    }
+
+    /// Every set of outputs that change: what is sent ends with the last of them.
+    #[test]
+    fn a_change_is_sent_up_to_the_last_output_that_differs() {
+        let chip = Mcp4728::new(ADDRESS);
+        let bytes = [0, 0, 0, 1, 0x0A, 0xBC, 0x0F, 0xFF];
+        for differs in 0..16u32 {
+            let before = core::array::from_fn(|output| CODES[output] ^ (differs >> output & 1) as u16);
+            let length = (0..4).filter(|output| differs >> output & 1 != 0).max().map(|last| 2 * (last + 1));
+            let change = chip.change(CODES, Some(before));
+            assert_eq!(change.as_ref().map(Write::bytes), length.map(|length| &bytes[..length]));
+            let mut bus = Chip::new(image(CODES, CODES));
+            assert_eq!(block_on(chip.set(&mut bus, CODES, Some(before))), Ok(()));
+            assert_eq!(*bus.writes.borrow(), change.iter().map(|write| write.bytes().to_vec()).collect::<Vec<_>>());
+        }
+        assert_eq!(chip.change(CODES, None).as_ref().map(Write::bytes), Some(&bytes[..]));
+        assert_eq!(chip.change(CODES, None).map(|write| write.address()), Some(ADDRESS));
+    }
+
+    /// Of a write of the EEPROM from before a reset, and of its own; at most 50 ms for each.
+    #[test]
+    fn a_write_of_the_eeprom_is_waited_for() {
+        let ms = Duration::from_millis;
+        let done = |before: Duration, takes: Duration| {
+            let chip = Chip { takes, written: image(CODES, CODES), ..Chip::new(image(CODES, [7; 4])) };
+            let begin = Instant::now();
+            chip.ready_at.set(begin + before);
+            let (result, mut bus) = (Rc::new(Cell::new(None)), chip.clone());
+            let (tell, mut tasks) = (result.clone(), Tasks::default());
+            tasks.spawn(async move {
+                let done = Mcp4728::new(ADDRESS).init(&mut bus, CODES).await;
+                tell.set(Some((done, begin.elapsed())));
+                core::future::pending::<()>().await;
+            });
+            tasks.advance(ms(200));
+            (result.get().expect("done"), chip.writes.borrow().len())
+        };
+        let busy = Err(ChipError::Mismatch { register: 0, written: 0x80, read: 0 });
+        assert_eq!(done(ms(0), ms(0)), ((Ok(()), ms(0)), 2));
+        assert_eq!(done(ms(30), ms(40)), ((Ok(()), ms(70)), 2));
+        assert_eq!(done(ms(50), ms(50)), ((Ok(()), ms(100)), 2));
+        assert_eq!(done(ms(50) + Duration::from_micros(1), ms(0)), ((busy, ms(50)), 0));
+        assert_eq!(done(ms(0), ms(51)), ((busy, ms(50)), 2));
+    }
+}

@@ -91,3 +91,65 @@ impl Axis {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::config::FeedForward;
+
+    use super::*;
+    use crate::testing::robot;
+
+    const PERIOD_S: f32 = 1.0 / 1024.0;
+    const DUTY: fn(f32) -> Setpoint = |value| Setpoint { mode: Mode::Duty, value };
+
+    /// At 8/s, 1/128 in a period, up to 0.75.
+    fn axis(config: MotorConfig) -> Axis {
+        let config = MotorConfig { duty_max: 0.75, duty_slew_per_s: 8.0, ..config };
+        Axis::new(&config, PERIOD_S).expect("a period")
+    }
+
+    fn duty_after(axis: &mut Axis, periods: u32) -> f32 {
+        let (duty, causes) = (0..periods).map(|_| axis.step()).last().expect("one at least");
+        assert_eq!(causes, Causes::NONE);
+        duty
+    }
+
+    #[test]
+    fn a_motor_that_nothing_measures_follows_its_duty_at_the_slew_limit() {
+        let mut open = axis(MotorConfig { control: None, ..robot("osmc-bench").motors[0] });
+        for sign in [1.0, -1.0] {
+            open.command(DUTY(sign * 2.0));
+            assert_eq!(duty_after(&mut open, 1), sign / 128.0);
+            assert_eq!(duty_after(&mut open, 31), sign * 0.25);
+            assert_eq!(duty_after(&mut open, 1024), sign * 0.75);
+            // What the bridge makes of it is what is shown.
+            open.set_applied(sign * 0.5);
+            assert_eq!(open.applied(), (sign * 0.5, 0.0));
+            let status = MotorStatus { setpoint: DUTY(sign * 2.0), duty: sign * 0.5, ..MotorStatus::IDLE };
+            assert_eq!(open.status(), status);
+            open.stop();
+            assert_eq!((open.applied(), open.status()), ((0.0, 0.0), MotorStatus::IDLE));
+            assert_eq!(duty_after(&mut open, 10), 0.0);
+        }
+    }
+
+    #[test]
+    fn gains_are_those_of_a_motor_that_is_measured() {
+        let mut config = robot("osmc-bench").motors[0];
+        let control = config.control.as_mut().expect("it has an encoder");
+        control.feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0 };
+        let speed_duty = |gains: Option<PidGains>| {
+            let mut axis = axis(config);
+            gains.into_iter().for_each(|gains| axis.set_gains(Mode::Speed, gains));
+            axis.command(Setpoint { mode: Mode::Speed, value: 1.0 });
+            duty_after(&mut axis, 100)
+        };
+        assert!(speed_duty(None) > 0.0);
+        assert_eq!(speed_duty(Some(PidGains { kp: 0.0, ki: 0.0, kd: 0.0 })), 0.0);
+        // Without feedback there is no loop to take them.
+        let mut open = axis(MotorConfig { control: None, ..config });
+        open.set_gains(Mode::Speed, PidGains { kp: 9.0, ki: 9.0, kd: 9.0 });
+        open.command(DUTY(0.5));
+        assert_eq!(duty_after(&mut open, 100), 0.5);
+    }
+}

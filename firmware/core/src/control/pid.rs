@@ -189,6 +189,81 @@ mod tests {
         assert!((after_5_s - 0.5 * 0.36784).abs() < 1e-4, "{after_5_s}");
     }
 
+    /// Bounded to twice the magnitude, either way, whichever way it comes there.
+    #[test]
+    fn an_integral_is_bounded_from_one_end_of_the_output_to_the_other() {
+        let limits = OutputLimits { magnitude: 0.5, slew_per_s: f32::MAX };
+        for sign in [1.0, -1.0] {
+            let mut pushed = pid(0.0, 1.0, 0.0);
+            pushed.push(sign * 9.0, limits);
+            assert_eq!(pushed.integral, sign);
+            let mut integrated = pid(0.0, 1024.0, 0.0);
+            // A feed-forward against it keeps the output from its limit.
+            (0..100).for_each(|_| _ = integrated.step(sign, 0.0, -sign, limits));
+            assert_eq!(integrated.integral, sign);
+            let mut forgetting = pid(0.0, 0.0, 0.0);
+            forgetting.hold(0.0, sign * 9.0);
+            forgetting.step(0.0, 0.0, 0.0, limits);
+            assert_eq!(forgetting.integral, sign);
+        }
+    }
+
+    /// At an output of 0 or beyond, with an error that asks for more, by `excess ki / kp` a period and never beyond 0; without a
+    /// proportional part by all of the excess. An integral that does not reach for the limit, and one without an error, stays.
+    #[test]
+    fn what_is_beyond_the_limit_unloads_the_integral() {
+        let limits = OutputLimits { magnitude: 0.5, slew_per_s: f32::MAX };
+        for sign in [1.0, -1.0] {
+            // kp, ki, error, feed-forward and integral, of which `kp error + I + ff - 0.5` is the excess.
+            for (kp, ki, error, feed_forward, before, after) in [
+                (1.0, 128.0, 1.0, 0.0, 0.5, 0.5 - 128.0 * PERIOD_S),
+                (2.0, 128.0, 1.0, 0.5, 0.5, 0.5 - 2.5 * 64.0 * PERIOD_S),
+                // The tracking time is at least a period.
+                (0.5, 4096.0, 0.5, 0.25, 0.75, 0.0),
+                (0.25, 4096.0, 1.0, 0.0, 0.75, 0.25),
+                (0.0, 1.0, 1.0, 0.0, 0.75, 0.5),
+                (0.0, 1.0, 1.0, 1.0, 0.25, 0.0),
+                (1.0, 128.0, 2.0, 0.0, -0.25, -0.25),
+                (0.0, 1.0, 0.0, 0.0, 0.75, 0.75),
+                (0.0, 1.0, 0.0, 2.0, 0.25, 0.25),
+            ] {
+                let mut pid = pid(kp, ki, 0.0);
+                pid.hold(0.0, sign * before);
+                assert_eq!(pid.step(sign * error, 0.0, sign * feed_forward, limits), sign * 0.5);
+                assert!((pid.integral - sign * after).abs() < 1e-6, "{kp} {ki} {error}: {}, not {after}", pid.integral);
+            }
+        }
+    }
+
+    /// Down at the slew limit, from either side, exactly to 0; what was integrated is there when numbers come again.
+    #[test]
+    fn an_input_that_is_no_number_takes_the_output_to_0() {
+        let limits = OutputLimits { magnitude: 0.5, slew_per_s: 125.0 };
+        for (sign, bad) in [1.0, -1.0].into_iter().flat_map(|sign| [(sign, f32::NAN), (sign, f32::INFINITY)]) {
+            let mut pid = pid(1.0, 1.0, 0.0);
+            pid.hold(sign * 0.3125, sign * 0.25);
+            for expected in [0.1875, 0.0625, 0.0, 0.0] {
+                assert_eq!(pid.step(bad, 0.0, 0.0, limits), sign * expected);
+            }
+            assert_eq!(pid.step(0.0, bad, 0.0, OutputLimits { slew_per_s: 1e6, ..limits }), 0.0);
+            assert_eq!(pid.step(0.0, 0.0, 0.0, limits), sign * 0.125);
+            assert_eq!(pid.step(0.0, 0.0, 0.0, limits), sign * 0.25);
+        }
+    }
+
+    /// A share of it, and only where it works against the error.
+    #[test]
+    fn an_integral_against_the_error_is_unloaded() {
+        for (integral, error, after) in
+            [(0.5, -0.1, 0.375), (-0.5, 0.1, -0.375), (0.5, 0.1, 0.5), (-0.5, -0.1, -0.5), (0.5, 0.0, 0.5)]
+        {
+            let mut pid = pid(0.0, 1.0, 0.0);
+            pid.hold(0.0, integral);
+            pid.unload_against(error, 0.25);
+            assert_eq!(pid.integral, after);
+        }
+    }
+
     #[test]
     fn a_period_that_is_no_time_is_refused() {
         for bad in [0.0, -1e-3, f32::NAN, f32::INFINITY] {

@@ -64,7 +64,7 @@ mod tests {
     proptest! {
         #[test]
         fn arrives_without_overshoot_in_the_time_of_a_trapezoid(
-            distance in -50.0f32..50.0, speed in 0.1f32..10.0, acceleration in 1.0f32..50.0,
+            distance in prop_oneof![-50.0f32..50.0, -0.05f32..0.05], speed in 0.1f32..10.0, acceleration in 1.0f32..50.0,
         ) {
             let dt = 1e-3;
             let mut profile = Profile::new(ProfileLimits { speed, acceleration }, dt);

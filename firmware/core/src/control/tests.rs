@@ -542,3 +542,19 @@ fn steppers_raise_their_causes() {
         bench.is_tripped_by(cause);
     }
 }
+
+/// Each trip is handed to the fault history once, in the period after it; what nobody writes is lost from the third on.
+#[test]
+fn every_trip_is_handed_to_the_fault_history() {
+    let mut bench = Bench::armed();
+    for lost in [0, 0, 1, 2] {
+        // Trips that no host could have armed before are not remembered.
+        assert!(bench.shared.open_session(1, Instant::now()).is_ok());
+        bench.shared.trip(Cause::HostStop);
+        bench.advance(20);
+        assert_eq!(bench.shared.storage.lost(), lost);
+        assert_eq!(bench.shared.request(Event::Clear), Ok(()));
+        bench.arm();
+        bench.tasks.advance(POWER_UP);
+    }
+}

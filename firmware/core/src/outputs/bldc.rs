@@ -303,6 +303,41 @@ mod tests {
         assert_eq!(drives.step(PERIOD_S).levels & 1 << 2, 1 << 2);
     }
 
+    /// Whatever the lines' polarities and the levels that a restart finds: the direction stays as it was told the drive, brakes are
+    /// applied, and the direction changes only after a whole rest.
+    #[test]
+    fn a_restart_keeps_the_direction_until_the_drive_has_rested() {
+        for (direction_low, brake_low) in [(false, false), (false, true), (true, false), (true, true)] {
+            let direction = DriveLine { active_low: direction_low, ..DIRECTION };
+            let brake = DriveLine { active_low: brake_low, ..BRAKE };
+            let reverse = Reverse::Line { line: direction, rest_ms: 50 };
+            for levels in [0, 1 << 2, 1 << 11, 1 << 2 | 1 << 11, 1, 1 | 1 << 2, u16::MAX, !(1 << 2)] {
+                let mut drives = Bldcs::new(&[BldcConfig { brake: Some(brake), ..config(reverse) }], CHIP);
+                let turns = |wanted: Wanted| (wanted.levels & 1 << 2 != 0) != direction_low;
+                let brakes = |wanted: Wanted| (wanted.levels & 1 << 11 != 0) != brake_low;
+                after(&mut drives, 100);
+                drives.resume(levels);
+                let resumed = drives.wanted();
+                assert_eq!((resumed.levels & 1 << 2, brakes(resumed)), (levels & 1 << 2, true), "{levels:#x}");
+                assert_eq!((resumed.codes[1], resumed.levels & !resumed.mask), (NEUTRAL, 0));
+                // On in the same direction at once, and in the other after 50 ms of rest from the restart on.
+                let backwards = turns(resumed);
+                let mut same = drives.clone();
+                same.command(0, Command::Run(if backwards { -0.5 } else { 0.5 }));
+                let running = after(&mut same, 60);
+                assert_eq!((running.codes[1], turns(running), brakes(running)), (2048, backwards, false));
+                drives.command(0, Command::Run(if backwards { 0.5 } else { -0.5 }));
+                assert_eq!(turns(after(&mut drives, 49)), backwards, "{levels:#x}");
+                assert_eq!(turns(after(&mut drives, 1)), !backwards, "{levels:#x}");
+                assert_eq!(after(&mut drives, 60).codes[1], 2048);
+            }
+        }
+        // Without a direction line nothing tells a direction.
+        let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
+        drives.resume(u16::MAX);
+        assert_eq!(drives.wanted().levels, 0);
+    }
+
     #[test]
     fn backwards_by_voltage_or_not_at_all() {
         let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
@@ -431,6 +466,12 @@ mod tests {
                             }
                         }
                         let share = drives.drives[index].share;
+                        let full = match config.reverse {
+                            Reverse::Voltage { full_v } if share < 0.0 => full_v,
+                            _ => config.forward_v,
+                        };
+                        let volts = neutral + f64::from(share.abs()) * (exact(full) - neutral);
+                        prop_assert!((code - volts).abs() <= half, "{code}, not {volts}, for {share}");
                         let change = (share - last_share[index]).abs();
                         // One rounding of the sum, whose size is at most 1.
                         let most = config.slew_per_s * PERIOD_S + f32::EPSILON;

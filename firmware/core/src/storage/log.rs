@@ -87,3 +87,93 @@ impl<'f, F: NorFlash> Log<'f, F> {
         Ok(newest)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::{vec, vec::Vec};
+
+    use embassy_futures::block_on;
+    use embedded_storage_async::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+
+    use super::*;
+
+    const SECTOR: usize = 1024;
+
+    /// Two sectors whose words can be made to spoil what is written to them.
+    struct Flash {
+        bytes: Vec<u8>,
+        /// So many writes to come are spoilt.
+        spoils: u32,
+        /// All are, until a sector is erased.
+        worn: bool,
+    }
+
+    #[derive(Debug)]
+    struct Never;
+
+    impl NorFlashError for Never {
+        fn kind(&self) -> NorFlashErrorKind {
+            NorFlashErrorKind::Other
+        }
+    }
+
+    impl ErrorType for Flash {
+        type Error = Never;
+    }
+
+    impl ReadNorFlash for Flash {
+        const READ_SIZE: usize = 1;
+
+        async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Never> {
+            bytes.copy_from_slice(&self.bytes[offset as usize..][..bytes.len()]);
+            Ok(())
+        }
+
+        fn capacity(&self) -> usize {
+            self.bytes.len()
+        }
+    }
+
+    impl NorFlash for Flash {
+        const WRITE_SIZE: usize = 32;
+        const ERASE_SIZE: usize = SECTOR;
+
+        async fn erase(&mut self, from: u32, to: u32) -> Result<(), Never> {
+            self.bytes[from as usize..to as usize].fill(0xFF);
+            self.worn = false;
+            Ok(())
+        }
+
+        async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Never> {
+            let spoilt = self.worn || self.spoils > 0;
+            self.spoils = self.spoils.saturating_sub(1);
+            for (cell, byte) in self.bytes[offset as usize..].iter_mut().zip(bytes) {
+                // Programming clears bits; a spoilt word has some that it should not clear, too.
+                *cell &= if spoilt { byte & 0x55 } else { *byte };
+            }
+            Ok(())
+        }
+    }
+
+    fn items(flash: &mut Flash) -> Vec<Vec<u8>> {
+        let (mut buffer, mut items) = ([0; 60], Vec::new());
+        block_on(Log::new(flash, 0, 2).visit(&mut buffer, |item| items.push(item.to_vec()))).expect("it makes sense");
+        items
+    }
+
+    /// One place that spoils costs that place; only where the second spoils too are the older items given up.
+    #[test]
+    fn what_was_kept_outlives_a_place_that_does_not_take_what_it_is_given() {
+        let mut flash = Flash { bytes: vec![0xFF; 2 * SECTOR], spoils: 0, worn: false };
+        let push = |flash: &mut Flash, item: &[u8]| block_on(Log::new(flash, 0, 2).push(item, &mut [0; 60]));
+        assert_eq!(push(&mut flash, b"first"), Ok(()));
+        flash.spoils = 1;
+        assert_eq!(push(&mut flash, b"second"), Ok(()));
+        assert_eq!(items(&mut flash), [&b"first"[..], b"second"]);
+        flash.worn = true;
+        assert_eq!(push(&mut flash, b"third"), Ok(()));
+        assert_eq!(items(&mut flash), [b"third"]);
+    }
+}

@@ -274,6 +274,22 @@ mod tests {
         assert_eq!(skipped.count, 0);
     }
 
+    /// Name and numbers, each by itself and together; what is the same is none.
+    #[test]
+    fn changes_are_what_differs() {
+        let built_in = crate::testing::robot("osmc-bench");
+        let key = ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs };
+        let name = String::try_from("Ada").expect("fits");
+        for (robot, value) in [(None, None), (Some(&name), None), (None, Some(250.0)), (Some(&name), Some(250.0))] {
+            let mut changed = built_in.clone();
+            robot.into_iter().for_each(|name| changed.robot = name.clone());
+            value.into_iter().for_each(|value| changed.set_parameter(key, value).expect("valid"));
+            let expected =
+                Changes { robot: robot.cloned(), values: value.into_iter().map(|value| (key, value)).collect() };
+            assert_eq!(Changes::between(&built_in, &changed), Ok(expected));
+        }
+    }
+
     #[test]
     fn the_most_there_can_be_fits() {
         let name = "12345678901234567890123456789012";

@@ -252,7 +252,66 @@ const fn on_register(output: u8) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
+    use core::cell::{Cell, RefCell};
+    use std::{rc::Rc, vec::Vec};
+
+    use embedded_hal::i2c::{ErrorType, Operation};
+
     use super::*;
+    use crate::testing::{NoAnswer, Registers, Tasks};
+
+    const CHIP: u8 = 0x40;
+
+    /// Registers, and what was written to them, in order.
+    #[derive(Clone, Default)]
+    struct Written {
+        registers: Registers,
+        writes: Rc<RefCell<Vec<Vec<u8>>>>,
+    }
+
+    impl ErrorType for Written {
+        type Error = NoAnswer;
+    }
+
+    impl I2c for Written {
+        async fn transaction(&mut self, chip: u8, operations: &mut [Operation<'_>]) -> Result<(), NoAnswer> {
+            if let [Operation::Write(bytes)] = operations {
+                self.writes.borrow_mut().push(bytes.to_vec());
+            }
+            self.registers.transaction(chip, operations).await
+        }
+    }
+
+    /// Outputs go off before anything else, the prescaler is written while the oscillator is off (7.3.5), and nothing is read back
+    /// before it runs again.
+    #[test]
+    fn it_is_set_up_in_the_order_that_the_datasheet_asks_for() {
+        let (bus, mut tasks) = (Written::default(), Tasks::default());
+        let mut lent = bus.clone();
+        let done = Rc::new(Cell::new(None));
+        let tell = done.clone();
+        tasks.spawn(async move {
+            tell.set(Some(Pca9685::new(CHIP, 50.0).init(&mut lent).await.is_ok()));
+            core::future::pending::<()>().await;
+        });
+        tasks.advance(Duration::from_micros(499));
+        assert_eq!(done.get(), None);
+        tasks.advance(Duration::from_micros(1));
+        assert_eq!(done.get(), Some(true));
+        let expected: [&[u8]; 6] = [
+            // Totem pole, changes on STOP; full off for all outputs.
+            &[0x01, 0x04],
+            &[0xFD, 0x10],
+            // Asleep, with the pointer that increments and the All Call address.
+            &[0x00, 0x31],
+            &[0xFA, 0, 0, 0, 0x10],
+            &[0xFE, 121],
+            &[0x00, 0x21],
+        ];
+        assert_eq!(*bus.writes.borrow(), expected.map(<[u8]>::to_vec));
+    }
 
     #[test]
     fn shares_become_counts_and_ends_become_flags() {
