@@ -126,6 +126,10 @@ mod tests {
         for bad in [&b""[..], b"5a", b"\xff\xfe", &padded(4097), &padded(100_000), "5g".repeat(32).as_bytes()] {
             assert!(matches!(read(bad), Err(KeyError::Form(named)) if named == path), "{} bytes", bad.len());
         }
+        // A folder can be opened, and not read.
+        let (folder, _) = in_folder("key");
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).expect("ours");
+        assert!(matches!(Key::read(folder.path()), Err(KeyError::Read { path, .. }) if path == folder.path()));
         fs::remove_file(&path).expect("it was there");
         assert!(
             matches!(Key::read(&path), Err(KeyError::Read { source, .. }) if source.kind() == io::ErrorKind::NotFound)

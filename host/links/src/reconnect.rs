@@ -66,7 +66,7 @@ where
     E: From<OpenError> + From<Error>,
 {
     let usb_serial = match address {
-        Address::Serial { path: Some(path), .. } => ports::serial_of(path),
+        Address::Serial { path: Some(path), .. } => ports::serial_of(ports::list().unwrap_or_default(), path),
         _ => None,
     };
     let mut lost: Option<(Instant, u64)> = None;
@@ -77,7 +77,7 @@ where
             Err(error) if lost.is_none() => return Err(error.into()),
             Err(_) => {
                 if let (Address::Serial { path, .. }, Some(serial)) = (&mut at, &usb_serial) {
-                    *path = ports::find_again(serial).or(path.take());
+                    *path = ports::find_again(ports::list().unwrap_or_default(), serial).or(path.take());
                 }
                 Timer::after(RETRY_EVERY).await;
                 continue;

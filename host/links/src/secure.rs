@@ -461,6 +461,11 @@ mod tests {
     }
 
     #[test]
+    fn a_key_is_not_printed() {
+        assert_eq!(format!("{:?}", Key::new([0x5a; 32])), "Key(..)");
+    }
+
+    #[test]
     fn keys_are_hex() {
         let text = "00ff".repeat(16);
         assert_eq!(Key::from_hex(&text).map(|key| key.0[..2].to_vec()), Some(vec![0, 0xff]));
