@@ -333,10 +333,13 @@ mod tests {
         assert_eq!(places(&[u32::MAX, 0, 1, u32::MAX]), "nnnl", "it wraps");
         // Its counter is not far below, but the network has been quiet.
         let mut sequence = Sequence::default();
+        assert_eq!(sequence.place(Some(50), 0.0), Order::New);
+        assert_eq!(sequence.place(Some(2), LOST_AFTER_S - 0.01), Order::Late);
+        assert_eq!(sequence.place(Some(2), LOST_AFTER_S), Order::New);
+        assert_eq!(sequence.place(None, LOST_AFTER_S), Order::New);
+        // Whatever the clock shows.
         assert_eq!(sequence.place(Some(50), 100.0), Order::New);
-        assert_eq!(sequence.place(Some(2), 100.0 + LOST_AFTER_S - 0.01), Order::Late);
-        assert_eq!(sequence.place(Some(2), 100.0 + LOST_AFTER_S), Order::New);
-        assert_eq!(sequence.place(None, 100.0 + LOST_AFTER_S), Order::New);
+        assert_eq!(sequence.place(Some(49), 100.0 + LOST_AFTER_S - 0.01), Order::Late);
     }
 
     #[test]

@@ -132,6 +132,77 @@ fn restart(heard_us: u64, after: Duration, device_us: u64, causes: Causes) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        RealClock, block_on,
+        fake_board::{FakeBoard, Session},
+    };
+
+    #[derive(Debug, PartialEq)]
+    enum Ended {
+        NotThere,
+        Board(Error),
+    }
+
+    impl From<OpenError> for Ended {
+        fn from(_: OpenError) -> Self {
+            Self::NotThere
+        }
+    }
+
+    impl From<Error> for Ended {
+        fn from(error: Error) -> Self {
+            Self::Board(error)
+        }
+    }
+
+    /// Asks for a stop in each session until one is done; in how many sessions it was asked for.
+    fn stop(address: &Address) -> (Result<u32, Ended>, Vec<Event>) {
+        let (mut events, mut sessions) = (Vec::new(), 0);
+        let work = async |board: &Board<RealClock>| {
+            sessions += 1;
+            board.stop().await?;
+            Ok(sessions)
+        };
+        let is_lost = |ended: &Ended| match ended {
+            Ended::Board(error) if is_of_link(error) => Some(error.clone()),
+            _ => None,
+        };
+        let tell = |event| events.push(event);
+        let ended = with_reconnect(address, None, RealClock, |link| (link.rx, link.tx), work, is_lost, tell);
+        (block_on(ended), events)
+    }
+
+    #[test]
+    fn a_session_comes_back_when_the_board_takes_it_again() {
+        let cut = Session { device_us: 10_000_000, ends_at_stop: true, ..Session::default() };
+        let in_use = Session { refusal: Some(Refusal::InUse), ..Session::default() };
+        let back = Session { causes: Causes::only(Cause::WatchdogReset), ..Session::default() };
+        let fake = FakeBoard::new(&[cut, in_use, back]);
+        let (ended, events) = stop(&fake.address);
+        assert_eq!(ended, Ok(2));
+        assert!(
+            matches!(
+                events[..],
+                [Event::Lost { why: Error::LinkFailed { .. } }, Event::Back { restart: Some(Restart::Watchdog), .. }]
+            ),
+            "{events:?}"
+        );
+    }
+
+    #[test]
+    fn only_a_link_that_was_there_is_waited_for() {
+        let refused = |refusal| Session { refusal: Some(refusal), ..Session::default() };
+        let in_use = FakeBoard::new(&[refused(Refusal::InUse)]);
+        assert_eq!(stop(&in_use.address), (Err(Ended::Board(Error::Refused(Refusal::InUse))), vec![]));
+        // It was there, but says something else now.
+        let cut = Session { ends_at_stop: true, ..Session::default() };
+        let other = FakeBoard::new(&[cut, refused(Refusal::StorageFailed)]);
+        let (ended, events) = stop(&other.address);
+        assert_eq!(ended, Err(Ended::Board(Error::Refused(Refusal::StorageFailed))));
+        assert!(matches!(events[..], [Event::Lost { .. }]), "{events:?}");
+        let nowhere = Address::Serial { path: Some("/dev/no-such-port".into()), baud: 9600 };
+        assert_eq!(stop(&nowhere), (Err(Ended::NotThere), vec![]));
+    }
 
     #[test]
     fn a_clock_that_is_behind_tells_of_a_restart() {

@@ -292,6 +292,25 @@ mod tests {
         }
     }
 
+    /// A bell has no end, and ends what was half said. A line longer than any frame with its stamp is dropped, not kept.
+    #[test]
+    fn a_bell_and_a_long_line_end_where_they_should() {
+        let frame = Line::Frame(Frame::new(0x281, &[5]).expect("good"));
+        for before in ["", "t28", &"x".repeat(1000)] {
+            let text = format!("{before}\u{7}t281105\r");
+            assert_eq!(lines(text.as_bytes()), [Line::Bell, frame.clone()], "{before}");
+        }
+        let longest = "t2818".to_owned() + &"AB".repeat(8) + "1234";
+        for len in [0, longest.len() - 1, longest.len()] {
+            assert_eq!(lines(format!("{}\r", "x".repeat(len)).as_bytes()), [Line::Other(vec![b'x'; len])]);
+        }
+        assert_eq!(lines(format!("{}\r", "x".repeat(longest.len() + 1)).as_bytes()), []);
+        assert_eq!(
+            lines(format!("{longest}\r").as_bytes()),
+            [Line::Frame(Frame::new(0x281, &[0xAB; 8]).expect("good"))]
+        );
+    }
+
     proptest! {
         #[test]
         fn a_frame_is_read_as_it_was_written(identifier in 0_u16..0x800, data in prop::collection::vec(any::<u8>(), 0..=8), garbage: Vec<u8>) {
