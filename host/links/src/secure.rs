@@ -458,6 +458,8 @@ mod tests {
         assert_eq!(of_server.open(&record), Ok(said.to_vec()));
         let answer = server.seal(b"").expect("sealed");
         assert_eq!(answer.len(), 2 + TAG, "also nothing is signed");
+        let rekey_s = REKEY_EVERY / 1000;
+        assert!((900..1200).contains(&rekey_s), "{rekey_s} s of cycles at 1 kHz under one key");
     }
 
     #[test]
