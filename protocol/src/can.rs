@@ -412,12 +412,46 @@ mod tests {
     }
 
     #[test]
+    fn filling_between_frames_is_nothing() {
+        let mut inbound = Inbound::new(NODE);
+        for data in [&[][..], &[0], &[0; 8], &[0; 64]] {
+            assert_eq!(inbound.take(STREAM, data), Ok(()), "nothing waits");
+            assert_eq!(drain(&mut inbound, 64), []);
+        }
+        let filled = [&[0; 3][..], &frame(&stats(1)), &[0; 3]].concat();
+        for piece in cut(&filled) {
+            inbound.take(STREAM, piece).unwrap();
+        }
+        assert_eq!(drain(&mut inbound, 64), frame(&stats(1)));
+    }
+
+    #[test]
     fn the_answer_to_a_cycle_is_one_frame_of_can_fd() {
         let answer = [[7; 44].as_slice(), &[0]].concat();
         let pieces: List<_> = cut_fd(&answer).collect();
         assert_eq!(pieces.len(), 1);
         assert_eq!(pieces[0][..], [&answer[..], &[0; 3]].concat());
         assert_eq!(cut(&answer).len(), 6);
+    }
+
+    /// Bytes of every length that two frames have and more, with a delimiter at their end and without.
+    #[test]
+    fn only_behind_a_delimiter_a_frame_of_can_fd_is_filled_up() {
+        for len in 0..=200 {
+            let whole: List<u8> = core::iter::repeat_n(7, len).chain([0]).collect();
+            let pieces: List<_> = cut_fd(&whole).collect();
+            assert_eq!(pieces.len(), whole.len().div_ceil(MAX_FD_DATA), "{len}");
+            let filled = pieces.concat();
+            assert_eq!(filled[..whole.len()], whole[..]);
+            assert!(filled[whole.len()..].iter().all(|byte| *byte == 0));
+
+            let part = &whole[..len];
+            let pieces: List<_> = cut_fd(part).collect();
+            assert!(pieces.iter().all(|piece| FD_LENGTHS.contains(&piece.len())), "{len}");
+            assert_eq!(pieces.concat(), part);
+            // The rest below 64 is at most 48 + 12 + 3, in one of three frames each.
+            assert!(pieces.len() <= len / MAX_FD_DATA + 3, "{len}");
+        }
     }
 
     proptest! {
@@ -476,7 +510,9 @@ mod tests {
             ours += 1;
         }
         assert_eq!(ours, 256, "two for each node");
-        assert_eq!(Node::new(128), None);
+        for number in 0..=u8::MAX {
+            assert_eq!(Node::new(number).map(Node::number), Some(number).filter(|number| *number < 128));
+        }
         for node in (0..Node::COUNT).filter_map(Node::new) {
             assert_eq!(Node::of(node.setpoint_identifier()), None, "set points are no byte stream");
             assert!(node.setpoint_identifier() < Node(0).identifier(Direction::ToDevice), "they win the bus");

@@ -416,5 +416,49 @@ mod tests {
         for whole in [-32_767_i16, -1, 0, 1, 32_767] {
             assert_eq!(steps(f32::from(whole) * 0.001, 0.001), Some(whole));
         }
+        // Where rounding would make it -32768, which is `NOTHING`, or 32768.
+        for (end, whole) in [(32_767.5_f32, 32_767), (-32_767.5, -32_767)] {
+            assert_eq!(steps(end, 1.0), None);
+            assert_eq!(steps(end - end.signum() * 0.01, 1.0), Some(whole));
+        }
+    }
+
+    #[test]
+    fn steps_mean_what_their_channel_and_mode_say() {
+        let channel = CycleChannel {
+            channel: ChannelId::new(crate::ChannelKind::Osmc, 0),
+            mode: Mode::Speed,
+            position_scale: 0.001,
+            speed_scale: 0.25,
+        };
+        for mode in MODES {
+            let scale = match mode {
+                Mode::Position => Some(0.001),
+                Mode::Speed => Some(0.25),
+                Mode::Duty => Some(DUTY_SCALE),
+                Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => None,
+            };
+            assert_eq!(channel.scale(mode), scale);
+            for steps in [-32_767, -1, 0, 8, 32_767] {
+                let setpoint = scale.map(|scale| Some(Setpoint { mode, value: f32::from(steps) * scale }));
+                assert_eq!(channel.setpoint(Some(mode), steps), setpoint.ok_or(Unscaled));
+            }
+            assert_eq!(channel.setpoint(Some(mode), NOTHING), Ok(None), "left out in any mode");
+        }
+        assert_eq!(channel.setpoint(None, 8), Ok(Some(Setpoint { mode: Mode::Speed, value: 2.0 })), "as bound");
+    }
+
+    #[test]
+    fn a_scale_is_finite_and_above_0() {
+        let with = |position_scale, speed_scale| CycleChannel {
+            channel: ChannelId::new(crate::ChannelKind::Osmc, 0),
+            mode: Mode::Speed,
+            position_scale,
+            speed_scale,
+        };
+        assert!(with(f32::MIN_POSITIVE, f32::MAX).is_scaled());
+        for bad in [0.0, -0.0, -1.0, f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
+            assert!(!with(bad, 1.0).is_scaled() && !with(1.0, bad).is_scaled(), "{bad}");
+        }
     }
 }

@@ -34,3 +34,18 @@ pub struct ImageInfo {
     /// Its CRC-32.
     pub crc: u32,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::IMAGE_BYTES;
+
+    /// As the table above has it, and the linker script of the firmware.
+    #[test]
+    fn the_record_is_one_flash_word_behind_the_vectors() {
+        // RM0399, table of the vectors: 166 words.
+        assert_eq!(IMAGE_BYTES, 664);
+        assert!(RECORD_AT >= IMAGE_BYTES && RECORD_AT.is_multiple_of(RECORD_BYTES));
+        assert_eq!(CRC_AT - RECORD_AT, MAGIC.len() + size_of::<u32>(), "behind the magic and the length");
+    }
+}

@@ -363,5 +363,8 @@ mod tests {
         ] {
             assert_eq!(bad.parse::<ParameterKey>(), Err(NotAParameter), "{bad}");
         }
+        let mut advice = String::<128>::new();
+        write!(advice, "{NotAParameter}").expect("fits");
+        assert!(advice.contains("osmc0.position_kp"), "{advice}");
     }
 }

@@ -243,6 +243,10 @@ impl fmt::Display for Causes {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
+    use std::string::ToString;
+
     use super::*;
 
     #[test]
@@ -252,5 +256,60 @@ mod tests {
             assert_eq!(only.bits(), 1 << bit);
             assert!(only.iter().eq([cause]));
         }
+    }
+
+    /// Every set of two causes, beside a bit that this version does not know.
+    #[test]
+    fn a_set_holds_what_was_put_in_and_not_taken_out() {
+        let newer = Causes::from_bits(1 << 31);
+        for one in Cause::ALL {
+            for other in Cause::ALL {
+                let both = Causes::only(one).union(Causes::only(other)).union(newer);
+                for cause in Cause::ALL {
+                    assert_eq!(both.contains(cause), cause == one || cause == other, "{cause} in {both}");
+                }
+                assert!(!both.is_empty());
+                let mut set = newer;
+                for present in [true, true, false, false, true] {
+                    set.set(one, present);
+                    set.set(other, true);
+                    assert_eq!(set.contains(one), present || one == other);
+                    assert!(set.contains(other));
+                    assert_eq!(set.bits() & newer.bits(), newer.bits(), "what is not known is kept");
+                }
+                assert_eq!(set, both);
+            }
+        }
+        assert!(Causes::NONE.is_empty() && Causes::default().is_empty());
+        assert_eq!(Causes::from_bits(0), Causes::NONE);
+        assert!(!newer.is_empty(), "a cause of a newer board is one");
+    }
+
+    /// Every set there can be.
+    #[test]
+    fn a_stop_brakes_only_where_every_cause_leaves_supply_bus_and_loop_working() {
+        const LEAVES_THEM: [Cause; 5] =
+            [Cause::Proximity, Cause::LinkLost, Cause::HostStop, Cause::EncoderImplausible, Cause::Stalled];
+        for bits in 0..1 << Cause::ALL.len() {
+            let causes = Causes::from_bits(bits);
+            assert_eq!(causes.allow_braking(), causes.iter().all(|cause| LEAVES_THEM.contains(&cause)), "{causes}");
+        }
+        for unknown in Cause::ALL.len()..32 {
+            assert!(!Causes::from_bits(1 << unknown).allow_braking(), "bit {unknown}");
+        }
+    }
+
+    #[test]
+    fn every_cause_has_its_own_name_and_says_what_to_do() {
+        for (place, cause) in Cause::ALL.into_iter().enumerate() {
+            assert!(cause.advice().contains(' '), "{cause}");
+            for other in &Cause::ALL[..place] {
+                assert_ne!(other.advice(), cause.advice());
+                assert_ne!(other.to_string(), cause.to_string());
+            }
+        }
+        assert_eq!(Causes::NONE.to_string(), "none");
+        let two = Causes::only(Cause::Stalled).union(Causes::only(Cause::DeadMan));
+        assert_eq!(two.to_string(), "dead-man released, stalled");
     }
 }

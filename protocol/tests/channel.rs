@@ -26,6 +26,17 @@ fn a_symmetric_range_goes_as_far_both_ways() {
 }
 
 #[test]
+fn units_and_modes_are_written_as_users_read_them() {
+    use {Mode::*, Unit::*};
+    let units = [Rad, RadPerS, M, MPerS, Unit::Duty, V, Bool].map(|unit| unit.to_string());
+    assert_eq!(units.join(" "), "rad rad/s m m/s duty V bool");
+    let modes = [Position, Speed, Mode::Duty, Mode::Switch, Voltage, Brake, Home].map(|mode| mode.to_string());
+    assert_eq!(modes.join(" "), "position speed duty switch voltage brake home");
+    let bad = "motor1".parse::<ChannelId>().expect_err("no kind of channel");
+    assert!(bad.to_string().contains("osmc0"), "{bad}");
+}
+
+#[test]
 fn a_channel_says_which_modes_it_has() {
     let speed = ModeInfo { mode: Mode::Speed, unit: Unit::RadPerS, range: Range::symmetric(20.0) };
     let info = ChannelInfo {

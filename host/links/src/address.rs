@@ -175,6 +175,7 @@ mod tests {
         }
         let node_0: Address = "can:slcan:/dev/ttyACM1".parse().expect("node 0");
         assert_eq!(node_0.to_string(), "can:slcan:/dev/ttyACM1#0");
+        assert_eq!("can:slcan:/dev/ttyACM1@1000".parse(), Ok(node_0), "the rate of a bus that names none");
         let socket =
             Address::Can { interface: CanInterface::Socket("vcan0".into()), node: Node::new(0).expect("in range") };
         assert_eq!("can:vcan0".parse(), Ok(socket));

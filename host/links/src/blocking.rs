@@ -268,3 +268,63 @@ async fn run(address: &Address, key: Option<&Key>, mut queue: UnboundedReceiver<
         let _ = told.send(Err(error.into()));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::{Mode, Request};
+
+    use super::*;
+    use crate::fake_board::{FakeBoard, MOTOR, Session, channel};
+
+    #[test]
+    fn what_a_program_asks_for_reaches_the_board() {
+        let fake = FakeBoard::new(&[Session { device_us: 7, ..Session::default() }]);
+        let board = Board::connect(&fake.address, None).expect("it takes everybody");
+        assert_eq!((board.info().robot.as_str(), board.channels()), ("fake", &[channel()][..]));
+        let setpoint = Setpoint { mode: Mode::Duty, value: 0.5 };
+        board.clear().expect("done");
+        board.arm().expect("done");
+        board.set(MOTOR, setpoint).expect("done");
+        board.stop().expect("done");
+        board.disarm().expect("done");
+        let mut samples = board.samples(&[MOTOR], 20).expect("done");
+        for expected in [2.0, 4.0] {
+            let (device_us, sample) = samples.next().expect("one").expect("measured");
+            assert!(
+                device_us == 7 && matches!(sample, Sample::Reading { channel: MOTOR, value, .. } if value == expected)
+            );
+        }
+        // It is gone when the session is closed, not some time later.
+        drop(board);
+        let asked: Vec<_> = fake.asked.try_iter().collect();
+        assert!(samples.all(|sample| sample.is_ok()), "they end with the session");
+        assert!(
+            matches!(
+                asked[..],
+                [
+                    Request::Clear,
+                    Request::Arm,
+                    Request::Set { channel: MOTOR, setpoint: set, .. },
+                    Request::Stop,
+                    Request::Disarm,
+                    Request::Subscribe { channel: MOTOR, period_ms: 20 },
+                    Request::Bye,
+                ] if set == setpoint
+            ),
+            "{asked:?}"
+        );
+    }
+
+    #[test]
+    fn a_lost_link_ends_what_is_waited_for() {
+        let fake = FakeBoard::new(&[Session { ends_at_stop: true, ..Session::default() }]);
+        let board = Board::connect(&fake.address, None).expect("it takes everybody");
+        let mut samples = board.samples(&[MOTOR], 20).expect("done");
+        assert!(samples.by_ref().take(2).all(|sample| sample.is_ok()));
+        let lost = board.stop().expect_err("it cuts the link");
+        assert!(matches!(lost, Error::LinkFailed { .. }), "{lost}");
+        assert!(samples.next().is_some_and(|sample| sample.is_err()), "the reason");
+        assert!(samples.next().is_none(), "and no more");
+        assert!(board.arm().is_err());
+    }
+}

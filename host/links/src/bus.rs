@@ -130,6 +130,36 @@ mod tests {
         assert_eq!(messages, [cycle, stats(1), stats(2), stats(3)].map(Ok));
     }
 
+    /// However many pieces come before the first is read, and however much is read after each of the others.
+    #[test]
+    fn a_board_reads_the_byte_stream_in_its_order() {
+        let stream = [1, 2, 3, 4, 5, 6].map(|seq| frame(&stats(seq))).concat();
+        for ahead in 0..cut(&stream).len() {
+            for step in 1..20 {
+                let mut board = Assembly::new(End::Board(node()));
+                let (mut heard, mut buffer) = (Vec::new(), [0; 20]);
+                for (place, piece) in cut(&stream).enumerate() {
+                    board.take(0x203, piece);
+                    if place >= ahead {
+                        let len = board.read(&mut buffer[..step]);
+                        heard.extend_from_slice(&buffer[..len]);
+                    }
+                }
+                while let len @ 1.. = board.read(&mut buffer[..step]) {
+                    heard.extend_from_slice(&buffer[..len]);
+                }
+                assert_eq!(heard, stream, "{ahead} pieces, then {step} bytes a piece");
+            }
+        }
+    }
+
+    #[test]
+    fn each_end_listens_to_what_the_other_sends() {
+        let (host, board) = (End::Host(node()), End::Board(node()));
+        assert_eq!(host.listens_to(), [board.sends_with()]);
+        assert_eq!(board.listens_to(), [host.sends_with(), node().setpoint_identifier()]);
+    }
+
     #[test]
     fn a_host_reads_what_its_board_says_and_nothing_else() {
         let mut host = Assembly::new(End::Host(node()));

@@ -193,3 +193,29 @@ impl Write for Transmitter {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::can::Node;
+
+    use super::*;
+
+    /// The loopback interface is on every machine.
+    #[test]
+    fn properties_are_read_as_the_kernel_writes_them() {
+        // `ARPHRD_LOOPBACK`, and `IFF_LOOPBACK` among the flags, which are in hex.
+        assert_eq!(property("lo", "type"), Some(772));
+        assert!(property("lo", "flags").is_some_and(|flags| flags & 8 != 0));
+        assert_eq!(property("lo", "address"), None, "no number");
+        assert_eq!(property("no-such-can0", "type"), None);
+    }
+
+    #[test]
+    fn what_is_no_can_interface_is_told() {
+        let end = End::Host(Node::new(0).expect("in range"));
+        let missing = open("no-such-can0", end).expect_err("nobody calls one so");
+        assert!(matches!(&missing, CanError::NoInterface(name) if name == "no-such-can0"), "{missing}");
+        let loopback = open("lo", end).expect_err("it is not CAN");
+        assert!(matches!(&loopback, CanError::NotCan(_) | CanError::NoSockets), "{loopback}");
+    }
+}

@@ -62,7 +62,36 @@ impl Clock for RealClock {
 
 #[cfg(test)]
 mod tests {
+    use crate::block_on;
+
     use super::*;
+
+    #[test]
+    fn a_moment_is_where_the_clock_shows_it() {
+        let clock = RealClock;
+        let begin_us = clock.now_us();
+        // The clock of the driver is what waits: it is not early, and what never comes is waited for.
+        block_on(clock.sleep_until(begin_us + 2000));
+        let (before, shown_us, after) = (Instant::now(), clock.now_us(), Instant::now());
+        assert!(shown_us >= begin_us + 2000, "{shown_us} {begin_us}");
+        // Cut to whole microseconds.
+        assert!((before - Duration::from_micros(1)..=after).contains(&clock.instant(shown_us)));
+        assert_eq!(clock.instant(5_000_000).duration_since(clock.instant(2_000_000)), Duration::from_secs(3));
+        assert_eq!(clock.sleep_until(u64::MAX).now_or_never(), None);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_shared_clock_is_the_monotonic_one() {
+        let shown_ns = || {
+            let shown = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+            Duration::try_from(shown).expect("it counts up from 0").as_nanos() as u64
+        };
+        for _ in 0..1000 {
+            let (before_ns, told_ns, after_ns) = (shown_ns(), shared_clock_ns(), shown_ns());
+            assert!((before_ns..=after_ns).contains(&told_ns), "{before_ns} {told_ns} {after_ns}");
+        }
+    }
 
     #[test]
     fn moments_are_as_far_apart_on_the_monotonic_clock() {

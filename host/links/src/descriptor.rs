@@ -77,3 +77,52 @@ impl Write for Descriptor {
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    use std::os::unix::net::UnixStream;
+
+    use super::*;
+    use crate::block_on;
+
+    fn pair() -> [Descriptor; 2] {
+        let (one, other) = UnixStream::pair().expect("sockets of this machine");
+        [one, other].map(|end| Descriptor::new(end.into()).expect("it can be waited for"))
+    }
+
+    #[test]
+    fn bytes_go_both_ways_until_the_other_end_is_gone() {
+        let [mut one, mut other] = pair();
+        block_on(async {
+            let mut heard = [0; 5];
+            one.write_all(b"there").await.expect("written");
+            other.read_exact(&mut heard).await.expect("read");
+            assert_eq!(&heard, b"there");
+            other.write_all(b"and b").await.expect("written");
+            one.read_exact(&mut heard).await.expect("read");
+            assert_eq!(&heard, b"and b");
+            drop(other);
+            assert_eq!(one.read(&mut heard).await.expect("the end is no error"), 0);
+        });
+    }
+
+    #[test]
+    fn what_there_is_no_room_for_is_not_waited_for() {
+        let [one, mut other] = pair();
+        let mut written = 0;
+        loop {
+            match one.try_write(&[7; 1000]).expect("the other end is there") {
+                0 => break,
+                len => written += len,
+            }
+            assert!(written < 1 << 26, "no socket has so much room");
+        }
+        let mut heard = vec![0; written];
+        block_on(other.read_exact(&mut heard)).expect("read");
+        assert!(heard.iter().all(|byte| *byte == 7));
+        assert_eq!(one.try_write(b"again").expect("there is room now"), 5);
+        drop(other);
+        assert_eq!(one.try_write(b"gone").expect_err("nobody").kind(), io::ErrorKind::BrokenPipe);
+    }
+}

@@ -71,3 +71,103 @@ mod system {
         Ok(true)
     }
 }
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    use std::{
+        fs::{self, Permissions},
+        io,
+        os::unix::fs::PermissionsExt,
+        path::PathBuf,
+    };
+
+    use tempfile::TempDir;
+
+    use crate::{Key, secure::KeyError};
+
+    fn in_folder(name: &str) -> (TempDir, PathBuf) {
+        let folder = TempDir::new().expect("a folder");
+        let path = folder.path().join(name);
+        (folder, path)
+    }
+
+    fn digits() -> String {
+        "5a".repeat(32)
+    }
+
+    #[test]
+    fn a_key_is_its_owners_alone() {
+        let (_folder, path) = in_folder("key");
+        fs::write(&path, digits()).expect("written");
+        for mode in 0o400..=0o777 {
+            fs::set_permissions(&path, Permissions::from_mode(mode)).expect("ours");
+            match Key::read(&path) {
+                Ok(key) => assert!(mode & 0o077 == 0 && key == Key::new([0x5a; 32]), "{mode:#o}"),
+                Err(KeyError::Open(named)) => assert!(mode & 0o077 != 0 && named == path, "{mode:#o}"),
+                Err(error) => panic!("{mode:#o}: {error}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_key_is_64_digits_and_space_around_them() {
+        let (_folder, path) = in_folder("key");
+        let read = |text: &[u8]| {
+            fs::write(&path, text).expect("written");
+            fs::set_permissions(&path, Permissions::from_mode(0o600)).expect("ours");
+            Key::read(&path)
+        };
+        let padded = |len: usize| [digits().into_bytes(), vec![b' '; len - 64]].concat();
+        for good in [digits().into_bytes(), format!("  {}\r\n", digits()).into_bytes(), padded(600), padded(4096)] {
+            assert_eq!(read(&good).expect("a key"), Key::new([0x5a; 32]));
+        }
+        for bad in [&b""[..], b"5a", b"\xff\xfe", &padded(4097), &padded(100_000), "5g".repeat(32).as_bytes()] {
+            assert!(matches!(read(bad), Err(KeyError::Form(named)) if named == path), "{} bytes", bad.len());
+        }
+        // A folder can be opened, and not read.
+        let (folder, _) = in_folder("key");
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).expect("ours");
+        assert!(matches!(Key::read(folder.path()), Err(KeyError::Read { path, .. }) if path == folder.path()));
+        fs::remove_file(&path).expect("it was there");
+        assert!(
+            matches!(Key::read(&path), Err(KeyError::Read { source, .. }) if source.kind() == io::ErrorKind::NotFound)
+        );
+    }
+
+    /// As in `--key <(command)`.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_key_may_come_through_a_pipe_whose_writer_is_waited_for() {
+        let (_folder, path) = in_folder("pipe");
+        use rustix::fs::{CWD, FileType, Mode, mknodat};
+        // Not by a command: what a started program inherits for a moment disturbs tests beside this one.
+        mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).expect("made");
+        let mut asked = 0;
+        let given_up = Key::read_while(&path, || {
+            asked += 1;
+            asked < 3
+        });
+        let interrupted = io::ErrorKind::Interrupted;
+        assert!(matches!(given_up, Err(KeyError::Read { source, .. }) if source.kind() == interrupted));
+        assert_eq!(asked, 3);
+        let writer = path.clone();
+        // Opening it waits for the reader.
+        std::thread::spawn(move || fs::write(writer, digits()));
+        let key = Key::read_while(&path, || {
+            asked += 1;
+            asked < 1000
+        });
+        assert_eq!(key.expect("it was written"), Key::new([0x5a; 32]));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn no_other_program_inherits_a_key() {
+        let (_folder, path) = in_folder("key");
+        fs::write(&path, digits()).expect("written");
+        let file = super::open(&path).expect("opened");
+        let flags = rustix::io::fcntl_getfd(&file).expect("open");
+        assert!(flags.contains(rustix::io::FdFlags::CLOEXEC));
+    }
+}

@@ -248,6 +248,35 @@ mod tests {
         }
         let heartbeat = Packet::default().with("H", "ROS2-R4").with("T", 1234);
         assert!(heartbeat.is_heartbeat() && heartbeat.get("T") == Some("1234"));
+        for other in [Packet::default(), Packet::default().with("H", "R4-ROS2"), Packet::default().with("T", "ROS2-R4")]
+        {
+            assert!(!other.is_heartbeat(), "{other}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_packet_is_told_apart() {
+        let of_length = |len: usize| {
+            let packet = |fill: usize| Packet::default().with("A", "x".repeat(fill)).to_string();
+            // A sum has up to eight digits, so the length is searched.
+            (1..LONGEST).map(packet).find(|text| text.len() == len).expect("one of this length")
+        };
+        for len in [LONGEST - 1, LONGEST] {
+            assert!(Packet::parse(of_length(len).as_bytes()).is_ok(), "{len} bytes");
+        }
+        assert_eq!(Packet::parse(of_length(LONGEST + 1).as_bytes()), Err(BadPacket::TooLong));
+        let good = Packet::default().with("S", "Stop").to_string();
+        for (bad, why) in [
+            // A number may have a sign, a sum does not.
+            (good.replace("0x", "0x+"), BadPacket::Form),
+            (good.replace("0x", ""), BadPacket::Form),
+            ("S:Stop;^0x^".into(), BadPacket::Form),
+            ("S:Stop;".into(), BadPacket::Form),
+            (good.replace("Stop", "Stay"), BadPacket::Checksum),
+            (format!("Stop;^{:#x}^", CRC32.checksum(b"Stop;^")), BadPacket::Field),
+        ] {
+            assert_eq!(Packet::parse(bad.as_bytes()), Err(why), "{bad}");
+        }
     }
 
     #[test]
@@ -263,7 +292,10 @@ mod tests {
         let drive = |bridge, channel, duty| Command::Drive { bridge, channel, duty };
         assert_eq!(commands("O:4095,0,1;PNum:3"), [drive(Bridge::Osmc, 0, 1.0)]);
         assert_eq!(commands("D:0,1,2;S:Stop"), [drive(Bridge::Dhb, 1, -0.0), Command::Stop]);
+        assert_eq!(commands("D:4095,1,16"), [drive(Bridge::Dhb, 15, -1.0)]);
         assert_eq!(commands("S:Go"), [Command::Unknown]);
+        let stop = Packet::default().with("O", "4095,0,1").with("S", "Stop");
+        assert!(stop.stops() && !Packet::default().with("O", "0,0,1").with("S", "Go").stops());
         for (bad, channel) in [
             ("4096,0,1", Some(0)),
             ("-1,0,1", Some(0)),
@@ -305,12 +337,22 @@ mod tests {
         assert_eq!(sequence.place(Some(2), LOST_AFTER_S - 0.01), Order::Late);
         assert_eq!(sequence.place(Some(2), LOST_AFTER_S), Order::New);
         assert_eq!(sequence.place(None, LOST_AFTER_S), Order::New);
+        // Whatever the clock shows.
+        assert_eq!(sequence.place(Some(50), 100.0), Order::New);
+        assert_eq!(sequence.place(Some(49), 100.0 + LOST_AFTER_S - 0.01), Order::Late);
     }
 
     #[test]
     fn a_stray_packet_far_ahead_silences_nobody() {
         assert_eq!(places(&[5, 6, 1000, 7, 8, 9]), "nnnnnn");
         assert_eq!(places(&[5, 6, 4_000_000_000, 4_000_000_000, 7, 8]), "nnntnn");
+        // Beyond the next ones, whose sender may have been silent, and before those that are late.
+        for ahead in (AHEAD + 1..1000).chain(u32::MAX - 1000..=u32::MAX - LATE) {
+            assert_eq!(places(&[5, 6, 6_u32.wrapping_add(ahead), 7, 8, 9]), "nnnnnn", "{ahead}");
+        }
+        for ahead in 1..=AHEAD {
+            assert_eq!(places(&[5, 6, 6 + ahead, 7 + ahead, 6]), "nnnnl", "{ahead}");
+        }
         // Two in a row are a host's.
         assert_eq!(places(&[5, 1000, 1001, 1000]), "nnnl");
     }

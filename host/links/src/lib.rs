@@ -26,6 +26,8 @@ pub mod bus;
 pub mod can;
 mod clock;
 mod descriptor;
+#[cfg(test)]
+mod fake_board;
 mod key_file;
 pub mod legacy;
 mod open;

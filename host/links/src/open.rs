@@ -123,7 +123,7 @@ fn names(paths: &[PathBuf]) -> String {
 pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenError> {
     match address {
         Address::Serial { path, baud } => {
-            let path = path.clone().map_or_else(only_board, Ok)?;
+            let path = path.clone().map_or_else(|| only_board(ports::list().unwrap_or_default()), Ok)?;
             let port = open_port(path, *baud)?;
             Ok(Link { rx: Receiver::Bytes(port.clone()), tx: Transmitter::Bytes(port) })
         }
@@ -153,9 +153,9 @@ pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenErro
     }
 }
 
-/// The only board that is connected by USB.
-fn only_board() -> Result<PathBuf, OpenError> {
-    let boards = ports::list().unwrap_or_default().into_iter().filter(ports::Port::is_board);
+/// The only one of these ports that is a board.
+fn only_board(found: Vec<ports::Port>) -> Result<PathBuf, OpenError> {
+    let boards = found.into_iter().filter(ports::Port::is_board);
     let mut paths: Vec<PathBuf> = boards.map(|port| port.path).collect();
     match paths.len() {
         0 => Err(OpenError::NoBoard),
@@ -171,12 +171,18 @@ fn open_port(path: PathBuf, _baud: u32) -> Result<Descriptor, OpenError> {
 
 #[cfg(unix)]
 fn open_port(path: PathBuf, baud: u32) -> Result<Descriptor, OpenError> {
-    serial::open_port(&path, baud).map_err(|source| match source.kind() {
+    serial::open_port(&path, baud).map_err(|source| not_opened(path, source))
+}
+
+/// What the operating system means by not opening a port.
+#[cfg(unix)]
+fn not_opened(path: PathBuf, source: io::Error) -> OpenError {
+    match source.kind() {
         io::ErrorKind::NotFound => OpenError::NoPort(path),
         io::ErrorKind::ResourceBusy => OpenError::Busy(path),
         io::ErrorKind::PermissionDenied => OpenError::Denied(path),
         _ => OpenError::System { what: path.display().to_string(), source },
-    })
+    }
 }
 
 async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
@@ -274,5 +280,155 @@ impl Write for Transmitter {
 
     async fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use async_io::Async;
+    use futures::join;
+
+    use super::*;
+    use crate::{
+        block_on,
+        ports::{BOARD_USB, Port, Usb},
+    };
+
+    /// A listener on this machine, and its address.
+    fn listen() -> (Async<TcpListener>, Address) {
+        let listener = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).expect("a free port");
+        let port = listener.get_ref().local_addr().expect("bound").port();
+        (listener, Address::Tcp { host: "127.0.0.1".into(), port })
+    }
+
+    async fn accept(listener: &Async<TcpListener>) -> Descriptor {
+        let (stream, _) = listener.accept().await.expect("a client");
+        tcp(stream.into_inner().expect("not used otherwise")).expect("a socket")
+    }
+
+    /// More than a record of a keyed link has, and nothing of it changed.
+    async fn goes_through(tx: &mut impl Write, rx: &mut impl Read) {
+        let said: Vec<u8> = (0..2000_u32).map(|number| number as u8).collect();
+        let mut heard = vec![0; said.len()];
+        tx.write_all(&said).await.expect("written");
+        rx.read_exact(&mut heard).await.expect("read");
+        assert_eq!(heard, said);
+    }
+
+    #[test]
+    fn a_tcp_link_carries_bytes_both_ways() {
+        block_on(async {
+            let (listener, address) = listen();
+            let mut link = open(&address, None).await.expect("it listens");
+            let mut server = accept(&listener).await;
+            goes_through(&mut link.tx, &mut server).await;
+            goes_through(&mut server, &mut link.rx).await;
+        });
+    }
+
+    #[test]
+    fn a_keyed_link_is_between_ends_of_one_key() {
+        let (ours, theirs) = (Key::new([7; 32]), Key::new([8; 32]));
+        block_on(async {
+            let (listener, address) = listen();
+            let serve = async |key| secure::server(accept(&listener).await, key).await;
+            let (client, server) = join!(open(&address, Some(&ours)), serve(&ours));
+            let (mut link, (mut rx, mut tx)) = (client.expect("one key"), server.expect("one key"));
+            goes_through(&mut link.tx, &mut rx).await;
+            goes_through(&mut tx, &mut link.rx).await;
+
+            let (client, server) = join!(open(&address, Some(&ours)), serve(&theirs));
+            assert_eq!(server.expect_err("another key").kind(), io::ErrorKind::PermissionDenied);
+            assert!(matches!(client, Err(OpenError::Distrust { what, .. }) if what == address.to_string()));
+        });
+    }
+
+    /// A peer that is gone ends a link in the same time, whether or not something is under way.
+    #[test]
+    fn a_peer_that_is_gone_is_noticed() {
+        let (listener, _) = listen();
+        let stream = TcpStream::connect(listener.get_ref().local_addr().expect("bound")).expect("it listens");
+        let _link = tcp(stream.try_clone().expect("another handle")).expect("a socket");
+        assert!(stream.nodelay().expect("asked"));
+        let socket = socket2::SockRef::from(&stream);
+        assert!(socket.keepalive().expect("asked"));
+        #[cfg(target_os = "linux")]
+        {
+            let asked =
+                socket.tcp_keepalive_interval().expect("asked") * socket.tcp_keepalive_retries().expect("asked");
+            let gone = socket.tcp_keepalive_time().expect("asked") + asked;
+            assert_eq!(gone, Duration::from_secs(5));
+            assert_eq!(socket.tcp_user_timeout().expect("asked"), Some(gone));
+        }
+    }
+
+    #[test]
+    fn a_host_that_is_not_there_is_told_from_a_system_that_says_no() {
+        let (listener, address) = listen();
+        drop(listener);
+        let refused = block_on(open(&address, None)).expect_err("nobody listens");
+        assert!(matches!(&refused, OpenError::NoAnswer(what) if address.to_string().ends_with(what)), "{refused}");
+        // No connection goes to every machine of a network.
+        let everybody = Address::Tcp { host: "255.255.255.255".into(), port: 9 };
+        let impossible = block_on(open(&everybody, None)).expect_err("TCP is between two");
+        assert!(matches!(&impossible, OpenError::System { what, .. } if what == "255.255.255.255:9"), "{impossible}");
+    }
+
+    #[test]
+    fn the_only_board_is_found_and_of_several_all_are_named() {
+        let port = |name: &str, id| Port { path: name.into(), usb: Some(Usb { id, serial: None, product: None }) };
+        let board = |name| port(name, BOARD_USB);
+        let other = || port("/dev/ttyUSB0", (0x0403, 0x6001));
+        assert!(matches!(only_board(vec![other()]), Err(OpenError::NoBoard)));
+        assert_eq!(only_board(vec![board("/dev/ttyACM1"), other()]).expect("one"), PathBuf::from("/dev/ttyACM1"));
+        let several = only_board(vec![board("/dev/ttyACM0"), board("/dev/ttyACM1"), other()]).expect_err("two");
+        assert_eq!(
+            several.to_string(),
+            "several boards are connected, at /dev/ttyACM0 and /dev/ttyACM1: name one, as in serial:/dev/ttyACM0"
+        );
+    }
+
+    #[cfg(unix)]
+    mod ports_of_unix {
+        use super::*;
+        use crate::pty::Pty;
+
+        #[test]
+        fn what_is_wrong_with_a_port_is_told() {
+            let pty = Pty::open().expect("a terminal");
+            let serial = |path: PathBuf| Address::Serial { path: Some(path), baud: DEFAULT_BAUD };
+            let address = serial(pty.path().to_owned());
+            let mut link = block_on(open(&address, None)).expect("a port");
+            block_on(goes_through(&mut link.tx, &mut pty.descriptor.clone()));
+            let again = block_on(open(&address, None));
+            assert!(matches!(again, Err(OpenError::Busy(path)) if path == pty.path()));
+            let nowhere = PathBuf::from("/dev/no-such-port");
+            let missing = block_on(open(&serial(nowhere.clone()), None));
+            assert!(matches!(missing, Err(OpenError::NoPort(path)) if path == nowhere));
+            // As for any user but the superuser; and what nobody has foreseen.
+            let denied = not_opened(nowhere.clone(), io::ErrorKind::PermissionDenied.into());
+            assert!(matches!(denied, OpenError::Denied(path) if path == nowhere));
+            let other = not_opened(nowhere, io::ErrorKind::InvalidInput.into());
+            assert!(matches!(other, OpenError::System { what, .. } if what == "/dev/no-such-port"));
+        }
+
+        #[test]
+        fn an_adapter_is_opened_at_the_rate_of_its_address() {
+            let mut pty = Pty::open().expect("a terminal");
+            let address = format!("can:slcan:{}@250#5", pty.path().display()).parse().expect("an address");
+            block_on(async {
+                let mut link = open(&address, None).await.expect("a port");
+                link.tx.write_all(b"\xAB").await.expect("written");
+                let mut told = [0; 17];
+                pty.descriptor.read_exact(&mut told).await.expect("read");
+                assert_eq!(&told, b"\r\rC\rS5\rO\rt2051AB\r");
+                pty.descriptor.write_all(b"z\rt2852CDEF\r").await.expect("written");
+                let mut heard = [0; 2];
+                link.rx.read_exact(&mut heard).await.expect("read");
+                assert_eq!(heard, [0xCD, 0xEF]);
+            });
+        }
     }
 }

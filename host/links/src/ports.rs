@@ -65,15 +65,15 @@ fn sorted(found: Vec<SerialPortInfo>) -> Vec<Port> {
     ports
 }
 
-/// Where the device with this USB serial number is now.
-pub(crate) fn find_again(serial: &str) -> Option<PathBuf> {
+/// Which of these ports belongs to the device with this USB serial number.
+pub(crate) fn find_again(found: Vec<Port>, serial: &str) -> Option<PathBuf> {
     let with = |port: &Port| port.usb.as_ref().and_then(|usb| usb.serial.as_deref()) == Some(serial);
-    list().ok()?.into_iter().find(with).map(|port| port.path)
+    found.into_iter().find(with).map(|port| port.path)
 }
 
-/// The USB serial number of what is at a port.
-pub(crate) fn serial_of(path: &Path) -> Option<String> {
-    list().ok()?.into_iter().find(|port| port.path == path)?.usb?.serial
+/// The USB serial number of what is at `path`, which is one of these ports.
+pub(crate) fn serial_of(found: Vec<Port>, path: &Path) -> Option<String> {
+    found.into_iter().find(|port| port.path == path)?.usb?.serial
 }
 
 #[cfg(test)]
@@ -107,5 +107,26 @@ mod tests {
         let paths: Vec<_> = ports.iter().map(|port| port.path.to_string_lossy().into_owned()).collect();
         assert_eq!(paths, ["/dev/ttyACM3", "/dev/ttyS0", "/dev/ttyS1", "/dev/ttyUSB0"]);
         assert_eq!(ports.iter().map(Port::is_board).collect::<Vec<_>>(), [true, false, false, false]);
+    }
+    #[test]
+    fn a_device_is_found_by_its_serial_number_wherever_it_is() {
+        let port = |name: &str, serial: Option<&str>| Port {
+            path: name.into(),
+            usb: Some(Usb { id: BOARD_USB, serial: serial.map(Into::into), product: None }),
+        };
+        let found = || {
+            vec![
+                Port { path: "/dev/ttyS0".into(), usb: None },
+                port("/dev/ttyACM0", None),
+                port("/dev/ttyACM1", Some("A1")),
+                port("/dev/ttyACM2", Some("B2")),
+            ]
+        };
+        assert_eq!(find_again(found(), "B2"), Some("/dev/ttyACM2".into()));
+        assert_eq!(find_again(found(), "C3"), None);
+        assert_eq!(serial_of(found(), Path::new("/dev/ttyACM1")).as_deref(), Some("A1"));
+        for without in ["/dev/ttyS0", "/dev/ttyACM0", "/dev/ttyACM9"] {
+            assert_eq!(serial_of(found(), Path::new(without)), None, "{without}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use async_io::Timer;
 use embedded_io_async::{Read, Write};
 use r4_driver::{Board, Clock, Error, with_board};
-use r4_protocol::{Cause, Refusal};
+use r4_protocol::{Cause, Causes, Refusal};
 
 use crate::{Address, Key, Link, OpenError, open, ports};
 
@@ -66,7 +66,7 @@ where
     E: From<OpenError> + From<Error>,
 {
     let usb_serial = match address {
-        Address::Serial { path: Some(path), .. } => ports::serial_of(path),
+        Address::Serial { path: Some(path), .. } => ports::serial_of(ports::list().unwrap_or_default(), path),
         _ => None,
     };
     let mut lost: Option<(Instant, u64)> = None;
@@ -77,7 +77,7 @@ where
             Err(error) if lost.is_none() => return Err(error.into()),
             Err(_) => {
                 if let (Address::Serial { path, .. }, Some(serial)) = (&mut at, &usb_serial) {
-                    *path = ports::find_again(serial).or(path.take());
+                    *path = ports::find_again(ports::list().unwrap_or_default(), serial).or(path.take());
                 }
                 Timer::after(RETRY_EVERY).await;
                 continue;
@@ -86,8 +86,10 @@ where
         let mut heard_us = 0;
         let (rx, tx) = wrap(link);
         let session = with_board(rx, tx, clock.clone(), async |board| {
-            if let Some((since, expected_us)) = lost.take() {
-                tell(Event::Back { after: since.elapsed(), restart: restart(board, since, expected_us) });
+            if let Some((since, heard_us)) = lost.take() {
+                let after = since.elapsed();
+                let restart = restart(heard_us, after, board.device_us(), board.safety().1);
+                tell(Event::Back { after, restart });
             }
             let result = work(board).await;
             heard_us = board.device_us();
@@ -117,13 +119,127 @@ pub fn is_of_link(error: &Error) -> bool {
     matches!(error, Error::LinkLost { .. } | Error::LinkFailed { .. } | Error::TimedOut { .. })
 }
 
-fn restart<C: Clock>(board: &Board<C>, since: Instant, expected_us: u64) -> Option<Restart> {
-    let (_, causes) = board.safety();
-    let expected_us = expected_us + since.elapsed().as_micros() as u64;
-    let began_anew = board.device_us() + BEGAN_ANEW_US < expected_us;
-    match began_anew {
+/// What a board did whose clock showed `heard_us` when it was heard last, and `device_us` now, `after` that.
+fn restart(heard_us: u64, after: Duration, device_us: u64, causes: Causes) -> Option<Restart> {
+    let expected_us = heard_us + after.as_micros() as u64;
+    match device_us + BEGAN_ANEW_US < expected_us {
         true if causes.contains(Cause::WatchdogReset) => Some(Restart::Watchdog),
         true => Some(Restart::Power),
         false => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        RealClock, block_on,
+        fake_board::{FakeBoard, Session},
+    };
+
+    #[derive(Debug, PartialEq)]
+    enum Ended {
+        NotThere,
+        Board(Error),
+    }
+
+    impl From<OpenError> for Ended {
+        fn from(_: OpenError) -> Self {
+            Self::NotThere
+        }
+    }
+
+    impl From<Error> for Ended {
+        fn from(error: Error) -> Self {
+            Self::Board(error)
+        }
+    }
+
+    /// Asks for a stop in each session until one is done; in how many sessions it was asked for.
+    fn stop(address: &Address) -> (Result<u32, Ended>, Vec<Event>) {
+        let (mut events, mut sessions) = (Vec::new(), 0);
+        let work = async |board: &Board<RealClock>| {
+            sessions += 1;
+            board.stop().await?;
+            Ok(sessions)
+        };
+        let is_lost = |ended: &Ended| match ended {
+            Ended::Board(error) if is_of_link(error) => Some(error.clone()),
+            _ => None,
+        };
+        let tell = |event| events.push(event);
+        let ended = with_reconnect(address, None, RealClock, |link| (link.rx, link.tx), work, is_lost, tell);
+        (block_on(ended), events)
+    }
+
+    #[test]
+    fn a_session_comes_back_when_the_board_takes_it_again() {
+        let cut = Session { device_us: 10_000_000, ends_at_stop: true, ..Session::default() };
+        let in_use = Session { refusal: Some(Refusal::InUse), ..Session::default() };
+        let back = Session { causes: Causes::only(Cause::WatchdogReset), ..Session::default() };
+        let fake = FakeBoard::new(&[cut, in_use, back]);
+        let (ended, events) = stop(&fake.address);
+        assert_eq!(ended, Ok(2));
+        assert!(
+            matches!(
+                events[..],
+                [Event::Lost { why: Error::LinkFailed { .. } }, Event::Back { restart: Some(Restart::Watchdog), .. }]
+            ),
+            "{events:?}"
+        );
+    }
+
+    #[test]
+    fn only_a_link_that_was_there_is_waited_for() {
+        let refused = |refusal| Session { refusal: Some(refusal), ..Session::default() };
+        let in_use = FakeBoard::new(&[refused(Refusal::InUse)]);
+        assert_eq!(stop(&in_use.address), (Err(Ended::Board(Error::Refused(Refusal::InUse))), vec![]));
+        // It was there, but says something else now.
+        let cut = Session { ends_at_stop: true, ..Session::default() };
+        let other = FakeBoard::new(&[cut, refused(Refusal::StorageFailed)]);
+        let (ended, events) = stop(&other.address);
+        assert_eq!(ended, Err(Ended::Board(Error::Refused(Refusal::StorageFailed))));
+        assert!(matches!(events[..], [Event::Lost { .. }]), "{events:?}");
+        let nowhere = Address::Serial { path: Some("/dev/no-such-port".into()), baud: 9600 };
+        assert_eq!(stop(&nowhere), (Err(Ended::NotThere), vec![]));
+    }
+
+    #[test]
+    fn a_clock_that_is_behind_tells_of_a_restart() {
+        let after = Duration::from_millis(500);
+        let watchdog = Causes::only(Cause::WatchdogReset).union(Causes::only(Cause::LinkLost));
+        let others = Causes::only(Cause::LinkLost);
+        // The board was heard at 10 s: its clock shows 10.5 s now if it ran on, some 0.1 s less if frames waited.
+        for (device_us, began_anew) in [
+            (10_500_000, false),
+            (10_400_000, false),
+            (60_000_000, false),
+            (10_399_999, true),
+            (400_000, true),
+            (0, true),
+        ] {
+            let why = |causes| restart(10_000_000, after, device_us, causes);
+            assert_eq!(why(watchdog), began_anew.then_some(Restart::Watchdog), "{device_us}");
+            assert_eq!(why(others), began_anew.then_some(Restart::Power), "{device_us}");
+        }
+    }
+
+    #[test]
+    fn what_a_link_may_be_the_reason_of_is_tried_again() {
+        for of_link in [
+            Error::LinkLost { silent_ms: 200 },
+            Error::LinkFailed { reason: "unplugged".into() },
+            Error::TimedOut { request: "hello", after_ms: 100 },
+        ] {
+            assert!(is_of_link(&of_link), "{of_link}");
+        }
+        for other in [
+            Error::Refused(Refusal::InUse),
+            Error::WrongReply { request: "hello" },
+            Error::Stopped { causes: Causes::NONE },
+            Error::StreamOpen,
+        ] {
+            assert!(!is_of_link(&other), "{other}");
+        }
     }
 }

@@ -458,6 +458,13 @@ mod tests {
         assert_eq!(of_server.open(&record), Ok(said.to_vec()));
         let answer = server.seal(b"").expect("sealed");
         assert_eq!(answer.len(), 2 + TAG, "also nothing is signed");
+        let rekey_s = REKEY_EVERY / 1000;
+        assert!((900..1200).contains(&rekey_s), "{rekey_s} s of cycles at 1 kHz under one key");
+    }
+
+    #[test]
+    fn a_key_is_not_printed() {
+        assert_eq!(format!("{:?}", Key::new([0x5a; 32])), "Key(..)");
     }
 
     #[test]

@@ -224,6 +224,57 @@ mod tests {
         assert_eq!(Frame::new(1, &[0; 9]), None);
     }
 
+    #[cfg(unix)]
+    fn pair() -> [Descriptor; 2] {
+        let (one, other) = std::os::unix::net::UnixStream::pair().expect("sockets of this machine");
+        [one, other].map(|end| Descriptor::new(end.into()).expect("it can be waited for"))
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn an_adapter_is_told_the_rate_before_the_bus_is_opened() {
+        for (kbit_per_s, rate) in [(125, "S4"), (250, "S5"), (500, "S6"), (1000, "S8")] {
+            let [port, mut adapter] = pair();
+            let node = Node::new(5).expect("in range");
+            let (_rx, mut tx) = crate::block_on(host(port, kbit_per_s, node)).expect("written");
+            crate::block_on(tx.write_all(&[0xAB])).expect("written");
+            let expected = format!("\r\rC\r{rate}\rO\rt2051AB\r");
+            let mut told = vec![0; expected.len()];
+            crate::block_on(adapter.read_exact(&mut told)).expect("read");
+            assert_eq!(String::from_utf8_lossy(&told), expected);
+        }
+    }
+
+    /// Both ways, in reads of any length.
+    #[cfg(unix)]
+    #[test]
+    fn two_ends_read_what_the_other_wrote() {
+        let node = Node::new(5).expect("in range");
+        let [one, other] = pair();
+        let (mut of_host, mut to_board) = ends(one, End::Host(node));
+        let (mut of_board, mut to_host) = ends(other, End::Board(node));
+        // The byte stream to a board is whole frames, which end with a 0.
+        let said: Vec<u8> = (1..=200).chain([0]).collect();
+        crate::block_on(async {
+            for len in [1, 7, 8, 64, 201] {
+                let (mut heard, mut buffer) = (Vec::new(), vec![0; len]);
+                assert_eq!(to_board.write(&said).await.expect("written"), said.len());
+                while heard.len() < said.len() {
+                    let len = of_board.read(&mut buffer).await.expect("read");
+                    heard.extend_from_slice(&buffer[..len]);
+                }
+                assert_eq!(heard, said);
+                to_host.write_all(&said).await.expect("written");
+                let mut heard = vec![0; said.len()];
+                of_host.read_exact(&mut heard).await.expect("read");
+                assert_eq!(heard, said);
+            }
+            assert_eq!(of_host.read(&mut []).await.expect("nothing to do"), 0);
+            drop((of_board, to_host));
+            assert_eq!(of_host.read(&mut [0; 8]).await.expect("the end is no error"), 0);
+        });
+    }
+
     #[test]
     fn what_is_no_frame_disturbs_nothing() {
         let frame = Line::Frame(Frame::new(0x281, &[5]).expect("good"));
@@ -239,6 +290,25 @@ mod tests {
             let text = format!("{before}\rt281105\r");
             assert_eq!(lines(text.as_bytes()).last(), Some(&frame), "{before}");
         }
+    }
+
+    /// A bell has no end, and ends what was half said. A line longer than any frame with its stamp is dropped, not kept.
+    #[test]
+    fn a_bell_and_a_long_line_end_where_they_should() {
+        let frame = Line::Frame(Frame::new(0x281, &[5]).expect("good"));
+        for before in ["", "t28", &"x".repeat(1000)] {
+            let text = format!("{before}\u{7}t281105\r");
+            assert_eq!(lines(text.as_bytes()), [Line::Bell, frame.clone()], "{before}");
+        }
+        let longest = "t2818".to_owned() + &"AB".repeat(8) + "1234";
+        for len in [0, longest.len() - 1, longest.len()] {
+            assert_eq!(lines(format!("{}\r", "x".repeat(len)).as_bytes()), [Line::Other(vec![b'x'; len])]);
+        }
+        assert_eq!(lines(format!("{}\r", "x".repeat(longest.len() + 1)).as_bytes()), []);
+        assert_eq!(
+            lines(format!("{longest}\r").as_bytes()),
+            [Line::Frame(Frame::new(0x281, &[0xAB; 8]).expect("good"))]
+        );
     }
 
     proptest! {

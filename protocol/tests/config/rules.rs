@@ -153,6 +153,7 @@ const MOTORS: &[Case] = {
         (ARM, LINES, |c| c.motors[3].bridge = dhb(14, 15, 16)),
         (ARM, LINES, |c| c.motors[3].bridge = dhb(1, 2, 1)),
         (WHEEL, FOUR, |c| c.motors[0].bridge = osmc(0, 1, 2, 12)),
+        (WHEEL, FOUR, |c| c.motors[0].bridge = osmc(0, 1, 2, 4)),
         (ARM, THREE, |c| c.motors[3].bridge = dhb(0, 1, 3)),
         (WHEEL, KIND, |c| c.motors[0].bridge = dhb(10, 11, 12)),
         (ARM, KIND, |c| c.motors[3].bridge = osmc(12, 13, 14, 15)),
@@ -414,6 +415,7 @@ const INPUTS: &[Case] = {
         (Some(id(Supply, 0)), RANGE_V, |c| c.supplies[0].range_v = Range::new(30.0, 20.0)),
         (Some(id(Supply, 1)), RANGE_V, |c| c.supplies[1].range_v.max = f32::INFINITY),
         (Some(id(Supply, 0)), TOP, |c| c.supplies[0].range_v.max = 32.8), // 65535 * 0.5 mV is 32.77 V
+        (Some(id(Supply, 0)), TOP, |c| c.supplies[0].range_v.max = 65_535.0 * c.supplies[0].volts_per_code),
         (Some(id(Supply, 0)), REGENERATION, |c| c.supplies[0].regeneration_v = Some(30.0)),
         (Some(id(Supply, 1)), REGENERATION, |c| c.supplies[1].regeneration_v = Some(19.9)),
         (Some(id(Supply, 1)), REGENERATION, |c| c.supplies[1].regeneration_v = Some(f32::NAN)),
@@ -504,6 +506,9 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.motors[0].duty_max = DUTY_HARD_MAX,
         |c| c.motors[2].id.index = 3,
         |c| c.motors[2].stop_brake_ms = 5000,
+        |c| c.motors[2].stop_brake_ms = 90, // 0.9 at 10 per second
+        |c| c.motors[0].bridge = osmc(15, 12, 14, 13),
+        |c| c.motors[3].bridge = dhb(13, 15, 14),
         |c| c.bldcs[1].stop_brake_ms = 5000,
         |c| encoder(c, |_, counts| *counts = MAX_EXACT),
         |c| encoder(c, |index, _| *index = 3),
@@ -521,6 +526,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| home(c).position = -8.0,
         |c| home(c).speed_max = 20.0,
         |c| c.bldcs[2].reverse = Reverse::Voltage { full_v: 0.0 },
+        |c| (c.bldcs[2].forward_v, c.bldcs[2].reverse) = (0.5, Reverse::Voltage { full_v: 4.5 }),
         |c| c.servos[0].low.pulse_s = 500e-6,
         |c| c.servos[0].high.pulse_s = 2500e-6,
         |c| c.steppers[0].jerk = 0.0,
@@ -538,6 +544,68 @@ fn the_ends_of_what_is_allowed_are_taken() {
         change(&mut config);
         assert_eq!(config.validate(), Ok(()), "end number {number}");
     }
+}
+
+/// A transfer is nine bits a byte and three more. In one period there may be all lines of a bridge, 18 bytes, or 6 bytes for each
+/// OSMC bridge and the longest other transfer: 14 bytes for a DHB, 5 and 4 that read a PWM chip's mode back, 9 for the DAC.
+#[test]
+fn a_period_has_room_for_every_output() {
+    let with = |motors: &[usize], bldcs: bool| {
+        let mut config = good();
+        config.motors = motors.iter().map(|motor| good().motors[*motor]).collect();
+        if !bldcs {
+            config.bldcs.clear();
+        }
+        config.i2c_hz = 100_000;
+        config
+    };
+    // Motors 0 to 2 are on OSMC bridges, 3 is on a DHB.
+    for (config, bits) in [
+        (with(&[], false), 57),
+        (with(&[], true), 84),
+        (with(&[2], false), 165),
+        (with(&[2], true), 165),
+        (with(&[0, 2], true), 2 * 57 + 87),
+        (with(&[3], true), 129),
+        (with(&[2, 3], true), 57 + 129),
+        (with(&[0, 1, 2, 3], true), 3 * 57 + 129),
+    ] {
+        // A bit takes 10 us, and 5 % of the period are the processor's.
+        let period_us = 10 * u32::div_ceil(bits * 100, 95);
+        let validate = |control_period_us| BoardConfig { control_period_us, ..config.clone() }.validate();
+        let rule = "i2c_hz and control_period_us must leave room for every output in a period";
+        assert_eq!(validate(period_us), Ok(()), "{bits} bits in {period_us} us");
+        assert_eq!(validate(period_us - 1), Err(ConfigError { channel: None, rule }), "{bits} bits");
+    }
+}
+
+#[test]
+fn a_board_knows_which_inputs_it_uses() {
+    let mut config = good();
+    let used = |config: &BoardConfig| [0, 1, 2, 3].map(|index| (config.uses_encoder(index), config.uses_range(index)));
+    // Encoder 0 is the wheel's and a channel, 1 the arm's, 3 a channel.
+    assert_eq!(used(&config), [(true, true), (true, true), (false, false), (true, false)]);
+    config.motors.clear();
+    assert_eq!(used(&config), [(true, true), (false, true), (false, false), (true, false)]);
+    config.encoders.clear();
+    config.ranges.clear();
+    assert_eq!(used(&config), [(false, false); 4]);
+}
+
+#[test]
+fn a_controlled_stop_takes_as_long_as_the_slowest_channel() {
+    let mut config = good();
+    for motor in &mut config.motors {
+        motor.stop_brake_ms = 0;
+    }
+    assert_eq!(config.stop_brake_ms(), 0, "nothing brakes");
+    config.steppers[1].stop_brake_ms = 100;
+    assert_eq!(config.stop_brake_ms(), 100);
+    config.motors[2].stop_brake_ms = 300;
+    config.bldcs[1].stop_brake_ms = 200;
+    assert_eq!(config.stop_brake_ms(), 300);
+    config.bldcs[1].stop_brake_ms = 400;
+    assert_eq!(config.stop_brake_ms(), 400);
 }
 
 /// Chips and lists that nothing needs may be left out.

@@ -9,6 +9,7 @@
 //! | `limits` | every message fits a frame; the decoder's buffer ends where it should |
 //! | `damage` | cut, flipped, random bytes |
 //! | `many` | ten million damaged frames |
+//! | `words` | what refusals, states and readings say to users |
 
 mod coverage;
 mod damage;
@@ -17,6 +18,7 @@ mod limits;
 mod many;
 mod samples;
 mod strategies;
+mod words;
 
 use r4_protocol::{FrameDecoder, FrameError, encode_frame, frame::MAX_FRAME};
 use serde::{Serialize, de::DeserializeOwned};
