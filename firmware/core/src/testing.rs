@@ -31,8 +31,8 @@ use r4_protocol::config::{BoardConfig, MAX_MOTORS, STEPPERS, SWITCHES};
 
 use crate::{
     platform::{
-        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers,
-        SwitchInputs,
+        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, StepAction, StepEvent,
+        Steppers, SwitchInputs,
     },
     shared::{ResetCause, Shared},
 };
@@ -236,7 +236,8 @@ impl Wait for Line {
     }
 }
 
-/// A bus with chips that keep what is written to their registers, with a pointer that counts up. It takes no time.
+/// A bus with chips that keep what is written to their registers, with a pointer that counts up, and DACs that keep their codes.
+/// It takes no time.
 #[derive(Clone, Default)]
 pub(crate) struct Registers(Rc<RegistersState>);
 
@@ -268,6 +269,10 @@ impl i2c::ErrorType for Registers {
 /// First of the four registers by which a PCA9685 (addresses 0x40 and up) sets all its outputs (datasheet 7.3.4).
 const ALL_OUTPUTS: u8 = 0xFA;
 
+/// Addresses of an MCP4728 (datasheet 5.3). It has no registers with addresses: what is kept here is the 24 bytes that it shows, of
+/// each output the input register and the EEPROM, three bytes each (figure 5-15).
+const DACS: core::ops::Range<u8> = 0x60..0x68;
+
 impl Registers {
     pub(crate) fn get(&self, chip: u8, register: u8) -> u8 {
         self.0.values.borrow().get(&(chip, register)).copied().unwrap_or_default()
@@ -290,7 +295,35 @@ impl Registers {
         self.0.transfer.set(Some(transfer));
     }
 
+    /// Fast write (5.6.1), multi-write (5.6.2) and sequential write (5.6.3) of a DAC; a fast write leaves reference and gain as they
+    /// are.
+    fn take_codes(&self, chip: u8, bytes: &[u8]) {
+        let [command, settings @ ..] = bytes else { return };
+        let keep = |output: u8, half: u8, [upper, lower]: [u8; 2]| {
+            self.set(chip, 6 * output + 3 * half + 1, upper);
+            self.set(chip, 6 * output + 3 * half + 2, lower);
+        };
+        match command >> 3 {
+            0b01000 => bytes.chunks_exact(3).for_each(|bytes| keep(bytes[0] >> 1 & 3, 0, [bytes[1], bytes[2]])),
+            0b01010 => settings.chunks_exact(2).zip(command >> 1 & 3..).for_each(|(bytes, output)| {
+                (0..2).for_each(|half| keep(output, half, [bytes[0], bytes[1]]));
+            }),
+            _ => bytes.chunks_exact(2).zip(0..).for_each(|(bytes, output)| {
+                keep(output, 0, [self.get(chip, 6 * output + 1) & 0x90 | bytes[0], bytes[1]]);
+            }),
+        }
+    }
+
+    /// What is read: of a DAC, each third byte has RDY/BSY set, for it never writes its EEPROM for long.
+    fn show(&self, chip: u8, register: u8) -> u8 {
+        let ready = DACS.contains(&chip) && register.is_multiple_of(3);
+        self.get(chip, register) | if ready { 0x80 } else { 0 }
+    }
+
     fn take(&self, chip: u8, bytes: &[u8]) {
+        if DACS.contains(&chip) {
+            return self.take_codes(chip, bytes);
+        }
         let [register, values @ ..] = bytes else { return };
         // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
         for (value, register) in values.iter().zip(*register..) {
@@ -321,7 +354,7 @@ impl I2c for Registers {
                     self.take(chip, bytes);
                 }
                 i2c::Operation::Read(bytes) => {
-                    bytes.iter_mut().zip(pointer..).for_each(|(byte, register)| *byte = self.get(chip, register));
+                    bytes.iter_mut().zip(pointer..).for_each(|(byte, register)| *byte = self.show(chip, register));
                 }
             }
         }
@@ -356,6 +389,11 @@ pub(crate) struct PeripheralsState {
     pub(crate) steppers_enabled: Cell<bool>,
     /// Steps they have made.
     pub(crate) made: [Cell<i32>; STEPPERS],
+    /// Whether they make each step as soon as they are told it, and the direction of the last.
+    pub(crate) obedient: Cell<bool>,
+    pub(crate) directions: [Cell<bool>; STEPPERS],
+    /// What a task above the control loop does while that reads its inputs the next time.
+    pub(crate) meanwhile: Cell<Option<Box<dyn FnOnce()>>>,
 }
 
 impl core::ops::Deref for Peripherals {
@@ -378,6 +416,9 @@ impl Encoders for Peripherals {
 
 impl EdgeInputs for Peripherals {
     fn storm(&mut self) -> bool {
+        if let Some(act) = self.meanwhile.take() {
+            act();
+        }
         self.storm.get()
     }
 }
@@ -418,7 +459,7 @@ impl KeptWords for Peripherals {
     }
 }
 
-/// Step generators that make the steps that the test says, whatever they are told.
+/// Step generators that make the steps that the test says, or at once what they are told.
 impl Steppers for Peripherals {
     const TICK_HZ: u32 = 1_000_000;
     const PULSE_TICKS: u32 = 5;
@@ -437,6 +478,13 @@ impl Steppers for Peripherals {
         self.room.set(self.room.get() - taken);
         let told = &self.told[usize::from(index)];
         told.set(told.get() + taken);
+        for event in events[..taken].iter().filter(|_| self.obedient.get()) {
+            let (made, direction) = (&self.made[usize::from(index)], &self.directions[usize::from(index)]);
+            match event.action {
+                StepAction::Direction(positive) => direction.set(positive),
+                StepAction::Pulse => made.set(made.get() + if direction.get() { 1 } else { -1 }),
+            }
+        }
         taken
     }
 

@@ -1,10 +1,14 @@
 //! Whether each cause that the control loop sees is raised, when, and by nothing less: [`run`] beside the supervisor, on chips
 //! that only remember.
 
+extern crate std;
+
+use std::boxed::Box;
+
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
     Cause, Causes, Mode, SafetyState, Setpoint,
-    config::{BoardConfig, BridgeConfig, Place},
+    config::{BoardConfig, BridgeConfig, CurrentSense, Place},
 };
 
 use super::{BoardIo, run};
@@ -556,5 +560,283 @@ fn every_trip_is_handed_to_the_fault_history() {
         assert_eq!(bench.shared.request(Event::Clear), Ok(()));
         bench.arm();
         bench.tasks.advance(POWER_UP);
+    }
+}
+
+impl Bench {
+    /// Every kind of output, armed, with the motors' supply on. Nobody pings.
+    fn with_everything() -> Self {
+        let mut bench = Self::just_armed(BoardConfig { ranges: heapless::Vec::new(), ..everything() });
+        bench.advance(60);
+        bench
+    }
+
+    /// To the beginning of the next period, of which nothing is left to do; on a bus that takes no time.
+    fn advance_to_period(&mut self) {
+        let before = self.shared.stats().ticks;
+        while self.shared.stats().ticks == before {
+            self.tasks.advance(Duration::from_micros(50));
+        }
+    }
+
+    #[track_caller]
+    fn motor(&self, place: Place) -> MotorStatus {
+        match self.shared.status(place) {
+            Status::Motor(status) => status,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// With transfers of a period each: one that writes a motor takes its time, one that reads back as well takes more, and the next
+/// begins where it ends. Ten of the former are no overrun.
+#[test]
+fn a_period_that_takes_just_its_time_is_not_late() {
+    let mut bench = Bench::armed();
+    // 45 periods on its way: a write in each.
+    bench.drive(0, 0.9);
+    bench.bus.slow_down(MS);
+    let (begin, before) = (Instant::now(), bench.shared.stats());
+    let since = |bench: &Bench| {
+        let stats = bench.shared.stats();
+        (stats.ticks - before.ticks, stats.late_ticks - before.late_ticks)
+    };
+    while since(&bench).0 < 16 {
+        bench.advance(1);
+    }
+    bench.is_armed();
+    assert_eq!(since(&bench), (16, 4), "each fourth reads back");
+    assert!(begin.elapsed() >= MS * (12 + 4 * 2), "{:?}", begin.elapsed());
+}
+
+/// Between two periods: the loop sees an arming when it looks, but not the one whose outputs it drives.
+#[test]
+fn an_arming_that_was_ended_before_the_loop_could_look_ends_at_once() {
+    let mut bench = Bench::with_everything();
+    let open = bench.pins() | 1 << bench.shared.config().relays[0].bit;
+    bench.set(Place::Relay(1), Mode::Switch, 1.0);
+    bench.advance(2);
+    bench.tasks.advance(Duration::from_micros(300));
+    assert_ne!(bench.pins() & open, open);
+    assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+    bench.arm();
+    bench.tasks.advance(Duration::from_micros(1));
+    assert_eq!(bench.pins() & open, open);
+}
+
+/// While the loop reads its inputs: it sees only the arming that follows, and ends the other first.
+#[test]
+fn an_arming_that_was_ended_within_a_period_is_ended_there() {
+    let mut bench = Bench::with_everything();
+    let before = bench.pins();
+    bench.set(Place::Relay(1), Mode::Switch, 1.0);
+    bench.advance(2);
+    assert_ne!(bench.pins(), before);
+    let shared = bench.shared;
+    bench.inputs.meanwhile.set(Some(Box::new(move || {
+        assert_eq!(shared.request(Event::Disarm), Ok(()));
+        assert_eq!(shared.request(Event::Arm), Ok(()));
+    })));
+    bench.advance(2);
+    bench.is_armed();
+    assert_eq!(bench.pins(), before, "the motors' supply is closed again, the other relay is not");
+}
+
+/// Relays but the motors' open and voltages rest at once, what does not brake is turned off, and the duty of what does falls by its
+/// slew to 0, where the bridge shorts the motor. At the end all is off.
+#[test]
+fn a_stop_that_brakes_goes_by_its_order() {
+    let mut config = BoardConfig { ranges: heapless::Vec::new(), ..everything() };
+    config.motors[0].stop_brake_ms = 400;
+    let ramp_ms = 0.5 / config.motors[0].duty_slew_per_s * 1e3;
+    let chips = [config.osmc_pwm, config.dhb_pwm].map(|pwm| pwm.expect("it has both").address);
+    let mut bench = Bench::just_armed(config);
+    let open = bench.pins();
+    bench.advance(60);
+    let powered = bench.pins();
+    assert_ne!(powered, open);
+    bench.set(Place::Motor(0), Mode::Duty, 0.5);
+    bench.set(Place::Motor(4), Mode::Duty, -0.5);
+    bench.set(Place::Relay(1), Mode::Switch, 1.0);
+    bench.set(Place::Dac(1), Mode::Voltage, 2.5);
+    bench.advance(200);
+    let pulsing = |bench: &Bench| chips.map(|chip| bench.pulsing(chip));
+    assert_eq!(pulsing(&bench), [3 + 3 * 2, 2 + 3]);
+    assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+    bench.advance(2);
+    assert_eq!(bench.pins(), powered);
+    assert_eq!(bench.shared.status(Place::Dac(1)), Status::Scalar(1.65));
+    bench.advance((0.9 * ramp_ms) as u32 - 2);
+    assert_eq!(pulsing(&bench), [3, 0]);
+    bench.advance((0.1 * ramp_ms) as u32 + 5);
+    assert_eq!(pulsing(&bench), [2, 0], "without its PWM");
+    assert_eq!(bench.pins(), powered);
+    bench.advance(400);
+    assert_eq!((pulsing(&bench), bench.pins()), ([0, 0], open));
+}
+
+/// The transfer that is under way ends, and the next one opens the relays: nothing is read back before.
+#[test]
+fn a_stop_within_a_period_waits_for_one_transfer() {
+    for phase in 0..4 {
+        let mut bench = Bench::with_everything();
+        let closed = bench.pins();
+        bench.set(Place::Motor(0), Mode::Duty, 0.9);
+        bench.advance(5 + phase);
+        bench.advance_to_period();
+        bench.bus.slow_down(Duration::from_micros(400));
+        bench.tasks.advance(Duration::from_micros(1200));
+        assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
+        bench.tasks.advance(Duration::from_micros(599));
+        assert_eq!(bench.pins(), closed);
+        bench.tasks.advance(Duration::from_micros(1));
+        assert_ne!(bench.pins(), closed, "200 us for the one and 400 us for the other");
+    }
+}
+
+/// DHB bridges go first in every second period; servos have their turn all the same.
+#[test]
+fn servos_are_written_in_every_period() {
+    let mut bench = Bench::with_everything();
+    let config = bench.shared.config();
+    let (chip, output) = (config.servo_pwm.expect("it has one").address, config.servos[2].output);
+    let pulse = |bench: &Bench| [2, 3].map(|byte| bench.bus.get(chip, 6 + 4 * output + byte));
+    bench.set(Place::Servo(2), Mode::Position, 0.0);
+    bench.advance(5);
+    bench.set(Place::Servo(2), Mode::Position, 0.5);
+    let mut written = [0; 2];
+    for period in 0..50 {
+        let before = pulse(&bench);
+        bench.advance(1);
+        written[period % 2] += u32::from(pulse(&bench) != before);
+    }
+    assert!(written.iter().all(|written| *written > 0), "{written:?}");
+}
+
+/// A search that has found its switch and come to rest has settled; one that is under way has not, nor a stepper that was told nothing.
+#[test]
+fn a_search_has_settled_where_it_found_its_place() {
+    let mut bench = Bench::with_everything();
+    bench.inputs.obedient.set(true);
+    let switch = usize::from(bench.shared.config().steppers[0].homing.expect("it has a switch").switch);
+    let status = |bench: &Bench| bench.motor(Place::Stepper(0));
+    assert!(!status(&bench).settled);
+    bench.set(Place::Stepper(0), Mode::Home, 2.0);
+    let begin = status(&bench).position;
+    let mut homed = false;
+    for _ in 0..5000 {
+        bench.advance(1);
+        // 400 steps away; it closes by a low level.
+        bench.inputs.low[switch].set(bench.inputs.made[0].get() - begin >= 400);
+        let now = status(&bench);
+        assert!(!now.settled || now.homed, "while it searches");
+        homed |= now.homed;
+        if now.settled {
+            break;
+        }
+    }
+    bench.is_armed();
+    let found = status(&bench);
+    assert!(homed && found.settled && found.setpoint.mode == Mode::Home);
+    let made = bench.inputs.made[0].get();
+    bench.advance(20);
+    assert_eq!((bench.inputs.made[0].get(), status(&bench).settled), (made, true), "at rest, and so it stays");
+    // It is known where it is, and yet has not come to where it goes.
+    bench.set(Place::Stepper(0), Mode::Speed, 1.0);
+    bench.advance(20);
+    assert!(status(&bench).homed && !status(&bench).settled);
+    bench.set(Place::Stepper(0), Mode::Speed, 0.0);
+    bench.advance(500);
+    assert!(!status(&bench).settled, "no search");
+}
+
+/// The rated current at a sensor with an offset warms a winding by `1 - 0.2 exp(-t / thermal_s)` of what it withstands.
+#[test]
+fn a_measured_current_is_reckoned_from_the_voltage_at_rest() {
+    let sense = CurrentSense { analog: 0, zero_v: 1.5, volts_per_a: 0.1 };
+    let mut config = everything();
+    let winding = config.motors[0].winding.as_mut().expect("it has one");
+    winding.current_sense = Some(sense);
+    let (rated_a, thermal_s) = (winding.rated_a, winding.thermal_s);
+    let mut bench = Bench::with(BoardConfig { ranges: heapless::Vec::new(), ..config });
+    let analog = bench.shared.config().analogs[0];
+    let volts = sense.zero_v + rated_a * sense.volts_per_a;
+    bench.inputs.codes[0].set(((volts - analog.offset_v) / analog.volts_per_code) as u16);
+    bench.advance(5000);
+    let expected = 100.0 * (1.0 - 0.2 * (-5.0 / thermal_s).exp());
+    let heat = bench.motor(Place::Motor(0)).winding.expect("it is computed").heat_percent;
+    // Rounded down, and the filter's first periods.
+    assert!((expected - 1.5..=expected).contains(&f32::from(heat)), "{heat} %, not {expected} %");
+}
+
+/// While safe all transistors are off: a shaft that is turned generates a voltage, and no current.
+#[test]
+fn a_shaft_that_is_turned_while_safe_warms_no_winding() {
+    let mut bench = Bench::new();
+    let thermal_s = bench.shared.config().motors[0].winding.expect("it has one").thermal_s;
+    let mut turned = 0.0;
+    for _ in 0..5000 {
+        turned += 2.0 * 1e-3 * 2400.0 / core::f32::consts::TAU;
+        bench.inputs.counts[0].set(turned as u16);
+        bench.advance(1);
+    }
+    let status = bench.motor(Place::Motor(0));
+    assert!((status.speed - 2.0).abs() < 0.1, "{status:?}");
+    let expected = 80.0 * (-5.0 / thermal_s).exp();
+    let heat = f32::from(status.winding.expect("it is computed").heat_percent);
+    assert!((expected - 1.5..=expected + 0.1).contains(&heat), "{heat} %, not {expected} %");
+}
+
+/// An output that no bridge uses is read back by nothing: what turns it on by mistake is undone every 16 periods, and not more often.
+#[test]
+fn the_safe_state_is_written_again_every_sixteenth_period() {
+    let mut bench = Bench::new();
+    bench.advance(20);
+    let chip = bench.shared.config().osmc_pwm.expect("it has one").address;
+    let used = |output: u8| {
+        bench.shared.config().motors.iter().any(|motor| match motor.bridge {
+            BridgeConfig::Osmc(lines) => lines.all().contains(&output),
+            BridgeConfig::Dhb(_) => false,
+        })
+    };
+    let register = 6 + 4 * (0..16).find(|output| !used(*output)).expect("it has 16") + 3;
+    let mut written = heapless::Vec::<u32, 8>::new();
+    for period in 0..48 {
+        bench.bus.set(chip, register, 0);
+        bench.advance(1);
+        if bench.bus.get(chip, register) & 0x10 != 0 {
+            assert!(written.push(period).is_ok(), "{written:?}");
+        }
+    }
+    assert_eq!(written.len(), 3, "{written:?}");
+    assert!(written.windows(2).all(|pair| pair[1] - pair[0] == 16), "{written:?}");
+}
+
+/// While safe, the DAC of brushless drives is read back every 16 periods, between two writes of the safe state; one of the other chips
+/// in each of the others.
+#[test]
+fn while_safe_every_chip_is_read_back() {
+    // Nobody pings.
+    let config = || BoardConfig { ranges: heapless::Vec::new(), ..robot("every-interface") };
+    let dac = config().bldc_dac.expect("it has one").address;
+    let mut bench = Bench::with(config());
+    // Its EEPROM is written, and the oscillators start.
+    bench.advance(100);
+    assert!(bench.shared.safety().causes.is_empty());
+    // The lower byte of the first output's code, which is 0 at rest.
+    let periods = (1..=20).find(|_| {
+        bench.bus.set(dac, 2, 1);
+        bench.advance(1);
+        !bench.shared.safety().causes.is_empty()
+    });
+    bench.is_tripped_by(Cause::ReadBackMismatch);
+    assert!(periods.is_some_and(|periods| periods <= 16), "{periods:?}");
+    // Modes, directions and every line: fewer than 60 things, of which one in 15 of 16 periods.
+    for (chip, register) in [(EXPANDER, 0x00), (config().dhb_pwm.expect("it has one").address, 0x01)] {
+        let mut bench = Bench::with(config());
+        bench.advance(100);
+        bench.bus.set(chip, register, bench.bus.get(chip, register) ^ 0x10);
+        bench.advance(64);
+        bench.is_tripped_by(Cause::ReadBackMismatch);
     }
 }
