@@ -436,8 +436,9 @@ impl Axis {
         }
     }
 
-    /// Notes the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The path's extremes are at the ends of pieces, but for one
-    /// that begins with acceleration of the other sign: there it lies between speeds that come before.
+    /// Notes the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The path's extremes
+    /// are at the ends of pieces, but for one that begins with acceleration of the other sign: there it lies between speeds that come
+    /// before.
     fn go_on(&mut self, from: u64) {
         let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(self.told_to));
         self.path.go_on_to(from_s);
