@@ -174,7 +174,7 @@ fn open_port(path: PathBuf, baud: u32) -> Result<Descriptor, OpenError> {
     serial::open_port(&path, baud).map_err(|source| not_opened(path, source))
 }
 
-/// What the operating system means by not opening a port.
+/// The error for a port that the operating system did not open.
 #[cfg(unix)]
 fn not_opened(path: PathBuf, source: io::Error) -> OpenError {
     match source.kind() {
@@ -197,13 +197,15 @@ async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
             Either::Right(_) => last = Some(io::ErrorKind::TimedOut.into()),
         }
     }
-    Err(match last {
-        None => OpenError::NoHost(host.to_owned()),
-        Some(error) if matches!(error.kind(), io::ErrorKind::ConnectionRefused | io::ErrorKind::TimedOut) => {
-            OpenError::NoAnswer(what)
-        }
-        Some(source) => OpenError::System { what, source },
-    })
+    Err(last.map_or_else(|| OpenError::NoHost(host.to_owned()), |source| not_connected(what, source)))
+}
+
+/// The error for a connection to `what` that the operating system did not make.
+fn not_connected(what: String, source: io::Error) -> OpenError {
+    match source.kind() {
+        io::ErrorKind::ConnectionRefused | io::ErrorKind::TimedOut => OpenError::NoAnswer(what),
+        _ => OpenError::System { what, source },
+    }
 }
 
 /// Both ends prove to have the key, in time.
@@ -370,10 +372,14 @@ mod tests {
         drop(listener);
         let refused = block_on(open(&address, None)).expect_err("nobody listens");
         assert!(matches!(&refused, OpenError::NoAnswer(what) if address.to_string().ends_with(what)), "{refused}");
-        // No connection goes to every machine of a network.
-        let everybody = Address::Tcp { host: "255.255.255.255".into(), port: 9 };
-        let impossible = block_on(open(&everybody, None)).expect_err("TCP is between two");
-        assert!(matches!(&impossible, OpenError::System { what, .. } if what == "255.255.255.255:9"), "{impossible}");
+        for (kind, answers_nothing) in [
+            (io::ErrorKind::TimedOut, true),
+            (io::ErrorKind::PermissionDenied, false),
+            (io::ErrorKind::NetworkUnreachable, false),
+        ] {
+            let error = not_connected("host:9".into(), kind.into());
+            assert_eq!(matches!(&error, OpenError::NoAnswer(what) if what == "host:9"), answers_nothing, "{error}");
+        }
     }
 
     #[test]

@@ -108,6 +108,7 @@ mod tests {
         assert_eq!(paths, ["/dev/ttyACM3", "/dev/ttyS0", "/dev/ttyS1", "/dev/ttyUSB0"]);
         assert_eq!(ports.iter().map(Port::is_board).collect::<Vec<_>>(), [true, false, false, false]);
     }
+
     #[test]
     fn a_device_is_found_by_its_serial_number_wherever_it_is() {
         let port = |name: &str, serial: Option<&str>| Port {
