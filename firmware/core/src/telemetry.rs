@@ -162,7 +162,7 @@ mod tests {
         }
         let begin = Instant::now();
         assert_eq!(told(&mut subscriptions, board).len(), 3);
-        // Six of 10 ms are due and two of 25 ms: of each, one is told.
+        // Six samples of 10 ms are due and two of 25 ms: of each channel the newest is sent.
         tasks.advance(MS * 69);
         assert_eq!(told(&mut subscriptions, board).len(), 3);
         assert_eq!(board.stats().telemetry_dropped, 5 + 5 + 1);

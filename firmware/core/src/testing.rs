@@ -389,7 +389,7 @@ pub(crate) struct PeripheralsState {
     pub(crate) steppers_enabled: Cell<bool>,
     /// Steps they have made.
     pub(crate) made: [Cell<i32>; STEPPERS],
-    /// Whether they make each step as soon as they are told it, and the direction of the last.
+    /// Whether each step is made as soon as it is queued, and the direction of the last.
     pub(crate) obedient: Cell<bool>,
     pub(crate) directions: [Cell<bool>; STEPPERS],
     /// What a task above the control loop does while that reads its inputs the next time.
@@ -459,7 +459,7 @@ impl KeptWords for Peripherals {
     }
 }
 
-/// Step generators that make the steps that the test says, or at once what they are told.
+/// Step generators that make the steps that the test sets, or, where `obedient`, each step when it is queued.
 impl Steppers for Peripherals {
     const TICK_HZ: u32 = 1_000_000;
     const PULSE_TICKS: u32 = 5;

@@ -21,11 +21,11 @@ pub(crate) const MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 /// What one connection to it meets.
 #[derive(Clone, Default)]
 pub(crate) struct Session {
-    /// It does not even take the host.
+    /// Its answer to every request, if it refuses them all.
     pub refusal: Option<Refusal>,
-    /// Its clock; it stands still.
+    /// What its clock shows all the time, µs.
     pub device_us: u64,
-    /// Why it tripped.
+    /// Causes that its heartbeats show.
     pub causes: Causes,
     /// The connection ends when the host asks for a stop.
     pub ends_at_stop: bool,

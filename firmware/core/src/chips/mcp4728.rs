@@ -212,7 +212,7 @@ mod tests {
         image
     }
 
-    /// A chip that shows what the test says, and notes what it is told.
+    /// A chip whose contents the test sets, and that records what is written to it.
     #[derive(Clone)]
     struct Chip {
         shows: Rc<Cell<Image>>,

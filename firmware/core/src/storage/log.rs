@@ -104,9 +104,9 @@ mod tests {
     /// Two sectors whose words can be made to spoil what is written to them.
     struct Flash {
         bytes: Vec<u8>,
-        /// So many writes to come are spoilt.
+        /// Number of coming writes that are spoilt.
         spoils: u32,
-        /// All are, until a sector is erased.
+        /// Whether every write is spoilt, until a sector is erased.
         worn: bool,
     }
 

@@ -49,7 +49,8 @@ const DMA: pac::dma::Dma = pac::DMA1;
 const STREAM: usize = 0;
 /// I2C2_TX of DMAMUX1 (RM0399, table 121).
 const REQUEST: u8 = 36;
-/// The timer of the deadline. One of the executor's would take 290 instructions for each transfer, of which a stop has thirteen.
+/// The timer of the deadline. One of the executor's took 290 instructions for each transfer, of which a stop has five
+/// (docs/performance.md).
 const DEADLINE: pac::timer::TimBasic = pac::TIM7;
 /// Allowed for each byte: twice what a byte and its acknowledge take at 400 kHz, with its share of START and STOP.
 const BYTE: Duration = Duration::from_micros(60);
@@ -151,7 +152,7 @@ impl Shared {
     /// Ends it all, whether or not a transfer is under way.
     fn end(&self) {
         self.running.store(false, Ordering::Release);
-        stop_deadline();
+        count_deadline(false);
         interrupts(false);
         DMA.st(STREAM).cr().modify(|w| w.set_en(false));
         self.waker.wake();
@@ -186,7 +187,7 @@ macro_rules! handlers {
 
 handlers!(I2C2_EV: on_interrupt I2C2_ER: on_interrupt TIM7: on_deadline);
 
-/// Starts the deadline, a timer that counts microseconds once.
+/// Starts the deadline: a timer that counts microseconds to `after`, once.
 fn start_deadline(after: Duration) {
     let ticks = after.as_micros().min(u16::MAX.into()) as u16;
     DEADLINE.arr().write(|w| w.set_arr(ticks));
@@ -195,13 +196,8 @@ fn start_deadline(after: Duration) {
     count_deadline(true);
 }
 
-/// Stops the deadline. Its handler clears what it may have asked for meanwhile before the next transfer begins: it is more urgent than
-/// the control task.
-fn stop_deadline() {
-    count_deadline(false);
-}
-
-/// Lets the timer count, to its end and once, or stops it. Only that end is an interrupt, and not that it is set to its beginning.
+/// Lets the timer count, or stops it. Its end alone interrupts, not its start (URS). An interrupt that it has asked for when it is
+/// stopped is handled before the next transfer begins: it is more urgent than the control task.
 fn count_deadline(counts: bool) {
     DEADLINE.cr1().write(|w| {
         w.set_opm(true);
@@ -246,7 +242,7 @@ impl BoardBus {
         rcc::enable_and_reset::<peripherals::TIM7>();
         let microsecond = rcc::frequency::<peripherals::TIM7>().0 / 1_000_000;
         DEADLINE.psc().write_value((microsecond - 1) as u16);
-        stop_deadline();
+        count_deadline(false);
         DEADLINE.dier().write(|w| w.set_uie(true));
         #[allow(unsafe_code, reason = "interrupts are enabled so")]
         // SAFETY: its handler is bound, and works on its own registers and atomics.

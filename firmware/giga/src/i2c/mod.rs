@@ -45,7 +45,7 @@ pub(crate) struct Timing {
     frequency: Hertz,
     /// TIMINGR: PRESC, SCLDEL, SDADEL, SCLH, SCLL.
     register: u32,
-    /// For one transfer; embassy's driver gives it up then.
+    /// After which a transfer is given up, whichever driver carries it out; the board's bus adds to it by the byte.
     deadline: Duration,
     /// For the stop of the transfer before.
     stop: Duration,
