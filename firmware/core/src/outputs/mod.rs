@@ -6,6 +6,9 @@ mod expander;
 pub mod servo;
 mod slew;
 
+#[cfg(test)]
+mod tests;
+
 use core::task::Context;
 
 use embassy_time::{Duration, Instant};
@@ -698,38 +701,5 @@ impl<B: Bus> Patient<B> {
             tries += 1;
             self.retries += 1;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    extern crate std;
-
-    use embassy_time::Duration;
-
-    use super::{Order, Outputs};
-    use crate::testing::{Registers, robot};
-
-    /// 400 bits a ms at 400 kHz, 380 of them for transfers.
-    #[test]
-    fn a_processor_that_takes_long_leaves_transfers_less() {
-        let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));
-        let mut left_after = |taken_us| {
-            outputs.begin_tick();
-            outputs.leave_time(Duration::from_micros(taken_us));
-            outputs.bits_left
-        };
-        assert_eq!([0, 20, 475, 476, 3_600_000_000].map(&mut left_after), [380, 364, 0, 0, 0]);
-        assert_eq!(left_after(0), 380, "it is the period's alone");
-    }
-
-    #[test]
-    fn an_order_begins_with_the_first_and_has_each_bridge_once() {
-        let order = |left, first| Order { left, first }.collect::<std::vec::Vec<_>>();
-        assert_eq!(order(0b1111, 0), [0, 1, 2, 3]);
-        assert_eq!(order(0b1111, 2), [2, 3, 0, 1]);
-        assert_eq!(order(0b1000_0011, 1), [1, 7, 0]);
-        assert_eq!(order(0b1010_0000, 7), [7, 5]);
-        assert_eq!(order(0, 3), []);
     }
 }
