@@ -104,6 +104,12 @@ impl Queue {
     fn has_room(&self) -> bool {
         !self.writes.is_full()
     }
+
+    /// Whether the servo of this pulse has a write here.
+    fn has_servo(&self, pulse: &Pulse) -> bool {
+        let same = |change: &Change| matches!(change, Change::Servo(queued) if queued.index() == pulse.index());
+        self.changes.iter().any(same)
+    }
 }
 
 /// The PWM chips behind bridges.
@@ -545,8 +551,8 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`]; up to as many again of
-    /// those that had to wait.
+    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`], each once; up to as many
+    /// again of those that had to wait.
     pub fn write_servos(&mut self) {
         let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
@@ -554,7 +560,8 @@ impl<B: Bus> Outputs<B> {
             if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
                 break;
             }
-            let Some((write, pulse)) = self.servos.as_mut().and_then(Servos::next_write) else {
+            let next = self.servos.as_mut().and_then(Servos::next_write);
+            let Some((write, pulse)) = next.filter(|(_, pulse)| !self.queue.has_servo(pulse)) else {
                 self.servos_due = 0;
                 break;
             };

@@ -334,7 +334,7 @@ fn bridges_that_had_to_wait_go_first() {
 }
 
 /// Periods of 3.75 ms have the writes of three of 16 servos, so that each that moves is written every 20 ms. After a time without room
-/// those of eight periods are due, and go out twice as fast.
+/// those of eight periods are due, and go out twice as fast; one that moves alone is written once in each period.
 #[test]
 fn servos_that_had_to_wait_are_caught_up_with() {
     let mut rig = Rig::new(BoardConfig { control_period_us: 3750, ..everything() });
@@ -344,6 +344,9 @@ fn servos_that_had_to_wait_are_caught_up_with() {
     assert_eq!([Duration::MIN; 5].map(|taken| rig.servo_period(taken)), [3; 5]);
     assert_eq!([Duration::from_secs(1); 20].map(|taken| rig.servo_period(taken)), [0; 20]);
     assert_eq!([Duration::MIN; 10].map(|taken| rig.servo_period(taken)), [6, 6, 6, 6, 6, 6, 6, 3, 3, 3]);
+    (0..200).for_each(|_| _ = rig.servo_period(Duration::MIN));
+    rig.outputs.command_servo(3, 0.7);
+    assert_eq!([Duration::MIN; 10].map(|taken| rig.servo_period(taken)), [1; 10]);
 }
 
 /// The write of a servo takes 39 bits at most: 36 clock pulses, START, STOP and the pause behind it.
