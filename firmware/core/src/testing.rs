@@ -247,6 +247,12 @@ struct RegistersState {
     values: RefCell<BTreeMap<(u8, u8), u8>>,
     /// So many of the transfers to come are not acknowledged.
     failing: Cell<u32>,
+    /// So many are not acknowledged before each that is, and how many of them there were since the last.
+    stutter: Cell<u32>,
+    stuttered: Cell<u32>,
+    /// A chip that acknowledges nothing.
+    mute: Cell<Option<u8>>,
+    clocks: Cell<u32>,
     recoveries: Cell<u32>,
     /// What each transfer takes.
     transfer: Cell<Option<Duration>>,
@@ -288,6 +294,21 @@ impl Registers {
 
     pub(crate) fn recoveries(&self) -> u32 {
         self.0.recoveries.get()
+    }
+
+    /// From now on so many tries fail before each that is taken.
+    pub(crate) fn stutter(&self, tries: u32) {
+        self.0.stutter.set(tries);
+    }
+
+    /// From now on this chip acknowledges nothing.
+    pub(crate) fn mute(&self, chip: u8) {
+        self.0.mute.set(Some(chip));
+    }
+
+    /// Clock pulses of all transfers so far: nine to a byte, with those of the addresses. START and STOP have none.
+    pub(crate) fn clocks(&self) -> u32 {
+        self.0.clocks.get()
     }
 
     /// From now on each transfer takes so long.
@@ -346,8 +367,22 @@ impl I2c for Registers {
             self.0.failing.set(failing.saturating_sub(1));
             return Err(NoAnswer);
         }
+        let stuttered = self.0.stuttered.get();
+        if stuttered < self.0.stutter.get() {
+            self.0.stuttered.set(stuttered + 1);
+            return Err(NoAnswer);
+        }
+        self.0.stuttered.set(0);
+        if self.0.mute.get() == Some(chip) {
+            return Err(NoAnswer);
+        }
         let mut pointer = 0;
         for operation in operations {
+            let bytes = match operation {
+                i2c::Operation::Write(bytes) => bytes.len(),
+                i2c::Operation::Read(bytes) => bytes.len(),
+            };
+            self.0.clocks.set(self.0.clocks.get() + 9 * (1 + bytes as u32));
             match operation {
                 i2c::Operation::Write(bytes) => {
                     pointer = bytes.first().copied().unwrap_or(pointer);

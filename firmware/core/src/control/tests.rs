@@ -8,7 +8,7 @@ use std::boxed::Box;
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
     Cause, Causes, Mode, SafetyState, Setpoint,
-    config::{BoardConfig, BridgeConfig, CurrentSense, Place},
+    config::{BoardConfig, BridgeConfig, CurrentSense, Place, RelayRole},
 };
 
 use super::{BoardIo, run};
@@ -502,6 +502,20 @@ fn every_output_follows_its_commands() {
     assert_eq!(bench.shared.status(Place::Dac(1)), Status::Scalar(1.65));
     let Status::Motor(stopped) = bench.shared.status(Place::Motor(0)) else { panic!("a motor") };
     assert_eq!((stopped.setpoint, stopped.duty), (Setpoint::NONE, 0.0));
+}
+
+/// Where no relay is in the motors' supply, nothing waits for its contacts.
+#[test]
+fn without_a_relay_in_their_supply_motors_are_driven_at_once() {
+    let mut config = everything();
+    config.relays.iter_mut().for_each(|relay| relay.role = RelayRole::General);
+    let chip = config.osmc_pwm.expect("it has one").address;
+    let mut bench = Bench::just_armed(config);
+    bench.set(Place::Motor(0), Mode::Duty, 0.5);
+    let before = bench.pins();
+    bench.advance(3);
+    assert!(bench.pulsing(chip) > 0);
+    assert_eq!(bench.pins(), before);
 }
 
 /// A motor of 4.3 V s that is driven with 0.5 at 2 rad/s feeds its supply; half way from 28 to 30 V no more: it gets the duty

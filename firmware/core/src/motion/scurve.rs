@@ -419,6 +419,8 @@ fn root(low: (f64, f64), high: (f64, f64), function: impl Fn(f64) -> f64) -> f64
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
     use core::cell::Cell;
 
     use proptest::prelude::*;
@@ -451,6 +453,38 @@ mod tests {
     /// From here to `to`, steps.
     fn between(from: Position, to: Position) -> f64 {
         from.distance_to(to.steps) + to.fraction
+    }
+
+    /// On curves from steep to flat, at which bisection looks 30 times: 4.9 times on average, as measured.
+    #[test]
+    fn a_root_takes_five_looks() {
+        let looks = Cell::new(0);
+        for exponent in [0.5, 1.0, 1.5, 2.0, 3.0, 4.0] {
+            for share in 1..100 {
+                let height = f64::from(share) / 100.0;
+                root((0.0, -height), (1.0, 1.0 - height), |x| {
+                    looks.set(looks.get() + 1);
+                    x.powf(exponent) - height
+                });
+            }
+        }
+        assert!(looks.get() <= 49 * 6 * 99 / 10, "{} looks", looks.get());
+    }
+
+    /// So steep that no number comes within 1e-9 of the root: it ends where the interval is down to rounding, in any unit of time.
+    #[test]
+    fn a_root_below_rounding_ends() {
+        for (height, end) in
+            [1e-3, 0.1, 0.3, 0.7, 0.999].map(|height| [1e-3, 1.0, 1e6].map(|end| (height, end))).concat()
+        {
+            let looks = Cell::new(0);
+            let x = root((0.0, -1e12 * height), (end, 1e12 * (1.0 - height)), |x| {
+                looks.set(looks.get() + 1);
+                1e12 * ((x / end).powf(3.0) - height)
+            });
+            assert!((x / end - height.cbrt()).abs() <= 4.0 * f64::EPSILON);
+            assert!(looks.get() <= 11, "{} looks", looks.get());
+        }
     }
 
     /// Every limit at the ends of every piece and, for speed, at its extremes within; no jump between pieces.

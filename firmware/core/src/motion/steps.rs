@@ -354,6 +354,32 @@ mod tests {
             prop_assert!(worst_error(&path, 0, ticks, period)? <= 0.5 + SOLVED_TICKS + 1e-3);
         }
 
+        /// Up, down and up again while the acceleration grows from one sign to the other: in one piece, and in long periods in one
+        /// call.
+        #[test]
+        fn a_piece_that_turns_twice_loses_no_pulse(
+            share in 0.1..0.9f64, jerk in 1e8..3e8f64, fraction in -0.49..0.49f64, up: bool, period in 1_000u64..400_000,
+        ) {
+            let side = if up { 1.0 } else { -1.0 };
+            // From 6700 to 20 000 steps/s are lost and won again: 0 is passed twice from a share of that.
+            let acceleration = 2e6;
+            let speed = share * acceleration * acceleration / (2.0 * jerk);
+            let limits = Limits { speed: 1e5, acceleration, jerk };
+            let position = Position { steps: 0, fraction };
+            let from = Motion { position, speed: side * speed, acceleration: -side * acceleration };
+            // So far away that the piece ends beyond both turns.
+            let path = Path::to_speed(from, side * 3e4, &limits);
+            let root = (acceleration * acceleration - 2.0 * jerk * speed).sqrt();
+            let [top, bottom] = [-root, root].map(|root| path.at((acceleration + root) / jerk).position.steps);
+            let ticks = (path.duration_s() * TICK_HZ) as u64;
+            let (told, end) = pulses_of(&path, 0, ticks, period)?;
+            let back = told.iter().filter(|(_, positive)| *positive != up).count() as i64;
+            let out = told.iter().take_while(|(_, positive)| *positive == up).count() as i64;
+            prop_assert_eq!((side as i64 * out, side as i64 * back), (top, top - bottom));
+            prop_assert_eq!(told.len() as i64, out + back + (end - bottom).abs());
+            prop_assert!(worst_error(&path, 0, ticks, period)? <= 0.5 + SOLVED_TICKS + 1e-3);
+        }
+
         /// The pulse back has to wait for the direction line.
         #[test]
         fn a_turn_just_beyond_a_line_is_given_its_time(excess in 1e-9..1e-6f64, acceleration in 1e5..1e7f64) {

@@ -254,14 +254,37 @@ fn a_speed_is_held_and_ends_before_the_end_of_the_range() {
     // A tick in a hundred intervals.
     assert!((interval - 10e6 / (20.0 * 3200.0 / TAU)).abs() < 0.01);
     rig.rest();
-    let end = i64::from(rig.axis.status().position_steps);
-    assert!(end == steps(300.0) || end + 1 == steps(300.0), "floor of the end: {end}");
+    // 152 788.7 steps either way.
+    assert_eq!(rig.axis.status().position_steps, 152_788);
     rig.check_books();
     rig.command(Command::Speed(5.0));
     assert_eq!(rig.rest(), 0, "beyond the end there is no way");
     rig.command(Command::Speed(-5.0));
     rig.period(0, None).expect("no fault");
     assert!(rig.period(0, None).expect("no fault").speed < 0.0);
+    rig.command(Command::Speed(-100.0));
+    rig.rest();
+    assert_eq!(rig.axis.status().position_steps, -152_788);
+}
+
+#[test]
+fn without_ends_only_the_count_of_steps_is_one() {
+    let mut rig = Rig::new(StepperConfig { position: Range::new(f32::NEG_INFINITY, f32::INFINITY), ..config() });
+    for speed in [-5.0, 20.0, -5.0] {
+        rig.command(Command::Speed(speed));
+        for _ in 0..100 {
+            rig.period(0, None).expect("no fault");
+        }
+        assert!((rig.axis.status().speed - speed).abs() < 1e-4);
+    }
+    // 2³¹ steps are 4 216 574 rad.
+    for side in [1.0, -1.0] {
+        rig.command(Command::Position(side * 4.216e6));
+        let refused = rig.axis.command(Command::Position(side * 4.217e6));
+        assert!(
+            matches!(refused, Err(CommandError::OutOfRange { allowed }) if (4.216e6..4.217e6).contains(&allowed.max))
+        );
+    }
 }
 
 #[test]
@@ -292,6 +315,20 @@ fn a_late_loop_moves_no_pulse_and_one_too_late_is_a_fault() {
     rig.check_books();
     let status = rig.axis.status();
     assert!(!status.moving && !status.settled);
+}
+
+/// Two periods are told ahead, and pulses an eighth of one before they are due.
+#[test]
+fn a_loop_is_late_when_an_eighth_of_a_period_is_left() {
+    for (late, expected) in [(2 * PERIOD - 1250, Ok(())), (2 * PERIOD - 1249, Err(Fault::Late))] {
+        let mut rig = Rig::new(config());
+        rig.command(Command::Position(40.0));
+        for _ in 0..200 {
+            rig.period(0, None).expect("no fault");
+        }
+        rig.board.run_to(rig.board.now + late);
+        assert_eq!(rig.axis.step(None, &mut rig.board), expected);
+    }
 }
 
 #[test]
@@ -329,6 +366,14 @@ fn a_slow_stop_at_once_keeps_home() {
         rig.axis.stop_now(&mut rig.board);
         assert_eq!(rig.axis.status().homed, homed, "{speed}");
     }
+    // At rest, of a motor that can start at no speed.
+    let mut rig = Rig::new(StepperConfig { start_speed: 0.0, homing: Some(HOMING), ..config() });
+    home(&mut rig, 20.0, -500..=0).expect("homes");
+    for _ in 0..5 {
+        rig.period(0, None).expect("no fault");
+    }
+    rig.axis.stop_now(&mut rig.board);
+    assert!(rig.axis.status().homed);
     // A move so short that it is over between two calls, but fast.
     let fast = StepperConfig { acceleration: 1e6, jerk: 0.0, homing: Some(HOMING), ..config() };
     let mut rig = Rig::new(fast);
@@ -352,6 +397,15 @@ fn hardware_that_loses_a_pulse_or_has_no_room_is_noticed() {
     let fault = (0..1000).find_map(|_| rig.period(0, None).err());
     assert_eq!(fault, Some(Fault::Miscounted));
     assert_eq!(i64::from(rig.axis.status().position_steps), steps(1.0) - 1);
+
+    // Of moves that end anywhere in a period, by a loop in time and by one that is late now and then.
+    for (steps_to_go, late) in (8..60).flat_map(|steps_to_go| [(steps_to_go, 0), (steps_to_go, 5000)]) {
+        let mut rig = Rig::new(StepperConfig { steps_per_turn: 200, acceleration: 57e3, jerk: 0.0, ..config() });
+        rig.board.loses = Some(7);
+        rig.command(Command::Position(steps_to_go as f32 * 1.8f32.to_radians()));
+        let fault = (0..30).find_map(|period| rig.period(late * (period * 3919 % 100) / 100, None).err());
+        assert_eq!(fault, Some(Fault::Miscounted), "{steps_to_go} steps, late by up to {late}");
+    }
 
     let mut rig = Rig::new(config());
     rig.board.room = 20;
@@ -382,8 +436,10 @@ fn home(rig: &mut Rig, speed: f32, zone: core::ops::RangeInclusive<i64>) -> Resu
 #[test]
 fn homing_finds_the_edge_of_the_switch_from_anywhere() {
     let config = StepperConfig { homing: Some(HOMING), ..config() };
-    // From before the switch, from on it, and through a short one that the motor runs past.
-    for (speed, zone) in [(20.0, 3000..=9000), (-20.0, -9000..=-3000), (20.0, -100..=2000), (30.0, 3000..=3010)] {
+    // From before the switch, from on it, and through short ones that the motor runs past: at once, and while it brakes.
+    let zones =
+        [(20.0, 3000..=9000), (-20.0, -9000..=-3000), (20.0, -100..=2000), (30.0, 3000..=3010), (30.0, 3000..=3100)];
+    for (speed, zone) in zones {
         let mut rig = Rig::new(config);
         home(&mut rig, speed, zone.clone()).expect("homes");
         let edge = if speed > 0.0 { *zone.start() } else { *zone.end() };
@@ -405,6 +461,20 @@ fn homing_without_a_switch_ends_in_rest() {
     let mut rig = Rig::new(config);
     assert_eq!(home(&mut rig, 20.0, -1_000_000..=2_000_000), Err(Fault::SwitchNotFound), "stuck");
     rig.rest();
+    // It closes on the way and stays closed: the way back counts from there.
+    let mut rig = Rig::new(config);
+    rig.command(Command::Home(20.0));
+    let mut closed = false;
+    let fault = (0..20_000).find_map(|_| {
+        closed |= rig.board.sum(0) >= 5000;
+        rig.period(0, Some(closed)).err()
+    });
+    assert_eq!(fault, Some(Fault::SwitchNotFound));
+    rig.rest();
+    // Braking as above, 12.5 rad back, and 0.02 rad from a tenth of the speed.
+    let turned = 5000 + steps(0.4);
+    let end = rig.board.sum(0);
+    assert!((turned - steps(12.6)..turned - steps(12.3)).contains(&end), "{end}");
     let mut rig = Rig::new(config);
     rig.command(Command::Home(20.0));
     assert_eq!(rig.period(0, None), Err(Fault::SwitchUnknown));
@@ -430,12 +500,104 @@ fn bad_commands_are_refused_and_bad_configurations_named() {
     assert_eq!(why(StepperConfig { speed_max: 196.36, ..config() }), Some(BadStepper::Speed));
     assert_eq!(why(StepperConfig { acceleration: 0.0, ..config() }), Some(BadStepper::Acceleration));
     assert_eq!(why(StepperConfig { jerk: -1.0, ..config() }), Some(BadStepper::Jerk));
-    assert_eq!(why(StepperConfig { start_speed: f32::NAN, ..config() }), Some(BadStepper::StartStopSpeed));
-    assert_eq!(why(StepperConfig { position: Range::new(1.0, 0.0), ..config() }), Some(BadStepper::Position));
-    let homing = Some(Homing { speed_max: 101.0, ..HOMING });
-    assert_eq!(why(StepperConfig { homing, ..config() }), Some(BadStepper::Homing));
+    for (start_speed, expected) in
+        [(0.0, None), (-1.0, Some(BadStepper::StartStopSpeed)), (f32::NAN, Some(BadStepper::StartStopSpeed))]
+    {
+        assert_eq!(why(StepperConfig { start_speed, ..config() }), expected, "{start_speed}");
+    }
+    // 2³¹ steps are 4 216 574 rad.
+    for (min, max, expected) in [
+        (1.0, 1.0, None),
+        (1.0, 0.0, Some(BadStepper::Position)),
+        (f32::NAN, 1.0, Some(BadStepper::Position)),
+        (-4.216e6, 4.216e6, None),
+        (-4.217e6, 0.0, Some(BadStepper::Position)),
+        (0.0, 4.217e6, Some(BadStepper::Position)),
+        (f32::NEG_INFINITY, f32::INFINITY, None),
+    ] {
+        assert_eq!(why(StepperConfig { position: Range::new(min, max), ..config() }), expected, "{min}..{max}");
+    }
+    for (position, speed_max, expected) in [
+        (-2.0, 100.0, None),
+        (-2.0, 101.0, Some(BadStepper::Homing)),
+        (-2.0, 0.0, Some(BadStepper::Homing)),
+        (4.217e6, 30.0, Some(BadStepper::Homing)),
+        (f32::NAN, 30.0, Some(BadStepper::Homing)),
+    ] {
+        let homing = Some(Homing { position, speed_max, ..HOMING });
+        assert_eq!(why(StepperConfig { homing, ..config() }), expected, "{position}, {speed_max}");
+    }
     let slow = DriverTiming { direction_setup_s: 1e-3, ..DRIVER };
     assert_eq!(Axis::new(0, config(), &slow, PERIOD_US, &mut Board::default()).err(), Some(BadStepper::Timing));
+}
+
+/// In f32 the highest rate can be above itself by a rounding.
+#[test]
+fn the_highest_rate_is_a_good_speed_in_any_unit() {
+    for steps_per_turn in 200..1000 {
+        let why = |speed_max| {
+            let config = StepperConfig { steps_per_turn, speed_max, ..config() };
+            Axis::new(0, config, &DRIVER, PERIOD_US, &mut Board::default()).err()
+        };
+        let speed = 100e3 * TAU / f64::from(steps_per_turn);
+        assert_eq!(why(speed as f32), None, "{steps_per_turn}");
+        assert_eq!(why((speed * (1.0 + 1e-6)) as f32), Some(BadStepper::Speed), "{steps_per_turn}");
+    }
+}
+
+/// Those that brake come to rest by their ramps, the others stop at once. The drivers stay enabled, and nothing is taken any more.
+#[test]
+fn a_stop_that_brakes_ramps_those_that_brake() {
+    let mut board = Board::default();
+    let configs = [(0, 400), (1, 0)].map(|(index, stop_brake_ms)| StepperConfig {
+        id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, index),
+        jerk: 0.0,
+        stop_brake_ms,
+        ..config()
+    });
+    let mut bank = Bank::new(&configs, &DRIVER, false, false, PERIOD_US, &mut board).expect("good");
+    let run = |bank: &mut Bank, board: &mut Board, periods| {
+        for _ in 0..periods {
+            board.run_to(board.now + PERIOD);
+            bank.step(|_| None, board, |index, fault| panic!("stepper {index}: {fault:?}"));
+        }
+    };
+    assert!(!bank.is_armed());
+    bank.arm(&mut board);
+    assert!(bank.is_armed());
+    assert_eq!([0, 1].map(|index| bank.command(index, Command::Speed(30.0))), [Ok(()); 2]);
+    run(&mut bank, &mut board, 100);
+    bank.brake(&mut board);
+    let began = [0, 1].map(|axis| board.sum(axis));
+    assert!(!bank.is_armed());
+    assert_eq!(bank.command(0, Command::Speed(30.0)), Err(NotTaken::NotArmed));
+    run(&mut bank, &mut board, 50);
+    // v²/2a are 0.45 rad; two periods of 0.03 rad were told, and the ramp begins where they end.
+    let way = board.sum(0) - began[0];
+    assert!((steps(0.45)..=steps(0.45 + 3.0 * 0.03)).contains(&way), "{way}");
+    assert_eq!(board.sum(1), began[1]);
+    assert!(bank.status().all(|status| !status.moving) && board.enabled.is_some());
+}
+
+/// Without the enable a shaft can be turned: where it is known, it is only while the enable holds it.
+#[test]
+fn a_shaft_that_is_let_go_is_not_where_it_was() {
+    for hold in [false, true] {
+        let mut board = Board::default();
+        let config = StepperConfig { homing: Some(HOMING), ..config() };
+        let mut bank = Bank::new(&[config], &DRIVER, false, hold, PERIOD_US, &mut board).expect("good");
+        let status = |bank: &Bank| bank.status().next().expect("it has one");
+        bank.arm(&mut board);
+        assert_eq!(bank.command(0, Command::Home(20.0)), Ok(()));
+        for _ in 0..1000 {
+            let closed = (-500..=0).contains(&board.sum(0));
+            board.run_to(board.now + PERIOD);
+            bank.step(|_| Some(closed), &mut board, |_, fault| panic!("{fault:?}"));
+        }
+        assert!(status(&bank).homed && !status(&bank).moving);
+        bank.make_safe(&mut board);
+        assert_eq!(status(&bank).homed, hold);
+    }
 }
 
 #[test]
@@ -467,7 +629,7 @@ fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
             let first = board.drivers[0].pulses.iter().find(|pulse| pulse.0 > armed_at).expect("moves").0 - armed_at;
             // Awake, the period in which that is seen, half a period ahead, and the first step.
             let wake = if hold && round > 0 { 0 } else { 50_000 };
-            assert!((wake..wake + 2 * PERIOD).contains(&first), "{first}");
+            assert!((wake.max(PERIOD) + PERIOD / 2..wake + 2 * PERIOD).contains(&first), "{first}");
             board.run_to(board.now + 5_000);
             bank.make_safe(&mut board);
             assert_eq!(board.enabled.is_some(), hold);

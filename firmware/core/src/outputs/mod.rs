@@ -6,6 +6,9 @@ mod expander;
 pub mod servo;
 mod slew;
 
+#[cfg(test)]
+mod tests;
+
 use core::task::Context;
 
 use embassy_time::{Duration, Instant};
@@ -100,6 +103,12 @@ impl Queue {
 
     fn has_room(&self) -> bool {
         !self.writes.is_full()
+    }
+
+    /// Whether the servo of this pulse has a write here.
+    fn has_servo(&self, pulse: &Pulse) -> bool {
+        let same = |change: &Change| matches!(change, Change::Servo(queued) if queued.index() == pulse.index());
+        self.changes.iter().any(same)
     }
 }
 
@@ -542,8 +551,8 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`]; up to as many again of
-    /// those that had to wait.
+    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`], each once; up to as many
+    /// again of those that had to wait.
     pub fn write_servos(&mut self) {
         let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
@@ -551,7 +560,8 @@ impl<B: Bus> Outputs<B> {
             if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
                 break;
             }
-            let Some((write, pulse)) = self.servos.as_mut().and_then(Servos::next_write) else {
+            let next = self.servos.as_mut().and_then(Servos::next_write);
+            let Some((write, pulse)) = next.filter(|(_, pulse)| !self.queue.has_servo(pulse)) else {
                 self.servos_due = 0;
                 break;
             };
@@ -698,38 +708,5 @@ impl<B: Bus> Patient<B> {
             tries += 1;
             self.retries += 1;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    extern crate std;
-
-    use embassy_time::Duration;
-
-    use super::{Order, Outputs};
-    use crate::testing::{Registers, robot};
-
-    /// 400 bits a ms at 400 kHz, 380 of them for transfers.
-    #[test]
-    fn a_processor_that_takes_long_leaves_transfers_less() {
-        let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));
-        let mut left_after = |taken_us| {
-            outputs.begin_tick();
-            outputs.leave_time(Duration::from_micros(taken_us));
-            outputs.bits_left
-        };
-        assert_eq!([0, 20, 475, 476, 3_600_000_000].map(&mut left_after), [380, 364, 0, 0, 0]);
-        assert_eq!(left_after(0), 380, "it is the period's alone");
-    }
-
-    #[test]
-    fn an_order_begins_with_the_first_and_has_each_bridge_once() {
-        let order = |left, first| Order { left, first }.collect::<std::vec::Vec<_>>();
-        assert_eq!(order(0b1111, 0), [0, 1, 2, 3]);
-        assert_eq!(order(0b1111, 2), [2, 3, 0, 1]);
-        assert_eq!(order(0b1000_0011, 1), [1, 7, 0]);
-        assert_eq!(order(0b1010_0000, 7), [7, 5]);
-        assert_eq!(order(0, 3), []);
     }
 }

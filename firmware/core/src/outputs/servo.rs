@@ -60,6 +60,13 @@ pub struct Pulse {
     angle: Option<f32>,
 }
 
+impl Pulse {
+    /// The servo's number in the configuration.
+    pub(super) const fn index(&self) -> usize {
+        self.index
+    }
+}
+
 impl Servos {
     /// Bytes on the bus of a write of [`Servos::next_write`], address included: 93 µs at 400 kHz.
     pub const WRITE_BYTES: u32 = 4;

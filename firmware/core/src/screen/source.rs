@@ -59,3 +59,78 @@ fn bar(config: &BoardConfig, place: Place, status: Status) -> Option<(f32, bool)
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use r4_protocol::{ChannelKind, Range};
+
+    use super::*;
+    use crate::{
+        ResetCause,
+        testing::{Board, Tasks, board, robot},
+    };
+
+    /// One of each kind of channel that moves something, and the supplies. The servo goes from -0.5 to 1.5 rad.
+    fn one_of_each() -> Board {
+        let mut config = robot("every-interface");
+        config.motors.truncate(1);
+        config.bldcs.truncate(1);
+        config.servos.truncate(1);
+        config.steppers.truncate(1);
+        (config.servos[0].low.angle_rad, config.servos[0].high.angle_rad) = (-0.5, 1.5);
+        (config.motors[0].duty_max, config.steppers[0].speed_max) = (0.9, 12.0);
+        board(config, ResetCause::Normal)
+    }
+
+    /// Duty of the most it may have, speed of the highest, a servo's angle from one end of its travel to the other. What rests, and a
+    /// servo without pulses, is not on its way.
+    #[test]
+    fn a_bar_is_a_share_of_the_most_that_a_channel_can_do() {
+        let shared = one_of_each();
+        let kinds = [ChannelKind::Osmc, ChannelKind::Bldc, ChannelKind::Servo, ChannelKind::Stepper];
+        let show = |duty, share, angle, speed| {
+            shared.publish(Place::Motor(0), Status::Motor(MotorStatus { duty, ..MotorStatus::IDLE }));
+            shared.publish(Place::Bldc(0), Status::Scalar(share));
+            shared.publish(Place::Servo(0), Status::Scalar(angle));
+            shared.publish(Place::Stepper(0), Status::Motor(MotorStatus { speed, ..MotorStatus::IDLE }));
+            let bars = shared.view().bars;
+            assert_eq!(bars.iter().map(|bar| bar.id.kind).collect::<Vec<_>>(), kinds, "nothing else has one");
+            bars.iter().map(|bar| ((bar.value * 1000.0).round(), bar.moving)).collect::<Vec<_>>()
+        };
+        assert_eq!(show(0.45, 0.25, 1.0, -3.0), [(500.0, true), (250.0, true), (500.0, true), (-250.0, true)]);
+        assert_eq!(show(-0.9, -1.0, -0.5, 12.0), [(-1000.0, true), (-1000.0, true), (-1000.0, true), (1000.0, true)]);
+        let rest = show(0.0, 0.0, f32::NAN, 0.0);
+        assert!(rest.iter().all(|(_, moving)| !moving) && rest[2].0.is_nan(), "{rest:?}");
+        assert!([0, 1, 3].iter().all(|index| rest[*index].0 == 0.0));
+    }
+
+    #[test]
+    fn a_host_is_lost_when_it_is_silent_for_longer_than_the_time_out() {
+        let shared = one_of_each();
+        let mut tasks = Tasks::default();
+        assert_eq!(shared.view().link, Link::NoHost);
+        shared.open_session(0, Instant::now()).expect("nobody has one");
+        for (after_us, link) in [
+            (0, Link::Alive { age_ms: 0 }),
+            (200_000, Link::Alive { age_ms: 200 }),
+            (1, Link::Lost { age_ms: 200 }),
+            (1_000_000, Link::Lost { age_ms: 1200 }),
+        ] {
+            tasks.advance(Duration::from_micros(after_us));
+            assert_eq!(shared.view().link, link);
+        }
+    }
+
+    #[test]
+    fn each_supply_is_shown_with_its_range() {
+        let shared = one_of_each();
+        shared.publish(Place::Supply(1), Status::Scalar(12.5));
+        let supplies = shared.view().supplies;
+        assert_eq!((supplies[1].volts, supplies[1].range_v), (12.5, Range::new(10.0, 15.0)));
+        assert_eq!(supplies.iter().map(|supply| supply.id.index).collect::<Vec<_>>(), [0, 1]);
+    }
+}

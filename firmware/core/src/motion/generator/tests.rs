@@ -412,12 +412,54 @@ fn a_full_queue_takes_what_fits() {
     assert_eq!((rig.pending(), rig.position()), (0, ROOM as i32));
 }
 
+/// Pulses at the highest rate: each interrupt loads the stretch that follows, of 16, and no more.
+#[test]
+fn an_interrupt_serves_sixteen_pulses() {
+    let mut rig = Rig::new(u32::MAX - 5000, 3, 1, std::vec![0]);
+    let events: Vec<_> = (0..8000).map(|index| (2 * CONTROL + 100 * index, StepAction::Pulse)).collect();
+    let mut told = 0;
+    let all_told = tell_all(&mut rig, &events, CONTROL / 2, |_| {
+        told += 1;
+        Ok(())
+    });
+    assert!(all_told.is_ok());
+    assert_eq!(rig.position(), 8000);
+    let loads: Vec<_> = rig.hardware.loads.iter().filter(|load| **load >= 2 * CONTROL).collect();
+    let most = loads.windows(2).map(|pair| (pair[1] - pair[0]) / 100).max();
+    assert_eq!(most, Some(MOST.into()), "how long an interrupt takes is bounded");
+    let served = rig.served - told;
+    assert!(served <= 8000 / 16 * 11 / 10, "{served} interrupts");
+}
+
+/// At each tick of two periods, with a timer that began as late, and writes that take as long, as the generator allows for.
+#[test]
+fn a_stop_at_any_tick_counts_what_is_made() {
+    for (skew, slowness) in
+        [(0, 1), (u64::from(AFTER) - 1, 1), (0, BEFORE.into()), (u64::from(AFTER) - 1, BEFORE.into())]
+    {
+        for moment in 0..300 {
+            let mut rig = Rig::new(u32::MAX - 5000, skew, slowness, std::vec![0]);
+            let events: Vec<_> = (0..40).map(|index| (20_000 + 150 * index, StepAction::Pulse)).collect();
+            rig.tell(&events);
+            rig.run_to(22_000 + moment);
+            rig.generator.stop(&mut rig.hardware);
+            let position = rig.position();
+            assert!((10..20).contains(&position), "{position}");
+            rig.serve();
+            rig.run_to(40_000);
+            assert_eq!((rig.hardware.position(), rig.position()), (position, position), "{moment}, {skew}, {slowness}");
+        }
+    }
+}
+
 #[test]
 fn nothing_to_do_needs_no_interrupts() {
     let mut rig = Rig::new(0, 3, 1, std::vec![0]);
     rig.tell(&[(20_000, StepAction::Direction(false)), (21_000, StepAction::Pulse)]);
     rig.run_to(30_000);
     let served = rig.served;
+    // When told, to look again as the wait begins, for the turn, for the pulse, and for what follows it.
+    assert!(served <= 5, "{served}");
     // A minute, in which the clock does not even wrap.
     rig.run_to(600_000_000);
     assert_eq!(rig.served, served);
