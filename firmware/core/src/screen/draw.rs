@@ -472,6 +472,17 @@ mod tests {
     }
 
     #[test]
+    fn the_last_cause_may_fill_the_line() {
+        let causes = [Cause::DeadMan, Cause::Proximity, Cause::LinkLost, Cause::Stalled, Cause::ControlOverrun];
+        let also = |causes: &[Cause]| {
+            other_causes(causes.iter().fold(Causes::NONE, |all, cause| all.union(Causes::only(*cause))))
+        };
+        let whole = "also proximity, link lost, stalled, control overrun";
+        assert_eq!((whole.len(), also(&causes).as_str()), (LINE_LETTERS, whole));
+        assert_eq!(also(&Cause::ALL), "also proximity, link lost, host stop, 14 more");
+    }
+
+    #[test]
     fn words_longer_than_a_line_are_cut() {
         assert_eq!(wrapped("abcdefgh ij", 4, 0), "abcd");
         assert_eq!(wrapped("abc defg hi", 4, 1), "defg");

@@ -1,7 +1,13 @@
 //! The firmware's screen on the controller's model: what a person sees, and what goes over the bus for it.
 #![allow(clippy::unwrap_used, reason = "test")]
 
-use std::{cell::RefCell, fs::File, io::BufWriter, path::Path, rc::Rc};
+use std::{
+    cell::RefCell,
+    env, fs,
+    io::Cursor,
+    path::{Path, PathBuf},
+    rc::Rc,
+};
 
 use embedded_hal::{
     delay::DelayNs,
@@ -54,14 +60,24 @@ fn show(views: &[View<'static>], incremental: bool) -> Shown {
     })
 }
 
-/// For people to look at.
-fn write_png(name: &str, picture: &Picture) {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("screen-{name}.png"));
-    let file = BufWriter::new(File::create(path).unwrap());
-    let mut encoder = png::Encoder::new(file, picture.width as u32, picture.height as u32);
+/// Writes `picture` as a PNG, for people to look at.
+fn write_png(path: &Path, picture: &Picture) {
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, picture.width as u32, picture.height as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.write_header().unwrap().write_image_data(&picture.rgb).unwrap();
+    fs::write(path, file).unwrap();
+}
+
+/// Reads what [`write_png`] has written.
+fn read_png(path: &Path) -> Picture {
+    let file = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let mut reader = png::Decoder::new(Cursor::new(file)).read_info().unwrap();
+    let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
+    let frame = reader.next_frame(&mut rgb).unwrap();
+    assert_eq!((frame.color_type, frame.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight), "{}", path.display());
+    Picture { width: frame.width as usize, height: frame.height as usize, rgb }
 }
 
 fn supply(index: u8, volts: f32, min: f32, max: f32) -> Supply {
@@ -153,6 +169,52 @@ fn all_causes() -> View<'static> {
     View { state: SafetyState::Tripped, causes: causes(&Cause::ALL), ..armed() }
 }
 
+/// A trip without a cause, figures at and beyond their limits, NaN among them, and the most bars that have figures.
+fn limits() -> View<'static> {
+    let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 7.5, -7.5, 1.0, -1.0, 0.005];
+    View {
+        state: SafetyState::Tripped,
+        supplies: [supply(0, f32::NAN, 9.0, 10.0), supply(1, 9.99, 0.0, 9.99)].into_iter().collect(),
+        link: Link::Lost { age_ms: 1999 },
+        uptime_s: 86_400,
+        bars: (0..).zip(values).map(|(index, value)| bar(ChannelKind::Servo, index, value)).collect(),
+        bus_retries: 1,
+        ..armed()
+    }
+}
+
+/// `R4_UPDATE_GOLDEN=1 cargo test -p r4-sim --test all golden` writes the golden pictures anew. Nothing else judges them: look at
+/// each one that changed.
+#[test]
+fn pictures_are_the_golden_ones() {
+    let mut wrong = Vec::new();
+    for (name, view) in [
+        ("disarmed", disarmed()),
+        ("armed", armed()),
+        ("tripped", tripped()),
+        ("stalled", stalled()),
+        ("all-causes", all_causes()),
+        ("limits", limits()),
+    ] {
+        let golden = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/screen-{name}.png"));
+        let ours = show(&[view], false).picture;
+        if env::var_os("R4_UPDATE_GOLDEN").is_some() {
+            write_png(&golden, &ours);
+        }
+        let wanted = read_png(&golden);
+        assert_eq!((ours.width, ours.height), (wanted.width, wanted.height), "{}", golden.display());
+        let differ = |(x, y): &(usize, usize)| ours.pixel(*x, *y) != wanted.pixel(*x, *y);
+        let pixels = (0..ours.height).flat_map(|y| (0..ours.width).map(move |x| (x, y)));
+        if let Some((x, y)) = pixels.clone().find(differ) {
+            let seen = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("screen-{name}.png"));
+            write_png(&seen, &ours);
+            let count = pixels.filter(differ).count();
+            wrong.push(format!("{count} pixels from {x}, {y}: {} is not {}", seen.display(), golden.display()));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
 #[test]
 fn banner_tells_the_state() {
     for (name, view, colour) in [
@@ -163,7 +225,6 @@ fn banner_tells_the_state() {
         ("all-causes", all_causes(), [200, 20, 28]),
     ] {
         let Shown { picture, .. } = show(&[view], false);
-        write_png(name, &picture);
         assert_eq!((picture.width, picture.height), (480, 320));
         let near = |seen: [u8; 3]| seen.iter().zip(colour).all(|(seen, wanted)| seen.abs_diff(wanted) <= 4);
         // 18 bits: each part is rounded to a multiple of 4.
