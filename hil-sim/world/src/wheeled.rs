@@ -1,0 +1,481 @@
+//! A rigid chassis on wheels: skid-steer, differential and Ackermann robots, by which wheels are driven and which are steered.
+//!
+//! ```text
+//! m (dvx/dt - w vy) = sum Fx         Iz dw/dt = sum (x Fy - y Fx)
+//! m (dvy/dt + w vx) = sum Fy         load of a shaft = -F_long R
+//! ```
+//!
+//! Wheels are stiff springs of equal rate under a stiff chassis: each stands on the ground with what weight and the acceleration of the
+//! last step press on it ([`Chassis::height_m`]); one that would be pulled stands in the air. The robot neither pitches nor rolls.
+//! A wheel's own inertia belongs to its shaft's plant, and nothing of the robot's mass.
+//!
+//! # Accuracy
+//! Forces hold over a step: first order in [`crate::MAX_STEP_S`]. Stable while a step is short against the time in which the tyres'
+//! springs move a wheel: `dt < 2 sqrt(J c L) / R`, which [`Wheeled::new`] cannot check, for inertias `J` are the plants'.
+
+use crate::{
+    GRAVITY_M_S2,
+    body::{Body, Pose, ShaftMotion, Twist},
+    tyre::{Contact, Tyre, TyreError},
+};
+
+/// What the wheels carry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chassis {
+    /// Everything but the rotating parts, kg.
+    pub mass_kg: f64,
+    /// About the vertical axis through the centre of mass, kg m².
+    pub inertia_kg_m2: f64,
+    /// Centre of mass in the body's frame, m.
+    pub centre_m: [f64; 2],
+    /// Of the centre of mass over the ground, m: what moves load between wheels.
+    pub height_m: f64,
+}
+
+/// A wheel, in the body's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wheel {
+    /// Contact point when not steered, m.
+    pub place_m: [f64; 2],
+    /// m.
+    pub radius_m: f64,
+    /// Shaft that drives it, by its number; `None` rolls freely without inertia.
+    pub shaft: Option<usize>,
+    /// Whether a positive speed of the shaft drives backwards.
+    pub inverted: bool,
+    /// Whether the [`Axle`] steers it.
+    pub steered: bool,
+    /// Its tyre; `None` for a caster or ball that carries and slides without friction.
+    pub tyre: Option<Tyre>,
+}
+
+/// Steering of an Ackermann robot: wheels turn about one point on the line through the axle that is not steered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axle {
+    /// Shaft whose position steers, by its number.
+    pub shaft: usize,
+    /// Angle of a wheel in the middle per unit of the shaft's position, rad/rad or rad/m.
+    pub rad_per_unit: f64,
+    /// Position of the shaft at which wheels point straight ahead, rad or m.
+    pub straight: f64,
+    /// x of the axle that is not steered, in the body's frame, m.
+    pub fixed_x_m: f64,
+    /// Distance behind the steering axis at which the tyre's lateral force acts, m: what the actuator has to hold.
+    pub trail_m: f64,
+}
+
+/// Why a chassis cannot be computed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ChassisError {
+    /// Mass or inertia is not positive, or the height is negative.
+    #[error("`mass_kg` and `inertia_kg_m2` must be positive, `height_m` 0 or more")]
+    Chassis,
+    /// A wheel's radius is not positive, or its place not finite.
+    #[error("wheel {wheel}: `radius_m` must be positive and `place_m` finite")]
+    Wheel {
+        /// Its number, from 0.
+        wheel: usize,
+    },
+    /// A wheel's tyre.
+    #[error("wheel {wheel}: {source}")]
+    Tyre {
+        /// Its number, from 0.
+        wheel: usize,
+        /// What is wrong.
+        source: TyreError,
+    },
+    /// A shaft that the body does not have.
+    #[error("there is no shaft {shaft}: the body couples {shafts}")]
+    Shaft {
+        /// Its number.
+        shaft: usize,
+        /// How many there are.
+        shafts: usize,
+    },
+    /// Wheels on one line, or fewer than three, do not carry a chassis.
+    #[error("at least three wheels or casters must carry the chassis, and not all on one line")]
+    Support,
+    /// The centre of mass is not between the wheels.
+    #[error("the centre of mass is not between the wheels: the robot would fall over")]
+    FallsOver,
+    /// A steered wheel without an axle, or an axle that cannot steer.
+    #[error(
+        "a steered wheel needs an axle with finite numbers, and must not stand on the line of the fixed axle, `fixed_x_m`"
+    )]
+    Axle,
+}
+
+/// A chassis on wheels.
+#[derive(Clone, Debug)]
+pub struct Wheeled {
+    chassis: Chassis,
+    wheels: Vec<Wheel>,
+    axle: Option<Axle>,
+    shafts: usize,
+    contacts: Vec<Contact>,
+    /// Normal force of each wheel, N; 0 in the air.
+    normals_n: Vec<f64>,
+    /// Normal force of each wheel for a weight of 1 N, and for moments of 1 N m that press forward and left wheels down.
+    support: Vec<[f64; 3]>,
+    pose: Pose,
+    twist: Twist,
+    /// Of the centre of mass over the last step, body frame, m/s².
+    acceleration_m_s2: [f64; 2],
+}
+
+impl Wheeled {
+    /// At rest at the origin.
+    ///
+    /// # Errors
+    /// [`ChassisError`] names what cannot be computed.
+    pub fn new(chassis: Chassis, wheels: Vec<Wheel>, axle: Option<Axle>, shafts: usize) -> Result<Self, ChassisError> {
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        let finite = |place: [f64; 2]| place.into_iter().all(f64::is_finite);
+        let Chassis { mass_kg, inertia_kg_m2, centre_m, height_m } = chassis;
+        if ![mass_kg, inertia_kg_m2].into_iter().all(positive)
+            || !finite(centre_m)
+            || !(0.0..f64::INFINITY).contains(&height_m)
+        {
+            return Err(ChassisError::Chassis);
+        }
+        let shaft_exists =
+            |shaft: usize| if shaft < shafts { Ok(()) } else { Err(ChassisError::Shaft { shaft, shafts }) };
+        for (number, wheel) in wheels.iter().enumerate() {
+            if !positive(wheel.radius_m) || !finite(wheel.place_m) {
+                return Err(ChassisError::Wheel { wheel: number });
+            }
+            let tyre = wheel.tyre.map_or(Ok(()), |tyre| tyre.checked().map(drop));
+            tyre.map_err(|source| ChassisError::Tyre { wheel: number, source })?;
+            wheel.shaft.map_or(Ok(()), shaft_exists)?;
+        }
+        if let Some(axle) = axle {
+            shaft_exists(axle.shaft)?;
+        }
+        let steers = |wheel: &Wheel| {
+            axle.is_some_and(|Axle { rad_per_unit, straight, fixed_x_m, trail_m, .. }| {
+                finite([rad_per_unit, straight]) && finite([fixed_x_m, trail_m]) && wheel.place_m[0] != fixed_x_m
+            })
+        };
+        if !wheels.iter().filter(|wheel| wheel.steered).all(steers) {
+            return Err(ChassisError::Axle);
+        }
+        let support = support(&wheels, chassis.centre_m).ok_or(ChassisError::Support)?;
+        if support.iter().any(|[weight, ..]| *weight < 0.0) {
+            return Err(ChassisError::FallsOver);
+        }
+        let mut body = Self {
+            contacts: vec![Contact::default(); wheels.len()],
+            normals_n: vec![0.0; wheels.len()],
+            chassis,
+            wheels,
+            axle,
+            shafts,
+            support,
+            pose: Pose::default(),
+            twist: Twist::default(),
+            acceleration_m_s2: [0.0; 2],
+        };
+        body.press();
+        Ok(body)
+    }
+
+    /// Puts it somewhere, at rest.
+    pub fn set_pose(&mut self, pose: Pose) {
+        self.pose = pose;
+        self.twist = Twist::default();
+        self.acceleration_m_s2 = [0.0; 2];
+        self.contacts.fill(Contact::default());
+    }
+
+    /// Normal force of each wheel under the acceleration of the last step, N; 0 in the air.
+    #[must_use]
+    pub fn normals_n(&self) -> &[f64] {
+        &self.normals_n
+    }
+
+    /// Presses the wheels down by weight and acceleration.
+    fn press(&mut self) {
+        let Chassis { mass_kg, height_m, .. } = self.chassis;
+        let [forward_nm, left_nm] = self.acceleration_m_s2.map(|acceleration| -mass_kg * acceleration * height_m);
+        for (normal_n, [weight, pitch, roll]) in self.normals_n.iter_mut().zip(&self.support) {
+            *normal_n = (weight * mass_kg * GRAVITY_M_S2 + pitch * forward_nm + roll * left_nm).max(0.0);
+        }
+    }
+
+    /// Angle at which a wheel is steered, rad, and by how much that grows with the shaft's position.
+    fn steered(&self, wheel: &Wheel, shafts: &[ShaftMotion]) -> (f64, f64) {
+        let Some(axle) = self.axle.filter(|_| wheel.steered) else { return (0.0, 0.0) };
+        let position = shafts.get(axle.shaft).map_or(0.0, |shaft| shaft.position);
+        let middle = (position - axle.straight) * axle.rad_per_unit;
+        // About the point from which the middle of the axle is seen under that angle.
+        let (tan, wheelbase_m) = (libm::tan(middle), wheel.place_m[0] - axle.fixed_x_m);
+        (libm::atan(wheelbase_m * tan / (wheelbase_m - wheel.place_m[1] * tan)), axle.rad_per_unit)
+    }
+}
+
+impl Body for Wheeled {
+    fn shafts(&self) -> usize {
+        self.shafts
+    }
+
+    fn step(&mut self, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+        loads.fill(0.0);
+        let (mut forward_n, mut left_n, mut yaw_nm) = (0.0, 0.0, 0.0);
+        for (number, wheel) in self.wheels.iter().enumerate() {
+            let Some(tyre) = &wheel.tyre else { continue };
+            let (angle, per_unit) = self.steered(wheel, shafts);
+            let (sin, cos) = libm::sincos(angle);
+            let arm_m = [wheel.place_m[0] - self.chassis.centre_m[0], wheel.place_m[1] - self.chassis.centre_m[1]];
+            let [forward, left] = self.twist.at(arm_m);
+            let (along, across) = (cos * forward + sin * left, cos * left - sin * forward);
+            let way = if wheel.inverted { -1.0 } else { 1.0 };
+            let driven = wheel.shaft.and_then(|shaft| shafts.get(shaft));
+            // A wheel that rolls freely turns as the ground has it.
+            let rim_m_s = driven.map_or(along, |shaft| way * shaft.speed * wheel.radius_m);
+            let slip = [along - rim_m_s, across];
+            let [long_n, lat_n] =
+                self.contacts[number].step(tyre, tyre.friction, slip, rim_m_s, self.normals_n[number], step_s);
+            if let Some(load) = wheel.shaft.and_then(|shaft| loads.get_mut(shaft)) {
+                *load -= way * long_n * wheel.radius_m;
+            }
+            if let Some(axle) = self.axle.filter(|_| wheel.steered)
+                && let Some(load) = loads.get_mut(axle.shaft)
+            {
+                *load -= lat_n * axle.trail_m * per_unit;
+            }
+            let (wheel_forward_n, wheel_left_n) = (cos * long_n - sin * lat_n, cos * lat_n + sin * long_n);
+            forward_n += wheel_forward_n;
+            left_n += wheel_left_n;
+            yaw_nm += arm_m[0] * wheel_left_n - arm_m[1] * wheel_forward_n;
+        }
+        let Chassis { mass_kg, inertia_kg_m2, .. } = self.chassis;
+        self.acceleration_m_s2 = [forward_n / mass_kg, left_n / mass_kg];
+        self.press();
+        let Twist { forward_m_s, left_m_s, yaw_rad_s } = self.twist;
+        self.twist = Twist {
+            forward_m_s: forward_m_s + (self.acceleration_m_s2[0] + yaw_rad_s * left_m_s) * step_s,
+            left_m_s: left_m_s + (self.acceleration_m_s2[1] - yaw_rad_s * forward_m_s) * step_s,
+            yaw_rad_s: yaw_rad_s + yaw_nm / inertia_kg_m2 * step_s,
+        };
+        // The frame's origin, by the mean heading of the step.
+        let middle_rad = self.pose.yaw_rad + 0.5 * self.twist.yaw_rad_s * step_s;
+        let (sin, cos) = libm::sincos(middle_rad);
+        let Twist { forward_m_s, left_m_s, yaw_rad_s } = self.twist();
+        self.pose.x_m += (cos * forward_m_s - sin * left_m_s) * step_s;
+        self.pose.y_m += (sin * forward_m_s + cos * left_m_s) * step_s;
+        self.pose.yaw_rad += yaw_rad_s * step_s;
+    }
+
+    fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    fn twist(&self) -> Twist {
+        // Kept is that of the centre of mass.
+        let [x_m, y_m] = self.chassis.centre_m;
+        let [forward_m_s, left_m_s] = self.twist.at([-x_m, -y_m]);
+        Twist { forward_m_s, left_m_s, ..self.twist }
+    }
+
+    fn acceleration_m_s2(&self) -> [f64; 2] {
+        self.acceleration_m_s2
+    }
+}
+
+/// Normal forces of wheels, stiff springs of equal rate under a stiff chassis, by weight and moments: `N = a + b x + c y` with the sums
+/// that balance. `None` where that has no solution.
+fn support(wheels: &[Wheel], centre_m: [f64; 2]) -> Option<Vec<[f64; 3]>> {
+    let arms = wheels.iter().map(|wheel| [wheel.place_m[0] - centre_m[0], wheel.place_m[1] - centre_m[1]]);
+    let arms: Vec<_> = arms.collect();
+    let sum = |term: &dyn Fn(&[f64; 2]) -> f64| arms.iter().map(term).sum::<f64>();
+    let (count, x, y) = (arms.len() as f64, sum(&|arm| arm[0]), sum(&|arm| arm[1]));
+    let (xx, xy, yy) = (sum(&|arm| arm[0] * arm[0]), sum(&|arm| arm[0] * arm[1]), sum(&|arm| arm[1] * arm[1]));
+    let matrix = [[count, x, y], [x, xx, xy], [y, xy, yy]];
+    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|right| solved(matrix, right));
+    let [Some(weight), Some(pitch), Some(roll)] = columns else { return None };
+    let force = |plane: [f64; 3], arm: &[f64; 2]| plane[0] + plane[1] * arm[0] + plane[2] * arm[1];
+    Some(arms.iter().map(|arm| [force(weight, arm), force(pitch, arm), force(roll, arm)]).collect())
+}
+
+/// Cramer's rule; `None` for wheels on one line, to rounding.
+fn solved(matrix: [[f64; 3]; 3], right: [f64; 3]) -> Option<[f64; 3]> {
+    let determinant = |m: [[f64; 3]; 3]| {
+        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+    };
+    let whole = determinant(matrix);
+    let scale = matrix[0][0] * matrix[1][1] * matrix[2][2];
+    let flat = whole.abs() <= 1e-12 * scale;
+    let column = |index: usize| {
+        let mut replaced = matrix;
+        for (row, value) in replaced.iter_mut().zip(right) {
+            row[index] = value;
+        }
+        determinant(replaced) / whole
+    };
+    (!flat).then(|| [column(0), column(1), column(2)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{MAX_STEP_S, tyre::SlipLaw};
+
+    const HALF_BASE_M: f64 = 0.2;
+    const HALF_TRACK_M: f64 = 0.3;
+    const RADIUS_M: f64 = 0.1;
+    const TYRE: Tyre =
+        Tyre { compliance_per_n: [0.002, 0.01], friction: 0.8, relaxation_m: 0.05, law: SlipLaw::Linear };
+    const CHASSIS: Chassis = Chassis { mass_kg: 30.0, inertia_kg_m2: 2.0, centre_m: [0.0; 2], height_m: 0.0 };
+
+    /// Wheels front left, front right, rear left, rear right, each on a shaft of its own.
+    fn wheels(tyre: Tyre) -> Vec<Wheel> {
+        let places = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)];
+        let wheel = |(shaft, (x, y)): (usize, (f64, f64))| Wheel {
+            place_m: [x * HALF_BASE_M, y * HALF_TRACK_M],
+            radius_m: RADIUS_M,
+            shaft: Some(shaft),
+            inverted: false,
+            steered: false,
+            tyre: Some(tyre),
+        };
+        places.into_iter().enumerate().map(wheel).collect()
+    }
+
+    /// Turns the shafts at these speeds for so long, whatever their loads; returns those of the last step.
+    fn run(body: &mut Wheeled, speeds: &[f64], duration_s: f64) -> Vec<f64> {
+        let shafts: Vec<_> = speeds.iter().map(|speed| ShaftMotion { position: 0.0, speed: *speed }).collect();
+        let mut loads = vec![0.0; speeds.len()];
+        for _ in 0..(duration_s / MAX_STEP_S).round() as usize {
+            body.step(&shafts, &mut loads, MAX_STEP_S);
+        }
+        loads
+    }
+
+    /// `b F_long = l F_lat` with the linear law: `w / w_t = r b² / (l² + r b²)`, `r = c_lat / c_long` (Trimble, Fox 2023, the ratio
+    /// of the two tests, solved for the rate).
+    #[test]
+    fn a_spin_turns_as_the_ratio_of_the_compliances_says() {
+        for ratio in [1.0, 5.0, 10.0] {
+            let tyre = Tyre { compliance_per_n: [0.002, 0.002 * ratio], friction: 10.0, ..TYRE };
+            let mut body = Wheeled::new(CHASSIS, wheels(tyre), None, 4).unwrap();
+            let rim_m_s = 0.3;
+            let speed = rim_m_s / RADIUS_M;
+            run(&mut body, &[-speed, speed, -speed, speed], 20.0);
+            let (l2, b2) = (HALF_BASE_M * HALF_BASE_M, HALF_TRACK_M * HALF_TRACK_M);
+            let expected = rim_m_s / HALF_TRACK_M * ratio * b2 / (l2 + ratio * b2);
+            let Twist { forward_m_s, left_m_s, yaw_rad_s } = body.twist();
+            // Settled to rounding: it is an equilibrium, which no step length moves.
+            assert!((yaw_rad_s / expected - 1.0).abs() < 1e-9, "{yaw_rad_s}, {expected}");
+            assert!(forward_m_s.abs() < 1e-9 && left_m_s.abs() < 1e-9);
+        }
+    }
+
+    /// `v² / 2 mu g`, with load moving to the front wheels meanwhile, which keeps the sum.
+    #[test]
+    fn locked_wheels_brake_within_the_distance_of_friction() {
+        for (height_m, law) in [(0.0, SlipLaw::Linear), (0.15, SlipLaw::Brush)] {
+            let mut body =
+                Wheeled::new(Chassis { height_m, ..CHASSIS }, wheels(Tyre { law, ..TYRE }), None, 4).unwrap();
+            let speed = 2.0 / RADIUS_M;
+            run(&mut body, &[speed; 4], 10.0);
+            let before = body.pose().x_m;
+            assert!((body.twist().forward_m_s - 2.0).abs() < 1e-6);
+            let mut farthest_m = 0.0_f64;
+            for _ in 0..3000 {
+                run(&mut body, &[0.0; 4], 1e-3);
+                farthest_m = farthest_m.max(body.pose().x_m - before);
+            }
+            let expected_m = 2.0 * 2.0 / (2.0 * 0.8 * GRAVITY_M_S2);
+            // No shorter, to a step at 2 m/s; longer while bristles bend, by less than half of the mu N c L at which those of the
+            // linear law slide, 2.9 mm, or a quarter of three times that.
+            assert!((-5e-4..5e-3).contains(&(farthest_m - expected_m)), "{farthest_m}, {expected_m}");
+            assert!(body.twist().forward_m_s.abs() < 1e-3, "it stands");
+        }
+    }
+
+    /// What the ground gives the chassis it takes from the shafts.
+    #[test]
+    fn shafts_carry_the_force_that_drives() {
+        let mut body = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
+        let loads = run(&mut body, &[5.0; 4], 0.05);
+        let [forward, _] = body.acceleration_m_s2();
+        assert!(forward > 0.1);
+        let force_n = -loads.iter().sum::<f64>() / RADIUS_M;
+        assert!((force_n - 30.0 * forward).abs() < 1e-9 * force_n, "{force_n}");
+        // An inverted wheel turns the other way for the same.
+        let mut inverted = wheels(TYRE);
+        inverted.iter_mut().for_each(|wheel| wheel.inverted = true);
+        let mut body = Wheeled::new(CHASSIS, inverted, None, 4).unwrap();
+        let mirrored = run(&mut body, &[-5.0; 4], 0.05);
+        assert!(mirrored.iter().zip(&loads).all(|(one, other)| *one == -other));
+    }
+
+    /// Two thirds of the weight on the axle that is twice as near; accelerating with `a` moves `m a h / 2 l` to the rear.
+    #[test]
+    fn weight_and_acceleration_are_shared_by_leverage() {
+        let chassis = Chassis { centre_m: [HALF_BASE_M / 3.0, 0.0], height_m: 0.2, ..CHASSIS };
+        let mut body = Wheeled::new(chassis, wheels(TYRE), None, 4).unwrap();
+        let weight_n = 30.0 * GRAVITY_M_S2;
+        let expected = [1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0].map(|share| share * weight_n);
+        assert!(body.normals_n().iter().zip(expected).all(|(got, expected)| (got - expected).abs() < 1e-9));
+        run(&mut body, &[5.0; 4], 0.01);
+        let [forward, _] = body.acceleration_m_s2();
+        let moved_n = 30.0 * forward * 0.2 / (2.0 * HALF_BASE_M);
+        for (got, expected) in body
+            .normals_n()
+            .iter()
+            .zip(expected)
+            .zip([-0.5, -0.5, 0.5, 0.5])
+            .map(|((got, still), share)| (got, still + share * moved_n))
+        {
+            assert!((got - expected).abs() < 1e-9, "{got}, {expected}");
+        }
+    }
+
+    /// Slowly, with tyres far from friction, the rear axle's middle goes round in `wheelbase / tan(steer)`.
+    #[test]
+    fn an_ackermann_robot_turns_about_the_line_of_its_rear_axle() {
+        let mut wheels = wheels(Tyre { compliance_per_n: [1e-4; 2], ..TYRE });
+        wheels.iter_mut().for_each(|wheel| {
+            wheel.steered = wheel.place_m[0] > 0.0;
+            wheel.shaft = None;
+        });
+        // The other rear wheel rolls freely: two of one speed would resist the turn.
+        wheels[2].shaft = Some(0);
+        let axle = Axle { shaft: 1, rad_per_unit: 4.0, straight: 0.05, fixed_x_m: -HALF_BASE_M, trail_m: 0.01 };
+        let mut body = Wheeled::new(CHASSIS, wheels, Some(axle), 2).unwrap();
+        let steer_rad = 0.2_f64;
+        let shafts =
+            [ShaftMotion { position: 0.0, speed: 2.0 }, ShaftMotion { position: 0.05 + steer_rad / 4.0, speed: 0.0 }];
+        let mut loads = [0.0; 2];
+        (0..40_000).for_each(|_| body.step(&shafts, &mut loads, MAX_STEP_S));
+        let twist = body.twist();
+        let radius_m = twist.at([-HALF_BASE_M, 0.0])[0] / twist.yaw_rad_s;
+        let expected_m = 2.0 * HALF_BASE_M / steer_rad.tan();
+        // Slip angles of the forces that turn the robot: `m v² c_lat / wheelbase` of it, 3e-4.
+        assert!((radius_m / expected_m - 1.0).abs() < 1e-3, "{radius_m} m, {expected_m} m");
+        assert!(loads[1].abs() > 0.0, "the actuator holds the wheels");
+    }
+
+    #[test]
+    fn what_cannot_be_computed_is_named() {
+        let new = |chassis, wheels| Wheeled::new(chassis, wheels, None, 4).map(drop);
+        assert_eq!(new(CHASSIS, wheels(TYRE)), Ok(()));
+        assert_eq!(new(Chassis { mass_kg: 0.0, ..CHASSIS }, wheels(TYRE)), Err(ChassisError::Chassis));
+        assert_eq!(new(Chassis { centre_m: [0.9, 0.0], ..CHASSIS }, wheels(TYRE)), Err(ChassisError::FallsOver));
+        assert_eq!(new(CHASSIS, wheels(TYRE)[..2].to_vec()), Err(ChassisError::Support));
+        let one = |change: fn(&mut Wheel)| {
+            let mut wheels = wheels(TYRE);
+            change(&mut wheels[2]);
+            new(CHASSIS, wheels)
+        };
+        assert_eq!(one(|wheel| wheel.radius_m = 0.0), Err(ChassisError::Wheel { wheel: 2 }));
+        assert_eq!(one(|wheel| wheel.shaft = Some(4)), Err(ChassisError::Shaft { shaft: 4, shafts: 4 }));
+        assert_eq!(one(|wheel| wheel.steered = true), Err(ChassisError::Axle));
+        assert_eq!(
+            one(|wheel| wheel.tyre = Some(Tyre { friction: -1.0, ..TYRE })),
+            Err(ChassisError::Tyre { wheel: 2, source: TyreError::Friction })
+        );
+    }
+}
