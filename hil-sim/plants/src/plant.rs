@@ -81,6 +81,8 @@ pub struct Plant {
     heats: Vec<Heat>,
     friction: Vec<FrictionStage>,
     loads: Vec<LoadStage>,
+    /// Of what the output is coupled to.
+    outside: f64,
     transmission: Vec<TransmissionStage>,
     sensor: Vec<SensorStage>,
     sensor_has_memory: bool,
@@ -220,6 +222,7 @@ impl Plant {
                 .collect(),
             pushes,
             loads: numbered().filter_map(|(stream, effect)| LoadStage::new(effect, kind, seed, stream)).collect(),
+            outside: 0.0,
             transmission: effects().filter_map(TransmissionStage::new).collect(),
             sensor_has_memory: sensor.iter().any(SensorStage::has_memory),
             sensor,
@@ -254,6 +257,16 @@ impl Plant {
             stage.settle(self.position);
         }
         self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.settle(told));
+    }
+
+    /// Sets the force with which something outside pushes the output from now on, N m or N, towards positive positions: a body, a
+    /// hand. One that is not finite is ignored.
+    ///
+    /// It acts on the motor side of a backlash or spring, as the loads among the effects do.
+    pub fn set_load(&mut self, force: f64) {
+        if force.is_finite() {
+            self.outside = force;
+        }
     }
 
     /// Lets time pass under a constant drive and a supply of `supply_v` before sag.
@@ -382,7 +395,7 @@ impl Plant {
         let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
         let went = if self.went == 0.0 { 0.0 } else { self.went.signum() };
         let against = went * sum(&self.tables.against) + self.hysteresis(position_half_way);
-        let load = load + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - against;
+        let load = load + self.outside + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - against;
         let rubbing = self.done.friction + self.tables.friction.iter().map(rubs).sum::<f64>();
         let supply_v = supply_v * self.tables.gain.iter().map(multiplies).product::<f64>();
         let before = self.train.motion.position;

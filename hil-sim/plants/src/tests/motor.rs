@@ -150,3 +150,24 @@ fn bad_input_is_ignored_or_clipped() {
     run(&mut full, Drive::with_brake(1.0), 12.0, 10);
     assert_eq!(clipped.speed(), full.speed());
 }
+
+/// To the bit: both are one sum of forces.
+#[test]
+fn a_load_from_outside_acts_as_a_constant_one() {
+    let load = Effect::ConstantLoad(ConstantLoad { force: -0.7 });
+    let friction = Effect::CoulombFriction(CoulombFriction { level: 0.2 });
+    let mut loaded = motor(MOTOR, &[load, friction]);
+    let mut pushed = motor(MOTOR, &[friction]);
+    for load in [f64::NAN, f64::INFINITY, 0.7, f64::NEG_INFINITY] {
+        pushed.set_load(load);
+    }
+    for drive in [Drive::with_brake(0.3), Drive::COAST, Drive::BRAKE] {
+        run(&mut loaded, drive, 12.0, 50);
+        run(&mut pushed, drive, 12.0, 50);
+        assert_eq!((loaded.position(), loaded.speed()), (pushed.position(), pushed.speed()));
+    }
+    assert!(pushed.speed() > 0.0);
+    pushed.set_load(0.0);
+    run(&mut pushed, Drive::BRAKE, 0.0, 500);
+    assert_eq!(pushed.speed(), 0.0);
+}
