@@ -1,5 +1,7 @@
 //! What every body has in common.
 
+use crate::scene::Scene;
+
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
@@ -53,9 +55,10 @@ pub trait Body {
     /// Number of shafts, in the order in which their motions and loads are given.
     fn shafts(&self) -> usize;
 
-    /// One step of `step_s`, s, at most [`crate::MAX_STEP_S`]: from the motion of the shafts to the load of each over the step, N m or
-    /// N, positive towards positive positions. `shafts` and `loads` have one entry for each of [`Body::shafts`].
-    fn step(&mut self, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64);
+    /// One step of `step_s`, s, at most [`crate::MAX_STEP_S`], from `time_s` on in `scene`: from the motion of the shafts to the load
+    /// of each over the step, N m or N, positive towards positive positions. `shafts` and `loads` have one entry for each of
+    /// [`Body::shafts`].
+    fn step(&mut self, scene: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64);
 
     /// Where its frame is.
     fn pose(&self) -> Pose;

@@ -8,10 +8,14 @@
 //! counterclockwise seen from above (REP-103).
 
 mod body;
+mod outline;
+mod scene;
 mod tyre;
 mod wheeled;
 
 pub use body::{Body, Pose, ShaftMotion, Twist};
+pub use outline::{Outline, OutlineError};
+pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
 pub use tyre::{Contact, SlipLaw, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};
 

@@ -16,6 +16,8 @@
 use crate::{
     GRAVITY_M_S2,
     body::{Body, Pose, ShaftMotion, Twist},
+    outline::{Moving, Outline},
+    scene::Scene,
     tyre::{Contact, Tyre, TyreError},
 };
 
@@ -106,7 +108,7 @@ pub enum ChassisError {
 }
 
 /// A chassis on wheels.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Wheeled {
     chassis: Chassis,
     wheels: Vec<Wheel>,
@@ -117,6 +119,8 @@ pub struct Wheeled {
     normals_n: Vec<f64>,
     /// Normal force of each wheel for a weight of 1 N, and for moments of 1 N m that press forward and left wheels down.
     support: Vec<[f64; 3]>,
+    /// What bumps into things; `None` passes through them.
+    outline: Option<Outline>,
     pose: Pose,
     twist: Twist,
     /// Of the centre of mass over the last step, body frame, m/s².
@@ -171,6 +175,7 @@ impl Wheeled {
             axle,
             shafts,
             support,
+            outline: None,
             pose: Pose::default(),
             twist: Twist::default(),
             acceleration_m_s2: [0.0; 2],
@@ -179,8 +184,23 @@ impl Wheeled {
         Ok(body)
     }
 
+    /// Gives it an outline, which bumps into what stands in its way.
+    #[must_use]
+    pub fn with_outline(self, outline: Outline) -> Self {
+        Self { outline: Some(outline), ..self }
+    }
+
+    /// Its outline.
+    #[must_use]
+    pub fn outline(&self) -> Option<&Outline> {
+        self.outline.as_ref()
+    }
+
     /// Puts it somewhere, at rest.
     pub fn set_pose(&mut self, pose: Pose) {
+        if let Some(outline) = &mut self.outline {
+            outline.moved();
+        }
         self.pose = pose;
         self.twist = Twist::default();
         self.acceleration_m_s2 = [0.0; 2];
@@ -202,6 +222,29 @@ impl Wheeled {
         }
     }
 
+    /// Force of slopes and obstacles in the body's frame, N, and its moment about the centre of mass, N m.
+    fn outside(&mut self, scene: &Scene, time_s: f64, step_s: f64) -> [f64; 3] {
+        let (sin, cos) = libm::sincos(self.pose.yaw_rad);
+        let to_body = |[x, y]: [f64; 2]| [cos * x + sin * y, cos * y - sin * x];
+        let slope = scene.floor(self.pose.to_world(self.chassis.centre_m)).slope;
+        let weight_n = self.chassis.mass_kg * GRAVITY_M_S2;
+        let [forward, left] = to_body(slope);
+        let mut sum = [-weight_n * forward, -weight_n * left, 0.0];
+        let twist = self.twist();
+        let Some(outline) = &mut self.outline else { return sum };
+        let velocity_m_s =
+            [cos * twist.forward_m_s - sin * twist.left_m_s, sin * twist.forward_m_s + cos * twist.left_m_s];
+        let moving =
+            Moving { pose: self.pose, velocity_m_s, yaw_rad_s: twist.yaw_rad_s, mass_kg: self.chassis.mass_kg };
+        let centre = self.pose.to_world(self.chassis.centre_m);
+        outline.touch(scene, time_s, step_s, &moving, |push| {
+            let [forward_n, left_n] = to_body(push.force_n);
+            let [arm_x, arm_y] = to_body([push.at_m[0] - centre[0], push.at_m[1] - centre[1]]);
+            sum = [sum[0] + forward_n, sum[1] + left_n, sum[2] + arm_x * left_n - arm_y * forward_n];
+        });
+        sum
+    }
+
     /// Angle at which a wheel is steered, rad, and by how much that grows with the shaft's position.
     fn steered(&self, wheel: &Wheel, shafts: &[ShaftMotion]) -> (f64, f64) {
         let Some(axle) = self.axle.filter(|_| wheel.steered) else { return (0.0, 0.0) };
@@ -218,9 +261,9 @@ impl Body for Wheeled {
         self.shafts
     }
 
-    fn step(&mut self, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, scene: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
-        let (mut forward_n, mut left_n, mut yaw_nm) = (0.0, 0.0, 0.0);
+        let [mut forward_n, mut left_n, mut yaw_nm] = self.outside(scene, time_s, step_s);
         for (number, wheel) in self.wheels.iter().enumerate() {
             let Some(tyre) = &wheel.tyre else { continue };
             let (angle, per_unit) = self.steered(wheel, shafts);
@@ -233,8 +276,9 @@ impl Body for Wheeled {
             // A wheel that rolls freely turns as the ground has it.
             let rim_m_s = driven.map_or(along, |shaft| way * shaft.speed * wheel.radius_m);
             let slip = [along - rim_m_s, across];
+            let friction = scene.floor(self.pose.to_world(wheel.place_m)).friction.unwrap_or(tyre.friction);
             let [long_n, lat_n] =
-                self.contacts[number].step(tyre, tyre.friction, slip, rim_m_s, self.normals_n[number], step_s);
+                self.contacts[number].step(tyre, friction, slip, rim_m_s, self.normals_n[number], step_s);
             if let Some(load) = wheel.shaft.and_then(|shaft| loads.get_mut(shaft)) {
                 *load -= way * long_n * wheel.radius_m;
             }
@@ -347,7 +391,7 @@ mod tests {
         let shafts: Vec<_> = speeds.iter().map(|speed| ShaftMotion { position: 0.0, speed: *speed }).collect();
         let mut loads = vec![0.0; speeds.len()];
         for _ in 0..(duration_s / MAX_STEP_S).round() as usize {
-            body.step(&shafts, &mut loads, MAX_STEP_S);
+            body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
         }
         loads
     }
@@ -449,13 +493,76 @@ mod tests {
         let shafts =
             [ShaftMotion { position: 0.0, speed: 2.0 }, ShaftMotion { position: 0.05 + steer_rad / 4.0, speed: 0.0 }];
         let mut loads = [0.0; 2];
-        (0..40_000).for_each(|_| body.step(&shafts, &mut loads, MAX_STEP_S));
+        (0..40_000).for_each(|_| body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S));
         let twist = body.twist();
         let radius_m = twist.at([-HALF_BASE_M, 0.0])[0] / twist.yaw_rad_s;
         let expected_m = 2.0 * HALF_BASE_M / steer_rad.tan();
         // Slip angles of the forces that turn the robot: `m v² c_lat / wheelbase` of it, 3e-4.
         assert!((radius_m / expected_m - 1.0).abs() < 1e-3, "{radius_m} m, {expected_m} m");
         assert!(loads[1].abs() > 0.0, "the actuator holds the wheels");
+    }
+
+    /// Freely rolling wheels, so that nothing but the scene moves it.
+    fn rolling() -> Wheeled {
+        let mut wheels = wheels(TYRE);
+        wheels.iter_mut().for_each(|wheel| wheel.shaft = None);
+        let corners_m = vec![[0.3, -0.2], [0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2]];
+        Wheeled::new(CHASSIS, wheels, None, 0).unwrap().with_outline(Outline::new(corners_m).unwrap())
+    }
+
+    #[test]
+    fn a_body_that_rolls_into_a_wall_comes_back_slower() {
+        for (yaw_rad, speed_m_s) in [(0.0, 2.0), (0.6, 1.0), (-0.2, 0.3)] {
+            let mut scene = Scene::default();
+            scene.add_walls(&[[1.0, -5.0], [1.0, 5.0]], false).unwrap();
+            let mut body = rolling();
+            body.set_pose(Pose { yaw_rad, ..Pose::default() });
+            body.twist = Twist { forward_m_s: speed_m_s, ..Twist::default() };
+            let energy = |twist: Twist| {
+                let squared = twist.forward_m_s * twist.forward_m_s + twist.left_m_s * twist.left_m_s;
+                CHASSIS.mass_kg * squared + CHASSIS.inertia_kg_m2 * twist.yaw_rad_s * twist.yaw_rad_s
+            };
+            let (mut deepest_m, before) = (f64::NEG_INFINITY, energy(body.twist));
+            for step in 0..16_000 {
+                body.step(&scene, f64::from(step) * MAX_STEP_S, &[], &mut [], MAX_STEP_S);
+                let corners = body.outline().unwrap().corners_m().iter();
+                deepest_m = corners.map(|corner| body.pose().to_world(*corner)[0] - 1.0).fold(deepest_m, f64::max);
+            }
+            // It is touched, and the bumper of 20 mm keeps it off the wall.
+            assert!((-0.02..0.0).contains(&deepest_m), "{deepest_m} m");
+            assert!(energy(body.twist) < 0.5 * before && body.pose().x_m < 0.7, "{:?}", body.twist);
+        }
+    }
+
+    #[test]
+    fn a_slope_pulls_downhill() {
+        let mut scene = Scene::default();
+        let corners_m = vec![[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]];
+        scene.add_surface(crate::Surface { corners_m, friction: None, slope: [0.0, 0.1] }).unwrap();
+        let mut body = rolling();
+        body.set_pose(Pose { yaw_rad: std::f64::consts::FRAC_PI_2, ..Pose::default() });
+        (0..4000).for_each(|_| body.step(&scene, 0.0, &[], &mut [], MAX_STEP_S));
+        let forward_m_s = body.twist().forward_m_s;
+        assert!((forward_m_s + 0.1 * GRAVITY_M_S2).abs() < 1e-9, "{forward_m_s} m/s after a second");
+        // Locked wheels hold it, by the springs of their bristles, 1 / (c L) each.
+        let mut held = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
+        (0..40_000).for_each(|_| held.step(&scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
+        let bent_m = 0.1 * GRAVITY_M_S2 * CHASSIS.mass_kg * TYRE.compliance_per_n[1] * TYRE.relaxation_m / 4.0;
+        assert!((held.pose().y_m + bent_m).abs() < 1e-6, "{:?}, {bent_m}", held.pose());
+    }
+
+    /// Friction of the floor takes the place of the tyre's.
+    #[test]
+    fn locked_wheels_slide_farther_on_ice() {
+        let mut scene = Scene::default();
+        let corners_m = vec![[-99.0, -9.0], [99.0, -9.0], [99.0, 9.0], [-99.0, 9.0]];
+        scene.add_surface(crate::Surface { corners_m, friction: Some(0.1), slope: [0.0; 2] }).unwrap();
+        let mut body = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
+        body.twist.forward_m_s = 1.0;
+        (0..8000).for_each(|_| body.step(&scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
+        let expected_m = 1.0 / (2.0 * 0.1 * GRAVITY_M_S2);
+        // Bristles bend by 3 mu N c L = 3.6 mm at first, as in the braking distance above.
+        assert!((body.pose().x_m - expected_m).abs() < 4e-3, "{} m, {expected_m} m", body.pose().x_m);
     }
 
     #[test]

@@ -1,0 +1,260 @@
+//! The outline of a body and what it bumps into.
+//!
+//! A bumper of [`BUMPER_M`] is all around the outline: a damped spring that pushes where a corner of the outline, or of an obstacle,
+//! is within it. Its stiffness follows from the body's mass, so that the longest step stays short against the spring's period.
+//! Forces along the wall rub with [`FRICTION`].
+
+use crate::{
+    body::Pose,
+    scene::{Disc, Point, Scene, Segment, cross, dot, length, minus, plus},
+};
+
+/// Thickness of the bumper, m: our choice, that of foam on robots of some 10 kg.
+const BUMPER_M: f64 = 0.02;
+/// Angular frequency of the mass on one spring of the bumper, rad/s. A body of 2 m/s presses it by 7 mm; half of it, by 13 mm. In
+/// the longest step the spring's phase goes on by 0.075 rad.
+const STIFFNESS_RAD_S: f64 = 300.0;
+/// Damping of that oscillator against critical damping, 1: a bump gives back about a quarter of the speed.
+const DAMPING: f64 = 0.4;
+/// Friction of the bumper on walls, 1: our choice.
+const FRICTION: f64 = 0.3;
+/// Sliding speed from which all of it rubs, m/s.
+const SLIDING_M_S: f64 = 0.01;
+
+/// Why an outline cannot be computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`outline_m` needs at least three corners [x, y], counterclockwise and convex, around the frame's origin")]
+pub struct OutlineError;
+
+/// A convex polygon around the origin of a body's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outline {
+    corners_m: Vec<Point>,
+    /// Of the farthest corner, m.
+    radius_m: f64,
+    /// Way that body and obstacles can go together before anything can touch, m.
+    free_m: f64,
+}
+
+/// A force on a body, at a point.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Push {
+    /// World frame, N.
+    pub(crate) force_n: Point,
+    /// World frame, m.
+    pub(crate) at_m: Point,
+}
+
+/// How a body stands and moves, world frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Moving {
+    pub(crate) pose: Pose,
+    /// Of the frame's origin, m/s.
+    pub(crate) velocity_m_s: Point,
+    pub(crate) yaw_rad_s: f64,
+    pub(crate) mass_kg: f64,
+}
+
+impl Outline {
+    /// Around the origin of the body's frame.
+    ///
+    /// # Errors
+    /// [`OutlineError`] where it is not convex, or the wrong way round.
+    pub fn new(corners_m: Vec<Point>) -> Result<Self, OutlineError> {
+        let count = corners_m.len();
+        let corner = |number: usize| corners_m[number % count];
+        let turns_left = |number: usize| {
+            let (from, at, to) = (corner(number), corner(number + 1), corner(number + 2));
+            cross(minus(at, from), minus(to, at)) > 0.0 && cross(minus(at, from), minus([0.0; 2], from)) > 0.0
+        };
+        if count < 3 || !corners_m.iter().flatten().all(|number| number.is_finite()) || !(0..count).all(turns_left) {
+            return Err(OutlineError);
+        }
+        let radius_m = corners_m.iter().map(|corner| length(*corner)).fold(0.0, f64::max);
+        Ok(Self { corners_m, radius_m, free_m: 0.0 })
+    }
+
+    /// Its corners in the body's frame, m.
+    #[must_use]
+    pub fn corners_m(&self) -> &[Point] {
+        &self.corners_m
+    }
+
+    /// Forgets how far it was from everything: the body has been put elsewhere.
+    pub(crate) fn moved(&mut self) {
+        self.free_m = 0.0;
+    }
+
+    /// Gives `push` every force of the scene on it. Nothing is looked at before the body can have come near.
+    pub(crate) fn touch(
+        &mut self,
+        scene: &Scene,
+        time_s: f64,
+        step_s: f64,
+        moving: &Moving,
+        mut push: impl FnMut(Push),
+    ) {
+        self.free_m -= (length(moving.velocity_m_s) + scene.fastest_m_s()) * step_s;
+        if self.free_m > 0.0 {
+            return;
+        }
+        let origin = moving.pose.to_world([0.0; 2]);
+        let reach_m = self.radius_m + BUMPER_M;
+        self.free_m = scene.clearance_m(time_s, origin) - reach_m;
+        if self.free_m > 0.0 {
+            return;
+        }
+        let corners: Vec<Point> = self.corners_m.iter().map(|corner| moving.pose.to_world(*corner)).collect();
+        for segment in scene.segments() {
+            if length(minus(segment.nearest(origin), origin)) < reach_m {
+                wall(segment, &corners, origin, |depth_m, normal, at| push(moving.pushed(depth_m, normal, at)));
+            }
+        }
+        for disc in scene.round(time_s) {
+            if disc.distance_m(origin) < reach_m {
+                post(&disc, &corners, |depth_m, normal, at| push(moving.pushed(depth_m, normal, at)));
+            }
+        }
+    }
+}
+
+impl Moving {
+    /// Force of the bumper that is pressed by `depth_m`, m, at a point, along the unit `normal` away from the obstacle.
+    fn pushed(&self, depth_m: f64, normal: Point, at_m: Point) -> Push {
+        let arm = minus(at_m, [self.pose.x_m, self.pose.y_m]);
+        let velocity = plus(self.velocity_m_s, [-arm[1], arm[0]], self.yaw_rad_s);
+        let away_m_s = dot(velocity, normal);
+        let stiffness = self.mass_kg * STIFFNESS_RAD_S * STIFFNESS_RAD_S;
+        let damping = 2.0 * DAMPING * self.mass_kg * STIFFNESS_RAD_S;
+        // It never pulls.
+        let pressed_n = (stiffness * depth_m - damping * away_m_s).max(0.0);
+        let along = [-normal[1], normal[0]];
+        let sliding = (dot(velocity, along) / SLIDING_M_S).clamp(-1.0, 1.0);
+        let force_n = plus([normal[0] * pressed_n, normal[1] * pressed_n], along, -FRICTION * sliding * pressed_n);
+        Push { force_n, at_m }
+    }
+}
+
+/// Corners of the outline at a wall, and ends of the wall at the outline. `origin` is on the side to which the wall pushes.
+fn wall(segment: &Segment, corners: &[Point], origin: Point, mut press: impl FnMut(f64, Point, Point)) {
+    let along = minus(segment.to, segment.from);
+    let size = length(along);
+    if size > 0.0 {
+        let side = if cross(along, minus(origin, segment.from)) < 0.0 { -1.0 } else { 1.0 };
+        let normal = [-side * along[1] / size, side * along[0] / size];
+        for corner in corners {
+            let way = minus(*corner, segment.from);
+            let (depth_m, share) = (BUMPER_M - dot(way, normal), dot(way, along) / (size * size));
+            if depth_m > 0.0 && (0.0..=1.0).contains(&share) {
+                press(depth_m, normal, *corner);
+            }
+        }
+    }
+    for end in [segment.from, segment.to] {
+        poke(end, corners, &mut press);
+    }
+}
+
+fn post(disc: &Disc, corners: &[Point], mut press: impl FnMut(f64, Point, Point)) {
+    let mut deepest: Option<(f64, Point, Point)> = None;
+    for (number, to) in corners.iter().enumerate() {
+        let from = corners[number.checked_sub(1).unwrap_or(corners.len() - 1)];
+        let at = Segment { from, to: *to }.nearest(disc.centre);
+        let way = minus(at, disc.centre);
+        let distance_m = length(way);
+        let depth_m = disc.radius_m + BUMPER_M - distance_m;
+        if depth_m > 0.0 && distance_m > 0.0 && deepest.is_none_or(|(deepest_m, ..)| depth_m > deepest_m) {
+            deepest = Some((depth_m, [way[0] / distance_m, way[1] / distance_m], at));
+        }
+    }
+    if let Some((depth_m, normal, at)) = deepest {
+        press(depth_m, normal, at);
+    }
+}
+
+/// A point that pokes at an edge of the outline, which gives way towards the inside. At corners [`wall`] has it already.
+fn poke(point: Point, corners: &[Point], press: &mut impl FnMut(f64, Point, Point)) {
+    let mut shallowest: Option<(f64, Point)> = None;
+    for (number, to) in corners.iter().enumerate() {
+        let from = corners[number.checked_sub(1).unwrap_or(corners.len() - 1)];
+        let along = minus(*to, from);
+        let size = length(along);
+        // Into the outline, which is counterclockwise.
+        let inwards = [-along[1] / size, along[0] / size];
+        let (way, depth_m) = (minus(point, from), dot(minus(point, from), inwards) + BUMPER_M);
+        if depth_m <= 0.0 {
+            return;
+        }
+        let beside = (0.0..=size * size).contains(&dot(way, along));
+        if shallowest.is_none_or(|(least_m, _)| depth_m < least_m) {
+            shallowest = beside.then_some((depth_m, inwards)).or(shallowest);
+        }
+    }
+    if let Some((depth_m, inwards)) = shallowest {
+        press(depth_m, inwards, point);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(half_m: f64) -> Outline {
+        Outline::new(vec![[half_m, -half_m], [half_m, half_m], [-half_m, half_m], [-half_m, -half_m]]).unwrap()
+    }
+
+    /// Sum of forces and moment about the origin of a body at a pose, at rest.
+    fn pushes(scene: &Scene, pose: Pose) -> (Point, f64) {
+        let moving = Moving { pose, velocity_m_s: [0.0; 2], yaw_rad_s: 0.0, mass_kg: 10.0 };
+        let (mut sum, mut moment) = ([0.0; 2], 0.0);
+        square(0.2).touch(scene, 0.0, 0.0, &moving, |push| {
+            sum = plus(sum, push.force_n, 1.0);
+            moment += cross(minus(push.at_m, [pose.x_m, pose.y_m]), push.force_n);
+        });
+        (sum, moment)
+    }
+
+    const STIFFNESS_N_M: f64 = 10.0 * STIFFNESS_RAD_S * STIFFNESS_RAD_S;
+
+    #[test]
+    fn a_wall_pushes_both_corners_straight_back() {
+        let mut scene = Scene::default();
+        scene.add_walls(&[[1.0, -3.0], [1.0, 3.0]], false).unwrap();
+        let at = |x_m: f64| pushes(&scene, Pose { x_m, ..Pose::default() });
+        assert_eq!(at(0.77), ([0.0; 2], 0.0), "the bumper ends at 0.78");
+        let (force, moment) = at(0.79);
+        assert!((force[0] + 2.0 * 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1] == 0.0 && moment.abs() < 1e-9);
+        // From the other side the other way.
+        let (behind, _) = at(1.21);
+        assert!((behind[0] - 2.0 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{behind:?}");
+    }
+
+    #[test]
+    fn a_post_and_the_end_of_a_wall_push_where_they_are() {
+        let mut scene = Scene::default();
+        scene.add_post([0.31, 0.1], 0.1).unwrap();
+        let (force, moment) = pushes(&scene, Pose::default());
+        assert!((force[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
+        assert!((moment - 0.1 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{moment}");
+        let mut scene = Scene::default();
+        scene.add_walls(&[[0.21, 0.1], [3.0, 0.1]], false).unwrap();
+        let (force, moment) = pushes(&scene, Pose::default());
+        assert!((force[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
+        assert!((moment - 0.1 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{moment}");
+    }
+
+    #[test]
+    fn an_outline_goes_round_its_origin_and_is_convex() {
+        let corners = |corners: &[Point]| Outline::new(corners.to_vec()).map(drop);
+        assert_eq!(corners(&[[1.0, -1.0], [1.0, 1.0], [-1.0, 0.0]]), Ok(()));
+        for wrong in [
+            &[[1.0, 1.0], [1.0, -1.0], [-1.0, 0.0]][..],
+            &[[1.0, -1.0], [1.0, 1.0]],
+            &[[2.0, -1.0], [2.0, 1.0], [1.0, 0.0]],
+            &[[1.0, -1.0], [0.1, 0.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]],
+            &[[1.0, f64::NAN], [1.0, 1.0], [-1.0, 0.0]],
+        ] {
+            assert_eq!(corners(wrong), Err(OutlineError), "{wrong:?}");
+        }
+    }
+}
