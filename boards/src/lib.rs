@@ -23,8 +23,9 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    Ackermann, Drive, PlantFile, Robot, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
-    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint,
+    Ackermann, Drive, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
+    SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
+    Simulation, SkidSteer, SteeringLaw, TruePoint,
 };
 use source::{Folder, Source};
 

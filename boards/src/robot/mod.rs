@@ -1,5 +1,6 @@
 //! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
 
+mod body;
 mod drive;
 mod input;
 mod motor;
@@ -8,6 +9,7 @@ mod read;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
+use r4_world::{Scene, Wheeled};
 
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
@@ -50,6 +52,28 @@ pub struct Simulation {
     pub analogs: Vec<SimulatedAnalog>,
     /// One for each switch, in the order of [`BoardConfig::switches`].
     pub switches: Vec<SimulatedSwitch>,
+    /// What couples motors; `None` lets each turn alone.
+    pub body: Option<SimulatedBody>,
+    /// What is around the body.
+    pub scene: Scene,
+}
+
+/// A body, at rest where it starts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedBody {
+    /// The physics.
+    pub wheeled: Wheeled,
+    /// The motors whose shafts it couples, in the order of its shafts.
+    pub channels: Vec<ChannelId>,
+}
+
+/// Where a sensor sits on a body, in the body's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// m
+    pub place_m: [f64; 2],
+    /// Where it looks, counterclockwise from forwards, rad.
+    pub yaw_rad: f64,
 }
 
 /// An RC servo.
@@ -100,8 +124,20 @@ pub struct SimulatedStepper {
 pub struct SimulatedRange {
     /// Which.
     pub channel: ChannelId,
-    /// m
-    pub distance_m: f64,
+    /// What it sees.
+    pub sees: RangeView,
+}
+
+/// What a range sensor sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RangeView {
+    /// Something at a distance that stays, m.
+    Constant {
+        /// m
+        distance_m: f64,
+    },
+    /// The world, from a place on the body.
+    World(Mount),
 }
 
 /// What is at an analog input.

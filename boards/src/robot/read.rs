@@ -11,7 +11,7 @@ use r4_protocol::{
 };
 use serde::Deserialize;
 
-use super::{Drive, Robot, Simulation, input, motor::Motor, output, simulation};
+use super::{Drive, Robot, Simulation, body, input, motor::Motor, output, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
@@ -63,6 +63,8 @@ struct RobotFile {
     #[serde(default)]
     supply: Vec<input::Supply>,
     drive: Option<Drive>,
+    body: Option<body::Body>,
+    world: Option<body::World>,
     simulation: Option<simulation::Tables>,
 }
 
@@ -107,8 +109,14 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
         drive.check(&reader, &config)?;
     }
     let simulation = match &file.simulation {
-        Some(tables) => tables.check(&reader, folder, &config)?,
-        None => Simulation::default(),
+        Some(tables) => tables.check(&reader, folder, &config, file.body.as_ref(), file.world.as_ref())?,
+        None => {
+            let alone = [("body", file.body.is_some()), ("world", file.world.is_some())];
+            if let Some((table, _)) = alone.into_iter().find(|(_, is_there)| *is_there) {
+                return Err(reader.rule(table, "needs a [simulation]: without one no motor is simulated"));
+            }
+            Simulation::default()
+        }
     };
     Ok(Robot { file: source.name.clone(), config, drive: file.drive, simulation, carrier })
 }
@@ -372,6 +380,10 @@ impl Reader<'_> {
         let known: Vec<_> = known.map(ToString::to_string).collect();
         let known = if known.is_empty() { "nothing: the robot has none".to_owned() } else { known.join(" or ") };
         Err(BoardError::NoSuch { at: self.source.at(path), what, asked: id.to_string(), known })
+    }
+
+    pub(super) fn malformed(&self, path: impl Display, problem: impl Display) -> BoardError {
+        BoardError::Malformed { at: self.source.at(path), problem: problem.to_string() }
     }
 
     pub(super) fn rule(&self, path: impl Display, rule: &'static str) -> BoardError {

@@ -12,8 +12,10 @@ use r4_protocol::{
 use serde::Deserialize;
 
 use super::{
-    PlantFile, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor,
-    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint, output::NOMINAL_OSCILLATOR_HZ,
+    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
+    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+    body::{Body, MountTable, World},
+    output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
 };
 use crate::{
@@ -181,8 +183,9 @@ struct Stepper {
 struct Range {
     #[serde(deserialize_with = "channel")]
     channel: ChannelId,
-    #[serde(deserialize_with = "crate::number::positive")]
-    distance_m: f64,
+    #[serde(default, deserialize_with = "optional_positive")]
+    distance_m: Option<f64>,
+    mount: Option<MountTable>,
 }
 
 #[derive(Deserialize)]
@@ -207,6 +210,20 @@ struct Switch {
     axis: ChannelId,
     #[serde(deserialize_with = "finite")]
     closed_below_rad: f64,
+}
+
+/// Motors that may turn: without feedback nothing says that they slide.
+pub(super) fn may_turn(motors: &[MotorConfig]) -> Vec<ChannelId> {
+    let slides = |feedback| matches!(feedback, Feedback::Potentiometer { .. });
+    let motors = motors.iter().filter(|motor| !motor.control.is_some_and(|control| slides(control.feedback)));
+    motors.map(|motor| motor.id).collect()
+}
+
+/// Motors that may slide: without feedback nothing says that they turn.
+pub(super) fn may_slide(motors: &[MotorConfig]) -> Vec<ChannelId> {
+    let turns = |feedback| matches!(feedback, Feedback::Encoder { .. });
+    let motors = motors.iter().filter(|motor| !motor.control.is_some_and(|control| turns(control.feedback)));
+    motors.map(|motor| motor.id).collect()
 }
 
 /// A table about one channel.
@@ -238,8 +255,14 @@ impl Tables {
         reader: &Reader<'_>,
         folder: &Folder,
         config: &BoardConfig,
+        body: Option<&Body>,
+        world: Option<&World>,
     ) -> Result<Simulation, BoardError> {
-        let mut check = Check { reader, folder, config, claims: Claims::new(reader.source) };
+        let start = world.map(World::start).unwrap_or_default();
+        let body = body.map(|body| body.check(reader, config, start)).transpose()?;
+        let scene = world.map(|world| world.scene(reader)).transpose()?.unwrap_or_default();
+        let has_body = body.is_some();
+        let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
             motors: check.motors(self)?,
@@ -251,6 +274,8 @@ impl Tables {
             ranges: check.each(&self.range, &config.ranges, |range| range.id, Check::range)?,
             analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
+            body,
+            scene,
         })
     }
 }
@@ -260,6 +285,7 @@ struct Check<'c> {
     folder: &'c Folder,
     config: &'c BoardConfig,
     claims: Claims<'c>,
+    has_body: bool,
 }
 
 impl Check<'_> {
@@ -291,12 +317,8 @@ impl Check<'_> {
     }
 
     fn motors(&mut self, tables: &Tables) -> Result<Vec<SimulatedMotor>, BoardError> {
-        let kind_of = |motor: &MotorConfig| motor.control.map(|control| control.feedback);
-        let is_linear = |motor: &&MotorConfig| matches!(kind_of(motor), Some(Feedback::Potentiometer { .. }));
-        let is_rotary = |motor: &&MotorConfig| matches!(kind_of(motor), Some(Feedback::Encoder { .. }));
         let motors = &self.config.motors;
-        let may_turn: Vec<_> = motors.iter().filter(|motor| !is_linear(motor)).map(|motor| motor.id).collect();
-        let may_slide: Vec<_> = motors.iter().filter(|motor| !is_rotary(motor)).map(|motor| motor.id).collect();
+        let (may_turn, may_slide) = (may_turn(motors), may_slide(motors));
         let mut simulated = Vec::new();
         for (index, rotary) in tables.rotary.iter().enumerate() {
             let path = format!("simulation.rotary[{index}]");
@@ -483,11 +505,19 @@ impl Check<'_> {
         Ok(SimulatedStepper { channel: config.id, start_rate_hz })
     }
 
-    fn range(&mut self, config: &RangeConfig, range: Option<&Range>, _: &str) -> Result<SimulatedRange, BoardError> {
+    fn range(&mut self, config: &RangeConfig, range: Option<&Range>, path: &str) -> Result<SimulatedRange, BoardError> {
         let nearest_m = config.stop_below_m.unwrap_or(config.range_m.min);
         let half_way_m = f64::midpoint(nearest_m.into(), config.range_m.max.into());
-        let distance_m = range.map_or(half_way_m, |range| range.distance_m);
-        Ok(SimulatedRange { channel: config.id, distance_m })
+        let sees = match range.map(|range| (range.distance_m, range.mount)) {
+            None => RangeView::Constant { distance_m: half_way_m },
+            Some((Some(distance_m), None)) => RangeView::Constant { distance_m },
+            Some((None, Some(_))) if !self.has_body => {
+                return Err(self.reader.rule(format!("{path}.mount"), "the robot has no [body] to mount it on"));
+            }
+            Some((None, Some(mount))) => RangeView::World(mount.into()),
+            Some(_) => return Err(self.reader.rule(path, "needs distance_m, or mount, and not both")),
+        };
+        Ok(SimulatedRange { channel: config.id, sees })
     }
 
     fn analog(

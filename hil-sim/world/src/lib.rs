@@ -16,7 +16,7 @@ mod wheeled;
 pub use body::{Body, Pose, ShaftMotion, Twist};
 pub use outline::{Outline, OutlineError};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
-pub use tyre::{Contact, SlipLaw, Tyre, TyreError};
+pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};
 
 /// Longest step of a body, s. Plants take no longer ones either, so that a body costs its shafts no further steps.

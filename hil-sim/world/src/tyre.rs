@@ -73,6 +73,25 @@ impl Tyre {
     }
 }
 
+/// A tyre as its contact is computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Springs {
+    /// Force of all bristles per deflection along and across the wheel, N/m.
+    stiffness_n_m: [f64; 2],
+    per_relaxation_m: f64,
+    law: SlipLaw,
+}
+
+impl From<&Tyre> for Springs {
+    fn from(tyre: &Tyre) -> Self {
+        Self {
+            stiffness_n_m: tyre.compliance_per_n.map(|compliance| 1.0 / (compliance * tyre.relaxation_m)),
+            per_relaxation_m: 1.0 / tyre.relaxation_m,
+            law: tyre.law,
+        }
+    }
+}
+
 /// Rim speed below which a standing wheel's bristles are damped, m/s: above it rolling out damps more than that.
 const STANDING_M_S: f64 = 0.1;
 /// Force of the bristles' own damping, as the time in which a slip velocity bends them as much, s. A robot of 12 kg that stands on
@@ -89,11 +108,11 @@ pub struct Contact {
 impl Contact {
     /// Force of the ground on the wheel, along and across it, N, over a step of `step_s`.
     ///
-    /// `slip_m_s` is the velocity of the rim's contact point over the ground, along and across; `rim_m_s` the speed at which the wheel
+    /// `springs` are those of its tyre; `slip_m_s` is the velocity of the rim's contact point over the ground, along and across; `rim_m_s` the speed at which the wheel
     /// rolls; `normal_n` the force it stands on the ground with; `friction` replaces the tyre's where the ground has its own.
     pub fn step(
         &mut self,
-        tyre: &Tyre,
+        springs: &Springs,
         friction: f64,
         slip_m_s: [f64; 2],
         rim_m_s: f64,
@@ -105,39 +124,38 @@ impl Contact {
             *self = Self::default();
             return [0.0; 2];
         }
-        let rolled = rim_m_s.abs() * step_s / tyre.relaxation_m;
-        // Exact for a constant slip over the step: kept of the old deflection, and how much of slip times step has been added.
-        let kept = libm::exp(-rolled);
-        let added = if rolled < 1e-9 { 1.0 } else { -libm::expm1(-rolled) / rolled };
+        // Backward Euler: stable however far the wheel rolls in a step, and exact once it has settled.
+        let kept = 1.0 / (1.0 + rim_m_s.abs() * step_s * springs.per_relaxation_m);
         // As far as bristles bend when all of them slide.
-        let slides_n = if tyre.law == SlipLaw::Brush { 3.0 * most_n } else { most_n };
-        let stiffness = tyre.compliance_per_n.map(|compliance| 1.0 / (compliance * tyre.relaxation_m));
-        for (deflection_m, slip_m_s) in self.deflection_m.iter_mut().zip(slip_m_s) {
-            *deflection_m = kept * *deflection_m + added * slip_m_s * step_s;
+        let slides_n = if springs.law == SlipLaw::Brush { 3.0 * most_n } else { most_n };
+        let [long_n_m, lat_n_m] = springs.stiffness_n_m;
+        let [mut long_m, mut lat_m] = self.deflection_m;
+        long_m = kept * (long_m + slip_m_s[0] * step_s);
+        lat_m = kept * (lat_m + slip_m_s[1] * step_s);
+        let bent_squared = squared([long_n_m * long_m, lat_n_m * lat_m]);
+        if bent_squared > slides_n * slides_n {
+            let left = slides_n / bent_squared.sqrt();
+            (long_m, lat_m) = (long_m * left, lat_m * left);
         }
-        let bent_n = size([0, 1].map(|axis| stiffness[axis] * self.deflection_m[axis]));
-        if bent_n > slides_n {
-            self.deflection_m = self.deflection_m.map(|deflection_m| deflection_m * slides_n / bent_n);
-        }
-        let damped_s = (1.0 - rim_m_s.abs() / STANDING_M_S).max(0.0) * DAMPING_S;
-        let adhering_n = [0, 1].map(|axis| -stiffness[axis] * (self.deflection_m[axis] + damped_s * slip_m_s[axis]));
-        let size_n = size(adhering_n);
-        if size_n == 0.0 {
-            return [0.0; 2];
-        }
-        let force_n = match tyre.law {
-            SlipLaw::Linear => size_n.min(most_n),
-            SlipLaw::Brush => {
-                let share = (size_n / slides_n).min(1.0);
-                most_n * share * (3.0 + share * (share - 3.0))
+        self.deflection_m = [long_m, lat_m];
+        let damped_s = (1.0 - rim_m_s.abs() * (1.0 / STANDING_M_S)).max(0.0) * DAMPING_S;
+        let adhering_n = [-long_n_m * (long_m + damped_s * slip_m_s[0]), -lat_n_m * (lat_m + damped_s * slip_m_s[1])];
+        let size_n = squared(adhering_n).sqrt();
+        // What is left of a force of that size when the rear of the patch slides.
+        let left = match springs.law {
+            SlipLaw::Linear if size_n <= most_n => 1.0,
+            SlipLaw::Brush if size_n < slides_n => {
+                let share = size_n / slides_n;
+                1.0 + share * (share * (1.0 / 3.0) - 1.0)
             }
+            _ => most_n / size_n,
         };
-        adhering_n.map(|part_n| part_n * force_n / size_n)
+        [adhering_n[0] * left, adhering_n[1] * left]
     }
 }
 
-fn size([along, across]: [f64; 2]) -> f64 {
-    libm::hypot(along, across)
+fn squared([along, across]: [f64; 2]) -> f64 {
+    along * along + across * across
 }
 
 #[cfg(test)]
@@ -156,7 +174,10 @@ mod tests {
     fn settled(tyre: &Tyre, slip_m_s: [f64; 2], rim_m_s: f64, normal_n: f64) -> [f64; 2] {
         let mut contact = Contact::default();
         let steps = (20.0 * tyre.relaxation_m / rim_m_s / STEP_S) as usize;
-        (0..steps).map(|_| contact.step(tyre, tyre.friction, slip_m_s, rim_m_s, normal_n, STEP_S)).last().unwrap()
+        (0..steps)
+            .map(|_| contact.step(&Springs::from(tyre), tyre.friction, slip_m_s, rim_m_s, normal_n, STEP_S))
+            .last()
+            .unwrap()
     }
 
     proptest! {
@@ -186,7 +207,7 @@ mod tests {
             for law in [SlipLaw::Linear, SlipLaw::Brush] {
                 let mut contact = Contact::default();
                 for _ in 0..steps {
-                    let [along, across] = contact.step(&tyre(law), 0.8, slip, rim_m_s, normal_n, STEP_S);
+                    let [along, across] = contact.step(&Springs::from(&tyre(law)), 0.8, slip, rim_m_s, normal_n, STEP_S);
                     prop_assert!(along.hypot(across) <= 0.8 * normal_n.max(0.0) * (1.0 + 1e-12));
                     prop_assert!(along * slip[0] <= 0.0 && across * slip[1] <= 0.0);
                 }
@@ -199,10 +220,14 @@ mod tests {
     fn a_locked_wheel_brakes_with_friction() {
         let tyre = Tyre { compliance_per_n: [0.005; 2], ..tyre(SlipLaw::Brush) };
         let mut contact = Contact::default();
-        let force = (0..4000).map(|_| contact.step(&tyre, 0.8, [3.0, 4.0], 0.0, 100.0, STEP_S)).last().unwrap();
+        let force =
+            (0..4000).map(|_| contact.step(&Springs::from(&tyre), 0.8, [3.0, 4.0], 0.0, 100.0, STEP_S)).last().unwrap();
         assert!((force[0] + 48.0).abs() < 1e-9 && (force[1] + 64.0).abs() < 1e-9, "{force:?}");
         // Back by half of the deflection that slides, 3 mu N c L = 60 mm, at 1 m/s: what is left adheres.
-        let back = (0..120).map(|_| contact.step(&tyre, 0.8, [-0.6, -0.8], 0.0, 100.0, STEP_S)).last().unwrap();
+        let back = (0..120)
+            .map(|_| contact.step(&Springs::from(&tyre), 0.8, [-0.6, -0.8], 0.0, 100.0, STEP_S))
+            .last()
+            .unwrap();
         let share = (0.030 - DAMPING_S) / 0.060;
         let left = 80.0 * (1.0 - (1.0_f64 - share).powi(3));
         assert!((back[0] + 0.6 * left).abs() < 1e-6 && (back[1] + 0.8 * left).abs() < 1e-6, "{back:?}, {left}");

@@ -18,7 +18,7 @@ use crate::{
     body::{Body, Pose, ShaftMotion, Twist},
     outline::{Moving, Outline},
     scene::Scene,
-    tyre::{Contact, Tyre, TyreError},
+    tyre::{Contact, Springs, Tyre, TyreError},
 };
 
 /// What the wheels carry.
@@ -115,6 +115,8 @@ pub struct Wheeled {
     axle: Option<Axle>,
     shafts: usize,
     contacts: Vec<Contact>,
+    /// Of each wheel's tyre.
+    springs: Vec<Option<Springs>>,
     /// Normal force of each wheel, N; 0 in the air.
     normals_n: Vec<f64>,
     /// Normal force of each wheel for a weight of 1 N, and for moments of 1 N m that press forward and left wheels down.
@@ -169,6 +171,7 @@ impl Wheeled {
         }
         let mut body = Self {
             contacts: vec![Contact::default(); wheels.len()],
+            springs: wheels.iter().map(|wheel| wheel.tyre.as_ref().map(Springs::from)).collect(),
             normals_n: vec![0.0; wheels.len()],
             chassis,
             wheels,
@@ -224,6 +227,9 @@ impl Wheeled {
 
     /// Force of slopes and obstacles in the body's frame, N, and its moment about the centre of mass, N m.
     fn outside(&mut self, scene: &Scene, time_s: f64, step_s: f64) -> [f64; 3] {
+        if scene.is_plain() && scene.is_empty() {
+            return [0.0; 3];
+        }
         let (sin, cos) = libm::sincos(self.pose.yaw_rad);
         let to_body = |[x, y]: [f64; 2]| [cos * x + sin * y, cos * y - sin * x];
         let slope = scene.floor(self.pose.to_world(self.chassis.centre_m)).slope;
@@ -265,9 +271,9 @@ impl Body for Wheeled {
         loads.fill(0.0);
         let [mut forward_n, mut left_n, mut yaw_nm] = self.outside(scene, time_s, step_s);
         for (number, wheel) in self.wheels.iter().enumerate() {
-            let Some(tyre) = &wheel.tyre else { continue };
+            let (Some(tyre), Some(springs)) = (&wheel.tyre, &self.springs[number]) else { continue };
             let (angle, per_unit) = self.steered(wheel, shafts);
-            let (sin, cos) = libm::sincos(angle);
+            let (sin, cos) = if wheel.steered { libm::sincos(angle) } else { (0.0, 1.0) };
             let arm_m = [wheel.place_m[0] - self.chassis.centre_m[0], wheel.place_m[1] - self.chassis.centre_m[1]];
             let [forward, left] = self.twist.at(arm_m);
             let (along, across) = (cos * forward + sin * left, cos * left - sin * forward);
@@ -276,9 +282,10 @@ impl Body for Wheeled {
             // A wheel that rolls freely turns as the ground has it.
             let rim_m_s = driven.map_or(along, |shaft| way * shaft.speed * wheel.radius_m);
             let slip = [along - rim_m_s, across];
-            let friction = scene.floor(self.pose.to_world(wheel.place_m)).friction.unwrap_or(tyre.friction);
+            let floor = if scene.is_plain() { None } else { scene.floor(self.pose.to_world(wheel.place_m)).friction };
+            let friction = floor.unwrap_or(tyre.friction);
             let [long_n, lat_n] =
-                self.contacts[number].step(tyre, friction, slip, rim_m_s, self.normals_n[number], step_s);
+                self.contacts[number].step(springs, friction, slip, rim_m_s, self.normals_n[number], step_s);
             if let Some(load) = wheel.shaft.and_then(|shaft| loads.get_mut(shaft)) {
                 *load -= way * long_n * wheel.radius_m;
             }

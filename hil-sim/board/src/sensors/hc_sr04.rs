@@ -37,7 +37,8 @@ const STUCK_NS: u64 = 200_000_000;
 /// From ping to ping, so that late echoes have died away.
 const PERIOD_NS: u64 = 60_000_000;
 const NEAREST_M: f64 = 0.02;
-const FARTHEST_M: f64 = 4.0;
+/// The farthest target that is heard.
+pub(crate) const FARTHEST_M: f64 = 4.0;
 /// A path longer than to the farthest target and back is not heard.
 const LONGEST_PATH_M: f64 = 2.0 * FARTHEST_M;
 /// More edges than these are not kept for a reader that does not come; the oldest go.
@@ -83,6 +84,7 @@ pub struct HcSr04 {
     number: u8,
     now_ns: u64,
     distance_m: Option<f64>,
+    background_m: Option<f64>,
     air_c: f64,
     noise_rms_mm: f64,
     noise: Pcg64,
@@ -110,6 +112,7 @@ impl HcSr04 {
             number,
             now_ns: 0,
             distance_m: None,
+            background_m: None,
             air_c: 20.0,
             noise_rms_mm: 0.0,
             noise: Pcg64::new(u128::from(seed), u128::from(number)),
@@ -128,6 +131,11 @@ impl HcSr04 {
     /// Puts something in front of the module, for the next ping; `None` takes it away.
     pub fn set_distance_m(&mut self, distance_m: Option<f64>) {
         self.distance_m = distance_m;
+    }
+
+    /// What stands behind that, for the next ping; the nearer of both is heard.
+    pub fn set_background_m(&mut self, background_m: Option<f64>) {
+        self.background_m = background_m;
     }
 
     /// Changes the air, for the next ping: -50 to 100 degrees Celsius, clipped; NaN changes nothing.
@@ -289,7 +297,7 @@ impl HcSr04 {
         }
         let noise: f64 = StandardNormal.sample(&mut self.noise);
         let noise_m = noise * self.noise_rms_mm * 1e-3;
-        match self.distance_m {
+        match [self.distance_m, self.background_m].into_iter().flatten().min_by(f64::total_cmp) {
             // written so that NaN counts as nothing
             Some(distance_m) if distance_m <= FARTHEST_M => self.flight_ns(2.0 * (distance_m + noise_m).max(NEAREST_M)),
             _ => TIME_OUT_NS,

@@ -135,7 +135,7 @@ impl World {
         }
         let chips_ns = self.chips.next_change_ns().unwrap_or(u64::MAX).max(now_ns);
         let stands = speed.abs() < STANDSTILL;
-        let after_ns = if stands && motor.drive.duty == 0.0 {
+        let after_ns = if stands && !self.is_driven(motor) {
             REST_NS
         } else {
             let top = motor.top_acceleration(self.rails[motor.rail].spec.emf_v);
@@ -148,6 +148,12 @@ impl World {
             ((up_s.min(down_s) * 1e9) as u64).saturating_add(late_ns).min(CEILING_NS)
         };
         now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + LATE_LEAST_NS))
+    }
+
+    /// Whether a motor drives this one's shaft: itself, or by the body another.
+    fn is_driven(&self, motor: &Motor) -> bool {
+        let drives = |motor: &Motor| motor.drive.duty != 0.0;
+        drives(motor) || motor.coupled && self.motors.iter().any(|other| other.coupled && drives(other))
     }
 
     /// The motor that turns an encoder, and its counts in a turn.

@@ -3,6 +3,7 @@
 //! Nothing here is scheduled. The world is brought up to date when someone looks at it or changes it: from the last
 //! moment to now, in stretches in which no line changes.
 
+mod body;
 mod chips;
 mod drives;
 mod encoders;
@@ -13,12 +14,13 @@ mod wires;
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{Robot, SimulatedRail};
+use r4_boards::{Mount, Robot, SimulatedRail};
 use r4_plants::{Drive, Plant, PlantError, PlantKind};
 use r4_protocol::{
     ChannelId,
     config::{MAX_MOTORS, RelayConfig, RelayRole},
 };
+use r4_world::Scene;
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
@@ -30,8 +32,9 @@ use crate::{
     clock::Clock,
     i2c::I2cBus,
     misuse::Misuse,
-    sensors::hc_sr04::HcSr04,
+    sensors::hc_sr04::{HcSr04, HcSr04Array},
 };
+use body::Coupling;
 use chips::Chips;
 use drives::{Bldc, Servo};
 pub use encoders::EncoderEdge;
@@ -39,6 +42,8 @@ use motor::Motor;
 pub use pins::{AnalogSource, Pins, SwitchInput};
 pub use stepping::StepPulses;
 pub use wires::{BoardChip, Controller};
+
+const RANGE_SENSORS: usize = HcSr04Array::MODULES;
 
 /// The physical world around one board.
 pub struct World {
@@ -57,6 +62,11 @@ pub struct World {
     servos: Vec<Servo>,
     steppers: Vec<stepping::Axis>,
     rails: Vec<Rail>,
+    /// What couples some of the motors.
+    body: Option<Coupling>,
+    scene: Scene,
+    /// Range sensors on the body, by their connectors.
+    mounts: [Option<Mount>; RANGE_SENSORS],
     pins: Pins,
     /// The processor's counters of encoder edges; each is taken out while it is fed.
     counters: [Option<encoders::Counter>; 4],
@@ -111,6 +121,7 @@ impl World {
             let Some(wiring) = motor.map(|motor| motor.bridge) else { continue };
             motors.push(Motor::new(simulated, wiring, rail, seed.wrapping_add(index.into()))?);
         }
+        let body = robot.simulation.body.as_ref().map(|body| Coupling::new(body, &mut motors));
         let pins = Pins::new(robot, seed);
         let encoder_3 = robot.config.uses_encoder(3);
         let counters = encoders::counters(&pins.encoders, encoder_3);
@@ -128,6 +139,9 @@ impl World {
             servos: drives::servos(robot),
             steppers: drives::steppers(robot),
             rails,
+            body,
+            scene: robot.simulation.scene.clone(),
+            mounts: body::mounts(robot),
             pins,
             counters,
             encoder_3,
@@ -160,8 +174,12 @@ impl World {
 
     /// Lets physics pass under constant lines.
     fn step(&mut self, dt_s: f64) {
-        for motor in &mut self.motors {
+        let advance = |motor: &mut Motor, dt_s: f64| {
             motor.plant.advance(motor.drive, self.rails[motor.rail].volts, dt_s);
+        };
+        match &mut self.body {
+            Some(body) => body.step(&self.scene, self.now_ns as f64 * 1e-9, &mut self.motors, dt_s, advance),
+            None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);

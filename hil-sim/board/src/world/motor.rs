@@ -27,6 +27,8 @@ pub(super) struct Motor {
     pub(super) plant: Plant,
     pub(super) drive: Drive,
     pub(super) sensor: Option<SimulatedSensor>,
+    /// Whether its shaft is one of the body's.
+    pub(super) coupled: bool,
     /// Of its current at a standstill, by the supply: rad/s^2 or m/s^2 per V.
     acceleration_per_v: f64,
 }
@@ -57,6 +59,7 @@ impl Motor {
             plant,
             drive: Drive::COAST,
             sensor: simulated.sensor,
+            coupled: false,
             acceleration_per_v: acceleration_per_v(spec.model()),
         })
     }

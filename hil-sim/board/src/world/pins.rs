@@ -2,7 +2,7 @@
 
 use std::{cell::RefCell, rc::Rc, task::Waker};
 
-use r4_boards::{Robot, SimulatedSensor, SimulatedSwitch};
+use r4_boards::{RangeView, Robot, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
     platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, Ranging, SwitchInputs},
     sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
@@ -98,8 +98,10 @@ impl Pins {
         let truth = &robot.simulation;
         let mut rangers = HcSr04Array::new(seed);
         for range in &truth.ranges {
-            if let Some(module) = rangers.modules.get_mut(usize::from(range.channel.index)) {
-                module.set_distance_m(Some(range.distance_m));
+            if let RangeView::Constant { distance_m } = range.sees
+                && let Some(module) = rangers.modules.get_mut(usize::from(range.channel.index))
+            {
+                module.set_distance_m(Some(distance_m));
             }
         }
         let input = |volts_per_code: f64, noise_rms_codes| AnalogInput {

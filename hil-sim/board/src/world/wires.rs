@@ -135,6 +135,10 @@ impl World {
 impl World {
     /// The trigger line of a range sensor has a level from now on.
     pub fn trigger(&mut self, connector: usize, high: bool) {
+        if !high {
+            // The sound leaves at the falling edge.
+            self.look_ahead(connector);
+        }
         self.pins.rangers.trigger(connector, self.clock.now_ns(), high);
     }
 

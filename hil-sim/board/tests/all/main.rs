@@ -1,5 +1,6 @@
 //! Tests of the firmware on the chips of a simulated board.
 
+mod bodies;
 mod braking;
 mod compatibility;
 mod control;

@@ -175,6 +175,18 @@ impl Scene {
         self.fastest_m_s
     }
 
+    /// Whether the floor is level and without its own friction everywhere.
+    #[must_use]
+    pub fn is_plain(&self) -> bool {
+        self.surfaces.is_empty()
+    }
+
+    /// Whether nothing stands on the floor.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.segments.is_empty() && self.discs.is_empty() && self.people.is_empty()
+    }
+
     /// The floor under a point.
     #[must_use]
     pub fn floor(&self, point: Point) -> Floor {

@@ -38,7 +38,7 @@ pub(crate) fn cross(one: Point, other: Point) -> f64 {
 }
 
 pub(crate) fn length(way: Point) -> f64 {
-    libm::hypot(way[0], way[1])
+    dot(way, way).sqrt()
 }
 
 impl Segment {

@@ -1,0 +1,312 @@
+//! `[body]` and `[world]`: what couples a robot's shafts, and what it moves among. Simulated only.
+
+use r4_protocol::{channel::ChannelId, config::BoardConfig};
+use r4_world::{
+    Axle, Chassis, ChassisError, Outline, Person, Point, Pose, Scene, SceneError, SlipLaw, Surface, Tyre, Wheel,
+    Wheeled,
+};
+use serde::Deserialize;
+
+use super::{
+    Mount, SimulatedBody,
+    read::Reader,
+    simulation::{may_slide, may_turn},
+};
+use crate::{
+    error::BoardError,
+    number::{channel, finite, not_negative, optional_channel, optional_finite, positive},
+};
+
+/// `[body]`: one kind of it.
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Body {
+    /// A chassis on wheels.
+    Wheeled(Box<WheeledTable>),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WheeledTable {
+    #[serde(deserialize_with = "positive")]
+    mass_kg: f64,
+    #[serde(deserialize_with = "positive")]
+    inertia_kg_m2: f64,
+    #[serde(default)]
+    centre_m: Point,
+    #[serde(default, deserialize_with = "not_negative")]
+    height_m: f64,
+    outline_m: Option<Vec<Point>>,
+    tyre: TyreTable,
+    wheel: Vec<WheelTable>,
+    steering: Option<SteeringTable>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TyreTable {
+    #[serde(deserialize_with = "positive")]
+    compliance_long_per_n: f64,
+    #[serde(deserialize_with = "positive")]
+    compliance_lat_per_n: f64,
+    #[serde(deserialize_with = "not_negative")]
+    friction: f64,
+    #[serde(deserialize_with = "positive")]
+    relaxation_m: f64,
+    #[serde(default)]
+    law: Law,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Law {
+    #[default]
+    Brush,
+    Linear,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WheelTable {
+    /// What drives it; left out for one that rolls freely.
+    #[serde(default, deserialize_with = "optional_channel")]
+    channel: Option<ChannelId>,
+    place_m: Point,
+    #[serde(deserialize_with = "positive")]
+    radius_m: f64,
+    #[serde(default)]
+    inverted: bool,
+    #[serde(default)]
+    steered: bool,
+    /// A caster or ball: carries, and gives way in every direction.
+    #[serde(default)]
+    caster: bool,
+    tyre: Option<TyreTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SteeringTable {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default, deserialize_with = "optional_finite")]
+    rad_per_m: Option<f64>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    rad_per_rad: Option<f64>,
+    /// Position at which the wheels point straight ahead, m or rad.
+    #[serde(deserialize_with = "finite")]
+    straight: f64,
+    #[serde(deserialize_with = "finite")]
+    fixed_x_m: f64,
+    #[serde(default, deserialize_with = "finite")]
+    trail_m: f64,
+}
+
+impl From<TyreTable> for Tyre {
+    fn from(table: TyreTable) -> Self {
+        Self {
+            compliance_per_n: [table.compliance_long_per_n, table.compliance_lat_per_n],
+            friction: table.friction,
+            relaxation_m: table.relaxation_m,
+            law: match table.law {
+                Law::Brush => SlipLaw::Brush,
+                Law::Linear => SlipLaw::Linear,
+            },
+        }
+    }
+}
+
+impl Body {
+    /// The body at `start`, and the channels whose shafts it couples.
+    pub(super) fn check(
+        &self,
+        reader: &Reader<'_>,
+        config: &BoardConfig,
+        start: Pose,
+    ) -> Result<SimulatedBody, BoardError> {
+        let Self::Wheeled(table) = self;
+        let mut shafts = Shafts { reader, config, channels: Vec::new() };
+        let mut wheels = Vec::new();
+        for (index, wheel) in table.wheel.iter().enumerate() {
+            let path = format!("body.wheeled.wheel[{index}]");
+            if wheel.caster && (wheel.channel.is_some() || wheel.steered || wheel.tyre.is_some()) {
+                return Err(reader.rule(path, "a caster has no channel, no tyre and is not steered"));
+            }
+            let driven = wheel.channel.map(|id| shafts.turning(id, format!("{path}.channel")));
+            wheels.push(Wheel {
+                place_m: wheel.place_m,
+                radius_m: wheel.radius_m,
+                shaft: driven.transpose()?,
+                inverted: wheel.inverted,
+                steered: wheel.steered,
+                tyre: (!wheel.caster).then(|| wheel.tyre.unwrap_or(table.tyre).into()),
+            });
+        }
+        let axle = table.steering.as_ref().map(|steering| shafts.axle(steering)).transpose()?;
+        let chassis = Chassis {
+            mass_kg: table.mass_kg,
+            inertia_kg_m2: table.inertia_kg_m2,
+            centre_m: table.centre_m,
+            height_m: table.height_m,
+        };
+        let channels = shafts.channels;
+        let mut wheeled = Wheeled::new(chassis, wheels, axle, channels.len()).map_err(|why| {
+            let path = match why {
+                ChassisError::Wheel { wheel } | ChassisError::Tyre { wheel, .. } => {
+                    format!("body.wheeled.wheel[{wheel}]")
+                }
+                ChassisError::Axle => "body.wheeled.steering".into(),
+                _ => "body.wheeled".into(),
+            };
+            reader.malformed(path, why)
+        })?;
+        if let Some(outline_m) = &table.outline_m {
+            let outline = Outline::new(outline_m.clone());
+            wheeled = wheeled.with_outline(outline.map_err(|why| reader.malformed("body.wheeled.outline_m", why))?);
+        }
+        wheeled.set_pose(start);
+        Ok(SimulatedBody { wheeled, channels })
+    }
+}
+
+/// The channels whose shafts a body couples, each once.
+struct Shafts<'r> {
+    reader: &'r Reader<'r>,
+    config: &'r BoardConfig,
+    channels: Vec<ChannelId>,
+}
+
+impl Shafts<'_> {
+    fn turning(&mut self, id: ChannelId, path: String) -> Result<usize, BoardError> {
+        let known = may_turn(&self.config.motors);
+        self.reader.one_of("motor that turns", id, known.iter(), path)?;
+        Ok(self.number(id))
+    }
+
+    fn axle(&mut self, steering: &SteeringTable) -> Result<Axle, BoardError> {
+        let path = "body.wheeled.steering";
+        let motors = &self.config.motors;
+        let (known, rad_per_unit) = match (steering.rad_per_m, steering.rad_per_rad) {
+            (Some(rad_per_m), None) => (may_slide(motors), rad_per_m),
+            (None, Some(rad_per_rad)) => (may_turn(motors), rad_per_rad),
+            _ => return Err(self.reader.rule(path, "needs rad_per_m for an actuator, or rad_per_rad for a motor")),
+        };
+        self.reader.one_of("motor of that kind", steering.channel, known.iter(), format!("{path}.channel"))?;
+        Ok(Axle {
+            shaft: self.number(steering.channel),
+            rad_per_unit,
+            straight: steering.straight,
+            fixed_x_m: steering.fixed_x_m,
+            trail_m: steering.trail_m,
+        })
+    }
+
+    fn number(&mut self, id: ChannelId) -> usize {
+        self.channels.iter().position(|known| *known == id).unwrap_or_else(|| {
+            self.channels.push(id);
+            self.channels.len() - 1
+        })
+    }
+}
+
+/// `[world]`: what is around the robot.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct World {
+    start: Option<Start>,
+    #[serde(default, rename = "wall")]
+    walls: Vec<Wall>,
+    #[serde(default, rename = "post")]
+    posts: Vec<Post>,
+    #[serde(default, rename = "person")]
+    people: Vec<Walker>,
+    #[serde(default, rename = "surface")]
+    surfaces: Vec<Floor>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Start {
+    #[serde(deserialize_with = "finite")]
+    x_m: f64,
+    #[serde(deserialize_with = "finite")]
+    y_m: f64,
+    #[serde(default, deserialize_with = "finite")]
+    yaw_rad: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wall {
+    points_m: Vec<Point>,
+    #[serde(default)]
+    closed: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Post {
+    centre_m: Point,
+    radius_m: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Walker {
+    radius_m: f64,
+    /// Time, s, and place, m.
+    path: Vec<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Floor {
+    points_m: Vec<Point>,
+    friction: Option<f64>,
+    #[serde(default)]
+    slope: [f64; 2],
+}
+
+impl World {
+    /// Where the body stands at time 0.
+    pub(super) fn start(&self) -> Pose {
+        self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad })
+    }
+
+    pub(super) fn scene(&self, reader: &Reader<'_>) -> Result<Scene, BoardError> {
+        let mut scene = Scene::default();
+        let at = |array: &str, index: usize, added: Result<(), SceneError>| {
+            added.map_err(|why| reader.malformed(format!("world.{array}[{index}]"), why))
+        };
+        for (index, wall) in self.walls.iter().enumerate() {
+            at("wall", index, scene.add_walls(&wall.points_m, wall.closed))?;
+        }
+        for (index, post) in self.posts.iter().enumerate() {
+            at("post", index, scene.add_post(post.centre_m, post.radius_m))?;
+        }
+        for (index, Walker { radius_m, path }) in self.people.iter().enumerate() {
+            let path = path.iter().map(|[at_s, x_m, y_m]| (*at_s, [*x_m, *y_m])).collect();
+            at("person", index, scene.add_person(Person { radius_m: *radius_m, path }))?;
+        }
+        for (index, floor) in self.surfaces.iter().enumerate() {
+            let surface = Surface { corners_m: floor.points_m.clone(), friction: floor.friction, slope: floor.slope };
+            at("surface", index, scene.add_surface(surface))?;
+        }
+        Ok(scene)
+    }
+}
+
+/// Where a sensor sits on the body.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MountTable {
+    place_m: Point,
+    #[serde(default, deserialize_with = "finite")]
+    yaw_rad: f64,
+}
+
+impl From<MountTable> for Mount {
+    fn from(MountTable { place_m, yaw_rad }: MountTable) -> Self {
+        Self { place_m, yaw_rad }
+    }
+}
