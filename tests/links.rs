@@ -430,7 +430,7 @@ fn python_can_understands_what_we_send_and_we_what_it_sends() {
     let seen = r4(&["--board", &board, "info", "--json"]);
     assert_eq!(seen.code, Some(0), "{seen:?}");
     assert_eq!(object(&seen.out)["robot"], Value::from("openscout"));
-    let seen = r4(&["--board", &board, "speed", "dhb0", "1rad/s", "--for", "0.3"]);
+    let seen = r4(&["--board", &board, "duty", "dhb0", "30%", "--for", "0.3"]);
     assert_eq!(seen.code, Some(0), "{seen:?}");
 }
 

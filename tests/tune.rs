@@ -61,12 +61,17 @@ impl Kept {
 const MOTORS: [(&str, &str); 3] =
     [("sim:osmc-bench", "osmc0"), ("sim:osmc-bench", "actuator1"), ("sim:openscout", "dhb0")];
 
+/// A wheel of a robot that drives is tuned in the air.
+fn on_stand(board: &str) -> &'static [&'static str] {
+    if board == "sim:openscout" { &["--world", "stand"] } else { &[] }
+}
+
 /// Whether what is called better settles at least as fast, and what is not says why; and whether the board tripped.
 fn check(board: &str, channel: &str, seed: &str, more: &[&str]) -> Value {
     let kept = Kept::new();
     let flash = kept.file("flash");
     let args = ["--board", board, "--seed", seed, "--flash", &flash, "tune", channel];
-    let report = json(&[&args, more].concat());
+    let report = json(&[&args, on_stand(board), more].concat());
     let told = format!("{board} {channel} {more:?}, seed {seed}: {report:#}");
     let settling = |which: &str| report[which]["settling_s"].as_f64();
     if report["better"] == true {
@@ -120,7 +125,7 @@ fn badly_tuned_gains_become_better_and_are_kept_only_on_request() {
     const BOARD: &str = "sim:openscout";
     let kept = Kept::new();
     let flash = kept.file("flash");
-    let with = ["--board", BOARD, "--flash", &flash];
+    let with = ["--board", BOARD, "--world", "stand", "--flash", &flash];
     for (key, value) in [("dhb0.position_kp", "0.6"), ("dhb0.position_ki", "0.2"), ("dhb0.position_kd", "0")] {
         json(&[&with[..], &["config", "set", key, value, "--save"]].concat());
     }
@@ -143,7 +148,19 @@ fn badly_tuned_gains_become_better_and_are_kept_only_on_request() {
 fn gains_that_are_no_better_are_not_saved() {
     let kept = Kept::new();
     let flash = kept.file("flash");
-    let tuned = ["--board", "sim:openscout", "--flash", &flash, "tune", "dhb0", "--mode", "speed", "--save"];
+    let tuned = [
+        "--board",
+        "sim:openscout",
+        "--world",
+        "stand",
+        "--flash",
+        &flash,
+        "tune",
+        "dhb0",
+        "--mode",
+        "speed",
+        "--save",
+    ];
     let report = json(&tuned);
     assert_eq!((&report["better"], &report["saved"]), (&false.into(), &false.into()), "{report:#}");
     assert_eq!(kept.parameter("sim:openscout", "dhb0.speed_kp"), 0.167);
@@ -153,7 +170,7 @@ fn gains_that_are_no_better_are_not_saved() {
 fn a_run_that_leaves_its_travel_or_time_ends_disarmed() {
     let kept = Kept::new();
     let flash = kept.file("flash");
-    let with = ["--board", "sim:openscout", "--flash", &flash, "tune", "dhb0"];
+    let with = ["--board", "sim:openscout", "--world", "stand", "--flash", &flash, "tune", "dhb0"];
     // The swing of this motor is wider than that.
     let said = complaint(&[&with[..], &["--travel", "6deg"]].concat());
     assert!(said.contains("left the travel"), "{said}");

@@ -25,16 +25,22 @@ pub use number::Interval;
 pub use robot::{
     Ackermann, Drive, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
     SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
-    Simulation, SkidSteer, SteeringLaw, TruePoint,
+    Simulation, SkidSteer, SteeringLaw, TruePoint, World,
 };
 use source::{Folder, Source};
 
 const ROBOTS: [&str; 5] = ["osmc-bench", "openscout", "openpodcar", "openagribot", "every-interface"];
+const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
 /// The names of the robots that are part of the program.
 pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
     ROBOTS.into_iter()
+}
+
+/// The names of the worlds that are part of the program.
+pub fn world_names() -> impl ExactSizeIterator<Item = &'static str> {
+    WORLDS.into_iter()
 }
 
 /// The names of the carriers that are part of the program.
@@ -61,6 +67,14 @@ pub fn load_carrier(name_or_path: &str) -> Result<Carrier, BoardError> {
     carrier::read(&find(name_or_path, "carrier", &CARRIERS)?.0)
 }
 
+/// Reads and checks a world: a name out of [`world_names`], or the path of a `.toml` file with a `[world]` and nothing else.
+///
+/// # Errors
+/// The first thing that is wrong, with file, line and field.
+pub fn load_world(name_or_path: &str) -> Result<World, BoardError> {
+    robot::read_world(&find(name_or_path, "world", &WORLDS)?.0)
+}
+
 fn find(name_or_path: &str, what: &'static str, known: &[&'static str]) -> Result<(Source, Folder), BoardError> {
     if name_or_path.ends_with(".toml") {
         let path = Path::new(name_or_path);
@@ -70,6 +84,7 @@ fn find(name_or_path: &str, what: &'static str, known: &[&'static str]) -> Resul
     }
     let unknown = || BoardError::UnknownName { what, name: name_or_path.to_owned(), known: known.to_vec() };
     let name = known.iter().find(|known| **known == name_or_path).ok_or_else(unknown)?;
-    let source = Source::built_in(&format!("{name}.toml")).ok_or_else(unknown)?;
+    let folder = if what == "world" { "worlds/" } else { "" };
+    let source = Source::built_in(&format!("{folder}{name}.toml")).ok_or_else(unknown)?;
     Ok((source, Folder::BuiltIn))
 }

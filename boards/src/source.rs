@@ -18,13 +18,15 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 12] = [
+const BUILT_IN: [(&str, &str); 14] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("openscout.toml", include_str!("../openscout.toml")),
     ("openpodcar.toml", include_str!("../openpodcar.toml")),
     ("openagribot.toml", include_str!("../openagribot.toml")),
     ("every-interface.toml", include_str!("../every-interface.toml")),
+    ("worlds/stand.toml", include_str!("../worlds/stand.toml")),
+    ("worlds/square.toml", include_str!("../worlds/square.toml")),
     ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
     ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
     ("plants/openscout-wheel.toml", include_str!("../plants/openscout-wheel.toml")),
@@ -119,6 +121,11 @@ impl Source {
             None => Location { file: self.name.clone(), line: 1, field: String::new() },
         };
         BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
+    }
+
+    /// The error of a field `path` that breaks a rule.
+    pub(crate) fn rule(&self, path: impl Display, problem: impl Display) -> BoardError {
+        BoardError::Malformed { at: self.at(path), problem: problem.to_string() }
     }
 
     /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.

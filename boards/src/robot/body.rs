@@ -8,13 +8,14 @@ use r4_world::{
 use serde::Deserialize;
 
 use super::{
-    Mount, SimulatedBody,
+    Mount, SimulatedBody, World,
     read::Reader,
     simulation::{may_slide, may_turn},
 };
 use crate::{
     error::BoardError,
     number::{channel, finite, not_negative, optional_channel, optional_finite, positive},
+    source::Source,
 };
 
 /// `[body]`: one kind of it.
@@ -117,13 +118,8 @@ impl From<TyreTable> for Tyre {
 }
 
 impl Body {
-    /// The body at `start`, and the channels whose shafts it couples.
-    pub(super) fn check(
-        &self,
-        reader: &Reader<'_>,
-        config: &BoardConfig,
-        start: Pose,
-    ) -> Result<SimulatedBody, BoardError> {
+    /// The body at the origin, and the channels whose shafts it couples.
+    pub(super) fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<SimulatedBody, BoardError> {
         let Self::Wheeled(table) = self;
         let mut shafts = Shafts { reader, config, channels: Vec::new() };
         let mut wheels = Vec::new();
@@ -158,13 +154,12 @@ impl Body {
                 ChassisError::Axle => "body.wheeled.steering".into(),
                 _ => "body.wheeled".into(),
             };
-            reader.malformed(path, why)
+            reader.source.rule(path, why)
         })?;
         if let Some(outline_m) = &table.outline_m {
             let outline = Outline::new(outline_m.clone());
-            wheeled = wheeled.with_outline(outline.map_err(|why| reader.malformed("body.wheeled.outline_m", why))?);
+            wheeled = wheeled.with_outline(outline.map_err(|why| reader.source.rule("body.wheeled.outline_m", why))?);
         }
-        wheeled.set_pose(start);
         Ok(SimulatedBody { wheeled, channels })
     }
 }
@@ -209,11 +204,25 @@ impl Shafts<'_> {
     }
 }
 
+/// A file of a world alone.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WorldFile {
+    world: WorldTable,
+}
+
+/// Reads a file with a `[world]` and nothing else.
+pub(crate) fn read_world(source: &Source) -> Result<World, BoardError> {
+    source.parse::<WorldFile>()?.world.check(source)
+}
+
 /// `[world]`: what is around the robot.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct World {
+pub(super) struct WorldTable {
     start: Option<Start>,
+    #[serde(default)]
+    on_stand: bool,
     #[serde(default, rename = "wall")]
     walls: Vec<Wall>,
     #[serde(default, rename = "post")]
@@ -267,16 +276,11 @@ struct Floor {
     slope: [f64; 2],
 }
 
-impl World {
-    /// Where the body stands at time 0.
-    pub(super) fn start(&self) -> Pose {
-        self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad })
-    }
-
-    pub(super) fn scene(&self, reader: &Reader<'_>) -> Result<Scene, BoardError> {
+impl WorldTable {
+    pub(super) fn check(&self, source: &Source) -> Result<World, BoardError> {
         let mut scene = Scene::default();
         let at = |array: &str, index: usize, added: Result<(), SceneError>| {
-            added.map_err(|why| reader.malformed(format!("world.{array}[{index}]"), why))
+            added.map_err(|why| source.rule(format!("world.{array}[{index}]"), why))
         };
         for (index, wall) in self.walls.iter().enumerate() {
             at("wall", index, scene.add_walls(&wall.points_m, wall.closed))?;
@@ -292,7 +296,8 @@ impl World {
             let surface = Surface { corners_m: floor.points_m.clone(), friction: floor.friction, slope: floor.slope };
             at("surface", index, scene.add_surface(surface))?;
         }
-        Ok(scene)
+        let start = self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
+        Ok(World { start, on_stand: self.on_stand, scene })
     }
 }
 

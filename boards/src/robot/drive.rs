@@ -32,7 +32,8 @@ pub struct SkidSteer {
     /// Of every wheel.
     #[serde(deserialize_with = "positive")]
     pub wheel_radius_m: f64,
-    /// Between the middles of left and right wheels.
+    /// Difference of the sides' speeds over the robot's turn rate: the distance between the middles of left and right wheels, and more
+    /// where tyres slip in a turn.
     #[serde(deserialize_with = "positive")]
     pub track_m: f64,
     /// Motors of the left wheels; a positive position is forwards.

@@ -9,8 +9,9 @@ mod read;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
-use r4_world::{Scene, Wheeled};
+use r4_world::{Pose, Scene, Wheeled};
 
+pub(crate) use body::read_world;
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
@@ -55,6 +56,17 @@ pub struct Simulation {
     /// What couples motors; `None` lets each turn alone.
     pub body: Option<SimulatedBody>,
     /// What is around the body.
+    pub scene: Scene,
+}
+
+/// What a robot is put into.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// Where the body stands at time 0.
+    pub start: Pose,
+    /// Whether it stands on a stand instead, its wheels in the air.
+    pub on_stand: bool,
+    /// What is around it.
     pub scene: Scene,
 }
 
@@ -169,6 +181,17 @@ impl Simulation {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Puts the robot into a world, in place of the one it was in.
+    pub fn enter(&mut self, world: World) {
+        self.scene = world.scene;
+        if world.on_stand {
+            self.body = None;
+        }
+        if let Some(body) = &mut self.body {
+            body.wheeled.set_pose(world.start);
+        }
     }
 }
 

@@ -64,7 +64,7 @@ struct RobotFile {
     supply: Vec<input::Supply>,
     drive: Option<Drive>,
     body: Option<body::Body>,
-    world: Option<body::World>,
+    world: Option<body::WorldTable>,
     simulation: Option<simulation::Tables>,
 }
 
@@ -109,7 +109,13 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
         drive.check(&reader, &config)?;
     }
     let simulation = match &file.simulation {
-        Some(tables) => tables.check(&reader, folder, &config, file.body.as_ref(), file.world.as_ref())?,
+        Some(tables) => {
+            let mut simulation = tables.check(&reader, folder, &config, file.body.as_ref())?;
+            if let Some(world) = &file.world {
+                simulation.enter(world.check(source)?);
+            }
+            simulation
+        }
         None => {
             let alone = [("body", file.body.is_some()), ("world", file.world.is_some())];
             if let Some((table, _)) = alone.into_iter().find(|(_, is_there)| *is_there) {
@@ -380,10 +386,6 @@ impl Reader<'_> {
         let known: Vec<_> = known.map(ToString::to_string).collect();
         let known = if known.is_empty() { "nothing: the robot has none".to_owned() } else { known.join(" or ") };
         Err(BoardError::NoSuch { at: self.source.at(path), what, asked: id.to_string(), known })
-    }
-
-    pub(super) fn malformed(&self, path: impl Display, problem: impl Display) -> BoardError {
-        BoardError::Malformed { at: self.source.at(path), problem: problem.to_string() }
     }
 
     pub(super) fn rule(&self, path: impl Display, rule: &'static str) -> BoardError {

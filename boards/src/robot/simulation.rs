@@ -9,12 +9,13 @@ use r4_protocol::{
         SupplyConfig, SwitchConfig,
     },
 };
+use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
     PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
     SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
-    body::{Body, MountTable, World},
+    body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
 };
@@ -256,11 +257,8 @@ impl Tables {
         folder: &Folder,
         config: &BoardConfig,
         body: Option<&Body>,
-        world: Option<&World>,
     ) -> Result<Simulation, BoardError> {
-        let start = world.map(World::start).unwrap_or_default();
-        let body = body.map(|body| body.check(reader, config, start)).transpose()?;
-        let scene = world.map(|world| world.scene(reader)).transpose()?.unwrap_or_default();
+        let body = body.map(|body| body.check(reader, config)).transpose()?;
         let has_body = body.is_some();
         let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
@@ -275,7 +273,7 @@ impl Tables {
             analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             body,
-            scene,
+            scene: Scene::default(),
         })
     }
 }

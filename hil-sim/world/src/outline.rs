@@ -6,7 +6,7 @@
 
 use crate::{
     body::Pose,
-    scene::{Disc, Point, Scene, Segment, cross, dot, length, minus, plus},
+    scene::{Disc, Point, Scene, Segment, cross, dot, is_inside, length, minus, plus},
 };
 
 /// Thickness of the bumper, m: our choice, that of foam on robots of some 10 kg.
@@ -78,6 +78,18 @@ impl Outline {
     #[must_use]
     pub fn corners_m(&self) -> &[Point] {
         &self.corners_m
+    }
+
+    /// Distance from a disc to the outline at a pose, m; 0 or less where they overlap.
+    #[must_use]
+    pub fn distance_m(&self, pose: Pose, centre_m: Point, radius_m: f64) -> f64 {
+        let corners: Vec<Point> = self.corners_m.iter().map(|corner| pose.to_world(*corner)).collect();
+        if is_inside(&corners, centre_m) {
+            return -radius_m;
+        }
+        let edge = |number: usize| Segment { from: corners[number], to: corners[(number + 1) % corners.len()] };
+        let to_edge = |number| length(minus(edge(number).nearest(centre_m), centre_m));
+        (0..corners.len()).map(to_edge).fold(f64::INFINITY, f64::min) - radius_m
     }
 
     /// Forgets how far it was from everything: the body has been put elsewhere.
@@ -241,6 +253,15 @@ mod tests {
         let (force, moment) = pushes(&scene, Pose::default());
         assert!((force[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
         assert!((moment - 0.1 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{moment}");
+    }
+
+    #[test]
+    fn discs_are_as_far_away_as_they_are() {
+        let at = Pose { x_m: 1.0, yaw_rad: std::f64::consts::FRAC_PI_2, ..Pose::default() };
+        for (centre, expected_m) in [([2.0, 0.1], 0.7), ([1.5, 0.6], 0.5 - 0.1), ([1.1, 0.0], -0.1)] {
+            let got_m = square(0.2).distance_m(at, centre, 0.1);
+            assert!((got_m - expected_m).abs() < 1e-12, "{centre:?}: {got_m}");
+        }
     }
 
     #[test]

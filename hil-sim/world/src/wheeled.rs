@@ -193,6 +193,12 @@ impl Wheeled {
         Self { outline: Some(outline), ..self }
     }
 
+    /// Its wheels.
+    #[must_use]
+    pub fn wheels(&self) -> &[Wheel] {
+        &self.wheels
+    }
+
     /// Its outline.
     #[must_use]
     pub fn outline(&self) -> Option<&Outline> {

@@ -47,6 +47,9 @@ pub(crate) struct Args {
     /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
     #[arg(long, global = true, value_name = "SEED")]
     pub(crate) blind: Option<u64>,
+    /// World in which the body of a simulated robot stands: a name, as in square, or a file with [world]
+    #[arg(long, global = true, value_name = "WORLD")]
+    pub(crate) world: Option<String>,
     /// File with the key of a board that is served with one at tcp:
     #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
     pub(crate) key: Option<PathBuf>,
@@ -103,7 +106,7 @@ pub(crate) enum LogLevel {
 
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Drive the set points of the OSMC evaluation and compare with the paper's results
+    /// Drive the set points of the OSMC evaluation and compare with the paper's results, or a robot round a room
     Demo(Demo),
     /// What the board is and what its channels can take
     Info,
@@ -379,6 +382,9 @@ fn window(text: &str) -> Result<usize, String> {
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Demo {
+    /// Another robot: openscout drives round a room in which people step in its way
+    #[arg(long)]
+    pub(crate) robot: Option<String>,
     /// Folder for log.mcap and report.html
     #[arg(long, default_value = "r4-demo", value_name = "DIR")]
     pub(crate) out: PathBuf,

@@ -499,8 +499,11 @@ pub(crate) fn told(event: &Event) -> String {
 }
 
 fn warn_of_virtual_options(args: &Args) {
-    if args.flash.is_some() || args.pace.is_some() {
-        eprintln!("r4: --flash and --pace are for simulated boards: {} has its own flash and real time", args.board);
+    if args.flash.is_some() || args.pace.is_some() || args.world.is_some() {
+        eprintln!(
+            "r4: --flash, --pace and --world are for simulated boards: {} has its own flash, real time and world",
+            args.board
+        );
     }
 }
 
@@ -512,6 +515,15 @@ pub(crate) fn power_up(
     let name = args.board.robot()?;
     let mut robot: Robot = r4_boards::load(name)?;
     plants::replace(args, &mut robot)?;
+    if let Some(world) = &args.world {
+        let world = r4_boards::load_world(world)?;
+        if robot.simulation.body.is_none() {
+            bail!(
+                "{name} has no [body] to stand in a world: add one to its file (boards/README.md), or leave out --world"
+            );
+        }
+        robot.simulation.enter(world);
+    }
     let file = args.flash.as_deref().map(FlashFile::open).transpose()?;
     let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
     if let (Some(file), Some(flash)) = (&file, &flash) {

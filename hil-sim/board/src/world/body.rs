@@ -112,6 +112,12 @@ impl World {
         &self.scene
     }
 
+    /// The body as it was when somebody looked last; `None` for a robot without one.
+    #[must_use]
+    pub fn body(&self) -> Option<&Wheeled> {
+        self.body.as_ref().map(|coupling| &coupling.body)
+    }
+
     /// Puts the body somewhere, at rest.
     pub fn set_pose(&mut self, pose: Pose) {
         self.catch_up();

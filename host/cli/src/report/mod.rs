@@ -4,6 +4,7 @@
 
 mod channel;
 mod identify;
+mod map;
 mod plot;
 mod series;
 
@@ -13,6 +14,7 @@ use r4_log::Log;
 use r4_protocol::Request;
 
 pub(crate) use identify::{Scale, identify, significant};
+pub(crate) use map::Map;
 use plot::{Figure, number};
 
 const PAGE: &str = include_str!("page.html");
@@ -85,15 +87,15 @@ pub(crate) struct Overlay {
 /// The page for `log`, headed `title`, with `tables` above the plots.
 #[must_use]
 pub(crate) fn html(log: &Log, title: &str, tables: &[Table]) -> String {
-    page(log, title, tables, &[])
+    page(log, title, tables, &[], None)
 }
 
-/// The same with `overlays` between the tables and the plots of the log.
+/// The same with a `map` below the head, and `overlays` between the tables and the plots of the log.
 #[must_use]
-pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> String {
+pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay], map: Option<&Map>) -> String {
     let mut body = String::new();
     // writing to a string does not fail
-    let _ = write_body(&mut body, log, title, tables, overlays);
+    let _ = write_body(&mut body, log, title, tables, overlays, map);
     // What a browser's tab and its history show: which of many runs this is.
     let recorded = log.header.recorded.as_ref().map(|recorded| format!(", {}", recorded.at()));
     document(&format!("{title} \u{2013} {}{}", log.header.board, recorded.unwrap_or_default()), &body)
@@ -124,8 +126,19 @@ fn escaped(text: &str) -> String {
     html
 }
 
-fn write_body(body: &mut String, log: &Log, title: &str, tables: &[Table], overlays: &[Overlay]) -> std::fmt::Result {
+fn write_body(
+    body: &mut String,
+    log: &Log,
+    title: &str,
+    tables: &[Table],
+    overlays: &[Overlay],
+    map: Option<&Map>,
+) -> std::fmt::Result {
     write_head(body, log, title, tables)?;
+    if let Some(map) = map {
+        writeln!(body, "<section>\n<h2>{}</h2>", escaped(&map.title))?;
+        writeln!(body, "<figure><div class=\"scroll\">\n{}</div></figure>\n</section>", map.svg())?;
+    }
     for table in tables {
         write_table(body, table)?;
     }

@@ -35,5 +35,5 @@ pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome
         lines.push(("proposed gains".to_owned(), line(&after.samples, |sample| sample.1)));
     }
     let overlay = Overlay { title: format!("{} ({unit})", plan.mode()), lines };
-    report::page(log, &format!("Tuning of {channel} on {board}"), &[table], &[overlay])
+    report::page(log, &format!("Tuning of {channel} on {board}"), &[table], &[overlay], None)
 }

@@ -1,9 +1,6 @@
-//! `r4 demo`: the set points of the OSMC evaluation, on one board, with the paper's results beside ours.
+//! The set points of the OSMC evaluation, on one board, with the paper's results beside ours.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -11,8 +8,8 @@ use r4_log::Log;
 use r4_protocol::{ChannelId, ChannelKind, Unit};
 use r4_sim::Pace;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
+use super::{table_sha256, write};
 use crate::{
     args::{Args, Demo},
     output,
@@ -67,13 +64,12 @@ struct Report {
     rows: Vec<Row>,
     simulated_s: f64,
     real_time_factor: f64,
-    /// Of the log as a table, which is the same for the same board and seed. `r4 log export LOG --csv - | sha256sum` prints it.
     table_sha256: String,
     log: PathBuf,
     report: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
+pub(super) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
         ProgressStyle::with_template("{bar:30} {pos}/{len} set points, {msg}").unwrap_or(ProgressStyle::default_bar()),
     );
@@ -83,11 +79,8 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
 
     let log_path = demo.out.join("log.mcap");
     let report_path = demo.out.join("report.html");
-    fs::create_dir_all(&demo.out).with_context(|| format!("cannot make the folder {}", demo.out.display()))?;
     write(&log_path, &log)?;
     let log = Log::from_bytes(&log)?;
-    let mut table = Vec::new();
-    log.write_csv(&mut table)?;
     let page = report::html(&log, "OSMC evaluation", &[page_table(&rows, &args.board.to_string())]);
     write(&report_path, page.as_bytes())?;
 
@@ -97,7 +90,7 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
         rows,
         simulated_s: elapsed.simulated_s,
         real_time_factor: elapsed.real_time_factor(),
-        table_sha256: Sha256::digest(&table).iter().map(|byte| format!("{byte:02x}")).collect(),
+        table_sha256: table_sha256(&log)?,
         log: log_path,
         report: report_path,
     };
@@ -110,10 +103,6 @@ pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
         eprintln!("r4: not every set point settled within {WITHIN_DEG} deg / {WITHIN_MM} mm");
     }
     Ok(met)
-}
-
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Drives all set points and returns a row for each that was tried.

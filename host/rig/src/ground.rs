@@ -1,0 +1,135 @@
+//! From a velocity over the ground to set points of wheels.
+
+use r4_boards::{Ackermann, Drive, SkidSteer};
+use r4_protocol::{ChannelId, Mode, Setpoint};
+
+/// How a robot moves over the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Velocity {
+    /// Forwards, m/s.
+    pub forward_m_s: f64,
+    /// Counterclockwise, rad/s.
+    pub yaw_rad_s: f64,
+}
+
+impl Velocity {
+    /// The same curve, slower: both by one factor.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self { forward_m_s: self.forward_m_s * factor, yaw_rad_s: self.yaw_rad_s * factor }
+    }
+}
+
+/// A robot that drives over the ground.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroundDrive {
+    drive: Drive,
+}
+
+impl GroundDrive {
+    /// As its file describes it.
+    #[must_use]
+    pub fn new(drive: Drive) -> Self {
+        Self { drive }
+    }
+
+    /// The description it was made of.
+    #[must_use]
+    pub fn drive(&self) -> &Drive {
+        &self.drive
+    }
+
+    /// Set points for a velocity. One beyond what the robot may be asked for is slowed down and keeps its curve; one that is not
+    /// finite stands still.
+    #[must_use]
+    pub fn setpoints(&self, velocity: Velocity) -> Vec<(ChannelId, Setpoint)> {
+        let is_finite = velocity.forward_m_s.is_finite() && velocity.yaw_rad_s.is_finite();
+        let velocity = if is_finite { velocity } else { Velocity::default() };
+        match &self.drive {
+            Drive::SkidSteer(robot) => skid_steer(robot, velocity),
+            Drive::Ackermann(robot) => ackermann(robot, velocity),
+        }
+    }
+}
+
+/// 1, or less where `asked` is more than `most`.
+fn share(asked: f64, most: f64) -> f64 {
+    if asked.abs() > most { most / asked.abs() } else { 1.0 }
+}
+
+fn skid_steer(robot: &SkidSteer, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
+    let slower = share(asked.forward_m_s, robot.speed_max_m_s).min(share(asked.yaw_rad_s, robot.turn_rate_max_rad_s));
+    let Velocity { forward_m_s, yaw_rad_s } = asked.times(slower);
+    let across_m_s = yaw_rad_s * robot.track_m / 2.0;
+    let speed = |rim_m_s: f64| Setpoint { mode: Mode::Speed, value: (rim_m_s / robot.wheel_radius_m) as f32 };
+    let left = robot.left.iter().map(|channel| (*channel, speed(forward_m_s - across_m_s)));
+    let right = robot.right.iter().map(|channel| (*channel, speed(forward_m_s + across_m_s)));
+    left.chain(right).collect()
+}
+
+/// A turn on the spot is not possible: it stands, with the wheels as far round as they go.
+fn ackermann(robot: &Ackermann, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
+    let Velocity { forward_m_s, yaw_rad_s } = asked.times(share(asked.forward_m_s, robot.speed_max_m_s));
+    let wanted_rad = if yaw_rad_s == 0.0 { 0.0 } else { (robot.wheelbase_m * yaw_rad_s / forward_m_s).atan() };
+    let angle_rad = wanted_rad.clamp(robot.steering_rad.min, robot.steering_rad.max);
+    let steering = Setpoint { mode: Mode::Position, value: robot.steering_law.position_m(angle_rad) as f32 };
+    let drive = match robot.full_speed_m_s {
+        Some(full_m_s) => Setpoint { mode: Mode::Duty, value: (forward_m_s / full_m_s).clamp(-1.0, 1.0) as f32 },
+        None => Setpoint { mode: Mode::Speed, value: (forward_m_s / robot.wheel_radius_m) as f32 },
+    };
+    vec![(robot.steering, steering), (robot.drive, drive)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn robot(name: &str) -> GroundDrive {
+        GroundDrive::new(r4_boards::load(name).expect("built in").drive.expect("it drives"))
+    }
+
+    fn values(drive: &GroundDrive, forward_m_s: f64, yaw_rad_s: f64) -> Vec<f32> {
+        drive.setpoints(Velocity { forward_m_s, yaw_rad_s }).iter().map(|(_, setpoint)| setpoint.value).collect()
+    }
+
+    #[test]
+    fn wheels_of_a_skid_steer_robot_roll_as_the_ground_goes_by() {
+        let openscout = robot("openscout");
+        let Drive::SkidSteer(SkidSteer { track_m, wheel_radius_m, .. }) = openscout.drive() else { panic!() };
+        let straight = (0.2 / wheel_radius_m) as f32;
+        assert_eq!(values(&openscout, 0.2, 0.0), [straight; 4]);
+        let turning = (track_m / 2.0 / wheel_radius_m) as f32;
+        assert_eq!(values(&openscout, 0.0, 1.0), [-turning, -turning, turning, turning]);
+        // Left wheels first, as the file has them.
+        let channels: Vec<_> =
+            openscout.setpoints(Velocity::default()).iter().map(|(channel, _)| channel.to_string()).collect();
+        assert_eq!(channels, ["dhb0", "dhb2", "dhb1", "dhb3"]);
+    }
+
+    #[test]
+    fn too_much_is_slowed_down_and_keeps_its_curve() {
+        let openscout = robot("openscout");
+        // 0.5 m/s and 1.5 rad/s are the most.
+        assert_eq!(values(&openscout, 2.0, 1.0), values(&openscout, 0.5, 0.25));
+        assert_eq!(values(&openscout, -0.1, -3.0), values(&openscout, -0.05, -1.5));
+        assert_eq!(values(&openscout, f64::NAN, 1.0), [0.0; 4]);
+        assert_eq!(values(&openscout, 0.1, f64::INFINITY), [0.0; 4]);
+    }
+
+    #[test]
+    fn a_car_steers_by_the_bicycle_model() {
+        let openpodcar = robot("openpodcar");
+        let Drive::Ackermann(car) = openpodcar.drive() else { panic!() };
+        let steered = |forward_m_s, yaw_rad_s| {
+            car.steering_law.angle_rad(f64::from(values(&openpodcar, forward_m_s, yaw_rad_s)[0]))
+        };
+        // f32 on a rod of 0.1 m: 19 rad/m times 4e-9 m.
+        let near = |one: f64, other: f64| (one - other).abs() < 1e-6;
+        assert!(near(steered(0.2, 0.05), (car.wheelbase_m * 0.05 / 0.2).atan()));
+        // Backwards the other way round, and slowed down by the same factor.
+        assert!(near(steered(-0.4, 0.1), -steered(0.2, 0.05)));
+        assert!(near(steered(0.2, 0.0), 0.0) && near(steered(0.0, 0.0), 0.0));
+        assert!(near(steered(0.0, 1.0), car.steering_rad.max) && near(steered(0.0, -1.0), car.steering_rad.min));
+        assert_eq!(values(&openpodcar, 0.0, 1.0)[1], 0.0);
+    }
+}
