@@ -15,3 +15,4 @@ mod logs;
 mod program;
 mod screen;
 mod tune;
+mod world;

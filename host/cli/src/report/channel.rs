@@ -36,7 +36,7 @@ pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
     Figure {
         description,
         span: (0.0, duration_s),
-        axis: "Time (s)".to_owned(),
+        axis: format!("Time since {} (s)", overlay.since),
         bands: vec![],
         trips_s: vec![],
         panels: vec![panel],

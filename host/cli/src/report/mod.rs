@@ -80,6 +80,8 @@ pub(crate) enum Cell {
 pub(crate) struct Overlay {
     /// What the vertical axis is, with its unit.
     pub(crate) title: String,
+    /// Since when the time is counted, as in "the step".
+    pub(crate) since: &'static str,
     /// Names and points (s, value): first the set point, then up to three others.
     pub(crate) lines: Vec<(String, Vec<(f64, f64)>)>,
 }

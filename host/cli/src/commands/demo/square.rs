@@ -6,7 +6,6 @@
 use std::{collections::HashMap, path::PathBuf};
 
 use anyhow::{Context, bail};
-use futures::future::try_join_all;
 use r4_boards::{Drive, SkidSteer};
 use r4_log::Log;
 use r4_protocol::{ChannelId, ChannelKind, Quality, SafetyState, Sample};
@@ -232,9 +231,10 @@ async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> 
                         Some(next) => velocity = next,
                         None => break,
                     }
-                    let setpoints = ground.setpoints(velocity).into_iter();
-                    let sent = try_join_all(setpoints.map(|(channel, setpoint)| board.set(channel, setpoint))).await;
-                    sent.or_else(unless_tripped)?;
+                    // One after the other, so that a replay of the log sends them at the same moments.
+                    for (channel, setpoint) in ground.setpoints(velocity) {
+                        board.set(channel, setpoint).await.or_else(unless_tripped)?;
+                    }
                     let stands = velocity == Velocity::default();
                     if stands != waits {
                         let what = if stands { "stops for what is in front" } else { "goes on" };
@@ -258,8 +258,8 @@ async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> 
 }
 
 /// A set point that is refused because the board has tripped meanwhile is no error: the next frame says why.
-fn unless_tripped(error: r4_driver::Error) -> Result<Vec<()>, r4_driver::Error> {
-    if matches!(error, r4_driver::Error::Refused { .. }) { Ok(Vec::new()) } else { Err(error) }
+fn unless_tripped(error: r4_driver::Error) -> Result<(), r4_driver::Error> {
+    if matches!(error, r4_driver::Error::Refused { .. }) { Ok(()) } else { Err(error) }
 }
 
 /// Plays the person who has looked why the robot stopped, clears the trip and arms. Whether its cause was gone.
@@ -466,6 +466,7 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
     vec![
         Overlay {
             title: "Free way in front (m)".into(),
+            since: "the start",
             lines: vec![
                 line("kept free", &|_| LIMITS.stop_m),
                 line("by the range sensors, at most 2 m", &|look| look.known.free_m.min(2.0)),
@@ -474,6 +475,7 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
         },
         Overlay {
             title: "Speed (m/s)".into(),
+            since: "the start",
             lines: vec![
                 line("asked for", &|look| look.known.velocity.forward_m_s),
                 line("of the robot", &|look| f64::midpoint(look.ground_m_s[0], look.ground_m_s[1])),
@@ -481,10 +483,12 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
         },
         Overlay {
             title: "Slip: speed of the wheels' rims over the ground (m/s)".into(),
+            since: "the start",
             lines: vec![line("none", &|_| 0.0), slip("left wheels", 0), slip("right wheels", 1)],
         },
         Overlay {
             title: "Error of the odometry (m)".into(),
+            since: "the start",
             lines: vec![line("promised at the end", &|_| ODOMETRY_M), line("error", &Look::odometry_off_m)],
         },
     ]

@@ -34,6 +34,6 @@ pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome
     if let Ok(after) = &outcome.after {
         lines.push(("proposed gains".to_owned(), line(&after.samples, |sample| sample.1)));
     }
-    let overlay = Overlay { title: format!("{} ({unit})", plan.mode()), lines };
+    let overlay = Overlay { title: format!("{} ({unit})", plan.mode()), since: "the step", lines };
     report::page(log, &format!("Tuning of {channel} on {board}"), &[table], &[overlay], None)
 }
