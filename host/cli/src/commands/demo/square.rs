@@ -293,12 +293,12 @@ impl Run {
             for person in world.scene().people() {
                 person_m = person_m.min(outline.distance_m(truth, person.place_m(time_s), person.radius_m));
             }
-            if self.looks.len() % OUTLINE_EVERY == 0 {
+            if self.looks.len().is_multiple_of(OUTLINE_EVERY) {
                 let corners = outline.corners_m().iter().map(|corner| truth.to_world(*corner));
                 self.map.outlines_m.push(corners.collect());
             }
         }
-        if self.looks.len() % PLACE_EVERY == 0 {
+        if self.looks.len().is_multiple_of(PLACE_EVERY) {
             let places = [[truth.x_m, truth.y_m], [known.place.x_m, known.place.y_m]];
             self.map.ways_m.iter_mut().zip(places).for_each(|((_, way), place)| way.push(place));
         }
