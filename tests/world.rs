@@ -30,7 +30,8 @@ fn openscout_drives_round_a_room_and_stops_for_people() {
     }
     // The log has what the host asked for, in whole microseconds; in the same world the wheels come within some counts of it.
     let log = folder.path().join("log.mcap");
-    let again = ["log", "replay", path(&log), "--board", "sim:openscout", "--world", "square", "--within", "position=1deg"];
+    let again =
+        ["log", "replay", path(&log), "--board", "sim:openscout", "--world", "square", "--within", "position=1deg"];
     good(&again);
 }
 

@@ -27,6 +27,8 @@ use crate::{
 /// Longest step taken. Short against what friction and load do at the 1 kHz at which plants are controlled; the
 /// electrical time constant needs no shorter one.
 pub(crate) const MAX_STEP_S: f64 = 2.5e-4;
+/// Lengths of shorter steps that are kept.
+const PARTS: usize = 8;
 
 /// Below this `L/R` the current follows the voltage at once: `i = (u − k v) / R`. It settles 250 times within a step.
 const QUASI_STATIC_S: f64 = 1e-6;
@@ -252,9 +254,11 @@ fn first_order(step: &FirstOrder, motion: &Motion, acceleration: f64) -> Motion 
 #[derive(Clone, Debug)]
 pub(crate) struct DriveTrain {
     constants: Constants,
-    /// The last full step and the last shorter one; the linear part is worth keeping.
+    /// The full step and the last shorter ones; the linear part is worth keeping.
     full: Step,
-    part: Step,
+    parts: [Step; PARTS],
+    /// Which of them is replaced next.
+    next_part: usize,
     pub(crate) motion: Motion,
 }
 
@@ -264,7 +268,13 @@ impl DriveTrain {
             Model::DcGearMotor(motor) => motor.into(),
             Model::LinearActuator(actuator) => actuator.into(),
         };
-        Self { constants, full: Step::default(), part: Step::default(), motion: Motion::default() }
+        Self {
+            constants,
+            full: Step::default(),
+            parts: [Step::default(); PARTS],
+            next_part: 0,
+            motion: Motion::default(),
+        }
     }
 
     /// At rest, without current, at this position or the end stop before it.
@@ -366,11 +376,21 @@ impl DriveTrain {
     }
 
     fn step(&mut self, step_s: f64, circuit_ohm: f64) -> &Step {
-        let kept = if step_s == MAX_STEP_S { &mut self.full } else { &mut self.part };
-        if kept.step_s != step_s || kept.circuit_ohm != circuit_ohm {
-            *kept = self.constants.step(step_s, circuit_ohm);
+        let is_it = |step: &Step| step.step_s == step_s && step.circuit_ohm == circuit_ohm;
+        if step_s == MAX_STEP_S {
+            if !is_it(&self.full) {
+                self.full = self.constants.step(step_s, circuit_ohm);
+            }
+            return &self.full;
         }
-        kept
+        let known = self.parts.iter().position(is_it);
+        let place = known.unwrap_or_else(|| {
+            let place = self.next_part;
+            self.next_part = (place + 1) % PARTS;
+            self.parts[place] = self.constants.step(step_s, circuit_ohm);
+            place
+        });
+        &self.parts[place]
     }
 }
 

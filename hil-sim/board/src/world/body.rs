@@ -20,6 +20,8 @@ pub(super) struct Coupling {
     shafts: Vec<usize>,
     motions: Vec<ShaftMotion>,
     loads: Vec<f64>,
+    /// Time that the shafts are ahead of the body, s.
+    owed_s: f64,
 }
 
 impl Coupling {
@@ -36,11 +38,13 @@ impl Coupling {
             motions: vec![ShaftMotion::default(); shafts.len()],
             loads: vec![0.0; shafts.len()],
             shafts,
+            owed_s: 0.0,
         }
     }
 
-    /// Lets body and shafts go on together. Each motor takes the steps that it would take alone, so that their closed forms are
-    /// computed for no other lengths.
+    /// Lets body and shafts go on together. The motors take the steps that they would take alone. The body takes several of them at
+    /// once, up to [`MAX_STEP_S`], so that it costs little where somebody looks at encoders often; its loads hold until it is
+    /// stepped again.
     pub(super) fn step(
         &mut self,
         scene: &Scene,
@@ -55,16 +59,27 @@ impl Coupling {
         let mut left_s = dt_s;
         while left_s > SHORTEST_STEP_S {
             let step_s = left_s.min(MAX_STEP_S);
-            for (motion, number) in self.motions.iter_mut().zip(&self.shafts) {
-                let plant = &motors[*number].plant;
-                *motion = ShaftMotion { position: plant.position(), speed: plant.speed() };
+            if self.owed_s + step_s > MAX_STEP_S + SHORTEST_STEP_S {
+                self.catch_up(scene, from_s + (dt_s - left_s), motors);
             }
-            self.body.step(scene, from_s + (dt_s - left_s), &self.motions, &mut self.loads, step_s);
-            for (load, number) in self.loads.iter().zip(&self.shafts) {
-                motors[*number].plant.set_load(*load);
+            for number in &self.shafts {
                 advance(&mut motors[*number], step_s);
             }
+            self.owed_s += step_s;
             left_s -= step_s;
+        }
+    }
+
+    /// Brings the body to now, and gives the shafts its loads.
+    fn catch_up(&mut self, scene: &Scene, now_s: f64, motors: &mut [Motor]) {
+        for (motion, number) in self.motions.iter_mut().zip(&self.shafts) {
+            let plant = &motors[*number].plant;
+            *motion = ShaftMotion { position: plant.position(), speed: plant.speed() };
+        }
+        self.body.step(scene, now_s, &self.motions, &mut self.loads, self.owed_s);
+        self.owed_s = 0.0;
+        for (load, number) in self.loads.iter().zip(&self.shafts) {
+            motors[*number].plant.set_load(*load);
         }
     }
 }
@@ -94,13 +109,13 @@ impl World {
         }
     }
 
-    /// Where the body is; `None` for a robot without one.
+    /// Where the body is, at most [`MAX_STEP_S`] ago; `None` for a robot without one.
     pub fn pose(&mut self) -> Option<Pose> {
         self.catch_up();
         self.body.as_ref().map(|coupling| coupling.body.pose())
     }
 
-    /// How the body moves, in its own frame; `None` for a robot without one.
+    /// How the body moves, at most [`MAX_STEP_S`] ago, in its own frame; `None` for a robot without one.
     pub fn twist(&mut self) -> Option<Twist> {
         self.catch_up();
         self.body.as_ref().map(|coupling| coupling.body.twist())
