@@ -103,7 +103,7 @@ mod tests {
     ) -> (Place, f64) {
         let mut time_s = 0.0;
         while let Some(Velocity { forward_m_s, yaw_rad_s }) = follower.velocity(at, free_m(at, time_s)) {
-            assert!(forward_m_s >= 0.0 && forward_m_s <= LIMITS.speed_m_s && yaw_rad_s.abs() <= LIMITS.turn_rate_rad_s);
+            assert!((0.0..=LIMITS.speed_m_s).contains(&forward_m_s) && yaw_rad_s.abs() <= LIMITS.turn_rate_rad_s);
             at.x_m += forward_m_s * at.yaw_rad.cos() * STEP_S;
             at.y_m += forward_m_s * at.yaw_rad.sin() * STEP_S;
             at.yaw_rad += yaw_rad_s * STEP_S;
