@@ -47,7 +47,7 @@ pub(crate) struct Args {
     /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
     #[arg(long, global = true, value_name = "SEED")]
     pub(crate) blind: Option<u64>,
-    /// World in which the body of a simulated robot stands: a name, as in square, or a file with [world]
+    /// World in which the body of a simulated robot stands: a name, as in square, or a file
     #[arg(long, global = true, value_name = "WORLD")]
     pub(crate) world: Option<String>,
     /// File with the key of a board that is served with one at tcp:
