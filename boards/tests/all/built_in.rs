@@ -240,3 +240,11 @@ fn openpodcar_steers_by_the_published_calibration() {
     // 25 degrees, and so a turning radius of 2.25 m at the rear axle
     assert!((drive.wheelbase_m / drive.steering_rad.max.tan() - 2.25).abs() < 0.01);
 }
+
+#[test]
+fn every_world_is_read() {
+    for name in r4_boards::world_names() {
+        let world = r4_boards::load_world(name).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(world.on_stand, name == "stand");
+    }
+}

@@ -141,7 +141,7 @@ impl Contact {
         let damped_s = (1.0 - rim_m_s.abs() * (1.0 / STANDING_M_S)).max(0.0) * DAMPING_S;
         let adhering_n = [-long_n_m * (long_m + damped_s * slip_m_s[0]), -lat_n_m * (lat_m + damped_s * slip_m_s[1])];
         let size_n = squared(adhering_n).sqrt();
-        // What is left of a force of that size when the rear of the patch slides.
+        // Share of that force that remains while the rear of the patch slides.
         let left = match springs.law {
             SlipLaw::Linear if size_n <= most_n => 1.0,
             SlipLaw::Brush if size_n < slides_n => {
@@ -223,7 +223,7 @@ mod tests {
         let force =
             (0..4000).map(|_| contact.step(&Springs::from(&tyre), 0.8, [3.0, 4.0], 0.0, 100.0, STEP_S)).last().unwrap();
         assert!((force[0] + 48.0).abs() < 1e-9 && (force[1] + 64.0).abs() < 1e-9, "{force:?}");
-        // Back by half of the deflection that slides, 3 mu N c L = 60 mm, at 1 m/s: what is left adheres.
+        // Back by half of the deflection that slides, 3 mu N c L = 60 mm, at 1 m/s: the rest adheres.
         let back = (0..120)
             .map(|_| contact.step(&Springs::from(&tyre), 0.8, [-0.6, -0.8], 0.0, 100.0, STEP_S))
             .last()

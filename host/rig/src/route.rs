@@ -19,12 +19,11 @@ pub struct Limits {
     pub reached_m: f64,
 }
 
-/// Turns to within this before it drives, rad, and again when a place is this far off the bow.
+/// Angle off the bow from which the robot stops driving and turns on the spot, rad. Our choice.
 const FACING_RAD: f64 = 0.35;
-/// Turning ends within this, rad.
+/// Angle off the bow at which turning on the spot ends, rad. Our choice.
 const FACED_RAD: f64 = 0.05;
-/// Turn rate for an angle to turn, 1/s: with 20 ms from look to wheel and a wheel's lag of 20 ms it is slow enough not to swing, and
-/// twice as much too.
+/// Turn rate for an angle to turn, 1/s. Our choice: slow against the 20 ms of a look and the 20 ms in which a wheel follows.
 const TURN_PER_S: f64 = 2.0;
 
 /// Follows places one after the other.

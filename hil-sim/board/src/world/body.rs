@@ -10,7 +10,7 @@ use crate::sensors::hc_sr04::FARTHEST_M;
 /// Half the angle in which an HC-SR04 hears a flat target (ElecFreaks sheet: 15 degrees), rad.
 const HALF_CONE_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
 
-/// What is left of a stretch of time below this is rounding, s: the world's clock counts 1e-9.
+/// Shortest step, s. The world's clock counts 1e-9 s, so anything shorter is rounding.
 const SHORTEST_STEP_S: f64 = 1e-12;
 
 /// A body and the motors on its shafts.
@@ -131,13 +131,5 @@ impl World {
     #[must_use]
     pub fn body(&self) -> Option<&Wheeled> {
         self.body.as_ref().map(|coupling| &coupling.body)
-    }
-
-    /// Puts the body somewhere, at rest.
-    pub fn set_pose(&mut self, pose: Pose) {
-        self.catch_up();
-        if let Some(coupling) = &mut self.body {
-            coupling.body.set_pose(pose);
-        }
     }
 }

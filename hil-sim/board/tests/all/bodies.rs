@@ -45,8 +45,7 @@ fn wheels_drive_the_body_and_roll_with_it() {
         bench.sleep_ms(3000).await;
         let Pose { x_m, y_m, yaw_rad } = pose(bench);
         let rolled_m = bench.position(wheel(0)) * RADIUS_M;
-        // It accelerated to 0.224 m/s with 9 kg and slipped meanwhile: 2 N for each wheel, times 0.005 1/N, are 1 % of little of
-        // the way.
+        // While it accelerates, with about 2 N at each wheel, wheels slip by 2 N x 0.005 1/N = 1 %, over a tenth of the way.
         assert!(x_m > 0.5 && (x_m / rolled_m - 1.0).abs() < 5e-3, "{x_m} m, {rolled_m} m");
         assert!(y_m.abs() < 0.01 && yaw_rad.abs() < 0.02, "{y_m} m, {yaw_rad} rad");
         assert!((twist(bench).forward_m_s - 4.0 * RADIUS_M).abs() < 0.01);

@@ -32,7 +32,7 @@ const WAYS: [(&str, f64, &str); 3] = [("#0072B2", 2.5, ""), ("#E69F00", 2.0, "7 
 impl Map {
     /// The corners of all that is drawn, m.
     fn extent_m(&self) -> [[f64; 2]; 2] {
-        let discs = self.posts_m.iter().chain(&[]).copied();
+        let discs = self.posts_m.iter().copied();
         let people = self.people_m.iter().flat_map(|(way, radius_m)| way.iter().map(|place| (*place, *radius_m)));
         let around = discs.chain(people).flat_map(|([x, y], r)| [[x - r, y - r], [x + r, y + r]]);
         let points = self.walls_m.iter().flatten().copied();

@@ -1,7 +1,7 @@
 //! A robot that drives round a room, slows and stops for people, and goes on.
 //!
-//! All that it knows it is told by the board: positions of wheels and ranges. Where it really is, only the simulation knows; that is
-//! for the report.
+//! The robot knows what the board measures: positions of wheels and ranges. Its true place comes from the simulation and goes into the
+//! report only.
 
 use std::{collections::HashMap, path::PathBuf};
 
@@ -35,11 +35,11 @@ const LOOK_EVERY_MS: u16 = 20;
 const TIMEOUT_S: f64 = 120.0;
 /// How often a trip's causes are looked at until they are gone, s.
 const CLEAR_EVERY_S: f64 = 0.5;
-/// Of so many looks one is a point of the ways that are drawn.
+/// Every fifth look, each 0.1 s, is a point of the ways on the map.
 const PLACE_EVERY: usize = 5;
-/// Of so many looks one is drawn as an outline.
+/// Every fiftieth look, each second, the robot's outline is drawn on the map.
 const OUTLINE_EVERY: usize = 50;
-const NO_BODY: &str = "the robot has no [body] in its file";
+const NO_BODY: &str = "the robot does not stand on a floor: --world lifts it, or its file has no [body]";
 /// Least distance to a person that is promised, m.
 const PERSON_M: f64 = 0.05;
 /// Largest error of the odometry at the end that is promised, m: 2.5 % of the way.
@@ -193,10 +193,16 @@ async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> 
     let ground = GroundDrive::new(Drive::SkidSteer(robot.clone()));
     let mut odometry = Odometry::new(robot);
     let mut follower = Follower::new(LIMITS, CORNERS_M);
-    let mut senses = Senses { robot, wheels_rad: HashMap::new(), ranges_m: HashMap::new() };
-    let ranges = board.channels().iter().map(|info| info.id).filter(|id| id.kind == ChannelKind::Range);
+    let ranges: Vec<_> =
+        board.channels().iter().map(|info| info.id).filter(|id| id.kind == ChannelKind::Range).collect();
+    if ranges.is_empty() {
+        bail!("the robot has no range sensors, so it would not see people: add [[range]] tables to its file");
+    }
+    // Nothing is known to be free before a sensor has said so.
+    let ranges_m = ranges.iter().map(|channel| (*channel, 0.0)).collect();
+    let mut senses = Senses { robot, wheels_rad: HashMap::new(), ranges_m };
     let mut telemetry = board.telemetry();
-    for channel in ranges.chain(robot.left.iter().chain(&robot.right).copied()) {
+    for channel in ranges.iter().chain(&robot.left).chain(&robot.right).copied() {
         board.subscribe(channel, LOOK_EVERY_MS).await?;
     }
     let mut run = Run { looks: Vec::new(), events: Vec::new(), corners: 0, map: scene(session)? };
