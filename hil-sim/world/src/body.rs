@@ -20,6 +20,18 @@ impl Pose {
         let (sin, cos) = libm::sincos(self.yaw_rad);
         [self.x_m + cos * x_m - sin * y_m, self.y_m + sin * x_m + cos * y_m]
     }
+
+    /// The pose `after_s` later, s, with this velocity in the body's frame: by the mean heading, second order in the time.
+    #[must_use]
+    pub fn moved(&self, twist: Twist, after_s: f64) -> Self {
+        let Twist { forward_m_s, left_m_s, yaw_rad_s } = twist;
+        let (sin, cos) = libm::sincos(self.yaw_rad + 0.5 * yaw_rad_s * after_s);
+        Self {
+            x_m: self.x_m + (cos * forward_m_s - sin * left_m_s) * after_s,
+            y_m: self.y_m + (sin * forward_m_s + cos * left_m_s) * after_s,
+            yaw_rad: self.yaw_rad + yaw_rad_s * after_s,
+        }
+    }
 }
 
 /// Velocity in the body's frame.
@@ -34,6 +46,16 @@ pub struct Twist {
 }
 
 impl Twist {
+    /// Mean of two velocities.
+    #[must_use]
+    pub fn mean(self, other: Self) -> Self {
+        Self {
+            forward_m_s: f64::midpoint(self.forward_m_s, other.forward_m_s),
+            left_m_s: f64::midpoint(self.left_m_s, other.left_m_s),
+            yaw_rad_s: f64::midpoint(self.yaw_rad_s, other.yaw_rad_s),
+        }
+    }
+
     /// Velocity of a point of the body, body frame, m/s.
     #[must_use]
     pub fn at(&self, [x_m, y_m]: [f64; 2]) -> [f64; 2] {

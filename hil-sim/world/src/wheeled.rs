@@ -193,6 +193,23 @@ impl Wheeled {
         Self { outline: Some(outline), ..self }
     }
 
+    /// Mass, inertia and centre of mass.
+    #[must_use]
+    pub fn chassis(&self) -> &Chassis {
+        &self.chassis
+    }
+
+    /// The same robot, at rest where it was, with another chassis and other wheels.
+    ///
+    /// # Errors
+    /// [`ChassisError`] names what cannot be computed.
+    pub fn rebuilt(&self, chassis: Chassis, wheels: Vec<Wheel>) -> Result<Self, ChassisError> {
+        let mut rebuilt = Self::new(chassis, wheels, self.axle, self.shafts)?;
+        rebuilt.outline.clone_from(&self.outline);
+        rebuilt.set_pose(self.pose);
+        Ok(rebuilt)
+    }
+
     /// Its wheels.
     #[must_use]
     pub fn wheels(&self) -> &[Wheel] {
@@ -308,19 +325,16 @@ impl Body for Wheeled {
         let Chassis { mass_kg, inertia_kg_m2, .. } = self.chassis;
         self.acceleration_m_s2 = [forward_n / mass_kg, left_n / mass_kg];
         self.press();
+        let before = self.twist();
         let Twist { forward_m_s, left_m_s, yaw_rad_s } = self.twist;
         self.twist = Twist {
             forward_m_s: forward_m_s + (self.acceleration_m_s2[0] + yaw_rad_s * left_m_s) * step_s,
             left_m_s: left_m_s + (self.acceleration_m_s2[1] - yaw_rad_s * forward_m_s) * step_s,
             yaw_rad_s: yaw_rad_s + yaw_nm / inertia_kg_m2 * step_s,
         };
-        // The frame's origin, by the mean heading of the step.
-        let middle_rad = self.pose.yaw_rad + 0.5 * self.twist.yaw_rad_s * step_s;
-        let (sin, cos) = libm::sincos(middle_rad);
-        let Twist { forward_m_s, left_m_s, yaw_rad_s } = self.twist();
-        self.pose.x_m += (cos * forward_m_s - sin * left_m_s) * step_s;
-        self.pose.y_m += (sin * forward_m_s + cos * left_m_s) * step_s;
-        self.pose.yaw_rad += yaw_rad_s * step_s;
+        // By the mean velocity of the step: with that of its end alone, a robot would be one step's travel ahead of its wheels,
+        // which is as much as some tyres slip.
+        self.pose = self.pose.moved(before.mean(self.twist()), step_s);
     }
 
     fn pose(&self) -> Pose {

@@ -205,6 +205,8 @@ pub(crate) enum Bench {
     Sim,
     /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
     Identify(BenchIdentify),
+    /// Every robot system's study: metrics with intervals and targets
+    Systems(BenchSystems),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -249,6 +251,16 @@ pub(crate) enum IdentifyRows {
     Clean,
     /// Simulated plants with an effect that is in no catalogue
     Unlisted,
+}
+
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct BenchSystems {
+    /// Few seeds: whether everything runs, not whether it is as good as promised
+    #[arg(long)]
+    pub(crate) quick: bool,
+    /// How many seeds [default: 100, quick 8]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
+    pub(crate) seeds: Option<u64>,
 }
 
 #[derive(Clone, Debug, clap::Args)]

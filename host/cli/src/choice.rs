@@ -82,6 +82,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Debug(_)
         | Command::Log(_)
         | Command::Report(_)
+        | Command::System { .. }
         | Command::Ports
         | Command::Sim { .. }
         | Command::Bench { .. }

@@ -102,6 +102,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::Log(log) => commands::log::run(args, log),
         Command::Report(report) => commands::report::run(args, report),
         Command::Identify(identify) => commands::identify::run(args, identify),
+        Command::System { what } => commands::system::run(args, what),
         Command::Ports => commands::ports::run(args),
         Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
         Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),

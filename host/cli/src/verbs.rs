@@ -110,6 +110,11 @@ pub(crate) enum Command {
     Report(commands::report::Report),
     /// Fit a model to recordings, tell what it does not explain and which effect it lacks, and write the better plant
     Identify(Box<commands::identify::Identify>),
+    /// Robot systems of published papers: list them, run one, study one over seeds
+    System {
+        #[command(subcommand)]
+        what: commands::system::Systems,
+    },
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to

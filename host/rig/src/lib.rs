@@ -42,7 +42,7 @@ pub use notice::Notice;
 pub use odometry::{Odometry, Place, WHEEL_VARIANCE_M};
 pub use plant_file::{PlantFile, PlantFileError, hidden, read_plant, replace_plants};
 pub use quantity::Quantity;
-pub use rig::{Elapsed, Notify, Recorded, Rig};
+pub use rig::{Alter, Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};
 pub use session::Session;
 pub use target::{BadTarget, NotVirtual, Target};

@@ -19,6 +19,9 @@ use crate::{
 /// How often an [`Interrupt`] is looked for, µs on the session's clock.
 const INTERRUPT_POLL_US: u64 = 10_000;
 
+/// Changes a robot.
+pub type Alter = Rc<dyn Fn(&mut Robot)>;
+
 /// Shows notices to a person.
 pub type Notify = Rc<dyn Fn(&Notice)>;
 
@@ -41,6 +44,9 @@ pub struct Rig {
     pub plants: Vec<PlantFile>,
     /// Seed of what is hidden in the physics of each motor of a virtual board.
     pub hidden: Option<u64>,
+    /// Changes the robot of a virtual board before it is powered up: for scenes that a file cannot describe, such as a body with
+    /// sampled tyres.
+    pub alter: Option<Alter>,
     /// Key of a board at the other end of a link.
     pub key: Option<Key>,
     /// Ends a session in good order.
@@ -110,6 +116,7 @@ impl Rig {
             world: None,
             plants: Vec::new(),
             hidden: None,
+            alter: None,
             key: None,
             interrupt: Interrupt::default(),
             notify: Rc::new(|_| {}),
@@ -132,6 +139,9 @@ impl Rig {
                 return Err(Error::NoBody { robot: name.to_owned() });
             }
             robot.simulation.enter(world);
+        }
+        if let Some(alter) = &self.alter {
+            alter(&mut robot);
         }
         Ok(robot)
     }

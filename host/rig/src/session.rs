@@ -8,7 +8,8 @@ use r4_protocol::{ChannelId, Mode, config::PidGains};
 use r4_sim::VirtualBoard;
 
 use crate::{
-    Error, HostClock, NotVirtual, Notice, Target, cable::CableState, heat::Warned, recording::SharedTap, rig::Notify,
+    Error, HostClock, NotVirtual, Notice, Place, Target, cable::CableState, heat::Warned, recording::SharedTap,
+    rig::Notify,
 };
 
 /// How often hot windings are looked for, s: heartbeats report them.
@@ -58,6 +59,13 @@ impl Session<'_> {
     #[must_use]
     pub fn true_position(&self, channel: ChannelId) -> Option<f64> {
         self.environment.as_ref()?.0.world().position(channel)
+    }
+
+    /// True place of a robot's body now: of a virtual board whose robot has one.
+    #[must_use]
+    pub fn true_place(&self) -> Option<Place> {
+        let pose = self.environment.as_ref()?.0.world().pose()?;
+        Some(Place { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad })
     }
 
     /// The board with its environment, to read and to break.

@@ -12,12 +12,15 @@
 mod about;
 mod error;
 mod row;
+mod sampler;
+pub mod skidcal;
 mod statistic;
 pub mod study;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
 pub use row::Row;
+pub use sampler::Sampler;
 pub use statistic::{Statistic, Summary};
 pub use study::{Record, Study, Trial, Values};
 
@@ -47,7 +50,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[]
+    &[&skidcal::Skidcal]
 }
 
 /// The system with this name.

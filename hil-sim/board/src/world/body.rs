@@ -109,10 +109,10 @@ impl World {
         }
     }
 
-    /// Where the body is, at most [`MAX_STEP_S`] ago; `None` for a robot without one.
+    /// Where the body is now; `None` for a robot without one. Since its last step, at most [`MAX_STEP_S`] ago, it moved as it did then.
     pub fn pose(&mut self) -> Option<Pose> {
         self.catch_up();
-        self.body.as_ref().map(|coupling| coupling.body.pose())
+        self.body.as_ref().map(|coupling| coupling.body.pose().moved(coupling.body.twist(), coupling.owed_s))
     }
 
     /// How the body moves, at most [`MAX_STEP_S`] ago, in its own frame; `None` for a robot without one.

@@ -25,6 +25,7 @@ pub(crate) mod reveal;
 pub(crate) mod scenario;
 pub(crate) mod serve;
 pub(crate) mod state;
+pub(crate) mod system;
 pub(crate) mod tune;
 pub(crate) mod watch;
 

@@ -1,0 +1,307 @@
+//! `r4 system` and `r4 bench systems`: the robot systems of `r4-systems`, their trials and studies.
+
+use std::{
+    fs::File,
+    io::BufWriter,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_systems::{
+    Limit, Row, System, Trial,
+    study::{self, Record, Shard, Study},
+};
+use serde::Serialize;
+
+use crate::{
+    args::{Args, BenchSystems},
+    output,
+    session::Target,
+    table,
+};
+
+/// Seeds up to this one were looked at while constants were set; reported are those from here on.
+const REPORTED_FROM: u64 = 1001;
+/// Seeds of a benchmark, and of a quick one.
+const BENCH_SEEDS: u64 = 100;
+const QUICK_SEEDS: u64 = 8;
+
+#[derive(Clone, Debug, clap::Subcommand)]
+pub(crate) enum Systems {
+    /// All systems, with their papers
+    List,
+    /// A system's question, arms, metrics and targets
+    Show {
+        /// As `list` prints it
+        name: String,
+    },
+    /// Run one trial of a system and print its metrics
+    Run {
+        /// As `list` prints it
+        name: String,
+        /// Which of its arms
+        #[arg(long, default_value = "ours")]
+        arm: String,
+    },
+    /// Run a system's arms over seeds and print a row for each metric
+    Study(StudyArgs),
+    /// Put the records of shards together and print their rows
+    Merge {
+        /// Files that `study --out` wrote
+        #[arg(required = true, value_name = "FILE")]
+        files: Vec<PathBuf>,
+        /// Write all records to this file, in order
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct StudyArgs {
+    /// As `list` prints it
+    name: String,
+    /// How many seeds
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, default_value_t = REPORTED_FROM, value_name = "SEED")]
+    from: u64,
+    /// Only these arms, as in paper,ours
+    #[arg(long, value_delimiter = ',', value_name = "ARMS")]
+    arms: Vec<String>,
+    /// Run only a part of the trials, as in 3/8; `system merge` puts the parts together
+    #[arg(long, default_value_t = Shard::default(), value_name = "PART/OF")]
+    shard: Shard,
+    /// Write the records to this file, as JSON lines
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Listed {
+    name: &'static str,
+    paper: &'static str,
+    published: &'static str,
+    question: &'static str,
+    robot: &'static str,
+    arms: Vec<&'static str>,
+}
+
+#[derive(Serialize)]
+struct Rows {
+    rows: Vec<Row>,
+}
+
+pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
+    match what {
+        Systems::List => list(args),
+        Systems::Show { name } => show(args, r4_systems::find(name)?),
+        Systems::Run { name, arm } => trial(args, r4_systems::find(name)?, arm),
+        Systems::Study(study) => run_study(args, study),
+        Systems::Merge { files, out } => merge(args, files, out.as_deref()),
+    }
+}
+
+/// `r4 bench systems`: every system's study, on seeds that had no say in any constant.
+pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
+    let mut rows = Vec::new();
+    for system in r4_systems::all() {
+        let seeds = bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { BENCH_SEEDS });
+        let study = Study {
+            arms: Vec::new(),
+            first_seed: REPORTED_FROM,
+            seeds,
+            board: board(args, *system),
+            shard: Shard::default(),
+        };
+        rows.extend(study::rows(&records(*system, &study)?)?);
+        rows.extend(system.timings(bench.quick)?);
+    }
+    print(args, rows)
+}
+
+/// The board of `--board`, or a simulated one of the system's robot.
+fn board(args: &Args, system: &dyn System) -> Target {
+    if args.is_board_named { args.board.clone() } else { Target::Sim(system.about().robot.to_owned()) }
+}
+
+fn listed(system: &dyn System) -> Listed {
+    let about = system.about();
+    Listed {
+        name: about.name,
+        paper: about.paper.title,
+        published: about.paper.published,
+        question: about.question,
+        robot: about.robot,
+        arms: about.arms.iter().map(|arm| arm.name).collect(),
+    }
+}
+
+fn list(args: &Args) -> anyhow::Result<bool> {
+    let systems: Vec<Listed> = r4_systems::all().iter().map(|system| listed(*system)).collect();
+    if args.json {
+        output::json(&systems)?;
+        return Ok(true);
+    }
+    let mut shown = table::new(&["system", "robot", "paper"], 0..0);
+    for system in systems {
+        shown.add_row([system.name, system.robot, system.paper]);
+    }
+    output::line(shown)?;
+    Ok(true)
+}
+
+fn show(args: &Args, system: &dyn System) -> anyhow::Result<bool> {
+    let about = system.about();
+    if args.json {
+        output::json(&listed(system))?;
+        return Ok(true);
+    }
+    output::line(format_args!("{}: {} ({})", about.name, about.paper.title, about.paper.published))?;
+    output::line(format_args!("{}\nrobot: {}", about.question, about.robot))?;
+    let mut arms = table::new(&["arm", "does"], 0..0);
+    for arm in about.arms {
+        arms.add_row([arm.name, arm.does]);
+    }
+    output::line(arms)?;
+    let mut metrics = table::new(&["metric", "unit", "arm", "must be", "because"], 0..0);
+    for metric in about.metrics {
+        if metric.targets.is_empty() {
+            metrics.add_row([metric.name, metric.unit, "", "", ""]);
+        }
+        for target in metric.targets {
+            let limit = limit(target.limit);
+            metrics.add_row([metric.name, metric.unit, target.arm, &limit, target.from]);
+        }
+    }
+    output::line(metrics)?;
+    output::line("sampled by the seed:")?;
+    for sampled in about.sampled {
+        output::line(format_args!("  {sampled}"))?;
+    }
+    Ok(true)
+}
+
+fn limit(limit: Limit) -> String {
+    match limit {
+        Limit::AtMost(value) => format!("at most {value}"),
+        Limit::AtLeast(value) => format!("at least {value}"),
+    }
+}
+
+fn trial(args: &Args, system: &dyn System, arm: &str) -> anyhow::Result<bool> {
+    let study = Study {
+        arms: vec![arm.to_owned()],
+        first_seed: args.seed,
+        seeds: 1,
+        board: board(args, system),
+        shard: Shard::default(),
+    };
+    let [Trial { board, .. }] = &study.trials(system)?[..] else { anyhow::bail!("one trial has one arm") };
+    let described = board.described();
+    let record = records(system, &study)?.pop().context("one trial has one record")?;
+    if args.json {
+        output::json(&record)?;
+        return Ok(record.failed.is_none());
+    }
+    let about = system.about();
+    output::line(format_args!("{}, arm {arm}, seed {}, on {described}", about.name, args.seed))?;
+    if let Some(why) = &record.failed {
+        eprintln!("r4: {why}");
+        return Ok(false);
+    }
+    let mut shown = table::new(&["metric", "value", "unit"], 1..2);
+    for (name, value) in &record.values {
+        let unit = about.metrics.iter().find(|metric| metric.name == name).map_or("", |metric| metric.unit);
+        shown.add_row([name.as_str(), &crate::report::significant(*value), unit]);
+    }
+    output::line(shown)?;
+    Ok(true)
+}
+
+/// Runs a study with a bar of its progress.
+fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<Record>> {
+    let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}").unwrap_or(ProgressStyle::default_bar());
+    let bar = ProgressBar::new(study.trials(system)?.len() as u64).with_style(style);
+    bar.set_message(system.about().name);
+    let records = study.run(system, |_| bar.inc(1));
+    bar.finish_and_clear();
+    Ok(records?)
+}
+
+fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
+    let system = r4_systems::find(&asked.name)?;
+    let study = Study {
+        arms: asked.arms.clone(),
+        first_seed: asked.from,
+        seeds: asked.seeds,
+        board: board(args, system),
+        shard: asked.shard,
+    };
+    let records = records(system, &study)?;
+    ensure!(!records.is_empty(), "shard {} of this study is empty: it has too few trials", asked.shard);
+    if let Some(path) = &asked.out {
+        write(path, &records)?;
+    }
+    // The rows of a part of the seeds are not the study's.
+    if asked.shard != Shard::default() {
+        ensure!(asked.out.is_some(), "a shard's records go to a file: name it with --out");
+        return Ok(true);
+    }
+    print(args, study::rows(&records)?)
+}
+
+fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<bool> {
+    let shards = files.iter().map(|file| study::read(file)).collect::<Result<Vec<_>, _>>()?;
+    let records = study::merge(shards)?;
+    if let Some(path) = out {
+        write(path, &records)?;
+    }
+    print(args, study::rows(&records)?)
+}
+
+fn write(path: &Path, records: &[Record]) -> anyhow::Result<()> {
+    let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+    study::write(records, BufWriter::new(file)).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Prints rows; false where a target is not met.
+fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
+    let met = rows.iter().all(|row| row.met != Some(false));
+    if args.json {
+        output::json(&Rows { rows })?;
+        return Ok(met);
+    }
+    let mut shown = table::new(
+        &["system", "arm", "metric", "unit", "n", "value", "95 % interval", "target", "met", "p", "board"],
+        4..7,
+    );
+    for row in &rows {
+        let number = |value: f64| crate::report::significant(value);
+        shown.add_row([
+            row.system.clone(),
+            row.arm.clone(),
+            row.metric.clone(),
+            row.unit.clone(),
+            row.n.to_string(),
+            number(row.value),
+            format!("{} .. {}", number(row.lo), number(row.hi)),
+            row.target.map_or(String::new(), limit),
+            row.met.map_or("", |met| if met { "yes" } else { "no" }).to_owned(),
+            row.paired_p.map_or(String::new(), |p| format!("{p:.2e}")),
+            row.board.clone(),
+        ]);
+    }
+    output::line(shown)?;
+    for row in rows.iter().filter(|row| row.failed > 0) {
+        eprintln!(
+            "r4: {}, arm {}: {} of {} trials could not be run",
+            row.system,
+            row.arm,
+            row.failed,
+            row.failed + row.n
+        );
+    }
+    Ok(met)
+}

@@ -1,0 +1,205 @@
+//! SKIDCAL: the two slip compliances of a four-wheel skid-steer robot, from two tests on a floor.
+//!
+//! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with steps of the
+//! speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any skid-steer board;
+//! [`estimate`] has the paper's formulas, the repaired one, and ours; [`scene`] samples the robots that the study tries them on.
+//!
+//! # Repairs
+//! Newton's law for four wheels, `a = 4 (v_r - v) / (c v_r m)`, solves to `v_r = v / (1 - a c m / 4)`. Equations (1) and (2) print
+//! `v / (1 - 4 a c m)`: typed in as printed they return a sixteenth of `c_long`. The print's bound on `c_long` belongs to the
+//! repaired form.
+
+pub mod estimate;
+pub mod export;
+mod kinematic;
+pub mod protocol;
+pub mod scene;
+
+use r4_rig::{Rig, Session};
+
+use crate::{About, Arm, Error, Limit, Metric, Paper, Source, Statistic, System, Target, Trial, Values};
+
+/// The system.
+#[derive(Debug)]
+pub struct Skidcal;
+
+/// Name of the system.
+const NAME: &str = "skidcal";
+
+/// Robot, arms and metrics.
+static ABOUT: About = About {
+    name: NAME,
+    paper: Paper {
+        title: "Skid-steer friction calibration protocol for digital twin creation",
+        published: "Trimble, Fox; TAROS 2023",
+    },
+    question: "Which slip compliances make a simulated skid-steer robot move as the real one, from two tests on a floor?",
+    robot: "openscout",
+    sampled: &[
+        "c_long 0.01 to 0.03 1/N, log-uniform",
+        "c_lat / c_long 2 to 12, log-uniform",
+        "mass 9 to 14 kg, uniform; inertia in proportion",
+        "friction 10, or 0.2 for every fourth seed: the wheels then slide in the spin",
+        "noise of the tracked positions, 1 mm, and headings, 0.01 rad, at 20 Hz",
+    ],
+    arms: &[
+        Arm {
+            name: "paper",
+            does: "equation (2) as printed, on accelerations from positions differentiated twice; equation (3)",
+            is_kinematic: false,
+        },
+        Arm { name: "baseline:repaired", does: "the same with the repaired equation", is_kinematic: false },
+        Arm {
+            name: "ours",
+            does: "least squares of tracked positions over all steps, repeated until the interval is narrow",
+            is_kinematic: false,
+        },
+        Arm { name: "ablation:one-run", does: "ours without repeats", is_kinematic: false },
+        Arm {
+            name: "ablation:perfect-actuators",
+            does: "ours on wheels that turn as they are commanded, without motors and board",
+            is_kinematic: true,
+        },
+    ],
+    metrics: &[
+        Metric {
+            name: "c_long_relative",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[],
+        },
+        Metric {
+            name: "c_long_error",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtMost(0.05), from: "set by this project" }],
+        },
+        Metric {
+            name: "c_long_within_5_percent",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.9), from: "set by this project" }],
+        },
+        Metric {
+            name: "c_long_covered",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.9), from: "set by this project: 95 % intervals" }],
+        },
+        Metric {
+            name: "ratio_error",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[],
+        },
+        Metric {
+            name: "ratio_error_noise_free",
+            unit: "1",
+            statistic: Statistic::Quantile(0.95),
+            source: Source::Simulated,
+            targets: &[Target {
+                arm: "ours",
+                limit: Limit::AtMost(2e-4),
+                from: "printed: 9.998 of 10, 0.02 %; the text says 0.2 %",
+            }],
+        },
+        Metric {
+            name: "ratio_covered",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.9), from: "set by this project: 95 % intervals" }],
+        },
+        Metric {
+            name: "coulomb_check_right",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.95), from: "set by this project" }],
+        },
+        Metric {
+            name: "straight_runs",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[],
+        },
+    ],
+};
+
+impl System for Skidcal {
+    fn about(&self) -> &'static About {
+        &ABOUT
+    }
+
+    fn run(&self, trial: &Trial) -> Result<Values, Error> {
+        let truth = scene::sample(trial.seed);
+        let noise = scene::Noise::of(trial.seed);
+        let recording =
+            match trial.arm {
+                "ablation:perfect-actuators" => kinematic::recorded(&truth, protocol::Repeats::UntilNarrow, noise)?,
+                arm => {
+                    let mut rig = Rig::new(trial.board.clone());
+                    rig.seed = trial.seed;
+                    rig.alter = Some(scene::altered(truth));
+                    let robot = protocol::SkidRobot::of(&rig.robot()?, truth.mass_kg)
+                        .map_err(|why| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why })?;
+                    let repeats = if arm == "ours" { protocol::Repeats::UntilNarrow } else { protocol::Repeats::Once };
+                    let work = async |session: &Session<'_>| protocol::drive(session, &robot, repeats, noise).await;
+                    rig.run(None, work)?.0
+                }
+            };
+        Ok(evaluate(trial.arm, &truth, &recording))
+    }
+}
+
+/// Metrics of one recording.
+fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) -> Values {
+    let mut values = Values::new();
+    let mut put = |name: &str, value: f64| {
+        values.insert(name.to_owned(), value);
+    };
+    let share = |is: bool| f64::from(u8::from(is));
+    let ratio = truth.c_lat_per_n / truth.c_long_per_n;
+    let (c_long, found_ratio) = match arm {
+        "paper" => (estimate::printed(recording), estimate::commanded_ratio(recording)),
+        "baseline:repaired" => (estimate::repaired(recording), estimate::commanded_ratio(recording)),
+        _ => (estimate::c_long(recording), estimate::ratio(recording)),
+    };
+    if let Some(found) = c_long {
+        let relative = found.value / truth.c_long_per_n;
+        put("c_long_relative", relative);
+        put("c_long_error", (relative - 1.0).abs());
+        put("c_long_within_5_percent", share((relative - 1.0).abs() <= 0.05));
+        if let Some(interval) = found.interval {
+            put("c_long_covered", share(interval.contains(truth.c_long_per_n)));
+        }
+    }
+    put("straight_runs", recording.runs as f64);
+    let slides = truth.slides(recording);
+    if arm != "paper" && arm != "baseline:repaired" {
+        put("coulomb_check_right", share(estimate::reaches_friction(recording, truth.friction) == slides));
+    }
+    // Sliding wheels do not obey the linear law: the check says so, and there is no ratio to be compared.
+    if slides {
+        return values;
+    }
+    if let Some(found) = found_ratio {
+        put("ratio_error", (found.value / ratio - 1.0).abs());
+        if let Some(interval) = found.interval {
+            put("ratio_covered", share(interval.contains(ratio)));
+        }
+    }
+    if let Some(found) = estimate::ratio(&recording.without_noise()) {
+        put("ratio_error_noise_free", (found.value / ratio - 1.0).abs());
+    }
+    values
+}
+
+#[cfg(test)]
+mod tests;

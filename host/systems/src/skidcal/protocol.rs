@@ -1,0 +1,300 @@
+//! Both tests, on a board.
+
+use futures::future::try_join_all;
+use r4_boards::{Drive, Robot, SkidSteer};
+use r4_driver::TelemetryStream;
+use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
+use r4_rig::{Error, Session};
+
+use super::{estimate, scene::Noise};
+
+/// How often wheels are read, ms.
+const WHEELS_EVERY_MS: u16 = 10;
+/// How often the robot is tracked, s: the rate of the paper's positions.
+pub(super) const TRACKED_EVERY_S: f64 = 0.05;
+/// Speed before a straight run, as a share of the robot's speed limit, and those that it steps through. No wheel is slower: what holds
+/// a tyre that hardly rolls is not in the law.
+const SLOW: f64 = 0.3;
+const STEPS: [f64; 4] = [0.94, 0.6, 0.94, 0.3];
+/// How long a run is slow before its first step, s.
+pub(super) const LEAD_S: f64 = 0.3;
+/// How long each speed is held, s: twice what the ramp of 1 m/s² takes, so that half of it is steady.
+const STEP_S: f64 = 0.8;
+/// Turning rate of the spin with wheels that do not slip, rad/s: the paper's.
+pub(super) const SPIN_RAD_S: f64 = 1.0;
+/// How long the robot spins before it is measured, and while, s: at least two rotations.
+pub(super) const SPIN_SETTLES_S: f64 = 3.0;
+const SPIN_S: f64 = 20.0;
+/// Straight runs are repeated until the 95 % interval is this share of the estimate to both sides, or so many times. Half the share
+/// takes four times the runs.
+const NARROW: f64 = 0.04;
+pub(super) const MOST_RUNS: usize = 100;
+
+/// A skid-steer robot with what must be measured of it before.
+#[derive(Clone, Debug)]
+pub struct SkidRobot {
+    /// Wheels and limits.
+    pub drive: SkidSteer,
+    /// Half the wheelbase and half the track between the wheels' middles, m.
+    pub half_m: [f64; 2],
+    /// Mass, kg.
+    pub mass_kg: f64,
+}
+
+/// How often straight runs are repeated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repeats {
+    /// One run.
+    Once,
+    /// Until the interval of `c_long` is narrow.
+    UntilNarrow,
+}
+
+/// Travel of the wheels at one moment, m: means of both sides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WheelSample {
+    /// On the host's clock, s.
+    pub time_s: f64,
+    /// Left and right.
+    pub travel_m: [f64; 2],
+}
+
+/// Place of the robot at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tracked {
+    /// On the host's clock, s.
+    pub time_s: f64,
+    /// x and y, m, and heading, rad, without noise.
+    exact: [f64; 3],
+    /// Noise of the three.
+    noise: [f64; 3],
+}
+
+/// What was seen of a stretch of time.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    /// Each time that wheels were read.
+    pub wheels: Vec<WheelSample>,
+    /// Each time that the robot was tracked.
+    pub tracked: Vec<Tracked>,
+}
+
+/// Both tests.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// The robot.
+    pub robot: SkidRobot,
+    /// Straight runs, one way each.
+    pub straight: Vec<Run>,
+    /// How often the robot went there and back.
+    pub runs: usize,
+    /// The spin, once it has settled.
+    pub spin: Run,
+    /// How far the clocks of wheels and tracking may be apart, s: a standard deviation.
+    pub clock_s: f64,
+}
+
+impl SkidRobot {
+    /// A virtual board's robot, with its wheels where its body has them.
+    ///
+    /// # Errors
+    /// What the robot lacks.
+    pub fn of(robot: &Robot, mass_kg: f64) -> Result<Self, String> {
+        let Some(Drive::SkidSteer(drive)) = &robot.drive else {
+            return Err("it has no [drive.skid-steer]".into());
+        };
+        let Some(body) = &robot.simulation.body else { return Err("it has no [body]".into()) };
+        let wheels = body.wheeled.wheels();
+        let mean = |axis: usize| {
+            let sum: f64 = wheels.iter().map(|wheel| wheel.place_m[axis].abs()).sum();
+            sum / wheels.len().max(1) as f64
+        };
+        if wheels.len() != 4 {
+            return Err(format!("it has {} wheels, and the protocol is for four", wheels.len()));
+        }
+        Ok(Self { drive: drive.clone(), half_m: [mean(0), mean(1)], mass_kg })
+    }
+
+    /// Straight runs there and back: rim speeds, left and right, m/s, and how long each is held, s. The first
+    /// speed of each direction is before the run.
+    pub(super) fn straight(&self) -> [Vec<([f64; 2], f64)>; 2] {
+        let most_m_s = self.drive.speed_max_m_s;
+        [1.0, -1.0].map(|way| {
+            let steps = STEPS.map(|share| (share, STEP_S));
+            let all = [(SLOW, STEP_S), (SLOW, LEAD_S)].into_iter().chain(steps);
+            all.map(|(share, seconds)| ([way * share * most_m_s; 2], seconds)).collect()
+        })
+    }
+
+    /// Rim speeds of the spin, left and right, m/s.
+    pub(super) fn spin(&self) -> [f64; 2] {
+        let rim_m_s = SPIN_RAD_S * self.half_m[1];
+        [-rim_m_s, rim_m_s]
+    }
+
+    /// How long the spin lasts after it has settled, s.
+    pub(super) fn spin_s(&self) -> f64 {
+        SPIN_S
+    }
+}
+
+impl Tracked {
+    /// A tracked place: x and y, m, and heading, rad, with noise.
+    #[must_use]
+    pub fn new(time_s: f64, exact: [f64; 3], noise: [f64; 3]) -> Self {
+        Self { time_s, exact, noise }
+    }
+
+    /// x and y, m, and heading, rad, as they are measured.
+    #[must_use]
+    pub fn measured(&self) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.exact[axis] + self.noise[axis])
+    }
+}
+
+impl Run {
+    pub(super) fn without_noise(&self) -> Self {
+        let tracked = self.tracked.iter().map(|tracked| Tracked { noise: [0.0; 3], ..*tracked });
+        Self { wheels: self.wheels.clone(), tracked: tracked.collect() }
+    }
+}
+
+impl Recording {
+    /// An empty recording of a robot.
+    pub(super) fn new(robot: SkidRobot, clock_s: f64) -> Self {
+        Self { robot, straight: Vec::new(), runs: 0, spin: Run::default(), clock_s }
+    }
+
+    /// The same as a tracker without noise would have seen it.
+    #[must_use]
+    pub fn without_noise(&self) -> Self {
+        let straight = self.straight.iter().map(Run::without_noise).collect();
+        Self { straight, spin: self.spin.without_noise(), ..self.clone() }
+    }
+
+    /// How many more straight runs make the interval narrow; none when it is, or when there were enough.
+    pub(super) fn more(&self, repeats: Repeats) -> usize {
+        if self.runs == 0 {
+            return 1;
+        }
+        if repeats == Repeats::Once || self.runs >= MOST_RUNS {
+            return 0;
+        }
+        let width = estimate::c_long(self).and_then(|found| Some((found.value, found.interval?)));
+        let wide = match width {
+            Some((value, interval)) if value > 0.0 => interval.width() / 2.0 / value / NARROW,
+            _ => f64::INFINITY,
+        };
+        if wide <= 1.0 {
+            return 0;
+        }
+        // A standard error falls with the root of the runs.
+        let needed = (self.runs as f64 * wide * wide).ceil().min(MOST_RUNS as f64) as usize;
+        needed.saturating_sub(self.runs).max(1)
+    }
+}
+
+/// Drives both tests. `noise` is that of what tracks the robot: of a virtual board its true place is taken.
+///
+/// # Errors
+/// When the board does not arm, stops, or has no body.
+pub async fn drive(
+    session: &Session<'_>,
+    robot: &SkidRobot,
+    repeats: Repeats,
+    mut noise: Noise,
+) -> Result<Recording, Error> {
+    let mut recording = Recording::new(robot.clone(), session.board.clock_uncertainty_us() * 1e-6);
+    session
+        .armed(async || {
+            let mut rider = Rider::new(session, robot, &mut noise).await?;
+            loop {
+                let more = recording.more(repeats);
+                for _ in 0..more {
+                    for way in robot.straight() {
+                        let mut run = Run::default();
+                        for (index, (rim_m_s, seconds)) in way.into_iter().enumerate() {
+                            rider.hold(rim_m_s, seconds, (index > 0).then_some(&mut run)).await?;
+                        }
+                        recording.straight.push(run);
+                    }
+                    recording.runs += 1;
+                }
+                if more == 0 {
+                    break;
+                }
+            }
+            rider.hold(robot.spin(), SPIN_SETTLES_S, None).await?;
+            rider.hold(robot.spin(), robot.spin_s(), Some(&mut recording.spin)).await?;
+            Ok::<_, Error>(())
+        })
+        .await?;
+    recording.clock_s = recording.clock_s.max(session.board.clock_uncertainty_us() * 1e-6);
+    Ok(recording)
+}
+
+/// Holds speeds, and notes what is seen meanwhile.
+struct Rider<'s> {
+    session: &'s Session<'s>,
+    robot: &'s SkidRobot,
+    telemetry: TelemetryStream,
+    noise: &'s mut Noise,
+    tracked_at_s: f64,
+}
+
+impl<'s> Rider<'s> {
+    async fn new(session: &'s Session<'s>, robot: &'s SkidRobot, noise: &'s mut Noise) -> Result<Self, Error> {
+        let telemetry = session.board.telemetry();
+        for channel in robot.drive.left.iter().chain(&robot.drive.right) {
+            session.board.subscribe(*channel, WHEELS_EVERY_MS).await?;
+        }
+        Ok(Self { session, robot, telemetry, noise, tracked_at_s: session.board.now_s() })
+    }
+
+    async fn hold(&mut self, rim_m_s: [f64; 2], seconds: f64, mut run: Option<&mut Run>) -> Result<(), Error> {
+        let board = self.session.board;
+        let drive = &self.robot.drive;
+        // All at once: sides that step one after the other turn the robot.
+        let sides = [&drive.left, &drive.right].into_iter().zip(rim_m_s);
+        let wheels = sides.flat_map(|(side, rim_m_s)| side.iter().map(move |channel| (*channel, rim_m_s)));
+        let sets = wheels.map(|(channel, rim_m_s)| {
+            let value = (rim_m_s / drive.wheel_radius_m) as f32;
+            board.set(channel, Setpoint { mode: Mode::Speed, value })
+        });
+        try_join_all(sets).await?;
+        let end_s = board.now_s() + seconds;
+        while board.now_s() < end_s {
+            let frame = self.telemetry.next().await?;
+            if frame.state == r4_protocol::SafetyState::Tripped {
+                return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+            }
+            let travel = [&drive.left, &drive.right].map(|side| self.travel_m(side, &frame.samples));
+            let (Some(run), [Some(left_m), Some(right_m)]) = (run.as_deref_mut(), travel) else { continue };
+            let time_s = board.host_us(frame.device_us) as f64 * 1e-6;
+            run.wheels.push(WheelSample { time_s, travel_m: [left_m, right_m] });
+            let now_s = board.now_s();
+            if now_s >= self.tracked_at_s
+                && let Some(place) = self.session.true_place()
+            {
+                let exact = [place.x_m, place.y_m, place.yaw_rad];
+                run.tracked.push(Tracked::new(now_s, exact, self.noise.sample()));
+                self.tracked_at_s = now_s + TRACKED_EVERY_S;
+            }
+        }
+        Ok(())
+    }
+
+    /// Mean travel of the wheels of a side, m, if all are in `samples`.
+    fn travel_m(&self, side: &[ChannelId], samples: &[Sample]) -> Option<f64> {
+        let mut sum_rad = 0.0;
+        for wheel in side {
+            let counts = samples.iter().find_map(|sample| match *sample {
+                Sample::Motor { channel, position, .. } if channel == *wheel => Some(position),
+                _ => None,
+            })?;
+            let resolution = self.session.board.channel(*wheel).ok()?.resolution;
+            sum_rad += f64::from(counts) * f64::from(resolution);
+        }
+        Some(sum_rad / side.len() as f64 * self.robot.drive.wheel_radius_m)
+    }
+}

@@ -1,0 +1,124 @@
+use std::pin::pin;
+
+use futures::future::Either;
+use r4_driver::Error as DriverError;
+use r4_protocol::SafetyState;
+
+use super::{
+    protocol::{Recording, Repeats, SkidRobot},
+    scene::{Noise, Truth, altered, sample},
+    *,
+};
+
+/// Wheels that turn as they are commanded, and a tracker without noise.
+fn exact(truth: &Truth) -> Recording {
+    kinematic::recorded(truth, Repeats::Once, Noise::of(1)).expect("openscout has a body").without_noise()
+}
+
+fn relative(found: Option<estimate::Estimate>, truth: f64) -> f64 {
+    found.expect("an estimate").value / truth
+}
+
+#[test]
+fn without_noise_ours_finds_both_compliances() {
+    for seed in 1..=6 {
+        let truth = sample(seed);
+        let recording = exact(&truth);
+        // Speeds are held for 10 ms in the estimator, and forces for 0.25 ms in the simulation: 1 % of a slip of a few millimetres.
+        let c_long = relative(estimate::c_long(&recording), truth.c_long_per_n);
+        assert!((c_long - 1.0).abs() < 0.015, "seed {seed}: {c_long}");
+        let ratio = relative(estimate::ratio(&recording), truth.c_lat_per_n / truth.c_long_per_n);
+        // An equilibrium, which no step length moves.
+        assert!(truth.slides(&recording) || (ratio - 1.0).abs() < 1e-6, "seed {seed}: {ratio}");
+    }
+}
+
+/// `1 - 4 a c m` in place of `1 - a c m / 4`: the same distance asks for a sixteenth of the compliance.
+#[test]
+fn the_printed_equation_returns_a_sixteenth_of_the_repaired_one() {
+    for seed in 1..=6 {
+        let recording = exact(&sample(seed));
+        let (printed, repaired) = (estimate::printed(&recording), estimate::repaired(&recording));
+        let share = relative(repaired, 1.0) / relative(printed, 1.0);
+        assert!((share - 16.0).abs() < 1e-6, "seed {seed}: {share}");
+    }
+}
+
+/// Forces of the linear law follow from compliances alone, so that a slower spin slides as a fast one does.
+#[test]
+fn wheels_that_slide_are_noticed_and_others_are_not() {
+    let found: Vec<bool> = (1..=12)
+        .map(|seed| {
+            let truth = sample(seed);
+            let recording = exact(&truth);
+            let slides = truth.slides(&recording);
+            assert_eq!(estimate::reaches_friction(&recording, truth.friction), slides, "seed {seed}");
+            slides
+        })
+        .collect();
+    assert!(found.contains(&true) && found.contains(&false), "{found:?}");
+}
+
+#[test]
+fn a_simulated_board_gives_both_within_five_percent() {
+    let trial = |arm| Trial { arm, seed: 15, board: "sim:openscout".parse().expect("a board") };
+    let ours = Skidcal.run(&trial("ours")).expect("a trial");
+    assert!(ours["c_long_error"] < 0.05 && ours["coulomb_check_right"] == 1.0, "{ours:?}");
+    assert_eq!(Skidcal.run(&trial("ours")).expect("a trial"), ours, "the same seed, bit for bit");
+    // The paper's equation, and its noise.
+    let paper = Skidcal.run(&trial("paper")).expect("a trial");
+    assert!(paper["c_long_relative"] < 0.2, "{paper:?}");
+    // What motors and board add is not in perfect actuators.
+    let perfect = Skidcal.run(&trial("ablation:perfect-actuators")).expect("a trial");
+    assert_ne!(perfect["c_long_error"], ours["c_long_error"]);
+}
+
+#[test]
+fn a_released_dead_man_ends_the_protocol_with_the_robot_at_rest() {
+    let truth = sample(1);
+    let mut rig = Rig::new("sim:openscout".parse().expect("a board"));
+    rig.alter = Some(altered(truth));
+    let robot = SkidRobot::of(&rig.robot().expect("a robot"), truth.mass_kg).expect("a skid-steer robot");
+    let work = async |session: &Session<'_>| {
+        let board = session.virtual_board()?;
+        let release = async {
+            // In the middle of the second step.
+            session.board.sleep_s(2.0).await;
+            board.dead_man().set(false);
+            std::future::pending::<()>().await;
+        };
+        let drive = protocol::drive(session, &robot, Repeats::Once, Noise::of(1));
+        let ended = match futures::future::select(pin!(drive), pin!(release)).await {
+            Either::Left((ended, _)) => ended,
+            Either::Right(_) => unreachable!("a release does not end"),
+        };
+        // Soft tyres swing for a while, by a fraction of a millimetre.
+        session.board.sleep_s(3.0).await;
+        let speed_m_s = board.world().twist().map(|twist| twist.forward_m_s);
+        Ok::<_, r4_rig::Error>((ended.map(drop), session.board.safety().0, speed_m_s))
+    };
+    let ((ended, state, speed_m_s), _) = rig.run(None, work).expect("a session");
+    // Either the set point that comes next is refused, or the telemetry says why.
+    assert!(
+        matches!(&ended, Err(r4_rig::Error::Board(DriverError::Stopped { .. } | DriverError::Refused(_)))),
+        "{ended:?}"
+    );
+    assert_eq!(state, SafetyState::Tripped);
+    assert!(speed_m_s.is_some_and(|speed_m_s| speed_m_s.abs() < 1e-3), "{speed_m_s:?}");
+}
+
+#[test]
+fn slip_is_written_for_gazebo_and_for_a_robots_file() {
+    let slip = export::Slip { c_long_per_n: 0.005, c_lat_per_n: 0.05, friction: 10.0 };
+    let sdf = export::sdf(&slip, &["front_left", "front_right"], 0.056);
+    for tag in [
+        "<wheel link_name=\"front_right\">",
+        "<slip_compliance_lateral>0.05</slip_compliance_lateral>",
+        "<slip_compliance_longitudinal>0.005</slip_compliance_longitudinal>",
+        "<mu>10</mu>",
+    ] {
+        assert!(sdf.contains(tag), "{tag} in {sdf}");
+    }
+    let table: toml::Table = export::toml(&slip, 0.03).parse().expect("TOML");
+    assert_eq!(table["body"]["wheeled"]["tyre"]["compliance_lat_per_n"].as_float(), Some(0.05));
+}
