@@ -6,6 +6,7 @@ use r4_blind::{
     Draw,
     experiment::{Length, Setup, experiment},
 };
+use r4_maths::statistics::median;
 
 fn main() {
     let seeds: u64 = std::env::args().nth(1).and_then(|text| text.parse().ok()).unwrap_or(50);
@@ -28,7 +29,7 @@ fn main() {
                 seconds / seeds as f64,
                 spread[0],
                 spread[spread.len() - 1],
-                spread[spread.len() / 2]
+                median(&spread).unwrap_or(f64::NAN)
             );
             for (name, count) in names {
                 println!("  {count:4} {name}");

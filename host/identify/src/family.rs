@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
 use crate::{
     fit::{Fit, white_noise},
     report::Estimate,
-    spline::Spline,
 };
 
 /// What values a parameter may take. There is no way to leave its range.

@@ -9,6 +9,7 @@ mod tests;
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned};
+use r4_maths::statistics::{QuantileRule, quantile};
 
 use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term};
 
@@ -288,12 +289,8 @@ fn deviation(measured: &[f64], predicted: &[f64]) -> f64 {
 /// 1.4826 times the median of the magnitudes: the standard deviation if they are normal.
 pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
     magnitudes.retain(|magnitude| magnitude.is_finite());
-    if magnitudes.is_empty() {
-        return 0.0;
-    }
-    let middle = magnitudes.len() / 2;
-    let (_, median, _) = magnitudes.select_nth_unstable_by(middle, f64::total_cmp);
-    1.4826 * *median
+    // Around zero, not around the median: a bias of the residuals counts.
+    1.4826 * quantile(&magnitudes, 0.5, QuantileRule::NearestPosition).unwrap_or(0.0)
 }
 
 /// Deviation of white noise on a smooth series, by its second differences.

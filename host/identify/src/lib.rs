@@ -24,7 +24,6 @@ pub mod report;
 mod residual;
 pub mod select;
 pub mod skid;
-pub mod spline;
 pub mod statics;
 pub mod task;
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use r4_maths::statistics::RootMeanSquare;
 use r4_plants::PlantSpec;
 
 use crate::{
@@ -162,19 +163,19 @@ fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> V
 }
 
 fn score<F: Family>(family: &F, runs: &[&F::Run], predicted: &[Vec<f64>]) -> Score {
-    let (mut square, mut sum, mut sum_square, mut count) = (0.0, 0.0, 0.0, 0.0);
+    let mut errors = RootMeanSquare::default();
+    let (mut sum, mut sum_square) = (0.0, 0.0);
     for (run, predicted) in runs.iter().zip(predicted) {
         for (measured, predicted) in family.measured(run).iter().zip(predicted) {
             if measured.is_finite() {
-                square += (measured - predicted).powi(2);
+                errors.push(measured - predicted);
                 sum += measured;
                 sum_square += measured * measured;
-                count += 1.0;
             }
         }
     }
-    let rmse = (square / f64::max(count, 1.0)).sqrt();
-    let deviation = (sum_square / f64::max(count, 1.0) - (sum / f64::max(count, 1.0)).powi(2)).max(0.0).sqrt();
+    let (rmse, count) = (errors.value().unwrap_or(0.0), errors.count().max(1) as f64);
+    let deviation = (sum_square / count - (sum / count).powi(2)).max(0.0).sqrt();
     Score { rmse, nrmse: if deviation > 0.0 { rmse / deviation } else { f64::NAN } }
 }
 

@@ -1,5 +1,7 @@
 //! How far two runs are apart.
 
+use r4_maths::statistics::{QuantileRule, RootMeanSquare, quantile};
+
 use crate::{Kind, Log, Signal, Value};
 
 /// How a signal differs between two logs, seen from both: each sample of one is compared with what the other has at that
@@ -59,8 +61,7 @@ pub fn compare(a: &Log, b: &Log, shift_s: f64) -> Vec<Difference> {
 struct Tally {
     compared: usize,
     unequal: usize,
-    numbers: usize,
-    squares: f64,
+    numbers: RootMeanSquare,
     max: f64,
 }
 
@@ -70,8 +71,7 @@ impl Tally {
         self.compared += 1;
         self.unequal += usize::from(!equal);
         if let Some(difference) = difference {
-            self.numbers += 1;
-            self.squares += difference * difference;
+            self.numbers.push(difference);
             self.max = self.max.max(difference.abs());
         }
     }
@@ -90,14 +90,14 @@ fn difference(a: Option<&Signal>, b: Option<&Signal>, name: &str) -> Difference 
         (Some(a), Some(b)) => [one_way(a, b, &mut tally), one_way(b, a, &mut tally)],
         _ => samples,
     };
-    let numbers = (tally.numbers > 0).then_some(tally.numbers as f64);
+    let rms = tally.numbers.value();
     Difference {
         name: name.to_owned(),
         samples,
         one_sided,
         compared: tally.compared,
-        max: numbers.map(|_| tally.max),
-        rms: numbers.map(|numbers| (tally.squares / numbers).sqrt()),
+        max: rms.map(|_| tally.max),
+        rms,
         unequal: tally.unequal,
     }
 }
@@ -142,7 +142,7 @@ fn apart(a: &Value, b: &Value) -> Option<f64> {
 
 /// The median time between samples.
 fn usual_period_s(signal: &Signal) -> f64 {
-    let mut periods: Vec<f64> = signal.samples.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    periods.sort_by(f64::total_cmp);
-    periods.get(periods.len() / 2).copied().unwrap_or_default()
+    let periods: Vec<f64> = signal.samples.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+    // One of the periods, not the mean of two: a signal that changes its rate halfway has one of both.
+    quantile(&periods, 0.5, QuantileRule::NearestPosition).unwrap_or_default()
 }

@@ -8,9 +8,21 @@
 //! | --- | --- |
 //! | [`statistics`] | quantiles and robust spread, RMSE, confidence intervals, bootstrap, hypothesis tests |
 //! | [`least_squares`] | linear and nonlinear fits with standard errors (feature `matrices`) |
+//! | [`minimise`] | minima within bounds, local and global, without derivatives (feature `optimise`) |
+//! | [`root`] | roots of functions of one number |
+//! | [`spline`] | curves through knots |
+//! | [`kalman`] | Kalman filter, linear and extended (feature `matrices`) |
+//! | [`path`] | shortest paths, on graphs and grids |
 //!
 //! Random numbers come from a seed that the caller gives: the same seed gives the same result.
 
 #[cfg(feature = "matrices")]
+pub mod kalman;
+#[cfg(feature = "matrices")]
 pub mod least_squares;
+#[cfg(feature = "optimise")]
+pub mod minimise;
+pub mod path;
+pub mod root;
+pub mod spline;
 pub mod statistics;

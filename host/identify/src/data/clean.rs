@@ -2,6 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
+use r4_maths::statistics::{self, QuantileRule};
+
 use super::{Mapping, Note, Quantity, read::Raw, runs::Piece};
 
 /// Samples on each side that an outlier is compared with.
@@ -16,11 +18,9 @@ const STEP: f64 = 4.0;
 /// More than this share of outliers is how the signal is.
 const RARE: f64 = 0.02;
 
-/// The value below which this share of `values` lies; sorts them. `None` where there are none.
-pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let last = values.len().checked_sub(1)?;
-    values.get((last as f64 * share).round() as usize).copied()
+/// The one of `values`, none of which is NaN, below which this share of them lies; `None` where there are none.
+pub(super) fn quantile(values: &[f64], share: f64) -> Option<f64> {
+    statistics::quantile(values, share, QuantileRule::NearestPosition).ok()
 }
 
 pub(super) fn clean(file: &str, raw: &Raw, roles: &[Mapping], pieces: &mut Vec<Piece>, notes: &mut Vec<Note>) {
@@ -83,10 +83,9 @@ fn bridge(piece: &mut Piece, roles: &[Mapping]) {
 fn time(file: &str, raw: &Raw, pieces: &[Piece], notes: &mut Vec<Note>) {
     let Some((column, stated)) = &raw.time else { return };
     let steps = || pieces.iter().flat_map(|piece| piece.time_s.windows(2).map(|pair| pair[1] - pair[0]));
-    let mut sorted: Vec<f64> = steps().collect();
-    let Some(median_s) = quantile(&mut sorted, 0.5) else { return };
-    let mut off: Vec<f64> = steps().map(|step| (step - median_s).abs()).collect();
-    let jitter_s = quantile(&mut off, 0.95).unwrap_or(0.0);
+    let Some(median_s) = quantile(&steps().collect::<Vec<_>>(), 0.5) else { return };
+    let off: Vec<f64> = steps().map(|step| (step - median_s).abs()).collect();
+    let jitter_s = quantile(&off, 0.95).unwrap_or(0.0);
     if !stated {
         notes.push(Note::TimeUnit { file: file.to_owned(), column: column.clone(), step_s: median_s });
     }
@@ -165,9 +164,9 @@ fn outliers(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &m
 fn spikes(values: &[f64]) -> Vec<usize> {
     let known: Vec<usize> = (0..values.len()).filter(|&at| !values[at].is_nan()).collect();
     let value = |place: usize| values[known[place]];
-    let mut steps: Vec<f64> = known.windows(2).map(|pair| (values[pair[1]] - values[pair[0]]).abs()).collect();
-    let mut changes: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
-    let (Some(usual), Some(grain)) = (quantile(&mut steps, 0.95), quantile(&mut changes, 0.05)) else {
+    let steps: Vec<f64> = known.windows(2).map(|pair| (values[pair[1]] - values[pair[0]]).abs()).collect();
+    let changes: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
+    let (Some(usual), Some(grain)) = (quantile(&steps, 0.95), quantile(&changes, 0.05)) else {
         return Vec::new();
     };
     let lone = |place: &usize| {
@@ -181,7 +180,7 @@ fn spikes(values: &[f64]) -> Vec<usize> {
         let around = (place - AROUND..place - 1).chain(place + 1..place + AROUND);
         let mut near: Vec<f64> = around.map(|at| (value(at + 1) - value(at)).abs()).collect();
         near.push((value(place + 1) - value(place - 1)).abs());
-        leg > SPIKE * quantile(&mut near, 1.0).unwrap_or(0.0)
+        leg > SPIKE * quantile(&near, 1.0).unwrap_or(0.0)
     };
     (AROUND..known.len().saturating_sub(AROUND)).filter(lone).map(|place| known[place]).collect()
 }
@@ -195,8 +194,8 @@ fn held(file: &str, column: &str, at: usize, pieces: &[Piece], notes: &mut Vec<N
             .map(|step| if step.is_nan() { 0.0 } else { step })
             .collect()
     };
-    let mut changes: Vec<f64> = pieces.iter().flat_map(steps).filter(|step| *step > 0.0).collect();
-    let Some(grain) = quantile(&mut changes, 0.05) else { return };
+    let changes: Vec<f64> = pieces.iter().flat_map(steps).filter(|step| *step > 0.0).collect();
+    let Some(grain) = quantile(&changes, 0.05) else { return };
     let (mut lengths, mut seconds) = (Vec::new(), 0.0);
     for piece in pieces {
         let mut since: Option<usize> = None;

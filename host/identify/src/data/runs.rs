@@ -109,5 +109,5 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
 /// Of the steps forward between consecutive `rows`; infinite where there is none.
 fn median_step(time_s: &[f64], rows: &[usize]) -> f64 {
     let steps = rows.windows(2).map(|pair| time_s[pair[1]] - time_s[pair[0]]).filter(|step| *step > 0.0);
-    super::clean::quantile(&mut steps.collect::<Vec<_>>(), 0.5).unwrap_or(f64::INFINITY)
+    super::clean::quantile(&steps.collect::<Vec<_>>(), 0.5).unwrap_or(f64::INFINITY)
 }

@@ -163,7 +163,7 @@ impl Motion {
                         Acts::Gain => (On::Gain, 1.0),
                         Acts::Hysteresis => (On::Hysteresis, physical.inertia),
                     };
-                    let (at, values) = curve.spline(values).corners(STRAIGHT);
+                    let (at, values) = curve.spline(values).polyline(STRAIGHT);
                     let mut corners: Vec<(f64, f64)> =
                         at.into_iter().zip(values.into_iter().map(|value| value * scale)).collect();
                     if curve.over == Dependence::Speed && curve.acts == Acts::Friction {

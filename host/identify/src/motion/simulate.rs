@@ -13,10 +13,8 @@
 
 use std::f64::consts::TAU;
 
-use crate::{
-    family::{Acts, Curve, Simulated, Structure},
-    spline::Spline,
-};
+use crate::family::{Acts, Curve, Simulated, Structure};
+use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
 use super::{Motion, MotionRun, effect::Effect};

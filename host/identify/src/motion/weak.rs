@@ -16,6 +16,8 @@
 
 use std::{ops::Range, sync::Arc};
 
+use r4_maths::statistics::{QuantileRule, quantile};
+
 use crate::{
     family::{self, Candidate, Model, Parameter, Structure},
     fit::{Effort, Fit, cost, fit, parameters},
@@ -78,9 +80,8 @@ impl Windows {
         let (time_s, measured) = (&run.all.time_s[..], &run.all.measured[..]);
         let smooth = Smooth::of(time_s, measured)?;
         let moved = moved(time_s, &smooth, of_speed);
-        let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let middle = steps.len() / 2;
-        let period_s = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let period_s = quantile(&steps, 0.5, QuantileRule::NearestPosition).ok()?;
         let shortest_s = SHORTEST_S.max(SHORTEST_SAMPLES * period_s);
         let (first_s, last_s) = (*time_s.first()?, *time_s.last()?);
         let mut all = Self { moved, windows: vec![], measured: vec![] };

@@ -2,6 +2,8 @@
 
 use std::{f64::consts::TAU, ops::Range, sync::Arc};
 
+use r4_maths::statistics::{QuantileRule, quantile};
+
 use super::{Geometry, Output, SkidError};
 use crate::data::{Quantity, Run, Signal};
 
@@ -96,9 +98,8 @@ impl SkidRun {
 
 /// Median of the time between samples.
 fn period(time_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(1.0)
+    let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    quantile(&steps, 0.5, QuantileRule::NearestPosition).unwrap_or(1.0)
 }
 
 /// Draws straight lines over what is missing; false if all is.

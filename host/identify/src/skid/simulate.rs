@@ -2,13 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
 use super::{Geometry, Output, SkidSteer, effect::Effect, run::SkidRun};
-use crate::{
-    family::{Acts, Curve, Structure, Term},
-    spline::Spline,
-};
+use crate::family::{Acts, Curve, Structure, Term};
 
 /// Below this share of the usual speed a body hardly counts as driving forwards or backwards.
 const TRAVEL_KNEE: f64 = 0.01;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use r4_maths::statistics::RootMeanSquare;
 use serde::Serialize;
 
 use super::{
@@ -61,8 +62,8 @@ fn first(file: &Path, options: &Options) -> Result<Run, IdentifyError> {
 /// RMS error of a structure on the rows of a run that were measured.
 fn rmse(map: &StaticMap, fit: &fit::Fit, run: &MapRun) -> f64 {
     let residuals = fit::residuals(map, &fit.structure, &[], run);
-    let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
-    (known.iter().map(|residual| residual * residual).sum::<f64>() / known.len().max(1) as f64).sqrt()
+    let known = residuals.into_iter().filter(|residual| residual.is_finite());
+    known.collect::<RootMeanSquare>().value().unwrap_or(0.0)
 }
 
 fn wheel_rows(folder: &Path, wheel: &str, at_least: f64) -> Result<[Row; 2], IdentifyError> {

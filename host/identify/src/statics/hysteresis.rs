@@ -6,6 +6,7 @@
 //! them apart. What the shaft moves back by when the pull ends is elasticity and the droop of a proportional controller,
 //! which need the pull's force to be told from each other.
 
+use r4_maths::statistics::RootMeanSquare;
 use r4_plants::Dependence;
 use serde::Serialize;
 use thiserror::Error;
@@ -84,9 +85,9 @@ const LEAST_PULLS: usize = 2;
 /// Where a puller is away from its rest: above nine tenths of its largest stroke, so that a position counts from when it has
 /// arrived to when it leaves; a command counts as a whole.
 fn pulling(signal: &[f64]) -> Vec<bool> {
-    let mut known: Vec<f64> = signal.iter().copied().filter(|value| value.is_finite()).collect();
+    let known: Vec<f64> = signal.iter().copied().filter(|value| value.is_finite()).collect();
     // Each side rests more than half of the time.
-    let rest = median(&mut known);
+    let rest = median(&known);
     let stroke = known.iter().map(|value| (value - rest).abs()).fold(0.0, f64::max);
     signal.iter().map(|value| stroke > 0.0 && (value - rest).abs() >= 0.9 * stroke).collect()
 }
@@ -298,11 +299,11 @@ fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
         let positions = nalgebra::DVector::from_fn(fitted.len(), |row, _| fitted[row].position);
         let values = design.svd(true, true).solve(&positions, 1e-9).ok()?;
         let rmse = |ends: &[&PhaseEnd]| {
-            let square = |end: &&PhaseEnd| {
+            let error = |end: &&PhaseEnd| {
                 let expected: f64 = values.iter().enumerate().map(|(column, value)| value * entry(end, column)).sum();
-                (end.position - expected).powi(2)
+                end.position - expected
             };
-            (ends.iter().map(square).sum::<f64>() / ends.len() as f64).sqrt()
+            ends.iter().map(error).collect::<RootMeanSquare>().value().unwrap_or(f64::NAN)
         };
         Some(Explanation { name, rmse: rmse(&fitted), holdout_rmse: rmse(&later) })
     };
@@ -514,9 +515,9 @@ impl Family for HeldShaft {
     }
 
     fn starts(&self, runs: &[&HeldRun]) -> Vec<Vec<f64>> {
-        let mut all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
+        let all: Vec<f64> = runs.iter().flat_map(|run| run.measured.iter().copied()).collect();
         let Range::NotNegative { scale } = self.base[1].range else { return vec![] };
-        vec![vec![median(&mut all), 4.0 * scale]]
+        vec![vec![median(&all), 4.0 * scale]]
     }
 
     fn time_s<'r>(&self, run: &'r HeldRun) -> &'r [f64] {

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use r4_maths::statistics;
 use r4_plants::Dependence;
 use thiserror::Error;
 
@@ -292,8 +293,8 @@ impl StaticMap {
             let levels: Vec<f64> = run.rows().map(|(u, _)| u).collect();
             steps.extend(levels.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 0.0));
         }
-        let mut supplies: Vec<f64> = runs.iter().flat_map(|run| run.supply.iter().copied()).collect();
-        let supply_ref = if supplies.is_empty() { 1.0 } else { median(&mut supplies) };
+        let supplies: Vec<f64> = runs.iter().flat_map(|run| run.supply.iter().copied()).collect();
+        let supply_ref = if supplies.is_empty() { 1.0 } else { median(&supplies) };
         let mut map = Self {
             base: vec![Parameter {
                 name: "gain",
@@ -306,7 +307,7 @@ impl StaticMap {
             unit,
             span,
             // An eighth: at a level in the middle of two rows the nearest is off by 2 % of the jump.
-            smear: (median(&mut steps) / 8.0).max(1e-4 * span),
+            smear: (median(&steps) / 8.0).max(1e-4 * span),
             height,
             supply_ref,
             one_way: runs.iter().all(|run| run.goes_one_way()),
@@ -597,8 +598,8 @@ impl Found {
         }
         let (low, high) = extent(runs.iter().flat_map(|run| run.supply.iter().copied()));
         let [mut forward, mut backward] = starts;
-        // Which sorts them.
-        let middle = [median(&mut forward), median(&mut backward)];
+        let middle = [median(&forward), median(&backward)];
+        [&mut forward, &mut backward].into_iter().for_each(|levels| levels.sort_unstable_by(f64::total_cmp));
         Self {
             dead,
             starts: [
@@ -610,7 +611,7 @@ impl Found {
             up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
             // Less than 2 % of change shows an exponent only through its noise.
             supply_changes: high > 1.02 * low,
-            row_s: median(&mut rows_s),
+            row_s: median(&rows_s),
             length_s,
         }
     }
@@ -631,14 +632,10 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// The middle value; 0 of nothing.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    values.sort_unstable_by(f64::total_cmp);
-    let half = values.len() / 2;
-    if values.len() % 2 == 1 { values[half] } else { f64::midpoint(values[half - 1], values[half]) }
+/// Median of what is known; 0 of nothing.
+pub(crate) fn median(values: &[f64]) -> f64 {
+    let known: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
+    statistics::median(&known).unwrap_or(0.0)
 }
 
 /// Softest and hardest bend; the hardest leaves 4 % of a clip's corner.

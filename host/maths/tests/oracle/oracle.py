@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 import statsmodels
 import statsmodels.api as sm
-from scipy import optimize, stats
+from scipy import interpolate, optimize, sparse, stats
 from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.proportion import proportion_confint
 
@@ -217,6 +217,117 @@ def nonlinear_fits():
         yield {"name": name, "x": x, "y": y, "start": start, "parameters": found, "covariance": covariance}
 
 
+def splines():
+    for periodic in [False, True]:
+        for n in [2, 3, 4, 9]:
+            knots = np.cumsum(rng.uniform(0.2, 2.0, n))
+            values = rng.normal(0.0, 3.0, n)
+            if n == 9:
+                # A plateau and a turn, where PCHIP has slopes of 0.
+                values[3] = values[4]
+            x = np.linspace(knots[0], knots[-1], 41)
+            found = {"knots": knots.tolist(), "values": values.tolist(), "x": x.tolist()}
+            if periodic:
+                # Parabolas through three knots round the circle: the slopes of three turns, of which the middle one counts.
+                period = knots[-1] - knots[0] + 0.7
+                around = np.concatenate([knots - period, knots, knots + period])
+                bessel = interpolate.CubicHermiteSpline(around, np.tile(values, 3), slopes_of(around, np.tile(values, 3)))
+                found["x"] = (knots[0] + np.linspace(-0.5, 1.5, 41) * period).tolist()
+                inside = knots[0] + (np.array(found["x"]) - knots[0]) % period
+                yield found | {"period": period, "bessel": bessel(inside)}
+                continue
+            natural = interpolate.CubicSpline(knots, values, bc_type="natural")
+            pchip = interpolate.PchipInterpolator(knots, values)
+            bessel = interpolate.CubicHermiteSpline(knots, values, slopes_of(knots, values))
+            yield found | {
+                "bessel": bessel(x),
+                "natural": natural(x),
+                "natural_slope": natural(x, 1),
+                "monotone": pchip(x),
+                "monotone_slope": pchip(x, 1),
+            }
+
+
+def slopes_of(knots, values):
+    return np.gradient(values, knots, edge_order=min(2, len(knots) - 1))
+
+
+# As in the tests, by name.
+FUNCTIONS = {
+    "cubic": (lambda x: x**3 - 2 * x - 5, 1.0, 3.0),
+    "cosine": (lambda x: np.cos(x) - x, 0.0, 1.0),
+    "steep": (lambda x: np.exp(20 * x) - 1e3, -1.0, 2.0),
+    "flat": (lambda x: (x - 0.3) ** 9, -1.0, 1.2),
+    "pole": (lambda x: 1.0 / (x - 4.0) + 1.0, 2.0, 3.5),
+}
+
+
+def roots():
+    for name, (f, low, high) in FUNCTIONS.items():
+        for tolerance in [1e-3, 1e-9]:
+            root = optimize.brentq(f, low, high, xtol=1e-15, rtol=1e-15, maxiter=1000)
+            yield {"name": name, "low": low, "high": high, "tolerance": tolerance, "root": root}
+
+
+def minima():
+    rosenbrock = lambda x: sum(100 * (x[1:] - x[:-1] ** 2) ** 2 + (1 - x[:-1]) ** 2)
+    for bounds, start in [([(-5, 5)] * 2, [-1.2, 1.0]), ([(-5, 0.5), (-5, 5)], [-1.2, 1.0]), ([(-2, 2)] * 3, [0.0, 0.5, 1.5])]:
+        found = optimize.minimize(
+            rosenbrock, start, bounds=bounds, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-16, "maxfev": 5000}
+        )
+        assert found.success
+        yield {"bounds": bounds, "start": start, "at": found.x, "value": found.fun}
+
+
+def grids():
+    """Shortest paths by csgraph, over the same steps: eight directions, no corner cut, mean factor of both cells."""
+    for columns, rows, share in [(12, 9, 0.2), (30, 30, 0.35), (7, 40, 0.1)]:
+        factors = np.where(rng.random((rows, columns)) < share, np.inf, rng.choice([1.0, 1.0, 2.0, 5.0], (rows, columns)))
+        factors[0, 0] = factors[-1, -1] = 1.0
+        graph = sparse.lil_array((rows * columns, rows * columns))
+        for y in range(rows):
+            for x in range(columns):
+                for dx, dy in [(1, 0), (0, 1), (1, 1), (-1, 1)]:
+                    if not (0 <= x + dx < columns and y + dy < rows):
+                        continue
+                    beside = max(factors[y, x + dx], factors[y + dy, x])
+                    cost = np.hypot(dx, dy) * (factors[y, x] + factors[y + dy, x + dx]) / 2
+                    if np.isfinite(cost) and (dx == 0 or dy == 0 or np.isfinite(beside)):
+                        graph[y * columns + x, (y + dy) * columns + x + dx] = cost
+        costs = sparse.csgraph.dijkstra(graph.tocsr(), directed=False, indices=0).reshape(rows, columns)
+        encode = lambda table: [[None if np.isinf(value) else value for value in row] for row in table]
+        yield {"factors": encode(factors), "costs": encode(costs)}
+
+
+def kalman():
+    """Position and speed from positions, by statsmodels."""
+    step, steps = 0.1, 60
+    transition = np.array([[1.0, step], [0.0, 1.0]])
+    process = 0.3 * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
+    measured = np.cumsum(rng.normal(0.1, 0.05, steps)) + rng.normal(0.0, 0.2, steps)
+    model = sm.tsa.statespace.MLEModel(measured, k_states=2)
+    model["design"] = np.array([[1.0, 0.0]])
+    model["obs_cov"] = np.array([[0.04]])
+    model["transition"] = transition
+    model["selection"] = np.eye(2)
+    model["state_cov"] = process
+    # statsmodels starts with the prediction for the first sample.
+    model.ssm.initialize_known(np.zeros(2), np.diag([4.0, 1.0]))
+    # Otherwise it stops updating the covariance when it has nearly converged.
+    model.ssm.tolerance = 0
+    found = model.ssm.filter()
+    yield {
+        "transition": transition,
+        "process": process,
+        "noise": 0.04,
+        "start": [4.0, 1.0],
+        "measured": measured,
+        "states": found.filtered_state.T,
+        "covariances": found.filtered_state_cov.T,
+        "log_likelihoods": found.llf_obs,
+    }
+
+
 def plain(value):
     """Only what JSON has, numbers with all their digits."""
     if isinstance(value, dict):
@@ -248,6 +359,11 @@ def main():
         "bootstrap": list(bootstraps(data)),
         "linear_fits": list(linear_fits()),
         "nonlinear_fits": list(nonlinear_fits()),
+        "splines": list(splines()),
+        "roots": list(roots()),
+        "minima": list(minima()),
+        "grids": list(grids()),
+        "kalman": list(kalman()),
     }
     path = pathlib.Path(__file__).with_name("oracle.json")
     path.write_text(json.dumps(plain(oracle)) + "\n")

@@ -530,10 +530,9 @@ impl Stamp {
     }
 }
 
-/// Of sorted numbers the one below which this share of them is; NaN of none.
+/// Of sorted numbers; NaN of none.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let rank = (sorted.len() as f64 * share).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+    r4_maths::statistics::nearest_rank(sorted, share).unwrap_or(f64::NAN)
 }
 
 fn read(path: &str) -> String {

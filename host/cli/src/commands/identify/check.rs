@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use r4_log::{Log, MotorSample, MotorSeries};
+use r4_maths::statistics::RootMeanSquare;
 use r4_protocol::{ChannelId, SafetyState};
 use serde::Serialize;
 
@@ -134,7 +135,7 @@ fn rmse(
 ) -> Option<f64> {
     let zero = |series: &MotorSeries| series.samples.first().map(value).filter(|_| from_start).unwrap_or(0.0);
     let (zero_recorded, zero_simulated) = (zero(recorded), zero(simulated));
-    let (mut sum, mut count) = (0.0, 0.0);
+    let mut differences = RootMeanSquare::default();
     for sample in &recorded.samples {
         let at_s = sample.time_s - shift_s;
         let after = simulated.samples.partition_point(|other| other.time_s < at_s);
@@ -149,11 +150,10 @@ fn rmse(
         let there = value(left) + share * (value(right) - value(left)) - zero_simulated;
         let difference = value(sample) - zero_recorded - there;
         if difference.is_finite() {
-            sum += difference * difference;
-            count += 1.0;
+            differences.push(difference);
         }
     }
-    (count > 0.0).then(|| f64::sqrt(sum / count))
+    differences.value()
 }
 
 impl Twins {

@@ -4,10 +4,10 @@
 //! target. The print names neither units nor target; rise is read as seconds from 0 to 99 % of the final position, overshoot
 //! and error as degrees.
 
+use r4_maths::minimise::{Effort, Minimum, global, nelder_mead};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::minimise::{Effort, Least, descend, least};
 use super::osmc::Printed;
 use super::{TableError, correlation, worse};
 use crate::report::Unexplained;
@@ -287,7 +287,7 @@ impl Default for Taken {
 
 fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLadder {
     let mut steps: Vec<GainsStep> = Vec::new();
-    let mut last: Option<Least> = None;
+    let mut last: Option<Minimum> = None;
     let mut taken: Option<Taken> = None;
     for (level, effect) in LADDER.into_iter().enumerate() {
         let bounds = &BOUNDS[..NUMBERS[level]];
@@ -296,12 +296,12 @@ fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLad
             rows.iter().map(|row| row_cost(&plant, row, target)).sum::<f64>()
         };
         let all: Vec<&Row> = rows.iter().collect();
-        let mut best = least(bounds, effort.all, seed, |numbers| total(&all, numbers));
+        let mut best = global(bounds, effort.all, seed, |numbers| total(&all, numbers));
         if let Some(last) = &last {
             // From where the model without the effect ended: adding one must not make it worse.
             let mut from = last.at.clone();
             from.extend_from_slice(&ABSENT[from.len()..NUMBERS[level].max(from.len())]);
-            let other = descend(bounds, &from, effort.all.simplex, |numbers| total(&all, numbers));
+            let other = nelder_mead(bounds, &from, effort.all.simplex, |numbers| total(&all, numbers));
             if other.value < best.value {
                 best = other;
             }
@@ -311,7 +311,7 @@ fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLad
             .map(|out| {
                 let others: Vec<&Row> =
                     rows.iter().enumerate().filter(|(row, _)| *row != out).map(|(_, row)| row).collect();
-                let refit = descend(bounds, &best.at, effort.left_out, |numbers| total(&others, numbers));
+                let refit = nelder_mead(bounds, &best.at, effort.left_out, |numbers| total(&others, numbers));
                 total(&[&rows[out]], &refit.at)
             })
             .collect();
@@ -348,7 +348,7 @@ fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLad
     }
 }
 
-fn score(effect: &'static str, level: usize, best: &Least, rows: &[Row], target: f64) -> GainsStep {
+fn score(effect: &'static str, level: usize, best: &Minimum, rows: &[Row], target: f64) -> GainsStep {
     let plant = Plant::new(level, &best.at);
     let mut squares = [(0.0, 0.0f64); 3];
     for row in rows {

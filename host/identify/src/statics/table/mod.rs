@@ -4,18 +4,17 @@
 //! the printed numbers.
 
 pub mod gains;
-pub mod minimise;
 pub mod osmc;
 pub mod task;
 
 use std::io::Read;
 
+use r4_maths::minimise::{Effort, global};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use thiserror::Error;
 
 use crate::report::Unexplained;
-use minimise::{Effort, least};
 
 /// Why a table cannot be used.
 #[derive(Debug, Error)]
@@ -279,7 +278,7 @@ fn squares(law: &Law, values: &[f64], rows: &[Vec<f64>]) -> f64 {
 
 fn fit(law: &Law, rows: &[Vec<f64>], seed: u64) -> Vec<f64> {
     let bounds: Vec<(f64, f64)> = law.numbers.iter().map(|number| number.bounds).collect();
-    least(&bounds, EFFORT, seed, |values| squares(law, values, rows)).at
+    global(&bounds, EFFORT, seed, |values| squares(law, values, rows)).at
 }
 
 /// Square error of each row after a fit to the others, and that fit.

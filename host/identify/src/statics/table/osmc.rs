@@ -1,5 +1,7 @@
 //! The laws declared for the printed tables of the OSMC evaluation (`data/osmc_tables`).
 
+use r4_maths::statistics::RootMeanSquare;
+
 use super::{About, Cause, Ladder, Law, Number, Rows, TableError, climb};
 
 /// The printed tables.
@@ -114,8 +116,8 @@ pub fn linear(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
 pub fn linear_with_dead_band(printed: &Printed, duty: f64) -> Result<f64, TableError> {
     const KP: f64 = 2.0;
     let rows = printed.linear.select(&["set_mm", "observed_mm"])?;
-    let square = |row: &Vec<f64>| (displayed_mm(commanded_counts(row[0]) - duty / KP) - row[1]).powi(2);
-    Ok((rows.iter().map(square).sum::<f64>() / rows.len().max(1) as f64).sqrt())
+    let error_mm = |row: &Vec<f64>| displayed_mm(commanded_counts(row[0]) - duty / KP) - row[1];
+    Ok(rows.iter().map(error_mm).collect::<RootMeanSquare>().value().unwrap_or(0.0))
 }
 
 /// Rows of the gains' table that `keep` keeps by `[kp, ki, kd]`, as `[kp, ki, kd, quantity]`; where a dash is printed for an

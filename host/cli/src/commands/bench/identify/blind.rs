@@ -11,6 +11,7 @@ use r4_identify::{
     data::{Quantity, Run, Signal},
     report::{EffectReport, Report},
 };
+use r4_maths::statistics;
 
 use super::{Bench, Row, recorded::names};
 
@@ -148,10 +149,10 @@ impl Outcome {
     }
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+/// NaN of nothing; without a number a ratio counts as the worst.
+fn median(ratios: impl Iterator<Item = f64>) -> f64 {
+    let ratios: Vec<f64> = ratios.map(|ratio| if ratio.is_nan() { f64::INFINITY } else { ratio }).collect();
+    statistics::median(&ratios).unwrap_or(f64::NAN)
 }
 
 /// One of eight hides two effects.

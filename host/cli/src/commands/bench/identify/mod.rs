@@ -18,6 +18,7 @@ use r4_identify::{
     Identified, IdentifyError, Progress, Task,
     data::{self, Options, Run},
 };
+use r4_maths::statistics;
 use serde::Serialize;
 
 use crate::{
@@ -106,14 +107,7 @@ impl Row {
 
 /// 95 % interval of a share.
 fn wilson(good: usize, all: usize) -> [f64; 2] {
-    const Z: f64 = 1.96;
-    if all == 0 {
-        return [0.0, 1.0];
-    }
-    let (all, share) = (all as f64, good as f64 / all as f64);
-    let middle = share + Z * Z / (2.0 * all);
-    let half = Z * (share * (1.0 - share) / all + Z * Z / (4.0 * all * all)).sqrt();
-    [-1.0, 1.0].map(|side| ((middle + side * half) / (1.0 + Z * Z / all)).clamp(0.0, 1.0))
+    statistics::wilson(good as u64, all as u64, 0.95).map_or([0.0, 1.0], |interval| [interval.low, interval.high])
 }
 
 #[derive(Serialize)]
