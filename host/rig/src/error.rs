@@ -7,7 +7,7 @@ use r4_plants::error::PlantError;
 use r4_protocol::ChannelId;
 use r4_sim::SimError;
 
-use crate::{FlashFileError, Interrupted, NotVirtual, PlantFileError, emulated::EmulatedError};
+use crate::{FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, emulated::EmulatedError};
 
 /// A session could not be opened, or did not end as it should.
 #[derive(Debug, thiserror::Error)]
@@ -36,6 +36,12 @@ pub enum Error {
     /// A request failed.
     #[error(transparent)]
     Board(#[from] DriverError),
+    /// A channel does not take what it was asked for; nothing was sent.
+    #[error(transparent)]
+    Unsuitable(#[from] Unsuitable),
+    /// A motor did not do what it was asked for in time.
+    #[error(transparent)]
+    NotReached(#[from] NotReached),
     /// The session was ended by an [`Interrupt`](crate::Interrupt).
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
@@ -67,7 +73,7 @@ pub enum Error {
     Plant(#[from] PlantError),
     /// A plant file cannot be used.
     #[error(transparent)]
-    PlantFile(#[from] PlantFileError),
+    PlantFile(Box<PlantFileError>),
     /// The flash file cannot be used.
     #[error(transparent)]
     FlashFile(#[from] FlashFileError),
@@ -84,3 +90,16 @@ pub enum Error {
     #[error("the simulated board is already connected")]
     Connected,
 }
+
+/// Boxed, so that results of which most are none of these stay small.
+macro_rules! boxed {
+    ($($variant:ident($error:ty)),*) => {
+        $(impl From<$error> for Error {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        })*
+    };
+}
+
+boxed!(PlantFile(PlantFileError));

@@ -5,8 +5,7 @@ use r4_driver::tune::Loop;
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Parameter, ParameterInfo, Unit, config::PidGains};
 
 use super::{Tune, Which};
-use crate::commands::speed_unit;
-use r4_rig::quantity::Quantity;
+use r4_rig::quantity::{Quantity, speed_unit};
 
 /// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;
