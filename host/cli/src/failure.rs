@@ -113,7 +113,7 @@ fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
         if cause.is::<Unclear>() {
             return (Kind::Unclear, None);
         }
-        match cause.downcast_ref::<RigError>() {
+        match cause.downcast_ref().map(RigError::innermost) {
             Some(RigError::Board(error)) => return of_driver(error),
             Some(RigError::Open(error)) => return (of_open(error), None),
             Some(RigError::Unsuitable(error)) => return (Kind::Refused, Some(error.channel)),

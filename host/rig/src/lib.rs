@@ -16,6 +16,7 @@
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 
 pub mod cable;
+pub mod calibrate;
 mod clock;
 pub mod emulated;
 mod error;
@@ -26,6 +27,7 @@ mod interrupt;
 pub mod motion;
 mod notice;
 mod odometry;
+mod parameters;
 mod plant_file;
 pub mod quantity;
 pub mod recording;
@@ -33,6 +35,8 @@ mod rig;
 mod route;
 mod session;
 mod target;
+pub mod tune;
+mod watch;
 
 pub use clock::HostClock;
 pub use error::Error;
@@ -48,3 +52,4 @@ pub use rig::{Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};
 pub use session::Session;
 pub use target::{BadTarget, NotVirtual, Target};
+pub use watch::{Look, MotorWatch, WatchError};
