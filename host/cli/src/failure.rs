@@ -5,15 +5,10 @@ use std::process::ExitCode;
 use r4_driver::Error;
 use r4_links::OpenError;
 use r4_protocol::{ChannelId, Refusal};
-use r4_rig::{Interrupted, NotVirtual};
+use r4_rig::{Error as RigError, Interrupted, NotVirtual};
 use serde::Serialize;
 
-use crate::{
-    args::Args,
-    choice::Unclear,
-    commands::{NotReached, Unsuitable},
-    output,
-};
+use crate::{args::Args, choice::Unclear, output};
 
 /// Kinds of failures. `docs/program.md` lists them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -115,20 +110,16 @@ fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
         if let Some(error) = cause.downcast_ref::<OpenError>() {
             return (of_open(error), None);
         }
-        if let Some(error) = cause.downcast_ref::<Unsuitable>() {
-            return (Kind::Refused, Some(error.channel));
-        }
-        if let Some(error) = cause.downcast_ref::<NotReached>() {
-            return (Kind::NotReached, Some(error.channel));
-        }
         if cause.is::<Unclear>() {
             return (Kind::Unclear, None);
         }
-        match cause.downcast_ref::<r4_rig::Error>() {
-            Some(r4_rig::Error::Board(error)) => return of_driver(error),
-            Some(r4_rig::Error::Open(error)) => return (of_open(error), None),
-            Some(r4_rig::Error::NotVirtual(_)) => return (Kind::Refused, None),
-            Some(r4_rig::Error::Interrupted(_)) => return (Kind::Interrupted, None),
+        match cause.downcast_ref().map(RigError::innermost) {
+            Some(RigError::Board(error)) => return of_driver(error),
+            Some(RigError::Open(error)) => return (of_open(error), None),
+            Some(RigError::Unsuitable(error)) => return (Kind::Refused, Some(error.channel)),
+            Some(RigError::NotReached(error)) => return (Kind::NotReached, Some(error.channel)),
+            Some(RigError::NotVirtual(_)) => return (Kind::Refused, None),
+            Some(RigError::Interrupted(_)) => return (Kind::Interrupted, None),
             _ => {}
         }
         if cause.is::<NotVirtual>() {
@@ -175,6 +166,7 @@ fn of_open(error: &OpenError) -> Kind {
 mod tests {
     use anyhow::Context;
     use r4_protocol::{Causes, ChannelKind};
+    use r4_rig::{NotReached, Unsuitable};
 
     use super::*;
 
@@ -188,6 +180,8 @@ mod tests {
             (driver(Error::LinkLost { silent_ms: 400 }), Kind::LinkLost, None),
             (driver(Error::NotHomed { channel, after_s: 1.0 }), Kind::NotReached, Some(channel)),
             (driver(Error::Stopped { causes: Causes::NONE }), Kind::Stopped, None),
+            (RigError::from(Unsuitable { channel, why: String::new() }).into(), Kind::Refused, Some(channel)),
+            (RigError::from(NotReached { channel, how: String::new() }).into(), Kind::NotReached, Some(channel)),
             (OpenError::Busy("/dev/ttyACM0".into()).into(), Kind::InUse, None),
             (OpenError::NoBoard.into(), Kind::NoBoard, None),
             (Interrupted.into(), Kind::Interrupted, None),

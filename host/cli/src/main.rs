@@ -27,7 +27,7 @@ use verbs::{Command, Sim, Typed};
 
 fn main() -> ExitCode {
     commands::completions::answer(Typed::command);
-    let Typed { args, command } = match Typed::typed() {
+    let Typed { args, command } = match Typed::from_command_line() {
         Ok(typed) => typed,
         // Not understood, so neither is `--json`, but it can be seen.
         Err(error) => return failure::report_usage(&error, env::args_os().any(|typed| typed == "--json")),

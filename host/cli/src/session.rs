@@ -51,7 +51,7 @@ pub(crate) fn was_interrupted(error: &anyhow::Error) -> bool {
 
 /// What the driver said, where that is why a command failed.
 pub(crate) fn driver_error(error: &anyhow::Error) -> Option<&DriverError> {
-    error.chain().find_map(|cause| match cause.downcast_ref() {
+    error.chain().find_map(|cause| match cause.downcast_ref().map(Error::innermost) {
         Some(Error::Board(error)) => Some(error),
         _ => cause.downcast_ref(),
     })

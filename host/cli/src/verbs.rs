@@ -27,7 +27,7 @@ impl Typed {
     ///
     /// # Errors
     /// What clap says of it; also the text of `--help` and `--version`.
-    pub(crate) fn typed() -> Result<Self, clap::Error> {
+    pub(crate) fn from_command_line() -> Result<Self, clap::Error> {
         let matches = Self::command().try_get_matches()?;
         let is_board_named = matches.value_source("board").is_some_and(|source| source != ValueSource::DefaultValue);
         let mut typed = Self::from_arg_matches(&matches)?;

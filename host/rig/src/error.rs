@@ -4,10 +4,13 @@ use r4_boards::BoardError;
 use r4_driver::Error as DriverError;
 use r4_links::OpenError;
 use r4_plants::error::PlantError;
-use r4_protocol::ChannelId;
+use r4_protocol::{ChannelId, Parameter};
 use r4_sim::SimError;
 
-use crate::{FlashFileError, Interrupted, NotVirtual, PlantFileError, emulated::EmulatedError};
+use crate::{
+    FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, WatchError,
+    calibrate::CalibrateError, emulated::EmulatedError, tune::TuneError,
+};
 
 /// A session could not be opened, or did not end as it should.
 #[derive(Debug, thiserror::Error)]
@@ -36,6 +39,37 @@ pub enum Error {
     /// A request failed.
     #[error(transparent)]
     Board(#[from] DriverError),
+    /// A channel does not take what it was asked for; nothing was sent.
+    #[error(transparent)]
+    Unsuitable(#[from] Unsuitable),
+    /// A motor did not do what it was asked for in time.
+    #[error(transparent)]
+    NotReached(#[from] NotReached),
+    /// A motor does not take a set point.
+    #[error("cannot command {channel}")]
+    NotCommanded {
+        /// The motor.
+        channel: ChannelId,
+        /// Why not.
+        source: DriverError,
+    },
+    /// The board lacks a parameter that its channel should have.
+    #[error("the board does not tell {} of {channel}", parameter.name())]
+    NotTold {
+        /// The channel.
+        channel: ChannelId,
+        /// The parameter.
+        parameter: Parameter,
+    },
+    /// An experiment with a motor ended early.
+    #[error(transparent)]
+    Watch(Box<WatchError>),
+    /// A calibration came to no result.
+    #[error(transparent)]
+    Calibrate(Box<CalibrateError>),
+    /// A loop could not be tuned.
+    #[error(transparent)]
+    Tune(Box<TuneError>),
     /// The session was ended by an [`Interrupt`](crate::Interrupt).
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
@@ -67,7 +101,7 @@ pub enum Error {
     Plant(#[from] PlantError),
     /// A plant file cannot be used.
     #[error(transparent)]
-    PlantFile(#[from] PlantFileError),
+    PlantFile(Box<PlantFileError>),
     /// The flash file cannot be used.
     #[error(transparent)]
     FlashFile(#[from] FlashFileError),
@@ -84,3 +118,30 @@ pub enum Error {
     #[error("the simulated board is already connected")]
     Connected,
 }
+
+impl Error {
+    /// The failure itself, below what was being done meanwhile.
+    #[must_use]
+    pub fn innermost(&self) -> &Self {
+        match self {
+            Self::Tune(error) => match &**error {
+                TuneError::WithProposed(error) => error.innermost(),
+                _ => self,
+            },
+            _ => self,
+        }
+    }
+}
+
+/// Boxed, so that results of which most are none of these stay small.
+macro_rules! boxed {
+    ($($variant:ident($error:ty)),*) => {
+        $(impl From<$error> for Error {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        })*
+    };
+}
+
+boxed!(Calibrate(CalibrateError), PlantFile(PlantFileError), Tune(TuneError), Watch(WatchError));

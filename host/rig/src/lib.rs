@@ -16,6 +16,7 @@
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 
 pub mod cable;
+pub mod calibrate;
 mod clock;
 pub mod emulated;
 mod error;
@@ -23,8 +24,10 @@ mod flash_file;
 mod ground;
 pub mod heat;
 mod interrupt;
+pub mod motion;
 mod notice;
 mod odometry;
+mod parameters;
 mod plant_file;
 pub mod quantity;
 pub mod recording;
@@ -32,12 +35,15 @@ mod rig;
 mod route;
 mod session;
 mod target;
+pub mod tune;
+mod watch;
 
 pub use clock::HostClock;
 pub use error::Error;
 pub use flash_file::{FlashFile, FlashFileError};
 pub use ground::{GroundDrive, Velocity};
 pub use interrupt::{Interrupt, Interrupted};
+pub use motion::{Driven, HeldOutput, NotReached, Unsuitable};
 pub use notice::Notice;
 pub use odometry::{Odometry, Place, WHEEL_VARIANCE_M};
 pub use plant_file::{PlantFile, PlantFileError, hidden, read_plant, replace_plants};
@@ -46,3 +52,4 @@ pub use rig::{Alter, Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};
 pub use session::Session;
 pub use target::{BadTarget, NotVirtual, Target};
+pub use watch::{Look, MotorWatch, WatchError};

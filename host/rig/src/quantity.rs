@@ -117,6 +117,12 @@ pub fn human(unit: Unit) -> (f64, &'static str, usize) {
     }
 }
 
+/// Unit of a motor's speed, from that of its position.
+#[must_use]
+pub fn speed_unit(position: Unit) -> Unit {
+    if position == Unit::M { Unit::MPerS } else { Unit::RadPerS }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

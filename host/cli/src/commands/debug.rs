@@ -28,7 +28,7 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     match &debug.scenario {
         Some(path) => {
             let rig = |args: &Args| emulated::debugged(args, debug, session::rig(args, Pace::Free)?);
-            super::scenario::play_on(args, rig, &[path.clone()])
+            super::scenario::play_on(args, rig, std::slice::from_ref(path))
         }
         None => emulated::debug(args, debug),
     }

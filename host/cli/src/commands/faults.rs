@@ -5,14 +5,13 @@ use r4_protocol::{Causes, ChannelInfo, ChannelKind, FaultInfo, FaultSnapshot};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::speed_unit;
 use crate::{
     args::Args,
     output,
     session::{self, Target},
     table,
 };
-use r4_rig::quantity::{Quantity, human};
+use r4_rig::quantity::{Quantity, human, speed_unit};
 
 #[derive(Serialize)]
 struct History {

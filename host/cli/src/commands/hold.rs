@@ -1,20 +1,17 @@
 //! `r4 servo`, `r4 bldc`, `r4 dac`: outputs that are told one number, and tell no more than that.
 
-use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint, Unit};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Unit};
+use r4_rig::{Error, HeldOutput, Quantity, Unsuitable};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::{Unsuitable, setpoint};
 use crate::{
     args::{Args, Bldc, Held},
     output, session,
 };
-use r4_rig::quantity::Quantity;
 
 /// An output is held this long unless told otherwise, s.
 pub(super) const HOLD_S: f64 = 2.0;
-/// Counts as held within this, rad, V or share: finer than the pulses and codes that the outputs are made of.
-const WITHIN: f64 = 0.001;
 
 /// What became of the output, in SI.
 #[derive(Serialize)]
@@ -64,25 +61,16 @@ pub(crate) fn bldc(args: &Args, bldc: &Bldc) -> anyhow::Result<bool> {
 
 fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     let Order { channel, kind, mode, value: asked, seconds, afterwards } = order;
-    let ((unit, value), _) = session::run(args, Pace::Free, async |session| {
-        let info = session.board.channel(channel)?;
-        let unsuitable = |why| Unsuitable { channel, why };
+    let (HeldOutput { unit, value, held }, _) = session::run(args, Pace::Free, async |session| {
+        session.board.channel(channel)?;
         if channel.kind != kind {
-            return Err(unsuitable(format!("is no {}: `r4 info` lists the channels", kind.name())).into());
+            let why = format!("is no {}: `r4 info` lists the channels", kind.name());
+            return Err(Error::from(Unsuitable { channel, why }).into());
         }
-        let setpoint = match asked {
-            Some(asked) => setpoint(session, channel, mode, asked)?,
-            None if info.mode(mode).is_none() => {
-                return Err(unsuitable(format!("has no {mode}: `r4 info` lists what it can take")).into());
-            }
-            None => Setpoint { mode, value: 1.0 },
-        };
-        let hold = async || anyhow::Ok(session.board.hold(channel, setpoint, seconds).await?);
-        Ok((info.unit, session.armed(hold).await?))
+        Ok(session.hold(channel, mode, asked, seconds).await?)
     })?;
     let board = args.board.described();
     let set = asked.unwrap_or(Quantity::new(0.0, Unit::Duty));
-    let held = (value - set.value).abs() <= WITHIN;
     let what = if asked.is_some() { set.to_string() } else { mode.to_string() };
     if args.json {
         output::json(&Outcome {

@@ -1,10 +1,11 @@
 //! `r4 relay`
 
 use r4_protocol::{Mode, Setpoint};
+use r4_rig::{Error, Unsuitable};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::{Unsuitable, hold::HOLD_S};
+use super::hold::HOLD_S;
 use crate::{
     args::{Args, Contact, Relay},
     output, session,
@@ -27,7 +28,7 @@ pub(crate) fn run(args: &Args, relay: &Relay) -> anyhow::Result<bool> {
         let board = session.board;
         if board.channel(channel)?.mode(Mode::Switch).is_none() {
             let why = "cannot be switched: `r4 info` lists what it can take".to_owned();
-            return Err(Unsuitable { channel, why }.into());
+            return Err(Error::from(Unsuitable { channel, why }).into());
         }
         let setpoint = Setpoint { mode: Mode::Switch, value: set.into() };
         let level = session.armed(async || anyhow::Ok(board.hold(channel, setpoint, seconds).await?)).await?;

@@ -9,13 +9,12 @@ use r4_protocol::{ChannelId, ChannelInfo, HotWinding, Mode, Quality, Sample, Tel
 use r4_sim::Pace;
 use serde::Serialize;
 
-use super::speed_unit;
 use crate::{
     args::{Args, Watch},
     output,
     session::{self, HostClock, Session},
 };
-use r4_rig::quantity::{Quantity, human};
+use r4_rig::quantity::{Quantity, human, speed_unit};
 
 /// One line of `--json`: an object per sample time.
 #[derive(Serialize)]

@@ -2,10 +2,11 @@
 
 use std::{collections::VecDeque, io, thread};
 
-use anyhow::{Context, anyhow};
 use futures::channel::oneshot;
-
-use crate::session::Session;
+use r4_rig::{
+    Session,
+    calibrate::{NoAnswer, Person},
+};
 
 /// Where answers come from.
 pub(super) enum Answers {
@@ -13,36 +14,29 @@ pub(super) enum Answers {
     Given(VecDeque<String>),
     /// A line of standard input each.
     Typed,
-    /// From whoever knows the truth.
-    #[cfg(test)]
-    Known(Box<dyn FnMut(&Session<'_>) -> String>),
 }
 
 impl Answers {
     pub(super) fn new(given: &[String]) -> Self {
         if given.is_empty() { Self::Typed } else { Self::Given(given.iter().cloned().collect()) }
     }
+}
 
-    /// Asks on stderr and returns the answer. Time stands still meanwhile on a simulated board; the session with a real one is
-    /// kept.
-    ///
-    /// # Errors
-    /// When there is no answer.
-    pub(super) async fn ask(&mut self, session: &Session<'_>, question: &str) -> anyhow::Result<String> {
+impl Person for Answers {
+    /// Asks on stderr. Time stands still meanwhile on a simulated board; the session with a real one is kept.
+    async fn ask(&mut self, session: &Session<'_>, question: &str) -> Result<String, NoAnswer> {
         eprintln!("{question}");
-        let nothing = || anyhow!("nothing was answered to: {question}");
+        let nothing = || NoAnswer { why: format!("nothing was answered to: {question}") };
         let answer = match self {
             Self::Given(answers) => {
-                answers.pop_front().with_context(|| format!("--answers has none to: {question}"))?
+                answers.pop_front().ok_or_else(|| NoAnswer { why: format!("--answers has none to: {question}") })?
             }
-            #[cfg(test)]
-            Self::Known(answer) => answer(session),
-            Self::Typed if session.virtual_board().is_ok() => line().with_context(nothing)?,
+            Self::Typed if session.virtual_board().is_ok() => line().ok_or_else(nothing)?,
             Self::Typed => {
                 let (sender, receiver) = oneshot::channel();
                 // The heartbeat must go on while a person thinks.
                 thread::spawn(move || sender.send(line()));
-                receiver.await.ok().flatten().with_context(nothing)?
+                receiver.await.ok().flatten().ok_or_else(nothing)?
             }
         };
         Ok(answer.trim().to_owned())

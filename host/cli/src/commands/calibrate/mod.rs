@@ -1,30 +1,19 @@
 //! `r4 calibrate`: what a board has to be told about the robot it is in, measured.
-//!
-//! Each kind measures with the parameters that hold now, takes what a person has measured on the robot, and computes from both
-//! what the parameters should be. The board works with them from its next start on.
 
 mod ask;
-mod motor;
-mod servo;
-#[cfg(test)]
-mod tests;
-mod wheel;
 
-use anyhow::{Context, ensure};
-use r4_driver::{Board, Clock};
-use r4_protocol::{ChannelId, Parameter, ParameterInfo, ParameterKey, Sample, Unit};
+use anyhow::ensure;
+use r4_protocol::ChannelId;
+use r4_rig::{
+    Quantity,
+    calibrate::{Calibration, Change, Found, Turning},
+};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::config;
-use crate::{
-    args::Args,
-    output,
-    session::{self, Session},
-    table,
-};
+use crate::{args::Args, output, session, table};
 use ask::Answers;
-use r4_rig::quantity::Quantity;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Calibrate {
@@ -88,36 +77,37 @@ impl std::str::FromStr for Side {
     }
 }
 
-/// A parameter that should be another.
-#[derive(Clone, Debug, Serialize)]
-struct Change {
-    key: String,
-    #[serde(skip)]
-    parameter: ParameterKey,
-    from: f32,
-    to: f32,
-}
-
-impl Change {
-    fn new(info: &ParameterInfo, to: f64) -> Self {
-        Self { key: info.key.to_string(), parameter: info.key, from: info.active, to: to as f32 }
+impl What {
+    fn calibration(&self) -> Calibration {
+        match *self {
+            Self::Encoder { channel, drive: Some(distance), .. } => {
+                Calibration::Encoder { channel, by: Turning::Driven(distance) }
+            }
+            Self::Encoder { channel, turns, drive: None } => {
+                Calibration::Encoder { channel, by: Turning::ByHand { turns } }
+            }
+            Self::Potentiometer { channel, drive } => Calibration::Potentiometer { channel, drive },
+            Self::Servo { channel } => Calibration::ServoOscillator { channel },
+            Self::Wheel { ref left, ref right, turn } => {
+                let right = right.as_ref().map_or(Vec::new(), |side| side.0.clone());
+                Calibration::Wheels { left: left.0.clone(), right, turn }
+            }
+        }
     }
 }
 
-/// What was found.
-#[derive(Debug, Default)]
-struct Found {
-    changes: Vec<Change>,
-    /// What is no parameter of the board, for the robot's file.
-    toml: Option<String>,
-    /// How sure it is.
-    note: String,
+/// A parameter that should be another.
+#[derive(Serialize)]
+struct Row {
+    key: String,
+    from: f32,
+    to: f32,
 }
 
 #[derive(Serialize)]
 struct Report {
     board: String,
-    parameters: Vec<Change>,
+    parameters: Vec<Row>,
     toml: Option<String>,
     note: String,
     saved: bool,
@@ -129,17 +119,26 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
         config::check_keeps(args)?;
     }
     let mut answers = Answers::new(&calibrate.answers);
-    let (found, _) = session::run(args, Pace::Free, async |session| work(session, calibrate, &mut answers).await)?;
+    let calibration = calibrate.what.calibration();
+    let (found, _) = session::run(args, Pace::Free, async |session| {
+        let found = r4_rig::calibrate::calibrate(session, &calibration, &mut answers).await?;
+        if calibrate.save {
+            found.save(session).await?;
+        }
+        Ok(found)
+    })?;
     let saved = calibrate.save && !found.changes.is_empty();
     if args.json {
         let Found { changes, toml, note } = found;
-        output::json(&Report { board: args.board.to_string(), parameters: changes, toml, note, saved })?;
+        let row = |Change { parameter, from, to }| Row { key: parameter.to_string(), from, to };
+        let parameters = changes.into_iter().map(row).collect();
+        output::json(&Report { board: args.board.to_string(), parameters, toml, note, saved })?;
         return Ok(true);
     }
     if !found.changes.is_empty() {
         let mut shown = table::new(&["parameter", "is", "should be"], 1..3);
-        for Change { key, from, to, .. } in &found.changes {
-            shown.add_row([key.clone(), from.to_string(), to.to_string()]);
+        for Change { parameter, from, to } in &found.changes {
+            shown.add_row([parameter.to_string(), from.to_string(), to.to_string()]);
         }
         output::line(shown)?;
     }
@@ -150,81 +149,4 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
         output::line(if saved { "saved: holds from the next start on" } else { "not saved: add --save" })?;
     }
     Ok(true)
-}
-
-/// Measures, and saves what was found if that is wanted.
-async fn work(session: &Session<'_>, calibrate: &Calibrate, answers: &mut Answers) -> anyhow::Result<Found> {
-    let found = match &calibrate.what {
-        What::Encoder { channel, turns, drive } => motor::encoder(session, answers, *channel, *turns, *drive).await?,
-        What::Potentiometer { channel, drive } => motor::potentiometer(session, answers, *channel, *drive).await?,
-        What::Servo { channel } => servo::oscillator(session, answers, *channel).await?,
-        What::Wheel { left, right, turn } => {
-            let right = right.as_ref().map_or(&[][..], |side| &side.0);
-            wheel::run(session, answers, &left.0, right, *turn).await?
-        }
-    };
-    if calibrate.save {
-        for Change { parameter, to, .. } in &found.changes {
-            let refused = || format!("the board does not take {parameter} = {to}: was all measured right?");
-            session.board.set_parameter(*parameter, *to).await.with_context(refused)?;
-        }
-        session.board.save_parameters().await.context("cannot save")?;
-    }
-    Ok(found)
-}
-
-/// A board's parameters.
-struct Parameters(Vec<ParameterInfo>);
-
-impl Parameters {
-    async fn of<C: Clock>(board: &Board<C>) -> anyhow::Result<Self> {
-        Ok(Self(board.parameters().await?))
-    }
-
-    fn get(&self, channel: Option<ChannelId>, parameter: Parameter) -> Option<&ParameterInfo> {
-        self.0.iter().find(|info| info.key == ParameterKey { channel, parameter })
-    }
-
-    /// One that the channel must have.
-    fn need(&self, channel: ChannelId, parameter: Parameter, else_say: &str) -> anyhow::Result<&ParameterInfo> {
-        self.get(Some(channel), parameter).with_context(|| format!("{channel} {else_say}"))
-    }
-}
-
-/// How often a channel is looked at, ms, and over how long, s.
-const LOOK_EVERY_MS: u16 = 5;
-const LOOK_S: f64 = 0.3;
-
-/// Where a channel is, in counts of its resolution: the mean over a moment in which it must not move.
-async fn counts<C: Clock>(board: &Board<C>, channel: ChannelId) -> anyhow::Result<f64> {
-    board.channel(channel)?;
-    let mut telemetry = board.telemetry();
-    board.subscribe(channel, LOOK_EVERY_MS).await?;
-    let (mut sum, mut count, mut begin_us) = (0.0, 0_u32, None);
-    loop {
-        let frame = telemetry.next().await?;
-        let position = frame.samples.iter().find_map(|sample| match *sample {
-            Sample::Motor { channel: of, position, .. } | Sample::Encoder { channel: of, position, .. }
-                if of == channel =>
-            {
-                Some(position)
-            }
-            _ => None,
-        });
-        let Some(position) = position else { continue };
-        sum += f64::from(position);
-        count += 1;
-        let begin_us = *begin_us.get_or_insert(frame.device_us);
-        if frame.device_us.saturating_sub(begin_us) as f64 * 1e-6 >= LOOK_S {
-            return Ok(sum / f64::from(count));
-        }
-    }
-}
-
-/// A typed quantity that must be in `unit`.
-fn read(answer: &str, unit: Unit, example: &str) -> anyhow::Result<f64> {
-    let quantity: Quantity =
-        answer.parse().map_err(|why| anyhow::anyhow!("`{answer}` is not what was asked for: {why}"))?;
-    ensure!(quantity.unit == unit, "`{answer}` is not what was asked for: write it as in {example}");
-    Ok(quantity.value)
 }

@@ -18,13 +18,12 @@ use r4_driver::Error;
 use r4_protocol::{ChannelId, HotWinding, Mode, SafetyState, Sample, Setpoint, Unit};
 use r4_sim::Pace;
 
-use super::{setpoint, speed_unit};
 use crate::{
     args::Args,
     screen::{self, Commands, Screen},
     session::{self, Session, Target},
 };
-use r4_rig::quantity::Quantity;
+use r4_rig::quantity::{Quantity, speed_unit};
 
 use draw::{State, Wheel, draw};
 use gamepad::Gamepad;
@@ -167,12 +166,12 @@ impl Pair {
         }
         for channel in pair.wheels() {
             // Forwards and backwards.
-            setpoint(session, channel, pair.mode, pair.most)?;
-            setpoint(session, channel, pair.mode, Quantity { value: -pair.most.value, ..pair.most })?;
+            session.setpoint(channel, pair.mode, pair.most)?;
+            session.setpoint(channel, pair.mode, Quantity { value: -pair.most.value, ..pair.most })?;
         }
         if let Some(Steering { channel, law, limits }) = pair.steering {
             for angle_rad in [limits.min, limits.max] {
-                setpoint(session, channel, Mode::Position, Quantity::new(law.position_m(angle_rad), Unit::M))?;
+                session.setpoint(channel, Mode::Position, Quantity::new(law.position_m(angle_rad), Unit::M))?;
             }
         }
         Ok(pair)

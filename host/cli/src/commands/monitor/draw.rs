@@ -15,10 +15,10 @@ use super::{
     state::{MOST_MARKED, Row, State, View},
 };
 use crate::{
-    commands::{config::Units, speed_unit, watch},
+    commands::{config::Units, watch},
     screen::state::{QUIET, WRONG, badge, wrapped},
 };
-use r4_rig::quantity::{Quantity, human};
+use r4_rig::quantity::{Quantity, human, speed_unit};
 
 /// One cell of a sparkline, s.
 const CELL_S: f64 = 0.25;

@@ -2,61 +2,67 @@
 
 use std::f64::consts::TAU;
 
-use anyhow::{bail, ensure};
 use r4_protocol::{ChannelId, Mode, Parameter, Unit};
 
-use super::{Change, Found, Parameters, ask::Answers, counts, read};
-use crate::session::Session;
-use r4_rig::{Error, Quantity};
+use super::{CalibrateError, Change, Found, Person, Turning, counts, read};
+use crate::{Error, Quantity, Session, parameters::Parameters};
 
 /// A motor that is sent somewhere is waited for so long, s.
-pub(super) const TIMEOUT_S: f64 = 60.0;
+pub(crate) const TIMEOUT_S: f64 = 60.0;
 /// Where a potentiometer is read: this share of the range from either end.
 const FROM_END: f64 = 0.1;
 /// Two places nearer than this share of the range tell too little.
 const LEAST_APART: f64 = 0.2;
 
 /// Counts per turn, from turns by hand or a drive whose true length is told.
-pub(super) async fn encoder(
+pub(crate) async fn encoder(
     session: &Session<'_>,
-    answers: &mut Answers,
+    person: &mut impl Person,
     channel: ChannelId,
-    turns: f64,
-    drive: Option<Quantity>,
-) -> anyhow::Result<Found> {
+    by: Turning,
+) -> Result<Found, Error> {
     let board = session.board;
     let parameters = Parameters::of(board).await?;
     let info = *parameters.need(channel, Parameter::CountsPerTurn, "has no encoder")?;
-    ensure!(turns.is_finite() && turns != 0.0, "--turns takes a number of turns other than 0");
-    let (moved, turned) = match drive {
-        None => {
-            answers.ask(session, &format!("Turn {channel} to a mark by hand, then press Enter.")).await?;
+    let (moved, turned) = match by {
+        Turning::ByHand { turns } => {
+            if !turns.is_finite() || turns == 0.0 {
+                return Err(CalibrateError::NoTurns.into());
+            }
+            person.ask(session, &format!("Turn {channel} to a mark by hand, then press Enter.")).await?;
             let before = counts(board, channel).await?;
             let back = format!("Turn it {turns} turns forwards, to the same mark again, then press Enter.");
-            answers.ask(session, &back).await?;
+            person.ask(session, &back).await?;
             (counts(board, channel).await? - before, turns)
         }
-        Some(distance) => {
-            ensure!(distance.unit == Unit::Rad && distance.value != 0.0, "--drive takes an angle, as in 720deg");
+        Turning::Driven(distance) => {
+            if distance.unit != Unit::Rad || distance.value == 0.0 {
+                return Err(CalibrateError::NoDrive.into());
+            }
             if board.channel(channel)?.mode(Mode::Position).is_none() {
-                bail!("{channel} cannot be driven to a position: leave --drive out and turn it by hand");
+                let why = "cannot be driven to a position: leave --drive out and turn it by hand";
+                return Err(CalibrateError::Unfit { channel, why }.into());
             }
             let before = counts(board, channel).await?;
             let target = before * f64::from(board.channel(channel)?.resolution) + distance.value;
-            answers
+            person
                 .ask(session, &format!("Mark where {channel} stands, then press Enter: it turns by {distance}."))
                 .await?;
             session.armed(async || Ok::<_, Error>(board.move_to(channel, target, TIMEOUT_S).await?)).await?;
             let moved = counts(board, channel).await? - before;
-            let answer = answers.ask(session, "How far did it really turn, as in 715deg or 1.98turns?").await?;
+            let answer = person.ask(session, "How far did it really turn, as in 715deg or 1.98turns?").await?;
             (moved, read(&answer, Unit::Rad, "715deg")? / TAU)
         }
     };
-    ensure!(moved.abs() >= 1.0, "{channel} was not seen to move: is its encoder wired to this connector?");
-    ensure!(turned != 0.0, "what did not turn tells nothing");
+    if moved.abs() < 1.0 {
+        return Err(CalibrateError::NotSeen { channel }.into());
+    }
+    if turned == 0.0 {
+        return Err(CalibrateError::NotTurned.into());
+    }
     let per_turn = moved / turned;
     if per_turn < 0.0 {
-        bail!("{channel} counts backwards: change `inverted` of its encoder in the robot's file, not its scale");
+        return Err(CalibrateError::Backwards { channel }.into());
     }
     // Each look may be a count off.
     let unsure = 100.0 * 2.0 / moved.abs();
@@ -68,12 +74,12 @@ pub(super) async fn encoder(
 }
 
 /// Both points of a potentiometer, from two places whose true position is told.
-pub(super) async fn potentiometer(
+pub(crate) async fn potentiometer(
     session: &Session<'_>,
-    answers: &mut Answers,
+    person: &mut impl Person,
     channel: ChannelId,
     drive: bool,
-) -> anyhow::Result<Found> {
+) -> Result<Found, Error> {
     let board = session.board;
     let parameters = Parameters::of(board).await?;
     let of = |parameter| parameters.need(channel, parameter, "has no potentiometer").copied();
@@ -84,24 +90,25 @@ pub(super) async fn potentiometer(
         Line { low: (low.active.into(), low_code.active.into()), high: (high.active.into(), high_code.active.into()) };
     let resolution = f64::from(board.channel(channel)?.resolution);
     let margin = FROM_END * (max - min);
-    let mut points = Vec::new();
-    for (which, place) in [("first", min + margin), ("second", max - margin)] {
+    let mut points = [(0.0, 0.0); 2];
+    for (point, (which, place)) in points.iter_mut().zip([("first", min + margin), ("second", max - margin)]) {
         if drive {
             session.armed(async || Ok::<_, Error>(board.move_to(channel, place, TIMEOUT_S).await?)).await?;
         }
         let what = if drive { "Measure where it is" } else { "Move it there, and measure where that is" };
-        let answer = answers.ask(session, &format!("{channel}, {which} place. {what}, as in 12.5mm?")).await?;
+        let answer = person.ask(session, &format!("{channel}, {which} place. {what}, as in 12.5mm?")).await?;
         let truly = read(&answer, Unit::M, "12.5mm")?;
-        points.push((truly, line.code(counts(board, channel).await? * resolution)));
+        *point = (truly, line.code(counts(board, channel).await? * resolution));
     }
-    let [first, second] = points[..] else { bail!("two places are needed") };
-    if (second.0 - first.0).abs() < LEAST_APART * (max - min) {
-        bail!("the two places are too near: at least {}", Quantity::new(LEAST_APART * (max - min), Unit::M));
+    let [first, second] = points;
+    let least = LEAST_APART * (max - min);
+    if (second.0 - first.0).abs() < least {
+        return Err(CalibrateError::TooNear { least: Quantity::new(least, Unit::M) }.into());
     }
     let truth = Line { low: first, high: second };
     let codes = [low.active, high.active].map(|position| truth.code(position.into()).round());
-    if let Some(code) = codes.iter().find(|code| !(0.0..=65_535.0).contains(*code)) {
-        bail!("one end would be at code {code:.0}, which no converter has: was all measured right?");
+    if let Some(&code) = codes.iter().find(|code| !(0.0..=65_535.0).contains(*code)) {
+        return Err(CalibrateError::NoSuchCode { code }.into());
     }
     let changes = vec![Change::new(&low_code, codes[0]), Change::new(&high_code, codes[1])];
     let shift = (truth.position(line.code(min)) - min, truth.position(line.code(max)) - max);

@@ -1,12 +1,14 @@
 //! What a run does, checked before anything moves.
 
-use anyhow::{Context, bail, ensure};
 use r4_driver::tune::Loop;
-use r4_protocol::{ChannelInfo, ChannelKind, Mode, Parameter, ParameterInfo, Unit, config::PidGains};
+use r4_protocol::{ChannelInfo, ChannelKind, Mode, Parameter, Unit, config::PidGains};
 
-use super::{Tune, Which};
-use crate::commands::speed_unit;
-use r4_rig::quantity::Quantity;
+use super::{TuneError, TuneRequest};
+use crate::{
+    Error,
+    parameters::Parameters,
+    quantity::{Quantity, speed_unit},
+};
 
 /// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;
@@ -29,57 +31,64 @@ const PATIENCE_S: f64 = 5.0;
 /// What all but going there and the steps takes at most, s.
 const EXPERIMENT_S: f64 = 12.0;
 
-/// What the board says of the motor, SI.
+/// A motor as its board describes it, SI.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motor {
-    pub(super) unit: Unit,
-    pub(super) resolution: f64,
-    pub(super) period_s: f64,
-    pub(super) duty_max: f64,
-    pub(super) static_duty: f64,
-    pub(super) settle_error: f64,
-    pub(super) speed_filter_s: f64,
-    pub(super) gains: PidGains,
+pub struct Motor {
+    /// Unit of its position.
+    pub unit: Unit,
+    /// What its sensor resolves, rad or m.
+    pub resolution: f64,
+    /// Period of the board's loops, s.
+    pub period_s: f64,
+    /// Largest duty, as a share of the supply.
+    pub duty_max: f64,
+    /// Duty that friction takes, as a share of the supply.
+    pub static_duty: f64,
+    /// Error at which it counts as arrived, rad or m.
+    pub settle_error: f64,
+    /// Time constant of the filter of its speed, s.
+    pub speed_filter_s: f64,
+    /// Gains of the loop when the board started.
+    pub gains: PidGains,
     stall_duty: f64,
     speed: f64,
     acceleration: f64,
     range: (f64, f64),
 }
 
-/// What is done.
+/// A run: what is done with the motor, and within which bounds. Positions in rad or m.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Plan {
-    pub(super) of: Loop,
-    pub(super) motor: Motor,
-    /// Where it begins, and how far from there it may go.
-    pub(super) base: f64,
-    pub(super) travel: f64,
+pub struct Plan {
+    /// Which loop is tuned.
+    pub of: Loop,
+    /// The motor.
+    pub motor: Motor,
+    /// Where the run begins.
+    pub base: f64,
+    /// How far from there it may go.
+    pub travel: f64,
     /// Where the motor must stay.
-    pub(super) window: (f64, f64),
-    /// Set points between which the loop steps.
-    pub(super) steps: (f64, f64),
-    /// How long each is watched, how long the motor may take to a position within the window and to where it begins, s.
-    pub(super) answer_s: f64,
-    pub(super) settle_s: f64,
-    pub(super) approach_s: f64,
-    /// Duty of a position experiment; what was asked for; and the most there may be.
-    pub(super) amplitude: f64,
-    pub(super) given_amplitude: Option<f64>,
-    pub(super) cap: f64,
+    pub window: (f64, f64),
+    /// Set points between which the loop steps, in its unit.
+    pub steps: (f64, f64),
+    /// How long each is watched, s.
+    pub answer_s: f64,
+    /// How long the motor may take to a position within the window, s.
+    pub settle_s: f64,
+    /// How long it may take to where the run begins, s.
+    pub approach_s: f64,
+    /// Duty of a position experiment, as a share of the supply.
+    pub amplitude: f64,
+    /// Duty that was asked for.
+    pub given_amplitude: Option<f64>,
+    /// Largest duty of a position experiment.
+    pub cap: f64,
 }
 
 impl Motor {
-    fn new(info: &ChannelInfo, parameters: &[ParameterInfo], of: Loop) -> anyhow::Result<Self> {
-        let channel = info.id;
-        let number = |parameter: Parameter| {
-            let of = |info: &&ParameterInfo| info.key.channel == Some(channel) && info.key.parameter == parameter;
-            let found = parameters.iter().find(of).map(|info| info.active);
-            found.with_context(|| format!("the board does not tell {} of {channel}", parameter.name()))
-        };
-        let gains = match of {
-            Loop::Position => [Parameter::PositionKp, Parameter::PositionKi, Parameter::PositionKd],
-            Loop::Speed => [Parameter::SpeedKp, Parameter::SpeedKi, Parameter::SpeedKd],
-        };
+    fn new(info: &ChannelInfo, parameters: &Parameters, of: Loop) -> Result<Self, Error> {
+        let number = |parameter| parameters.active(info.id, parameter);
+        let [kp, ki, kd] = of_gains(of);
         Ok(Self {
             unit: info.unit,
             resolution: info.resolution.into(),
@@ -88,7 +97,7 @@ impl Motor {
             static_duty: number(Parameter::StaticDuty)?.into(),
             settle_error: number(Parameter::SettleError)?.into(),
             speed_filter_s: number(Parameter::SpeedFilter)?.into(),
-            gains: PidGains { kp: number(gains[0])?, ki: number(gains[1])?, kd: number(gains[2])? },
+            gains: PidGains { kp: number(kp)?, ki: number(ki)?, kd: number(kd)? },
             stall_duty: number(Parameter::StallDuty)?.into(),
             speed: number(Parameter::ProfileSpeed)?.into(),
             acceleration: number(Parameter::ProfileAcceleration)?.into(),
@@ -106,48 +115,47 @@ impl Motor {
         }
     }
 
-    fn position(&self, given: Quantity, option: &str) -> anyhow::Result<f64> {
-        ensure!(given.unit == self.unit, "{option} takes a number in {}, as in {}", self.unit, example(self.unit));
-        Ok(given.value)
+    fn position(&self, given: Quantity, option: &'static str) -> Result<f64, Error> {
+        if given.unit == self.unit {
+            Ok(given.value)
+        } else {
+            Err(TuneError::WrongUnit { option, unit: self.unit }.into())
+        }
     }
 }
 
-fn example(unit: Unit) -> &'static str {
-    if unit == Unit::M { "10mm" } else { "60deg" }
+/// The parameters with the gains of a loop: of the error, its integral and its derivative.
+pub(crate) fn of_gains(of: Loop) -> [Parameter; 3] {
+    match of {
+        Loop::Position => [Parameter::PositionKp, Parameter::PositionKi, Parameter::PositionKd],
+        Loop::Speed => [Parameter::SpeedKp, Parameter::SpeedKi, Parameter::SpeedKd],
+    }
 }
 
 /// Whether a channel has loops at all.
-pub(super) fn check_has_loops(info: &ChannelInfo) -> anyhow::Result<()> {
+pub(crate) fn check_has_loops(info: &ChannelInfo) -> Result<(), Error> {
     let channel = info.id;
     let moves = matches!(channel.kind, ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb);
-    ensure!(
-        moves && info.mode(Mode::Position).is_some(),
-        "{channel} has no loops to tune: a motor with an encoder or a potentiometer has"
-    );
-    Ok(())
+    if moves && info.mode(Mode::Position).is_some() { Ok(()) } else { Err(TuneError::NoLoops { channel }.into()) }
 }
 
 impl Plan {
-    /// The run that `tune` asks for with a motor that stands at `position`.
+    /// The run that `request` asks for with a motor that stands at `position`, rad or m.
     ///
     /// # Errors
-    /// Why it cannot be made within the travel, the time and the duty that there are.
-    pub(super) fn new(
-        tune: &Tune,
+    /// [`TuneError`]: it cannot be made within the travel, the time and the duty that there are.
+    pub(crate) fn new(
+        request: &TuneRequest,
         info: &ChannelInfo,
-        parameters: &[ParameterInfo],
+        parameters: &Parameters,
         position: f64,
-    ) -> anyhow::Result<Self> {
-        let channel = info.id;
-        let of = match tune.mode {
-            Which::Position => Loop::Position,
-            Which::Speed => Loop::Speed,
-        };
+    ) -> Result<Self, Error> {
+        let (channel, of) = (info.id, request.of);
         let motor = Motor::new(info, parameters, of)?;
         let quantity = |value| Quantity::new(value, motor.unit);
         let room = motor.range.1 - motor.range.0;
         let run = SPEEDS.1 * motor.speed * SPEED_RUN_S;
-        let travel = match (tune.travel, of, motor.unit) {
+        let travel = match (request.travel, of, motor.unit) {
             (Some(given), ..) => motor.position(given, "--travel")?,
             (None, Loop::Speed, _) => run,
             (None, Loop::Position, Unit::M) => TRAVEL_SHARE * room,
@@ -155,41 +163,37 @@ impl Plan {
         };
         let least = if of == Loop::Speed { run } else { 20.0 * motor.settle_error.max(motor.resolution) };
         if travel.is_nan() || travel < least {
-            bail!("{channel} needs a travel of {} for this, not {}", quantity(least), quantity(travel));
+            let (least, travel) = (quantity(least), quantity(travel));
+            return Err(TuneError::TravelTooShort { channel, least, travel }.into());
         }
         // A speed is run upwards; what it swings back is little.
         let (below, above) = if of == Loop::Speed { (0.1 * travel, travel) } else { (travel, travel) };
         let (lowest, highest) = (motor.range.0 + below, motor.range.1 - above);
         if lowest > highest {
-            bail!("{channel} has no room for a travel of {}: its range is {}", quantity(travel), quantity(room));
+            let (travel, range) = (quantity(travel), quantity(room));
+            return Err(TuneError::TravelTooLong { channel, travel, range }.into());
         }
-        let base = match tune.at {
+        let base = match request.at {
             None => position.clamp(lowest, highest),
             Some(at) => {
                 let at = motor.position(at, "--at")?;
                 if !(lowest..=highest).contains(&at) {
-                    let (low, high) = (quantity(lowest), quantity(highest));
-                    bail!(
-                        "{channel} has room for a travel of {} from {low} to {high}, not at {}",
-                        quantity(travel),
-                        quantity(at)
-                    );
+                    let [travel, low, high, at] = [travel, lowest, highest, at].map(quantity);
+                    return Err(TuneError::NoRoomThere { channel, travel, low, high, at }.into());
                 }
                 at
             }
         };
-        let cap = motor.duty_max.min(BELOW_STALL * motor.stall_duty);
-        if let Some(given) = tune.amplitude
-            && !(given > 0.0 && given <= motor.duty_max)
+        let (most, static_duty) = (motor.duty_max, motor.static_duty);
+        let cap = most.min(BELOW_STALL * motor.stall_duty);
+        if let Some(given) = request.amplitude
+            && !(given > 0.0 && given <= most)
         {
-            bail!("{channel} takes an --amplitude up to {:.3}", motor.duty_max);
+            return Err(TuneError::Amplitude { channel, most }.into());
         }
-        let amplitude = tune.amplitude.unwrap_or(cap);
-        if of == Loop::Position && amplitude < motor.static_duty + LEAST_BEYOND {
-            bail!(
-                "duty {amplitude:.3} is no more than what friction takes of {channel} ({:.3}): allow more with --amplitude",
-                motor.static_duty
-            );
+        let amplitude = request.amplitude.unwrap_or(cap);
+        if of == Loop::Position && amplitude < static_duty + LEAST_BEYOND {
+            return Err(TuneError::WithinFriction { channel, amplitude, static_duty }.into());
         }
         let step = STEP_SHARE * travel;
         let (steps, answer_s) = match of {
@@ -200,8 +204,8 @@ impl Plan {
         let approach_s = motor.path_s((base - position).abs().max(travel)) + PATIENCE_S;
         let needs_s =
             motor.path_s((base - position).abs()) + 4.0 * answer_s + 3.0 * motor.path_s(travel) + EXPERIMENT_S;
-        if needs_s > tune.time {
-            bail!("{channel} may take {needs_s:.0} s: allow it with --time, or less --travel");
+        if needs_s > request.time_s {
+            return Err(TuneError::NotInTime { channel, needs_s }.into());
         }
         Ok(Self {
             of,
@@ -214,13 +218,14 @@ impl Plan {
             settle_s,
             approach_s,
             amplitude,
-            given_amplitude: tune.amplitude,
+            given_amplitude: request.amplitude,
             cap: cap.max(amplitude),
         })
     }
 
     /// How the loop is commanded.
-    pub(super) fn mode(&self) -> Mode {
+    #[must_use]
+    pub fn mode(&self) -> Mode {
         match self.of {
             Loop::Position => Mode::Position,
             Loop::Speed => Mode::Speed,
@@ -228,7 +233,8 @@ impl Plan {
     }
 
     /// What the loop measures in.
-    pub(super) fn unit(&self) -> Unit {
+    #[must_use]
+    pub fn unit(&self) -> Unit {
         match self.of {
             Loop::Position => self.motor.unit,
             Loop::Speed => speed_unit(self.motor.unit),
@@ -236,7 +242,7 @@ impl Plan {
     }
 
     /// Steady errors within this are as good as none.
-    pub(super) fn steady_band(&self) -> f64 {
+    pub(crate) fn steady_band(&self) -> f64 {
         match self.of {
             Loop::Position => self.motor.settle_error,
             Loop::Speed => 0.02 * (self.steps.1 - self.steps.0).abs(),
@@ -246,28 +252,12 @@ impl Plan {
 
 #[cfg(test)]
 mod tests {
-    use r4_protocol::{ChannelId, ModeInfo, ParameterKey, Range};
+    use r4_protocol::{ChannelId, ModeInfo, ParameterInfo, ParameterKey, Range};
 
     use super::*;
 
-    fn tune(channel: ChannelId) -> Tune {
-        Tune {
-            channel,
-            method: super::super::Method::Relay,
-            mode: Which::Position,
-            save: false,
-            report: None,
-            travel: None,
-            at: None,
-            amplitude: None,
-            margin: 60.0,
-            time_constant: None,
-            time: 60.0,
-        }
-    }
-
     /// An actuator of 100 mm, as the bench's.
-    fn actuator() -> (ChannelInfo, Vec<ParameterInfo>) {
+    fn actuator() -> (ChannelInfo, Parameters) {
         let id = ChannelId::new(ChannelKind::Actuator, 1);
         let range = Range::new(0.0, 0.1);
         let position = ModeInfo { mode: Mode::Position, unit: Unit::M, range };
@@ -302,19 +292,19 @@ mod tests {
             set: value,
             built_in: value,
         };
-        (info, parameters.map(info_of).to_vec())
+        (info, Parameters(parameters.map(info_of).to_vec()))
     }
 
     #[test]
     fn a_run_stays_within_the_range_and_below_a_stall() {
         let (info, parameters) = actuator();
         for (position, base) in [(0.0, 0.01), (0.05, 0.05), (0.1, 0.09)] {
-            let plan = Plan::new(&tune(info.id), &info, &parameters, position).expect("a plan");
+            let plan = Plan::new(&TuneRequest::new(info.id), &info, &parameters, position).expect("a plan");
             assert!((plan.base - base).abs() < 1e-6, "{plan:?}");
             assert!(plan.window.0 >= -1e-8 && plan.window.1 <= 0.1 + 1e-8, "{plan:?}");
             assert!(plan.amplitude < 0.6, "{plan:?}");
         }
-        let fast = Tune { mode: Which::Speed, ..tune(info.id) };
+        let fast = TuneRequest { of: Loop::Speed, ..TuneRequest::new(info.id) };
         let plan = Plan::new(&fast, &info, &parameters, 0.1).expect("a plan");
         assert!(plan.window.1 <= 0.1 + 1e-8 && plan.window.0 >= -1e-8, "{plan:?}");
     }
@@ -322,18 +312,18 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused_before_anything_moves() {
         let (info, parameters) = actuator();
-        let tune = tune(info.id);
+        let tune = TuneRequest::new(info.id);
         let mm = |value: f64| Some(Quantity::new(value * 1e-3, Unit::M));
         for (tune, says) in [
-            (Tune { travel: mm(60.0), ..tune.clone() }, "no room"),
-            (Tune { travel: mm(0.1), ..tune.clone() }, "needs a travel"),
-            (Tune { travel: mm(f64::NAN), ..tune.clone() }, "needs a travel"),
-            (Tune { travel: Some(Quantity::new(1.0, Unit::Rad)), ..tune.clone() }, "as in 10mm"),
-            (Tune { at: mm(95.0), ..tune.clone() }, "not at"),
-            (Tune { amplitude: Some(0.9), ..tune.clone() }, "--amplitude up to 0.784"),
-            (Tune { amplitude: Some(0.23), ..tune.clone() }, "friction"),
-            (Tune { time: 5.0, ..tune.clone() }, "--time"),
-            (Tune { mode: Which::Speed, travel: mm(10.0), ..tune }, "needs a travel"),
+            (TuneRequest { travel: mm(60.0), ..tune.clone() }, "no room"),
+            (TuneRequest { travel: mm(0.1), ..tune.clone() }, "needs a travel"),
+            (TuneRequest { travel: mm(f64::NAN), ..tune.clone() }, "needs a travel"),
+            (TuneRequest { travel: Some(Quantity::new(1.0, Unit::Rad)), ..tune.clone() }, "as in 10mm"),
+            (TuneRequest { at: mm(95.0), ..tune.clone() }, "not at"),
+            (TuneRequest { amplitude: Some(0.9), ..tune.clone() }, "--amplitude up to 0.784"),
+            (TuneRequest { amplitude: Some(0.23), ..tune.clone() }, "friction"),
+            (TuneRequest { time_s: 5.0, ..tune.clone() }, "--time"),
+            (TuneRequest { of: Loop::Speed, travel: mm(10.0), ..tune }, "needs a travel"),
         ] {
             let error = Plan::new(&tune, &info, &parameters, 0.05).expect_err(says).to_string();
             assert!(error.contains(says), "{error}");

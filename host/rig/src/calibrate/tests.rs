@@ -2,22 +2,23 @@
 
 use std::fs;
 
-use clap::Parser;
 use r4_sim::chips::Line;
 use r4_world::Pose;
 use tempfile::TempDir;
 
 use super::*;
+use crate::{Rig, Target};
 
-const BENCH: &str = include_str!("../../../../../boards/osmc-bench.toml");
-const EVERYTHING: &str = include_str!("../../../../../boards/every-interface.toml");
+const BENCH: &str = include_str!("../../../../boards/osmc-bench.toml");
+const EVERYTHING: &str = include_str!("../../../../boards/every-interface.toml");
 
-#[derive(Parser)]
-struct Typed {
-    #[command(flatten)]
-    args: Args,
-    #[command(flatten)]
-    calibrate: Calibrate,
+/// Whoever knows the truth.
+struct Known<F>(F);
+
+impl<F: FnMut(&Session<'_>) -> String> Person for Known<F> {
+    async fn ask(&mut self, session: &Session<'_>, _: &str) -> Result<String, NoAnswer> {
+        Ok((self.0)(session))
+    }
 }
 
 /// `robot` with this replaced, which must be there once.
@@ -28,19 +29,38 @@ fn wrong(robot: &str, changes: &[(&str, &str)]) -> String {
     })
 }
 
-/// What `typed` finds on a board of this robot, with `known` for who measures.
-fn calibrate(
+/// What is found on a board of this robot, with `known` for who measures.
+fn calibrated(
     robot: &str,
-    typed: &[&str],
-    known: impl FnMut(&Session<'_>) -> String + 'static,
-) -> anyhow::Result<Found> {
-    let folder = TempDir::new()?;
+    calibration: &Calibration,
+    known: impl FnMut(&Session<'_>) -> String,
+) -> Result<Found, Error> {
+    let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("robot.toml");
-    fs::write(&file, robot)?;
-    let board = format!("sim:{}", file.display());
-    let Typed { args, calibrate } = Typed::try_parse_from([&["calibrate", "--board", &board], typed].concat())?;
-    let mut answers = Answers::Known(Box::new(known));
-    Ok(session::run(&args, Pace::Free, async |session| work(session, &calibrate, &mut answers).await)?.0)
+    fs::write(&file, robot).expect("a file");
+    let rig = Rig::new(Target::Sim(file.display().to_string()));
+    Ok(rig.run(None, async |session| calibrate(session, calibration, &mut Known(known)).await)?.0)
+}
+
+fn encoder(name: &str, by: Turning) -> Calibration {
+    Calibration::Encoder { channel: channel(name), by }
+}
+
+fn potentiometer(name: &str, drive: bool) -> Calibration {
+    Calibration::Potentiometer { channel: channel(name), drive }
+}
+
+fn servo(name: &str) -> Calibration {
+    Calibration::ServoOscillator { channel: channel(name) }
+}
+
+fn wheels(left: &[&str], right: &[&str]) -> Calibration {
+    let [left, right] = [left, right].map(|names| names.iter().map(|name| channel(name)).collect());
+    Calibration::Wheels { left, right, turn: quantity("2turns") }
+}
+
+fn quantity(text: &str) -> Quantity {
+    text.parse().expect("a quantity")
 }
 
 fn channel(name: &str) -> ChannelId {
@@ -57,7 +77,7 @@ fn an_encoders_scale_is_recovered() {
     for assumed in ["1800", "2500", "2400"] {
         let robot = wrong(BENCH, &[("counts_per_turn = 2400", &format!("counts_per_turn = {assumed}"))]);
         let mut begin = None;
-        let found = calibrate(&robot, &["encoder", "osmc0", "--drive", "1000deg"], move |session| {
+        let found = calibrated(&robot, &encoder("osmc0", Turning::Driven(quantity("1000deg"))), move |session| {
             let at = truth(session, "osmc0");
             format!("{}rad", at - *begin.get_or_insert(at))
         });
@@ -69,19 +89,20 @@ fn an_encoders_scale_is_recovered() {
 
 #[test]
 fn a_shaft_that_nobody_turned_is_noticed() {
-    for (typed, says) in [
-        (&["encoder", "osmc0"][..], "not seen to move"),
-        (&["encoder", "actuator1"], "has no encoder"),
-        (&["encoder", "osmc0", "--turns", "0"], "other than 0"),
-        (&["encoder", "osmc0", "--drive", "10mm"], "takes an angle"),
-        (&["potentiometer", "osmc0"], "has no potentiometer"),
-        (&["potentiometer", "actuator1"], "not what was asked for"),
-        (&["servo", "osmc0"], "no servo"),
-        (&["wheel", "osmc0", "osmc0"], "both sides"),
-        (&["wheel", "actuator1"], "no motor with an encoder"),
+    let by_hand = |turns| Turning::ByHand { turns };
+    for (calibration, says) in [
+        (encoder("osmc0", by_hand(1.0)), "not seen to move"),
+        (encoder("actuator1", by_hand(1.0)), "has no encoder"),
+        (encoder("osmc0", by_hand(0.0)), "other than 0"),
+        (encoder("osmc0", Turning::Driven(quantity("10mm"))), "takes an angle"),
+        (potentiometer("osmc0", false), "has no potentiometer"),
+        (potentiometer("actuator1", false), "not what was asked for"),
+        (servo("osmc0"), "no servo"),
+        (wheels(&["osmc0"], &["osmc0"]), "both sides"),
+        (wheels(&["actuator1"], &[]), "no motor with an encoder"),
     ] {
-        let error = calibrate(BENCH, typed, |_| String::new()).expect_err(says);
-        assert!(format!("{error:#}").contains(says), "{typed:?}: {error:#}");
+        let error = calibrated(BENCH, &calibration, |_| String::new()).expect_err(says);
+        assert!(error.to_string().contains(says), "{calibration:?}: {error}");
     }
 }
 
@@ -95,15 +116,15 @@ fn a_potentiometers_points_are_recovered() {
         ],
     );
     let measure = |session: &Session<'_>| format!("{}m", truth(session, "actuator1"));
-    let found = calibrate(&robot, &["potentiometer", "actuator1", "--drive"], measure).expect("calibrated");
-    let codes: Vec<_> = found.changes.iter().map(|change| (change.key.as_str(), change.to)).collect();
+    let found = calibrated(&robot, &potentiometer("actuator1", true), measure).expect("calibrated");
+    let codes: Vec<_> = found.changes.iter().map(|change| (change.parameter.to_string(), change.to)).collect();
     // 0.02 mm: a count of the simulated 10-bit codes' rounding, the noise, and what the rod creeps.
     for ((key, code), (name, is)) in
         codes.iter().zip([("actuator1.pot_low_code", 1858.0), ("actuator1.pot_high_code", 63357.0)])
     {
         assert!(*key == name && (code - is).abs() <= 13.0, "{found:?}");
     }
-    let twice = calibrate(&robot, &["potentiometer", "actuator1", "--drive"], |_| "50mm".into());
+    let twice = calibrated(&robot, &potentiometer("actuator1", true), |_| "50mm".into());
     assert!(twice.expect_err("too near").to_string().contains("too near"));
 }
 
@@ -123,13 +144,13 @@ fn a_servo_chips_oscillator_is_recovered() {
                 let pulse_us = f64::from(off - on) / 4096.0 * period_s * 1e6;
                 if by_pulse { format!("{pulse_us:.2}us") } else { format!("{:.4}Hz", 1.0 / period_s) }
             };
-            let found = calibrate(&robot, &["servo", "servo0"], scope).expect("calibrated");
+            let found = calibrated(&robot, &servo("servo0"), scope).expect("calibrated");
             let is: f32 = hz.parse().expect("a number");
             // What is typed has four digits after the point of 50 Hz, two after that of 2000 us.
             assert!((found.changes[0].to / is - 1.0).abs() < 1e-5, "{found:?}");
         }
     }
-    let wild = calibrate(EVERYTHING, &["servo", "servo0"], |_| "20ms".into()).expect_err("measured wrongly");
+    let wild = calibrated(EVERYTHING, &servo("servo0"), |_| "20ms".into()).expect_err("measured wrongly");
     assert!(wild.to_string().contains("measure again"), "{wild}");
 }
 
@@ -152,8 +173,8 @@ fn wheels_are_told_for_the_robots_file() {
             _ => String::new(),
         }
     };
-    let robot = include_str!("../../../../../boards/openscout.toml");
-    let found = calibrate(robot, &["wheel", "dhb0,dhb2", "dhb1,dhb3"], measure).expect("calibrated");
+    let robot = include_str!("../../../../boards/openscout.toml");
+    let found = calibrated(robot, &wheels(&["dhb0", "dhb2"], &["dhb1", "dhb3"]), measure).expect("calibrated");
     let toml: toml::Table = found.toml.expect("for the file").parse().expect("TOML");
     let drive = &toml["drive"]["skid-steer"];
     let number = |name: &str| drive[name].as_float().expect("a number");

@@ -1,10 +1,9 @@
 //! The oscillator behind the servos' pulses.
 
-use anyhow::{Context, bail, ensure};
 use r4_protocol::{ChannelId, ChannelKind, Mode, Parameter, Setpoint};
 
-use super::{Change, Found, Parameters, ask::Answers};
-use crate::session::Session;
+use super::{CalibrateError, Change, Found, Person};
+use crate::{Error, Session, parameters::Parameters};
 
 /// Steps of a PWM cycle (PCA9685 datasheet, 7.3.3).
 const STEPS: f64 = 4096.0;
@@ -21,16 +20,18 @@ enum Measured {
 }
 
 /// From a pulse or the frequency of pulses that was measured.
-pub(super) async fn oscillator(
+pub(crate) async fn oscillator(
     session: &Session<'_>,
-    answers: &mut Answers,
+    person: &mut impl Person,
     channel: ChannelId,
-) -> anyhow::Result<Found> {
+) -> Result<Found, Error> {
     let board = session.board;
     let info = board.channel(channel)?;
-    ensure!(channel.kind == ChannelKind::Servo, "{channel} is no servo");
+    if channel.kind != ChannelKind::Servo {
+        return Err(CalibrateError::Unfit { channel, why: "is no servo" }.into());
+    }
     let parameters = Parameters::of(board).await?;
-    let oscillator = parameters.get(None, Parameter::ServoOscillatorHz).context("the board has no servo chip")?;
+    let oscillator = parameters.get(None, Parameter::ServoOscillatorHz).ok_or(CalibrateError::NoServoChip)?;
     let of = |parameter| parameters.need(channel, parameter, "is no servo").map(|info| f64::from(info.active));
     let (pulse_s, angle) = (of(Parameter::PulseHigh)?, of(Parameter::AngleHigh)?);
     let assumed_hz = f64::from(oscillator.active);
@@ -48,7 +49,7 @@ pub(super) async fn oscillator(
                 steps * step_s * 1e6,
                 1.0 / (STEPS * step_s)
             );
-            read(&answers.ask(session, &question).await?)
+            Ok::<_, Error>(read(&person.ask(session, &question).await?)?)
         })
         .await?;
     let true_hz = match measured {
@@ -57,17 +58,13 @@ pub(super) async fn oscillator(
     };
     let off = true_hz / assumed_hz - 1.0;
     if off.is_nan() || off.abs() > MOST_OFF {
-        bail!(
-            "that would be an oscillator of {:.2} MHz, {:+.0} % from what is assumed: measure again",
-            true_hz * 1e-6,
-            off * 100.0
-        );
+        return Err(CalibrateError::OscillatorFarOff { true_hz, off }.into());
     }
     let note = format!("the oscillator runs at {:.3} MHz, {:+.2} % from what was assumed", true_hz * 1e-6, off * 100.0);
     Ok(Found { changes: vec![Change::new(oscillator, true_hz.round())], toml: None, note })
 }
 
-fn read(answer: &str) -> anyhow::Result<Measured> {
+fn read(answer: &str) -> Result<Measured, CalibrateError> {
     let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
     let measured = if let Some(text) = answer.strip_suffix("us") {
         number(text).map(|us| Measured::Pulse(us * 1e-6))
@@ -76,5 +73,8 @@ fn read(answer: &str) -> anyhow::Result<Measured> {
     } else {
         answer.strip_suffix("Hz").and_then(number).map(Measured::Hz)
     };
-    measured.with_context(|| format!("`{answer}` is not what was asked for: write it as in 1985us, 1.985ms or 50.8Hz"))
+    measured.ok_or_else(|| CalibrateError::WrongAnswer {
+        answer: answer.to_owned(),
+        why: "write it as in 1985us, 1.985ms or 50.8Hz".to_owned(),
+    })
 }

@@ -3,9 +3,10 @@
 use r4_driver::tune::{Fit, Loop, Oscillation, Relay, RelayError, Response, Sample, beyond_friction};
 use r4_protocol::Mode;
 
-use super::{
-    Plan,
-    rig::{LOOK_EVERY_S, Look, Rig},
+use super::{Inconclusive, LOOK_EVERY_S, Plan, TuneError};
+use crate::{
+    Error,
+    watch::{Look, MotorWatch},
 };
 
 /// A speed is held so long before a step from it, s.
@@ -39,54 +40,60 @@ const SPEED_STEP_S: f64 = 0.5;
 const UNTOLD: f64 = 0.1;
 const SPEED_UNTOLD: f64 = 0.35;
 
-/// Why an experiment says nothing.
-#[derive(Clone, Debug, thiserror::Error)]
-pub(super) enum Inconclusive {
-    #[error("the relay did not settle into a swing within {after_s:.0} s: {last}")]
-    Relay { after_s: f64, last: RelayError },
-    #[error("there is no room for a duty around {duty:.3} that holds the speed: --amplitude, or another speed")]
-    NoRoom { duty: f64 },
+/// One moment of steps of the set point, in the units of the loop: rad, m, rad/s or m/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnswerSample {
+    /// Time since the first step, s.
+    pub time_s: f64,
+    /// What the loop measured; of a speed the mean over 30 ms.
+    pub output: f64,
+    /// What it was to be.
+    pub setpoint: f64,
 }
 
-/// The steps of the set point, up and down again, and what is read off.
+/// The response to steps of the set point, up and down again.
 #[derive(Clone, Debug)]
-pub(super) struct Answer {
-    /// s since the first step, output, set point
-    pub(super) samples: Vec<(f64, f64, f64)>,
-    pub(super) response: Response,
+pub struct Answer {
+    /// Recorded moments of both steps.
+    pub samples: Vec<AnswerSample>,
+    /// The worse of both steps in each respect.
+    pub response: Response,
 }
 
 /// What a relay told.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Swing {
-    pub(super) oscillation: Oscillation,
-    /// Half the height of the duty, of it what is beyond friction, and the middle.
-    pub(super) height: f64,
-    pub(super) bias: f64,
-    pub(super) hysteresis: f64,
-    /// From a sample that made the relay switch to the board following it, s; mean.
-    pub(super) host_delay_s: f64,
+pub struct Swing {
+    /// The motor's swing.
+    pub oscillation: Oscillation,
+    /// Half the height of the duty, as a share of the supply.
+    pub height: f64,
+    /// Middle of the duty, as a share of the supply.
+    pub bias: f64,
+    /// Hysteresis of the relay, in the unit of the loop.
+    pub hysteresis: f64,
+    /// Mean time from a sample that made the relay switch to the board following it, s.
+    pub host_delay_s: f64,
 }
 
 /// Steps of the set point with the gains that the board has, ending where they began.
-pub(super) async fn answer(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Answer> {
+pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Answer, Error> {
     let (low, high) = plan.steps;
     let mode = plan.mode();
     match plan.of {
-        Loop::Position => rig.go_to(low, plan.settle_s).await?,
+        Loop::Position => motor.go_to(low, plan.settle_s).await?,
         Loop::Speed => {
-            rig.command(mode, low).await?;
-            rig.watch(SPEED_HOLD_S).await?;
+            motor.command(mode, low).await?;
+            motor.watch(SPEED_HOLD_S).await?;
         }
     }
     let mut samples = Vec::new();
     let mut responses = Vec::new();
     let mut begin_s = None;
     for (from, to) in [(low, high), (high, low)] {
-        rig.command(mode, to).await?;
-        let looks = followed(rig, mode, to, plan.answer_s).await?;
+        motor.command(mode, to).await?;
+        let looks = followed(motor, mode, to, plan.answer_s).await?;
         let Some(first) = looks.first() else { continue };
-        let outputs: Vec<f64> = looks.iter().map(|look| look.output(plan.of)).collect();
+        let outputs: Vec<f64> = looks.iter().map(|look| output(look, plan.of)).collect();
         let outputs = if plan.of == Loop::Speed { smooth(&outputs) } else { outputs };
         let step: Vec<_> =
             looks.iter().zip(&outputs).map(|(look, value)| (look.time_s - first.time_s, *value)).collect();
@@ -102,22 +109,26 @@ pub(super) async fn answer(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Ans
         }
         responses.extend(response);
         let begin_s = *begin_s.get_or_insert(first.time_s);
-        samples.extend(looks.iter().zip(&outputs).map(|(look, value)| (look.time_s - begin_s, *value, to)));
+        samples.extend(looks.iter().zip(&outputs).map(|(look, output)| AnswerSample {
+            time_s: look.time_s - begin_s,
+            output: *output,
+            setpoint: to,
+        }));
     }
     if plan.of == Loop::Speed {
-        stop(rig).await?;
-        rig.go_to(plan.base, plan.settle_s).await?;
+        stop(motor).await?;
+        motor.go_to(plan.base, plan.settle_s).await?;
     }
     let response = responses.into_iter().reduce(Response::worse);
-    let response = response.ok_or_else(|| anyhow::anyhow!("no telemetry after the step"))?;
+    let response = response.ok_or(TuneError::NoAnswer)?;
     Ok(Answer { samples, response })
 }
 
 /// Looks from the first that shows this set point, for `seconds`.
-async fn followed(rig: &mut Rig<'_>, mode: Mode, value: f64, seconds: f64) -> anyhow::Result<Vec<Look>> {
+async fn followed(motor: &mut MotorWatch<'_>, mode: Mode, value: f64, seconds: f64) -> Result<Vec<Look>, Error> {
     let mut looks: Vec<Look> = Vec::new();
     loop {
-        let look = rig.look().await?;
+        let look = motor.look().await?;
         let shows = look.setpoint.mode == mode && look.setpoint.value == value as f32;
         if shows || !looks.is_empty() {
             looks.push(look);
@@ -127,6 +138,14 @@ async fn followed(rig: &mut Rig<'_>, mode: Mode, value: f64, seconds: f64) -> an
         {
             return Ok(looks);
         }
+    }
+}
+
+/// What this loop measures.
+fn output(look: &Look, of: Loop) -> f64 {
+    match of {
+        Loop::Position => look.position,
+        Loop::Speed => look.speed,
     }
 }
 
@@ -148,9 +167,9 @@ fn noise(values: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 /// Lets a motor that was driven come to rest.
-pub(super) async fn stop(rig: &mut Rig<'_>) -> anyhow::Result<()> {
-    rig.command(Mode::Duty, 0.0).await?;
-    rig.watch(REST_S).await?;
+pub(crate) async fn stop(motor: &mut MotorWatch<'_>) -> Result<(), Error> {
+    motor.command(Mode::Duty, 0.0).await?;
+    motor.watch(REST_S).await?;
     Ok(())
 }
 
@@ -162,27 +181,27 @@ struct Start {
     noise: f64,
 }
 
-async fn start(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Start> {
+async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> {
     match plan.of {
         Loop::Position => {
-            rig.go_to(plan.base, plan.settle_s).await?;
-            rig.command(Mode::Duty, 0.0).await?;
-            let looks = rig.watch(REST_S).await?;
+            motor.go_to(plan.base, plan.settle_s).await?;
+            motor.command(Mode::Duty, 0.0).await?;
+            let looks = motor.watch(REST_S).await?;
             let still = &looks[looks.len() / 2..];
             let noise = noise(still.iter().map(|look| look.position));
             Ok(Start { duty: 0.0, output: plan.base, height: plan.amplitude, noise })
         }
         Loop::Speed => {
             let speed = (plan.steps.0 + plan.steps.1) / 2.0;
-            rig.command(Mode::Speed, speed).await?;
-            let looks = rig.watch(SPEED_HOLD_S).await?;
+            motor.command(Mode::Speed, speed).await?;
+            let looks = motor.watch(SPEED_HOLD_S).await?;
             let steady = &looks[looks.len() / 2..];
             let duty = mean(steady.iter().map(|look| look.duty));
             let room = plan.motor.duty_max - duty.abs();
             let wanted = plan.given_amplitude.unwrap_or(SPEED_SHARE * (duty.abs() - plan.motor.static_duty));
             let height = wanted.min(0.95 * room);
             if height.is_nan() || height < LEAST_DUTY {
-                return Err(Inconclusive::NoRoom { duty }.into());
+                return Err(TuneError::from(Inconclusive::NoRoom { duty }).into());
             }
             let output = mean(steady.iter().map(|look| look.speed));
             Ok(Start { duty, output, height, noise: noise(steady.iter().map(|look| look.speed)) })
@@ -196,12 +215,12 @@ fn sample(plan: &Plan, look: &Look) -> Sample {
         Loop::Position => beyond_friction(look.duty, plan.motor.static_duty),
         Loop::Speed => look.duty,
     };
-    Sample { time_s: look.time_s, input, output: look.output(plan.of) }
+    Sample { time_s: look.time_s, input, output: output(look, plan.of) }
 }
 
 /// Lets the motor swing under a relay until several cycles agree.
-pub(super) async fn relay(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Swing> {
-    let Start { duty, output: centre, height, noise } = start(rig, plan).await?;
+pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swing, Error> {
+    let Start { duty, output: centre, height, noise } = start(motor, plan).await?;
     let resolved = match plan.of {
         Loop::Position => HYSTERESIS_COUNTS * plan.motor.resolution,
         Loop::Speed => 0.0,
@@ -213,14 +232,14 @@ pub(super) async fn relay(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Swin
     };
     let mut relay = Relay::new(centre, hysteresis);
     let (mut bias, mut high) = (duty, true);
-    rig.command(Mode::Duty, bias + height).await?;
+    motor.command(Mode::Duty, bias + height).await?;
     let mut samples: Vec<Sample> = Vec::new();
     let (mut switched_s, mut high_s) = (None::<f64>, 0.0);
     let (mut asked, mut delays_s) = (None::<(f64, f32)>, Vec::new());
     let mut rises = 0;
     let mut last = RelayError::TooFew { seen: 0, wanted: CYCLES };
     loop {
-        let look = rig.look().await?;
+        let look = motor.look().await?;
         samples.push(sample(plan, &look));
         if let Some((_, value)) = asked
             && look.setpoint.value == value
@@ -229,7 +248,7 @@ pub(super) async fn relay(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Swin
             // It was followed somewhere between this look and the one before.
             delays_s.push(look.time_s - decided_s - LOOK_EVERY_S / 2.0);
         }
-        let decided = relay.step(look.output(plan.of));
+        let decided = relay.step(output(&look, plan.of));
         if decided != high {
             high = decided;
             let lasted_s = switched_s.map_or(0.0, |since_s| look.time_s - since_s);
@@ -245,12 +264,12 @@ pub(super) async fn relay(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Swin
                 high_s = lasted_s;
             }
             let value = bias + if high { height } else { -height };
-            rig.command(Mode::Duty, value).await?;
+            motor.command(Mode::Duty, value).await?;
             asked = Some((look.time_s, value as f32));
             if high && rises > FIRST_CYCLES + CYCLES {
                 match Oscillation::of(&samples, centre, hysteresis, CYCLES, CYCLES_WITHIN) {
                     Ok(oscillation) => {
-                        stop(rig).await?;
+                        stop(motor).await?;
                         let host_delay_s = mean(delays_s.iter().copied());
                         return Ok(Swing { oscillation, height, bias, hysteresis, host_delay_s });
                     }
@@ -260,24 +279,24 @@ pub(super) async fn relay(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Swin
         }
         let after_s = samples.first().map_or(0.0, |first| look.time_s - first.time_s);
         if after_s > limit_s {
-            stop(rig).await?;
-            return Err(Inconclusive::Relay { after_s, last }.into());
+            stop(motor).await?;
+            return Err(TuneError::from(Inconclusive::Relay { after_s, last }).into());
         }
     }
 }
 
 /// Steps the duty to both sides and fits a motor to what comes.
-pub(super) async fn step(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Fit> {
-    let Start { duty, height, .. } = start(rig, plan).await?;
+pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit, Error> {
+    let Start { duty, height, .. } = start(motor, plan).await?;
     let mut looks = Vec::new();
     match plan.of {
         Loop::Position => {
-            looks.extend(rig.watch(LOOK_EVERY_S * 10.0).await?);
+            looks.extend(motor.watch(LOOK_EVERY_S * 10.0).await?);
             for (height, until) in [(height, plan.base + plan.travel / 3.0), (-height, plan.base)] {
-                rig.command(Mode::Duty, height).await?;
+                motor.command(Mode::Duty, height).await?;
                 let begin_s = looks.last().map_or(0.0, |look| look.time_s);
                 loop {
-                    let look = rig.look().await?;
+                    let look = motor.look().await?;
                     looks.push(look);
                     let there = (look.position - until) * height > 0.0;
                     if there || look.time_s - begin_s > STEP_LIMIT_S {
@@ -285,21 +304,21 @@ pub(super) async fn step(rig: &mut Rig<'_>, plan: &Plan) -> anyhow::Result<Fit> 
                     }
                 }
             }
-            rig.command(Mode::Duty, 0.0).await?;
-            looks.extend(rig.watch(REST_S).await?);
+            motor.command(Mode::Duty, 0.0).await?;
+            looks.extend(motor.watch(REST_S).await?);
         }
         Loop::Speed => {
-            rig.command(Mode::Duty, duty).await?;
-            let steady = rig.watch(SPEED_STEP_S).await?;
+            motor.command(Mode::Duty, duty).await?;
+            let steady = motor.watch(SPEED_STEP_S).await?;
             looks.extend_from_slice(&steady[steady.len() * 3 / 4..]);
             for value in [duty + height, duty - height, duty] {
-                rig.command(Mode::Duty, value).await?;
-                looks.extend(rig.watch(SPEED_STEP_S).await?);
+                motor.command(Mode::Duty, value).await?;
+                looks.extend(motor.watch(SPEED_STEP_S).await?);
             }
-            stop(rig).await?;
+            stop(motor).await?;
         }
     }
     let samples: Vec<Sample> = looks.iter().map(|look| sample(plan, look)).collect();
     let untold = if plan.of == Loop::Position { UNTOLD } else { SPEED_UNTOLD };
-    Ok(Fit::of(&samples, plan.of, untold)?)
+    Ok(Fit::of(&samples, plan.of, untold).map_err(TuneError::from)?)
 }
