@@ -4,10 +4,7 @@ use std::path::PathBuf;
 
 use r4_links::ports::{self, Port};
 
-use crate::{
-    args::{Args, Command},
-    session::Target,
-};
+use crate::{args::Args, session::Target, verbs::Command};
 
 /// No board was named, and a simulated one cannot be what is meant for sure.
 #[derive(Debug, PartialEq, thiserror::Error)]
@@ -27,20 +24,20 @@ fn names(paths: &[PathBuf]) -> String {
 }
 
 /// Checks that it is clear on which board the command acts, and says on stderr that it is a simulated one where none was named.
-pub(crate) fn check(args: &Args) -> Result<(), Unclear> {
+pub(crate) fn check(args: &Args, command: &Command) -> Result<(), Unclear> {
     let boards = || {
         let found = ports::list().unwrap_or_default().into_iter().filter(Port::is_board);
         found.map(|port| port.path).collect()
     };
-    if let Some(note) = decide(args, boards)? {
+    if let Some(note) = decide(args, command, boards)? {
         eprintln!("r4: {note}");
     }
     Ok(())
 }
 
 /// The same with `boards` for the real boards that are connected; returns what to say.
-fn decide(args: &Args, boards: impl FnOnce() -> Vec<PathBuf>) -> Result<Option<String>, Unclear> {
-    if args.is_board_named || !opens_a_session(&args.command) {
+fn decide(args: &Args, command: &Command, boards: impl FnOnce() -> Vec<PathBuf>) -> Result<Option<String>, Unclear> {
+    if args.is_board_named || !opens_a_session(command) {
         return Ok(None);
     }
     let real = boards();
@@ -98,26 +95,31 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::verbs::Typed;
 
-    fn args(typed: &str, is_board_named: bool) -> Args {
-        let args = Args::try_parse_from(typed.split(' ')).expect("typed well");
-        Args { is_board_named, ..args }
+    fn decided(
+        typed: &str,
+        is_board_named: bool,
+        boards: impl FnOnce() -> Vec<PathBuf>,
+    ) -> Result<Option<String>, Unclear> {
+        let Typed { args, command } = Typed::try_parse_from(typed.split(' ')).expect("typed well");
+        decide(&Args { is_board_named, ..args }, &command, boards)
     }
 
     #[test]
     fn a_real_board_is_never_passed_over() {
         let real = || vec![PathBuf::from("/dev/ttyACM0"), PathBuf::from("/dev/ttyACM1")];
         for typed in ["r4 move osmc0 90deg", "r4 disarm", "r4 config save", "r4 drive", "r4 log record"] {
-            let refused = decide(&args(typed, false), real).expect_err(typed).to_string();
+            let refused = decided(typed, false, real).expect_err(typed).to_string();
             for choice in ["--board serial:/dev/ttyACM0", "--board sim:osmc-bench", "/dev/ttyACM1", "R4_BOARD"] {
                 assert!(refused.contains(choice), "{typed}: {refused}");
             }
-            assert_eq!(decide(&args(typed, true), real), Ok(None), "{typed}");
-            let note = decide(&args(typed, false), Vec::new).expect(typed).expect("a note");
+            assert_eq!(decided(typed, true, real), Ok(None), "{typed}");
+            let note = decided(typed, false, Vec::new).expect(typed).expect("a note");
             assert!(note.contains("sim:osmc-bench (simulated)") && note.contains("--board"), "{note}");
         }
         for typed in ["r4 demo", "r4 ports", "r4 log info a.mcap", "r4 bench sim", "r4 sim serve osmc-bench --pty"] {
-            assert_eq!(decide(&args(typed, false), real), Ok(None), "{typed}");
+            assert_eq!(decided(typed, false, real), Ok(None), "{typed}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use r4_driver::Error;
 use r4_links::OpenError;
 use r4_protocol::{ChannelId, Refusal};
+use r4_rig::{Interrupted, NotVirtual};
 use serde::Serialize;
 
 use crate::{
@@ -12,7 +13,6 @@ use crate::{
     choice::Unclear,
     commands::{NotReached, Unsuitable},
     output,
-    session::{Interrupted, NotVirtual},
 };
 
 /// Kinds of failures. `docs/program.md` lists them.
@@ -123,6 +123,13 @@ fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
         }
         if cause.is::<Unclear>() {
             return (Kind::Unclear, None);
+        }
+        match cause.downcast_ref::<r4_rig::Error>() {
+            Some(r4_rig::Error::Board(error)) => return of_driver(error),
+            Some(r4_rig::Error::Open(error)) => return (of_open(error), None),
+            Some(r4_rig::Error::NotVirtual(_)) => return (Kind::Refused, None),
+            Some(r4_rig::Error::Interrupted(_)) => return (Kind::Interrupted, None),
+            _ => {}
         }
         if cause.is::<NotVirtual>() {
             return (Kind::Refused, None);

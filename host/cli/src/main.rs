@@ -1,44 +1,47 @@
 //! `r4`: drives R4 boards, real and simulated.
 
 mod args;
-mod cable;
 mod choice;
 mod commands;
 mod emulated;
 mod failure;
-mod heat;
 mod known;
 mod output;
 mod plants;
-mod quantity;
 mod record;
 mod report;
 mod screen;
 mod session;
 mod table;
+mod verbs;
 
 use std::{env, process::ExitCode};
 
+use anyhow::Context;
+use clap::CommandFactory;
 use r4_protocol::Mode;
 
-use args::{Args, Command};
+use args::Args;
 use output::OutputError;
-use session::Interrupted;
+use verbs::{Command, Sim, Typed};
 
 fn main() -> ExitCode {
-    commands::completions::answer();
-    let args = match Args::typed() {
-        Ok(args) => args,
+    commands::completions::answer(Typed::command);
+    let Typed { args, command } = match Typed::typed() {
+        Ok(typed) => typed,
         // Not understood, so neither is `--json`, but it can be seen.
         Err(error) => return failure::report_usage(&error, env::args_os().any(|typed| typed == "--json")),
     };
-    let result = choice::check(&args).map_err(Into::into).and_then(|()| plants::check(&args)).and_then(|()| run(&args));
+    let result = choice::check(&args, &command)
+        .map_err(Into::into)
+        .and_then(|()| check_physics(&args, &command))
+        .and_then(|()| run(&args, &command));
     match result {
         Ok(_) if args.record.is_some() && !record::is_recorded() => {
             eprintln!("r4: nothing was recorded: this command opens no session with a board");
             ExitCode::FAILURE
         }
-        Ok(_) if !plants::are_as_asked(&args) => {
+        Ok(_) if !session::has_physics_as_asked(&args) => {
             eprintln!("r4: --plant and --blind changed nothing: this command starts no simulated board of its own");
             ExitCode::FAILURE
         }
@@ -48,8 +51,8 @@ fn main() -> ExitCode {
         Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
         // Watching ends when the person who watches says so.
         Err(error)
-            if error.is::<Interrupted>()
-                && matches!(args.command, Command::Watch(_) | Command::Monitor(_) | Command::Sim { .. }) =>
+            if session::was_interrupted(&error)
+                && matches!(command, Command::Watch(_) | Command::Monitor(_) | Command::Sim { .. }) =>
         {
             ExitCode::SUCCESS
         }
@@ -57,9 +60,18 @@ fn main() -> ExitCode {
     }
 }
 
+/// Refuses other physics where they cannot be had.
+fn check_physics(args: &Args, command: &Command) -> anyhow::Result<()> {
+    let is_served = matches!(command, Command::Sim { .. } | Command::Identify(_));
+    if let (true, false, session::Target::Link(_)) = (args.asks_for_physics(), is_served, &args.board) {
+        args.board.robot().context("--plant and --blind change the physics of a simulated board")?;
+    }
+    Ok(())
+}
+
 /// Whether what the command promises held.
-fn run(args: &Args) -> anyhow::Result<bool> {
-    match &args.command {
+fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
+    match command {
         Command::Demo(demo) => commands::demo::run(args, demo),
         Command::Info => commands::info::run(args),
         Command::Arm { seconds } => commands::state::arm(args, *seconds),
@@ -91,10 +103,10 @@ fn run(args: &Args) -> anyhow::Result<bool> {
         Command::Report(report) => commands::report::run(args, report),
         Command::Identify(identify) => commands::identify::run(args, identify),
         Command::Ports => commands::ports::run(args),
-        Command::Sim { what: args::Sim::Serve(serve) } => commands::serve::run(args, serve),
-        Command::Sim { what: args::Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),
+        Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
+        Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),
         Command::Bench { what } => commands::bench::run(args, what),
         Command::Completions(completions) => commands::completions::run(completions),
-        Command::Man(manual) => commands::man::run(manual),
+        Command::Man(manual) => commands::man::run(manual, Typed::command()),
     }
 }

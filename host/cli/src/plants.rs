@@ -1,44 +1,18 @@
 //! `--plant` and `--blind`: other physics for the motors of a virtual board than its files say.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    str::FromStr,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use std::{path::PathBuf, str::FromStr};
 
-use anyhow::{Context, bail, ensure};
-use r4_blind::Hidden;
-use r4_boards::Robot;
-use r4_plants::PlantSpec;
 use r4_protocol::ChannelId;
-use r4_sim::VirtualBoard;
-
-use crate::{
-    args::{Args, Command},
-    session::Target,
-};
 
 /// A plant file, for a channel of a board, or for `identify` without one.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct OtherPlant {
-    channel: Option<ChannelId>,
-    file: PathBuf,
+    pub(crate) channel: Option<ChannelId>,
+    pub(crate) file: PathBuf,
 }
 
 /// What a board needs.
-const EXAMPLE: &str = "a channel, = and a plant file, as in osmc0=plant.toml";
-
-impl OtherPlant {
-    pub(crate) fn new(channel: ChannelId, file: PathBuf) -> Self {
-        Self { channel: Some(channel), file }
-    }
-
-    /// Whose.
-    pub(crate) fn channel(&self) -> Option<ChannelId> {
-        self.channel
-    }
-}
+pub(crate) const EXAMPLE: &str = "a channel, = and a plant file, as in osmc0=plant.toml";
 
 impl FromStr for OtherPlant {
     type Err = String;
@@ -53,76 +27,4 @@ impl FromStr for OtherPlant {
         let channel = channel.parse().map_err(|error| format!("{error}; write {EXAMPLE}"))?;
         Ok(Self { channel: Some(channel), file: file.into() })
     }
-}
-
-/// Set once a board has the physics that were asked for.
-static DONE: AtomicBool = AtomicBool::new(false);
-
-fn are_asked(args: &Args) -> bool {
-    args.blind.is_some() || !args.plant.is_empty()
-}
-
-/// Refuses other physics where they cannot be had.
-pub(crate) fn check(args: &Args) -> anyhow::Result<()> {
-    let is_served = matches!(args.command, Command::Sim { .. } | Command::Identify(_));
-    if let (true, false, Target::Link(_)) = (are_asked(args), is_served, &args.board) {
-        args.board.robot().context("--plant and --blind change the physics of a simulated board")?;
-    }
-    Ok(())
-}
-
-/// Whether a board had the physics that were asked for, if any were.
-pub(crate) fn are_as_asked(args: &Args) -> bool {
-    !are_asked(args) || DONE.load(Ordering::Relaxed)
-}
-
-/// The plant that `identify` begins with, if one is named.
-pub(crate) fn known(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
-    let plant = match &args.plant[..] {
-        [] => return Ok(None),
-        [OtherPlant { channel: None, file }] => read(file)?.1,
-        _ => bail!("identify takes one plant file without a channel, as in --plant plant.toml"),
-    };
-    DONE.store(true, Ordering::Relaxed);
-    Ok(Some(plant))
-}
-
-/// A plant file's name and content.
-pub(crate) fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
-    let name = file.display().to_string();
-    let text = fs::read_to_string(file).with_context(|| format!("cannot read the plant {name}"))?;
-    let spec = PlantSpec::from_toml(&name, &text)?;
-    Ok((name, spec))
-}
-
-/// Does what `--plant` says.
-pub(crate) fn replace(args: &Args, robot: &mut Robot) -> anyhow::Result<()> {
-    for (index, OtherPlant { channel, file }) in args.plant.iter().enumerate() {
-        let again = args.plant[..index].iter().any(|before| before.channel == *channel);
-        let Some(channel) = *channel else { bail!("--plant {} names no channel: write {EXAMPLE}", file.display()) };
-        ensure!(!again, "--plant gives {channel} two plants: give it one");
-        let (name, spec) = read(file)?;
-        r4_sim::replace_plant(robot, channel, &name, &spec)?;
-        DONE.store(true, Ordering::Relaxed);
-    }
-    Ok(())
-}
-
-/// What `--blind` hides in each motor of a robot.
-pub(crate) fn hidden(robot: &Robot, seed: u64) -> anyhow::Result<Vec<(ChannelId, Hidden)>> {
-    let motors = r4_sim::plants(robot)?.into_iter().zip(0u64..);
-    // Seeds of a board's motors are far apart: the next seed hides something else in all of them.
-    let hide =
-        |motor: r4_sim::MotorPlant, index: u64| r4_blind::hide(&motor.spec, motor.supply_v, seed ^ (index << 48));
-    Ok(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect())
-}
-
-/// Does what `--blind` says. Nothing but the motors' physics knows of it.
-pub(crate) fn hide(args: &Args, robot: &Robot, board: &dyn VirtualBoard) -> anyhow::Result<()> {
-    let Some(seed) = args.blind else { return Ok(()) };
-    for ((channel, hidden), index) in hidden(robot, seed)?.into_iter().zip(0u64..) {
-        board.world().set_plant(channel, hidden.plant(args.seed.wrapping_add(index)));
-    }
-    DONE.store(true, Ordering::Relaxed);
-    Ok(())
 }

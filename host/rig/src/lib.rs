@@ -1,13 +1,48 @@
-//! What programs above a board's channels share.
+//! An opened board, and what programs above its channels share.
 //!
-//! Pure: no link, no clock, no simulation. A program gives what it has measured, and gets set points for channels.
+//! A [`Rig`] opens a board by its name, `sim:`, `emu:` (with the feature `emu`) or a link, and runs a program in a [`Session`] with it:
+//!
+//! ```
+//! use r4_rig::{Error, Rig};
+//!
+//! let rig = Rig::new("sim:osmc-bench".parse()?);
+//! let (robot, _) = rig.run(None, async |session| Ok::<_, Error>(session.board.info().robot.to_string()))?;
+//! assert_eq!(robot, "osmc-bench");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The rest is pure: it is given what was measured, and returns set points for channels.
 //!
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 
+pub mod cable;
+mod clock;
+pub mod emulated;
+mod error;
+mod flash_file;
 mod ground;
+pub mod heat;
+mod interrupt;
+mod notice;
 mod odometry;
+mod plant_file;
+pub mod quantity;
+pub mod recording;
+mod rig;
 mod route;
+mod session;
+mod target;
 
+pub use clock::HostClock;
+pub use error::Error;
+pub use flash_file::{FlashFile, FlashFileError};
 pub use ground::{GroundDrive, Velocity};
+pub use interrupt::{Interrupt, Interrupted};
+pub use notice::Notice;
 pub use odometry::{Odometry, Place, WHEEL_VARIANCE_M};
+pub use plant_file::{PlantFile, PlantFileError, hidden, read_plant, replace_plants};
+pub use quantity::Quantity;
+pub use rig::{Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};
+pub use session::Session;
+pub use target::{BadTarget, NotVirtual, Target};

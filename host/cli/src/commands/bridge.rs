@@ -291,7 +291,7 @@ impl Hosts<'_> {
     async fn heard(&mut self) -> anyhow::Result<()> {
         let board = self.session.board;
         self.heard_s = board.now_s();
-        self.session.warned.tell(&board.hot_windings());
+        self.session.notify_of_heat();
         let state = board.safety().0;
         if state == SafetyState::Tripped {
             self.armed = false;

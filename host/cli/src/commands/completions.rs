@@ -5,7 +5,7 @@
 
 use std::{env, ffi::OsStr, path::Path};
 
-use clap::{Arg, CommandFactory};
+use clap::Arg;
 use clap_complete::{
     ArgValueCompleter, CompleteEnv, CompletionCandidate, PathCompleter, Shell,
     engine::ValueCompleter,
@@ -15,7 +15,7 @@ use r4_links::ports::{self, Port};
 use r4_protocol::{ChannelId, ChannelKind};
 
 use super::config::Scope;
-use crate::{args::Args, known, output, session::Target};
+use crate::{known, output, session::Target};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Completions {
@@ -72,8 +72,8 @@ pub(crate) fn run(completions: &Completions) -> anyhow::Result<bool> {
 }
 
 /// Answers a shell that completes a line, and ends the program; returns where none does.
-pub(crate) fn answer() {
-    CompleteEnv::with_factory(|| completed(Args::command(), "")).var(VARIABLE).complete();
+pub(crate) fn answer(typed: fn() -> clap::Command) {
+    CompleteEnv::with_factory(|| completed(typed(), "")).var(VARIABLE).complete();
 }
 
 /// `command` and its subcommands with a completer at each argument whose type has one.

@@ -1,11 +1,12 @@
 //! `r4 debug`: the image on an emulated board, under gdb or with a trace.
 
 use anyhow::bail;
+use r4_sim::Pace;
 
 use crate::{
     args::{Args, Debug},
     emulated,
-    session::Target,
+    session::{self, Target},
 };
 
 pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
@@ -25,7 +26,10 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
         );
     }
     match &debug.scenario {
-        Some(path) => super::scenario::play_one(args, path),
+        Some(path) => {
+            let rig = |args: &Args| emulated::debugged(args, debug, session::rig(args, Pace::Free)?);
+            super::scenario::play_on(args, rig, &[path.clone()])
+        }
         None => emulated::debug(args, debug),
     }
 }

@@ -9,10 +9,10 @@ use super::speed_unit;
 use crate::{
     args::Args,
     output,
-    quantity::{Quantity, human},
     session::{self, Target},
     table,
 };
+use r4_rig::quantity::{Quantity, human};
 
 #[derive(Serialize)]
 struct History {

@@ -7,10 +7,9 @@ use serde::Serialize;
 use super::{Unsuitable, setpoint};
 use crate::{
     args::{Args, Bldc, Held},
-    output,
-    quantity::Quantity,
-    session,
+    output, session,
 };
+use r4_rig::quantity::Quantity;
 
 /// An output is held this long unless told otherwise, s.
 pub(super) const HOLD_S: f64 = 2.0;
@@ -78,7 +77,7 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
             }
             None => Setpoint { mode, value: 1.0 },
         };
-        let hold = async || Ok(session.board.hold(channel, setpoint, seconds).await?);
+        let hold = async || anyhow::Ok(session.board.hold(channel, setpoint, seconds).await?);
         Ok((info.unit, session.armed(hold).await?))
     })?;
     let board = args.board.described();

@@ -5,7 +5,8 @@ use r4_sim::Pace;
 use serde::Serialize;
 
 use super::state::Hot;
-use crate::{args::Args, output, quantity::human, session, table};
+use crate::{args::Args, output, session, table};
+use r4_rig::quantity::human;
 
 #[derive(Serialize)]
 struct Report {

@@ -6,13 +6,13 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use clap::{Command, CommandFactory};
+use clap::Command;
 use clap_mangen::{
     Man,
     roff::{Roff, bold, roman},
 };
 
-use crate::{args::Args, output};
+use crate::output;
 
 /// A page is in the roff format: `r4 man move | man -l -` shows it.
 #[derive(Clone, Debug, clap::Args)]
@@ -36,8 +36,8 @@ const EXIT_STATUS: [(&str, &str); 7] = [
     ("130", "Ctrl-C, after which the board was disarmed."),
 ];
 
-pub(crate) fn run(manual: &Manual) -> anyhow::Result<bool> {
-    let mut program = Args::command().disable_help_subcommand(true);
+pub(crate) fn run(manual: &Manual, program: Command) -> anyhow::Result<bool> {
+    let mut program = program.disable_help_subcommand(true);
     // Gives each verb its full name and the options that all have.
     program.build();
     match &manual.out {

@@ -30,7 +30,8 @@ pub(crate) mod watch;
 
 use r4_protocol::{ChannelId, Mode, Setpoint, Unit};
 
-use crate::{quantity::Quantity, session::Session};
+use crate::session::Session;
+use r4_rig::quantity::Quantity;
 
 /// A channel does not take what it was asked for; nothing was sent.
 #[derive(Debug, thiserror::Error)]

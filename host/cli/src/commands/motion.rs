@@ -10,9 +10,9 @@ use super::{NotReached, Unsuitable, setpoint, speed_unit};
 use crate::{
     args::{self, Args},
     output,
-    quantity::Quantity,
     session::{self, Session},
 };
+use r4_rig::quantity::Quantity;
 
 /// What became of one command, in SI.
 #[derive(Serialize)]
@@ -112,7 +112,7 @@ async fn drive(
         return Err(Unsuitable { channel, why }.into());
     }
     let info = session.board.channel(channel)?.clone();
-    let end = session.armed(async || Ok(session.board.drive(channel, setpoint, until).await)).await?;
+    let end = session.armed(async || anyhow::Ok(session.board.drive(channel, setpoint, until).await)).await?;
     Ok(Driven { info, mode, set, end })
 }
 

@@ -30,7 +30,7 @@ pub(crate) fn run(args: &Args, relay: &Relay) -> anyhow::Result<bool> {
             return Err(Unsuitable { channel, why }.into());
         }
         let setpoint = Setpoint { mode: Mode::Switch, value: set.into() };
-        let level = session.armed(async || Ok(board.hold(channel, setpoint, seconds).await?)).await?;
+        let level = session.armed(async || anyhow::Ok(board.hold(channel, setpoint, seconds).await?)).await?;
         Ok(level != 0.0)
     })?;
     if args.json {

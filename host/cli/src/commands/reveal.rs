@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use r4_blind::Truth;
 use serde::Serialize;
 
-use crate::{args::Args, output, plants, table};
+use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Reveal {
@@ -70,8 +70,9 @@ pub(crate) fn run(args: &Args, reveal: &Reveal) -> anyhow::Result<bool> {
         None => args.board.robot()?,
     };
     let mut robot = r4_boards::load(name)?;
-    plants::replace(args, &mut robot)?;
-    let hidden = plants::hidden(&robot, reveal.seed)?;
+    r4_rig::replace_plants(&mut robot, &args.plants_of_channels()?)?;
+    session::uses_other_physics();
+    let hidden = r4_rig::hidden(&robot, reveal.seed)?;
     let channels: Vec<Channel> = hidden
         .iter()
         .map(|(channel, hidden)| Channel {

@@ -86,7 +86,7 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     }
     let args = Args { board: serve.robot.clone(), ..args.clone() };
     let mut simulation = Simulation::new(Pace::Free);
-    let (board, file) = session::power_up(&args, &mut simulation)?;
+    let (board, file) = session::rig(&args, Pace::Free)?.power_up(&mut simulation)?;
     if matches!(args.board, Target::Sim(_)) {
         board.set_link_baud(NO_TIME);
     }

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::{
     args::Args,
-    heat, output,
+    output,
     session::{self, Session},
 };
 
@@ -93,7 +93,7 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
         output::line(format_args!("  {cause}: {}", cause.advice()))?;
     }
     for hot in &hot {
-        output::line(format_args!("  {}", heat::words(hot)))?;
+        output::line(format_args!("  {}", r4_rig::heat::words(hot)))?;
     }
     Ok(())
 }

@@ -12,10 +12,10 @@ use serde::Serialize;
 use super::speed_unit;
 use crate::{
     args::{Args, Watch},
-    heat, output,
-    quantity::{Quantity, human},
+    output,
     session::{self, HostClock, Session},
 };
+use r4_rig::quantity::{Quantity, human};
 
 /// One line of `--json`: an object per sample time.
 #[derive(Serialize)]
@@ -281,7 +281,7 @@ fn print_line(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> a
         }
     }
     for hot in samples.iter().filter_map(hot) {
-        line += &format!("  {}", heat::words(&hot));
+        line += &format!("  {}", r4_rig::heat::words(&hot));
     }
     if !frame.causes.is_empty() {
         line += &format!("  {}", frame.causes);

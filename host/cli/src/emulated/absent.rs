@@ -5,25 +5,18 @@ use std::rc::Rc;
 use r4_boards::Robot;
 use r4_driver::Board;
 use r4_image::Image;
-use r4_sim::{Simulation, VirtualBoard, flash::Flash};
+use r4_rig::{Rig, emulated::EmulatedError as NotBuilt};
+use r4_sim::{Simulation, VirtualBoard};
 
 use crate::{
     args::{Args, Debug, LogLevel, Safety},
     session::HostClock,
 };
 
-/// This program has no emulated processor, and nothing that decodes the firmware's log.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "this r4 was built without the emulated processor, which emu: boards, `debug`, `bench firmware` and --log need. \
-     Run one that has it, in the repository:\n  \
-     cargo run --release -p r4 --features emu -- ...\n\
-     or install it:\n  \
-     cargo install --locked --path host/cli --features emu"
-)]
-pub(crate) struct NotBuilt;
+/// There is no emulated board that could log.
+pub(crate) fn log(_: &Args, _: &mut Rig) {}
 
-pub(crate) fn start(_: &Args, _: &mut Simulation, _: &Robot, _: Option<Flash>) -> anyhow::Result<Rc<dyn VirtualBoard>> {
+pub(crate) fn debugged(_: &Args, _: &Debug, _: Rig) -> anyhow::Result<Rig> {
     Err(NotBuilt.into())
 }
 

@@ -18,11 +18,12 @@ use r4_emu::{
     tracing::{Tracer, Wanted, resolve},
 };
 use r4_image::Image;
-use r4_sim::{Pace, Simulation, VirtualBoard, flash::Flash};
+use r4_rig::Rig;
+use r4_sim::{Pace, Simulation, VirtualBoard};
 use r4_thumb::ThumbCore;
 
 use crate::{
-    args::{Args, Command, Debug, LogLevel},
+    args::{Args, Debug, LogLevel},
     session,
 };
 
@@ -34,14 +35,16 @@ const TRACED_S: f64 = 1.0;
 /// How often it is looked whether to end, ns.
 const LOOK_EVERY_NS: u64 = 10_000_000;
 
-/// Powers up an emulated board and says on stderr which image it runs.
-pub(crate) fn start(
-    args: &Args,
-    simulation: &mut Simulation,
-    robot: &Robot,
-    flash: Option<Flash>,
-) -> anyhow::Result<Rc<dyn VirtualBoard>> {
-    Ok(Rc::new(start_debugged(args, simulation, robot, flash)?.0))
+/// Has emulated boards print their firmware's log on stderr where `args` ask for it.
+pub(crate) fn log(args: &Args, rig: &mut Rig) {
+    let Some(level) = args.log else { return };
+    rig.emulated.observer = Some(Rc::new(move |board, image| Ok(attach_log(level, board, image)?)));
+}
+
+fn attach_log(level: LogLevel, board: &EmuBoard<ThumbCore>, image: &Image) -> anyhow::Result<()> {
+    let control_block = board.machine().symbols().address("_SEGGER_RTT");
+    board.watch(Log::new(image, control_block, move |record| print(level, &record))?);
+    Ok(())
 }
 
 /// The image for a robot.
@@ -59,12 +62,18 @@ pub(crate) fn start_image(
     Ok(Rc::new(EmuBoard::start(simulation, robot, seed, image, ThumbCore::new(), None, Settings::default())?))
 }
 
+/// Attaches gdb and a trace to the emulated board of a rig.
+pub(crate) fn debugged(args: &Args, debug: &Debug, rig: Rig) -> anyhow::Result<Rig> {
+    Ok(with_debugger(args, debug, rig).0)
+}
+
 /// Runs a board that no host is connected to, under gdb or with a trace.
 pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
-    let robot = r4_boards::load(args.board.robot()?)?;
-    let mut simulation = Simulation::new(args.pace.unwrap_or(Pace::Free));
     session::catch_interrupts();
-    let (board, state) = start_debugged(args, &mut simulation, &robot, None)?;
+    let (rig, state) = with_debugger(args, debug, session::rig(args, Pace::Free)?);
+    let mut simulation = Simulation::new(rig.pace);
+    let (board, _) = rig.power_up(&mut simulation)?;
+    let state = state.take();
     let seconds = debug.seconds.or(if state.is_none() { Some(TRACED_S) } else { None });
     let until_ns = seconds.map_or(u64::MAX, |seconds| (seconds * 1e9) as u64);
     let clock = simulation.clock();
@@ -84,35 +93,25 @@ pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// A board, and where a debugging session with gdb stands, if there is one.
-type Debugged = (EmuBoard<ThumbCore>, Option<Rc<Cell<State>>>);
+/// Where a debugging session with gdb stands, once a board is powered up, if there is one.
+type Debugging = Rc<Cell<Option<Rc<Cell<State>>>>>;
 
-/// The same, and where a debugging session with gdb stands, if `args` are for one.
-fn start_debugged(
-    args: &Args,
-    simulation: &mut Simulation,
-    robot: &Robot,
-    flash: Option<Flash>,
-) -> anyhow::Result<Debugged> {
-    let image = Image::find(args.board.robot()?)?;
-    eprintln!("r4: runs {}, SHA-256 {}", image.path().display(), image.digest());
-    let core = ThumbCore::new();
-    let gdb = match &args.command {
-        Command::Debug(debug) => debug.gdb.or(debug.until.map(|_| GDB)),
-        _ => None,
-    };
-    let settings = Settings { stop_at_breakpoints: gdb.is_some(), ..Settings::default() };
-    let board = EmuBoard::start(simulation, robot, args.seed, &image, core, flash, settings)?;
-    if let Some(level) = args.log {
-        let control_block = board.machine().symbols().address("_SEGGER_RTT");
-        board.watch(Log::new(&image, control_block, move |record| print(level, &record))?);
-    }
-    let Command::Debug(debug) = &args.command else { return Ok((board, None)) };
-    if let Some(path) = &debug.trace {
-        board.watch(tracer(&board, path, &debug.symbol)?);
-    }
-    let state = gdb.map(|address| serve(&board, address, debug)).transpose()?;
-    Ok((board, state))
+fn with_debugger(args: &Args, debug: &Debug, mut rig: Rig) -> (Rig, Debugging) {
+    let gdb = debug.gdb.or(debug.until.map(|_| GDB));
+    rig.emulated.settings = Settings { stop_at_breakpoints: gdb.is_some(), ..Settings::default() };
+    let debugging = Debugging::default();
+    let (level, debug, attached) = (args.log, debug.clone(), debugging.clone());
+    rig.emulated.observer = Some(Rc::new(move |board, image| {
+        if let Some(level) = level {
+            attach_log(level, board, image)?;
+        }
+        if let Some(path) = &debug.trace {
+            board.watch(tracer(board, path, &debug.symbol)?);
+        }
+        attached.set(gdb.map(|address| serve(board, address, &debug)).transpose()?);
+        Ok(())
+    }));
+    (rig, debugging)
 }
 
 fn serve(board: &EmuBoard<ThumbCore>, address: SocketAddr, debug: &Debug) -> anyhow::Result<Rc<Cell<State>>> {

@@ -20,10 +20,10 @@ use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, stop::Outputs};
 
 use crate::{
     args::{self, Args},
-    cable::{Cable, CableState},
     emulated,
     session::{HostClock, Target},
 };
+use r4_rig::cable::{Cable, CableState};
 
 /// The robot of `--board` when nothing is said, which has too few outputs for these measurements.
 const DEFAULT: &str = "osmc-bench";

@@ -20,11 +20,11 @@ use super::config;
 use crate::{
     args::Args,
     output,
-    quantity::Quantity,
     session::{self, Session},
     table,
 };
 use ask::Answers;
+use r4_rig::quantity::Quantity;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Calibrate {

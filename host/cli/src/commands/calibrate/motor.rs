@@ -6,7 +6,8 @@ use anyhow::{bail, ensure};
 use r4_protocol::{ChannelId, Mode, Parameter, Unit};
 
 use super::{Change, Found, Parameters, ask::Answers, counts, read};
-use crate::{quantity::Quantity, session::Session};
+use crate::session::Session;
+use r4_rig::{Error, Quantity};
 
 /// A motor that is sent somewhere is waited for so long, s.
 pub(super) const TIMEOUT_S: f64 = 60.0;
@@ -45,7 +46,7 @@ pub(super) async fn encoder(
             answers
                 .ask(session, &format!("Mark where {channel} stands, then press Enter: it turns by {distance}."))
                 .await?;
-            session.armed(async || Ok(board.move_to(channel, target, TIMEOUT_S).await?)).await?;
+            session.armed(async || Ok::<_, Error>(board.move_to(channel, target, TIMEOUT_S).await?)).await?;
             let moved = counts(board, channel).await? - before;
             let answer = answers.ask(session, "How far did it really turn, as in 715deg or 1.98turns?").await?;
             (moved, read(&answer, Unit::Rad, "715deg")? / TAU)
@@ -86,7 +87,7 @@ pub(super) async fn potentiometer(
     let mut points = Vec::new();
     for (which, place) in [("first", min + margin), ("second", max - margin)] {
         if drive {
-            session.armed(async || Ok(board.move_to(channel, place, TIMEOUT_S).await?)).await?;
+            session.armed(async || Ok::<_, Error>(board.move_to(channel, place, TIMEOUT_S).await?)).await?;
         }
         let what = if drive { "Measure where it is" } else { "Move it there, and measure where that is" };
         let answer = answers.ask(session, &format!("{channel}, {which} place. {what}, as in 12.5mm?")).await?;

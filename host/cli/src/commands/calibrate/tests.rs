@@ -8,10 +8,17 @@ use r4_world::Pose;
 use tempfile::TempDir;
 
 use super::*;
-use crate::args::Command;
 
 const BENCH: &str = include_str!("../../../../../boards/osmc-bench.toml");
 const EVERYTHING: &str = include_str!("../../../../../boards/every-interface.toml");
+
+#[derive(Parser)]
+struct Typed {
+    #[command(flatten)]
+    args: Args,
+    #[command(flatten)]
+    calibrate: Calibrate,
+}
 
 /// `robot` with this replaced, which must be there once.
 fn wrong(robot: &str, changes: &[(&str, &str)]) -> String {
@@ -31,10 +38,9 @@ fn calibrate(
     let file = folder.path().join("robot.toml");
     fs::write(&file, robot)?;
     let board = format!("sim:{}", file.display());
-    let args = Args::try_parse_from([&["r4", "--board", &board, "calibrate"], typed].concat())?;
-    let Command::Calibrate(calibrate) = &args.command else { panic!("{typed:?}") };
+    let Typed { args, calibrate } = Typed::try_parse_from([&["calibrate", "--board", &board], typed].concat())?;
     let mut answers = Answers::Known(Box::new(known));
-    Ok(session::run(&args, Pace::Free, async |session| work(session, calibrate, &mut answers).await)?.0)
+    Ok(session::run(&args, Pace::Free, async |session| work(session, &calibrate, &mut answers).await)?.0)
 }
 
 fn channel(name: &str) -> ChannelId {

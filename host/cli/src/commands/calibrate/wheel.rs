@@ -5,7 +5,8 @@ use futures::future::try_join_all;
 use r4_protocol::{ChannelId, Mode, Unit};
 
 use super::{Found, ask::Answers, counts, motor::TIMEOUT_S, read};
-use crate::{quantity::Quantity, session::Session};
+use crate::session::Session;
+use r4_rig::{Error, Quantity};
 
 /// From how far the robot went, and how far it turned on the spot, while the wheels turned as far as their encoders say.
 pub(super) async fn run(
@@ -80,7 +81,7 @@ async fn drive(
         .armed(async || {
             let moves = wheels.iter().map(|(channel, _, at, angle)| board.move_to(*channel, at + angle, TIMEOUT_S));
             try_join_all(moves).await?;
-            Ok(())
+            Ok::<_, Error>(())
         })
         .await?;
     let mut turned = Vec::new();

@@ -3,7 +3,7 @@
 mod file;
 mod unit;
 
-use std::{fs, str::FromStr};
+use std::{fs, path::PathBuf, str::FromStr};
 
 use anyhow::{Context, anyhow, bail, ensure};
 use r4_driver::{Board, Clock, Error};
@@ -14,11 +14,58 @@ use serde::Serialize;
 pub(crate) use unit::Units;
 
 use crate::{
-    args::{Args, Config},
+    args::Args,
     output,
     session::{self, Session, Target},
     table,
 };
+
+#[derive(Clone, Debug, clap::Subcommand)]
+pub(crate) enum Config {
+    /// Every parameter, or those of a channel
+    Show {
+        /// A channel, or `board` for what belongs to none
+        scope: Option<Scope>,
+    },
+    /// Change a parameter; it holds from the next start on, once saved
+    Set {
+        /// Which, as in osmc0.position_kp
+        #[arg(value_name = "KEY")]
+        key: String,
+        /// In the unit of the parameter
+        #[arg(allow_negative_numbers = true)]
+        value: f32,
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Change the robot's name; it holds from the next start on, once saved
+    Name {
+        /// The new name
+        name: Name,
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Keep all changes over a restart
+    Save,
+    /// Go back to what the firmware was built with; holds from the next start on, once saved
+    Reset {
+        /// Save at once
+        #[arg(long)]
+        save: bool,
+    },
+    /// Write all parameters to a TOML file
+    Export {
+        /// The file; `-` is stdout
+        file: PathBuf,
+    },
+    /// Set the parameters in a TOML file and save them: all of them, or none
+    Import {
+        /// The file
+        file: PathBuf,
+    },
+}
 
 /// What stands for the channel of the parameters that belong to none.
 const BOARD: &str = "board";

@@ -13,12 +13,11 @@ use super::{table_sha256, write};
 use crate::{
     args::{Args, Demo},
     output,
-    quantity::human,
-    record::{self, Recorded},
     report::{self, Align, Cell, Column},
-    session::{Elapsed, Session},
+    session::{self, Elapsed, Session},
     table,
 };
+use r4_rig::quantity::human;
 
 /// Set points and results printed in the paper, in degrees and millimetres.
 ///
@@ -73,7 +72,7 @@ pub(super) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let progress = ProgressBar::new((ROTARY.0.len() + LINEAR.0.len()) as u64).with_style(
         ProgressStyle::with_template("{bar:30} {pos}/{len} set points, {msg}").unwrap_or(ProgressStyle::default_bar()),
     );
-    let Recorded { result, log } = record::in_memory(args, Pace::Free, async |session| drive(session, &progress).await);
+    let (result, log) = session::in_memory(args, Pace::Free, async |session| drive(session, &progress).await);
     progress.finish_and_clear();
     let (rows, elapsed) = result?;
 

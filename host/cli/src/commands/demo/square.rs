@@ -18,9 +18,8 @@ use super::{table_sha256, write};
 use crate::{
     args::{Args, Demo},
     output,
-    record::{self, Recorded},
     report::{self, Align, Cell, Column, Map, Overlay},
-    session::{Elapsed, Session},
+    session::{self, Elapsed, Session},
     table,
 };
 
@@ -114,7 +113,7 @@ struct Report {
 }
 
 pub(super) fn run(args: &Args, demo: &Demo, robot: &SkidSteer) -> anyhow::Result<bool> {
-    let Recorded { result, log } = record::in_memory(args, Pace::Free, async |session| drive(session, robot).await);
+    let (result, log) = session::in_memory(args, Pace::Free, async |session| drive(session, robot).await);
     let (run, elapsed) = result?;
     let (log_path, report_path) = (demo.out.join("log.mcap"), demo.out.join("report.html"));
     write(&log_path, &log)?;
@@ -257,7 +256,7 @@ async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> 
                 }
             }
             run.corners = CORNERS_M.len() - follower.places_left();
-            Ok(())
+            anyhow::Ok(())
         })
         .await?;
     Ok(run)

@@ -11,10 +11,8 @@ use ratatui::{
 };
 
 use super::hands::Hand;
-use crate::{
-    quantity::{Quantity, human},
-    screen::state::{QUIET, WRONG, badge, wrapped},
-};
+use crate::screen::state::{QUIET, WRONG, badge, wrapped};
+use r4_rig::quantity::{Quantity, human};
 
 /// All that is drawn.
 pub(super) struct State {

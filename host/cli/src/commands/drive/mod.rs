@@ -21,10 +21,10 @@ use r4_sim::Pace;
 use super::{setpoint, speed_unit};
 use crate::{
     args::Args,
-    quantity::Quantity,
     screen::{self, Commands, Screen},
     session::{self, Session, Target},
 };
+use r4_rig::quantity::Quantity;
 
 use draw::{State, Wheel, draw};
 use gamepad::Gamepad;

@@ -107,8 +107,8 @@ fn twin(args: &Args, log: &Log, recorded: &MotorSeries, plant: Option<&Path>) ->
     let channel = recorded.info.id;
     let mut plants = args.plant.clone();
     if let Some(file) = plant {
-        plants.retain(|other| other.channel() != Some(channel));
-        plants.push(OtherPlant::new(channel, file.to_owned()));
+        plants.retain(|other| other.channel != Some(channel));
+        plants.push(OtherPlant { channel: Some(channel), file: file.to_owned() });
     }
     let args = Args { plant: plants, blind: None, record: None, ..args.clone() };
     let (again, shift_s) = log::again(&args, log)?;

@@ -1,6 +1,6 @@
 //! `r4 identify close`: from a board to a better plant file, and what it is worth.
 
-use std::{fs, io::Cursor, path::PathBuf, pin::pin};
+use std::{fs, path::PathBuf, pin::pin};
 
 use anyhow::{Context, bail, ensure};
 use futures::future::{Either, select};
@@ -27,8 +27,7 @@ use super::{
 };
 use crate::{
     args::{Args, seconds},
-    output, plants,
-    record::{self, Output},
+    output,
     session::{self, Session, Target},
 };
 
@@ -214,7 +213,7 @@ fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
     let motor = motors.into_iter().find(|motor| motor.channel == close.channel);
     let motor = motor
         .with_context(|| format!("{name} has no simulated motor {}: it has {}", close.channel, names.join(", ")))?;
-    let spec = close.plant_before.as_deref().map(plants::read).transpose()?.map_or(motor.spec, |(_, spec)| spec);
+    let spec = close.plant_before.as_deref().map(r4_rig::read_plant).transpose()?.map_or(motor.spec, |(_, spec)| spec);
     Ok((spec, motor.supply_v))
 }
 
@@ -227,14 +226,9 @@ fn record(args: &Args, close: &Close, progress: &ProgressBar) -> anyhow::Result<
         let index = files.len();
         let name = if index < TRAIN { format!("train-{}.mcap", index + 1) } else { "fresh.mcap".to_owned() };
         show(progress, Progress { step: format!("recording {name}"), share: 0.0 });
-        let tap = record::tap(args, Output::Memory(Cursor::new(Vec::new())));
-        let excited = session::run_with(args, Pace::Free, Some(tap.clone()), async |session| {
+        let (excited, bytes) = session::in_memory(args, Pace::Free, async |session| {
             excite(session, close, index, patience, progress).await
         });
-        let bytes = match record::finish(tap)? {
-            Some(Output::Memory(memory)) => memory.into_inner(),
-            Some(Output::File(_)) | None => Vec::new(),
-        };
         attempts += 1;
         match excited {
             Ok(_) => {}
@@ -253,7 +247,7 @@ fn record(args: &Args, close: &Close, progress: &ProgressBar) -> anyhow::Result<
 }
 
 fn is_stall(error: &anyhow::Error) -> bool {
-    matches!(error.downcast_ref(), Some(Error::Stopped { causes }) if causes.contains(Cause::Stalled))
+    matches!(session::driver_error(error), Some(Error::Stopped { causes }) if causes.contains(Cause::Stalled))
 }
 
 /// One recording: arms, excites, disarms; a stall is cleared.

@@ -21,9 +21,10 @@ use r4_identify::{
     report::Report,
     statics::hold_out,
 };
+use r4_plants::PlantSpec;
 use serde::Serialize;
 
-use crate::{args::Args, output, plants, report};
+use crate::{args::Args, output, plants::OtherPlant, report, session};
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -143,7 +144,7 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
         split: question.run.clone(),
         counts_per_turn,
     };
-    let plant = plants::known(args)?;
+    let plant = known_plant(args)?;
     let (train, holdout) = read(question, &options)?;
     let mut notes: Vec<String> = Vec::new();
     for note in train.notes.iter().chain(&holdout.notes).map(ToString::to_string) {
@@ -250,16 +251,34 @@ fn write(
     Ok(files)
 }
 
+/// The plant that `identify` begins with, if one is named.
+fn known_plant(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
+    let plant = match &args.plant[..] {
+        [] => return Ok(None),
+        [OtherPlant { channel: None, file }] => r4_rig::read_plant(file)?.1,
+        _ => bail!("identify takes one plant file without a channel, as in --plant plant.toml"),
+    };
+    session::uses_other_physics();
+    Ok(Some(plant))
+}
+
 #[cfg(test)]
 mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::args::Command;
+
+    #[derive(Parser)]
+    struct Typed {
+        #[command(flatten)]
+        args: Args,
+        #[command(flatten)]
+        identify: Identify,
+    }
 
     fn question(typed: &str) -> Option<Identify> {
-        let args = Args::try_parse_from(["r4", "identify"].into_iter().chain(typed.split_whitespace())).ok()?;
-        if let Command::Identify(identify) = args.command { Some(*identify) } else { None }
+        let typed = Typed::try_parse_from(["identify"].into_iter().chain(typed.split_whitespace())).ok()?;
+        Some(typed.identify)
     }
 
     #[test]

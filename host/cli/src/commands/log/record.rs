@@ -13,7 +13,7 @@ use r4_sim::Pace;
 use super::{info::Info, read};
 use crate::{
     args::{Args, seconds},
-    session::{self, HostClock, Interrupted, Session},
+    session::{self, HostClock, Session},
 };
 
 #[derive(Clone, Debug, clap::Args)]
@@ -70,7 +70,7 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
     progress.finish_and_clear();
     match recorded {
         // Recording ends when the person who records says so.
-        Err(error) if !error.is::<Interrupted>() => return Err(error),
+        Err(error) if !session::was_interrupted(&error) => return Err(error),
         Ok(()) | Err(_) => {}
     }
     let log = read(&path)?;

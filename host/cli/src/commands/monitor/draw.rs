@@ -16,10 +16,9 @@ use super::{
 };
 use crate::{
     commands::{config::Units, speed_unit, watch},
-    heat,
-    quantity::{Quantity, human},
     screen::state::{QUIET, WRONG, badge, wrapped},
 };
+use r4_rig::quantity::{Quantity, human};
 
 /// One cell of a sparkline, s.
 const CELL_S: f64 = 0.25;
@@ -258,7 +257,7 @@ fn words(state: &State) -> (String, String) {
     }
     let hot: Vec<_> = state.rows.iter().filter_map(|row| watch::hot(row.sample.as_ref()?)).collect();
     if state.causes.is_empty() && !hot.is_empty() {
-        let windings: Vec<_> = hot.iter().map(heat::words).collect();
+        let windings: Vec<_> = hot.iter().map(r4_rig::heat::words).collect();
         return (windings.join(", "), "drive it less, or let it cool; at 100 % the board trips".into());
     }
     let advice = match (state.causes.iter().next(), state.safety) {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use r4_protocol::{ChannelId, ChannelInfo, Mode, ModeInfo, Setpoint, Unit};
 
-use crate::quantity::Quantity;
+use r4_rig::quantity::Quantity;
 
 /// What a channel is to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +69,7 @@ pub(super) fn takes(channel: &ChannelInfo) -> Option<String> {
                 let (min, max) = (number(info.range.min).number(), number(info.range.max));
                 Some(format!("{mode} {min} to {max}"))
             }
-            mode => Some(format!("{mode} in {}", crate::quantity::human(info.unit).1)),
+            mode => Some(format!("{mode} in {}", r4_rig::quantity::human(info.unit).1)),
         }
     });
     let all = each.collect::<Vec<_>>().join(", ");

@@ -8,6 +8,7 @@ mod play;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use r4_rig::Rig;
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -46,15 +47,23 @@ struct ComparedRow {
 }
 
 pub(crate) fn run(args: &Args, scenario: &args::Scenario) -> anyhow::Result<bool> {
-    if scenario.compare { compare(args, &scenario.files) } else { play(args, &scenario.files) }
+    if scenario.compare {
+        compare(args, &scenario.files)
+    } else {
+        play_on(args, |args| session::rig(args, Pace::Free), &scenario.files)
+    }
 }
 
 /// Plays each file on `--board`, or on a simulated board of its own robot where nothing is said.
-fn play(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
+pub(crate) fn play_on(
+    args: &Args,
+    rig: impl Fn(&Args) -> anyhow::Result<Rig>,
+    files: &[PathBuf],
+) -> anyhow::Result<bool> {
     for path in files {
         let scenario = Scenario::read(path)?;
         let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
-        let outcome = outcome(&args, &scenario, path)?;
+        let outcome = outcome(&args, &rig(&args)?, &scenario, path)?;
         if args.json {
             let (scenario, board) = (name(path), args.board.to_string());
             output::json(&Played { scenario, board, outcome: &outcome })?;
@@ -89,7 +98,12 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     let mut rows = Vec::new();
     for path in files {
         let scenario = Scenario::read(path)?;
-        let on = |board: Target| outcome(&Args { board, ..args.clone() }, &scenario, path);
+        // Of two boards that are compared the emulated one has a log.
+        let log = |board: &Target| args.log.filter(|_| matches!(board, Target::Emu(_)));
+        let on = |board: Target| {
+            let args = Args { log: log(&board), board, ..args.clone() };
+            outcome(&args, &session::rig(&args, Pace::Free)?, &scenario, path)
+        };
         let simulated = on(Target::Sim(scenario.robot.clone()))?;
         let emulated = on(Target::Emu(scenario.robot.clone()))?;
         let compared = differences(&simulated, &emulated);
@@ -128,16 +142,11 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     Ok(agree)
 }
 
-/// Plays one file on `--board`.
-pub(crate) fn play_one(args: &Args, path: &Path) -> anyhow::Result<bool> {
-    play(args, &[path.to_owned()])
-}
-
-fn outcome(args: &Args, scenario: &Scenario, path: &Path) -> anyhow::Result<Outcome> {
+fn outcome(args: &Args, rig: &Rig, scenario: &Scenario, path: &Path) -> anyhow::Result<Outcome> {
     if scenario.steps.is_empty() {
         bail!("{} has no steps", path.display());
     }
-    let (outcome, _) = session::run(args, Pace::Free, async |session| play::play(session, scenario).await)?;
+    let (outcome, _) = session::run_on(args, rig, async |session| play::play(session, scenario).await)?;
     Ok(outcome)
 }
 

@@ -13,10 +13,8 @@ use r4_sim::{
 use serde::Serialize;
 
 use super::file::{Action, Scenario, Step};
-use crate::{
-    cable::CableState,
-    session::{HostClock, Session},
-};
+use crate::session::{HostClock, Session};
+use r4_rig::cable::CableState;
 
 /// What came of a scenario.
 #[derive(Clone, Debug, Default, Serialize)]

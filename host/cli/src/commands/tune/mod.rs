@@ -24,13 +24,12 @@ use super::config;
 use crate::{
     args::Args,
     output,
-    quantity::{Quantity, human},
-    record::{self, Recorded},
-    session::Session,
+    session::{self, Session},
     table,
 };
 use experiment::{Answer, Swing};
 use plan::Plan;
+use r4_rig::quantity::{Quantity, human};
 use rig::{Abort, LOOK_EVERY_S, Rig};
 
 #[derive(Clone, Debug, clap::Args)]
@@ -199,8 +198,7 @@ pub(crate) fn run(args: &Args, tune: &Tune) -> anyhow::Result<bool> {
     let style = ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner());
     let progress = ProgressBar::new_spinner().with_style(style);
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
-    let Recorded { result, log } =
-        record::in_memory(args, Pace::Free, async |session| work(tune, session, &progress).await);
+    let (result, log) = session::in_memory(args, Pace::Free, async |session| work(tune, session, &progress).await);
     progress.finish_and_clear();
     let (outcome, _) = result?;
     if let Some(path) = &tune.report {

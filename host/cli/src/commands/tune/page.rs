@@ -4,10 +4,8 @@ use r4_log::Log;
 use r4_protocol::ChannelId;
 
 use super::{Outcome, rows};
-use crate::{
-    quantity::human,
-    report::{self, Align, Cell, Column, Overlay},
-};
+use crate::report::{self, Align, Cell, Column, Overlay};
+use r4_rig::quantity::human;
 
 /// The page.
 pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome) -> String {

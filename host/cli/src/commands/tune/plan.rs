@@ -5,7 +5,8 @@ use r4_driver::tune::Loop;
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Parameter, ParameterInfo, Unit, config::PidGains};
 
 use super::{Tune, Which};
-use crate::{commands::speed_unit, quantity::Quantity};
+use crate::commands::speed_unit;
+use r4_rig::quantity::Quantity;
 
 /// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;

@@ -7,10 +7,8 @@ use futures::future::{Either, select};
 use r4_driver::{Board, Error, TelemetryStream, tune::Loop};
 use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Unit};
 
-use crate::{
-    quantity::Quantity,
-    session::{HostClock, Session},
-};
+use crate::session::{HostClock, Session};
+use r4_rig::quantity::Quantity;
 
 /// How often the motor is looked at, ms.
 pub(super) const LOOK_EVERY_MS: u16 = 2;

@@ -25,12 +25,12 @@ use serde::Serialize;
 use super::DEFAULT;
 use crate::{
     args::Args,
-    cable::Cable,
     output,
     session::{HostClock, Target},
     table,
 };
 use inputs::{Requests, Tormentor};
+use r4_rig::cable::Cable;
 
 /// No more of the stack than this may be in use.
 const STACK_SHARE: f64 = 0.5;

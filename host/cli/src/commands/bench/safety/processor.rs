@@ -39,11 +39,11 @@ use super::{
 };
 use crate::{
     args::{self, Args},
-    cable::Cable,
     commands::bench::with_every_output,
     output,
     session::HostClock,
 };
+use r4_rig::cable::Cable;
 
 /// Injections of each fault, where nothing is said.
 const INJECTIONS: u32 = 4;

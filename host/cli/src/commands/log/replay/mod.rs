@@ -22,11 +22,10 @@ use super::read;
 use crate::{
     args::Args,
     output,
-    quantity::Quantity,
-    record::{self, Recorded},
-    session::{HostClock, Session},
+    session::{self, HostClock, Session},
     table,
 };
+use r4_rig::quantity::Quantity;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Replay {
@@ -160,7 +159,7 @@ fn send(args: &Args, log: &Log, plan: &Plan) -> Sent {
     // The log's own noise, unless other is asked for.
     let seed = if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed };
     let seeded = Args { seed, ..args.clone() };
-    let Recorded { result, log } = record::in_memory(&seeded, Pace::Free, async |session| play(session, plan).await);
+    let (result, log) = session::in_memory(&seeded, Pace::Free, async |session| play(session, plan).await);
     Sent { bytes: log, seed, played: result.map(|_| ()) }
 }
 

@@ -9,7 +9,7 @@ use r4_sim::{Clock, link::Sender};
 const BYTE_NS: u64 = 10_000;
 
 /// The cable, as the driver writes into it.
-pub(crate) struct Cable {
+pub struct Cable {
     sender: Sender,
     clock: Clock,
     state: Rc<CableState>,
@@ -17,16 +17,17 @@ pub(crate) struct Cable {
 
 /// What became of a cable.
 #[derive(Default)]
-pub(crate) struct CableState {
+pub struct CableState {
     /// Whether it is cut: what is sent does not arrive.
-    pub(crate) cut: Cell<bool>,
+    pub cut: Cell<bool>,
     /// When the last byte that was let through has arrived.
-    pub(crate) arrived_ns: Cell<u64>,
+    pub arrived_ns: Cell<u64>,
 }
 
 impl Cable {
     /// A whole cable, and what to cut it by.
-    pub(crate) fn new(sender: Sender, clock: Clock) -> (Self, Rc<CableState>) {
+    #[must_use]
+    pub fn new(sender: Sender, clock: Clock) -> (Self, Rc<CableState>) {
         let state = Rc::<CableState>::default();
         (Self { sender, clock, state: state.clone() }, state)
     }

@@ -6,15 +6,18 @@ use r4_protocol::Unit;
 
 /// A number in SI with what it measures and how it is printed: in the unit in which it was typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Quantity {
-    pub(crate) value: f64,
-    pub(crate) unit: Unit,
-    pub(crate) shown: Shown,
+pub struct Quantity {
+    /// In SI.
+    pub value: f64,
+    /// What it measures.
+    pub unit: Unit,
+    /// In which unit it is printed.
+    pub shown: Shown,
 }
 
 /// How a quantity is printed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Shown {
+pub struct Shown {
     /// Numbers printed for one SI unit.
     per_si: f64,
     name: &'static str,
@@ -67,19 +70,22 @@ impl FromStr for Quantity {
 }
 
 impl Quantity {
-    /// Printed in the unit that people read it in.
-    pub(crate) fn new(value: f64, unit: Unit) -> Self {
+    /// A quantity that is printed in the unit that people read it in.
+    #[must_use]
+    pub fn new(value: f64, unit: Unit) -> Self {
         let (per_si, name, decimals) = human(unit);
         Self { value, unit, shown: Shown { per_si, name, decimals } }
     }
 
     /// `value` in `unit`, printed as this one if that is its unit.
-    pub(crate) fn like(self, value: f64, unit: Unit) -> Self {
+    #[must_use]
+    pub fn like(self, value: f64, unit: Unit) -> Self {
         if unit == self.unit { Self { value, ..self } } else { Self::new(value, unit) }
     }
 
     /// The number as it is printed, without its unit.
-    pub(crate) fn number(self) -> String {
+    #[must_use]
+    pub fn number(self) -> String {
         let Shown { per_si, decimals, .. } = self.shown;
         let number = format!("{:.decimals$}", self.value * per_si);
         // What rounds to zero has no sign.
@@ -98,7 +104,8 @@ impl fmt::Display for Quantity {
 }
 
 /// What people read a unit in: factor from SI, its sign, and decimals that show what the board resolves.
-pub(crate) fn human(unit: Unit) -> (f64, &'static str, usize) {
+#[must_use]
+pub fn human(unit: Unit) -> (f64, &'static str, usize) {
     match unit {
         Unit::Rad => (360.0 / TAU, "deg", 2),
         Unit::RadPerS => (360.0 / TAU, "deg/s", 1),

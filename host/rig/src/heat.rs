@@ -5,7 +5,8 @@ use std::cell::RefCell;
 use r4_protocol::{ChannelId, HotWinding};
 
 /// A winding as people read it: `osmc0 winding 91 %`.
-pub(crate) fn words(hot: &HotWinding) -> String {
+#[must_use]
+pub fn words(hot: &HotWinding) -> String {
     format!("{} winding {} %", hot.channel, hot.heat_percent)
 }
 
@@ -20,13 +21,6 @@ impl Warned {
         let fresh = hot.iter().filter(|hot| !warned.contains(&hot.channel)).copied().collect();
         *warned = hot.iter().map(|hot| hot.channel).collect();
         fresh
-    }
-
-    /// Warns on stderr.
-    pub(crate) fn tell(&self, hot: &[HotWinding]) {
-        for hot in self.fresh(hot) {
-            eprintln!("r4: warning: {}: drive it less, or let it cool; at 100 % the board trips", words(&hot));
-        }
     }
 }
 

@@ -1,0 +1,166 @@
+//! Linear and nonlinear least squares with standard errors.
+
+mod linear;
+mod nonlinear;
+
+pub use linear::{linear, weighted};
+use nalgebra::{DMatrix, DVector};
+pub use nonlinear::nonlinear;
+use thiserror::Error;
+
+use crate::statistics::{Interval, StatisticsError, student_quantile};
+
+/// Data or a model that no fit can be made of.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum FitError {
+    /// Observations and rows of the design matrix, or deviations, differ in number.
+    #[error("{rows} rows for {observed} observations: give as many of both")]
+    Shape {
+        /// Rows of the design matrix, or deviations.
+        rows: usize,
+        /// Observations.
+        observed: usize,
+    },
+    /// A model without parameters.
+    #[error("the model has no parameters to fit")]
+    NoParameters,
+    /// Not more observations than parameters: no residual would be left to estimate their errors from.
+    #[error("{observed} observations for {parameters} parameters: more observations than parameters are needed")]
+    TooFew {
+        /// Observations.
+        observed: usize,
+        /// Parameters.
+        parameters: usize,
+    },
+    /// A NaN or infinite number in the data, or in the residuals of the initial guess.
+    #[error("row {row} has a number that is not finite: leave it out, or start elsewhere")]
+    NotFinite {
+        /// Its row, from 0.
+        row: usize,
+    },
+    /// A standard deviation that is not greater than 0.
+    #[error("the standard deviation of row {row} is not greater than 0")]
+    Deviation {
+        /// Its row, from 0.
+        row: usize,
+    },
+    /// Parameters are collinear: the data determine only combinations of them.
+    #[error(
+        "the data determine {rank} combinations of {parameters} parameters: fix some, or record what sets them apart"
+    )]
+    Collinear {
+        /// Independent combinations.
+        rank: usize,
+        /// Parameters.
+        parameters: usize,
+    },
+    /// The iteration ended without a minimum.
+    #[error("no minimum after {evaluations} evaluations: start nearer to it")]
+    NotConverged {
+        /// Evaluations of the residuals, without those of derivatives.
+        evaluations: usize,
+    },
+}
+
+/// Fitted parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// Estimates, in the order of the columns or of the initial guess.
+    pub parameters: DVector<f64>,
+    /// Covariance of the estimates: residual variance times (JᵀJ)⁻¹.
+    pub covariance: DMatrix<f64>,
+    /// Observed minus predicted for linear fits, as the caller computed them for nonlinear ones; not weighted.
+    pub residuals: DVector<f64>,
+    /// Sum of the squared (weighted) residuals over the degrees of freedom.
+    pub residual_variance: f64,
+    /// Observations minus parameters.
+    pub degrees_of_freedom: usize,
+    /// Condition number of the design matrix or Jacobian with columns of length 1; relative errors of the data may grow by as
+    /// much in the parameters.
+    pub condition: f64,
+}
+
+impl Fit {
+    /// Standard error of each parameter, in its unit.
+    ///
+    /// ```
+    /// use nalgebra::DMatrix;
+    /// // A mean is the fit of a column of ones.
+    /// let fit = r4_maths::least_squares::linear(&DMatrix::repeat(3, 1, 1.0), &[1.0, 2.0, 3.0]).unwrap();
+    /// assert!((fit.standard_errors()[0] - 1.0 / 3.0f64.sqrt()).abs() < 1e-12);
+    /// ```
+    #[must_use]
+    pub fn standard_errors(&self) -> Vec<f64> {
+        self.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
+    }
+
+    /// Student's t intervals of all parameters, each by itself; exact for linear fits with normal errors.
+    ///
+    /// # Errors
+    /// A `level` outside 0 < level < 1.
+    ///
+    /// # Source
+    /// Seber, Lee, *Linear Regression Analysis*, 2nd edition, Wiley 2003, 4.3.
+    ///
+    /// ```
+    /// use nalgebra::DMatrix;
+    /// let fit = r4_maths::least_squares::linear(&DMatrix::repeat(3, 1, 1.0), &[1.0, 2.0, 3.0]).unwrap();
+    /// let mean = r4_maths::statistics::mean_interval(&[1.0, 2.0, 3.0], 0.95).unwrap();
+    /// assert!((fit.intervals(0.95).unwrap()[0].high - mean.high).abs() < 1e-12);
+    /// ```
+    pub fn intervals(&self, level: f64) -> Result<Vec<Interval>, StatisticsError> {
+        if !(level > 0.0 && level < 1.0) {
+            return Err(StatisticsError::Probability(level));
+        }
+        let times = student_quantile(self.degrees_of_freedom as f64, f64::midpoint(1.0, level));
+        let around = |(value, error): (&f64, f64)| Interval { low: value - times * error, high: value + times * error };
+        Ok(self.parameters.iter().zip(self.standard_errors()).map(around).collect())
+    }
+}
+
+/// A matrix with its columns scaled to length 1, decomposed: columns of different units have no condition in common.
+struct Scaled {
+    svd: nalgebra::SVD<f64, nalgebra::Dyn, nalgebra::Dyn>,
+    lengths: DVector<f64>,
+    condition: f64,
+}
+
+impl Scaled {
+    fn of(matrix: &DMatrix<f64>) -> Result<Self, FitError> {
+        let (rows, parameters) = matrix.shape();
+        let lengths = DVector::from_iterator(parameters, matrix.column_iter().map(|column| column.norm()));
+        let mut scaled = matrix.clone();
+        for (mut column, length) in scaled.column_iter_mut().zip(&lengths) {
+            if *length > 0.0 {
+                column /= *length;
+            }
+        }
+        let svd = scaled.svd(true, true);
+        let greatest = svd.singular_values.max();
+        // What rounding alone leaves of a singular value that is 0 (Golub, Van Loan, Matrix Computations, 4th edition, 5.4.1).
+        let rank = svd.rank(rows.max(parameters) as f64 * f64::EPSILON * greatest);
+        if rank < parameters {
+            return Err(FitError::Collinear { rank, parameters });
+        }
+        let condition = greatest / svd.singular_values.min();
+        Ok(Self { svd, lengths, condition })
+    }
+
+    /// Parameters with the least sum of squares.
+    fn solve(&self, observed: &DVector<f64>) -> Option<DVector<f64>> {
+        Some(self.svd.solve(observed, 0.0).ok()?.component_div(&self.lengths))
+    }
+
+    /// (JᵀJ)⁻¹.
+    fn inverse_gram(&self) -> DMatrix<f64> {
+        let count = self.lengths.len();
+        let Some(mut rows) = self.svd.v_t.clone() else { return DMatrix::zeros(count, count) };
+        for (mut row, value) in rows.row_iter_mut().zip(&self.svd.singular_values) {
+            row /= *value;
+        }
+        for (mut column, length) in rows.column_iter_mut().zip(&self.lengths) {
+            column /= *length;
+        }
+        rows.tr_mul(&rows)
+    }
+}

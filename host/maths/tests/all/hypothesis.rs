@@ -1,0 +1,86 @@
+//! Tests of two samples beside SciPy's and statsmodels'.
+
+use r4_maths::statistics::{Alternative, StatisticsError, mcnemar_exact, paired_t, welch_t, wilcoxon_signed_rank};
+use serde::Deserialize;
+
+use crate::oracle::{SUMS, cases, close};
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(remote = "Alternative")]
+enum Side {
+    TwoSided,
+    Less,
+    Greater,
+}
+
+#[derive(Deserialize)]
+struct Welch {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    #[serde(with = "Side")]
+    alternative: Alternative,
+    t: f64,
+    degrees_of_freedom: f64,
+    p: f64,
+}
+
+/// Of the cumulative distributions of statrs, relative, also far out in a tail; 1e-12 was seen.
+const CHANCES: f64 = 1e-10;
+
+#[test]
+fn welchs_test_is_scipys() {
+    for case in cases::<Welch>("welch") {
+        let found = welch_t(&case.a, &case.b, case.alternative).unwrap();
+        // The difference of two means near each other loses a few digits.
+        close(found.t, case.t, 100.0 * SUMS);
+        close(found.degrees_of_freedom, case.degrees_of_freedom, SUMS);
+        close(found.p_value, case.p, CHANCES);
+        close(found.difference / found.standard_error, found.t, SUMS);
+    }
+    let one = [1.0];
+    assert_eq!(welch_t(&one, &[1.0, 2.0], Alternative::Less), Err(StatisticsError::TooFew { got: 1, need: 2 }));
+    assert_eq!(welch_t(&[1.0; 3], &[2.0; 3], Alternative::Less), Err(StatisticsError::NoSpread));
+}
+
+#[derive(Deserialize)]
+struct Pairs {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    #[serde(with = "Side")]
+    alternative: Alternative,
+    t: f64,
+    p_t: f64,
+    p_signed_rank: f64,
+}
+
+#[test]
+fn tests_of_pairs_are_scipys() {
+    let mut exact = [0; 2];
+    for case in cases::<Pairs>("paired") {
+        let found = paired_t(&case.a, &case.b, case.alternative).unwrap();
+        close(found.t, case.t, 100.0 * SUMS);
+        close(found.p_value, case.p_t, CHANCES);
+        let found = wilcoxon_signed_rank(&case.a, &case.b, case.alternative).unwrap();
+        close(found.p_value, case.p_signed_rank, CHANCES);
+        exact[usize::from(found.exact)] += 1;
+    }
+    assert!(exact.iter().all(|count| *count > 0), "both ways are compared: {exact:?}");
+    let same = [1.0, 2.0];
+    assert_eq!(wilcoxon_signed_rank(&same, &same, Alternative::TwoSided), Err(StatisticsError::NoSpread));
+    assert_eq!(paired_t(&same, &same, Alternative::TwoSided), Err(StatisticsError::NoSpread));
+    assert_eq!(paired_t(&same, &[1.0], Alternative::TwoSided), Err(StatisticsError::Unpaired { first: 2, second: 1 }));
+}
+
+#[derive(Deserialize)]
+struct Discordant {
+    only_first: u64,
+    only_second: u64,
+    p: f64,
+}
+
+#[test]
+fn mcnemars_test_is_that_of_statsmodels() {
+    for Discordant { only_first, only_second, p } in cases::<Discordant>("mcnemar") {
+        close(mcnemar_exact(only_first, only_second), p, CHANCES);
+    }
+}

@@ -1,0 +1,371 @@
+//! From a board's name to sessions with it.
+
+use std::{cell::Cell, io::Cursor, path::PathBuf, pin::pin, rc::Rc, time::Instant};
+
+use futures::future::{Either, select};
+use r4_boards::Robot;
+use r4_driver::{Clock as _, Error as DriverError, with_board};
+use r4_links::{Address, Event, Key, OpenError, RealClock, is_of_link, with_reconnect};
+use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
+
+use crate::{
+    Error, FlashFile, HostClock, Interrupt, Interrupted, Notice, PlantFile, Session, Target,
+    cable::Cable,
+    emulated,
+    plant_file::{hidden, replace_plants},
+    recording::{self, Listened, Output, RecordingError, SharedTap},
+};
+
+/// How often an [`Interrupt`] is looked for, µs on the session's clock.
+const INTERRUPT_POLL_US: u64 = 10_000;
+
+/// Shows notices to a person.
+pub type Notify = Rc<dyn Fn(&Notice)>;
+
+/// A board and what is around it, before a session with it.
+///
+/// A virtual board is powered up anew for each session: the same settings give the same bytes.
+#[derive(Clone)]
+pub struct Rig {
+    /// The board.
+    pub target: Target,
+    /// Seed of a virtual board's noise.
+    pub seed: u64,
+    /// Speed of a virtual board's time.
+    pub pace: Pace,
+    /// File with a virtual board's flash; made if there is none.
+    pub flash: Option<PathBuf>,
+    /// World in which a virtual robot's body stands: a built-in name or a TOML file.
+    pub world: Option<String>,
+    /// Other physics for motors of a virtual board.
+    pub plants: Vec<PlantFile>,
+    /// Seed of what is hidden in the physics of each motor of a virtual board.
+    pub hidden: Option<u64>,
+    /// Key of a board at the other end of a link.
+    pub key: Option<Key>,
+    /// Ends a session in good order.
+    pub interrupt: Interrupt,
+    /// Shows notices to a person; without it they go nowhere.
+    pub notify: Notify,
+    /// How an emulated board is run, and what observes it.
+    #[cfg(feature = "emu")]
+    pub emulated: emulated::Setup,
+}
+
+/// How long a session ran, in the board's time and on the wall.
+#[derive(Clone, Copy, Debug)]
+pub struct Elapsed {
+    /// Time on a virtual board's clock, s; on the wall where time is real.
+    pub simulated_s: f64,
+    /// Time on the wall, s.
+    pub wall_s: f64,
+}
+
+impl Elapsed {
+    /// Simulated seconds per second on the wall.
+    #[must_use]
+    pub fn real_time_factor(self) -> f64 {
+        self.simulated_s / self.wall_s.max(1e-9)
+    }
+}
+
+/// A session and its recording.
+pub struct Recorded<T, E> {
+    /// Result of the session.
+    pub result: Result<(T, Elapsed), E>,
+    /// The log as far as it came; empty if the board never described itself.
+    pub log: Vec<u8>,
+    /// Why the log is not complete, if it is not.
+    pub log_error: Option<RecordingError>,
+}
+
+/// Errors of a session that comes back: those of the caller's work, and of what is around it.
+enum Ended<E> {
+    Open(OpenError),
+    Board(DriverError),
+    Work(E),
+}
+
+impl<E> From<OpenError> for Ended<E> {
+    fn from(error: OpenError) -> Self {
+        Self::Open(error)
+    }
+}
+
+impl<E> From<DriverError> for Ended<E> {
+    fn from(error: DriverError) -> Self {
+        Self::Board(error)
+    }
+}
+
+impl Rig {
+    /// A board with default settings: seed 1, as fast as the machine can, the world and physics of its robot's file.
+    #[must_use]
+    pub fn new(target: Target) -> Self {
+        Self {
+            target,
+            seed: 1,
+            pace: Pace::Free,
+            flash: None,
+            world: None,
+            plants: Vec::new(),
+            hidden: None,
+            key: None,
+            interrupt: Interrupt::default(),
+            notify: Rc::new(|_| {}),
+            #[cfg(feature = "emu")]
+            emulated: emulated::Setup::default(),
+        }
+    }
+
+    /// Robot of a virtual board, with its physics and world as the settings say.
+    ///
+    /// # Errors
+    /// When the board is not virtual, or a file is wrong.
+    pub fn robot(&self) -> Result<Robot, Error> {
+        let name = self.target.robot()?;
+        let mut robot = r4_boards::load(name)?;
+        replace_plants(&mut robot, &self.plants)?;
+        if let Some(world) = &self.world {
+            let world = r4_boards::load_world(world)?;
+            if robot.simulation.body.is_none() {
+                return Err(Error::NoBody { robot: name.to_owned() });
+            }
+            robot.simulation.enter(world);
+        }
+        Ok(robot)
+    }
+
+    /// Powers up the virtual board, with the flash in its file.
+    ///
+    /// # Errors
+    /// When the board is not virtual, or a file is wrong.
+    pub fn power_up(&self, simulation: &mut Simulation) -> Result<(Rc<dyn VirtualBoard>, Option<FlashFile>), Error> {
+        let robot = self.robot()?;
+        let file = self.flash.as_deref().map(FlashFile::open).transpose()?;
+        let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
+        if let (Some(file), Some(flash)) = (&file, &flash)
+            && let Some(notice) = file.review(flash, &robot.config)
+        {
+            (self.notify)(&notice);
+        }
+        let board = self.start(simulation, &robot, flash)?;
+        if let Some(seed) = self.hidden {
+            for ((channel, hidden), index) in hidden(&robot, seed)?.into_iter().zip(0u64..) {
+                board.world().set_plant(channel, hidden.plant(self.seed.wrapping_add(index)));
+            }
+        }
+        Ok((board, file))
+    }
+
+    fn start(
+        &self,
+        simulation: &mut Simulation,
+        robot: &Robot,
+        flash: Option<Flash>,
+    ) -> Result<Rc<dyn VirtualBoard>, Error> {
+        match &self.target {
+            Target::Sim(_) => Ok(match flash {
+                Some(flash) => Rc::new(SimBoard::start_with(simulation, robot, self.seed, flash)?),
+                None => Rc::new(SimBoard::start(simulation, robot, self.seed)?),
+            }),
+            Target::Emu(name) => self.start_emulated(simulation, robot, name, flash),
+            Target::Link(_) => Err(crate::NotVirtual(self.target.clone()).into()),
+        }
+    }
+
+    #[cfg(feature = "emu")]
+    fn start_emulated(
+        &self,
+        simulation: &mut Simulation,
+        robot: &Robot,
+        name: &str,
+        flash: Option<Flash>,
+    ) -> Result<Rc<dyn VirtualBoard>, Error> {
+        Ok(Rc::new(self.emulated.start(simulation, (robot, name), self.seed, flash, &self.notify)?))
+    }
+
+    #[cfg(not(feature = "emu"))]
+    fn start_emulated(
+        &self,
+        _: &mut Simulation,
+        _: &Robot,
+        _: &str,
+        _: Option<Flash>,
+    ) -> Result<Rc<dyn VirtualBoard>, Error> {
+        Err(emulated::EmulatedError.into())
+    }
+
+    /// Connects to the board and runs `work` in a session with it, recorded by `tap`.
+    ///
+    /// An [`Interrupt`] disarms, closes the session and is an error.
+    ///
+    /// # Errors
+    /// That of `work`; or when there is no session, or it does not end as it should.
+    pub fn run<T, E: From<Error>>(
+        &self,
+        tap: Option<SharedTap>,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Result<(T, Elapsed), E> {
+        match &self.target {
+            Target::Link(address) => self.run_on_link(address, tap, work),
+            Target::Sim(_) | Target::Emu(_) => self.run_on_virtual(tap, work),
+        }
+    }
+
+    /// The same, recorded into memory by `tap`, a recording of [`Output::Memory`].
+    pub fn recorded<T, E: From<Error>>(
+        &self,
+        tap: impl FnOnce(Output) -> SharedTap,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Recorded<T, E> {
+        let tap = tap(Output::Memory(Cursor::new(Vec::new())));
+        let result = self.run(Some(tap.clone()), work);
+        let (log, log_error) = match recording::finish(tap) {
+            Ok(output) => (recording::bytes(output), None),
+            Err(error) => (Vec::new(), Some(error)),
+        };
+        Recorded { result, log, log_error }
+    }
+
+    fn run_on_virtual<T, E: From<Error>>(
+        &self,
+        tap: Option<SharedTap>,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Result<(T, Elapsed), E> {
+        let mut simulation = Simulation::new(self.pace);
+        let (board, file) = self.power_up(&mut simulation)?;
+        let clock = simulation.clock();
+        let port = board.connect().ok_or(Error::Connected)?;
+        let begin = Instant::now();
+        let (tx, cable) = Cable::new(port.tx, clock.clone());
+        let host_clock = HostClock::Virtual(clock.clone());
+        let (rx, tx) =
+            (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
+        let environment = Some((board.clone(), cable));
+        let host = with_board(rx, tx, host_clock.clone(), async |connected| {
+            let session =
+                Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
+            self.unless_interrupted(&session, work(&session)).await
+        });
+        let result = simulation.block_on(host);
+        if let Some(failure) = board.failure() {
+            return Err(Error::Stopped(failure).into());
+        }
+        let result = result.ok_or(Error::Standstill)?;
+        let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+        if let Some(file) = file {
+            file.write(&board.flash()).map_err(Error::from)?;
+        }
+        let value = result.map_err(|source| Error::Connect { board: self.target.to_string(), source })??;
+        Ok((value, elapsed))
+    }
+
+    fn run_on_link<T, E: From<Error>>(
+        &self,
+        address: &Address,
+        tap: Option<SharedTap>,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Result<(T, Elapsed), E> {
+        let begin = Instant::now();
+        let value = r4_links::block_on(async {
+            let link = r4_links::open(address, self.key.as_ref()).await.map_err(Error::from)?;
+            let clock = HostClock::Real(RealClock);
+            let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
+            let connected = with_board(rx, tx, clock.clone(), async |connected| {
+                let session = Session::new(connected, &self.target, clock.clone(), tap, self.notify.clone(), None);
+                self.unless_interrupted(&session, work(&session)).await
+            });
+            connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
+        })?;
+        let wall_s = begin.elapsed().as_secs_f64();
+        Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
+    }
+
+    /// Runs `work` in a session on a board at the other end of a link, and again each time that a lost link is back; `tell` is
+    /// called with both. While there is no link, `meanwhile` runs; where that ends, all does. `lost` finds in an error of `work`
+    /// what the driver said of a lost link.
+    ///
+    /// A recording continues with the next session; the time between is a gap in it.
+    ///
+    /// # Errors
+    /// When the board is not there to begin with; those of `work` that are not of the link, and of `meanwhile`.
+    pub fn keep<T, E: From<Error>>(
+        &self,
+        address: &Address,
+        tap: Option<SharedTap>,
+        mut work: impl AsyncFnMut(&Session<'_>) -> Result<T, E>,
+        lost: impl Fn(&E) -> Option<&DriverError>,
+        tell: impl FnMut(Event),
+        meanwhile: impl AsyncFnOnce(&HostClock) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let clock = HostClock::Real(RealClock);
+        let has_session = Cell::new(false);
+        let connected = with_reconnect(
+            address,
+            self.key.as_ref(),
+            clock.clone(),
+            |link| {
+                if let Some(tap) = &tap {
+                    tap.borrow_mut().reopened();
+                }
+                (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock))
+            },
+            async |board| {
+                has_session.set(true);
+                let session = Session::new(board, &self.target, clock.clone(), tap.clone(), self.notify.clone(), None);
+                let result = self.unless_interrupted(&session, work(&session)).await.map_err(Ended::Work);
+                has_session.set(false);
+                result
+            },
+            |ended| match ended {
+                Ended::Work(error) => lost(error).filter(|error| is_of_link(error)).cloned(),
+                Ended::Board(error) => Some(error).filter(|error| is_of_link(error)).cloned(),
+                Ended::Open(_) => None,
+            },
+            tell,
+        );
+        r4_links::block_on(async {
+            // A session disarms first.
+            let interrupted = async {
+                while !self.interrupt.is_set() || has_session.get() {
+                    clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
+                }
+            };
+            match select(pin!(connected), select(pin!(interrupted), pin!(meanwhile(&clock)))).await {
+                Either::Left((Ok(value), _)) => Ok(value),
+                Either::Left((Err(Ended::Work(error)), _)) => Err(error),
+                Either::Left((Err(Ended::Open(error)), _)) => Err(Error::Open(error).into()),
+                Either::Left((Err(Ended::Board(source)), _)) => {
+                    Err(Error::Connect { board: self.target.to_string(), source }.into())
+                }
+                Either::Right((Either::Right((result, _)), _)) => result,
+                Either::Right((Either::Left(_), _)) => Err(Error::Interrupted(Interrupted).into()),
+            }
+        })
+    }
+
+    async fn unless_interrupted<T, E: From<Error>>(
+        &self,
+        session: &Session<'_>,
+        work: impl Future<Output = Result<T, E>>,
+    ) -> Result<T, E> {
+        let interrupted = async {
+            while !self.interrupt.is_set() {
+                session.clock.sleep_until(session.clock.now_us() + INTERRUPT_POLL_US).await;
+            }
+        };
+        let result = match select(pin!(work), pin!(interrupted)).await {
+            Either::Left((result, _)) => result,
+            Either::Right(((), _)) => {
+                session.board.disarm().await.map_err(Error::NotDisarmed)?;
+                Err(Error::Interrupted(Interrupted).into())
+            }
+        };
+        let Some((channel, mode, gains)) = session.take_gains_at_end() else { return result };
+        let put_back = session.board.set_gains(channel, mode, gains).await;
+        let value = result?;
+        put_back.map_err(|source| Error::GainsLeft { channel, source })?;
+        Ok(value)
+    }
+}

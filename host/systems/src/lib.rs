@@ -1,0 +1,60 @@
+//! Robot systems of published papers on R4 boards: each with the paper's method, ours, and a study that compares them.
+//!
+//! A [`System`] is one folder. It knows a board only through `r4-rig`, so that it runs unchanged on simulated, emulated and real
+//! boards, and it knows no other system: what two of them need is in `r4-rig`, `r4-maths` or `r4-world`. [`all`] lists them; the
+//! program, benchmarks, tests and pages read that list.
+//!
+//! A [`study`] runs [arms](Arm) of a system over seeds and makes [rows](Row) of their metrics, each with an interval and its source.
+//!
+//! A new system is a folder with `mod.rs` (its [`About`], the protocol on a board), a module for each part of the algorithm, and
+//! its line in [`all`].
+
+mod about;
+mod error;
+mod row;
+mod statistic;
+pub mod study;
+
+pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
+pub use error::Error;
+pub use row::Row;
+pub use statistic::{Statistic, Summary};
+pub use study::{Record, Study, Trial, Values};
+
+/// A robot system: what a paper asks, how it and we answer, and how the answers are measured.
+pub trait System: Sync {
+    /// Paper, arms and metrics.
+    fn about(&self) -> &'static About;
+
+    /// Runs one trial: one arm, one seed, one board.
+    ///
+    /// The same trial gives the same values, bit for bit. What the seed decides is documented in [`About::sampled`].
+    ///
+    /// # Errors
+    /// When the trial could not be run. An algorithm that fails is a value, not an error.
+    fn run(&self, trial: &Trial) -> Result<Values, Error>;
+
+    /// Rows about this machine's speed, which no seed repeats: they are part of benchmarks and not of studies.
+    ///
+    /// # Errors
+    /// When something could not be run.
+    fn timings(&self, is_quick: bool) -> Result<Vec<Row>, Error> {
+        let _ = is_quick;
+        Ok(Vec::new())
+    }
+}
+
+/// All systems, in the order of the papers.
+#[must_use]
+pub fn all() -> &'static [&'static dyn System] {
+    &[]
+}
+
+/// The system with this name.
+///
+/// # Errors
+/// [`Error::UnknownSystem`]
+pub fn find(name: &str) -> Result<&'static dyn System, Error> {
+    let found = all().iter().copied().find(|system| system.about().name == name);
+    found.ok_or_else(|| Error::UnknownSystem { name: name.to_owned() })
+}

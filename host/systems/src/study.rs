@@ -1,0 +1,319 @@
+//! Trials over seeds, on all cores or as shards, and the rows that follow from them.
+//!
+//! A study's trials are independent. Their records are lines of JSON, sorted by system, arm, board and seed, so that the records of
+//! all shards, merged, are those of one run, byte for byte; rows follow from records alone.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+    fs::File,
+    io::{BufRead, BufReader, Write},
+    path::Path,
+    str::FromStr,
+};
+
+use r4_rig::Target as Board;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::{Arm, Error, Row, Statistic, System, find};
+
+/// Values of a trial's metrics, by their names.
+pub type Values = BTreeMap<String, f64>;
+
+/// One arm, one seed, one board.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// The arm.
+    pub arm: &'static str,
+    /// Decides all that is random.
+    pub seed: u64,
+    /// The board.
+    pub board: Board,
+}
+
+/// Arms, seeds and board of a study.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// Names of the arms; empty for all.
+    pub arms: Vec<String>,
+    /// First seed.
+    pub first_seed: u64,
+    /// Number of seeds.
+    pub seeds: u64,
+    /// The board.
+    pub board: Board,
+    /// Which trials of it to run.
+    pub shard: Shard,
+}
+
+/// One of several equal parts of a study.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// Which, from 1 on.
+    part: u64,
+    /// Of how many.
+    of: u64,
+}
+
+/// Result of a trial: a line of a study's file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Name of the system.
+    pub system: String,
+    /// Name of the arm.
+    pub arm: String,
+    /// Kind of the board: sim, emu, kinematic or link.
+    pub board: String,
+    /// The seed.
+    pub seed: u64,
+    /// Values of the metrics; empty where the trial failed.
+    pub values: Values,
+    /// Why the trial could not be run.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub failed: Option<String>,
+}
+
+impl Default for Shard {
+    fn default() -> Self {
+        Self { part: 1, of: 1 }
+    }
+}
+
+impl FromStr for Shard {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self, Error> {
+        let parts = text.split_once('/').and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
+        match parts {
+            Some((part, of)) if (1..=of).contains(&part) => Ok(Self { part, of }),
+            _ => Err(Error::BadShard(text.to_owned())),
+        }
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.part, self.of)
+    }
+}
+
+impl Study {
+    /// Trials of the study's shard, in the order of their records.
+    ///
+    /// # Errors
+    /// [`Error::UnknownArm`]
+    pub fn trials(&self, system: &dyn System) -> Result<Vec<Trial>, Error> {
+        let about = system.about();
+        let known = || about.arms.iter().map(|arm| arm.name).collect::<Vec<_>>();
+        let arm = |name: &String| match about.arm(name) {
+            Some(arm) => Ok(arm.name),
+            None => Err(Error::UnknownArm { system: about.name, arm: name.clone(), known: known() }),
+        };
+        let mut arms =
+            if self.arms.is_empty() { known() } else { self.arms.iter().map(arm).collect::<Result<_, _>>()? };
+        arms.sort_unstable();
+        arms.dedup();
+        let seeds = self.first_seed..self.first_seed.saturating_add(self.seeds);
+        let trials = arms
+            .into_iter()
+            .flat_map(|arm| seeds.clone().map(move |seed| Trial { arm, seed, board: self.board.clone() }));
+        let is_ours = |index: &u64| index % self.shard.of == self.shard.part - 1;
+        Ok((0u64..).zip(trials).filter(|(index, _)| is_ours(index)).map(|(_, trial)| trial).collect())
+    }
+
+    /// Runs the study's trials on all cores; `tell` is called after each.
+    ///
+    /// # Errors
+    /// [`Error::UnknownArm`], or a trial whose values do not fit the system's metrics. A trial that cannot be run is a record.
+    pub fn run(&self, system: &dyn System, tell: impl Fn(&Record) + Sync) -> Result<Vec<Record>, Error> {
+        let run = |trial: &Trial| {
+            let record = record(system, trial)?;
+            tell(&record);
+            Ok(record)
+        };
+        self.trials(system)?.par_iter().map(run).collect()
+    }
+}
+
+/// Kind of the board that an arm runs on, as records and rows name it.
+fn kind(arm: Option<&Arm>, board: &Board) -> &'static str {
+    if arm.is_some_and(|arm| arm.is_kinematic) {
+        return "kinematic";
+    }
+    match board {
+        Board::Sim(_) => "sim",
+        Board::Emu(_) => "emu",
+        Board::Link(_) => "link",
+    }
+}
+
+fn record(system: &dyn System, trial: &Trial) -> Result<Record, Error> {
+    let about = system.about();
+    let record = |values, failed| Record {
+        system: about.name.to_owned(),
+        arm: trial.arm.to_owned(),
+        board: kind(about.arm(trial.arm), &trial.board).to_owned(),
+        seed: trial.seed,
+        values,
+        failed,
+    };
+    let values = match system.run(trial) {
+        Ok(values) => values,
+        Err(error) => return Ok(record(Values::new(), Some(error.to_string()))),
+    };
+    let bad = |why: String| {
+        let (system, arm, seed) = (about.name.to_owned(), trial.arm.to_owned(), trial.seed);
+        Err(Error::BadResult { system, arm, seed, why })
+    };
+    for (name, value) in &values {
+        let Some(metric) = about.metrics.iter().find(|metric| metric.name == name) else {
+            return bad(format!("`{name}` is no metric of the system"));
+        };
+        if !value.is_finite() || metric.statistic == Statistic::Share && *value != 0.0 && *value != 1.0 {
+            return bad(format!("{name} is {value}"));
+        }
+    }
+    Ok(record(values, None))
+}
+
+/// The rows of records, one for each metric of each arm on each kind of board.
+///
+/// # Errors
+/// Records of an unknown system, or values without a statistic.
+pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
+    let mut rows = Vec::new();
+    let groups: BTreeSet<_> = records.iter().map(|record| (&record.system, &record.board, &record.arm)).collect();
+    for (name, board, arm) in groups {
+        let about = find(name)?.about();
+        let of = |arm: &str| {
+            let records = records.iter();
+            records.filter(|record| &record.system == name && &record.board == board && record.arm == arm).collect()
+        };
+        let (ours, papers): (Vec<&Record>, Vec<&Record>) = (of(arm), of("paper"));
+        let failed = ours.iter().filter(|record| record.failed.is_some()).count();
+        let seeds = || ours.iter().map(|record| record.seed);
+        let seeds = [seeds().min().unwrap_or(0), seeds().max().unwrap_or(0)];
+        for metric in about.metrics {
+            let values: Vec<f64> = ours.iter().filter_map(|record| record.values.get(metric.name).copied()).collect();
+            if values.is_empty() {
+                continue;
+            }
+            let summary = metric.statistic.of(&values)?;
+            let paired = (arm != "paper").then(|| paired(&ours, &papers, metric.name));
+            let paired_p = paired.and_then(|(ours, papers)| metric.statistic.paired_p(&ours, &papers));
+            let target = metric.target(arm).map(|target| target.limit);
+            rows.push(Row {
+                system: name.clone(),
+                arm: arm.clone(),
+                metric: metric.name.to_owned(),
+                unit: metric.unit.to_owned(),
+                n: values.len(),
+                failed,
+                value: summary.value,
+                lo: summary.interval.low,
+                hi: summary.interval.high,
+                method: summary.method.to_owned(),
+                paired_p,
+                source: metric.source,
+                board: board.clone(),
+                seeds,
+                target,
+                met: target.map(|limit| failed == 0 && limit.is_held_by(summary.value)),
+            });
+        }
+    }
+    Ok(rows)
+}
+
+/// Values of a metric in both arms, for the seeds that both have.
+fn paired(first: &[&Record], second: &[&Record], metric: &str) -> (Vec<f64>, Vec<f64>) {
+    let second: BTreeMap<u64, f64> =
+        second.iter().filter_map(|record| Some((record.seed, *record.values.get(metric)?))).collect();
+    let both = first.iter().filter_map(|record| Some((*record.values.get(metric)?, *second.get(&record.seed)?)));
+    both.unzip()
+}
+
+/// Records of several shards as those of one study, in order.
+///
+/// # Errors
+/// [`Error::Conflict`] where two records of the same trial differ.
+pub fn merge(shards: impl IntoIterator<Item = Vec<Record>>) -> Result<Vec<Record>, Error> {
+    let mut merged = BTreeMap::new();
+    for record in shards.into_iter().flatten() {
+        let key = (record.system.clone(), record.board.clone(), record.arm.clone(), record.seed);
+        let (system, arm, seed) = (record.system.clone(), record.arm.clone(), record.seed);
+        if let Some(before) = merged.insert(key, record.clone())
+            && before != record
+        {
+            return Err(Error::Conflict { system, arm, seed });
+        }
+    }
+    Ok(merged.into_values().collect())
+}
+
+/// Reads the records of a file of JSON lines.
+///
+/// # Errors
+/// When it cannot be read, or a line is no record.
+pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
+    let failed = |source| Error::File { path: path.to_owned(), source };
+    let lines = BufReader::new(File::open(path).map_err(failed)?).lines();
+    let record = |(index, line): (usize, std::io::Result<String>)| {
+        let line = line.map_err(failed)?;
+        let bad = |error: serde_json::Error| Error::BadRecord {
+            path: path.to_owned(),
+            line: index + 1,
+            why: error.to_string(),
+        };
+        serde_json::from_str(&line).map_err(bad)
+    };
+    lines.enumerate().map(record).collect()
+}
+
+/// Writes records as JSON lines.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write(records: &[Record], mut out: impl Write) -> std::io::Result<()> {
+    for record in records {
+        serde_json::to_writer(&mut out, record)?;
+        out.write_all(b"\n")?;
+    }
+    out.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(arm: &str, seed: u64, value: f64) -> Record {
+        let values = Values::from([("m".to_owned(), value)]);
+        Record { system: "s".into(), arm: arm.into(), board: "sim".into(), seed, values, failed: None }
+    }
+
+    #[test]
+    fn shards_merge_into_the_records_of_one_run() {
+        let all: Vec<_> = (0..7).map(|seed| record("ours", seed, 0.1 * seed as f64)).collect();
+        let part = |rest| all.iter().filter(|record| record.seed % 3 == rest).cloned().collect::<Vec<_>>();
+        let merged = merge([part(2), part(0), part(1), part(0)]).expect("no conflict");
+        let bytes = |records: &[Record]| {
+            let mut bytes = Vec::new();
+            write(records, &mut bytes).expect("memory");
+            bytes
+        };
+        assert_eq!(bytes(&merged), bytes(&all));
+        let conflict = merge([part(0), vec![record("ours", 0, 9.0)]]).expect_err("two results");
+        assert!(matches!(conflict, Error::Conflict { seed: 0, .. }), "{conflict}");
+    }
+
+    #[test]
+    fn a_shard_is_one_of_several() {
+        for good in ["1/1", "3/8", "8/8"] {
+            assert_eq!(good.parse::<Shard>().expect(good).to_string(), good);
+        }
+        for bad in ["", "0/8", "9/8", "1", "1/0", "-1/2", "a/b", "1/2/3"] {
+            assert!(bad.parse::<Shard>().is_err(), "{bad}");
+        }
+    }
+}
