@@ -14,6 +14,7 @@ mod error;
 mod row;
 mod statistic;
 pub mod study;
+pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
