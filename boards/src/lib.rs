@@ -24,12 +24,12 @@ pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
     Ackermann, Drive, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
-    SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
-    Simulation, SkidSteer, SteeringLaw, TruePoint, World,
+    SimulatedEncoder, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo,
+    SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint, World,
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 5] = ["osmc-bench", "openscout", "openpodcar", "openagribot", "every-interface"];
+const ROBOTS: [&str; 6] = ["osmc-bench", "openscout", "openpodcar", "openagribot", "balance-tail", "every-interface"];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 

@@ -18,12 +18,13 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 14] = [
+const BUILT_IN: [(&str, &str); 15] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("openscout.toml", include_str!("../openscout.toml")),
     ("openpodcar.toml", include_str!("../openpodcar.toml")),
     ("openagribot.toml", include_str!("../openagribot.toml")),
+    ("balance-tail.toml", include_str!("../balance-tail.toml")),
     ("every-interface.toml", include_str!("../every-interface.toml")),
     ("worlds/stand.toml", include_str!("../worlds/stand.toml")),
     ("worlds/square.toml", include_str!("../worlds/square.toml")),

@@ -2,15 +2,15 @@
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 use r4_world::{
-    Axle, Chassis, ChassisError, Outline, Person, Point, Pose, Scene, SceneError, SlipLaw, Surface, Tyre, Wheel,
-    Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point, Pose, Scene,
+    SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
 use super::{
     Mount, SimulatedBody, World,
     read::Reader,
-    simulation::{may_slide, may_turn},
+    simulation::{may_slide, may_turn, others_that_turn},
 };
 use crate::{
     error::BoardError,
@@ -24,6 +24,87 @@ use crate::{
 pub(super) enum Body {
     /// A chassis on wheels.
     Wheeled(Box<WheeledTable>),
+    /// A person with a tail of two links.
+    BalanceTail(Box<TailTable>),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TailTable {
+    wearer: WearerTable,
+    ankle: AnkleTable,
+    link: [LinkTable; 2],
+    lift: Option<LiftTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WearerTable {
+    #[serde(deserialize_with = "positive")]
+    mass_kg: f64,
+    #[serde(deserialize_with = "positive")]
+    centre_m: f64,
+    #[serde(deserialize_with = "positive")]
+    inertia_kg_m2: f64,
+    tail_m: Point,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AnkleTable {
+    #[serde(deserialize_with = "not_negative")]
+    stiffness_nm_per_rad: f64,
+    #[serde(deserialize_with = "not_negative")]
+    damping_nm_s_per_rad: f64,
+    #[serde(deserialize_with = "positive")]
+    torque_max_nm: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinkTable {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(deserialize_with = "positive")]
+    length_m: f64,
+    #[serde(deserialize_with = "positive")]
+    mass_kg: f64,
+    #[serde(deserialize_with = "not_negative")]
+    centre_m: f64,
+    #[serde(deserialize_with = "positive")]
+    inertia_kg_m2: f64,
+    #[serde(default, deserialize_with = "finite")]
+    rest_rad: f64,
+    cable: CableTable,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CableTable {
+    #[serde(deserialize_with = "finite")]
+    ratio: f64,
+    #[serde(deserialize_with = "positive")]
+    stiffness_nm_per_rad: f64,
+    #[serde(default, deserialize_with = "not_negative")]
+    damping_nm_s_per_rad: f64,
+    #[serde(default, deserialize_with = "not_negative")]
+    wraps: f64,
+    #[serde(default, deserialize_with = "not_negative")]
+    loss_per_wrap: f64,
+    #[serde(default, deserialize_with = "not_negative")]
+    friction_nm: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LiftTable {
+    #[serde(deserialize_with = "not_negative")]
+    at_s: f64,
+    #[serde(deserialize_with = "not_negative")]
+    over_s: f64,
+    #[serde(deserialize_with = "not_negative")]
+    mass_kg: f64,
+    place_m: Point,
 }
 
 #[derive(Deserialize)]
@@ -120,8 +201,70 @@ impl From<TyreTable> for Tyre {
 impl Body {
     /// The body at the origin, and the channels whose shafts it couples.
     pub(super) fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<SimulatedBody, BoardError> {
-        let Self::Wheeled(table) = self;
-        let mut shafts = Shafts { reader, config, channels: Vec::new() };
+        let shafts = Shafts { reader, config, channels: Vec::new() };
+        match self {
+            Self::Wheeled(table) => table.check(shafts),
+            Self::BalanceTail(table) => table.check(shafts),
+        }
+    }
+}
+
+impl TailTable {
+    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
+        let mut link = |index: usize| {
+            let table = &self.link[index];
+            let cable = &table.cable;
+            Ok(Link {
+                length_m: table.length_m,
+                mass_kg: table.mass_kg,
+                centre_m: table.centre_m,
+                inertia_kg_m2: table.inertia_kg_m2,
+                cable: Cable {
+                    shaft: shafts.turning(table.channel, format!("body.balance-tail.link[{index}].channel"))?,
+                    ratio: cable.ratio,
+                    stiffness_nm_per_rad: cable.stiffness_nm_per_rad,
+                    damping_nm_s_per_rad: cable.damping_nm_s_per_rad,
+                    wraps: cable.wraps,
+                    loss_per_wrap: cable.loss_per_wrap,
+                    friction_nm: cable.friction_nm,
+                },
+            })
+        };
+        let links = [link(0)?, link(1)?];
+        let source = shafts.reader.source;
+        if shafts.channels.len() < 2 {
+            return Err(source.rule("body.balance-tail.link[1].channel", "each link needs a motor of its own"));
+        }
+        let WearerTable { mass_kg, centre_m, inertia_kg_m2, tail_m } = self.wearer;
+        let AnkleTable { stiffness_nm_per_rad, damping_nm_s_per_rad, torque_max_nm } = self.ankle;
+        let ankle = Ankle { stiffness_nm_per_rad, damping_nm_s_per_rad, torque_max_nm };
+        let wearer = Wearer { mass_kg, centre_m, inertia_kg_m2, tail_m, ankle };
+        let lift = self.lift.as_ref().map(|lift| Lift {
+            at_s: lift.at_s,
+            over_s: lift.over_s,
+            mass_kg: lift.mass_kg,
+            place_m: lift.place_m,
+        });
+        let rest_rad = [self.link[0].rest_rad, self.link[1].rest_rad];
+        let tail = BalanceTail::new(wearer, links, rest_rad, lift).map_err(|why| {
+            let path = match why {
+                TailError::Link { link } => format!("body.balance-tail.link[{link}]"),
+                TailError::Cable { link } | TailError::Stiff { link, .. } => {
+                    format!("body.balance-tail.link[{link}].cable")
+                }
+                TailError::Wearer => "body.balance-tail.wearer".into(),
+                TailError::Ankle { .. } => "body.balance-tail.ankle".into(),
+                TailError::Lift => "body.balance-tail.lift".into(),
+            };
+            source.rule(path, why)
+        })?;
+        Ok(SimulatedBody { kind: AnyBody::BalanceTail(Box::new(tail)), channels: shafts.channels })
+    }
+}
+
+impl WheeledTable {
+    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
+        let (table, reader) = (self, shafts.reader);
         let mut wheels = Vec::new();
         for (index, wheel) in table.wheel.iter().enumerate() {
             let path = format!("body.wheeled.wheel[{index}]");
@@ -160,7 +303,7 @@ impl Body {
             let outline = Outline::new(outline_m.clone());
             wheeled = wheeled.with_outline(outline.map_err(|why| reader.source.rule("body.wheeled.outline_m", why))?);
         }
-        Ok(SimulatedBody { wheeled, channels })
+        Ok(SimulatedBody { kind: AnyBody::Wheeled(Box::new(wheeled)), channels })
     }
 }
 
@@ -173,9 +316,13 @@ struct Shafts<'r> {
 
 impl Shafts<'_> {
     fn turning(&mut self, id: ChannelId, path: String) -> Result<usize, BoardError> {
-        let known = may_turn(&self.config.motors);
-        self.reader.one_of("motor that turns", id, known.iter(), path)?;
+        let known = self.may_turn();
+        self.reader.one_of("channel that turns", id, known.iter(), path)?;
         Ok(self.number(id))
+    }
+
+    fn may_turn(&self) -> Vec<ChannelId> {
+        may_turn(&self.config.motors).into_iter().chain(others_that_turn(self.config)).collect()
     }
 
     fn axle(&mut self, steering: &SteeringTable) -> Result<Axle, BoardError> {
@@ -183,10 +330,10 @@ impl Shafts<'_> {
         let motors = &self.config.motors;
         let (known, rad_per_unit) = match (steering.rad_per_m, steering.rad_per_rad) {
             (Some(rad_per_m), None) => (may_slide(motors), rad_per_m),
-            (None, Some(rad_per_rad)) => (may_turn(motors), rad_per_rad),
+            (None, Some(rad_per_rad)) => (self.may_turn(), rad_per_rad),
             _ => return Err(self.reader.rule(path, "needs rad_per_m for an actuator, or rad_per_rad for a motor")),
         };
-        self.reader.one_of("motor of that kind", steering.channel, known.iter(), format!("{path}.channel"))?;
+        self.reader.one_of("channel of that kind", steering.channel, known.iter(), format!("{path}.channel"))?;
         Ok(Axle {
             shaft: self.number(steering.channel),
             rad_per_unit,

@@ -9,7 +9,7 @@ mod read;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
-use r4_world::{Pose, Scene, Wheeled};
+use r4_world::{AnyBody, Pose, Scene};
 
 pub(crate) use body::read_world;
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
@@ -74,8 +74,8 @@ pub struct World {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedBody {
     /// The physics.
-    pub wheeled: Wheeled,
-    /// The motors whose shafts it couples, in the order of its shafts.
+    pub kind: AnyBody,
+    /// The channels whose shafts it couples, in the order of its shafts.
     pub channels: Vec<ChannelId>,
 }
 
@@ -120,6 +120,34 @@ pub struct SimulatedBldc {
     pub top_speed_rad_s: f64,
     /// s
     pub time_constant_s: f64,
+    /// Whether it brakes and holds by its motor, in place of coasting in the dead zone and before it turns round.
+    pub four_quadrant: bool,
+    /// What makes its motor take loads; `None` for one that turns as its drive wants.
+    pub rotor: Option<SimulatedRotor>,
+    /// What measures its shaft, if anything does.
+    pub encoder: Option<SimulatedEncoder>,
+}
+
+/// Inertia of a brushless motor and what its drive can do to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedRotor {
+    /// Of the motor and of what turns with it, kg m².
+    pub inertia_kg_m2: f64,
+    /// Highest torque of the drive, in both directions, N m.
+    pub torque_max_nm: f64,
+    /// Highest mechanical power that the drive gives, W; infinite for none.
+    pub power_max_w: f64,
+    /// Torque of the brake, N m.
+    pub brake_nm: f64,
+}
+
+/// A quadrature encoder on a shaft.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimulatedEncoder {
+    /// Which encoder connector.
+    pub input: u8,
+    /// Lines in one turn; four counts each.
+    pub lines_per_turn: u32,
 }
 
 /// A stepper motor with its driver.
@@ -190,7 +218,7 @@ impl Simulation {
             self.body = None;
         }
         if let Some(body) = &mut self.body {
-            body.wheeled.set_pose(world.start);
+            body.kind.set_pose(world.start);
         }
     }
 }

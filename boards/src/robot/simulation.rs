@@ -3,7 +3,7 @@
 use std::fmt::Display;
 
 use r4_protocol::{
-    channel::ChannelId,
+    channel::{ChannelId, ChannelKind},
     config::{
         AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, ServoConfig, StepperConfig,
         SupplyConfig, SwitchConfig,
@@ -13,8 +13,9 @@ use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
-    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedMotor, SimulatedRail, SimulatedRange,
-    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedEncoder, SimulatedMotor, SimulatedRail,
+    SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation,
+    TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -168,6 +169,23 @@ struct Bldc {
     top_speed_rad_s: Option<f64>,
     #[serde(default, deserialize_with = "optional_positive")]
     time_constant_s: Option<f64>,
+    #[serde(default)]
+    four_quadrant: bool,
+    rotor: Option<Rotor>,
+    encoder: Option<Encoder>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rotor {
+    #[serde(deserialize_with = "crate::number::positive")]
+    inertia_kg_m2: f64,
+    #[serde(deserialize_with = "crate::number::positive")]
+    torque_max_nm: f64,
+    #[serde(default, deserialize_with = "optional_positive")]
+    power_max_w: Option<f64>,
+    #[serde(default, deserialize_with = "optional_positive")]
+    brake_nm: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -220,6 +238,13 @@ pub(super) fn may_turn(motors: &[MotorConfig]) -> Vec<ChannelId> {
     motors.map(|motor| motor.id).collect()
 }
 
+/// Channels whose outputs may turn a body's shaft, besides motors.
+pub(super) fn others_that_turn(config: &BoardConfig) -> impl Iterator<Item = ChannelId> + '_ {
+    let bldcs = config.bldcs.iter().map(|bldc| bldc.id);
+    let servos = config.servos.iter().map(|servo| servo.id);
+    bldcs.chain(servos).chain(config.steppers.iter().map(|stepper| stepper.id))
+}
+
 /// Motors that may slide: without feedback nothing says that they turn.
 pub(super) fn may_slide(motors: &[MotorConfig]) -> Vec<ChannelId> {
     let turns = |feedback| matches!(feedback, Feedback::Encoder { .. });
@@ -260,6 +285,14 @@ impl Tables {
     ) -> Result<Simulation, BoardError> {
         let body = body.map(|body| body.check(reader, config)).transpose()?;
         let has_body = body.is_some();
+        if let Some(body) = &body {
+            let turns = |bldc: &&Bldc| bldc.rotor.is_some();
+            let known: Vec<_> = self.bldc.iter().filter(turns).map(|bldc| bldc.channel).collect();
+            let drives = body.channels.iter().filter(|channel| channel.kind == ChannelKind::Bldc);
+            for id in drives {
+                reader.one_of("simulated brushless drive with a rotor", *id, known.iter(), "body".into())?;
+            }
+        }
         let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
@@ -481,8 +514,23 @@ impl Check<'_> {
             let rule = "a simulated drive goes forwards above its dead_zone_v, and backwards, if by voltage, below it";
             return Err(self.reader.rule(path, rule));
         }
+        let encoder = bldc.and_then(|bldc| bldc.encoder);
+        if let Some(Encoder { input, .. }) = encoder {
+            let path = format!("{path}.encoder.input");
+            self.reader.encoder(input, &path)?;
+            self.claims.take("encoder", input, path)?;
+        }
+        let rotor = bldc.and_then(|bldc| bldc.rotor);
         Ok(SimulatedBldc {
             channel: config.id,
+            four_quadrant: bldc.is_some_and(|bldc| bldc.four_quadrant),
+            rotor: rotor.map(|Rotor { inertia_kg_m2, torque_max_nm, power_max_w, brake_nm }| SimulatedRotor {
+                inertia_kg_m2,
+                torque_max_nm,
+                power_max_w: power_max_w.unwrap_or(f64::INFINITY),
+                brake_nm: brake_nm.unwrap_or(torque_max_nm),
+            }),
+            encoder: encoder.map(|Encoder { input, lines_per_turn }| SimulatedEncoder { input, lines_per_turn }),
             dead_zone_v: [dead_zone_v.min, dead_zone_v.max],
             forward_v,
             reverse_v,

@@ -10,6 +10,7 @@ const ROBOT: &str = include_str!("../../osmc-bench.toml");
 const ALL: &str = include_str!("../../every-interface.toml");
 const CAR: &str = include_str!("../../openpodcar.toml");
 const SKID_STEERED: &str = include_str!("../../openscout.toml");
+const TAIL: &str = include_str!("../../balance-tail.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -322,7 +323,7 @@ const SKID_MISTAKES: &[Mistake] = &[
         "channel = \"dhb0\"\nplace_m",
         "channel = \"dhb4\"\nplace_m",
         "body.wheeled.wheel[0].channel",
-        "no motor that turns `dhb4`",
+        "no channel that turns `dhb4`",
     ),
     mistake(
         "place_m = [0.12, 0.151]\n",
@@ -375,6 +376,47 @@ const SKID_MISTAKES: &[Mistake] = &[
         "world.surface[0]",
         "45 degrees",
     ),
+];
+
+const TAIL_MISTAKES: &[Mistake] = &[
+    there(
+        "channel = \"bldc0\"\nlength_m",
+        "channel = \"bldc1\"\nlength_m",
+        "body.balance-tail.link[1].channel",
+        "a motor of its own",
+    ),
+    there(
+        "channel = \"bldc1\"\nlength_m",
+        "channel = \"bldc2\"\nlength_m",
+        "body.balance-tail.link[0].channel",
+        "no channel that turns `bldc2`",
+    ),
+    there("mass_kg = 3.6", "mass_kg = -3.6", "body.balance-tail.link[0].mass_kg", "must be above 0"),
+    there("wraps = 10.0 #", "turns = 10.0 #", "body.balance-tail.link[0].cable.turns", "unknown field `turns`"),
+    mistake(
+        "ratio = 25.0 # tail",
+        "ratio = 0.0 # tail",
+        "[body.balance-tail.link.cable]",
+        "body.balance-tail.link[0].cable",
+        "a ratio other than 0",
+    ),
+    mistake(
+        "torque_max_nm = 150.0",
+        "torque_max_nm = 5.0",
+        "[body.balance-tail.ankle]",
+        "body.balance-tail.ankle",
+        "needs 8.1 N m",
+    ),
+    mistake(
+        "inertia_kg_m2 = 70.0",
+        "inertia_kg_m2 = 60.0",
+        "[body.balance-tail.wearer]",
+        "body.balance-tail.wearer",
+        "mass times height squared",
+    ),
+    there("at_s = 5.0", "at_s = -5.0", "body.balance-tail.lift.at_s", "must be 0 or above"),
+    there("torque_max_nm = 0.625", "torque_max_nm = 0", "simulation.bldc[0].rotor.torque_max_nm", "must be above 0"),
+    there("input = 1, lines", "input = 0, lines", "simulation.bldc[1].encoder.input", "encoder `0` is already used"),
 ];
 
 const CARRIER_MISTAKES: &[Mistake] = &[
@@ -484,7 +526,13 @@ fn check(
 fn mistakes_in_a_robot_file() {
     let folder = TempDir::new().unwrap();
     let load = |text: &str| load_text(folder.path(), text).map(drop);
-    let robots = [(ROBOT, ROBOT_MISTAKES), (ALL, ALL_MISTAKES), (CAR, CAR_MISTAKES), (SKID_STEERED, SKID_MISTAKES)];
+    let robots = [
+        (ROBOT, ROBOT_MISTAKES),
+        (ALL, ALL_MISTAKES),
+        (CAR, CAR_MISTAKES),
+        (SKID_STEERED, SKID_MISTAKES),
+        (TAIL, TAIL_MISTAKES),
+    ];
     let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
     let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -241,6 +241,31 @@ fn openpodcar_steers_by_the_published_calibration() {
     assert!((drive.wheelbase_m / drive.steering_rad.max.tan() - 2.25).abs() < 0.01);
 }
 
+/// Printed: 0.625 N m and 573 W, 4 N m and 262 W, links of 0.70 and 0.40 m, at most 7 kg, ratios of 20 to 30, centre of mass at most
+/// 0.23 m behind the back while it hangs.
+#[test]
+fn the_tail_has_the_published_numbers() {
+    let robot = load("balance-tail").unwrap();
+    let rotors: Vec<_> = robot.simulation.bldcs.iter().map(|bldc| bldc.rotor.unwrap()).collect();
+    let limits: Vec<_> = rotors.iter().map(|rotor| [rotor.torque_max_nm, rotor.power_max_w]).collect();
+    assert_eq!(limits, [[0.625, 573.0], [4.0, 262.0]]);
+    let body = robot.simulation.body.unwrap();
+    let r4_world::AnyBody::BalanceTail(tail) = &body.kind else { panic!("a tail") };
+    let [inner, outer] = tail.links();
+    assert_eq!([inner.length_m, outer.length_m], [0.70, 0.40]);
+    assert!(inner.mass_kg + outer.mass_kg <= 7.0 && -tail.tail_x_m() <= 0.23);
+    assert!([inner, outer].iter().all(|link| (20.0..=30.0).contains(&link.cable.ratio)));
+    // The stronger motor is at the back, where 50 N m are needed: 100 N m against 15.6 N m.
+    let strongest_nm = |link: &r4_world::Link| {
+        let channel = body.channels[link.cable.shaft];
+        let bldc = robot.simulation.bldcs.iter().find(|bldc| bldc.channel == channel).unwrap();
+        bldc.rotor.unwrap().torque_max_nm * link.cable.ratio
+    };
+    assert_eq!([inner, outer].map(strongest_nm), [100.0, 15.625]);
+    let weight_nm = 9.80665 * (inner.mass_kg * inner.centre_m + outer.mass_kg * (inner.length_m + outer.centre_m));
+    assert!((49.0..51.0).contains(&weight_nm), "{weight_nm}");
+}
+
 #[test]
 fn every_world_is_read() {
     for name in r4_boards::world_names() {

@@ -1,6 +1,8 @@
-//! What every body has in common.
+//! What every body has in common, and the kinds there are.
 
-use crate::scene::Scene;
+use std::ops::{Deref, DerefMut};
+
+use crate::{outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -85,9 +87,90 @@ pub trait Body {
     /// Where its frame is.
     fn pose(&self) -> Pose;
 
+    /// Puts it somewhere, at rest.
+    fn set_pose(&mut self, pose: Pose);
+
     /// How its frame moves.
     fn twist(&self) -> Twist;
 
-    /// Acceleration of its frame's origin over the last step, body frame, m/s²: what an accelerometer there feels without gravity.
-    fn acceleration_m_s2(&self) -> [f64; 2];
+    /// What an inertial sensor feels at the origin of its frame, over the last step.
+    fn inertial(&self) -> Inertial;
+
+    /// What bumps into things; `None` passes through them.
+    fn outline(&self) -> Option<&Outline> {
+        None
+    }
+}
+
+/// What an inertial sensor feels: x forwards, y to the left, z upwards along the part that carries it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Inertial {
+    /// Acceleration less that of free fall, m/s²: upwards 9.8 at rest.
+    pub specific_force_m_s2: [f64; 3],
+    /// rad/s
+    pub rate_rad_s: [f64; 3],
+    /// rad/s²
+    pub angular_acceleration_rad_s2: [f64; 3],
+}
+
+impl Inertial {
+    /// The same at another point of the part, m from the first: `f + α × r + ω × (ω × r)`.
+    #[must_use]
+    pub fn at(&self, place_m: [f64; 3]) -> Self {
+        let turning = cross(self.rate_rad_s, place_m);
+        let added = [cross(self.angular_acceleration_rad_s2, place_m), cross(self.rate_rad_s, turning)];
+        let specific_force_m_s2 =
+            std::array::from_fn(|axis| self.specific_force_m_s2[axis] + added[0][axis] + added[1][axis]);
+        Self { specific_force_m_s2, ..*self }
+    }
+}
+
+fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
+    [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+}
+
+/// A body of any kind, as a robot's file names it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AnyBody {
+    /// A chassis on wheels.
+    Wheeled(Box<Wheeled>),
+    /// A person with a tail on the back.
+    BalanceTail(Box<BalanceTail>),
+}
+
+impl Deref for AnyBody {
+    type Target = dyn Body;
+
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Wheeled(body) => &**body,
+            Self::BalanceTail(body) => &**body,
+        }
+    }
+}
+
+impl DerefMut for AnyBody {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        match self {
+            Self::Wheeled(body) => &mut **body,
+            Self::BalanceTail(body) => &mut **body,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// On a turntable of 2 rad/s that speeds up by 3 rad/s², 0.5 m from the axis: centripetal `w² r`, tangential `a r`.
+    #[test]
+    fn a_sensor_away_from_the_axis_feels_the_turn() {
+        let axis = Inertial {
+            specific_force_m_s2: [0.0, 0.0, 9.8],
+            rate_rad_s: [0.0, 0.0, 2.0],
+            angular_acceleration_rad_s2: [0.0, 0.0, 3.0],
+        };
+        assert_eq!(axis.at([0.5, 0.0, 0.7]).specific_force_m_s2, [-2.0, 1.5, 9.8]);
+        assert_eq!(axis.at([0.0, -0.5, 0.0]).specific_force_m_s2, [1.5, 2.0, 9.8]);
+    }
 }

@@ -10,12 +10,14 @@
 mod body;
 mod outline;
 mod scene;
+mod tail;
 mod tyre;
 mod wheeled;
 
-pub use body::{Body, Pose, ShaftMotion, Twist};
+pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use outline::{Outline, OutlineError};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
+pub use tail::{Ankle, BalanceTail, Cable, Lift, Link, TailError, TailState, Wearer};
 pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};
 

@@ -15,7 +15,7 @@
 
 use crate::{
     GRAVITY_M_S2,
-    body::{Body, Pose, ShaftMotion, Twist},
+    body::{Body, Inertial, Pose, ShaftMotion, Twist},
     outline::{Moving, Outline},
     scene::Scene,
     tyre::{Contact, Springs, Tyre, TyreError},
@@ -127,6 +127,10 @@ pub struct Wheeled {
     twist: Twist,
     /// Of the centre of mass over the last step, body frame, m/s².
     acceleration_m_s2: [f64; 2],
+    /// What of it is gravity along a slope.
+    downhill_m_s2: [f64; 2],
+    /// Over the last step.
+    yaw_rad_s2: f64,
 }
 
 impl Wheeled {
@@ -182,6 +186,8 @@ impl Wheeled {
             pose: Pose::default(),
             twist: Twist::default(),
             acceleration_m_s2: [0.0; 2],
+            downhill_m_s2: [0.0; 2],
+            yaw_rad_s2: 0.0,
         };
         body.press();
         Ok(body)
@@ -216,23 +222,6 @@ impl Wheeled {
         &self.wheels
     }
 
-    /// Its outline.
-    #[must_use]
-    pub fn outline(&self) -> Option<&Outline> {
-        self.outline.as_ref()
-    }
-
-    /// Puts it somewhere, at rest.
-    pub fn set_pose(&mut self, pose: Pose) {
-        if let Some(outline) = &mut self.outline {
-            outline.moved();
-        }
-        self.pose = pose;
-        self.twist = Twist::default();
-        self.acceleration_m_s2 = [0.0; 2];
-        self.contacts.fill(Contact::default());
-    }
-
     /// Normal force of each wheel under the acceleration of the last step, N; 0 in the air.
     #[must_use]
     pub fn normals_n(&self) -> &[f64] {
@@ -250,6 +239,7 @@ impl Wheeled {
 
     /// Force of slopes and obstacles in the body's frame, N, and its moment about the centre of mass, N m.
     fn outside(&mut self, scene: &Scene, time_s: f64, step_s: f64) -> [f64; 3] {
+        self.downhill_m_s2 = [0.0; 2];
         if scene.is_plain() && scene.is_empty() {
             return [0.0; 3];
         }
@@ -258,6 +248,7 @@ impl Wheeled {
         let slope = scene.floor(self.pose.to_world(self.chassis.centre_m)).slope;
         let weight_n = self.chassis.mass_kg * GRAVITY_M_S2;
         let [forward, left] = to_body(slope);
+        self.downhill_m_s2 = [-GRAVITY_M_S2 * forward, -GRAVITY_M_S2 * left];
         let mut sum = [-weight_n * forward, -weight_n * left, 0.0];
         let twist = self.twist();
         let Some(outline) = &mut self.outline else { return sum };
@@ -324,13 +315,14 @@ impl Body for Wheeled {
         }
         let Chassis { mass_kg, inertia_kg_m2, .. } = self.chassis;
         self.acceleration_m_s2 = [forward_n / mass_kg, left_n / mass_kg];
+        self.yaw_rad_s2 = yaw_nm / inertia_kg_m2;
         self.press();
         let before = self.twist();
         let Twist { forward_m_s, left_m_s, yaw_rad_s } = self.twist;
         self.twist = Twist {
             forward_m_s: forward_m_s + (self.acceleration_m_s2[0] + yaw_rad_s * left_m_s) * step_s,
             left_m_s: left_m_s + (self.acceleration_m_s2[1] - yaw_rad_s * forward_m_s) * step_s,
-            yaw_rad_s: yaw_rad_s + yaw_nm / inertia_kg_m2 * step_s,
+            yaw_rad_s: yaw_rad_s + self.yaw_rad_s2 * step_s,
         };
         // By the mean velocity of the step: with that of its end alone, a robot would be one step's travel ahead of its wheels,
         // which is as much as some tyres slip.
@@ -341,6 +333,16 @@ impl Body for Wheeled {
         self.pose
     }
 
+    fn set_pose(&mut self, pose: Pose) {
+        if let Some(outline) = &mut self.outline {
+            outline.moved();
+        }
+        self.pose = pose;
+        self.twist = Twist::default();
+        (self.acceleration_m_s2, self.downhill_m_s2, self.yaw_rad_s2) = ([0.0; 2], [0.0; 2], 0.0);
+        self.contacts.fill(Contact::default());
+    }
+
     fn twist(&self) -> Twist {
         // Kept is that of the centre of mass.
         let [x_m, y_m] = self.chassis.centre_m;
@@ -348,8 +350,24 @@ impl Body for Wheeled {
         Twist { forward_m_s, left_m_s, ..self.twist }
     }
 
-    fn acceleration_m_s2(&self) -> [f64; 2] {
-        self.acceleration_m_s2
+    fn inertial(&self) -> Inertial {
+        let [forward_m_s2, left_m_s2] = self.acceleration_m_s2;
+        let [x_m, y_m] = self.chassis.centre_m;
+        let centre = Inertial {
+            specific_force_m_s2: [
+                forward_m_s2 - self.downhill_m_s2[0],
+                left_m_s2 - self.downhill_m_s2[1],
+                // It neither rises nor tilts: on a slope the sum is larger than gravity by its square, 0.5 % at 10 %.
+                GRAVITY_M_S2,
+            ],
+            rate_rad_s: [0.0, 0.0, self.twist.yaw_rad_s],
+            angular_acceleration_rad_s2: [0.0, 0.0, self.yaw_rad_s2],
+        };
+        centre.at([-x_m, -y_m, 0.0])
+    }
+
+    fn outline(&self) -> Option<&Outline> {
+        self.outline.as_ref()
     }
 }
 
@@ -386,6 +404,9 @@ fn solved(matrix: [[f64; 3]; 3], right: [f64; 3]) -> Option<[f64; 3]> {
     };
     (!flat).then(|| [column(0), column(1), column(2)])
 }
+
+#[cfg(test)]
+mod mujoco;
 
 #[cfg(test)]
 mod tests {
@@ -470,7 +491,7 @@ mod tests {
     fn shafts_carry_the_force_that_drives() {
         let mut body = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
         let loads = run(&mut body, &[5.0; 4], 0.05);
-        let [forward, _] = body.acceleration_m_s2();
+        let [forward, ..] = body.inertial().specific_force_m_s2;
         assert!(forward > 0.1);
         let force_n = -loads.iter().sum::<f64>() / RADIUS_M;
         assert!((force_n - 30.0 * forward).abs() < 1e-9 * force_n, "{force_n}");
@@ -491,7 +512,7 @@ mod tests {
         let expected = [1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0].map(|share| share * weight_n);
         assert!(body.normals_n().iter().zip(expected).all(|(got, expected)| (got - expected).abs() < 1e-9));
         run(&mut body, &[5.0; 4], 0.01);
-        let [forward, _] = body.acceleration_m_s2();
+        let [forward, ..] = body.inertial().specific_force_m_s2;
         let moved_n = 30.0 * forward * 0.2 / (2.0 * HALF_BASE_M);
         for (got, expected) in body
             .normals_n()

@@ -16,6 +16,7 @@ mod sampler;
 pub mod skidcal;
 mod statistic;
 pub mod study;
+pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;

@@ -14,21 +14,33 @@
 //! | turning against the wanted direction | coasts to a standstill first |
 //! | otherwise | speed approaches the commanded one with the drive's time constant |
 //!
+//! A drive of four quadrants ([`BldcDriveSpec::four_quadrant`]) also brakes and holds by its motor: it follows its throttle through
+//! the dead zone, where it commands a standstill, and through a change of direction.
+//!
+//! # Loaded shafts
+//! With a [`Rotor`] the motor has an inertia, limits of torque and power, and takes a load ([`BldcDrive::set_load`]). The speed loop
+//! then is a gain: the torque is `inertia / time constant` times the missing speed, up to the limits, so that without a load
+//! speed approaches the commanded one with the time constant, and under a load it lags behind by what the load takes.
+//!
 //! # Modelling choices
 //! - The lock: drives of vehicles refuse to start off with the throttle open. Not stated for any one in particular.
 //! - A brake works without a dead zone seen, and not without supply.
 //! - A motor that coasts loses speed with a time constant of its own, and stands below 1 % of top speed.
 //!
 //! # Time
-//! Between changes speed and position have closed forms, so how often they are looked at changes no bit of them.
+//! Between changes speed and position have closed forms, so how often they are looked at changes no bit of them. A motor with a
+//! [`Rotor`] is stepped instead, in steps of at most 0.25 ms: exact under a constant load, but for the step in which it
+//! reaches or leaves a limit.
 //!
-//! Not modelled: load, current, commutation, braking resistors and heat.
+//! Not modelled: current, commutation, torque ripple, braking resistors and heat.
 
 use crate::chips::mcp23017::PinState;
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
 /// Share of top speed below which a coasting motor stands.
 const STANDSTILL: f64 = 0.01;
+/// Longest step of a motor with a [`Rotor`], ns: that of a body, which holds loads as long.
+const STEP_NS: u64 = 250_000;
 
 /// How a drive is told to turn backwards.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,8 +80,25 @@ pub struct BldcDriveSpec {
     pub time_constant_s: f64,
     /// Of a motor that coasts.
     pub coast_time_constant_s: f64,
-    /// While braking.
+    /// While braking, without a rotor.
     pub brake_rad_s2: f64,
+    /// Whether it brakes and holds by its motor, in place of coasting in the dead zone and before it turns round.
+    pub four_quadrant: bool,
+    /// What makes the motor take loads; `None` for one that turns as its drive wants.
+    pub rotor: Option<Rotor>,
+}
+
+/// Inertia of a motor and what its drive can do to it. All above 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rotor {
+    /// Of the motor and of what turns with it, kg m².
+    pub inertia_kg_m2: f64,
+    /// Highest torque of the drive, in both directions, N m.
+    pub torque_max_nm: f64,
+    /// Highest mechanical power that the drive gives, W; infinite for none. What the motor takes back is limited by torque alone.
+    pub power_max_w: f64,
+    /// Torque of the brake, N m: dry friction, which also holds.
+    pub brake_nm: f64,
 }
 
 impl BldcDriveSpec {
@@ -141,6 +170,10 @@ pub struct BldcDrive {
     out_of_window: bool,
     /// Wanted direction: -1 or 1.
     direction: f64,
+    /// What pushes the shaft, N m, towards positive positions. Without effect on a motor without a rotor.
+    load_nm: f64,
+    /// Mean torque of drive and brake over the last step, N m.
+    torque_nm: f64,
     misuse: MisuseLog,
 }
 
@@ -168,6 +201,8 @@ impl BldcDrive {
             ready: false,
             out_of_window: false,
             direction: 1.0,
+            load_nm: 0.0,
+            torque_nm: 0.0,
             misuse: MisuseLog::new(),
         };
         drive.direction = drive.wanted_direction();
@@ -191,6 +226,17 @@ impl BldcDrive {
     /// Brings the motor to `to_ns`; a time before one already seen counts as that one.
     pub fn advance(&mut self, to_ns: u64) {
         let to_ns = to_ns.max(self.now_ns);
+        if let Some(rotor) = self.spec.rotor {
+            while self.now_ns < to_ns {
+                let step_ns = (to_ns - self.now_ns).min(STEP_NS);
+                self.turn(&rotor, step_ns as f64 * 1e-9);
+                self.now_ns += step_ns;
+                self.anchor.at_ns = self.now_ns;
+                // A drive that coasts to a standstill before it turns round may have reached it.
+                self.mode = self.wanted_mode();
+            }
+            return;
+        }
         if let Some(standstill_ns) = self.standstill_ns().filter(|&at_ns| at_ns <= to_ns) {
             self.now_ns = standstill_ns;
             self.re_anchor();
@@ -210,6 +256,32 @@ impl BldcDrive {
     #[must_use]
     pub fn position_rad(&self) -> f64 {
         self.motion().0
+    }
+
+    /// Sets the torque with which something outside pushes the shaft from now on, N m, towards positive positions. One that is not
+    /// finite is ignored.
+    pub fn set_load(&mut self, load_nm: f64) {
+        if load_nm.is_finite() {
+            self.load_nm = load_nm;
+        }
+    }
+
+    /// Torque of drive and brake on the shaft, N m, mean of the last step of at most 0.25 ms; 0 without a [`Rotor`].
+    #[must_use]
+    pub const fn torque_nm(&self) -> f64 {
+        self.torque_nm
+    }
+
+    /// What it is like.
+    #[must_use]
+    pub const fn spec(&self) -> &BldcDriveSpec {
+        &self.spec
+    }
+
+    /// Whether nothing but friction and loads acts on the motor.
+    #[must_use]
+    pub const fn is_coasting(&self) -> bool {
+        matches!(self.mode, Mode::Coast)
     }
 
     /// Whether the drive takes its throttle: the supply is on, and the dead zone has been seen since.
@@ -262,7 +334,7 @@ impl BldcDrive {
             return;
         }
         let wanted = self.wanted_direction();
-        if wanted != self.direction && self.turns_against(wanted) {
+        if wanted != self.direction && self.turns_against(wanted) && !self.spec.four_quadrant {
             let speed_mrad_s = milli(self.anchor.speed_rad_s);
             self.report(MisuseKind::DirectionChangedWhileTurning { speed_mrad_s });
         }
@@ -288,7 +360,7 @@ impl BldcDrive {
             Mode::Coast
         } else if level(self.inputs.brake, self.spec.brake_pull) == self.spec.brake_when_high {
             Mode::Brake
-        } else if !self.ready || share == 0.0 || self.turns_against(self.direction) {
+        } else if !self.ready || !self.spec.four_quadrant && (share == 0.0 || self.turns_against(self.direction)) {
             Mode::Coast
         } else {
             Mode::Drive { target_rad_s: share * self.direction * self.spec.top_speed_rad_s }
@@ -314,9 +386,63 @@ impl BldcDrive {
         Some(self.anchor.at_ns.saturating_add(after_ns))
     }
 
+    /// Lets a loaded motor turn for `step_s`.
+    fn turn(&mut self, rotor: &Rotor, step_s: f64) {
+        let Anchor { position_rad, speed_rad_s, .. } = self.anchor;
+        let Rotor { inertia_kg_m2, torque_max_nm, power_max_w, brake_nm } = *rotor;
+        let load_rad_s2 = self.load_nm / inertia_kg_m2;
+        // Exact for a torque in proportion to the missing speed, under a constant load.
+        let towards = |target_rad_s: f64, time_constant_s: f64| {
+            let gone = -(-step_s / time_constant_s).exp_m1();
+            let missing_rad_s = target_rad_s + load_rad_s2 * time_constant_s - speed_rad_s;
+            (
+                missing_rad_s * (step_s - time_constant_s * gone) + speed_rad_s * step_s,
+                speed_rad_s + missing_rad_s * gone,
+            )
+        };
+        let pushed = |torque_nm: f64| {
+            let change_rad_s = (torque_nm / inertia_kg_m2 + load_rad_s2) * step_s;
+            ((speed_rad_s + 0.5 * change_rad_s) * step_s, speed_rad_s + change_rad_s)
+        };
+        let torque_for = |next_rad_s: f64| (next_rad_s - speed_rad_s) / step_s * inertia_kg_m2 - self.load_nm;
+        let (way_rad, next_rad_s) = match self.mode {
+            Mode::Coast => towards(0.0, self.spec.coast_time_constant_s),
+            Mode::Drive { target_rad_s } => {
+                let (way_rad, next_rad_s) = towards(target_rad_s, self.spec.time_constant_s);
+                let torque_nm = torque_for(next_rad_s);
+                let reached_rad_s = pushed(torque_max_nm.copysign(torque_nm)).1;
+                let fastest_rad_s = speed_rad_s.abs().max(reached_rad_s.abs().min(next_rad_s.abs()));
+                let gives = torque_nm * speed_rad_s > 0.0 || torque_nm * next_rad_s > 0.0;
+                let most_nm = if gives { torque_max_nm.min(power_max_w / fastest_rad_s) } else { torque_max_nm };
+                if torque_nm.abs() <= most_nm { (way_rad, next_rad_s) } else { pushed(most_nm.copysign(torque_nm)) }
+            }
+            // Dry friction: it holds at a standstill, up to its torque.
+            Mode::Brake if speed_rad_s == 0.0 && self.load_nm.abs() <= brake_nm => (0.0, 0.0),
+            Mode::Brake => {
+                let moves = if speed_rad_s == 0.0 { self.load_nm } else { speed_rad_s };
+                let (way_rad, next_rad_s) = pushed(-brake_nm.copysign(moves));
+                if next_rad_s * speed_rad_s < 0.0 {
+                    let stopped_s = step_s * speed_rad_s / (speed_rad_s - next_rad_s);
+                    (0.5 * speed_rad_s * stopped_s, 0.0)
+                } else {
+                    (way_rad, next_rad_s)
+                }
+            }
+        };
+        self.torque_nm = match self.mode {
+            Mode::Coast => 0.0,
+            Mode::Brake | Mode::Drive { .. } => torque_for(next_rad_s),
+        };
+        self.anchor.position_rad = position_rad + way_rad;
+        self.anchor.speed_rad_s = next_rad_s;
+    }
+
     /// Position and speed now.
     fn motion(&self) -> (f64, f64) {
         let Anchor { at_ns, position_rad, speed_rad_s } = self.anchor;
+        if self.spec.rotor.is_some() {
+            return (position_rad, speed_rad_s);
+        }
         let elapsed_s = (self.now_ns - at_ns) as f64 * 1e-9;
         let towards = |target_rad_s: f64, time_constant_s: f64| {
             let gone = -(-elapsed_s / time_constant_s).exp_m1();
@@ -374,6 +500,8 @@ mod tests {
         time_constant_s: 0.5,
         coast_time_constant_s: 2.0,
         brake_rad_s2: 10.0,
+        four_quadrant: false,
+        rotor: None,
     };
 
     const BY_LINE: BldcDriveSpec = BldcDriveSpec {
@@ -613,6 +741,125 @@ mod tests {
         drive.update(30 * SECOND_NS, &BldcInputs { direction: Driven(true), ..at(5.0) });
         drive.advance(31 * SECOND_NS);
         assert!(drive.speed_rad_s() > 19.9);
+    }
+
+    const ROTOR: Rotor = Rotor { inertia_kg_m2: 0.01, torque_max_nm: 0.3, power_max_w: 2.0, brake_nm: 0.2 };
+    /// A servo drive: 4 quadrants about 2.5 V, 5 ms.
+    const LOADED: BldcDriveSpec = BldcDriveSpec {
+        dead_zone_v: [2.499, 2.501],
+        reverse: Reverse::ByVoltage { full_v: 0.0 },
+        tolerated_v: [0.0, 5.0],
+        time_constant_s: 0.005,
+        four_quadrant: true,
+        rotor: Some(ROTOR),
+        ..BY_VOLTAGE
+    };
+
+    /// A loaded drive that takes its throttle, with `throttle_v` and `load_nm` from time 0 on.
+    fn loaded(spec: BldcDriveSpec, throttle_v: f64, load_nm: f64) -> BldcDrive {
+        let mut drive = BldcDrive::new(3, spec);
+        drive.update(0, &BldcInputs { throttle_v: 2.5, ..REST });
+        drive.set_load(load_nm);
+        drive.update(0, &BldcInputs { throttle_v, ..REST });
+        drive
+    }
+
+    /// Full speed is 20 rad/s, the speed loop's gain 0.01 / 0.005 = 2 N m s/rad.
+    #[test]
+    fn a_loaded_drive_lags_behind_its_command_by_what_the_load_takes() {
+        let mut drive = loaded(LOADED, 2.5 + 2.499 / 20.0 * 0.1 + 0.001, -0.1);
+        drive.advance(SECOND_NS);
+        // 0.1 rad/s commanded, 0.1 N m / 2 N m s/rad less; 200 time constants later the rest is rounding.
+        assert!((drive.speed_rad_s() - 0.05).abs() < 1e-9, "{}", drive.speed_rad_s());
+        assert!((drive.torque_nm() - 0.1).abs() < 1e-9);
+        // In the dead zone it holds, and is pushed back as slowly.
+        drive.update(SECOND_NS, &BldcInputs { throttle_v: 2.5, ..REST });
+        drive.advance(2 * SECOND_NS);
+        assert!((drive.speed_rad_s() + 0.05).abs() < 1e-9);
+    }
+
+    #[test]
+    fn torque_and_power_of_a_loaded_drive_are_limited() {
+        let mut drive = loaded(LOADED, 5.0, 0.0);
+        let (mut at_ns, mut torque_until_s) = (0, 0.0);
+        while at_ns < SECOND_NS / 2 {
+            at_ns += 100_000;
+            drive.advance(at_ns);
+            let (torque_nm, speed_rad_s) = (drive.torque_nm(), drive.speed_rad_s());
+            assert!(torque_nm <= 0.3 + 1e-12 && torque_nm * speed_rad_s <= 2.0 + 1e-9, "{torque_nm} {speed_rad_s}");
+            if torque_nm > 0.3 - 1e-9 {
+                torque_until_s = at_ns as f64 * 1e-9;
+            }
+        }
+        // 0.3 N m up to 2 W / 0.3 N m = 6.67 rad/s, at 30 rad/s^2, to 0.1 ms of a look; then J w dw/dt = P.
+        let (corner_rad_s, corner_s): (f64, f64) = (2.0 / 0.3, 2.0 / 0.3 / 30.0);
+        assert!((torque_until_s - corner_s).abs() < 2e-4, "{torque_until_s}");
+        let after_rad_s = (corner_rad_s.powi(2) + 2.0 * 2.0 / 0.01 * (0.5 - corner_s)).sqrt();
+        // Power is held by the higher speed of a step of 0.1 ms: less by half its growth, at 14 rad/s^2.
+        assert!((drive.speed_rad_s() - after_rad_s).abs() < 2e-3, "{after_rad_s} {}", drive.speed_rad_s());
+    }
+
+    #[test]
+    fn a_loaded_drive_of_four_quadrants_turns_round_without_a_rest() {
+        let mut drive = loaded(LOADED, 3.5, 0.0);
+        drive.advance(2 * SECOND_NS);
+        drive.update(2 * SECOND_NS, &BldcInputs { throttle_v: 1.5, ..REST });
+        // From 8 rad/s to -8 rad/s by 0.3 N m: 30 rad/s^2 back to 0.
+        drive.advance(2 * SECOND_NS + 100_000_000);
+        assert!((drive.speed_rad_s() - (8.0 - 3.0)).abs() < 0.01, "{}", drive.speed_rad_s());
+        drive.advance(4 * SECOND_NS);
+        assert!((drive.speed_rad_s() + 8.0).abs() < 0.01, "{}", drive.speed_rad_s());
+        assert!(drive.misuse().is_empty());
+        // One of two quadrants coasts first, with 2 s, and is reported.
+        let mut drive = loaded(BldcDriveSpec { four_quadrant: false, ..LOADED }, 3.5, 0.0);
+        drive.advance(2 * SECOND_NS);
+        let before_rad_s = drive.speed_rad_s();
+        drive.update(2 * SECOND_NS, &BldcInputs { throttle_v: 1.5, ..REST });
+        drive.advance(3 * SECOND_NS);
+        assert!((drive.speed_rad_s() - before_rad_s * (-0.5f64).exp()).abs() < 1e-9);
+        assert_eq!(drive.misuse().total(), 1);
+    }
+
+    #[test]
+    fn the_brake_of_a_loaded_drive_holds_up_to_its_torque() {
+        for (load_nm, speed_rad_s) in [(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.3, 10.0), (-0.3, -10.0)] {
+            let mut drive = loaded(LOADED, 2.5, load_nm);
+            drive.update(0, &BldcInputs { throttle_v: 2.5, brake: Driven(true), ..REST });
+            drive.advance(SECOND_NS);
+            // (0.3 - 0.2) N m / 0.01 kg m^2
+            assert!((drive.speed_rad_s() - speed_rad_s).abs() < 1e-9, "{load_nm} N m: {} rad/s", drive.speed_rad_s());
+        }
+        let mut drive = loaded(LOADED, 5.0, 0.0);
+        drive.advance(5 * SECOND_NS);
+        let (from_rad, from_rad_s) = (drive.position_rad(), drive.speed_rad_s());
+        drive.update(5 * SECOND_NS, &BldcInputs { throttle_v: 2.5, brake: Driven(true), ..REST });
+        drive.advance(10 * SECOND_NS);
+        // v^2 / 2a with 20 rad/s^2; the step in which it stops is exact
+        assert_eq!(drive.speed_rad_s(), 0.0);
+        assert!((drive.position_rad() - from_rad - from_rad_s * from_rad_s / 40.0).abs() < 1e-9);
+    }
+
+    /// A load that a spring makes, held over each step: its frequency and energy, without the drive.
+    #[test]
+    fn a_coasting_rotor_on_a_spring_swings_by_its_inertia() {
+        let spec = BldcDriveSpec { coast_time_constant_s: 1e7, ..LOADED };
+        let mut drive = BldcDrive::new(0, spec);
+        drive.anchor.speed_rad_s = 1.0;
+        let (stiffness_nm_per_rad, mut crossings) = (1.0, 0);
+        for step in 1..=40_000u64 {
+            let before_rad = drive.position_rad();
+            // Half a step ahead: so a held load neither adds nor takes energy.
+            let middle_rad = before_rad + 0.5 * 0.25e-3 * drive.speed_rad_s();
+            drive.set_load(-stiffness_nm_per_rad * middle_rad);
+            drive.advance(step * STEP_NS);
+            crossings += u32::from(before_rad * drive.position_rad() < 0.0);
+        }
+        // sqrt(k / J) = 10 rad/s for 10 s: 31.8 half turns
+        assert_eq!(crossings, 31);
+        let energy_j =
+            0.5 * 0.01 * drive.speed_rad_s().powi(2) + 0.5 * stiffness_nm_per_rad * drive.position_rad().powi(2);
+        // Coasting takes 10 s / 1e7 s of it, and (w h)^2 / 4 = 1.6e-6 swings.
+        assert!((energy_j / 0.005 - 1.0).abs() < 1e-5, "{energy_j}");
     }
 
     fn any_pin() -> impl Strategy<Value = PinState> {

@@ -166,6 +166,13 @@ impl RcServo {
         if to_rad > from_rad { (from_rad + way_rad).min(to_rad) } else { (from_rad - way_rad).max(to_rad) }
     }
 
+    /// Speed of the horn, as of the last call with a time.
+    #[must_use]
+    pub fn speed_rad_s(&self) -> f64 {
+        let Motion { from_rad, to_rad, until_ns, .. } = self.motion;
+        if self.now_ns >= until_ns { 0.0 } else { self.spec.rate_rad_s.copysign(to_rad - from_rad) }
+    }
+
     /// Whether its supply is on.
     #[must_use]
     pub const fn is_powered(&self) -> bool {

@@ -201,6 +201,21 @@ impl StepperDriver {
         self.position
     }
 
+    /// Speed of the rotor, steps/s; 0 once the next step is late by half an interval.
+    #[must_use]
+    pub fn speed_hz(&self) -> f64 {
+        let Rotor { last, speed_hz, stalled, .. } = self.rotor;
+        let Some(last) = last.filter(|_| !stalled) else { return 0.0 };
+        let since_s = (self.now_ns - last.rise_ns) as f64 * 1e-9;
+        if since_s * speed_hz > 1.5 {
+            0.0
+        } else if last.forward {
+            speed_hz
+        } else {
+            -speed_hz
+        }
+    }
+
     /// Where the rotor would be had it never stalled: all the steps that the driver took.
     #[must_use]
     pub const fn commanded(&self) -> i64 {

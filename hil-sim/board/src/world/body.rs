@@ -2,43 +2,72 @@
 
 use r4_boards::{Mount, RangeView, Robot, SimulatedBody};
 use r4_protocol::ChannelId;
-use r4_world::{Body, MAX_STEP_S, Pose, Scene, ShaftMotion, Twist, Wheeled};
+use r4_world::{AnyBody, MAX_STEP_S, Pose, Scene, ShaftMotion, Twist, Wheeled};
 
-use super::{RANGE_SENSORS, World, motor::Motor};
+use super::{
+    RANGE_SENSORS, World,
+    drives::{Bldc, Servo},
+    motor::Motor,
+    stepping::Axis,
+};
 use crate::sensors::hc_sr04::FARTHEST_M;
 
 /// Half the angle in which an HC-SR04 hears a flat target (ElecFreaks sheet: 15 degrees), rad.
 const HALF_CONE_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
 
-/// Shortest step, s. The world's clock counts 1e-9 s, so anything shorter is rounding.
-const SHORTEST_STEP_S: f64 = 1e-12;
+/// Longest step of a body, ns.
+const MAX_STEP_NS: u64 = (MAX_STEP_S * 1e9) as u64;
 
-/// A body and the motors on its shafts.
+/// Everything in a world that turns shafts.
+pub(super) struct Movers<'w> {
+    pub(super) motors: &'w mut [Motor],
+    pub(super) bldcs: &'w mut [Bldc],
+    pub(super) servos: &'w mut [Servo],
+    pub(super) steppers: &'w mut [Axis],
+}
+
+/// What turns one of a body's shafts, by its number in the world.
+#[derive(Clone, Copy)]
+enum Shaft {
+    Motor(usize),
+    Bldc(usize),
+    /// Turns as its pulses say: the model of a servo takes no load.
+    Servo(usize),
+    /// Turns as its pulses say: the model of a stepper takes no load.
+    Stepper(usize),
+}
+
+/// A body and what turns its shafts.
 pub(super) struct Coupling {
-    body: Wheeled,
-    /// The motor on each shaft, by its number in the world.
-    shafts: Vec<usize>,
+    body: AnyBody,
+    shafts: Vec<Shaft>,
     motions: Vec<ShaftMotion>,
     loads: Vec<f64>,
-    /// Time that the shafts are ahead of the body, s.
-    owed_s: f64,
+    /// Time that the shafts are ahead of the body, ns.
+    owed_ns: u64,
 }
 
 impl Coupling {
-    /// Couples those of the world's motors that the body names.
-    pub(super) fn new(simulated: &SimulatedBody, motors: &mut [Motor]) -> Self {
-        for motor in motors.iter_mut() {
-            motor.coupled = simulated.channels.contains(&motor.channel);
-        }
+    /// Couples those of the world's movers that the body names.
+    pub(super) fn new(simulated: &SimulatedBody, movers: Movers<'_>) -> Self {
+        let named = |channel| simulated.channels.contains(&channel);
+        movers.motors.iter_mut().for_each(|motor| motor.coupled = named(motor.channel));
+        movers.bldcs.iter_mut().for_each(|bldc| bldc.coupled = named(bldc.channel));
         // The file's reader has checked that they exist.
-        let place = |channel: &ChannelId| motors.iter().position(|motor| motor.channel == *channel);
+        let place = |channel: &ChannelId| {
+            let motor = movers.motors.iter().position(|motor| motor.channel == *channel).map(Shaft::Motor);
+            let bldc = || movers.bldcs.iter().position(|bldc| bldc.channel == *channel).map(Shaft::Bldc);
+            let servo = || movers.servos.iter().position(|servo| servo.channel == *channel).map(Shaft::Servo);
+            let stepper = || movers.steppers.iter().position(|axis| axis.channel == *channel).map(Shaft::Stepper);
+            motor.or_else(bldc).or_else(servo).or_else(stepper)
+        };
         let shafts: Vec<_> = simulated.channels.iter().filter_map(place).collect();
         Self {
-            body: simulated.wheeled.clone(),
+            body: simulated.kind.clone(),
             motions: vec![ShaftMotion::default(); shafts.len()],
             loads: vec![0.0; shafts.len()],
             shafts,
-            owed_s: 0.0,
+            owed_ns: 0,
         }
     }
 
@@ -48,38 +77,66 @@ impl Coupling {
     pub(super) fn step(
         &mut self,
         scene: &Scene,
-        from_s: f64,
-        motors: &mut [Motor],
-        dt_s: f64,
+        [from_ns, until_ns]: [u64; 2],
+        movers: &mut Movers<'_>,
         mut advance: impl FnMut(&mut Motor, f64),
     ) {
-        for motor in motors.iter_mut().filter(|motor| !motor.coupled) {
+        let dt_s = (until_ns - from_ns) as f64 * 1e-9;
+        for motor in movers.motors.iter_mut().filter(|motor| !motor.coupled) {
             advance(motor, dt_s);
         }
-        let mut left_s = dt_s;
-        while left_s > SHORTEST_STEP_S {
-            let step_s = left_s.min(MAX_STEP_S);
-            if self.owed_s + step_s > MAX_STEP_S + SHORTEST_STEP_S {
-                self.catch_up(scene, from_s + (dt_s - left_s), motors);
+        let mut now_ns = from_ns;
+        while now_ns < until_ns {
+            let step_ns = (until_ns - now_ns).min(MAX_STEP_NS);
+            if self.owed_ns + step_ns > MAX_STEP_NS {
+                self.catch_up(scene, now_ns, movers);
             }
-            for number in &self.shafts {
-                advance(&mut motors[*number], step_s);
+            now_ns += step_ns;
+            for shaft in &self.shafts {
+                match *shaft {
+                    Shaft::Motor(number) => advance(&mut movers.motors[number], step_ns as f64 * 1e-9),
+                    Shaft::Bldc(number) => movers.bldcs[number].drive.advance(now_ns),
+                    // They have no load that must not come late: read when the body is stepped.
+                    Shaft::Servo(_) | Shaft::Stepper(_) => {}
+                }
             }
-            self.owed_s += step_s;
-            left_s -= step_s;
+            self.owed_ns += step_ns;
         }
     }
 
     /// Brings the body to now, and gives the shafts its loads.
-    fn catch_up(&mut self, scene: &Scene, now_s: f64, motors: &mut [Motor]) {
-        for (motion, number) in self.motions.iter_mut().zip(&self.shafts) {
-            let plant = &motors[*number].plant;
-            *motion = ShaftMotion { position: plant.position(), speed: plant.speed() };
+    fn catch_up(&mut self, scene: &Scene, now_ns: u64, movers: &mut Movers<'_>) {
+        for (motion, shaft) in self.motions.iter_mut().zip(&self.shafts) {
+            let (position, speed) = match *shaft {
+                Shaft::Motor(number) => {
+                    let plant = &movers.motors[number].plant;
+                    (plant.position(), plant.speed())
+                }
+                Shaft::Bldc(number) => {
+                    let drive = movers.bldcs[number].at(now_ns);
+                    (drive.position_rad(), drive.speed_rad_s())
+                }
+                Shaft::Servo(number) => {
+                    let servo = movers.servos[number].at(now_ns);
+                    (servo.angle_rad(), servo.speed_rad_s())
+                }
+                Shaft::Stepper(number) => {
+                    let axis = &mut movers.steppers[number];
+                    axis.catch_up(now_ns);
+                    (axis.angle_rad(), axis.speed_rad_s())
+                }
+            };
+            *motion = ShaftMotion { position, speed };
         }
-        self.body.step(scene, now_s, &self.motions, &mut self.loads, self.owed_s);
-        self.owed_s = 0.0;
-        for (load, number) in self.loads.iter().zip(&self.shafts) {
-            motors[*number].plant.set_load(*load);
+        let owed_s = self.owed_ns as f64 * 1e-9;
+        self.body.step(scene, now_ns as f64 * 1e-9, &self.motions, &mut self.loads, owed_s);
+        self.owed_ns = 0;
+        for (load, shaft) in self.loads.iter().zip(&self.shafts) {
+            match *shaft {
+                Shaft::Motor(number) => movers.motors[number].plant.set_load(*load),
+                Shaft::Bldc(number) => movers.bldcs[number].drive.set_load(*load),
+                Shaft::Servo(_) | Shaft::Stepper(_) => {}
+            }
         }
     }
 }
@@ -129,7 +186,13 @@ impl World {
 
     /// The body as it was when somebody looked last; `None` for a robot without one.
     #[must_use]
-    pub fn body(&self) -> Option<&Wheeled> {
+    pub fn body(&self) -> Option<&AnyBody> {
         self.body.as_ref().map(|coupling| &coupling.body)
+    }
+
+    /// The same, of a robot on wheels; `None` for all others.
+    #[must_use]
+    pub fn wheeled(&self) -> Option<&Wheeled> {
+        if let Some(AnyBody::Wheeled(body)) = self.body() { Some(body) } else { None }
     }
 }

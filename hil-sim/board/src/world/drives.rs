@@ -1,6 +1,6 @@
 //! Brushless drives, servos and steppers: what is plugged into the other connectors.
 
-use r4_boards::Robot;
+use r4_boards::{Robot, SimulatedEncoder};
 use r4_protocol::{
     ChannelId,
     config::{BldcConfig, Reverse as Wiring},
@@ -10,7 +10,7 @@ use super::{chips::Chips, stepping::Axis};
 use crate::{
     chips::mcp23017::PinState,
     devices::{
-        bldc_drive::{BldcDrive, BldcDriveSpec, BldcInputs, Reverse},
+        bldc_drive::{BldcDrive, BldcDriveSpec, BldcInputs, Reverse, Rotor},
         rc_servo::{RcServo, RcServoSpec},
         stepper_driver::StepperDriverSpec,
     },
@@ -33,7 +33,11 @@ const STEPPER_ACCELERATION_PER_S: f64 = 50.0;
 pub(super) struct Bldc {
     pub(super) channel: ChannelId,
     wiring: BldcConfig,
-    drive: BldcDrive,
+    pub(super) drive: BldcDrive,
+    /// What measures its shaft.
+    pub(super) encoder: Option<SimulatedEncoder>,
+    /// Whether its shaft is one of the body's.
+    pub(super) coupled: bool,
 }
 
 impl Bldc {
@@ -57,6 +61,14 @@ impl Bldc {
     pub(super) fn at(&mut self, at_ns: u64) -> &BldcDrive {
         self.drive.advance(at_ns);
         &self.drive
+    }
+
+    /// What its drive reaches without a load, rad/s^2.
+    pub(super) fn top_acceleration(&self) -> f64 {
+        let spec = self.drive.spec();
+        let limit =
+            spec.rotor.map_or(f64::INFINITY, |rotor| rotor.torque_max_nm.max(rotor.brake_nm) / rotor.inertia_kg_m2);
+        limit.min((2.0 * spec.top_speed_rad_s / spec.time_constant_s).max(spec.brake_rad_s2))
     }
 
     pub(super) fn misuse(&self) -> &MisuseLog {
@@ -87,8 +99,16 @@ pub(super) fn bldcs(robot: &Robot) -> Vec<Bldc> {
             time_constant_s: truth.time_constant_s,
             coast_time_constant_s: COAST_SLOWER * truth.time_constant_s,
             brake_rad_s2: truth.top_speed_rad_s / BRAKE_S,
+            four_quadrant: truth.four_quadrant,
+            rotor: truth.rotor.map(|rotor| Rotor {
+                inertia_kg_m2: rotor.inertia_kg_m2,
+                torque_max_nm: rotor.torque_max_nm,
+                power_max_w: rotor.power_max_w,
+                brake_nm: rotor.brake_nm,
+            }),
         };
-        Bldc { channel: wiring.id, wiring: *wiring, drive: BldcDrive::new(wiring.id.index, spec) }
+        let drive = BldcDrive::new(wiring.id.index, spec);
+        Bldc { channel: wiring.id, wiring: *wiring, drive, encoder: truth.encoder, coupled: false }
     };
     pairs.map(drive).collect()
 }

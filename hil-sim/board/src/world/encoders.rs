@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use r4_boards::SimulatedSensor;
+use r4_boards::{SimulatedEncoder, SimulatedSensor};
 use r4_firmware::{
     platform::{EdgeInputs, Encoders},
     sensing::{
@@ -11,7 +11,7 @@ use r4_firmware::{
     },
 };
 
-use super::{Processor, World, motor::Motor};
+use super::{Processor, World, drives::Bldc, motor::Motor};
 use crate::sensors::quadrature::{Channel, HardwareCounter, Levels, QuadratureSignal, Transition};
 
 /// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
@@ -74,14 +74,15 @@ pub(super) fn counters(encoders: &[QuadratureSignal; 4], interrupts: bool) -> [O
     })
 }
 
-/// Counts in a turn of the encoder at input `index`, if this motor turns it.
-fn counts_per_turn(motor: &Motor, index: usize) -> Option<f64> {
-    match motor.sensor {
-        Some(SimulatedSensor::Encoder { input, lines_per_turn }) if usize::from(input) == index => {
-            Some(f64::from(lines_per_turn) * 4.0)
-        }
-        _ => None,
-    }
+/// What turns an encoder, in its counts.
+struct Turning {
+    position: f64,
+    /// Counts/s.
+    speed: f64,
+    /// Highest of what turns it, counts/s^2.
+    acceleration: f64,
+    /// Whether anything drives it: itself, or by the body another.
+    driven: bool,
 }
 
 /// The earliest that a shaft can have gone `way` in the direction of `speed`, from there with `acceleration`, s.
@@ -127,19 +128,17 @@ impl World {
         let now_ns = self.now_ns;
         let Some(signal) = self.pins.encoders.get(index) else { return u64::MAX };
         let glitch_ns = signal.next_glitch_ns().unwrap_or(u64::MAX).max(now_ns);
-        let Some((motor, per_turn)) = self.turned_by(index) else { return glitch_ns };
-        let position = motor.plant.sensed_position() / TAU * per_turn;
-        let speed = motor.plant.speed() / TAU * per_turn;
-        if position.floor() as i64 != signal.count() {
+        let count = signal.count();
+        let Some(Turning { position, speed, acceleration, driven }) = self.turned_by(index) else { return glitch_ns };
+        if position.floor() as i64 != count {
             return now_ns;
         }
         let chips_ns = self.chips.next_change_ns().unwrap_or(u64::MAX).max(now_ns);
         let stands = speed.abs() < STANDSTILL;
-        let after_ns = if stands && !self.is_driven(motor) {
+        let after_ns = if stands && !driven {
             REST_NS
         } else {
-            let top = motor.top_acceleration(self.rails[motor.rail].spec.emf_v);
-            let acceleration = 2.0 * top / TAU * per_turn;
+            let acceleration = 2.0 * acceleration;
             let above = position - position.floor();
             let up_s = earliest_s(1.0 - above, speed, acceleration);
             let down_s = earliest_s(above, -speed, acceleration);
@@ -150,24 +149,43 @@ impl World {
         now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + LATE_LEAST_NS))
     }
 
-    /// Whether a motor drives this one's shaft: itself, or by the body another.
-    fn is_driven(&self, motor: &Motor) -> bool {
+    /// What turns an encoder now; `None` for an input without one.
+    fn turned_by(&mut self, index: usize) -> Option<Turning> {
+        let on = |input: u8| usize::from(input) == index;
         let drives = |motor: &Motor| motor.drive.duty != 0.0;
-        drives(motor) || motor.coupled && self.motors.iter().any(|other| other.coupled && drives(other))
-    }
-
-    /// The motor that turns an encoder, and its counts in a turn.
-    fn turned_by(&self, index: usize) -> Option<(&Motor, f64)> {
-        self.motors.iter().find_map(|motor| counts_per_turn(motor, index).map(|per_turn| (motor, per_turn)))
+        let body_driven = |motors: &[Motor], bldcs: &[Bldc]| {
+            motors.iter().any(|motor| motor.coupled && drives(motor))
+                || bldcs.iter().any(|bldc| bldc.coupled && !bldc.drive.is_coasting())
+        };
+        for motor in &self.motors {
+            let Some(SimulatedSensor::Encoder { input, lines_per_turn }) = motor.sensor else { continue };
+            if on(input) {
+                let counts = |rad: f64| rad / TAU * f64::from(lines_per_turn) * 4.0;
+                return Some(Turning {
+                    position: counts(motor.plant.sensed_position()),
+                    speed: counts(motor.plant.speed()),
+                    acceleration: counts(motor.top_acceleration(self.rails[motor.rail].spec.emf_v)),
+                    driven: drives(motor) || motor.coupled && body_driven(&self.motors, &self.bldcs),
+                });
+            }
+        }
+        let turns = |bldc: &Bldc| bldc.encoder.is_some_and(|SimulatedEncoder { input, .. }| on(input));
+        let number = self.bldcs.iter().position(turns)?;
+        let now_ns = self.now_ns;
+        let bldc = &mut self.bldcs[number];
+        let lines_per_turn = f64::from(bldc.encoder?.lines_per_turn);
+        let counts = |rad: f64| rad / TAU * lines_per_turn * 4.0;
+        let acceleration = counts(bldc.top_acceleration());
+        let drive = bldc.at(now_ns);
+        let (position, speed) = (counts(drive.position_rad()), counts(drive.speed_rad_s()));
+        let driven = !drive.is_coasting() || bldc.coupled && body_driven(&self.motors, &self.bldcs);
+        Some(Turning { position, speed, acceleration, driven })
     }
 
     /// Lets an encoder follow its shaft to now.
     fn turn(&mut self, index: usize, sink: impl FnMut(Transition)) -> i64 {
         self.catch_up();
-        let counts = self.turned_by(index).map_or(0.0, |(motor, per_turn)| {
-            let turns = motor.plant.sensed_position() / TAU;
-            turns * per_turn
-        });
+        let counts = self.turned_by(index).map_or(0.0, |turning| turning.position);
         let now_ns = self.clock.now_ns();
         self.pins.encoders.get_mut(index).map_or(0, |signal| signal.advance(now_ns, counts, sink))
     }

@@ -34,7 +34,7 @@ use crate::{
     misuse::Misuse,
     sensors::hc_sr04::{HcSr04, HcSr04Array},
 };
-use body::Coupling;
+use body::{Coupling, Movers};
 use chips::Chips;
 use drives::{Bldc, Servo};
 pub use encoders::EncoderEdge;
@@ -62,7 +62,7 @@ pub struct World {
     servos: Vec<Servo>,
     steppers: Vec<stepping::Axis>,
     rails: Vec<Rail>,
-    /// What couples some of the motors.
+    /// What couples some shafts.
     body: Option<Coupling>,
     scene: Scene,
     /// Range sensors on the body, by their connectors.
@@ -121,7 +121,10 @@ impl World {
             let Some(wiring) = motor.map(|motor| motor.bridge) else { continue };
             motors.push(Motor::new(simulated, wiring, rail, seed.wrapping_add(index.into()))?);
         }
-        let body = robot.simulation.body.as_ref().map(|body| Coupling::new(body, &mut motors));
+        let (mut bldcs, mut servos, mut steppers) =
+            (drives::bldcs(robot), drives::servos(robot), drives::steppers(robot));
+        let movers = Movers { motors: &mut motors, bldcs: &mut bldcs, servos: &mut servos, steppers: &mut steppers };
+        let body = robot.simulation.body.as_ref().map(|body| Coupling::new(body, movers));
         let pins = Pins::new(robot, seed);
         let encoder_3 = robot.config.uses_encoder(3);
         let counters = encoders::counters(&pins.encoders, encoder_3);
@@ -135,9 +138,9 @@ impl World {
             stale: true,
             generation: 0,
             motors,
-            bldcs: drives::bldcs(robot),
-            servos: drives::servos(robot),
-            steppers: drives::steppers(robot),
+            bldcs,
+            servos,
+            steppers,
             rails,
             body,
             scene: robot.simulation.scene.clone(),
@@ -162,7 +165,7 @@ impl World {
         while self.now_ns < target_ns {
             let change_ns = self.chips.next_change_ns();
             let until_ns = change_ns.map_or(target_ns, |at_ns| at_ns.clamp(self.now_ns, target_ns));
-            self.step((until_ns - self.now_ns) as f64 * 1e-9);
+            self.step(until_ns);
             self.now_ns = until_ns;
             self.chips.advance(until_ns);
             self.look_at_lines();
@@ -173,12 +176,21 @@ impl World {
     }
 
     /// Lets physics pass under constant lines.
-    fn step(&mut self, dt_s: f64) {
+    fn step(&mut self, until_ns: u64) {
+        let dt_s = (until_ns - self.now_ns) as f64 * 1e-9;
         let advance = |motor: &mut Motor, dt_s: f64| {
             motor.plant.advance(motor.drive, self.rails[motor.rail].volts, dt_s);
         };
         match &mut self.body {
-            Some(body) => body.step(&self.scene, self.now_ns as f64 * 1e-9, &mut self.motors, dt_s, advance),
+            Some(body) => {
+                let mut movers = Movers {
+                    motors: &mut self.motors,
+                    bldcs: &mut self.bldcs,
+                    servos: &mut self.servos,
+                    steppers: &mut self.steppers,
+                };
+                body.step(&self.scene, [self.now_ns, until_ns], &mut movers, advance);
+            }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }
         for (index, rail) in self.rails.iter_mut().enumerate() {

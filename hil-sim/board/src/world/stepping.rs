@@ -184,6 +184,10 @@ impl Axis {
     pub(super) fn angle_rad(&self) -> f64 {
         self.driver.position() as f64 / f64::from(self.steps_per_turn) * std::f64::consts::TAU
     }
+
+    pub(super) fn speed_rad_s(&self) -> f64 {
+        self.driver.speed_hz() / f64::from(self.steps_per_turn) * std::f64::consts::TAU
+    }
 }
 
 impl StepPulses {

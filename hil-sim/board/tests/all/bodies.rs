@@ -1,11 +1,14 @@
-//! Robots with a body: what their wheels do to it and it to them, and what they see and bump into.
+//! Robots with a body: what their motors do to it and it to them, and what they see and bump into.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::harness::{Bench, bench};
+use crate::{
+    harness::{Bench, bench},
+    whole_board::sample,
+};
 use r4_boards::Robot;
-use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, SafetyState};
-use r4_world::{Person, Pose, Scene, Twist};
+use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, SafetyState, Sample};
+use r4_world::{AnyBody, BalanceTail, Person, Pose, Scene, TailState, Twist};
 
 const RADIUS_M: f64 = 0.056;
 const HALF_TRACK_M: f64 = 0.151;
@@ -104,5 +107,100 @@ fn a_person_in_front_trips_the_board_before_anybody_is_touched() {
         let front_m = pose(bench).x_m + 0.20;
         assert!((0.8..1.0).contains(&front_m), "it stands {front_m} m from the start, the person at 1.0 m");
         assert!(twist(bench).forward_m_s.abs() < 1e-3);
+    });
+}
+
+const MOTOR_1: ChannelId = ChannelId::new(ChannelKind::Bldc, 0);
+const MOTOR_2: ChannelId = ChannelId::new(ChannelKind::Bldc, 1);
+
+fn tail(bench: &Bench<'_>) -> BalanceTail {
+    let mut world = bench.board.world();
+    world.catch_up();
+    let Some(AnyBody::BalanceTail(tail)) = world.body() else { panic!("a tail") };
+    (**tail).clone()
+}
+
+/// Torque of a drive, N m, and speed of its motor, rad/s.
+fn motor(bench: &Bench<'_>, channel: ChannelId) -> [f64; 2] {
+    let mut world = bench.board.world();
+    let drive = world.bldc(channel).expect("it has the drive");
+    [drive.torque_nm(), drive.speed_rad_s()]
+}
+
+/// What an encoder on a motor's shaft has counted, rad.
+async fn counted_rad(bench: &Bench<'_>, index: u8) -> f64 {
+    let Sample::Encoder { position, .. } = sample(bench, ChannelId::new(ChannelKind::Encoder, index)).await else {
+        panic!("an encoder")
+    };
+    f64::from(position) / 2048.0 * std::f64::consts::TAU
+}
+
+/// The motor at the back lifts the tail: its torque is what the cable's statics say, its encoder counts its turns, the person leans
+/// forwards under what then hangs farther behind, and when the host stops the board, the brakes hold all of it.
+#[test]
+fn a_brushless_drive_lifts_a_tail_and_its_brake_holds_it() {
+    let robot = r4_boards::load("balance-tail").expect("built in");
+    bench(&robot, async |bench| {
+        bench.host.arm().await.unwrap();
+        // Of 80 rad/s; 8 rad/s less what the load takes by the speed loop's gain of 0.25 N m s/rad.
+        bench.set(MOTOR_2, Mode::Duty, 0.1).await.unwrap();
+        bench.set(MOTOR_1, Mode::Duty, 0.0).await.unwrap();
+        bench.sleep_ms(3000).await;
+        let [torque_nm, speed_rad_s] = motor(bench, MOTOR_2);
+        assert!((0.25 * (8.0 - speed_rad_s) - torque_nm).abs() < 0.02, "{torque_nm} N m, {speed_rad_s} rad/s");
+        let TailState { angle_rad: [trunk, first, _], .. } = *tail(bench).state();
+        assert!(first > 0.3 && trunk < 0.0, "raised by {first} rad, the person at {trunk} rad");
+        // The weight at the back over the ratio, and 10 % of it and 0.3 N m lost on the way up.
+        let lifted_nm = -9.80665 * tail(bench).tail_x_m() * 6.9;
+        let expected_nm = (lifted_nm + 0.3) / 25.0 / 0.99_f64.powi(10);
+        assert!((torque_nm / expected_nm - 1.0).abs() < 0.1, "{torque_nm} N m, {expected_nm} N m");
+        bench.host.stop().await.unwrap();
+        bench.sleep_ms(200).await;
+        let stopped_rad = bench.position(MOTOR_2);
+        let counted = counted_rad(bench, 1).await;
+        // A count is 3 mrad.
+        assert!((counted - stopped_rad).abs() < 0.004, "{counted} rad, {stopped_rad} rad");
+        bench.sleep_ms(2000).await;
+        assert_eq!((bench.position(MOTOR_2), motor(bench, MOTOR_2)[1]), (stopped_rad, 0.0));
+        assert!(bench.board.world().misuse().is_empty());
+    });
+}
+
+/// The reading as printed: motor 1 at the back has 0.625 N m, which 25 turns into 15.6 N m, and the tail's weight asks for 50 N m.
+#[test]
+fn motor_1_at_the_back_lifts_the_tail_only_a_little() {
+    let mut robot = r4_boards::load("balance-tail").expect("built in");
+    robot.simulation.body.as_mut().expect("a tail").channels.reverse();
+    bench(&robot, async |bench| {
+        bench.host.arm().await.unwrap();
+        bench.set(MOTOR_1, Mode::Duty, 0.2).await.unwrap();
+        bench.set(MOTOR_2, Mode::Duty, 0.0).await.unwrap();
+        let mut highest = 0.0_f64;
+        for _ in 0..400 {
+            bench.sleep_ms(10).await;
+            let [torque_nm, speed_rad_s] = motor(bench, MOTOR_1);
+            assert!(
+                torque_nm <= 0.625 + 1e-9 && torque_nm * speed_rad_s <= 573.0,
+                "{torque_nm} N m, {speed_rad_s} rad/s"
+            );
+            highest = highest.max(tail(bench).state().angle_rad[1]);
+        }
+        // sin(0.32) of 50 N m, with some swing; upright it would be 1.57.
+        assert!((0.15..0.7).contains(&highest), "{highest} rad");
+    });
+}
+
+/// The lift of the file: 10 kg at 0.35 m, 5 s after the start.
+#[test]
+fn a_person_leans_forwards_under_a_load() {
+    let robot = r4_boards::load("balance-tail").expect("built in");
+    bench(&robot, async |bench| {
+        bench.sleep_ms(4990 - bench.clock.now_ns() / 1_000_000).await;
+        assert!(tail(bench).wearer_x_m().abs() < 1e-3, "{} m", tail(bench).wearer_x_m());
+        bench.sleep_ms(8000).await;
+        // (10 kg 9.81 m/s2 0.35 m) / (ankle less what gravity takes of person, load and tail: 1200 - 662 - 103 - 25 N m/rad) of
+        // 0.90 m: 75.3 mm, and 0.3 mm less by the sines.
+        let x_m = tail(bench).wearer_x_m();
+        assert!((x_m - 0.0753).abs() < 1e-3, "{x_m} m");
     });
 }

@@ -295,6 +295,15 @@ fn every_robot_comes_up_arms_and_is_driven() {
                     _ => assert!(moved > 0.0, "{name} {}: {moved}", motor.id),
                 }
             }
+            for bldc in &robot.config.bldcs {
+                let from = board.world().position(bldc.id).expect("a drive");
+                let turn = |value| host.set(bldc.id, Setpoint { mode: Mode::Duty, value });
+                turn(0.1).await.unwrap_or_else(|error| panic!("{name}: {error}"));
+                clock.sleep(500 * MS).await;
+                let moved = board.world().position(bldc.id).expect("a drive") - from;
+                assert!(moved > 0.0, "{name} {}: {moved}", bldc.id);
+                turn(0.0).await.unwrap_or_else(|error| panic!("{name}: {error}"));
+            }
             assert_eq!(host.safety().0, SafetyState::Armed, "{name}: {}", host.safety().1);
             let stats = host.stats().await.unwrap();
             assert_eq!((stats.late_ticks, stats.bus_retries), (0, 0), "{name}");

@@ -15,7 +15,7 @@ const fn channel(kind: ChannelKind, index: u8) -> ChannelId {
 }
 
 /// The newest sample of a channel.
-async fn sample(bench: &Bench<'_>, channel: ChannelId) -> Sample {
+pub(crate) async fn sample(bench: &Bench<'_>, channel: ChannelId) -> Sample {
     let mut telemetry = bench.host.telemetry();
     bench.host.subscribe(channel, 5).await.expect("it has the channel");
     // The second one is younger than the subscription.

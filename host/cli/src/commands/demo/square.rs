@@ -11,7 +11,7 @@ use r4_log::Log;
 use r4_protocol::{ChannelId, ChannelKind, Quality, SafetyState, Sample};
 use r4_rig::{Follower, GroundDrive, Limits, Odometry, Place, Velocity};
 use r4_sim::Pace;
-use r4_world::Pose;
+use r4_world::{Body, Pose};
 use serde::Serialize;
 
 use super::{table_sha256, write};
@@ -292,7 +292,7 @@ impl Run {
         let mut world = board.world();
         let (Some(truth), Some(twist)) = (world.pose(), world.twist()) else { bail!(NO_BODY) };
         let time_s = world.clock().now_ns() as f64 * 1e-9;
-        let body = world.body().context(NO_BODY)?;
+        let body = world.wheeled().context(NO_BODY)?;
         let mut person_m = f64::INFINITY;
         if let Some(outline) = body.outline() {
             for person in world.scene().people() {
