@@ -9,9 +9,9 @@ mod read;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
-use r4_world::{Pose, Scene, Wheeled};
+use r4_world::{Body as _, Pose, Scene, Wheeled};
 
-pub(crate) use body::read_world;
+pub(crate) use body::{read_body, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
@@ -181,6 +181,14 @@ impl Simulation {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Gives the robot another body, at rest where the one before it stood.
+    pub fn set_body(&mut self, mut body: SimulatedBody) {
+        if let Some(before) = &self.body {
+            body.wheeled.set_pose(before.wheeled.pose());
+        }
+        self.body = Some(body);
     }
 
     /// Puts the robot into a world, in place of the one it was in.
