@@ -44,6 +44,9 @@ pub(crate) struct Args {
     /// For `identify`: a plant file alone, with what is known already
     #[arg(long, global = true, value_name = "CHANNEL=FILE")]
     pub(crate) plant: Vec<OtherPlant>,
+    /// Another body for a simulated robot, from a body file. For `identify`: what is known of the robot's body already
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) body: Option<PathBuf>,
     /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
     #[arg(long, global = true, value_name = "SEED")]
     pub(crate) blind: Option<u64>,

@@ -39,7 +39,9 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
         Ok(_) if !plants::are_as_asked(&args) => {
-            eprintln!("r4: --plant and --blind changed nothing: this command starts no simulated board of its own");
+            eprintln!(
+                "r4: --plant, --body and --blind changed nothing: this command starts no simulated board of its own"
+            );
             ExitCode::FAILURE
         }
         Ok(true) => ExitCode::SUCCESS,

@@ -1,4 +1,4 @@
-//! `--plant` and `--blind`: other physics for the motors of a virtual board than its files say.
+//! `--plant`, `--body` and `--blind`: other physics for the motors and the body of a virtual board than its files say.
 
 use std::{
     fs,
@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 use r4_blind::Hidden;
-use r4_boards::Robot;
+use r4_boards::{Robot, SimulatedBody};
 use r4_plants::PlantSpec;
 use r4_protocol::ChannelId;
 use r4_sim::VirtualBoard;
@@ -59,14 +59,14 @@ impl FromStr for OtherPlant {
 static DONE: AtomicBool = AtomicBool::new(false);
 
 fn are_asked(args: &Args) -> bool {
-    args.blind.is_some() || !args.plant.is_empty()
+    args.blind.is_some() || args.body.is_some() || !args.plant.is_empty()
 }
 
 /// Refuses other physics where they cannot be had.
 pub(crate) fn check(args: &Args) -> anyhow::Result<()> {
     let is_served = matches!(args.command, Command::Sim { .. } | Command::Identify(_));
     if let (true, false, Target::Link(_)) = (are_asked(args), is_served, &args.board) {
-        args.board.robot().context("--plant and --blind change the physics of a simulated board")?;
+        args.board.robot().context("--plant, --body and --blind change the physics of a simulated board")?;
     }
     Ok(())
 }
@@ -87,6 +87,19 @@ pub(crate) fn known(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
     Ok(Some(plant))
 }
 
+/// The robot whose body `identify` begins with, and that body: that of `--body`, or else of the robot that `--board` names.
+pub(crate) fn known_body(args: &Args) -> anyhow::Result<Option<SimulatedBody>> {
+    let robot = match (&args.body, args.is_board_named) {
+        (None, false) => return Ok(None),
+        (None, true) if matches!(args.board, Target::Link(_)) => return Ok(None),
+        _ => r4_boards::load(args.board.robot().context("--body holds for a simulated robot")?)?,
+    };
+    let Some(file) = &args.body else { return Ok(robot.simulation.body) };
+    let body = r4_boards::load_body(file, &robot)?;
+    DONE.store(true, Ordering::Relaxed);
+    Ok(Some(body))
+}
+
 /// A plant file's name and content.
 pub(crate) fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
     let name = file.display().to_string();
@@ -95,8 +108,13 @@ pub(crate) fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
     Ok((name, spec))
 }
 
-/// Does what `--plant` says.
+/// Does what `--plant` and `--body` say.
 pub(crate) fn replace(args: &Args, robot: &mut Robot) -> anyhow::Result<()> {
+    if let Some(file) = &args.body {
+        let body = r4_boards::load_body(file, robot)?;
+        robot.simulation.set_body(body);
+        DONE.store(true, Ordering::Relaxed);
+    }
     for (index, OtherPlant { channel, file }) in args.plant.iter().enumerate() {
         let again = args.plant[..index].iter().any(|before| before.channel == *channel);
         let Some(channel) = *channel else { bail!("--plant {} names no channel: write {EXAMPLE}", file.display()) };
