@@ -47,7 +47,7 @@ pub(crate) struct Args {
     /// Another body for a simulated robot, from a body file. For `identify`: what is known of the robot's body already
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) body: Option<PathBuf>,
-    /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
+    /// Hide something in the physics of a simulated robot's body, or of each of its motors, or nothing; `sim reveal SEED` prints it
     #[arg(long, global = true, value_name = "SEED")]
     pub(crate) blind: Option<u64>,
     /// World in which the body of a simulated robot stands: a name, as in square, or a file

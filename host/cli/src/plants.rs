@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, bail, ensure};
-use r4_blind::Hidden;
+use r4_blind::{Hidden, Truth};
 use r4_boards::{Robot, SimulatedBody};
 use r4_plants::PlantSpec;
 use r4_protocol::ChannelId;
@@ -108,7 +108,7 @@ pub(crate) fn read(file: &Path) -> anyhow::Result<(String, PlantSpec)> {
     Ok((name, spec))
 }
 
-/// Does what `--plant` and `--body` say.
+/// Does what `--plant` and `--body` say, and what `--blind` says to a body.
 pub(crate) fn replace(args: &Args, robot: &mut Robot) -> anyhow::Result<()> {
     if let Some(file) = &args.body {
         let body = r4_boards::load_body(file, robot)?;
@@ -123,24 +123,47 @@ pub(crate) fn replace(args: &Args, robot: &mut Robot) -> anyhow::Result<()> {
         r4_sim::replace_plant(robot, channel, &name, &spec)?;
         DONE.store(true, Ordering::Relaxed);
     }
+    if let Some(seed) = args.blind.filter(|seed| robot.simulation.body.is_some() && r4_blind::is_in_body(*seed))
+        && let InRobot::Body(body, _) = hidden(robot, seed)?
+    {
+        robot.simulation.set_body(*body);
+    }
     Ok(())
 }
 
-/// What `--blind` hides in each motor of a robot.
-pub(crate) fn hidden(robot: &Robot, seed: u64) -> anyhow::Result<Vec<(ChannelId, Hidden)>> {
+/// What `--blind` hides in a robot: something in its body, or in each of its motors.
+pub(crate) enum InRobot {
+    /// The body with it, and what it is; `None` where nothing could be hidden.
+    Body(Box<SimulatedBody>, Option<Truth>),
+    Motors(Vec<(ChannelId, Hidden)>),
+}
+
+/// What `--blind` hides in a robot, whose body is that of its file or of `--body`. In which part, is up to the seed.
+pub(crate) fn hidden(robot: &Robot, seed: u64) -> anyhow::Result<InRobot> {
+    if let Some(body) = robot.simulation.body.as_ref().filter(|_| r4_blind::is_in_body(seed)) {
+        let (wheeled, truth) = r4_blind::hide_in_body(&body.wheeled, seed);
+        return Ok(InRobot::Body(Box::new(SimulatedBody { wheeled, channels: body.channels.clone() }), truth));
+    }
     let motors = r4_sim::plants(robot)?.into_iter().zip(0u64..);
     // Seeds of a board's motors are far apart: the next seed hides something else in all of them.
     let hide =
         |motor: r4_sim::MotorPlant, index: u64| r4_blind::hide(&motor.spec, motor.supply_v, seed ^ (index << 48));
-    Ok(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect())
+    Ok(InRobot::Motors(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect()))
 }
 
-/// Does what `--blind` says. Nothing but the motors' physics knows of it.
+/// Does what `--blind` says to motors; a body had it before it was built. Nothing but the physics knows of it.
 pub(crate) fn hide(args: &Args, robot: &Robot, board: &dyn VirtualBoard) -> anyhow::Result<()> {
     let Some(seed) = args.blind else { return Ok(()) };
-    for ((channel, hidden), index) in hidden(robot, seed)?.into_iter().zip(0u64..) {
-        board.world().set_plant(channel, hidden.plant(args.seed.wrapping_add(index)));
-    }
     DONE.store(true, Ordering::Relaxed);
+    // On a stand the robot has no body any more.
+    let has_body = args.body.is_some() || r4_boards::load(args.board.robot()?)?.simulation.body.is_some();
+    if has_body && r4_blind::is_in_body(seed) {
+        return Ok(());
+    }
+    if let InRobot::Motors(motors) = hidden(robot, seed)? {
+        for ((channel, hidden), index) in motors.into_iter().zip(0u64..) {
+            board.world().set_plant(channel, hidden.plant(args.seed.wrapping_add(index)));
+        }
+    }
     Ok(())
 }

@@ -2,10 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use r4_blind::Truth;
+use r4_blind::{Hidden, Truth};
+use r4_protocol::ChannelId;
 use serde::Serialize;
 
-use crate::{args::Args, output, plants, table};
+use crate::{
+    args::Args,
+    output,
+    plants::{self, InRobot},
+    table,
+};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Reveal {
@@ -22,6 +28,9 @@ struct Report {
     robot: String,
     seed: u64,
     channels: Vec<Channel>,
+    /// Where it is hidden in the robot's body instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    body: Option<Vec<Effect>>,
 }
 
 #[derive(Serialize)]
@@ -70,21 +79,24 @@ pub(crate) fn run(args: &Args, reveal: &Reveal) -> anyhow::Result<bool> {
         None => args.board.robot()?,
     };
     let mut robot = r4_boards::load(name)?;
-    plants::replace(args, &mut robot)?;
-    let hidden = plants::hidden(&robot, reveal.seed)?;
-    let channels: Vec<Channel> = hidden
-        .iter()
-        .map(|(channel, hidden)| Channel {
-            channel: channel.to_string(),
-            effects: hidden.truth().iter().map(Effect::from).collect(),
-        })
-        .collect();
+    plants::replace(&Args { blind: None, ..args.clone() }, &mut robot)?;
+    let (channels, body): (Vec<Channel>, Option<Vec<Effect>>) = match plants::hidden(&robot, reveal.seed)? {
+        InRobot::Motors(motors) => {
+            let channel = |(channel, hidden): &(ChannelId, Hidden)| Channel {
+                channel: channel.to_string(),
+                effects: hidden.truth().iter().map(Effect::from).collect(),
+            };
+            (motors.iter().map(channel).collect(), None)
+        }
+        InRobot::Body(_, truth) => (vec![], Some(truth.iter().map(Effect::from).collect())),
+    };
     if args.json {
-        output::json(&Report { robot: name.to_owned(), seed: reveal.seed, channels })?;
+        output::json(&Report { robot: name.to_owned(), seed: reveal.seed, channels, body })?;
         return Ok(true);
     }
     let mut rows = table::new(&["channel", "hidden", "depends on", "size"], 0..0);
-    for Channel { channel, effects } in channels {
+    let body = body.map(|effects| Channel { channel: "body".into(), effects });
+    for Channel { channel, effects } in channels.into_iter().chain(body) {
         if effects.is_empty() {
             rows.add_row([channel.clone(), "nothing".into(), String::new(), String::new()]);
         }
