@@ -54,6 +54,36 @@ fn a_blind_board_moves_by_its_seed_and_nothing_it_says_tells_what_it_has() {
 }
 
 #[test]
+fn a_robot_with_a_body_has_something_hidden_in_that_or_in_its_motors() {
+    let reveal = |seed: &str| good_json(&["sim", "reveal", seed, "--robot", "openscout", "--json"]);
+    let seeds: Vec<String> = (0..12).map(|seed| seed.to_string()).collect();
+    let seed = seeds.iter().find(|seed| !reveal(seed)["body"].is_null()).expect("a seed that hides in the body");
+    let revealed = reveal(seed);
+    assert_eq!(array(&revealed, "channels").len(), 0, "{revealed:#}");
+    let hidden = &array(&revealed, "body")[0];
+    assert!(hidden["parameters"].as_object().is_some_and(|numbers| !numbers.is_empty()), "{revealed:#}");
+    let rows = good(&["sim", "reveal", seed, "--robot", "openscout"]);
+    assert!(rows.contains("body") && rows.contains(text(hidden, "name")), "{rows}");
+    let of_motors = seeds.iter().map(|seed| reveal(seed)).find(|revealed| revealed["body"].is_null());
+    assert_eq!(of_motors.map(|revealed| array(&revealed, "channels").len()), Some(4));
+
+    // The robot moves otherwise, and says nothing of it.
+    let folder = folder();
+    let moved = |name: &str, more: &[&str]| {
+        let file = folder.path().join(name);
+        let drive = ["--board", "sim:openscout", "--record", path(&file), "move", "dhb0", "90deg", "--json"];
+        good_json(&[&drive[..], more].concat());
+        good(&["log", "export", path(&file), "--csv", "-"])
+    };
+    let (plain, blind) = (moved("plain.mcap", &[]), moved("blind.mcap", &["--blind", seed]));
+    assert!(plain != blind && blind == moved("again.mcap", &["--blind", seed]));
+    // On a stand the body is gone, and what is hidden in it with it: the motors have nothing.
+    let stand = ["--world", "stand"];
+    let lifted = moved("stand.mcap", &stand);
+    assert_eq!(lifted, moved("lifted.mcap", &[&stand[..], &["--blind", seed]].concat()));
+}
+
+#[test]
 fn a_run_is_replayed_on_the_plant_that_is_named() {
     let folder = folder();
     let plant = folder.path().join("plant.toml");

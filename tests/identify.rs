@@ -88,6 +88,46 @@ fn what_cannot_be_answered_is_told_and_nothing_is_written() {
     }
 }
 
+/// A robot that turns by three quarters of what its wheels say, every 20 ms for 8 s.
+fn drive(folder: &TempDir, name: &str, kind: u32) {
+    let mut table = String::from("t_s,left_rad_s,right_rad_s,yaw_rate_rad_s\n");
+    for row in 0..400_u32 {
+        let of = |shift: u32| [0.0, 3.0, -2.0, 5.0, 1.0, -4.0, 2.0, 4.0][((row / 25 + kind + shift) % 8) as usize];
+        let (left, right): (f64, f64) = (of(0), of(3));
+        let noise = 0.004 * (f64::from(row * 7_919 % 1_000) / 1_000.0 - 0.5);
+        let yaw_rate = 0.75 * 0.056 * (right - left) / 0.302 + noise;
+        writeln!(table, "{},{left},{right},{yaw_rate:.5}", f64::from(row) * 0.02).expect("strings take everything");
+    }
+    fs::write(folder.path().join(name), table).expect("a file");
+}
+
+#[test]
+fn a_drive_becomes_a_body_that_a_simulated_board_loads() {
+    let folder = tempfile::tempdir().expect("a folder");
+    drive(&folder, "a.csv", 0);
+    drive(&folder, "b.csv", 1);
+    let question = "identify a.csv --holdout b.csv --model skid-steer --map left=left_rad_s right=right_rad_s \
+                    gyro=yaw_rate_rad_s --param wheel_radius_m=0.056 track_m=0.302";
+    let told = r4(&folder, &format!("--json --board sim:openscout {question} --out out"));
+    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
+    assert!(json(&told.stdout)["files"][2].as_str().is_some_and(|file| file.ends_with("body.toml")));
+    let body = fs::read_to_string(folder.path().join("out/body.toml")).expect("it was written");
+    // What was not fitted is the robot's own.
+    assert!(body.contains("mass_kg = 9.0\n") && body.contains("# compliance_lat_per_n: "), "{body}");
+    let moved = r4(&folder, "--board sim:openscout --body out/body.toml --json move dhb0 90deg");
+    assert_eq!(moved.status.code(), Some(0), "{}", stderr(&moved));
+    // A robot that has none of the motors refuses it.
+    let refused = r4(&folder, "--board sim:osmc-bench --body out/body.toml info");
+    assert!(refused.status.code() != Some(0) && stderr(&refused).contains("body.wheeled.wheel[0].channel"));
+    // Without a robot the body says what it assumes.
+    let told = r4(&folder, &format!("--json {question} --out alone"));
+    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
+    let body = fs::read_to_string(folder.path().join("alone/body.toml")).expect("it was written");
+    assert!(body.contains("# Assumed, not fitted: "), "{body}");
+    let loaded = r4(&folder, "--board sim:openscout --body alone/body.toml info");
+    assert_eq!(loaded.status.code(), Some(0), "{}", stderr(&loaded));
+}
+
 #[test]
 fn every_model_is_listed_with_what_it_takes() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -100,5 +140,9 @@ fn every_model_is_listed_with_what_it_takes() {
         for what in ["roles", "parameters", "effects"] {
             assert!(model[what].as_array().is_some_and(|list| !list.is_empty()), "{name} {what}");
         }
+    }
+    for model in models {
+        let files = (model["writes"].as_str().expect("a file"), model["loads"].as_str().expect("an option"));
+        assert!([("plant.toml", "--plant CHANNEL=FILE"), ("body.toml", "--body FILE")].contains(&files), "{model}");
     }
 }

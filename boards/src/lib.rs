@@ -75,6 +75,16 @@ pub fn load_world(name_or_path: &str) -> Result<World, BoardError> {
     robot::read_world(&find(name_or_path, "world", &WORLDS)?.0)
 }
 
+/// Reads and checks a body for a robot: a `.toml` file with a `[body]` and nothing else, whose channels are motors of the robot.
+/// [`SimulatedBody::wheeled_toml`] writes one, [`Simulation::set_body`] gives it to the robot.
+///
+/// # Errors
+/// The first thing that is wrong, with file, line and field.
+pub fn load_body(path: &Path, robot: &Robot) -> Result<SimulatedBody, BoardError> {
+    let source = Source::read(path).map_err(|(path, source)| BoardError::NotReadable { path, source })?;
+    robot::read_body(&source, robot)
+}
+
 fn find(name_or_path: &str, what: &'static str, known: &[&'static str]) -> Result<(Source, Folder), BoardError> {
     if name_or_path.ends_with(".toml") {
         let path = Path::new(name_or_path);

@@ -1,14 +1,19 @@
 //! `[body]` and `[world]`: what couples a robot's shafts, and what it moves among. Simulated only.
 
-use r4_protocol::{channel::ChannelId, config::BoardConfig};
+use std::fmt::Write;
+
+use r4_protocol::{
+    channel::{ChannelId, ChannelKind},
+    config::BoardConfig,
+};
 use r4_world::{
-    Ankle, AnyBody, Axle, BalanceTail, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point, Pose, Scene,
-    SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point,
+    Pose, Scene, SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
 use super::{
-    Mount, SimulatedBody, World,
+    Mount, Robot, SimulatedBody, World,
     read::Reader,
     simulation::{may_slide, may_turn, others_that_turn},
 };
@@ -349,6 +354,90 @@ impl Shafts<'_> {
             self.channels.len() - 1
         })
     }
+}
+
+/// A file of a body alone.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BodyFile {
+    body: Body,
+}
+
+/// Reads a file with a `[body]` and nothing else, for the motors of a robot.
+pub(crate) fn read_body(source: &Source, robot: &Robot) -> Result<SimulatedBody, BoardError> {
+    let file: BodyFile = source.parse()?;
+    file.body.check(&Reader { source, carrier: &robot.carrier }, &robot.config)
+}
+
+impl SimulatedBody {
+    /// The body, if it is a chassis on wheels.
+    #[must_use]
+    pub fn wheeled(&self) -> Option<&Wheeled> {
+        if let AnyBody::Wheeled(body) = &self.kind { Some(body) } else { None }
+    }
+
+    /// A body on wheels as the text of a file, which [`load_body`](crate::load_body) reads back to the bit. `channels` are those of its
+    /// shafts; each of `comments` becomes a line at its top: where the numbers are from.
+    #[must_use]
+    pub fn wheeled_toml(wheeled: &Wheeled, channels: &[ChannelId], comments: &[String]) -> String {
+        let mut text = String::new();
+        // Writing to a String cannot fail, here and below.
+        for line in comments.iter().flat_map(|comment| comment.lines()) {
+            let _ = writeln!(text, "# {line}");
+        }
+        let Chassis { mass_kg, inertia_kg_m2, centre_m, height_m } = *wheeled.chassis();
+        let _ = writeln!(text, "[body.wheeled]\nmass_kg = {mass_kg:?}\ninertia_kg_m2 = {inertia_kg_m2:?}");
+        let _ = writeln!(text, "centre_m = {centre_m:?}\nheight_m = {height_m:?}");
+        if let Some(outline) = wheeled.outline() {
+            let _ = writeln!(text, "outline_m = {:?}", outline.corners_m());
+        }
+        let tyres = || wheeled.wheels().iter().filter_map(|wheel| wheel.tyre);
+        // A file needs one, also where nothing but casters carries the body.
+        let usual = tyres().next().unwrap_or(Tyre::TYPICAL);
+        let _ = writeln!(text, "\n[body.wheeled.tyre]\n{}", tyre_fields(&usual).join("\n"));
+        for wheel in wheeled.wheels() {
+            let _ = writeln!(text, "\n[[body.wheeled.wheel]]");
+            if let Some(channel) = wheel.shaft.and_then(|shaft| channels.get(shaft)) {
+                let _ = writeln!(text, "channel = \"{channel}\"");
+            }
+            let _ = writeln!(text, "place_m = {:?}\nradius_m = {:?}", wheel.place_m, wheel.radius_m);
+            for (flag, holds) in
+                [("inverted", wheel.inverted), ("steered", wheel.steered), ("caster", wheel.tyre.is_none())]
+            {
+                if holds {
+                    let _ = writeln!(text, "{flag} = true");
+                }
+            }
+            if let Some(own) = wheel.tyre.filter(|tyre| *tyre != usual) {
+                let _ = writeln!(text, "tyre = {{ {} }}", tyre_fields(&own).join(", "));
+            }
+        }
+        if let (Some(axle), Some(channel)) = (wheeled.axle(), wheeled.axle().and_then(|axle| channels.get(axle.shaft)))
+        {
+            let Axle { rad_per_unit, straight, fixed_x_m, trail_m, .. } = axle;
+            let unit = if channel.kind == ChannelKind::Actuator { "m" } else { "rad" };
+            let _ = writeln!(text, "\n[body.wheeled.steering]\nchannel = \"{channel}\"");
+            let _ = writeln!(text, "rad_per_{unit} = {rad_per_unit:?}\nstraight = {straight:?}");
+            let _ = writeln!(text, "fixed_x_m = {fixed_x_m:?}\ntrail_m = {trail_m:?}");
+        }
+        text
+    }
+}
+
+/// A tyre's fields with their values, as in a table.
+fn tyre_fields(tyre: &Tyre) -> [String; 5] {
+    let [long, lat] = tyre.compliance_per_n;
+    let law = match tyre.law {
+        SlipLaw::Brush => "brush",
+        SlipLaw::Linear => "linear",
+    };
+    [
+        format!("compliance_long_per_n = {long:?}"),
+        format!("compliance_lat_per_n = {lat:?}"),
+        format!("friction = {:?}", tyre.friction),
+        format!("relaxation_m = {:?}", tyre.relaxation_m),
+        format!("law = \"{law}\""),
+    ]
 }
 
 /// A file of a world alone.

@@ -11,7 +11,7 @@ mod simulation;
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 use r4_world::{AnyBody, Pose, Scene};
 
-pub(crate) use body::read_world;
+pub(crate) use body::{read_body, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 
@@ -209,6 +209,14 @@ impl Simulation {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Gives the robot another body, at rest where the one before it stood.
+    pub fn set_body(&mut self, mut body: SimulatedBody) {
+        if let Some(before) = &self.body {
+            body.kind.set_pose(before.kind.pose());
+        }
+        self.body = Some(body);
     }
 
     /// Puts the robot into a world, in place of the one it was in.

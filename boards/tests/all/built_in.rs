@@ -3,14 +3,15 @@
 use std::{collections::HashSet, fs};
 
 use r4_boards::{
-    Drive, SimulatedSensor,
+    Drive, Robot, SimulatedBody, SimulatedSensor, World,
     carrier::{Chip, PinKind},
-    carrier_names, load, load_carrier, names,
+    carrier_names, load, load_body, load_carrier, names,
 };
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{BridgeConfig, DhbLines, Feedback, MotorConfig, PotPoint, PwmConfig, RelayRole, Reverse},
 };
+use r4_world::{AnyBody, Pose, SlipLaw};
 
 fn osmc_lines(motor: &MotorConfig) -> [u8; 4] {
     let BridgeConfig::Osmc(lines) = motor.bridge else { panic!("{motor:?}") };
@@ -31,6 +32,67 @@ fn every_built_in_name_loads() {
     for name in carrier_names() {
         assert_eq!(load_carrier(name).unwrap().name, name);
     }
+}
+
+/// Of every robot with a body, and of one whose wheels differ in everything a file can say of them.
+#[test]
+fn a_body_is_written_as_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("body.toml");
+    let robots = names().map(|name| load(name).unwrap());
+    let is_on_wheels = |robot: &Robot| robot.simulation.body.as_ref().is_some_and(|body| body.wheeled().is_some());
+    let with_bodies: Vec<_> = robots.filter(is_on_wheels).collect();
+    assert!(with_bodies.iter().any(|robot| robot.config.robot == "openscout"));
+    for mut robot in with_bodies {
+        let body = robot.simulation.body.clone().unwrap();
+        let wheeled = body.wheeled().unwrap();
+        let text = SimulatedBody::wheeled_toml(wheeled, &body.channels, &["Where it is from.\nIn two lines.".into()]);
+        assert!(text.starts_with("# Where it is from.\n# In two lines.\n[body.wheeled]\n"), "{text}");
+        fs::write(&file, text).unwrap();
+        assert_eq!(load_body(&file, &robot).unwrap(), body);
+
+        let changed = wheeled.changed(|chassis, wheels| {
+            chassis.centre_m = [0.01, -0.002];
+            wheels[0].inverted = true;
+            let tyre = wheels[1].tyre.as_mut().unwrap();
+            (tyre.law, tyre.friction) = (SlipLaw::Linear, 0.1 + 0.2);
+            wheels[2].radius_m = 0.1 / 3.0;
+        });
+        let changed = changed.unwrap();
+        fs::write(&file, SimulatedBody::wheeled_toml(&changed, &body.channels, &[])).unwrap();
+        let changed = SimulatedBody { kind: AnyBody::Wheeled(Box::new(changed)), channels: body.channels.clone() };
+        assert_eq!(load_body(&file, &robot).unwrap(), changed);
+        // It takes the place of the other where that stood.
+        let start = Pose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.5 };
+        robot.simulation.enter(World { start, ..World::default() });
+        robot.simulation.set_body(changed);
+        assert_eq!(robot.simulation.body.unwrap().kind.pose(), start);
+    }
+}
+
+#[test]
+fn a_body_file_holds_a_body_of_the_robot_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("body.toml");
+    let robot = load("openscout").unwrap();
+    let body = robot.simulation.body.as_ref().unwrap();
+    let good = SimulatedBody::wheeled_toml(body.wheeled().unwrap(), &body.channels, &[]);
+    for (text, says) in [
+        (
+            good.replace("dhb2", "osmc0"),
+            "body.toml:26: body.wheeled.wheel[2].channel: there is no motor that turns `osmc0`",
+        ),
+        (
+            good.replace("mass_kg = 9.0", "mass_kg = -9.0"),
+            "body.toml:2: body.wheeled.mass_kg: -9 is out of range, must be above 0",
+        ),
+        (format!("{good}[world]\n"), "unknown field `world`"),
+    ] {
+        fs::write(&file, text).unwrap();
+        let error = load_body(&file, &robot).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}\nexpected {says}");
+    }
+    assert!(load_body(&folder.path().join("none.toml"), &robot).unwrap_err().to_string().contains("none.toml"));
 }
 
 #[test]

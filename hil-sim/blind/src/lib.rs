@@ -6,10 +6,12 @@
 //! | module | subject |
 //! | --- | --- |
 //! | [`hide`], [`Hidden`], [`Truth`] | an effect in a given plant |
+//! | [`hide_in_body`] | a parameter of a robot's body |
 //! | [`experiment`] | recordings of a drawn plant, with noise, as an identifier reads them |
 //!
 //! What may be hidden is an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
 
+mod body;
 mod dice;
 mod excitation;
 pub mod experiment;
@@ -22,6 +24,7 @@ mod watch;
 
 use r4_plants::{Dependence, Effect, Fitted, InsertionPoint, Plant, PlantKind, PlantSpec};
 
+pub use body::{hide_in_body, is_in_body};
 use dice::Dice;
 use listed::CANDIDATES;
 use scale::Scale;

@@ -20,7 +20,7 @@
 
 use crate::{
     discretisation::{FirstOrder, SecondOrder},
-    effect::friction::{Direction, Frictions},
+    effect::{direction::Direction, friction::Frictions},
     model::{DcGearMotor, LinearActuator, Model},
 };
 

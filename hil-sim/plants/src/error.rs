@@ -1,6 +1,6 @@
 //! What can be wrong with the description of a plant.
 
-use crate::model::PlantKind;
+use crate::kind::PlantKind;
 
 /// Why a plant description could not be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -9,12 +9,18 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `text` | plant files: TOML to [`PlantSpec`] and back |
 //! | [`plant`] | [`Plant`]: what is stepped |
-//! | [`spec`] | [`PlantSpec`]: what a plant is made of; read from and written to TOML |
-//! | [`model`] | the base models and their parameters |
+//! | `stages` | which stage of a plant steps an effect |
+//! | [`spec`] | [`PlantSpec`]: what a plant is made of |
 //! | [`effect`] | every effect, and the [`catalogue()`] of them; a [`Table`] for what has no name |
+//! | [`model`] | the base models and their parameters |
+//! | [`drive`] | [`Drive`]: what a bridge does to the terminals |
 //! | [`parameter`] | named, bounded parameters with units, which an identifier can vary |
 //! | [`error`] | what can be wrong with a plant's description |
+//! | [`kind`] | [`PlantKind`]: whether the output turns or slides |
+//!
+//! A module uses those below it in this table, never one above; `tests::arrows` reads the sources and holds them to it.
 //!
 //! An effect is one small type that the simulator steps; the identifier borrows its name and writes it into plant files, but
 //! has formulas of its own. Effects act at seven
@@ -50,20 +56,25 @@
 //! ```
 
 mod discretisation;
+pub mod drive;
 mod drive_train;
 pub mod effect;
 pub mod error;
+pub mod kind;
 pub mod model;
 pub mod parameter;
 pub mod plant;
 pub mod spec;
-mod spec_text;
+mod stages;
 #[cfg(test)]
 mod tests;
+mod text;
 
+pub use drive::Drive;
 pub use effect::{Dependence, Effect, EffectInfo, InsertionPoint, catalogue, table::Table, unlisted::Unlisted};
 pub use error::{InvalidField, PlantError, Problem};
-pub use model::{DcGearMotor, LinearActuator, Model, PlantKind};
+pub use kind::PlantKind;
+pub use model::{DcGearMotor, LinearActuator, Model};
 pub use parameter::{Fitted, Parameter};
-pub use plant::{Drive, Plant};
+pub use plant::Plant;
 pub use spec::PlantSpec;

@@ -1,39 +1,9 @@
 //! Base models: what is left of a plant when every effect is taken away.
 
-use std::fmt;
-
-use crate::parameter::{Fitted, Parameter, fitted};
-
-/// How the output moves, and with it the unit of everything at the output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum PlantKind {
-    /// rad, rad/s, N m.
-    Rotary,
-    /// m, m/s, N.
-    Linear,
-}
-
-impl fmt::Display for PlantKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(PerKind { rotary: "rotary", linear: "linear" }.of(*self))
-    }
-}
-
-/// One thing for each kind of plant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PerKind<T> {
-    pub(crate) rotary: T,
-    pub(crate) linear: T,
-}
-
-impl<T: Copy> PerKind<T> {
-    pub(crate) const fn of(&self, kind: PlantKind) -> T {
-        match kind {
-            PlantKind::Rotary => self.rotary,
-            PlantKind::Linear => self.linear,
-        }
-    }
-}
+use crate::{
+    kind::PlantKind,
+    parameter::{Fitted, Parameter, fitted},
+};
 
 fitted! {
     /// Brushed, permanent-magnet motor behind a gear.

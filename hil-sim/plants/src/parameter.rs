@@ -2,7 +2,7 @@
 
 use crate::{
     error::Problem,
-    model::{PerKind, PlantKind},
+    kind::{PerKind, PlantKind},
 };
 
 /// What a parameter is called and may be.

@@ -1,11 +1,10 @@
 //! A plant: a base model and its effects, stepped.
 
 use crate::{
+    drive::Drive,
     drive_train::{DriveTrain, MAX_STEP_S, Terminals},
     effect::{
         Effect,
-        backlash::Play,
-        compliance::Spring,
         delay::DelayLine,
         friction::{FrictionStage, Frictions},
         input::InputStage,
@@ -13,48 +12,12 @@ use crate::{
         sensor::SensorStage,
         supply::Heat,
         table::{On, Over, SpeedForce, Table},
+        transmission::TransmissionStage,
         unlisted::{Doing, Moment, Unlisted, act},
     },
-    model::PlantKind,
+    kind::PlantKind,
     spec::PlantSpec,
 };
-
-/// What the bridge does to the motor's terminals, averaged over a PWM period.
-///
-/// Of the period, the supply is across the motor for `|duty|` and the terminals are open for `coast`; for the rest they
-/// are shorted (brake). Ripple within the period is left out: exact for a PWM fast against `L/R`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Drive {
-    /// Signed share of time the supply is across the motor, -1..=1; positive drives towards positive positions.
-    pub duty: f64,
-    /// Share of time the terminals are open, 0..=1. It comes first: `|duty|` is at most what it leaves.
-    pub coast: f64,
-}
-
-impl Drive {
-    /// Terminals open: the current decays through the bridge's diodes, then nothing brakes but friction.
-    pub const COAST: Self = Self { duty: 0.0, coast: 1.0 };
-    /// Terminals shorted.
-    pub const BRAKE: Self = Self { duty: 0.0, coast: 0.0 };
-
-    /// Supply across the motor for a signed share of time, brake for the rest (slow decay).
-    #[must_use]
-    pub const fn with_brake(duty: f64) -> Self {
-        Self { duty, coast: 0.0 }
-    }
-
-    /// Supply across the motor for a signed share of time, terminals open for the rest (fast decay).
-    #[must_use]
-    pub const fn with_coast(duty: f64) -> Self {
-        Self { duty, coast: 1.0 - duty.abs() }
-    }
-
-    /// Both shares in their ranges.
-    fn clipped(self) -> Self {
-        let coast = self.coast.clamp(0.0, 1.0);
-        Self { duty: self.duty.clamp(coast - 1.0, 1.0 - coast), coast }
-    }
-}
 
 /// A base model and its effects, with their state.
 ///
@@ -138,37 +101,6 @@ fn is_speed_force(table: &Table) -> bool {
     table.on() == On::Force && table.over() == Over::Speed
 }
 
-/// What is between the motor side and the output.
-#[derive(Clone, Debug)]
-enum TransmissionStage {
-    Play(Play),
-    Spring(Box<Spring>),
-}
-
-impl TransmissionStage {
-    fn new(effect: &Effect) -> Option<Self> {
-        match effect {
-            Effect::Backlash(backlash) => Some(Self::Play(Play::new(backlash))),
-            Effect::Compliance(compliance) => Some(Self::Spring(Box::new(Spring::new(compliance)))),
-            _ => None,
-        }
-    }
-
-    fn settle(&mut self, position: f64) {
-        match self {
-            Self::Play(play) => play.centre(position),
-            Self::Spring(spring) => spring.settle(),
-        }
-    }
-
-    fn apply(&mut self, position: f64, speed: f64, step_s: f64) -> (f64, f64) {
-        match self {
-            Self::Play(play) => play.apply(position, speed),
-            Self::Spring(spring) => spring.apply(position, speed, step_s),
-        }
-    }
-}
-
 /// A step shorter than this is not worth taking: the rounding of longer ones adds up to it.
 const SHORTEST_STEP_S: f64 = 1e-12;
 
@@ -185,7 +117,7 @@ impl Plant {
         let kind = spec.kind();
         let effects = || spec.effects().iter();
         let numbered = || effects().enumerate();
-        let delay = DelayLine::new(effects());
+        let delay = DelayLine::of(effects());
         let input: Vec<_> = effects().filter_map(InputStage::new).collect();
         let sensor: Vec<_> = numbered().filter_map(|(stream, effect)| SensorStage::new(effect, seed, stream)).collect();
         let tables = Tables::new(spec);

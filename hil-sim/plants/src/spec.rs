@@ -2,10 +2,10 @@
 
 use crate::{
     effect::{Effect, check_values, table::Table},
-    error::{InvalidField, PlantError, Problem},
-    model::{Model, PlantKind},
+    error::{InvalidField, Problem},
+    kind::PlantKind,
+    model::Model,
     parameter::Fitted,
-    spec_text,
 };
 
 /// A base model, its effects, and where the numbers come from. Every value is in range: there is no other way to make
@@ -31,21 +31,6 @@ impl PlantSpec {
             effect.check(kind).map_err(|error| in_effect(index, error))?;
         }
         Ok(Self { model, source: source.into(), effects, tables: Vec::new() })
-    }
-
-    /// Reads a plant file. `source_name` is what messages call it.
-    ///
-    /// # Errors
-    /// [`PlantError`] with the file, the line and the field.
-    pub fn from_toml(source_name: &str, text: &str) -> Result<Self, PlantError> {
-        spec_text::read(source_name, text)
-    }
-
-    /// The plant as a file, which [`PlantSpec::from_toml`] reads back to the bit. Comments of a file it was read from
-    /// are not kept.
-    #[must_use]
-    pub fn to_toml(&self) -> String {
-        spec_text::write(self)
     }
 
     /// The base model.

@@ -54,6 +54,14 @@ pub enum TyreError {
 }
 
 impl Tyre {
+    /// A small robot's rubber wheel on a floor.
+    ///
+    /// # Source
+    /// The longitudinal compliance is that of a Pioneer P3-AT in the simulation of Trimble and Fox, TAROS 2023. The others are
+    /// assumed: four times as compliant across, rubber on a floor, half the radius of a 60 mm wheel.
+    pub const TYPICAL: Self =
+        Self { compliance_per_n: [0.005, 0.02], friction: 0.8, relaxation_m: 0.03, law: SlipLaw::Brush };
+
     /// The same tyre, if it can be computed.
     ///
     /// # Errors

@@ -199,21 +199,29 @@ impl Wheeled {
         Self { outline: Some(outline), ..self }
     }
 
+    /// The same body of other numbers, at rest at the same place.
+    ///
+    /// # Errors
+    /// As [`Wheeled::new`].
+    pub fn changed(&self, change: impl FnOnce(&mut Chassis, &mut [Wheel])) -> Result<Self, ChassisError> {
+        let (mut chassis, mut wheels) = (self.chassis, self.wheels.clone());
+        change(&mut chassis, &mut wheels);
+        let mut body = Self::new(chassis, wheels, self.axle, self.shafts)?;
+        body.outline.clone_from(&self.outline);
+        body.set_pose(self.pose);
+        Ok(body)
+    }
+
     /// Mass, inertia and centre of mass.
     #[must_use]
     pub fn chassis(&self) -> &Chassis {
         &self.chassis
     }
 
-    /// The same robot, at rest where it was, with another chassis and other wheels.
-    ///
-    /// # Errors
-    /// [`ChassisError`] names what cannot be computed.
-    pub fn rebuilt(&self, chassis: Chassis, wheels: Vec<Wheel>) -> Result<Self, ChassisError> {
-        let mut rebuilt = Self::new(chassis, wheels, self.axle, self.shafts)?;
-        rebuilt.outline.clone_from(&self.outline);
-        rebuilt.set_pose(self.pose);
-        Ok(rebuilt)
+    /// Its steering; `None` for a robot that steers by its wheels' speeds.
+    #[must_use]
+    pub fn axle(&self) -> Option<&Axle> {
+        self.axle.as_ref()
     }
 
     /// Its wheels.

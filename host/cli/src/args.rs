@@ -33,7 +33,10 @@ pub(crate) struct Args {
     /// For `identify`: a plant file alone, with what is known already
     #[arg(long, global = true, value_name = "CHANNEL=FILE")]
     pub(crate) plant: Vec<OtherPlant>,
-    /// Hide something in the physics of each motor of a simulated board, or nothing; `sim reveal SEED` tells it
+    /// Another body for a simulated robot, from a body file. For `identify`: what is known of the robot's body already
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) body: Option<PathBuf>,
+    /// Hide something in the physics of a simulated robot's body, or of each of its motors, or nothing; `sim reveal SEED` prints it
     #[arg(long, global = true, value_name = "SEED")]
     pub(crate) blind: Option<u64>,
     /// World in which the body of a simulated robot stands: a name, as in square, or a file
@@ -67,7 +70,7 @@ pub(crate) struct Args {
 impl Args {
     /// Whether other physics are asked for.
     pub(crate) fn asks_for_physics(&self) -> bool {
-        self.blind.is_some() || !self.plant.is_empty()
+        self.blind.is_some() || self.body.is_some() || !self.plant.is_empty()
     }
 
     /// The plant files for the motors of a board.

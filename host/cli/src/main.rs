@@ -42,7 +42,9 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
         Ok(_) if !session::has_physics_as_asked(&args) => {
-            eprintln!("r4: --plant and --blind changed nothing: this command starts no simulated board of its own");
+            eprintln!(
+                "r4: --plant, --body and --blind changed nothing: this command starts no simulated board of its own"
+            );
             ExitCode::FAILURE
         }
         Ok(true) => ExitCode::SUCCESS,
@@ -64,7 +66,7 @@ fn main() -> ExitCode {
 fn check_physics(args: &Args, command: &Command) -> anyhow::Result<()> {
     let is_served = matches!(command, Command::Sim { .. } | Command::Identify(_));
     if let (true, false, session::Target::Link(_)) = (args.asks_for_physics(), is_served, &args.board) {
-        args.board.robot().context("--plant and --blind change the physics of a simulated board")?;
+        args.board.robot().context("--plant, --body and --blind change the physics of a simulated board")?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `--plant` and `--blind`: other physics for the motors of a virtual board than its files say.
+//! `--plant`, `--body` and `--blind`: other physics for the motors and the body of a virtual board than its files say.
 
 use std::{path::PathBuf, str::FromStr};
 

@@ -93,6 +93,7 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     rig.flash.clone_from(&args.flash);
     rig.world.clone_from(&args.world);
     rig.plants = args.plants_of_channels()?;
+    rig.body.clone_from(&args.body);
     rig.hidden = args.blind;
     rig.interrupt = INTERRUPT.clone();
     rig.notify = Rc::new(|notice: &Notice| eprintln!("r4: {notice}"));

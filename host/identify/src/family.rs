@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use r4_maths::spline::Spline;
 use r4_plants::Dependence;
+use r4_world::Wheeled;
 
 use crate::{
     fit::{Fit, white_noise},
@@ -229,6 +230,46 @@ pub trait Model: Sync {
     }
 }
 
+/// A model as something that a simulated board loads.
+#[derive(Clone, Debug)]
+pub enum Loadable {
+    /// The text of a plant file.
+    Plant(String),
+    /// A robot's body.
+    Body(Box<FittedBody>),
+}
+
+/// A body with what was found of it.
+#[derive(Clone, Debug)]
+pub struct FittedBody {
+    /// The body, at rest.
+    pub wheeled: Wheeled,
+    /// Where its numbers are from, a line for each.
+    pub provenance: Vec<String>,
+    /// What was found and no body has, by name, and where it belongs.
+    pub left_out: Vec<(String, &'static str)>,
+}
+
+impl Loadable {
+    /// The text of the plant file; `None` for a body.
+    #[must_use]
+    pub fn plant(&self) -> Option<&str> {
+        match self {
+            Self::Plant(text) => Some(text),
+            Self::Body(_) => None,
+        }
+    }
+
+    /// The body; `None` for a plant.
+    #[must_use]
+    pub fn body(&self) -> Option<&FittedBody> {
+        match self {
+            Self::Plant(_) => None,
+            Self::Body(body) => Some(body),
+        }
+    }
+}
+
 /// A kind of model: what is looked for beside what is fitted, and how it is told.
 pub trait Family: Model {
     /// Unit of the output.
@@ -319,8 +360,8 @@ pub trait Family: Model {
         1.0
     }
 
-    /// The model as a file.
-    fn plant_toml(&self, structure: &Structure, source: &str) -> String;
+    /// The model as something that a simulated board loads.
+    fn loadable(&self, structure: &Structure, source: &str) -> Loadable;
 
     /// Empty curves over a driver, one for each way in which a model as it is can take one up.
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;

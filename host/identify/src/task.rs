@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use r4_maths::statistics::RootMeanSquare;
 use r4_plants::PlantSpec;
+use r4_world::Wheeled;
 
 use crate::{
     data::Run,
     error::IdentifyError,
-    family::{Acts, Family, Structure, Term},
+    family::{Acts, Family, Loadable, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
     report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
@@ -27,6 +28,8 @@ pub struct Task {
     pub parameters: BTreeMap<String, f64>,
     /// What is known of the plant.
     pub plant: Option<PlantSpec>,
+    /// What is known of the body of a robot.
+    pub body: Option<Wheeled>,
     /// Where random numbers begin.
     pub seed: u64,
 }
@@ -47,8 +50,8 @@ pub struct Identified {
     pub report: Report,
     /// For the page.
     pub figures: Figures,
-    /// The model as a plant file.
-    pub plant_toml: String,
+    /// The model as something that a simulated board loads.
+    pub loadable: Loadable,
 }
 
 /// A parameter that may be known.
@@ -88,6 +91,28 @@ pub struct ModelInfo {
     pub parameters: Vec<ParameterInfo>,
     /// What is looked for.
     pub effects: Vec<&'static str>,
+    /// What a simulated board loads of it.
+    pub file: FileKind,
+}
+
+/// What a simulated board loads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// A plant file, by `--plant CHANNEL=FILE`.
+    Plant,
+    /// A body file, by `--body FILE`.
+    Body,
+}
+
+impl FileKind {
+    /// Its name in the folder of the results.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Plant => "plant.toml",
+            Self::Body => "body.toml",
+        }
+    }
 }
 
 /// Fits the base model, searches for what it lacks, and reports errors on the runs that were held out.
@@ -126,6 +151,7 @@ pub fn identify(
     if let Some(output) = Output::ALL.into_iter().find(|output| output.model() == task.model) {
         let declared = Declared::from_parameters(&task.parameters)?;
         let (model, train) = SkidSteer::new(declared, output, train)?;
+        let model = model.with_body(task.body.clone());
         let holdout = holdout.iter().map(|run| model.run(declared, run)).collect::<Result<Vec<_>, _>>()?;
         return assemble(task, &model, &train, &holdout, notes, progress);
     }
@@ -278,7 +304,7 @@ fn assemble<F: Family>(
         causes: Left::causes(&left_before, &left_after),
     };
     let source = format!("r4 identify --model {}, fitted to {} runs", task.model, train.len());
-    let plant_toml = family.plant_toml(&found.last.structure, &source);
+    let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
     let report = Report {
@@ -293,7 +319,7 @@ fn assemble<F: Family>(
         notes,
         verdict,
     };
-    Ok(Identified { report, figures, plant_toml })
+    Ok(Identified { report, figures, loadable })
 }
 
 /// Named effects may leave so many times what a model with curves leaves of held-out recordings: a choice of what their
@@ -432,3 +458,6 @@ fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores,
         )
     }
 }
+
+#[cfg(test)]
+mod tests;

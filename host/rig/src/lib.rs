@@ -46,7 +46,7 @@ pub use interrupt::{Interrupt, Interrupted};
 pub use motion::{Driven, HeldOutput, NotReached, Unsuitable};
 pub use notice::Notice;
 pub use odometry::{Odometry, Place, WHEEL_VARIANCE_M};
-pub use plant_file::{PlantFile, PlantFileError, hidden, read_plant, replace_plants};
+pub use plant_file::{InRobot, PlantFile, PlantFileError, hidden, read_plant, replace_body, replace_plants};
 pub use quantity::Quantity;
 pub use rig::{Alter, Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};

@@ -1,15 +1,16 @@
-//! Physics of a virtual board's motors other than those of its robot's file.
+//! Physics of a virtual board's motors and body other than those of its robot's file.
 
 use std::{
     fs, io,
     path::{Path, PathBuf},
 };
 
-use r4_blind::Hidden;
-use r4_boards::Robot;
+use r4_blind::{Hidden, Truth};
+use r4_boards::{BoardError, Robot, SimulatedBody};
 use r4_plants::{PlantSpec, error::PlantError};
 use r4_protocol::ChannelId;
 use r4_sim::ReplaceError;
+use r4_world::AnyBody;
 
 /// A plant file for one motor of a board.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,14 +70,40 @@ pub fn replace_plants(robot: &mut Robot, files: &[PlantFile]) -> Result<(), Plan
     Ok(())
 }
 
-/// What `seed` hides in each motor of `robot`.
+/// Gives `robot` the body of a file, at rest where the one before it stood.
+///
+/// # Errors
+/// When the file is no body for this robot.
+pub fn replace_body(robot: &mut Robot, file: &Path) -> Result<(), BoardError> {
+    let body = r4_boards::load_body(file, robot)?;
+    robot.simulation.set_body(body);
+    Ok(())
+}
+
+/// What a seed hides in a robot: something in its body, or in each of its motors.
+#[derive(Clone, Debug)]
+pub enum InRobot {
+    /// The body with it, and what it is; `None` where nothing could be hidden.
+    Body(Box<SimulatedBody>, Option<Truth>),
+    /// The motors with it.
+    Motors(Vec<(ChannelId, Hidden)>),
+}
+
+/// What `seed` hides in `robot`. In which part, is up to the seed.
 ///
 /// # Errors
 /// When a plant of the robot's file is wrong.
-pub fn hidden(robot: &Robot, seed: u64) -> Result<Vec<(ChannelId, Hidden)>, PlantError> {
+pub fn hidden(robot: &Robot, seed: u64) -> Result<InRobot, PlantError> {
+    if let Some(body) = &robot.simulation.body
+        && let Some(wheeled) = body.wheeled().filter(|_| r4_blind::is_in_body(seed))
+    {
+        let (wheeled, truth) = r4_blind::hide_in_body(wheeled, seed);
+        let kind = AnyBody::Wheeled(Box::new(wheeled));
+        return Ok(InRobot::Body(Box::new(SimulatedBody { kind, channels: body.channels.clone() }), truth));
+    }
     let motors = r4_sim::plants(robot)?.into_iter().zip(0u64..);
     // Seeds of a board's motors are far apart: the next seed hides something else in all of them.
     let hide =
         |motor: r4_sim::MotorPlant, index: u64| r4_blind::hide(&motor.spec, motor.supply_v, seed ^ (index << 48));
-    Ok(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect())
+    Ok(InRobot::Motors(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect()))
 }

@@ -12,7 +12,7 @@ use crate::{
     Error, FlashFile, HostClock, Interrupt, Interrupted, Notice, PlantFile, Session, Target,
     cable::Cable,
     emulated,
-    plant_file::{hidden, replace_plants},
+    plant_file::{InRobot, hidden, replace_body, replace_plants},
     recording::{self, Listened, Output, RecordingError, SharedTap},
 };
 
@@ -42,7 +42,9 @@ pub struct Rig {
     pub world: Option<String>,
     /// Other physics for motors of a virtual board.
     pub plants: Vec<PlantFile>,
-    /// Seed of what is hidden in the physics of each motor of a virtual board.
+    /// File with another body for a virtual board's robot.
+    pub body: Option<PathBuf>,
+    /// Seed of what is hidden in the physics of a virtual board's body, or in each of its motors.
     pub hidden: Option<u64>,
     /// Changes the robot of a virtual board before it is powered up: for scenes that a file cannot describe, such as a body with
     /// sampled tyres.
@@ -115,6 +117,7 @@ impl Rig {
             flash: None,
             world: None,
             plants: Vec::new(),
+            body: None,
             hidden: None,
             alter: None,
             key: None,
@@ -130,9 +133,24 @@ impl Rig {
     /// # Errors
     /// When the board is not virtual, or a file is wrong.
     pub fn robot(&self) -> Result<Robot, Error> {
+        Ok(self.prepared()?.0)
+    }
+
+    /// The same, and whether something is hidden in its body, so that nothing is in its motors.
+    fn prepared(&self) -> Result<(Robot, bool), Error> {
         let name = self.target.robot()?;
         let mut robot = r4_boards::load(name)?;
+        if let Some(file) = &self.body {
+            replace_body(&mut robot, file)?;
+        }
         replace_plants(&mut robot, &self.plants)?;
+        let mut is_in_body = false;
+        if let Some(seed) = self.hidden
+            && let InRobot::Body(body, _) = hidden(&robot, seed)?
+        {
+            robot.simulation.set_body(*body);
+            is_in_body = true;
+        }
         if let Some(world) = &self.world {
             let world = r4_boards::load_world(world)?;
             if robot.simulation.body.is_none() {
@@ -143,7 +161,7 @@ impl Rig {
         if let Some(alter) = &self.alter {
             alter(&mut robot);
         }
-        Ok(robot)
+        Ok((robot, is_in_body))
     }
 
     /// Powers up the virtual board, with the flash in its file.
@@ -151,7 +169,7 @@ impl Rig {
     /// # Errors
     /// When the board is not virtual, or a file is wrong.
     pub fn power_up(&self, simulation: &mut Simulation) -> Result<(Rc<dyn VirtualBoard>, Option<FlashFile>), Error> {
-        let robot = self.robot()?;
+        let (robot, is_in_body) = self.prepared()?;
         let file = self.flash.as_deref().map(FlashFile::open).transpose()?;
         let flash = file.as_ref().map(FlashFile::flash).transpose()?.flatten();
         if let (Some(file), Some(flash)) = (&file, &flash)
@@ -160,8 +178,10 @@ impl Rig {
             (self.notify)(&notice);
         }
         let board = self.start(simulation, &robot, flash)?;
-        if let Some(seed) = self.hidden {
-            for ((channel, hidden), index) in hidden(&robot, seed)?.into_iter().zip(0u64..) {
+        if let Some(seed) = self.hidden.filter(|_| !is_in_body)
+            && let InRobot::Motors(motors) = hidden(&robot, seed)?
+        {
+            for ((channel, hidden), index) in motors.into_iter().zip(0u64..) {
                 board.world().set_plant(channel, hidden.plant(self.seed.wrapping_add(index)));
             }
         }

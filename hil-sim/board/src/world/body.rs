@@ -169,7 +169,9 @@ impl World {
     /// Where the body is now; `None` for a robot without one. Since its last step, at most [`MAX_STEP_S`] ago, it moved as it did then.
     pub fn pose(&mut self) -> Option<Pose> {
         self.catch_up();
-        self.body.as_ref().map(|coupling| coupling.body.pose().moved(coupling.body.twist(), coupling.owed_s))
+        self.body
+            .as_ref()
+            .map(|coupling| coupling.body.pose().moved(coupling.body.twist(), coupling.owed_ns as f64 * 1e-9))
     }
 
     /// How the body moves, at most [`MAX_STEP_S`] ago, in its own frame; `None` for a robot without one.

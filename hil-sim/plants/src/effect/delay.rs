@@ -5,10 +5,9 @@
 
 use std::collections::VecDeque;
 
-use super::Effect;
 use crate::{
+    drive::Drive,
     parameter::{Parameter, fitted},
-    plant::Drive,
 };
 
 fitted! {
@@ -39,18 +38,15 @@ pub(crate) struct DelayLine {
 }
 
 impl DelayLine {
-    /// The delays of a plant together; `None` if it has none.
-    pub(crate) fn new<'a>(effects: impl Iterator<Item = &'a Effect>) -> Option<Self> {
-        let delays = effects
-            .filter_map(|effect| if let Effect::InputDelay(delay) = effect { Some(delay.delay_s) } else { None });
-        let delay_s = delays.reduce(|total_s, delay_s| total_s + delay_s)?;
-        Some(Self {
+    /// Without anything under way; `delay_s` from command to action.
+    pub(crate) fn new(delay_s: f64) -> Self {
+        Self {
             delay_s,
             acting: Drive::COAST,
             newest: Drive::COAST,
             newest_from_s: f64::NEG_INFINITY,
             under_way: VecDeque::with_capacity(CAPACITY + 2),
-        })
+        }
     }
 
     /// When what acts will change if the command does not; never, if nothing is under way.
@@ -88,7 +84,7 @@ mod tests {
     use super::*;
 
     fn line(delay_s: f64) -> DelayLine {
-        DelayLine::new([Effect::InputDelay(InputDelay { delay_s })].iter()).unwrap()
+        DelayLine::new(delay_s)
     }
 
     #[test]

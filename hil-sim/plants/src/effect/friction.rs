@@ -1,10 +1,11 @@
 //! Forces against motion: at rest they hold up to their level, in motion they slow down and never turn around.
 
-use super::{Effect, table::SpeedForce};
-use crate::{
-    model::{PerKind, PlantKind},
-    parameter::{Parameter, fitted},
+use super::{
+    direction::Direction,
+    periodic::{PERIODS, PHASE},
+    table::SpeedForce,
 };
+use crate::parameter::{Parameter, fitted};
 
 const LEVEL: Parameter = Parameter::new("torque_nm", "N m").linear("force_n", "N").within(0.0, 1e6).typical(0.3);
 
@@ -63,9 +64,9 @@ fitted! {
         /// At its highest.
         pub level: LEVEL;
         /// How often.
-        pub periods: super::load::PERIODS;
+        pub periods: PERIODS;
         /// At position 0: 0 is half-way up, π/2 highest.
-        pub phase_rad: super::load::PHASE;
+        pub phase_rad: PHASE;
     }
 }
 
@@ -101,28 +102,6 @@ fitted! {
     }
 }
 
-/// Which way something moves or would.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Direction {
-    Forward,
-    Backward,
-}
-
-impl Direction {
-    /// Direction of a number that is not 0.
-    pub(crate) fn of(number: f64) -> Self {
-        if number > 0.0 { Self::Forward } else { Self::Backward }
-    }
-
-    pub(crate) fn sign(self) -> f64 {
-        if self == Self::Forward { 1.0 } else { -1.0 }
-    }
-
-    pub(crate) fn reverse(self) -> Self {
-        if self == Self::Forward { Self::Backward } else { Self::Forward }
-    }
-}
-
 /// A friction effect, ready to be stepped.
 #[derive(Clone, Debug)]
 pub(crate) enum FrictionStage {
@@ -150,21 +129,6 @@ pub(crate) struct Contact {
 }
 
 impl FrictionStage {
-    /// The stage of a friction effect; `None` for an effect that acts elsewhere.
-    pub(crate) fn new(effect: &Effect, kind: PlantKind) -> Option<Self> {
-        Some(match effect {
-            Effect::CoulombFriction(friction) => Self::Coulomb(*friction),
-            Effect::StaticFriction(friction) => Self::Static(*friction),
-            Effect::DirectionFriction(friction) => Self::Direction(*friction),
-            Effect::DirectionViscous(friction) => Self::Viscous(*friction),
-            Effect::PositionFriction(friction) => Self::Position(*friction, angle_per_position(kind, friction.periods)),
-            Effect::QuadraticDrag(drag) => Self::Drag(*drag),
-            Effect::LoadFriction(friction) => Self::Load(*friction),
-            Effect::FrictionWarmUp(friction) => Self::WarmUp(*friction),
-            _ => return None,
-        })
-    }
-
     /// Force against motion in `direction`, never negative; at speed 0, the force it holds against.
     #[inline]
     pub(crate) fn level(&self, direction: Direction, contact: &Contact) -> f64 {
@@ -214,14 +178,10 @@ impl Frictions<'_> {
     }
 }
 
-/// Radians within the period per unit of position: periods are counted per turn, or per metre.
-pub(crate) fn angle_per_position(kind: PlantKind, periods: f64) -> f64 {
-    periods * PerKind { rotary: 1.0, linear: std::f64::consts::TAU }.of(kind)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Effect, PlantKind};
 
     fn level(effect: Effect, direction: Direction, speed: f64, position: f64) -> f64 {
         let contact = Contact { speed, position, ..Contact::default() };

@@ -1,9 +1,9 @@
 //! Effects on the duty, before it becomes a voltage.
 
-use super::{Effect, slew::Slew};
+use super::slew::Slew;
 use crate::{
+    drive::Drive,
     parameter::{Parameter, fitted},
-    plant::Drive,
 };
 
 fitted! {
@@ -112,21 +112,6 @@ pub(crate) enum InputStage {
 const NOW_S: f64 = 1e-11;
 
 impl InputStage {
-    /// The stage of an input effect; `None` for a delay and for an effect that acts elsewhere.
-    pub(crate) fn new(effect: &Effect) -> Option<Self> {
-        Some(match effect {
-            Effect::DeadZone(zone) => Self::DeadZone(*zone),
-            Effect::GainCurve(curve) => Self::GainCurve(*curve),
-            Effect::Saturation(saturation) => Self::Saturation(*saturation),
-            Effect::DirectionAsymmetry(asymmetry) => Self::DirectionAsymmetry(*asymmetry),
-            Effect::SlewLimit(limit) => Self::Slew(Slew::new(limit)),
-            Effect::InputSign(InputSign {}) => Self::Sign,
-            Effect::InputHold(hold) => Self::Hold { period_s: hold.period_s, left_s: 0.0, held: Drive::COAST },
-            Effect::DriveLag(lag) => Self::Lag { time_constant_s: lag.time_constant_s, duty: 0.0 },
-            _ => return None,
-        })
-    }
-
     /// Whether its output may change while its input does not.
     pub(crate) fn has_memory(&self) -> bool {
         matches!(self, Self::Slew(_) | Self::Hold { .. } | Self::Lag { .. })
@@ -178,6 +163,7 @@ impl InputStage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Effect;
 
     #[test]
     fn a_dead_zone_swallows_small_duties_and_continues_from_zero() {

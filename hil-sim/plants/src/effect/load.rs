@@ -1,15 +1,10 @@
 //! Forces on the output whatever its motion.
 
-use super::{Effect, friction::angle_per_position, noise::Noise};
-use crate::{
-    model::PlantKind,
-    parameter::{Parameter, fitted},
+use super::{
+    noise::{CORRELATION, Noise},
+    periodic::{PERIODS, PHASE},
 };
-
-pub(crate) const PERIODS: Parameter =
-    Parameter::new("periods_per_turn", "1/turn").linear("periods_per_m", "1/m").within(0.0, 1e4).typical(1.0);
-pub(crate) const PHASE: Parameter =
-    Parameter::new("phase_rad", "rad").within(-std::f64::consts::TAU, std::f64::consts::TAU);
+use crate::parameter::{Parameter, fitted};
 
 fitted! {
     /// A constant force towards negative positions, such as a weight; negative, towards positive positions.
@@ -48,7 +43,7 @@ fitted! {
         /// Standard deviation.
         pub deviation: Parameter::new("deviation_nm", "N m").linear("deviation_n", "N").within(0.0, 1e6).typical(0.05);
         /// How long it takes to change.
-        pub correlation_s: super::noise::CORRELATION;
+        pub correlation_s: CORRELATION;
     }
 }
 
@@ -63,17 +58,6 @@ pub(crate) enum LoadStage {
 }
 
 impl LoadStage {
-    /// The stage of a load; `None` for an effect that acts elsewhere. `stream` tells two noises of one plant apart.
-    pub(crate) fn new(effect: &Effect, kind: PlantKind, seed: u64, stream: usize) -> Option<Self> {
-        Some(match effect {
-            Effect::ConstantLoad(load) => Self::Constant(*load),
-            Effect::GravityLoad(load) => Self::Gravity(*load),
-            Effect::Cogging(cogging) => Self::Cogging(*cogging, angle_per_position(kind, cogging.periods)),
-            Effect::RandomLoad(load) => Self::Random(Noise::new(load.deviation, load.correlation_s, seed, stream)),
-            _ => return None,
-        })
-    }
-
     /// Force towards positive positions over a step that is at `position` half-way.
     #[inline]
     pub(crate) fn force(&mut self, position: f64, step_s: f64) -> f64 {
@@ -91,6 +75,7 @@ impl LoadStage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Effect, PlantKind};
 
     #[test]
     fn gravity_pulls_back_and_cogging_repeats() {

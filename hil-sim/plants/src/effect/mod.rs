@@ -6,26 +6,31 @@
 
 use crate::{
     error::{InvalidField, Problem},
-    model::PlantKind,
+    kind::PlantKind,
     parameter::{Fitted, Parameter},
 };
 
 pub mod backlash;
 pub mod compliance;
 pub mod delay;
+mod dependence;
+pub(crate) mod direction;
 pub mod friction;
 pub mod input;
 pub mod load;
-mod noise;
+pub(crate) mod noise;
+pub(crate) mod periodic;
 pub mod sensor;
 pub mod slew;
 pub mod supply;
 pub mod table;
+pub(crate) mod transmission;
 pub mod unlisted;
 
 use backlash::Backlash;
 use compliance::Compliance;
 use delay::InputDelay;
+pub use dependence::Dependence;
 use friction::{
     CoulombFriction, DirectionFriction, DirectionViscous, FrictionWarmUp, LoadFriction, PositionFriction,
     QuadraticDrag, StaticFriction,
@@ -56,44 +61,6 @@ pub enum InsertionPoint {
     Transmission,
     /// Between the position of the output and what its sensor tells.
     Sensor,
-}
-
-/// What an effect's contribution is a function of: where its trace shows in a residual.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Dependence {
-    /// The commanded duty.
-    Input,
-    /// The speed of the output.
-    Speed,
-    /// The position of the output.
-    Position,
-    /// The acceleration of the output.
-    Acceleration,
-    /// The sign of the speed or of the duty.
-    Direction,
-    /// Time itself.
-    Time,
-    /// The voltage of the supply or the current drawn from it.
-    Supply,
-    /// What went before.
-    History,
-}
-
-impl Dependence {
-    /// The word used in reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Input => "input",
-            Self::Speed => "speed",
-            Self::Position => "position",
-            Self::Acceleration => "acceleration",
-            Self::Direction => "direction",
-            Self::Time => "time",
-            Self::Supply => "supply",
-            Self::History => "history",
-        }
-    }
 }
 
 /// What is known of an effect before it is fitted.

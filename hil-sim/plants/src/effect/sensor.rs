@@ -1,9 +1,8 @@
 //! Effects between the position of the output and what its sensor tells.
 
 use super::{
-    Effect,
-    load::PHASE,
     noise::{CORRELATION, Noise},
+    periodic::PHASE,
 };
 use crate::parameter::{Parameter, fitted};
 
@@ -121,25 +120,6 @@ pub(crate) enum SensorStage {
 }
 
 impl SensorStage {
-    /// The stage of a sensor effect; `None` for an effect that acts elsewhere. `stream` as in
-    /// [`super::load::LoadStage::new`].
-    pub(crate) fn new(effect: &Effect, seed: u64, stream: usize) -> Option<Self> {
-        Some(match effect {
-            Effect::EncoderScale(scale) => Self::Scale(*scale),
-            Effect::EncoderOffset(offset) => Self::Offset(*offset),
-            Effect::Eccentricity(eccentricity) => Self::Eccentricity(*eccentricity),
-            Effect::MissedEdges(effect) => Self::MissedEdges { effect: *effect, before: 0.0, lost: 0.0 },
-            Effect::PotentiometerDeadSpot(effect) => Self::DeadSpot { effect: *effect, held: 0.0 },
-            Effect::SensorLag(effect) => Self::Lag { effect: *effect, before: 0.0, reading: 0.0 },
-            Effect::EncoderSign(EncoderSign {}) => Self::Sign,
-            Effect::SensorHold(hold) => {
-                Self::Hold { period_s: hold.period_s, left_s: hold.period_s, before: 0.0, held: 0.0 }
-            }
-            Effect::SensorNoise(noise) => Self::Noise(Noise::new(noise.deviation, noise.correlation_s, seed, stream)),
-            _ => return None,
-        })
-    }
-
     /// Whether what it tells depends on more than the position now, so that it must see every step.
     pub(crate) fn has_memory(&self) -> bool {
         !matches!(self, Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) | Self::Sign)
@@ -222,6 +202,7 @@ impl SensorStage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Effect;
 
     fn stage(effect: Effect) -> SensorStage {
         SensorStage::new(&effect, 0, 0).unwrap()

@@ -12,7 +12,7 @@
 //! values = [0.1, -0.2, 0.05]
 //! ```
 
-use super::{Dependence, friction::Direction};
+use super::{dependence::Dependence, direction::Direction};
 use crate::error::{InvalidField, Problem};
 
 /// What a [`Table`] is over.

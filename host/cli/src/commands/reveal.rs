@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use r4_blind::Truth;
+use r4_blind::{Hidden, Truth};
+use r4_protocol::ChannelId;
+use r4_rig::InRobot;
 use serde::Serialize;
 
 use crate::{args::Args, output, session, table};
@@ -22,6 +24,9 @@ struct Report {
     robot: String,
     seed: u64,
     channels: Vec<Channel>,
+    /// Where it is hidden in the robot's body instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    body: Option<Vec<Effect>>,
 }
 
 #[derive(Serialize)]
@@ -71,21 +76,27 @@ pub(crate) fn run(args: &Args, reveal: &Reveal) -> anyhow::Result<bool> {
     };
     let mut robot = r4_boards::load(name)?;
     r4_rig::replace_plants(&mut robot, &args.plants_of_channels()?)?;
+    if let Some(file) = &args.body {
+        r4_rig::replace_body(&mut robot, file)?;
+    }
     session::uses_other_physics();
-    let hidden = r4_rig::hidden(&robot, reveal.seed)?;
-    let channels: Vec<Channel> = hidden
-        .iter()
-        .map(|(channel, hidden)| Channel {
-            channel: channel.to_string(),
-            effects: hidden.truth().iter().map(Effect::from).collect(),
-        })
-        .collect();
+    let (channels, body): (Vec<Channel>, Option<Vec<Effect>>) = match r4_rig::hidden(&robot, reveal.seed)? {
+        InRobot::Motors(motors) => {
+            let channel = |(channel, hidden): &(ChannelId, Hidden)| Channel {
+                channel: channel.to_string(),
+                effects: hidden.truth().iter().map(Effect::from).collect(),
+            };
+            (motors.iter().map(channel).collect(), None)
+        }
+        InRobot::Body(_, truth) => (vec![], Some(truth.iter().map(Effect::from).collect())),
+    };
     if args.json {
-        output::json(&Report { robot: name.to_owned(), seed: reveal.seed, channels })?;
+        output::json(&Report { robot: name.to_owned(), seed: reveal.seed, channels, body })?;
         return Ok(true);
     }
     let mut rows = table::new(&["channel", "hidden", "depends on", "size"], 0..0);
-    for Channel { channel, effects } in channels {
+    let body = body.map(|effects| Channel { channel: "body".into(), effects });
+    for Channel { channel, effects } in channels.into_iter().chain(body) {
         if effects.is_empty() {
             rows.add_row([channel.clone(), "nothing".into(), String::new(), String::new()]);
         }

@@ -4,7 +4,7 @@ use r4_plants::Dependence;
 use rand_distr::{Distribution, Normal};
 
 use super::{Effort, Fit, Problem, fit};
-use crate::family::{Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure};
+use crate::family::{Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Structure};
 
 /// A function of time with numbers.
 struct Formula {
@@ -69,8 +69,8 @@ impl Family for Formula {
         vec![]
     }
 
-    fn plant_toml(&self, _: &Structure, _: &str) -> String {
-        String::new()
+    fn loadable(&self, _: &Structure, _: &str) -> Loadable {
+        Loadable::Plant(String::new())
     }
 
     fn curves(&self, _: &Fit, _: (Dependence, Option<f64>), _: &[&Points]) -> Vec<Curve> {

@@ -6,7 +6,7 @@ use r4_plants::PlantSpec;
 
 use crate::{
     error::IdentifyError,
-    task::{ModelInfo, ParameterInfo, RoleInfo},
+    task::{FileKind, ModelInfo, ParameterInfo, RoleInfo},
 };
 
 use super::{Kind, Known, Motion, effect::Effect};
@@ -73,7 +73,7 @@ impl Motion {
             ),
         };
         let effects = Effect::ALL.iter().map(|effect| effect.name()).collect();
-        ModelInfo { name: kind.name(), summary, roles, parameters, effects }
+        ModelInfo { name: kind.name(), summary, roles, parameters, effects, file: FileKind::Plant }
     }
 }
 

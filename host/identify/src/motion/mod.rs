@@ -27,7 +27,7 @@ pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Candidate, Curve, Driver, Family, Model, Parameter, Range, Simulated, Structure},
+    family::{Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Simulated, Structure},
     fit::Fit,
     report::Estimate,
 };
@@ -429,8 +429,8 @@ impl Family for Motion {
         self.physical(structure).inertia
     }
 
-    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
-        self.plant_file(structure, source)
+    fn loadable(&self, structure: &Structure, source: &str) -> Loadable {
+        Loadable::Plant(self.plant_file(structure, source))
     }
 
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&MotionRun]) -> Vec<Curve> {

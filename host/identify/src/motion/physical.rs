@@ -19,6 +19,11 @@ const ASSUMED_OHM: f64 = 1.0;
 /// A resistance that hides the back-EMF: of the drive of an axis, which is a source of force, ohm. 1e4 is the largest there may be.
 const FORCE_SOURCE_OHM: f64 = 1e4;
 
+/// Smallest inertia and mass of a plant file. A recording in which the output follows the voltage at once fits any smaller one as well;
+/// forces do not change with it.
+const LIGHTEST_KG_M2: f64 = 1e-9;
+const LIGHTEST_KG: f64 = 1e-6;
+
 /// What plant files speak of.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Physical {
@@ -184,6 +189,14 @@ impl Motion {
         if let Some(assumed) = self.scale_is_assumed() {
             let _ = writeln!(text, "# Torques and forces hold for an assumed {assumed}: the data do not fix it.");
         }
+        let lightest = if self.rotary { LIGHTEST_KG_M2 } else { LIGHTEST_KG };
+        if physical.inertia < lightest {
+            let _ = writeln!(
+                text,
+                "# The data do not show what moves: {:.1e} was found, and {lightest:.0e} is the least that a plant has.",
+                physical.inertia
+            );
+        }
         match PlantSpec::new(model, source, effects) {
             Ok(mut spec) => {
                 tables.into_iter().for_each(|table| spec.push_table(table));
@@ -208,7 +221,7 @@ impl Motion {
             };
             motor.resistance_ohm = physical.resistance_ohm;
             motor.torque_constant_nm_per_a = physical.constant / motor.gear_ratio;
-            motor.inertia_kg_m2 = physical.inertia;
+            motor.inertia_kg_m2 = physical.inertia.max(LIGHTEST_KG_M2);
             motor.viscous_nm_s_per_rad = physical.viscous;
             return Model::DcGearMotor(motor);
         }
@@ -227,7 +240,7 @@ impl Motion {
         actuator.resistance_ohm = physical.resistance_ohm;
         actuator.torque_constant_nm_per_a = physical.constant / turns;
         actuator.rotor_inertia_kg_m2 = actuator.rotor_inertia_kg_m2.min(0.5 * physical.inertia / (turns * turns));
-        actuator.moving_mass_kg = physical.inertia - actuator.rotor_inertia_kg_m2 * turns * turns;
+        actuator.moving_mass_kg = (physical.inertia - actuator.rotor_inertia_kg_m2 * turns * turns).max(LIGHTEST_KG);
         actuator.viscous_n_s_per_m = physical.viscous;
         Model::LinearActuator(actuator)
     }

@@ -1,5 +1,9 @@
 //! Why recordings are no use for a skid-steer model, and what to do about it.
 
+use r4_world::ChassisError;
+
+use super::Geometry;
+
 /// Why a skid-steer model cannot be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SkidError {
@@ -18,6 +22,14 @@ pub enum SkidError {
         name: &'static str,
         /// What was given.
         value: f64,
+    },
+    /// No chassis of this geometry can be computed.
+    #[error("no robot has wheels of {} m, {} m apart: {source}; measure them again", geometry.wheel_radius_m, geometry.track_m)]
+    NoBody {
+        /// As declared.
+        geometry: Geometry,
+        /// What is wrong.
+        source: ChassisError,
     },
     /// A parameter that the model does not have.
     #[error("skid-steer has no parameter `{name}`: it takes wheel_radius_m, track_m and average_s")]

@@ -20,6 +20,7 @@
 //!
 //! Between samples the sides' speeds are straight lines: a command that steps is late by half a sample on average.
 
+mod body;
 mod effect;
 mod error;
 mod run;
@@ -30,15 +31,16 @@ mod tests;
 use std::collections::BTreeMap;
 
 use r4_plants::Dependence;
+use r4_world::Wheeled;
 
 pub use error::SkidError;
 pub use run::SkidRun;
 
 use crate::{
     data,
-    family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Structure, Term},
+    family::{Acts, Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Structure},
     fit::Fit,
-    task::{ModelInfo, ParameterInfo, RoleInfo},
+    task::{FileKind, ModelInfo, ParameterInfo, RoleInfo},
 };
 use effect::{Effect, Scales};
 use simulate::{CIRCLE, Ideal, directions, mean_over_spans, simulate};
@@ -144,6 +146,11 @@ pub struct SkidSteer {
     /// Of the catalogue, by its index.
     effects: Vec<Effect>,
     catalogue: Vec<Candidate>,
+    /// Speeds of the sides at which the robot turned, rad/s: where a body has to turn as the model does.
+    turns: Vec<(f64, f64)>,
+    /// As it was known, or on four wheels of that geometry.
+    body: Wheeled,
+    is_body_known: bool,
 }
 
 impl SkidSteer {
@@ -161,7 +168,18 @@ impl SkidSteer {
         }
         let effects = Effect::of(output, average_s.is_some());
         let catalogue = effects.iter().map(|effect| effect.candidate(&geometry, output, &scales)).collect();
-        Ok((Self { geometry, output, scales, effects, catalogue }, runs))
+        let turns = body::turns(&geometry, &scales, &runs);
+        let body = body::assumed(&geometry).map_err(|source| SkidError::NoBody { geometry, source })?;
+        Ok((Self { geometry, output, scales, effects, catalogue, turns, body, is_body_known: false }, runs))
+    }
+
+    /// With what is known of the robot's body; what is fitted takes its place in it.
+    #[must_use]
+    pub fn with_body(self, known: Option<Wheeled>) -> Self {
+        match known {
+            Some(body) => Self { body, is_body_known: true, ..self },
+            None => self,
+        }
     }
 
     /// For the list of models.
@@ -197,6 +215,7 @@ impl SkidSteer {
                 parameter("average_s", "s", "compare means over spans of this length instead of samples"),
             ],
             effects: Effect::of(output, false).into_iter().map(Effect::name).collect(),
+            file: FileKind::Body,
         }
     }
 
@@ -300,31 +319,8 @@ impl Family for SkidSteer {
         (name.to_owned(), mean_over_spans(&self.geometry, run, |ideal, _| of(ideal)))
     }
 
-    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
-        let Geometry { wheel_radius_m, track_m } = self.geometry;
-        let mut file = format!(
-            "model = {:?}\nsource = {source:?}\n\n[parameters]\nwheel_radius_m = {wheel_radius_m}\ntrack_m = {track_m}\n",
-            self.output.model()
-        );
-        for (term, values) in structure.terms.iter().zip(&structure.added) {
-            file += "\n[[effects]]\n";
-            match term {
-                Term::Known(index) => {
-                    let candidate = &self.catalogue[*index];
-                    file += &format!("effect = {:?}\n", candidate.name);
-                    for (parameter, value) in candidate.parameters.iter().zip(values) {
-                        file += &format!("{} = {value:?}\n", parameter.name);
-                    }
-                }
-                Term::Curve(curve) => {
-                    let over = curve.over.name();
-                    let acts = if curve.acts == Acts::Gain { "gain" } else { "added" };
-                    file += &format!("effect = \"unknown\"\nover = {over:?}\nacts = {acts:?}\n");
-                    file += &format!("at = {:?}\nvalues = {values:?}\n", curve.at);
-                }
-            }
-        }
-        file
+    fn loadable(&self, structure: &Structure, source: &str) -> Loadable {
+        Loadable::Body(Box::new(self.fitted_body(structure, source)))
     }
 
     fn part(&self, run: &SkidRun, from: usize, to: usize) -> SkidRun {

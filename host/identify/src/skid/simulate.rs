@@ -215,14 +215,7 @@ impl Body<'_> {
 /// Writes the mean output over each span of a run.
 pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun, predicted: &mut [f64]) {
     predicted.fill(f64::NAN);
-    let mut values = Values::default();
-    for (term, numbers) in structure.terms.iter().zip(&structure.added) {
-        if let Term::Known(candidate) = term
-            && let Some(effect) = family.effects.get(*candidate)
-        {
-            values.effects[*effect as usize] = Some(numbers);
-        }
-    }
+    let values = values(family, structure);
     let sides = &*run.sides;
     let body = Body {
         family,
@@ -279,6 +272,29 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
             (row, sum) = (row + 1, 0.0);
         }
     }
+}
+
+/// What the model settles at under constant speeds of the sides, rad/s, by slip alone: drives and sensors are left out.
+pub(super) fn settles_at(family: &SkidSteer, structure: &Structure, left: f64, right: f64) -> f64 {
+    let mut values = values(family, structure);
+    for elsewhere in [Effect::DeadZone, Effect::WheelSaturation] {
+        values.effects[elsewhere as usize] = None;
+    }
+    let curves = structure.curves().map(|(curve, values)| (curve, curve.spline(values))).collect();
+    Body { family, values, curves, begin_s: 0.0 }.output(left, right, 0.0)
+}
+
+/// The numbers of a structure, by their effects.
+fn values<'s>(family: &SkidSteer, structure: &'s Structure) -> Values<'s> {
+    let mut values = Values::default();
+    for (term, numbers) in structure.terms.iter().zip(&structure.added) {
+        if let Term::Known(candidate) = term
+            && let Some(effect) = family.effects.get(*candidate)
+        {
+            values.effects[*effect as usize] = Some(numbers);
+        }
+    }
+    values
 }
 
 /// Mean over a span of a series beside the output, by the ideal motion of each sample.

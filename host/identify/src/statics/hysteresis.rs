@@ -12,10 +12,11 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::map::{median, unit};
+use super::plant::with_play;
 use crate::data::Run;
-use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Structure, Term};
 use crate::fit::Fit;
-use crate::task::{ModelInfo, RoleInfo};
+use crate::task::{FileKind, ModelInfo, RoleInfo};
 
 /// Why a recording shows no play.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -416,6 +417,7 @@ impl HeldShaft {
             ],
             parameters: vec![],
             effects: vec!["backlash", "drift"],
+            file: FileKind::Plant,
         }
     }
 
@@ -550,8 +552,17 @@ impl Family for HeldShaft {
         ("pull".to_owned(), run.pull.clone())
     }
 
-    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
-        super::to_toml(Self::NAME, self, structure, source)
+    fn loadable(&self, structure: &Structure, source: &str) -> Loadable {
+        let base = self.base.iter().zip(&structure.base);
+        let found = base.map(|(parameter, value)| format!("{} = {value:?} {}", parameter.name, self.unit));
+        let others = structure.terms.iter().filter_map(|term| match term {
+            Term::Known(0) => None,
+            Term::Known(index) => Some(self.catalogue[*index].name.to_owned()),
+            Term::Curve(curve) => Some(format!("a curve over {}", curve.over.name())),
+        });
+        let left_out: Vec<_> = found.chain(others).collect();
+        let gap = structure.of(0).map(|values| values[0]);
+        Loadable::Plant(with_play(self.unit, gap, source, &left_out))
     }
 
     /// Pulls and sides have two values each, which the effects exhaust; time may have any shape.

@@ -6,10 +6,11 @@ use r4_maths::statistics;
 use r4_plants::Dependence;
 use thiserror::Error;
 
+use super::plant::SettlingMap;
 use crate::data::{Quantity, Run};
-use crate::family::{Acts, Candidate, Curve, Driver, Family, Model, Parameter, Range, Structure, Term};
+use crate::family::{Acts, Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Structure, Term};
 use crate::fit::Fit;
-use crate::task::{ModelInfo, RoleInfo};
+use crate::task::{FileKind, ModelInfo, RoleInfo};
 
 /// Why a recording is no map.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -99,6 +100,23 @@ impl MapRun {
             first: 0,
             measured,
         })
+    }
+
+    /// Rows of a level that is taken up from rest.
+    const HELD: usize = 2;
+
+    /// A level that is taken up from rest, and held.
+    fn at_rest(unit: &'static str, level: f64, supply: f64) -> Self {
+        Self {
+            name: String::new(),
+            unit,
+            time_s: Arc::new([0.0, 0.0]),
+            input: Arc::new([0.0, level]),
+            supply: Arc::new([supply, supply]),
+            since_turn: Arc::new([0.0, level.abs()]),
+            first: 0,
+            measured: vec![f64::NAN; Self::HELD],
+        }
     }
 
     /// Levels of the rows of [`Model::measured`].
@@ -262,6 +280,8 @@ pub struct StaticMap {
     unit: &'static str,
     /// Largest of |input|.
     span: f64,
+    /// Lowest and highest level.
+    seen: [f64; 2],
     /// Over how much of the input a start from rest is smeared, so that its level has a gradient.
     smear: f64,
     /// Largest of |output|.
@@ -306,6 +326,7 @@ impl StaticMap {
             bends: Vec::new(),
             unit,
             span,
+            seen: [low, high],
             // An eighth: at a level in the middle of two rows the nearest is off by 2 % of the jump.
             smear: (median(&steps) / 8.0).max(1e-4 * span),
             height,
@@ -339,6 +360,7 @@ impl StaticMap {
             ],
             parameters: vec![],
             effects: BENDS.iter().map(|bend| bend.name()).collect(),
+            file: FileKind::Plant,
         }
     }
 
@@ -813,8 +835,25 @@ impl Family for StaticMap {
         ("input".to_owned(), run.input().to_vec())
     }
 
-    fn plant_toml(&self, structure: &Structure, source: &str) -> String {
-        super::to_toml(StaticMap::NAME, self, structure, source)
+    /// A plant that settles where the map says when a level is taken up from rest.
+    fn loadable(&self, structure: &Structure, source: &str) -> Loadable {
+        let (structure, left_out) = super::of_the_level(self, structure);
+        let settles_at = |level: f64| {
+            let run = MapRun::at_rest(self.unit, level, self.supply_ref);
+            let mut settled = [0.0; MapRun::HELD];
+            self.predict(&structure, &[], &run, &mut settled);
+            settled[MapRun::HELD - 1]
+        };
+        let map = SettlingMap {
+            unit: self.unit,
+            source,
+            full: if self.span <= 1.0 { 1.0 } else { self.span },
+            seen: self.seen,
+            supply_v: (self.supply_ref != 1.0).then_some(self.supply_ref),
+            settles_at: &settles_at,
+            left_out,
+        };
+        Loadable::Plant(map.plant_file())
     }
 
     fn curves(&self, _: &Fit, (over, period): (Dependence, Option<f64>), runs: &[&MapRun]) -> Vec<Curve> {

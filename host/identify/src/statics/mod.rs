@@ -7,7 +7,7 @@
 //! | [`table`] | `table` |
 //! | [`hysteresis`] | `held-shaft` |
 
-use std::fmt::Write;
+use r4_plants::Dependence;
 
 use crate::data::Run;
 use crate::family::{Family, Structure, Term};
@@ -15,6 +15,7 @@ use crate::family::{Family, Structure, Term};
 pub mod bench;
 pub mod hysteresis;
 pub mod map;
+mod plant;
 pub mod table;
 
 /// Parts of one recording for models of which one recording is enough: what to fit to, and what to hold out. Of a map every
@@ -29,39 +30,37 @@ pub fn hold_out(model: &str, run: &Run, every: usize) -> Option<(Run, Run)> {
     }
 }
 
-/// A model that no plant of the simulator is, as a file.
-fn to_toml<F: Family>(model: &str, family: &F, structure: &Structure, source: &str) -> String {
-    let mut text = String::new();
-    let quoted = |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""));
-    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
-    // Writing to a String cannot fail.
-    let _ = writeln!(text, "model = {}\nsource = {}\nunit = {}", quoted(model), quoted(source), quoted(family.unit()));
-    let _ = writeln!(text, "\n[parameters]");
-    for (parameter, value) in family.base().iter().zip(&structure.base) {
-        let _ = writeln!(text, "{} = {value:?} # {}", parameter.name, parameter.unit);
-    }
+/// What of a structure depends on the level alone, and the names of the other terms: no map over the level holds them.
+fn of_the_level<F: Family>(family: &F, structure: &Structure) -> (Structure, Vec<String>) {
+    use Dependence::{Direction, Input, Speed};
+    let mut kept = Structure { terms: vec![], base: structure.base.clone(), added: vec![] };
+    let mut others = Vec::new();
     for (term, values) in structure.terms.iter().zip(&structure.added) {
-        match term {
+        let (is_kept, name) = match term {
             Term::Known(index) => {
                 let candidate = &family.catalogue()[*index];
-                let _ = writeln!(text, "\n[[effect]]\nname = {}", quoted(candidate.name));
-                for (parameter, value) in candidate.parameters.iter().zip(values) {
-                    let _ = writeln!(text, "{} = {value:?} # {}", parameter.name, parameter.unit);
-                }
+                // A start from rest is in the map of a level that is taken up from rest.
+                let of_level = |over: &Dependence| matches!(over, Input | Direction | Speed);
+                let starts = candidate.name == "static-friction";
+                (starts || candidate.depends_on.iter().all(of_level), candidate.name.to_owned())
             }
-            Term::Curve(curve) => {
-                let _ = writeln!(text, "\n[[effect]]\nname = \"unknown\"\nover = {}", quoted(curve.over.name()));
-                let _ = writeln!(text, "at = [{}] # {}", numbers(&curve.at), curve.at_unit);
-                let _ = writeln!(text, "values = [{}] # {}", numbers(values), curve.unit);
-            }
+            Term::Curve(curve) => (curve.over == Input, format!("a curve over {}", curve.over.name())),
+        };
+        if is_kept {
+            kept.terms.push(term.clone());
+            kept.added.push(values.clone());
+        } else {
+            others.push(name);
         }
     }
-    text
+    (kept, others)
 }
 
 #[cfg(test)]
 mod tests {
     use std::{collections::BTreeMap, path::Path};
+
+    use r4_plants::{Effect, PlantSpec};
 
     use super::*;
     use crate::data::{Mapping, Options, read};
@@ -73,7 +72,7 @@ mod tests {
         let options = Options { roles, counts_per_turn: Some(4096.0), ..Options::default() };
         let recorded = read(&[file], &options).unwrap();
         let (train, holdout) = hold_out(model, &recorded.runs[0], 2).unwrap();
-        let task = Task { model: model.to_owned(), parameters: BTreeMap::new(), plant: None, seed: 1 };
+        let task = Task { model: model.to_owned(), seed: 1, ..Task::default() };
         identify(&task, &[train], &[holdout], vec![], &|_| ()).unwrap()
     }
 
@@ -87,7 +86,12 @@ mod tests {
         let map = reported("static-map", "micromouse_drv8833/static_3.csv", roles);
         assert_eq!(map.report.unit, "rad/s");
         assert!(map.report.last.holdout.rmse < 0.1 * map.report.baseline.holdout.rmse, "{}", map.report.verdict);
-        assert!(map.plant_toml.contains("[[effect]]\nname = \"dead-zone\"\nforward = 0."), "{}", map.plant_toml);
+        let plant = PlantSpec::from_toml("plant.toml", map.loadable.plant().unwrap()).unwrap();
+        let [table] = plant.tables() else { panic!("{plant:?}") };
+        // The dead zone that is found: what is left of a duty within it is nothing.
+        let dead = map.report.effects.iter().find(|effect| effect.name == "dead-zone").unwrap();
+        let level = 0.5 * dead.parameters["forward"].value;
+        assert!((level + table.value(level)).abs() < 1e-3, "{} of {level}", table.value(level));
 
         let roles = vec![
             Mapping::measured("output", "dut_pos_cnt"),
@@ -97,6 +101,8 @@ mod tests {
         ];
         let shaft = reported("held-shaft", "sts_servo_backlash/sts3215_single.csv", roles);
         let backlash = shaft.report.effects.iter().find(|effect| effect.name == "backlash").unwrap();
+        let plant = PlantSpec::from_toml("plant.toml", shaft.loadable.plant().unwrap()).unwrap();
+        assert!(matches!(plant.effects(), [Effect::Backlash(found)] if found.gap == backlash.parameters["gap"].value));
         // 0.62 degrees are published without load.
         assert!((backlash.parameters["gap"].value.to_degrees() - 0.62).abs() < 0.1, "{backlash:?}");
         assert!(shaft.report.last.holdout.rmse < 0.6 * shaft.report.baseline.holdout.rmse, "{}", shaft.report.verdict);

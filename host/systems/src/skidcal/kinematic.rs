@@ -1,7 +1,7 @@
 //! The same tests on perfect actuators: wheels whose speed follows the ramp of the board's profile, and nothing else.
 
 use r4_boards::Drive;
-use r4_world::{Body, MAX_STEP_S, Scene, ShaftMotion};
+use r4_world::{MAX_STEP_S, Scene, ShaftMotion};
 
 use super::{
     protocol::{Recording, Repeats, Run, SPIN_SETTLES_S, SkidRobot, TRACKED_EVERY_S, Tracked, WheelSample},
@@ -36,7 +36,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
                 let speed = |left: &bool| rim_m_s[usize::from(!left)] / skid.drive.wheel_radius_m;
                 let motion = |left| ShaftMotion { position: 0.0, speed: speed(left) };
                 let shafts: Vec<_> = is_left.iter().map(motion).collect();
-                body.wheeled.step(&Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
+                body.kind.step(&Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
                 time_s += MAX_STEP_S;
                 for side in [0, 1] {
                     let most_m_s = RAMP_M_S2 * MAX_STEP_S;
@@ -48,7 +48,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
             let Some(run) = run.as_deref_mut() else { continue };
             run.wheels.push(WheelSample { time_s, travel_m });
             if time_s >= tracked_at_s {
-                let pose = body.wheeled.pose();
+                let pose = body.kind.pose();
                 run.tracked.push(Tracked::new(time_s, [pose.x_m, pose.y_m, pose.yaw_rad], noise.sample()));
                 tracked_at_s = time_s + TRACKED_EVERY_S;
             }

@@ -1,7 +1,7 @@
 //! Both tests, on a board.
 
 use futures::future::try_join_all;
-use r4_boards::{Drive, Robot, SkidSteer};
+use r4_boards::{Drive, Robot, SimulatedBody, SkidSteer};
 use r4_driver::TelemetryStream;
 use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
 use r4_rig::{Error, Session};
@@ -103,8 +103,10 @@ impl SkidRobot {
         let Some(Drive::SkidSteer(drive)) = &robot.drive else {
             return Err("it has no [drive.skid-steer]".into());
         };
-        let Some(body) = &robot.simulation.body else { return Err("it has no [body]".into()) };
-        let wheels = body.wheeled.wheels();
+        let Some(body) = robot.simulation.body.as_ref().and_then(SimulatedBody::wheeled) else {
+            return Err("it has no [body.wheeled]".into());
+        };
+        let wheels = body.wheels();
         let mean = |axis: usize| {
             let sum: f64 = wheels.iter().map(|wheel| wheel.place_m[axis].abs()).sum();
             sum / wheels.len().max(1) as f64

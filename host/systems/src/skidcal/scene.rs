@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use r4_boards::Robot;
 use r4_rig::Alter;
-use r4_world::{Chassis, GRAVITY_M_S2, SlipLaw, Tyre, Wheel};
+use r4_world::{AnyBody, GRAVITY_M_S2, SlipLaw};
 
 use super::protocol::Recording;
 use crate::sampler::Sampler;
@@ -51,22 +51,19 @@ pub fn sample(seed: u64) -> Truth {
 impl Truth {
     /// Changes the body of a robot to this one. The slip law is the linear one of the simulator that the paper calibrates.
     pub fn put_into(&self, robot: &mut Robot) {
-        let Some(body) = &mut robot.simulation.body else { return };
-        let before = *body.wheeled.chassis();
-        let scale = self.mass_kg / before.mass_kg;
-        let chassis = Chassis { mass_kg: self.mass_kg, inertia_kg_m2: scale * before.inertia_kg_m2, ..before };
-        let wheels = body.wheeled.wheels().iter().map(|wheel| Wheel {
-            tyre: wheel.tyre.map(|tyre| Tyre {
-                compliance_per_n: [self.c_long_per_n, self.c_lat_per_n],
-                friction: self.friction,
-                law: SlipLaw::Linear,
-                ..tyre
-            }),
-            ..*wheel
+        let Some(AnyBody::Wheeled(body)) = robot.simulation.body.as_mut().map(|body| &mut body.kind) else { return };
+        let changed = body.changed(|chassis, wheels| {
+            chassis.inertia_kg_m2 *= self.mass_kg / chassis.mass_kg;
+            chassis.mass_kg = self.mass_kg;
+            for tyre in wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()) {
+                tyre.compliance_per_n = [self.c_long_per_n, self.c_lat_per_n];
+                tyre.friction = self.friction;
+                tyre.law = SlipLaw::Linear;
+            }
         });
         // The sampled numbers are positive, which is all that a chassis asks of them.
-        if let Ok(rebuilt) = body.wheeled.rebuilt(chassis, wheels.collect()) {
-            body.wheeled = rebuilt;
+        if let Ok(changed) = changed {
+            **body = changed;
         }
     }
 

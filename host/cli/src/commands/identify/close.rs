@@ -9,7 +9,9 @@ use r4_driver::Error;
 use r4_identify::{
     Identified, Progress, Task,
     data::{self, Mapping, Options, Recorded},
+    family::Loadable,
     report::Report,
+    task::FileKind,
 };
 use r4_log::Log;
 use r4_plants::{Effect, PlantKind, PlantSpec};
@@ -147,7 +149,8 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
     progress.set_message("reading the recordings");
     let (fitted, fresh) = recordings.split_at(TRAIN);
     let found = found(args, close, (&declared, supply_v), (fitted, fresh), &progress)?;
-    let files = write(&close.out, (fitted, fresh), args.seed, &found)?;
+    let learned = (FileKind::Plant, found.loadable.plant().unwrap_or_default().to_owned());
+    let files = write(&close.out, (fitted, fresh), args.seed, &found, &learned)?;
     let before = match &close.plant_before {
         Some(file) => file.clone(),
         None => {
@@ -412,11 +415,13 @@ fn found(
         });
     }
     let parameters = [("supply_v".to_owned(), supply_v)].into_iter().filter(|(_, volts)| *volts > 0.0).collect();
-    let task = Task { model: model.to_owned(), parameters, plant: Some(declared.clone()), seed: args.seed };
+    let task =
+        Task { model: model.to_owned(), parameters, plant: Some(declared.clone()), seed: args.seed, ..Task::default() };
     let told = |now: Progress| show(progress, now);
     let mut found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?;
     if !known.is_empty() {
-        found.plant_toml = behind(known, &found.plant_toml)?;
+        // Models of a motor make plants.
+        found.loadable = Loadable::Plant(behind(known, found.loadable.plant().unwrap_or_default())?);
     }
     Ok(found)
 }

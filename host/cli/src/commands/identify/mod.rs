@@ -15,13 +15,17 @@ use std::{
 use anyhow::{Context, bail};
 use clap::{Subcommand, builder::PossibleValuesParser};
 use indicatif::{ProgressBar, ProgressStyle};
+use r4_boards::SimulatedBody;
 use r4_identify::{
     Identified, ModelInfo, Progress, Task,
     data::{self, Holdout, Mapping, Options, Recorded},
+    family::{FittedBody, Loadable},
     report::Report,
     statics::hold_out,
+    task::FileKind,
 };
 use r4_plants::PlantSpec;
+use r4_protocol::ChannelId;
 use serde::Serialize;
 
 use crate::{args::Args, output, plants::OtherPlant, report, session};
@@ -52,7 +56,7 @@ impl Identify {
     }
 }
 
-/// DIR gets report.json, report.html and plant.toml; the same `--seed` gives the same bytes.
+/// DIR gets report.json, report.html, and plant.toml or body.toml, which --plant or --body loads; the same `--seed` gives the same bytes.
 #[derive(Clone, Debug, clap::Args)]
 struct Question {
     /// Recordings to fit to: CSV with a header that has units, or logs of `r4`; one file is one run
@@ -156,12 +160,18 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
 
     let progress = bar();
     let told = |now: Progress| show(&progress, now);
-    let task = Task { model: question.model.clone(), parameters, plant, seed: args.seed };
+    let body = if model.file == FileKind::Body { known_body(args)? } else { None };
+    let wheeled = body.as_ref().and_then(SimulatedBody::wheeled).cloned();
+    let task = Task { model: question.model.clone(), parameters, plant, body: wheeled, seed: args.seed };
     let found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told);
     progress.finish_and_clear();
     let found = found?;
 
-    let files = write(&question.out, (&question.train, &question.holdout), args.seed, &found)?;
+    let learned = match &found.loadable {
+        Loadable::Plant(text) => (FileKind::Plant, text.clone()),
+        Loadable::Body(fitted) => (FileKind::Body, body_file(fitted, body.map(|body| body.channels))?),
+    };
+    let files = write(&question.out, (&question.train, &question.holdout), args.seed, &found, &learned)?;
     if args.json {
         output::json(&Written { report: &found.report, files })?;
     } else {
@@ -225,15 +235,33 @@ fn read(question: &Question, options: &Options) -> anyhow::Result<(Recorded, Rec
     }
 }
 
+/// The robot on whose channels a body stands of which no robot was named.
+const USUAL_ROBOT: &str = "openscout";
+
+/// The text of a body file. Of a body that no robot was named for, the wheels are on the channels of [`USUAL_ROBOT`].
+fn body_file(fitted: &FittedBody, channels: Option<Vec<ChannelId>>) -> anyhow::Result<String> {
+    let channels = match channels {
+        Some(channels) => channels,
+        None => r4_boards::load(USUAL_ROBOT)?.simulation.body.map(|body| body.channels).unwrap_or_default(),
+    };
+    let mut comments = fitted.provenance.clone();
+    for (name, place) in &fitted.left_out {
+        eprintln!("r4: {name} was found and is not in the body: {place}");
+        comments.push(format!("Found, but not in this file: {name}: {place}."));
+    }
+    Ok(SimulatedBody::wheeled_toml(&fitted.wheeled, &channels, &comments))
+}
+
 /// Writes the three files; their paths.
 fn write(
     out: &Path,
     (train, holdout): (&[PathBuf], &[PathBuf]),
     seed: u64,
     found: &Identified,
+    (kind, learned): &(FileKind, String),
 ) -> anyhow::Result<[PathBuf; 3]> {
     fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
-    let files = ["report.json", "report.html", "plant.toml"].map(|name| out.join(name));
+    let files = ["report.json", "report.html", kind.name()].map(|name| out.join(name));
     let listed = |paths: &[PathBuf]| {
         let names: Vec<_> =
             paths.iter().map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()).collect();
@@ -245,10 +273,23 @@ fn write(
     let facts = [("Fitted to", listed(train)), ("Held out", listed(holdout)), ("Seed", seed.to_string())];
     let page = report::identify(&found.report, &found.figures, &facts);
     let json = serde_json::to_string_pretty(&found.report)? + "\n";
-    for (path, text) in files.iter().zip([&json, &page, &found.plant_toml]) {
+    for (path, text) in files.iter().zip([&json, &page, learned]) {
         fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(files)
+}
+
+/// The robot whose body `identify` begins with, and that body: that of `--body`, or else of the robot that `--board` names.
+fn known_body(args: &Args) -> anyhow::Result<Option<SimulatedBody>> {
+    let robot = match (&args.body, args.is_board_named) {
+        (None, false) => return Ok(None),
+        (None, true) if !args.board.is_virtual() => return Ok(None),
+        _ => r4_boards::load(args.board.robot().context("--body holds for a simulated robot")?)?,
+    };
+    let Some(file) = &args.body else { return Ok(robot.simulation.body) };
+    let body = r4_boards::load_body(file, &robot)?;
+    session::uses_other_physics();
+    Ok(Some(body))
 }
 
 /// The plant that `identify` begins with, if one is named.

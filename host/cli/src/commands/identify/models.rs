@@ -1,6 +1,6 @@
 //! `r4 identify models`
 
-use r4_identify::ModelInfo;
+use r4_identify::{ModelInfo, task::FileKind};
 use serde::Serialize;
 
 use crate::{args::Args, output};
@@ -17,6 +17,10 @@ struct Model {
     roles: Vec<Role>,
     parameters: Vec<Parameter>,
     effects: Vec<String>,
+    /// Of the file that is written for a simulated board.
+    writes: &'static str,
+    /// How a board loads it.
+    loads: &'static str,
 }
 
 #[derive(Serialize)]
@@ -56,6 +60,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
             output::line(format_args!("  param {name:parameters$}  {what}{unit}"))?;
         }
         output::line(format_args!("  effects {}", model.effects.join(", ")))?;
+        output::line(format_args!("  writes {}, which a simulated board loads with {}", model.writes, model.loads))?;
     }
     Ok(true)
 }
@@ -80,5 +85,10 @@ fn described(model: ModelInfo) -> Model {
             })
             .collect(),
         effects: model.effects.iter().map(|effect| (*effect).to_owned()).collect(),
+        writes: model.file.name(),
+        loads: match model.file {
+            FileKind::Plant => "--plant CHANNEL=FILE",
+            FileKind::Body => "--body FILE",
+        },
     }
 }

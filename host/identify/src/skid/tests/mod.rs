@@ -6,6 +6,7 @@ mod tyres;
 use std::collections::BTreeMap;
 
 use r4_plants::Dependence;
+use r4_world::{Chassis, SlipLaw, Wheel};
 
 use super::{Declared, Geometry, Output, SkidError, SkidRun, SkidSteer};
 use crate::{
@@ -331,21 +332,57 @@ fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
     assert_eq!(tried, 7);
 }
 
-#[test]
-fn the_plant_file_holds_what_was_declared_and_found() {
-    let (family, _) = model(&step(-5.0, 5.0, 20));
-    let fitted = Fit::at(&family, &[], Structure::default(), vec![]);
-    let curve = Curve { at: vec![-1.0, 1.0], ..family.curves(&fitted, (Dependence::Input, None), &[]).remove(0) };
-    let structure = Structure {
-        terms: vec![Term::Known(index(&family, "slip-track")), Term::Curve(curve)],
+/// A fitted structure of named effects.
+fn found(family: &SkidSteer, effects: &[(&str, &[f64])]) -> Structure {
+    Structure {
+        terms: effects.iter().map(|(name, _)| Term::Known(index(family, name))).collect(),
         base: vec![],
-        added: vec![vec![1.25], vec![0.5, -0.5]],
+        added: effects.iter().map(|(_, values)| values.to_vec()).collect(),
+    }
+}
+
+/// With the linear law wheels that turn on the spot slip by `l²/(r b²)`, `r` being the ratio of the compliances (Trimble, Fox 2023),
+/// so that the track is wider by that share: [`DECLARED`] on a square of wheels by `1/r`.
+#[test]
+fn a_body_turns_by_the_track_that_was_found() {
+    let (family, _) = model(&step(-5.0, 5.0, 20));
+    let soft = |_: &mut Chassis, wheels: &mut [Wheel]| {
+        wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()).for_each(|tyre| {
+            (tyre.law, tyre.friction) = (SlipLaw::Linear, 50.0);
+        });
     };
-    let expected = "model = \"skid-steer\"\nsource = \"a test\"\n\n\
-                    [parameters]\nwheel_radius_m = 0.1\ntrack_m = 0.5\n\n\
-                    [[effects]]\neffect = \"slip-track\"\neffective_track_m = 1.25\n\n\
-                    [[effects]]\neffect = \"unknown\"\nover = \"input\"\nacts = \"added\"\nat = [-1.0, 1.0]\nvalues = [0.5, -0.5]\n";
-    assert_eq!(family.plant_toml(&structure, "a test"), expected);
+    let known = family.fitted_body(&Structure::default(), "a test").wheeled.changed(soft).unwrap();
+    let family = family.with_body(Some(known));
+    for wider in [1.25, 2.0, 5.0] {
+        let body = family.fitted_body(&found(&family, &[("slip-track", &[wider * 0.5])]), "a test");
+        let [long, lat] = body.wheeled.wheels()[0].tyre.unwrap().compliance_per_n;
+        // What is compared has settled to 1e-6, and the ratio is looked for to 1e-4 of a power of ten.
+        assert!((lat / long * (wider - 1.0) - 1.0).abs() < 1e-3, "{wider}: {}", lat / long);
+        assert!(body.provenance.iter().any(|line| line.starts_with("compliance_lat_per_n")), "{:?}", body.provenance);
+    }
+}
+
+#[test]
+fn a_body_holds_radii_and_centre_and_names_what_it_does_not() {
+    let (family, _) = model(&step(-5.0, 5.0, 20));
+    let curve = Curve {
+        at: vec![-1.0, 1.0],
+        ..family.curves(&Fit::at(&family, &[], Structure::default(), vec![]), (Dependence::Input, None), &[]).remove(0)
+    };
+    let mut structure = found(
+        &family,
+        &[("slip-track", &[0.6]), ("encoder-scale", &[1.21]), ("drive-lag", &[0.1]), ("slip-drift", &[0.1])],
+    );
+    structure.terms.push(Term::Curve(curve));
+    structure.added.push(vec![0.0, 0.0]);
+    let body = family.fitted_body(&structure, "a test");
+    for wheel in body.wheeled.wheels() {
+        let expected = if wheel.place_m[1] > 0.0 { 0.1 / 1.1 } else { 0.1 * 1.1 };
+        assert!((wheel.radius_m - expected).abs() < 1e-12, "{wheel:?}");
+    }
+    let left_out: Vec<_> = body.left_out.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(left_out, ["drive-lag", "slip-drift", "a curve over input"]);
+    assert!(body.provenance.iter().any(|line| line.starts_with("Assumed, not fitted")), "{:?}", body.provenance);
 }
 
 #[test]

@@ -1,17 +1,17 @@
 //! The model `table` as a task: recorded columns against laws of which nothing is declared.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::super::map::unit;
+use super::super::{map::unit, plant::SettlingMap};
 use super::{About, Ladder, Law, Step, TableError, climb, general, squares};
 use crate::data::Run;
+use crate::family::Loadable;
 use crate::report::{
     EffectReport, Estimate, Evidence, Figures, Rejected, Report, ResidualReport, Rival, Score, Scores, Traces,
 };
-use crate::task::{Identified, ModelInfo, RoleInfo};
+use crate::task::{FileKind, Identified, ModelInfo, RoleInfo};
 
 /// For `--model`.
 pub const NAME: &str = "table";
@@ -42,6 +42,7 @@ pub fn info() -> ModelInfo {
             "exponential",
             "saturation",
         ],
+        file: FileKind::Plant,
     }
 }
 
@@ -180,12 +181,28 @@ fn report(
         }],
         causes: vec![],
     };
-    let mut plant_toml =
-        format!("model = \"{NAME}\"\nlaw = \"{}\"\nunit = \"{}\"\n\n[parameters]\n", chosen.law, ladder.unit);
-    for value in &chosen.parameters {
-        // Writing to a String cannot fail.
-        let _ = writeln!(plant_toml, "{} = {:?} # {}", value.name, value.value, value.unit);
-    }
+    let column = |at: usize| fitted.iter().map(move |row| row[at]);
+    let mean = |at: usize| column(at).sum::<f64>() / fitted.len() as f64;
+    let others: Vec<f64> = (1..inputs.len()).map(mean).collect();
+    let settles_at = |level: f64| {
+        let row: Vec<f64> = [level].into_iter().chain(others.iter().copied()).collect();
+        law_of(chosen).map_or(0.0, |law| (law.predict)(&values(chosen), &row))
+    };
+    let largest = column(0).map(f64::abs).fold(0.0, f64::max);
+    let map = SettlingMap {
+        unit: &ladder.unit,
+        source: &format!("r4 identify --model {NAME}, law `{}` of {} rows", chosen.law, fitted.len()),
+        full: if largest <= 1.0 { 1.0 } else { largest },
+        seen: [column(0).fold(f64::INFINITY, f64::min), column(0).fold(f64::NEG_INFINITY, f64::max)],
+        supply_v: None,
+        settles_at: &settles_at,
+        left_out: inputs[1..]
+            .iter()
+            .zip(&others)
+            .map(|(role, mean)| format!("{role}, held at its mean {mean:?}"))
+            .collect(),
+    };
+    let loadable = Loadable::Plant(map.plant_file());
     let report = Report {
         model: NAME.to_owned(),
         unit: ladder.unit.clone(),
@@ -198,7 +215,7 @@ fn report(
         notes,
         verdict: ladder.verdict.clone(),
     };
-    Identified { report, figures, plant_toml }
+    Identified { report, figures, loadable }
 }
 
 /// Chance that errors of rows are not smaller, by their differences (Student, one side).
@@ -236,11 +253,17 @@ mod tests {
             ("output", &[24.1, 11.9, 6.05, 4.8, 4.0, 3.0]),
         ]);
         let later = recorded(&[("input", &[10.0]), ("output", &[2.4])]);
-        let Identified { report, plant_toml, .. } = identify(&[run], &[later], vec![], 1).unwrap();
+        let Identified { report, loadable, .. } = identify(&[run], &[later], vec![], 1).unwrap();
         assert_eq!(report.effects[0].name, "inverse of input");
         assert!((report.parameters["factor"].value - 24.0).abs() < 0.2);
         assert!(report.last.holdout.rmse < 0.02 && report.baseline.holdout.rmse > 2.0, "{report:?}");
-        assert!(plant_toml.contains("law = \"inverse of input\""));
+        let text = loadable.plant().unwrap();
+        assert!(text.contains("law `inverse of input`"), "{text}");
+        let plant = r4_plants::PlantSpec::from_toml("plant.toml", text).unwrap();
+        // The rod settles where the law says: 24 over the level, at the highest of 8 a quarter of full duty's place.
+        let mut rod = r4_plants::Plant::new(&plant, 1);
+        rod.advance(r4_plants::Drive::with_brake(1.0), 12.0, 2.0);
+        assert!((rod.position() - report.parameters["factor"].value / 8.0).abs() < 1e-6, "{}", rod.position());
     }
 
     #[test]

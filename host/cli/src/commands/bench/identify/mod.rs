@@ -199,7 +199,7 @@ impl Bench<'_> {
         holdout: &[Run],
     ) -> Result<Identified, IdentifyError> {
         let parameters: BTreeMap<_, _> = parameters.iter().map(|&(name, value)| (name.to_owned(), value)).collect();
-        let task = Task { model: model.to_owned(), parameters, plant: None, seed: self.seed };
+        let task = Task { model: model.to_owned(), parameters, seed: self.seed, ..Task::default() };
         r4_identify::identify(&task, train, holdout, vec![], &|Progress { step, .. }| self.progress.set_message(step))
     }
 }

@@ -11,7 +11,8 @@ use crate::{
         table::{On, Over, Table},
     },
     error::{InvalidField, PlantError, Problem},
-    model::{Model, PlantKind},
+    kind::PlantKind,
+    model::Model,
     parameter::Fitted,
     spec::{PlantSpec, in_effect},
 };
@@ -71,7 +72,24 @@ impl Fault {
     }
 }
 
-pub(crate) fn read(source_name: &str, text: &str) -> Result<PlantSpec, PlantError> {
+impl PlantSpec {
+    /// Reads a plant file. `source_name` is what messages call it.
+    ///
+    /// # Errors
+    /// [`PlantError`] with the file, the line and the field.
+    pub fn from_toml(source_name: &str, text: &str) -> Result<Self, PlantError> {
+        read(source_name, text)
+    }
+
+    /// The plant as a file, which [`PlantSpec::from_toml`] reads back to the bit. Comments of a file it was read from
+    /// are not kept.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        write(self)
+    }
+}
+
+fn read(source_name: &str, text: &str) -> Result<PlantSpec, PlantError> {
     let line = |offset: usize| 1 + text.bytes().take(offset).filter(|byte| *byte == b'\n').count();
     let raw: Raw = toml::from_str(text).map_err(|error| PlantError::Toml {
         source_name: source_name.into(),
@@ -217,7 +235,7 @@ fn fill(
     Ok(())
 }
 
-pub(crate) fn write(spec: &PlantSpec) -> String {
+fn write(spec: &PlantSpec) -> String {
     let kind = spec.kind();
     let mut text = format!("model = \"{}\"\n", spec.model().name());
     // Writing to a String cannot fail, here and below.

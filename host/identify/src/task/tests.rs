@@ -1,0 +1,172 @@
+//! Every model writes something that a simulated board loads.
+
+use r4_plants::{DcGearMotor, Drive, LinearActuator, Model as PlantModel, Plant};
+use r4_world::{Body as _, MAX_STEP_S, Scene, ShaftMotion};
+
+use super::*;
+use crate::data::{Quantity, Signal};
+
+const PERIOD_S: f64 = 0.02;
+const SAMPLES: usize = 150;
+
+/// Columns by role.
+type Columns = Vec<(&'static str, Quantity, Vec<f64>)>;
+
+fn run(columns: Columns) -> Run {
+    let samples = columns[0].2.len();
+    Run {
+        name: "recorded".into(),
+        time_s: (0..samples).map(|at| at as f64 * PERIOD_S).collect(),
+        signals: columns
+            .into_iter()
+            .map(|(role, quantity, values)| (role.to_owned(), Signal { column: role.into(), quantity, values }))
+            .collect(),
+    }
+}
+
+/// Steps of several sizes, both ways, that `seed` shifts.
+fn steps(seed: usize) -> Vec<f64> {
+    const SIZES: [f64; 8] = [0.0, 0.6, -0.3, 0.9, -0.8, 0.4, -0.6, 0.2];
+    (0..SAMPLES).map(|at| SIZES[(at / 25 + seed) % SIZES.len()]).collect()
+}
+
+/// Small and without a pattern: no fit is exact.
+fn noise(at: usize) -> f64 {
+    1e-4 * ((at * at) as f64 * 0.7).sin()
+}
+
+/// What a plant's position does under these duties.
+fn driven(model: PlantModel, duties: &[f64], start: f64) -> Vec<f64> {
+    let mut plant = Plant::new(&PlantSpec::new(model, "a test", vec![]).unwrap(), 1);
+    plant.set_position(start);
+    let step = |(at, duty): (usize, &f64)| {
+        let now = plant.position() + noise(at);
+        plant.advance(Drive::with_brake(*duty), 12.0, PERIOD_S);
+        now
+    };
+    duties.iter().enumerate().map(step).collect()
+}
+
+/// Places of a robot that turns by three quarters of what its wheels say.
+fn driven_about(sides: &[(f64, f64)]) -> [Vec<f64>; 3] {
+    let (mut x, mut y, mut yaw) = (0.0, 0.0, 0.0);
+    let mut all = [const { Vec::new() }; 3];
+    for (at, (left, right)) in sides.iter().enumerate() {
+        for (series, value) in all.iter_mut().zip([x, y, yaw]) {
+            series.push(value + noise(at));
+        }
+        yaw += 0.75 * 0.1 * (right - left) / 0.5 * PERIOD_S;
+        x += 0.05 * (left + right) * f64::cos(yaw) * PERIOD_S;
+        y += 0.05 * (left + right) * f64::sin(yaw) * PERIOD_S;
+    }
+    all
+}
+
+/// A recording of what the model is of.
+fn recorded(model: &str, seed: usize) -> Run {
+    let duties = steps(seed);
+    run(match model {
+        "dc-motor" => {
+            let angle = driven(PlantModel::DcGearMotor(DcGearMotor::TYPICAL), &duties, 0.0);
+            vec![("input", Quantity::Number, duties), ("output", Quantity::Angle, angle)]
+        }
+        "linear-actuator" => {
+            let place = driven(PlantModel::LinearActuator(LinearActuator::TYPICAL), &duties, 0.05);
+            vec![("input", Quantity::Number, duties), ("output", Quantity::Length, place)]
+        }
+        "axis" => {
+            let (mut speed, mut place) = (0.0, 0.0);
+            let step = |(at, force): (usize, &f64)| {
+                let now = place + noise(at);
+                speed += (force * 3.0 - 2.0 * speed) * PERIOD_S;
+                place += speed * PERIOD_S;
+                now
+            };
+            let places = duties.iter().enumerate().map(step).collect();
+            vec![("input", Quantity::Force, duties), ("output", Quantity::Length, places)]
+        }
+        "servo" => {
+            let mut angle = 0.0;
+            let step = |(at, goal): (usize, &f64)| {
+                let now = angle + noise(at);
+                angle += 4.0 * (goal - angle) * PERIOD_S;
+                now
+            };
+            let angles = duties.iter().enumerate().map(step).collect();
+            vec![("input", Quantity::Angle, duties), ("output", Quantity::Angle, angles)]
+        }
+        "skid-steer" | "skid-steer-forward" | "skid-steer-lateral" => {
+            let others = steps(seed + 3);
+            let sides: Vec<_> = duties.iter().zip(&others).map(|(left, right)| (5.0 * left, 5.0 * right)).collect();
+            let [x, y, yaw] = driven_about(&sides);
+            let (left, right) = sides.into_iter().unzip();
+            vec![
+                ("left", Quantity::AngularSpeed, left),
+                ("right", Quantity::AngularSpeed, right),
+                ("x", Quantity::Length, x),
+                ("y", Quantity::Length, y),
+                ("yaw", Quantity::Angle, yaw),
+            ]
+        }
+        "static-map" => {
+            let levels: Vec<f64> = (-20..=20).map(|level| 0.05 * f64::from(level)).collect();
+            let speed = |(at, level): (usize, &f64)| (level.abs() - 0.1).max(0.0).copysign(*level) * 20.0 + noise(at);
+            let speeds = levels.iter().enumerate().map(speed).collect();
+            vec![("input", Quantity::Number, levels), ("output", Quantity::AngularSpeed, speeds)]
+        }
+        "held-shaft" => {
+            let pulls = |side: usize| (0..240).map(|at| f64::from(u8::from(at / 10 % 4 == side))).collect::<Vec<_>>();
+            let (a, b) = (pulls(0), pulls(2));
+            let mut side = 0.0;
+            let held = (0..240).map(|at: usize| {
+                side = if a[at] > 0.5 {
+                    1.0
+                } else if b[at] > 0.5 {
+                    -1.0
+                } else {
+                    side
+                };
+                0.01 * side + noise(at)
+            });
+            let held = held.collect();
+            vec![("pull_a", Quantity::Number, a), ("pull_b", Quantity::Number, b), ("output", Quantity::Angle, held)]
+        }
+        "table" => {
+            let levels = [1.0, 2.0, 4.0, 5.0, 8.0, 10.0].to_vec();
+            let places = levels.iter().enumerate().map(|(at, level)| 24.0 / level + noise(at)).collect();
+            vec![("input", Quantity::Number, levels), ("output", Quantity::Length, places)]
+        }
+        other => panic!("no recording of {other}: record what it is of here, and see what it writes"),
+    })
+}
+
+#[test]
+fn every_model_writes_what_a_simulated_board_loads() {
+    for info in models() {
+        let geometry = [("wheel_radius_m".to_owned(), 0.1), ("track_m".to_owned(), 0.5)];
+        let parameters = if info.file == FileKind::Body { geometry.into() } else { BTreeMap::new() };
+        let task = Task { model: info.name.to_owned(), parameters, seed: 1, ..Task::default() };
+        let (train, holdout) = (recorded(info.name, 0), recorded(info.name, 1));
+        let found = identify(&task, &[train], &[holdout], vec![], &|_| ());
+        let found = found.unwrap_or_else(|error| panic!("{}: {error}", info.name));
+        match (&found.loadable, info.file) {
+            (Loadable::Plant(text), FileKind::Plant) => {
+                let spec = PlantSpec::from_toml(info.name, text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                let mut plant = Plant::new(&spec, 1);
+                plant.advance(Drive::with_brake(0.5), 12.0, 0.1);
+                assert!(plant.position().is_finite() && plant.speed().is_finite(), "{}: {plant:?}", info.name);
+            }
+            (Loadable::Body(fitted), FileKind::Body) => {
+                let mut body = fitted.wheeled.clone();
+                let shafts = vec![ShaftMotion { position: 0.0, speed: 3.0 }; body.shafts()];
+                let mut loads = vec![0.0; body.shafts()];
+                // 1 s: slowly rolling wheels have taken it along.
+                for _ in 0..4000 {
+                    body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
+                }
+                assert!((0.2..0.4).contains(&body.twist().forward_m_s), "{}: {:?}", info.name, body.twist());
+            }
+            (loadable, file) => panic!("{} says it writes {file:?}, and wrote {loadable:?}", info.name),
+        }
+    }
+}
