@@ -26,7 +26,7 @@ pub enum Error {
     },
     /// The board cannot be opened, or the session with it failed.
     #[error(transparent)]
-    Rig(#[from] r4_rig::Error),
+    Rig(Box<r4_rig::Error>),
     /// A trial needs more of the board than it has.
     #[error("{board} cannot run {system}: {why}")]
     Unsuitable {
@@ -85,4 +85,11 @@ pub enum Error {
     /// A statistic cannot be computed.
     #[error(transparent)]
     Statistics(#[from] StatisticsError),
+}
+
+/// Boxed, so that results of which most are no such error stay small.
+impl From<r4_rig::Error> for Error {
+    fn from(error: r4_rig::Error) -> Self {
+        Self::Rig(Box::new(error))
+    }
 }
