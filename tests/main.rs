@@ -14,5 +14,6 @@ mod links;
 mod logs;
 mod program;
 mod screen;
+mod systems;
 mod tune;
 mod world;

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_systems::{
     Limit, Row, System, Trial,
@@ -198,19 +198,18 @@ fn trial(args: &Args, system: &dyn System, arm: &str) -> anyhow::Result<bool> {
         board: board(args, system),
         shard: Shard::default(),
     };
-    let [Trial { board, .. }] = &study.trials(system)?[..] else { anyhow::bail!("one trial has one arm") };
+    let [Trial { board, .. }] = &study.trials(system)?[..] else { bail!("one trial has one arm") };
     let described = board.described();
     let record = records(system, &study)?.pop().context("one trial has one record")?;
+    if let Some(why) = record.failed {
+        bail!("{why}");
+    }
     if args.json {
         output::json(&record)?;
-        return Ok(record.failed.is_none());
+        return Ok(true);
     }
     let about = system.about();
     output::line(format_args!("{}, arm {arm}, seed {}, on {described}", about.name, args.seed))?;
-    if let Some(why) = &record.failed {
-        eprintln!("r4: {why}");
-        return Ok(false);
-    }
     let mut shown = table::new(&["metric", "value", "unit"], 1..2);
     for (name, value) in &record.values {
         let unit = about.metrics.iter().find(|metric| metric.name == name).map_or("", |metric| metric.unit);

@@ -1,0 +1,53 @@
+//! Robot systems: studies, their shards, and what each row says.
+
+use std::fs;
+
+use tempfile::TempDir;
+
+use crate::program::{all_refused, good, good_json};
+
+/// Arms that take a fraction of a second.
+const QUICK: [&str; 6] = ["system", "study", "skidcal", "--arms", "paper,baseline:repaired", "--json"];
+
+#[test]
+fn every_row_has_an_interval_and_says_where_it_is_from() {
+    let report = good_json(&[&QUICK[..], &["--seeds", "2"]].concat());
+    let rows = report["rows"].as_array().expect("rows");
+    assert!(!rows.is_empty());
+    for row in rows {
+        let number = |field: &str| row[field].as_f64().unwrap_or(f64::NAN);
+        assert!(number("lo") <= number("value") && number("value") <= number("hi"), "{row:#}");
+        for (field, is) in [("system", "skidcal"), ("source", "simulated"), ("board", "sim")] {
+            assert_eq!(row[field], is, "{row:#}");
+        }
+        let texts = ["arm", "metric", "unit", "method"];
+        assert!(texts.iter().all(|field| row[field].as_str().is_some_and(|text| !text.is_empty())), "{row:#}");
+        assert_eq!((row["n"].as_u64(), &row["seeds"]), (Some(2), &serde_json::json!([1001, 1002])), "{row:#}");
+        assert_eq!(row["paired_p"].is_number(), row["arm"] != "paper", "{row:#}");
+    }
+}
+
+#[test]
+fn shards_merge_into_the_study_byte_for_byte() {
+    let folder = TempDir::new().expect("a folder");
+    let file = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let rows = good_json(&[&QUICK[..], &["--seeds", "3", "--out", &file("whole")]].concat());
+    for part in ["1/2", "2/2"] {
+        let out = file(&part.replace('/', "-"));
+        good(&[&QUICK[..], &["--seeds", "3", "--shard", part, "--out", &out]].concat());
+    }
+    let merge = ["system", "merge", &file("1-2"), &file("2-2"), "--out", &file("merged"), "--json"];
+    assert_eq!(good_json(&merge), rows);
+    assert_eq!(fs::read(file("merged")).expect("records"), fs::read(file("whole")).expect("records"));
+}
+
+#[test]
+fn what_cannot_be_run_is_said() {
+    all_refused([
+        (&["system", "run", "skidcall"][..], &["`r4 system list` prints them"][..]),
+        (&["system", "run", "skidcal", "--arm", "theirs"], &["it has paper, baseline:repaired"]),
+        (&["system", "study", "skidcal", "--shard", "3/2"], &["as in 3/8"]),
+        (&["system", "run", "skidcal", "--arm", "paper", "--board", "sim:osmc-bench"], &["no [drive.skid-steer]"]),
+        (&["system", "merge", "none.jsonl"], &["none.jsonl"]),
+    ]);
+}
