@@ -7,7 +7,8 @@ use tempfile::TempDir;
 use crate::program::{all_refused, good, good_json};
 
 /// Arms that take a fraction of a second.
-const QUICK: [&str; 6] = ["system", "study", "skidcal", "--arms", "paper,baseline:repaired", "--json"];
+const QUICK: [&str; 8] =
+    ["system", "study", "skidcal", "--arms", "paper,baseline:repaired", "--board", "sim:openscout", "--json"];
 
 #[test]
 fn every_row_has_an_interval_and_says_where_it_is_from() {
@@ -48,6 +49,10 @@ fn what_cannot_be_run_is_said() {
         (&["system", "run", "skidcal", "--arm", "theirs"], &["it has paper, baseline:repaired"]),
         (&["system", "study", "skidcal", "--shard", "3/2"], &["as in 3/8"]),
         (&["system", "run", "skidcal", "--arm", "paper", "--board", "sim:osmc-bench"], &["no [drive.skid-steer]"]),
+        (
+            &["system", "study", "skidcal", "--arms", "paper", "--board", "sim:osmc-bench"],
+            &["none of 20 trials could be run", "no [drive.skid-steer]"],
+        ),
         (&["system", "merge", "none.jsonl"], &["none.jsonl"]),
     ]);
 }

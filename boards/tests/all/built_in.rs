@@ -80,7 +80,7 @@ fn a_body_file_holds_a_body_of_the_robot_and_nothing_else() {
     for (text, says) in [
         (
             good.replace("dhb2", "osmc0"),
-            "body.toml:26: body.wheeled.wheel[2].channel: there is no motor that turns `osmc0`",
+            "body.toml:26: body.wheeled.wheel[2].channel: there is no channel that turns `osmc0`",
         ),
         (
             good.replace("mass_kg = 9.0", "mass_kg = -9.0"),

@@ -49,6 +49,18 @@ pub enum Error {
         /// What is wrong.
         why: String,
     },
+    /// No trial of an arm could be run, so that it has no rows.
+    #[error("{system}, arm {arm}: none of {trials} trials could be run; the first: {why}")]
+    NothingRan {
+        /// The system.
+        system: String,
+        /// The arm.
+        arm: String,
+        /// Trials.
+        trials: usize,
+        /// Why the first could not.
+        why: String,
+    },
     /// Records of two studies that cannot be one.
     #[error(
         "{system}, arm {arm}, seed {seed} is there twice, with different results: the shards are of different programs"

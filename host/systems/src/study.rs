@@ -180,7 +180,7 @@ fn record(system: &dyn System, trial: &Trial) -> Result<Record, Error> {
 /// The rows of records, one for each metric of each arm on each kind of board.
 ///
 /// # Errors
-/// Records of an unknown system, or values without a statistic.
+/// Records of an unknown system, an arm of which no trial could be run, or values without a statistic.
 pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
     let groups: BTreeSet<_> = records.iter().map(|record| (&record.system, &record.board, &record.arm)).collect();
@@ -192,6 +192,10 @@ pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
         };
         let (ours, papers): (Vec<&Record>, Vec<&Record>) = (of(arm), of("paper"));
         let failed = ours.iter().filter(|record| record.failed.is_some()).count();
+        if failed == ours.len() {
+            let why = ours.iter().find_map(|record| record.failed.clone()).unwrap_or_default();
+            return Err(Error::NothingRan { system: name.clone(), arm: arm.clone(), trials: failed, why });
+        }
         let seeds = || ours.iter().map(|record| record.seed);
         let seeds = [seeds().min().unwrap_or(0), seeds().max().unwrap_or(0)];
         for metric in about.metrics {
@@ -305,6 +309,18 @@ mod tests {
         assert_eq!(bytes(&merged), bytes(&all));
         let conflict = merge([part(0), vec![record("ours", 0, 9.0)]]).expect_err("two results");
         assert!(matches!(conflict, Error::Conflict { seed: 0, .. }), "{conflict}");
+    }
+
+    #[test]
+    fn an_arm_of_which_nothing_ran_is_an_error() {
+        let failed = |seed| Record {
+            system: "skidcal".into(),
+            values: Values::new(),
+            failed: Some("no [body]".into()),
+            ..record("ours", seed, 0.0)
+        };
+        let error = rows(&[failed(1), failed(2)]).expect_err("nothing ran").to_string();
+        assert!(error.contains("none of 2 trials") && error.contains("no [body]"), "{error}");
     }
 
     #[test]

@@ -265,9 +265,9 @@ fn write(path: &Path, records: &[Record]) -> anyhow::Result<()> {
     study::write(records, BufWriter::new(file)).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Prints rows; false where a target is not met.
+/// Prints rows; false where a target is not met or a trial could not be run.
 fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
-    let met = rows.iter().all(|row| row.met != Some(false));
+    let met = rows.iter().all(|row| row.met != Some(false) && row.failed == 0);
     if args.json {
         output::json(&Rows { rows })?;
         return Ok(met);
