@@ -102,8 +102,8 @@ pub fn is_in_body(seed: u64) -> bool {
     Dice::new(seed, 5).share() < 0.5
 }
 
-/// Hides one of the body's parameters, at a size that shows: a drive of [`DURATION_S`] whose wheels turn alike differs by
-/// [`SHOWS`] of its speeds. What, and how large it is, follows from the seed. The body is at rest where it was; on one where nothing
+/// Hides one of the body's parameters, at a size that shows: a drive of 8 s whose wheels turn alike differs by
+/// 9.5 % of its speeds. What, and how large it is, follows from the seed. The body is at rest where it was; on one where nothing
 /// shows, nothing is hidden.
 #[must_use]
 pub fn hide_in_body(body: &Wheeled, seed: u64) -> (Wheeled, Option<Truth>) {
