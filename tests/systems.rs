@@ -48,6 +48,7 @@ fn what_cannot_be_run_is_said() {
         (&["system", "run", "skidcall"][..], &["`r4 system list` prints them"][..]),
         (&["system", "run", "skidcal", "--arm", "theirs"], &["it has paper, baseline:repaired"]),
         (&["system", "study", "skidcal", "--shard", "3/2"], &["as in 3/8"]),
+        (&["system", "study", "skidcal", "--shard", "1/2"], &["name it with --out"]),
         (&["system", "run", "skidcal", "--arm", "paper", "--board", "sim:osmc-bench"], &["no [drive.skid-steer]"]),
         (
             &["system", "study", "skidcal", "--arms", "paper", "--board", "sim:osmc-bench"],

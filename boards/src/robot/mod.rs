@@ -144,7 +144,7 @@ pub struct SimulatedRotor {
 /// A quadrature encoder on a shaft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatedEncoder {
-    /// Which encoder connector.
+    /// Number of its encoder connector on the carrier, from 0.
     pub input: u8,
     /// Lines in one turn; four counts each.
     pub lines_per_turn: u32,
@@ -260,7 +260,7 @@ pub struct PlantFile {
 pub enum SimulatedSensor {
     /// Quadrature encoder on the output shaft.
     Encoder {
-        /// Which encoder connector.
+        /// Number of its encoder connector on the carrier, from 0.
         input: u8,
         /// Lines in one turn; four counts each.
         lines_per_turn: u32,

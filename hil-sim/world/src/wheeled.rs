@@ -332,8 +332,8 @@ impl Body for Wheeled {
             left_m_s: left_m_s + (self.acceleration_m_s2[1] - yaw_rad_s * forward_m_s) * step_s,
             yaw_rad_s: yaw_rad_s + self.yaw_rad_s2 * step_s,
         };
-        // By the mean velocity of the step: with that of its end alone, a robot would be one step's travel ahead of its wheels,
-        // which is as much as some tyres slip.
+        // By the mean velocity of the step: with that of its end alone a robot that speeds up to 0.47 m/s is 0.12 mm ahead of its
+        // wheels, of 3 mm that soft tyres slip meanwhile.
         self.pose = self.pose.moved(before.mean(self.twist()), step_s);
     }
 

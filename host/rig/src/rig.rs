@@ -19,7 +19,7 @@ use crate::{
 /// How often an [`Interrupt`] is looked for, µs on the session's clock.
 const INTERRUPT_POLL_US: u64 = 10_000;
 
-/// Changes a robot.
+/// Changes a virtual board's robot before power comes on: its body, its world, its physics.
 pub type Alter = Rc<dyn Fn(&mut Robot)>;
 
 /// Shows notices to a person.

@@ -77,7 +77,7 @@ pub(super) fn counters(encoders: &[QuadratureSignal; 4], interrupts: bool) -> [O
 /// What turns an encoder, in its counts.
 struct Turning {
     position: f64,
-    /// Counts/s.
+    /// Rate at which the count changes, 1/s, negative backwards.
     speed: f64,
     /// Highest of what turns it, counts/s^2.
     acceleration: f64,

@@ -1,6 +1,7 @@
 //! `r4 system` and `r4 bench systems`: the robot systems of `r4-systems`, their trials and studies.
 
 use std::{
+    collections::BTreeSet,
     fs::File,
     io::BufWriter,
     path::{Path, PathBuf},
@@ -21,7 +22,7 @@ use crate::{
     table,
 };
 
-/// Seeds up to this one were looked at while constants were set; reported are those from here on.
+/// Constants are set on seeds below this one; studies report those from here on.
 const REPORTED_FROM: u64 = 1001;
 /// Seeds of a benchmark, and of a quick one.
 const BENCH_SEEDS: u64 = 100;
@@ -238,17 +239,15 @@ fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
         board: board(args, system),
         shard: asked.shard,
     };
+    // The rows of a part of the seeds are not the study's.
+    let is_whole = asked.shard == Shard::default();
+    ensure!(is_whole || asked.out.is_some(), "a shard's records go to a file: name it with --out");
     let records = records(system, &study)?;
     ensure!(!records.is_empty(), "shard {} of this study is empty: it has too few trials", asked.shard);
     if let Some(path) = &asked.out {
         write(path, &records)?;
     }
-    // The rows of a part of the seeds are not the study's.
-    if asked.shard != Shard::default() {
-        ensure!(asked.out.is_some(), "a shard's records go to a file: name it with --out");
-        return Ok(true);
-    }
-    print(args, study::rows(&records)?)
+    if is_whole { print(args, study::rows(&records)?) } else { Ok(true) }
 }
 
 fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<bool> {
@@ -293,14 +292,11 @@ fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
         ]);
     }
     output::line(shown)?;
-    for row in rows.iter().filter(|row| row.failed > 0) {
-        eprintln!(
-            "r4: {}, arm {}: {} of {} trials could not be run",
-            row.system,
-            row.arm,
-            row.failed,
-            row.failed + row.n
-        );
+    // Once for each arm, not for each of its metrics.
+    let failed: BTreeSet<_> =
+        rows.iter().filter(|row| row.failed > 0).map(|row| (&row.system, &row.arm, row.failed)).collect();
+    for (system, arm, trials) in failed {
+        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` says why");
     }
     Ok(met)
 }

@@ -116,7 +116,7 @@ fn turns_at(body: &Wheeled, (left, right): (f64, f64)) -> f64 {
     body.twist().yaw_rad_s
 }
 
-/// Every tyre so many times as compliant across as along.
+/// Gives every tyre this ratio of the compliance across to that along.
 fn with_ratio(body: &Wheeled, ratio: f64) -> Result<Wheeled, ChassisError> {
     body.changed(|_, wheels| {
         for tyre in wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()) {

@@ -12,7 +12,7 @@ use crate::{Rig, Target};
 const BENCH: &str = include_str!("../../../../boards/osmc-bench.toml");
 const EVERYTHING: &str = include_str!("../../../../boards/every-interface.toml");
 
-/// Whoever knows the truth.
+/// A person who reads the true position of the simulated world.
 struct Known<F>(F);
 
 impl<F: FnMut(&Session<'_>) -> String> Person for Known<F> {

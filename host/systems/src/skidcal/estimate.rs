@@ -26,7 +26,8 @@ pub struct Estimate {
     pub interval: Option<Interval>,
 }
 
-/// Steps of the robot's speed between two samples of the wheels: 0.5 ms, a tenth of the fastest time in the law.
+/// Steps of the robot's speed between two samples of the wheels: 0.5 ms. The law swings with `sqrt(c L m / 4)`, 25 ms or more for the
+/// robots that are sampled.
 const SUBSTEPS: u32 = 20;
 /// Compliance, 1/N, at which the fit begins: that of the paper's robot.
 const START_PER_N: f64 = 0.005;

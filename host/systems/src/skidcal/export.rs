@@ -41,13 +41,3 @@ pub fn sdf(slip: &Slip, links: &[&str], wheel_radius_m: f64) -> String {
     );
     text
 }
-
-/// The same as a table of a robot's file, for `[body.wheeled.tyre]`.
-#[must_use]
-pub fn toml(slip: &Slip, relaxation_m: f64) -> String {
-    let Slip { c_long_per_n, c_lat_per_n, friction } = slip;
-    format!(
-        "[body.wheeled.tyre]\ncompliance_long_per_n = {c_long_per_n}\ncompliance_lat_per_n = {c_lat_per_n}\n\
-         friction = {friction}\nrelaxation_m = {relaxation_m}\nlaw = \"linear\"\n"
-    )
-}

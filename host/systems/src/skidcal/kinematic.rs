@@ -4,7 +4,7 @@ use r4_boards::Drive;
 use r4_world::{MAX_STEP_S, Scene, ShaftMotion};
 
 use super::{
-    protocol::{Recording, Repeats, Run, SPIN_SETTLES_S, SkidRobot, TRACKED_EVERY_S, Tracked, WheelSample},
+    protocol::{Recording, Repeats, Run, SPIN_S, SPIN_SETTLES_S, SkidRobot, TRACKED_EVERY_S, Tracked, WheelSample},
     scene::{Noise, Truth},
 };
 use crate::Error;
@@ -71,6 +71,6 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
         }
     }
     hold(skid.spin(), SPIN_SETTLES_S, None);
-    hold(skid.spin(), skid.spin_s(), Some(&mut recording.spin));
+    hold(skid.spin(), SPIN_S, Some(&mut recording.spin));
     Ok(recording)
 }

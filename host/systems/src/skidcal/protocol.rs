@@ -24,7 +24,7 @@ const STEP_S: f64 = 0.8;
 pub(super) const SPIN_RAD_S: f64 = 1.0;
 /// How long the robot spins before it is measured, and while, s: at least two rotations.
 pub(super) const SPIN_SETTLES_S: f64 = 3.0;
-const SPIN_S: f64 = 20.0;
+pub(super) const SPIN_S: f64 = 20.0;
 /// Straight runs are repeated until the 95 % interval is this share of the estimate to both sides, or so many times. Half the share
 /// takes four times the runs.
 const NARROW: f64 = 0.04;
@@ -133,11 +133,6 @@ impl SkidRobot {
         let rim_m_s = SPIN_RAD_S * self.half_m[1];
         [-rim_m_s, rim_m_s]
     }
-
-    /// How long the spin lasts after it has settled, s.
-    pub(super) fn spin_s(&self) -> f64 {
-        SPIN_S
-    }
 }
 
 impl Tracked {
@@ -227,7 +222,7 @@ pub async fn drive(
                 }
             }
             rider.hold(robot.spin(), SPIN_SETTLES_S, None).await?;
-            rider.hold(robot.spin(), robot.spin_s(), Some(&mut recording.spin)).await?;
+            rider.hold(robot.spin(), SPIN_S, Some(&mut recording.spin)).await?;
             Ok::<_, Error>(())
         })
         .await?;
