@@ -51,6 +51,19 @@ fn the_demo_reaches_every_set_point() {
     }
 }
 
+/// The regulator of the balance tail on the real image: the targets of its study, and the simulated board's lean.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn the_balance_tail_halves_the_lean() {
+    let trial = |board| program::good_json(&["system", "run", "tail", "--seed", "2", "--board", board, "--json"]);
+    let [emulated, simulated] = ["emu:balance-tail", "sim:balance-tail"].map(|board| trial(board)["values"].clone());
+    let of = |values: &Value, name: &str| values[name].as_f64().expect("a metric");
+    assert!(of(&emulated, "excursion_relative") <= 0.5 && of(&emulated, "at_limit_s") == 0.0, "{emulated}");
+    // The regulator starts at another phase of its 10 ms; the person leans by up to 65 mm/s.
+    let differ_m = of(&emulated, "excursion_m") - of(&simulated, "excursion_m");
+    assert!(differ_m.abs() < 0.65e-3, "{emulated}, {simulated}");
+}
+
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
 #[test]
 #[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]

@@ -86,7 +86,7 @@ pub enum Error {
     NotVirtual(#[from] NotVirtual),
     /// The robot's or world's file is wrong.
     #[error(transparent)]
-    Robot(#[from] BoardError),
+    Robot(Box<BoardError>),
     /// A robot without a body is to stand in a world.
     #[error("{robot} has no [body] to stand in a world: add one to its file (boards/README.md), or leave out --world")]
     NoBody {
@@ -95,10 +95,10 @@ pub enum Error {
     },
     /// The robot's environment cannot be simulated.
     #[error(transparent)]
-    Simulation(#[from] SimError),
+    Simulation(Box<SimError>),
     /// A plant of the robot's file is wrong.
     #[error(transparent)]
-    Plant(#[from] PlantError),
+    Plant(Box<PlantError>),
     /// A plant file cannot be used.
     #[error(transparent)]
     PlantFile(Box<PlantFileError>),
@@ -144,4 +144,12 @@ macro_rules! boxed {
     };
 }
 
-boxed!(Calibrate(CalibrateError), PlantFile(PlantFileError), Tune(TuneError), Watch(WatchError));
+boxed!(
+    Calibrate(CalibrateError),
+    Plant(PlantError),
+    PlantFile(PlantFileError),
+    Robot(BoardError),
+    Simulation(SimError),
+    Tune(TuneError),
+    Watch(WatchError)
+);

@@ -11,6 +11,7 @@
 
 mod about;
 mod error;
+mod figure;
 mod row;
 mod sampler;
 pub mod skidcal;
@@ -20,6 +21,7 @@ pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
+pub use figure::{Curve, Figure, Panel};
 pub use row::Row;
 pub use sampler::Sampler;
 pub use statistic::{Statistic, Summary};
@@ -38,6 +40,15 @@ pub trait System: Sync {
     /// When the trial could not be run. An algorithm that fails is a value, not an error.
     fn run(&self, trial: &Trial) -> Result<Values, Error>;
 
+    /// Curves of a trial's seed and board, for a page about the system; `None` for a system without.
+    ///
+    /// # Errors
+    /// When the trial could not be run.
+    fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
+        let _ = trial;
+        Ok(None)
+    }
+
     /// Rows about this machine's speed, which no seed repeats: they are part of benchmarks and not of studies.
     ///
     /// # Errors
@@ -51,7 +62,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal]
+    &[&skidcal::Skidcal, &tail::Tail]
 }
 
 /// The system with this name.

@@ -61,8 +61,13 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 }
 
 /// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 4] =
-    [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("openscout", "bare"), ("every-interface", "bare")];
+const IMAGES: [(&str, &str); 5] = [
+    ("osmc-bench", "bare"),
+    ("osmc-bench", "hosted"),
+    ("openscout", "bare"),
+    ("every-interface", "bare"),
+    ("balance-tail", "bare"),
+];
 
 /// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.
 const SAME_CASES: &[(&str, &str)] = &[("PROPTEST_RNG_SEED", "1")];

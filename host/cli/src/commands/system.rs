@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeSet,
-    fs::File,
+    fs::{self, File},
     io::BufWriter,
     path::{Path, PathBuf},
 };
@@ -44,6 +44,9 @@ pub(crate) enum Systems {
         /// Which of its arms
         #[arg(long, default_value = "ours")]
         arm: String,
+        /// Draw curves of this seed's arms into an SVG file
+        #[arg(long, value_name = "FILE")]
+        figure: Option<PathBuf>,
     },
     /// Run a system's arms over seeds and print a row for each metric
     Study(StudyArgs),
@@ -98,7 +101,7 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
     match what {
         Systems::List => list(args),
         Systems::Show { name } => show(args, r4_systems::find(name)?),
-        Systems::Run { name, arm } => trial(args, r4_systems::find(name)?, arm),
+        Systems::Run { name, arm, figure } => trial(args, r4_systems::find(name)?, arm, figure.as_deref()),
         Systems::Study(study) => run_study(args, study),
         Systems::Merge { files, out } => merge(args, files, out.as_deref()),
     }
@@ -191,7 +194,7 @@ fn limit(limit: Limit) -> String {
     }
 }
 
-fn trial(args: &Args, system: &dyn System, arm: &str) -> anyhow::Result<bool> {
+fn trial(args: &Args, system: &dyn System, arm: &str, figure: Option<&Path>) -> anyhow::Result<bool> {
     let study = Study {
         arms: vec![arm.to_owned()],
         first_seed: args.seed,
@@ -199,8 +202,11 @@ fn trial(args: &Args, system: &dyn System, arm: &str) -> anyhow::Result<bool> {
         board: board(args, system),
         shard: Shard::default(),
     };
-    let [Trial { board, .. }] = &study.trials(system)?[..] else { bail!("one trial has one arm") };
-    let described = board.described();
+    let [trial] = &study.trials(system)?[..] else { bail!("one trial has one arm") };
+    let described = trial.board.described();
+    if let Some(path) = figure {
+        draw(system, trial, path)?;
+    }
     let record = records(system, &study)?.pop().context("one trial has one record")?;
     if let Some(why) = record.failed {
         bail!("{why}");
@@ -218,6 +224,14 @@ fn trial(args: &Args, system: &dyn System, arm: &str) -> anyhow::Result<bool> {
     }
     output::line(shown)?;
     Ok(true)
+}
+
+fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
+    let name = system.about().name;
+    let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: leave --figure out"))?;
+    fs::write(path, crate::report::system(&figure)).with_context(|| format!("cannot write {}", path.display()))?;
+    eprintln!("r4: {}: {}", path.display(), figure.description);
+    Ok(())
 }
 
 /// Runs a study with a bar of its progress.

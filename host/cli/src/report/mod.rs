@@ -7,6 +7,7 @@ mod identify;
 mod map;
 mod plot;
 mod series;
+mod system;
 
 use std::fmt::Write as _;
 
@@ -16,6 +17,7 @@ use r4_protocol::Request;
 pub(crate) use identify::{Scale, identify, significant};
 pub(crate) use map::Map;
 use plot::{Figure, number};
+pub(crate) use system::system;
 
 const PAGE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("style.css");

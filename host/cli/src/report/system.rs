@@ -1,0 +1,48 @@
+//! Figures of robot systems.
+
+use super::{
+    plot::{Figure, Line, Panel, color},
+    series::{extent, framed},
+};
+
+/// Pixels.
+const HEIGHT: i32 = 170;
+/// Quarters of a pixel.
+const WIDTH: u32 = 6;
+const COLORS: [plotters::style::RGBColor; 4] = [color::BLUE, color::ORANGE, color::GREEN, color::PURPLE];
+
+/// A system's figure as an SVG file that stands alone.
+pub(crate) fn system(figure: &r4_systems::Figure) -> String {
+    let points = |axis: fn(&(f64, f64)) -> f64| {
+        let curves = figure.panels.iter().flat_map(|panel| &panel.curves);
+        extent(curves.flat_map(|curve| &curve.points).map(axis)).unwrap_or((0.0, 1.0))
+    };
+    let drawn = Figure {
+        description: figure.description.clone(),
+        span: points(|(x, _)| *x),
+        axis: figure.axis.to_owned(),
+        bands: Vec::new(),
+        trips_s: Vec::new(),
+        panels: figure.panels.iter().map(panel).collect(),
+    };
+    drawn.svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1)
+}
+
+fn panel(panel: &r4_systems::Panel) -> Panel {
+    let values = panel.curves.iter().flat_map(|curve| &curve.points).map(|(_, value)| *value);
+    let line = |(curve, color): (&r4_systems::Curve, _)| Line {
+        label: curve.name.to_owned(),
+        color,
+        width: WIDTH,
+        points: curve.points.clone(),
+        error: Vec::new(),
+    };
+    Panel {
+        title: panel.title.to_owned(),
+        note: String::new(),
+        height: HEIGHT,
+        range: framed(extent(values).unwrap_or((0.0, 1.0)), 1e-9),
+        lines: panel.curves.iter().zip(COLORS).map(line).collect(),
+        guides: None,
+    }
+}

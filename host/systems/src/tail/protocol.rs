@@ -1,0 +1,210 @@
+//! A lift on a board: the regulator on the host, drives and encoders by the board, and what is true meanwhile.
+
+use std::{cell::RefCell, convert::Infallible, pin::pin};
+
+use futures::future::{Either, select};
+use r4_protocol::{Mode, SafetyState, Sample};
+use r4_rig::{Error, Session};
+use r4_world::{AnyBody, BalanceTail};
+
+use super::{
+    law::{Measured, Regulator},
+    scene::{Noise, Setup},
+    trunk::{self, Lean},
+};
+
+/// How long the trial goes on after the lift began, s.
+pub(super) const AFTER_S: f64 = 9.0;
+/// How often the truth is noted, s.
+pub(super) const WATCHED_EVERY_S: f64 = 1e-3;
+/// How long the inertial sensor is averaged before the motors are armed, s.
+const RESTS_S: f64 = 1.0;
+/// Commands older than this are not followed any more, ms: five periods of the regulator.
+const COMMAND_TTL_MS: u16 = 50;
+
+/// What is true at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// s
+    pub time_s: f64,
+    /// How far the person's centre of mass is in front of the ankle, m.
+    pub wearer_x_m: f64,
+    /// Trunk and joints, rad.
+    pub angle_rad: [f64; 3],
+    /// Torque of the motors' drives, from the back outwards, N m.
+    pub torque_nm: [f64; 2],
+    /// Speed of the motors, rad/s.
+    pub speed_rad_s: [f64; 2],
+}
+
+impl Moment {
+    /// A body's, with the state of its motors.
+    pub(super) fn of(body: &BalanceTail, time_s: f64, torque_nm: [f64; 2], speed_rad_s: [f64; 2]) -> Self {
+        Self { time_s, wearer_x_m: body.wearer_x_m(), angle_rad: body.state().angle_rad, torque_nm, speed_rad_s }
+    }
+}
+
+/// What was true over a trial.
+#[derive(Clone, Debug, Default)]
+pub struct Trace {
+    /// Every millisecond.
+    pub moments: Vec<Moment>,
+    /// When the regulator took over, s; infinite where there is none.
+    pub armed_at_s: f64,
+}
+
+/// Notes what is true until the lift is over.
+///
+/// With `regulator` the motors are armed and it has them; without it they are left to their brakes.
+///
+/// # Errors
+/// When the board is not virtual, does not arm, or stops.
+pub async fn lift(
+    session: &Session<'_>,
+    setup: &Setup,
+    lift_at_s: f64,
+    regulator: Option<&Regulator>,
+    noise: Noise,
+) -> Result<Trace, Error> {
+    let until_s = lift_at_s + AFTER_S;
+    let moments = RefCell::new(Vec::new());
+    let watch = async {
+        loop {
+            moments.borrow_mut().push(look(session, setup)?);
+            session.board.sleep_s(WATCHED_EVERY_S).await;
+        }
+    };
+    let mut armed_at_s = f64::INFINITY;
+    let balance = async {
+        if let Some(regulator) = regulator {
+            let mut trunk = TrunkSensor { session, setup, noise };
+            let still = trunk.rest().await?;
+            armed_at_s = time_s(session)?;
+            session.armed(async || balance(session, setup, until_s, regulator, trunk, still).await).await
+        } else {
+            session.board.sleep_s((until_s - time_s(session)?).max(0.0)).await;
+            Ok(())
+        }
+    };
+    let ended: Either<Result<(), Error>, Result<Infallible, Error>> = match select(pin!(balance), pin!(watch)).await {
+        Either::Left((ended, _)) => Either::Left(ended),
+        Either::Right((ended, _)) => Either::Right(ended),
+    };
+    match ended {
+        Either::Left(ended) => ended?,
+        Either::Right(Err(error)) => return Err(error),
+        Either::Right(Ok(never)) => match never {},
+    }
+    Ok(Trace { moments: moments.into_inner(), armed_at_s })
+}
+
+/// Time of the virtual board's world, s, on which the person lifts.
+fn time_s(session: &Session<'_>) -> Result<f64, Error> {
+    Ok(session.virtual_board()?.world().clock().now_ns() as f64 * 1e-9)
+}
+
+/// What is true now.
+fn look(session: &Session<'_>, setup: &Setup) -> Result<Moment, Error> {
+    let mut world = session.virtual_board()?.world();
+    let time_s = world.clock().now_ns() as f64 * 1e-9;
+    world.catch_up();
+    let [torque_nm, speed_rad_s] = [0, 1].map(|what| {
+        setup.joints.map(|joint| {
+            let drive = world.bldc(joint.channel);
+            drive.map_or(0.0, |drive| if what == 0 { drive.torque_nm() } else { drive.speed_rad_s() })
+        })
+    });
+    match world.body() {
+        Some(AnyBody::BalanceTail(body)) => Ok(Moment::of(body, time_s, torque_nm, speed_rad_s)),
+        // `Setup::of` refuses every other robot.
+        _ => Ok(Moment { time_s, wearer_x_m: 0.0, angle_rad: [0.0; 3], torque_nm, speed_rad_s }),
+    }
+}
+
+async fn balance(
+    session: &Session<'_>,
+    setup: &Setup,
+    until_s: f64,
+    regulator: &Regulator,
+    mut trunk: TrunkSensor<'_>,
+    still: Lean,
+) -> Result<(), Error> {
+    let board = session.board;
+    let mut telemetry = board.telemetry();
+    for joint in &setup.joints {
+        board.subscribe(joint.encoder, (setup.settings.period_s * 1e3).round() as u16).await?;
+    }
+    let channels = setup.joints.map(|joint| (joint.channel, Mode::Duty));
+    let mut commands = board.stream(&channels, COMMAND_TTL_MS).await?;
+    let (mut lean, mut integral_rad_s) = (still, 0.0);
+    let mut before: Option<(u64, [f64; 2])> = None;
+    while time_s(session)? < until_s {
+        let frame = telemetry.next().await?;
+        if frame.state == SafetyState::Tripped {
+            return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+        }
+        let Some(motors_rad) = encoders(session, setup, &frame.samples)? else { continue };
+        let at_us = frame.device_us;
+        let Some((before_us, before_rad)) = before.replace((at_us, motors_rad)) else { continue };
+        let after_s = at_us.saturating_sub(before_us) as f64 * 1e-6;
+        if after_s <= 0.0 {
+            continue;
+        }
+        let (lean_rad, lean_rad_s) = lean.next(trunk.sample()?, after_s);
+        let mut measured = Measured { angle_rad: [lean_rad, 0.0, 0.0], rate_rad_s: [lean_rad_s, 0.0, 0.0] };
+        for (number, joint) in setup.joints.iter().enumerate() {
+            measured.angle_rad[number + 1] = motors_rad[number] / joint.ratio;
+            measured.rate_rad_s[number + 1] = (motors_rad[number] - before_rad[number]) / after_s / joint.ratio;
+        }
+        let command;
+        (command, integral_rad_s) = regulator.next(&measured, [0.0; 2], integral_rad_s);
+        commands.set(&command.share)?;
+    }
+    Ok(())
+}
+
+/// Angles of the motors, rad, if a frame has those of both.
+fn encoders(session: &Session<'_>, setup: &Setup, samples: &[Sample]) -> Result<Option<[f64; 2]>, Error> {
+    let mut angles_rad = [0.0; 2];
+    for (angle_rad, joint) in angles_rad.iter_mut().zip(&setup.joints) {
+        let counts = samples.iter().find_map(|sample| match *sample {
+            Sample::Encoder { channel, position, .. } if channel == joint.encoder => Some(position),
+            _ => None,
+        });
+        let Some(counts) = counts else { return Ok(None) };
+        *angle_rad = f64::from(counts) * f64::from(session.board.channel(joint.encoder)?.resolution);
+    }
+    Ok(Some(angles_rad))
+}
+
+/// The inertial sensor on the person's back. It is not on the board yet: the truth, with noise.
+struct TrunkSensor<'s> {
+    session: &'s Session<'s>,
+    setup: &'s Setup,
+    noise: Noise,
+}
+
+impl TrunkSensor<'_> {
+    fn sample(&mut self) -> Result<trunk::Sample, Error> {
+        let [forward_m, up_m] = self.setup.sensor_m;
+        let mut world = self.session.virtual_board()?.world();
+        world.catch_up();
+        let felt = world.body().map(|body| body.inertial().at([forward_m, 0.0, up_m])).unwrap_or_default();
+        let (rate_rad_s, [forward_m_s2, up_m_s2]) = self.noise.sample();
+        Ok(trunk::Sample {
+            rate_rad_s: felt.rate_rad_s[1] + rate_rad_s,
+            force_m_s2: [felt.specific_force_m_s2[0] + forward_m_s2, felt.specific_force_m_s2[2] + up_m_s2],
+        })
+    }
+
+    /// Averages the sensor at rest.
+    async fn rest(&mut self) -> Result<Lean, Error> {
+        let period_s = self.setup.settings.period_s;
+        let mut samples = Vec::new();
+        for _ in 0..(RESTS_S / period_s) as usize {
+            samples.push(self.sample()?);
+            self.session.board.sleep_s(period_s).await;
+        }
+        Ok(Lean::at_rest(&samples))
+    }
+}

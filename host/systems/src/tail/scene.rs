@@ -1,0 +1,267 @@
+//! Persons, tails and lifts that the study samples, and the readings of the printed motors.
+
+use std::rc::Rc;
+
+use r4_boards::{Robot, SimulatedBldc};
+use r4_protocol::ChannelId;
+use r4_rig::Alter;
+use r4_world::{Ankle, AnyBody, BalanceTail, GRAVITY_M_S2, Lift, Link, TailError, Wearer};
+
+use super::{
+    law::{self, Motor},
+    model::{self, Model, Trunk},
+};
+use crate::sampler::Sampler;
+
+/// Purposes of random numbers.
+const OF_CASE: u64 = 1;
+const OF_SENSOR: u64 = 2;
+
+/// Pulleys on plain bearings take this share of the force for each half turn.
+const PLAIN_BEARINGS: f64 = 0.1;
+/// Share of a weight that stands for none.
+const WEIGHTLESS: f64 = 1e-6;
+
+/// Which motor moves which joint, and with what power.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reading {
+    /// Motor 1, 0.625 N m and 573 W, is at the back.
+    Printed,
+    /// Motor 1 is the outer joint's, as in the robot's file.
+    OuterFirst,
+    /// The same with the powers exchanged: 4 N m and 573 W at the back, 0.625 N m and 262 W outside.
+    CrossedPowers,
+}
+
+/// A person with a tail, and what is lifted. [`About::sampled`](crate::About::sampled) has the ranges.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Case {
+    /// Mass of the person, kg; the controller knows it, from scales.
+    pub mass_kg: f64,
+    /// Stiffness of the ankle over what gravity takes at it, 1.
+    pub ankle: f64,
+    /// Damping of the ankle, N m s/rad.
+    pub damping_nm_s_per_rad: f64,
+    /// Share of the force that a half turn over a pulley takes.
+    pub loss_per_wrap: f64,
+    /// Stiffness of the cables over that of the robot's file, 1.
+    pub cable: f64,
+    /// What the person lifts.
+    pub lift: Lift,
+}
+
+/// Noise of the inertial sensor: of the class of an ICM-20948, at 50 Hz of bandwidth. Declared, not measured.
+#[derive(Clone, Debug)]
+pub struct Noise {
+    sampler: Sampler,
+    bias_rad_s: f64,
+}
+
+/// Standard deviation of a rate, rad/s: 0.015 (deg/s)/sqrt(Hz).
+const RATE_RAD_S: f64 = 1.9e-3;
+/// Standard deviation of a specific force, m/s²: 230 ug/sqrt(Hz).
+const FORCE_M_S2: f64 = 1.6e-2;
+/// Standard deviation of the rate's offset after it was calibrated at rest, rad/s: 0.05 deg/s.
+const BIAS_RAD_S: f64 = 9e-4;
+
+impl Noise {
+    /// That of a seed.
+    #[must_use]
+    pub fn of(seed: u64) -> Self {
+        let mut sampler = Sampler::new(seed, OF_SENSOR);
+        let bias_rad_s = sampler.normal(BIAS_RAD_S);
+        Self { sampler, bias_rad_s }
+    }
+
+    /// Error of the next sample's rate, rad/s, and of its specific force forwards and up, m/s².
+    pub fn sample(&mut self) -> (f64, [f64; 2]) {
+        let rate_rad_s = self.bias_rad_s + self.sampler.normal(RATE_RAD_S);
+        (rate_rad_s, [self.sampler.normal(FORCE_M_S2), self.sampler.normal(FORCE_M_S2)])
+    }
+}
+
+impl Case {
+    /// The case of a seed.
+    #[must_use]
+    pub fn of(seed: u64) -> Self {
+        let mut sampler = Sampler::new(seed, OF_CASE);
+        Self {
+            mass_kg: sampler.uniform(60.0, 90.0),
+            ankle: sampler.uniform(1.6, 2.0),
+            damping_nm_s_per_rad: sampler.uniform(150.0, 250.0),
+            loss_per_wrap: sampler.uniform(0.005, 0.02),
+            cable: sampler.uniform(0.7, 1.3),
+            lift: Lift {
+                at_s: sampler.uniform(4.0, 5.0),
+                over_s: sampler.uniform(0.3, 0.7),
+                mass_kg: 10.0,
+                place_m: [sampler.uniform(0.30, 0.40), 1.05],
+            },
+        }
+    }
+
+    /// The same with pulleys on plain bearings, which take ten times as much as the controller's design allows for.
+    #[must_use]
+    pub fn with_plain_bearings(self) -> Self {
+        Self { loss_per_wrap: PLAIN_BEARINGS, ..self }
+    }
+
+    /// The person, of the height of `nominal`.
+    fn wearer(&self, nominal: &Wearer) -> Wearer {
+        let moment_nm = self.mass_kg * GRAVITY_M_S2 * nominal.centre_m;
+        let ankle = Ankle {
+            stiffness_nm_per_rad: self.ankle * moment_nm,
+            damping_nm_s_per_rad: self.damping_nm_s_per_rad,
+            ..nominal.ankle
+        };
+        let inertia_kg_m2 = nominal.inertia_kg_m2 * self.mass_kg / nominal.mass_kg;
+        Wearer { mass_kg: self.mass_kg, inertia_kg_m2, ankle, ..*nominal }
+    }
+
+    /// The person of this case with the tail of `nominal`, of which each weight is multiplied by `weighs`.
+    fn body(&self, nominal: &BalanceTail, weighs: f64) -> Result<BalanceTail, TailError> {
+        let links = nominal.links().map(|mut link| {
+            link.mass_kg *= weighs;
+            link.inertia_kg_m2 *= weighs;
+            link.cable.stiffness_nm_per_rad *= self.cable * weighs;
+            link.cable.damping_nm_s_per_rad *= weighs;
+            link.cable.friction_nm *= weighs;
+            link.cable.loss_per_wrap = self.loss_per_wrap;
+            link
+        });
+        BalanceTail::new(self.wearer(nominal.wearer()), links, [0.0; 2], Some(self.lift))
+    }
+
+    /// The person of this case without a tail.
+    ///
+    /// # Errors
+    /// What the robot's file has in place of a tail, or why the person cannot stand.
+    pub fn without_tail(&self, robot: &Robot) -> Result<BalanceTail, String> {
+        self.body(tail(robot)?, WEIGHTLESS).map_err(|error| error.to_string())
+    }
+
+    /// What a rig does to a robot to make it this case.
+    pub fn altered(self, reading: Reading) -> Alter {
+        // A robot without a tail stays as it is: `Setup::of` has refused it.
+        Rc::new(move |robot| drop(self.put_into(robot, reading)))
+    }
+
+    /// Changes a robot to this case.
+    ///
+    /// # Errors
+    /// What the robot's file has in place of a tail, or why the person cannot stand.
+    pub fn put_into(&self, robot: &mut Robot, reading: Reading) -> Result<(), String> {
+        let changed = self.body(tail(robot)?, 1.0).map_err(|error| error.to_string())?;
+        reading.put_into(robot);
+        if let Some(body) = &mut robot.simulation.body {
+            body.kind = AnyBody::BalanceTail(Box::new(changed));
+        }
+        Ok(())
+    }
+}
+
+impl Reading {
+    fn put_into(self, robot: &mut Robot) {
+        match self {
+            Self::OuterFirst => {}
+            Self::Printed => robot.simulation.body.iter_mut().for_each(|body| body.channels.reverse()),
+            Self::CrossedPowers => {
+                let mut rotors: Vec<_> =
+                    robot.simulation.bldcs.iter_mut().filter_map(|bldc| bldc.rotor.as_mut()).collect();
+                if let [first, second] = &mut rotors[..] {
+                    std::mem::swap(&mut first.power_max_w, &mut second.power_max_w);
+                }
+            }
+        }
+    }
+}
+
+/// The tail of a robot.
+pub(super) fn tail(robot: &Robot) -> Result<&BalanceTail, String> {
+    match robot.simulation.body.as_ref().map(|body| &body.kind) {
+        Some(AnyBody::BalanceTail(tail)) => Ok(tail),
+        _ => Err("it has no [body.balance-tail]".into()),
+    }
+}
+
+/// A motor of the tail and its encoder, from the back outwards.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Its drive.
+    pub channel: ChannelId,
+    /// The encoder on the motor's shaft.
+    pub encoder: ChannelId,
+    /// What motor and drive can do.
+    pub motor: Motor,
+    /// Inertia of the motor, kg m².
+    pub rotor_kg_m2: f64,
+    /// Turns of the motor for one of the joint.
+    pub ratio: f64,
+}
+
+/// What the controller knows before it starts: the tail's data sheet, and the person's weight and height.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setup {
+    /// From the back outwards.
+    pub joints: [Joint; 2],
+    /// Person and tail.
+    pub model: Model,
+    /// Limits and weights.
+    pub settings: law::Settings,
+    /// Where the inertial sensor sits: `[forwards, up]` from the ankle along the trunk, m.
+    pub sensor_m: [f64; 2],
+}
+
+impl Setup {
+    /// That of a robot with this reading of its motors, worn by a person of `mass_kg`.
+    ///
+    /// # Errors
+    /// What the robot lacks.
+    pub fn of(robot: &Robot, reading: Reading, mass_kg: f64) -> Result<Self, String> {
+        let mut robot = robot.clone();
+        reading.put_into(&mut robot);
+        let tail = tail(&robot)?;
+        let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);
+        let joint = |link: &Link| {
+            let channel = *channels.get(link.cable.shaft).ok_or("a link has no motor")?;
+            let drive = robot.simulation.bldcs.iter().find(|bldc| bldc.channel == channel);
+            let drive = drive.ok_or_else(|| format!("{channel} is no simulated brushless drive"))?;
+            joint_of(drive, link.cable.ratio)
+        };
+        let [first, second] = tail.links();
+        let joints = [joint(first)?, joint(second)?];
+        let wearer = tail.wearer();
+        let share = mass_kg / wearer.mass_kg;
+        let trunk = Trunk {
+            inertia_kg_m2: wearer.inertia_kg_m2 * share,
+            moment_kg_m: [0.0, mass_kg * wearer.centre_m],
+            tail_m: wearer.tail_m,
+            ankle_nm_per_rad: wearer.ankle.stiffness_nm_per_rad * share,
+            ankle_nm_s_per_rad: wearer.ankle.damping_nm_s_per_rad,
+        };
+        let link = |link: &Link, joint: &Joint| model::Link {
+            mass_kg: link.mass_kg,
+            length_m: link.length_m,
+            centre_m: link.centre_m,
+            inertia_kg_m2: link.inertia_kg_m2,
+            rotor_kg_m2: joint.rotor_kg_m2,
+            ratio: link.cable.ratio,
+        };
+        let model = Model { trunk, links: [link(first, &joints[0]), link(second, &joints[1])] };
+        Ok(Self { joints, model, settings: law::Settings::default(), sensor_m: wearer.tail_m })
+    }
+}
+
+fn joint_of(drive: &SimulatedBldc, ratio: f64) -> Result<Joint, String> {
+    let channel = drive.channel;
+    let rotor = drive.rotor.ok_or_else(|| format!("{channel} has no rotor"))?;
+    let encoder = drive.encoder.ok_or_else(|| format!("no encoder is on the shaft of {channel}"))?;
+    let motor = Motor {
+        torque_max_nm: rotor.torque_max_nm,
+        power_max_w: rotor.power_max_w,
+        top_speed_rad_s: drive.top_speed_rad_s,
+        speed_gain_nm_s: rotor.inertia_kg_m2 / drive.time_constant_s,
+    };
+    let encoder = ChannelId::new(r4_protocol::ChannelKind::Encoder, encoder.input);
+    Ok(Joint { channel, encoder, motor, rotor_kg_m2: rotor.inertia_kg_m2, ratio })
+}
