@@ -4,7 +4,9 @@ use r4_boards::Drive;
 use r4_world::{MAX_STEP_S, Scene, ShaftMotion};
 
 use super::{
-    protocol::{Recording, Repeats, Run, SPIN_S, SPIN_SETTLES_S, SkidRobot, TRACKED_EVERY_S, Tracked, WheelSample},
+    protocol::{
+        Felt, Recording, Repeats, Run, SPIN_S, SPIN_SETTLES_S, SkidRobot, TRACKED_EVERY_S, Tracked, WheelSample,
+    },
     scene::{Noise, Truth},
 };
 use crate::Error;
@@ -47,9 +49,11 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
             }
             let Some(run) = run.as_deref_mut() else { continue };
             run.wheels.push(WheelSample { time_s, travel_m });
+            let forward_m_s2 = body.kind.inertial().specific_force_m_s2[0] + noise.inertial_m_s2();
+            run.felt.push(Felt { time_s, forward_m_s2 });
             if time_s >= tracked_at_s {
                 let pose = body.kind.pose();
-                run.tracked.push(Tracked::new(time_s, [pose.x_m, pose.y_m, pose.yaw_rad], noise.sample()));
+                run.tracked.push(Tracked::new(time_s, [pose.x_m, pose.y_m, pose.yaw_rad], noise.place()));
                 tracked_at_s = time_s + TRACKED_EVERY_S;
             }
         }

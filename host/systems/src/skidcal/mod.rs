@@ -2,13 +2,14 @@
 //!
 //! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with steps of the
 //! speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any skid-steer board;
-//! [`estimate`] has the paper's formulas, the repaired one, and ours; [`scene`] samples the robots that the study tries them on.
+//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`scene`] samples the robots that the study tries them on.
 //!
 //! # Repairs
 //! Newton's law for four wheels, `a = 4 (v_r - v) / (c v_r m)`, solves to `v_r = v / (1 - a c m / 4)`. Equations (1) and (2) print
 //! `v / (1 - 4 a c m)`: typed in as printed they return a sixteenth of `c_long`. The print's bound on `c_long` belongs to the
 //! repaired form.
 
+pub mod bristle;
 pub mod estimate;
 pub mod export;
 mod kinematic;
@@ -17,7 +18,9 @@ pub mod scene;
 
 use r4_rig::{Rig, Session};
 
-use crate::{About, Arm, Error, Limit, Metric, Paper, Source, Statistic, System, Target, Trial, Values};
+use crate::{
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+};
 
 /// The system.
 #[derive(Debug)]
@@ -41,6 +44,7 @@ static ABOUT: About = About {
         "mass 9 to 14 kg, uniform; inertia in proportion",
         "friction 10, or 0.2 for every fourth seed: the wheels then slide in the spin",
         "noise of the tracked positions, 1 mm, and headings, 0.01 rad, at 20 Hz",
+        "noise of the inertial sensor, 0.05 m/s², at 100 Hz",
     ],
     arms: &[
         Arm {
@@ -85,6 +89,34 @@ static ABOUT: About = About {
         },
         Metric {
             name: "c_long_covered",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.9), from: "set by this project: 95 % intervals" }],
+        },
+        Metric {
+            name: "inertial_c_long_relative",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[],
+        },
+        Metric {
+            name: "inertial_c_long_error",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtMost(0.05), from: "set by this project" }],
+        },
+        Metric {
+            name: "inertial_c_long_within_5_percent",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.9), from: "set by this project" }],
+        },
+        Metric {
+            name: "inertial_c_long_covered",
             unit: "1",
             statistic: Statistic::Share,
             source: Source::Simulated,
@@ -139,23 +171,66 @@ impl System for Skidcal {
 
     fn run(&self, trial: &Trial) -> Result<Values, Error> {
         let truth = scene::sample(trial.seed);
-        let noise = scene::Noise::of(trial.seed);
-        let recording =
-            match trial.arm {
-                "ablation:perfect-actuators" => kinematic::recorded(&truth, protocol::Repeats::UntilNarrow, noise)?,
-                arm => {
-                    let mut rig = Rig::new(trial.board.clone());
-                    rig.seed = trial.seed;
-                    rig.alter = Some(scene::altered(truth));
-                    let robot = protocol::SkidRobot::of(&rig.robot()?, truth.mass_kg)
-                        .map_err(|why| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why })?;
-                    let repeats = if arm == "ours" { protocol::Repeats::UntilNarrow } else { protocol::Repeats::Once };
-                    let work = async |session: &Session<'_>| protocol::drive(session, &robot, repeats, noise).await;
-                    rig.run(None, work)?.0
-                }
-            };
-        Ok(evaluate(trial.arm, &truth, &recording))
+        Ok(evaluate(trial.arm, &truth, &recorded(trial, truth)?))
     }
+
+    fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
+        figure(trial).map(Some)
+    }
+}
+
+/// What a trial records.
+fn recorded(trial: &Trial, truth: scene::Truth) -> Result<protocol::Recording, Error> {
+    let noise = scene::Noise::of(trial.seed);
+    if trial.arm == "ablation:perfect-actuators" {
+        return kinematic::recorded(&truth, protocol::Repeats::UntilNarrow, noise);
+    }
+    let mut rig = Rig::new(trial.board.clone());
+    rig.seed = trial.seed;
+    rig.alter = Some(scene::altered(truth));
+    let robot = protocol::SkidRobot::of(&rig.robot()?, truth.mass_kg).map_err(|why| Error::Unsuitable {
+        system: NAME,
+        board: trial.board.to_string(),
+        why,
+    })?;
+    let repeats = if trial.arm == "ours" { protocol::Repeats::UntilNarrow } else { protocol::Repeats::Once };
+    let work = async |session: &Session<'_>| protocol::drive(session, &robot, repeats, noise).await;
+    Ok(rig.run(None, work)?.0)
+}
+
+/// The first straight run: speeds, and its slip as it was tracked, as ours predicts it, and with the paper's estimate.
+fn figure(trial: &Trial) -> Result<Figure, Error> {
+    let recording = recorded(&Trial { arm: "ours", ..trial.clone() }, scene::sample(trial.seed))?;
+    let unsuitable = || Error::Unsuitable {
+        system: NAME,
+        board: trial.board.to_string(),
+        why: "its straight run gives no estimate".to_owned(),
+    };
+    let run = bristle::FirstRun::of(&recording).ok_or_else(unsuitable)?;
+    let speeds = run.speeds();
+    let in_mm = |(time_s, slip_m): &(f64, f64)| (*time_s, slip_m * 1e3);
+    let printed = estimate::printed(&recording).map(|found| found.value);
+    Ok(Figure {
+        description: format!("the first straight run, seed {}, on {}: speeds and slip", trial.seed, trial.board),
+        axis: "Time (s)",
+        panels: vec![
+            Panel {
+                title: "Speed (m/s)",
+                curves: vec![
+                    Curve::new("wheels' rims", &speeds, |(time_s, rim_m_s, _)| (*time_s, *rim_m_s)),
+                    Curve::new("robot, predicted", &speeds, |(time_s, _, robot_m_s)| (*time_s, *robot_m_s)),
+                ],
+            },
+            Panel {
+                title: "Slip: travel of the wheels minus that of the robot (mm)",
+                curves: vec![
+                    Curve::new("tracked", &run.tracked_slip_m(), in_mm),
+                    Curve::new("ours", &run.slip_m(None), in_mm),
+                    Curve::new("with c_long as printed", &run.slip_m(printed), in_mm),
+                ],
+            },
+        ],
+    })
 }
 
 /// Metrics of one recording.
@@ -165,24 +240,27 @@ fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) ->
         values.insert(name.to_owned(), value);
     };
     let share = |is: bool| f64::from(u8::from(is));
+    let is_paper = arm == "paper" || arm == "baseline:repaired";
     let ratio = truth.c_lat_per_n / truth.c_long_per_n;
     let (c_long, found_ratio) = match arm {
         "paper" => (estimate::printed(recording), estimate::commanded_ratio(recording)),
         "baseline:repaired" => (estimate::repaired(recording), estimate::commanded_ratio(recording)),
-        _ => (estimate::c_long(recording), estimate::ratio(recording)),
+        _ => (bristle::c_long(recording), estimate::ratio(recording)),
     };
-    if let Some(found) = c_long {
+    let inertial = if is_paper { None } else { bristle::c_long_inertial(recording) };
+    for (prefix, found) in [("", c_long), ("inertial_", inertial)] {
+        let Some(found) = found else { continue };
         let relative = found.value / truth.c_long_per_n;
-        put("c_long_relative", relative);
-        put("c_long_error", (relative - 1.0).abs());
-        put("c_long_within_5_percent", share((relative - 1.0).abs() <= 0.05));
+        put(&format!("{prefix}c_long_relative"), relative);
+        put(&format!("{prefix}c_long_error"), (relative - 1.0).abs());
+        put(&format!("{prefix}c_long_within_5_percent"), share((relative - 1.0).abs() <= 0.05));
         if let Some(interval) = found.interval {
-            put("c_long_covered", share(interval.contains(truth.c_long_per_n)));
+            put(&format!("{prefix}c_long_covered"), share(interval.contains(truth.c_long_per_n)));
         }
     }
     put("straight_runs", recording.runs as f64);
     let slides = truth.slides(recording);
-    if arm != "paper" && arm != "baseline:repaired" {
+    if !is_paper {
         put("coulomb_check_right", share(estimate::reaches_friction(recording, truth.friction) == slides));
     }
     // Sliding wheels do not obey the linear law: the check says so, and there is no ratio to be compared.

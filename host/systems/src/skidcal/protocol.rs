@@ -6,7 +6,7 @@ use r4_driver::TelemetryStream;
 use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
 use r4_rig::{Error, Session};
 
-use super::{estimate, scene::Noise};
+use super::{bristle, scene::Noise};
 
 /// How often wheels are read, ms.
 const WHEELS_EVERY_MS: u16 = 10;
@@ -16,6 +16,9 @@ pub(super) const TRACKED_EVERY_S: f64 = 0.05;
 /// a tyre that hardly rolls is not in the law.
 const SLOW: f64 = 0.3;
 const STEPS: [f64; 4] = [0.94, 0.6, 0.94, 0.3];
+/// How long the robot is slow after it turned round, before a run is noted, s: the law is predicted from rest of its bristles, and the
+/// swing that a turn leaves in soft tyres would otherwise bias it.
+const TURNS_S: f64 = 1.4;
 /// How long a run is slow before its first step, s.
 pub(super) const LEAD_S: f64 = 0.3;
 /// How long each speed is held, s: twice what the ramp of 1 m/s² takes, so that half of it is steady.
@@ -70,6 +73,15 @@ pub struct Tracked {
     noise: [f64; 3],
 }
 
+/// A sample of the inertial sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Felt {
+    /// On the host's clock, s.
+    pub time_s: f64,
+    /// Specific force forwards with the sensor's noise, m/s².
+    pub forward_m_s2: f64,
+}
+
 /// What was seen of a stretch of time.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
@@ -77,6 +89,8 @@ pub struct Run {
     pub wheels: Vec<WheelSample>,
     /// Each time that the robot was tracked.
     pub tracked: Vec<Tracked>,
+    /// Samples of the inertial sensor.
+    pub felt: Vec<Felt>,
 }
 
 /// Both tests.
@@ -123,7 +137,7 @@ impl SkidRobot {
         let most_m_s = self.drive.speed_max_m_s;
         [1.0, -1.0].map(|way| {
             let steps = STEPS.map(|share| (share, STEP_S));
-            let all = [(SLOW, STEP_S), (SLOW, LEAD_S)].into_iter().chain(steps);
+            let all = [(SLOW, TURNS_S), (SLOW, LEAD_S)].into_iter().chain(steps);
             all.map(|(share, seconds)| ([way * share * most_m_s; 2], seconds)).collect()
         })
     }
@@ -152,7 +166,7 @@ impl Tracked {
 impl Run {
     pub(super) fn without_noise(&self) -> Self {
         let tracked = self.tracked.iter().map(|tracked| Tracked { noise: [0.0; 3], ..*tracked });
-        Self { wheels: self.wheels.clone(), tracked: tracked.collect() }
+        Self { tracked: tracked.collect(), ..self.clone() }
     }
 }
 
@@ -177,7 +191,7 @@ impl Recording {
         if repeats == Repeats::Once || self.runs >= MOST_RUNS {
             return 0;
         }
-        let width = estimate::c_long(self).and_then(|found| Some((found.value, found.interval?)));
+        let width = bristle::c_long(self).and_then(|found| Some((found.value, found.interval?)));
         let wide = match width {
             Some((value, interval)) if value > 0.0 => interval.width() / 2.0 / value / NARROW,
             _ => f64::INFINITY,
@@ -191,7 +205,7 @@ impl Recording {
     }
 }
 
-/// Drives both tests. `noise` is that of what tracks the robot: of a virtual board its true place is taken.
+/// Drives both tests. `noise` is added to the true place and acceleration of a virtual board's robot.
 ///
 /// # Errors
 /// When the board does not arm, stops, or has no body.
@@ -270,15 +284,25 @@ impl<'s> Rider<'s> {
             let time_s = board.host_us(frame.device_us) as f64 * 1e-6;
             run.wheels.push(WheelSample { time_s, travel_m: [left_m, right_m] });
             let now_s = board.now_s();
+            if let Some(forward_m_s2) = self.forward_m_s2() {
+                run.felt.push(Felt { time_s: now_s, forward_m_s2: forward_m_s2 + self.noise.inertial_m_s2() });
+            }
             if now_s >= self.tracked_at_s
                 && let Some(place) = self.session.true_place()
             {
                 let exact = [place.x_m, place.y_m, place.yaw_rad];
-                run.tracked.push(Tracked::new(now_s, exact, self.noise.sample()));
+                run.tracked.push(Tracked::new(now_s, exact, self.noise.place()));
                 self.tracked_at_s = now_s + TRACKED_EVERY_S;
             }
         }
         Ok(())
+    }
+
+    /// True specific force along the robot now, m/s², of a virtual board: the inertial sensor is not read over the board's bus.
+    fn forward_m_s2(&self) -> Option<f64> {
+        let mut world = self.session.virtual_board().ok()?.world();
+        world.catch_up();
+        Some(world.body()?.inertial().specific_force_m_s2[0])
     }
 
     /// Mean travel of the wheels of a side, m, if all are in `samples`.

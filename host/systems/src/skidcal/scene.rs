@@ -1,4 +1,4 @@
-//! Robots that the study samples, and the noise of what tracks them.
+//! Robots that the study samples, and the noise of their sensors.
 
 use std::rc::Rc;
 
@@ -12,6 +12,7 @@ use crate::sampler::Sampler;
 /// Purposes of random numbers.
 const OF_ROBOT: u64 = 1;
 const OF_NOISE: u64 = 2;
+const OF_INERTIAL: u64 = 3;
 
 /// A robot that the estimator does not know.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,16 +27,19 @@ pub struct Truth {
     pub friction: f64,
 }
 
-/// Noise of what tracks the robot.
+/// Noise of the sensors.
 #[derive(Clone, Debug)]
 pub struct Noise {
-    sampler: Sampler,
+    tracker: Sampler,
+    inertial: Sampler,
 }
 
 /// Standard deviation of a tracked position, m, and heading, rad.
 pub const POSITION_M: f64 = 1e-3;
 /// rad; of two markers 0.14 m apart.
 pub const HEADING_RAD: f64 = 1e-2;
+/// Standard deviation of the inertial sensor's specific force, m/s².
+pub const INERTIAL_M_S2: f64 = 0.05;
 
 /// The robot of a seed. [`About::sampled`](crate::About::sampled) has the ranges.
 #[must_use]
@@ -90,11 +94,16 @@ impl Noise {
     /// That of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
-        Self { sampler: Sampler::new(seed, OF_NOISE) }
+        Self { tracker: Sampler::new(seed, OF_NOISE), inertial: Sampler::new(seed, OF_INERTIAL) }
     }
 
-    /// Noise of the next sample: x and y, m, and heading, rad.
-    pub fn sample(&mut self) -> [f64; 3] {
-        [POSITION_M, POSITION_M, HEADING_RAD].map(|deviation| self.sampler.normal(deviation))
+    /// Noise of the next tracked place: x and y, m, and heading, rad.
+    pub fn place(&mut self) -> [f64; 3] {
+        [POSITION_M, POSITION_M, HEADING_RAD].map(|deviation| self.tracker.normal(deviation))
+    }
+
+    /// Noise of the inertial sensor's next specific force, m/s².
+    pub fn inertial_m_s2(&mut self) -> f64 {
+        self.inertial.normal(INERTIAL_M_S2)
     }
 }

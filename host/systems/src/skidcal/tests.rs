@@ -25,7 +25,7 @@ fn without_noise_ours_finds_both_compliances() {
         let truth = sample(seed);
         let recording = exact(&truth);
         // Speeds are held for 10 ms in the estimator, and forces for 0.25 ms in the simulation: 1 % of a slip of a few millimetres.
-        let c_long = relative(estimate::c_long(&recording), truth.c_long_per_n);
+        let c_long = relative(bristle::c_long(&recording), truth.c_long_per_n);
         assert!((c_long - 1.0).abs() < 0.015, "seed {seed}: {c_long}");
         let ratio = relative(estimate::ratio(&recording), truth.c_lat_per_n / truth.c_long_per_n);
         // An equilibrium, which no step length moves.

@@ -1,0 +1,309 @@
+//! `c_long` by ours: a least-squares fit of the tyres' law to what was measured, without differentiating it.
+//!
+//! A bristle bends with the slip velocity and rolls out within the relaxation length `L`; its force moves a quarter of the robot:
+//!
+//! ```text
+//! dz/dt = v_r - v - |v_r| z / L      F = z / (c L)      dv/dt = 4 F / m
+//! ```
+//!
+//! With the wheels' measured speed `v_r` as input this predicts the robot's displacement, which [`c_long`] fits to tracked positions,
+//! and its acceleration, which [`c_long_inertial`] fits to an inertial sensor. `L` and the offset of the sensor's clock are fitted
+//! beside `c`, with the scale of the wheels' radius or the sensor's bias. Nothing is differentiated twice, so noise does not bias the
+//! estimate, and the residual gives its interval.
+
+use r4_maths::{least_squares, statistics::Interval};
+
+use super::{
+    estimate::{Estimate, along, wheels_at},
+    protocol::{Recording, Run},
+    scene::INERTIAL_M_S2,
+};
+
+/// Steps of the robot's speed between two samples of the wheels: 0.5 ms. The law swings with `sqrt(c L m / 4)`, 25 ms or more for the
+/// robots that are sampled.
+const SUBSTEPS: u32 = 20;
+/// Initial guess of the compliance, 1/N: that of the paper's robot.
+const START_PER_N: f64 = 0.005;
+/// Residual, m, that counts as 1.
+const SCALE_M: f64 = 1e-3;
+/// Scale of the error of the wheels' radius, as a share of it.
+const RADIUS_SHARE: f64 = 1e-3;
+/// Scale of an inertial sensor's bias, m/s²: 10 mg.
+const BIAS_M_S2: f64 = 0.1;
+/// Standard deviation, s, of the offset between a sensor's clock and the board's.
+const CLOCK_S: f64 = 5e-3;
+/// Confidence of intervals.
+const CONFIDENCE: f64 = 0.95;
+/// Straight runs that the inertial sensor needs: there and back.
+const INERTIAL_RUNS: usize = 2;
+
+/// `c_long` from tracked positions, 1/N.
+#[must_use]
+pub fn c_long(recording: &Recording) -> Option<Estimate> {
+    let (curves, fit) = fit_tracked(recording)?;
+    // The mean of each run has taken one observation.
+    Some(fit.estimate(curves.len()))
+}
+
+/// `c_long` from the acceleration along the robot in one straight run there and back, 1/N.
+#[must_use]
+pub fn c_long_inertial(recording: &Recording) -> Option<Estimate> {
+    let curves: Vec<Curve> = recording.straight.iter().take(INERTIAL_RUNS).filter_map(Curve::felt).collect();
+    let scaled = |curve: &Curve, numbers: &Numbers| {
+        let residuals = numbers.acceleration_residuals_m_s2(curve).into_iter();
+        residuals.map(|residual_m_s2| residual_m_s2 / INERTIAL_M_S2).collect()
+    };
+    Some(Fit::of(recording, &curves, scaled)?.estimate(0))
+}
+
+fn fit_tracked(recording: &Recording) -> Option<(Vec<Curve>, Fit)> {
+    let curves: Vec<Curve> = recording.straight.iter().filter_map(Curve::tracked).collect();
+    let scaled = |curve: &Curve, numbers: &Numbers| {
+        numbers.displacement_residuals_m(curve).into_iter().map(|residual_m| residual_m / SCALE_M).collect()
+    };
+    let fit = Fit::of(recording, &curves, scaled)?;
+    Some((curves, fit))
+}
+
+/// The first straight run beside what the fitted law predicts of it.
+pub struct FirstRun {
+    curve: Curve,
+    numbers: Numbers,
+}
+
+impl FirstRun {
+    /// That of a recording, with the law fitted to all of its tracked runs.
+    #[must_use]
+    pub fn of(recording: &Recording) -> Option<Self> {
+        let (curves, fit) = fit_tracked(recording)?;
+        Some(Self { curve: curves.into_iter().next()?, numbers: fit.numbers })
+    }
+
+    /// Time, s, speed of the wheels' rims and predicted speed of the robot, m/s.
+    #[must_use]
+    pub fn speeds(&self) -> Vec<(f64, f64, f64)> {
+        let motion = self.curve.motion(&self.numbers.law).into_iter();
+        let at = |(index, motion): (usize, Motion)| {
+            (self.since_begin_s(self.curve.time_s[index]), self.curve.speed_m_s[index], motion.speed_m_s)
+        };
+        motion.enumerate().map(at).collect()
+    }
+
+    /// Time, s, and predicted slip, m: how much less than its wheels the robot has moved. `c_per_n` replaces the fitted compliance.
+    #[must_use]
+    pub fn slip_m(&self, c_per_n: Option<f64>) -> Vec<(f64, f64)> {
+        let fitted = self.numbers.law;
+        let law = Law { c_per_n: c_per_n.unwrap_or(fitted.c_per_n), ..fitted };
+        let times = self.curve.time_s.iter().map(|time_s| self.since_begin_s(*time_s));
+        times.zip(self.curve.motion(&law)).map(|(time_s, motion)| (time_s, motion.slipped_m)).collect()
+    }
+
+    /// Time, s, and slip, m, as it was tracked.
+    #[must_use]
+    pub fn tracked_slip_m(&self) -> Vec<(f64, f64)> {
+        let motion = self.curve.motion(&self.numbers.law);
+        let residuals_m = self.numbers.displacement_residuals_m(&self.curve);
+        let at = |(seen, residual_m): (&Seen, f64)| {
+            let time_s = self.since_begin_s(seen.between(|index| self.curve.time_s[index]));
+            (time_s, seen.between(|index| motion[index].slipped_m) - residual_m)
+        };
+        self.curve.seen.iter().zip(residuals_m).map(at).collect()
+    }
+
+    fn since_begin_s(&self, time_s: f64) -> f64 {
+        time_s - self.curve.time_s.first().copied().unwrap_or(time_s)
+    }
+}
+
+/// Numbers of the law.
+#[derive(Clone, Copy, Debug)]
+struct Law {
+    c_per_n: f64,
+    relaxation_m: f64,
+    mass_kg: f64,
+}
+
+/// What is fitted.
+#[derive(Clone, Copy, Debug)]
+struct Numbers {
+    law: Law,
+    /// Error of the wheels' radius as a share of it, or bias of the inertial sensor, m/s².
+    systematic: f64,
+    /// How late the sensor's clock is against the board's, s.
+    offset_s: f64,
+}
+
+/// A fit of the law to observations of one kind.
+struct Fit {
+    numbers: Numbers,
+    /// Of the logarithm of `c`, at 95 %.
+    log_interval: Interval,
+    degrees_of_freedom: f64,
+}
+
+impl Fit {
+    /// Fits `residuals`, which are 1 where an observation is off by one standard deviation.
+    fn of(recording: &Recording, curves: &[Curve], residuals: impl Fn(&Curve, &Numbers) -> Vec<f64>) -> Option<Self> {
+        let clock_s = recording.clock_s.max(CLOCK_S);
+        let start = [0.0, 0.0, START_PER_N.ln(), (recording.robot.drive.wheel_radius_m / 2.0).ln()];
+        let scaled = |numbers: &[f64]| Numbers {
+            law: Law { c_per_n: numbers[2].exp(), relaxation_m: numbers[3].exp(), mass_kg: recording.robot.mass_kg },
+            systematic: numbers[0],
+            offset_s: numbers[1] * clock_s,
+        };
+        let all = |numbers: &[f64]| {
+            let mut all: Vec<f64> = curves.iter().flat_map(|curve| residuals(curve, &scaled(numbers))).collect();
+            // What is known of the clocks is one more observation: an offset of 0, as exact as they are.
+            all.push(numbers[1]);
+            all
+        };
+        let fit = least_squares::nonlinear(&start, all).ok()?;
+        let log_interval = *fit.intervals(CONFIDENCE).ok()?.get(2)?;
+        Some(Self {
+            numbers: scaled(fit.parameters.as_slice()),
+            log_interval,
+            degrees_of_freedom: fit.degrees_of_freedom as f64,
+        })
+    }
+
+    /// The compliance, with an interval that counts `taken` observations less.
+    fn estimate(&self, taken: usize) -> Estimate {
+        let free = self.degrees_of_freedom;
+        let widened = (free / (free - taken as f64).max(1.0)).sqrt();
+        let c_per_n = self.numbers.law.c_per_n;
+        let half = self.log_interval.width() / 2.0 * widened;
+        let interval = Interval { low: c_per_n * (-half).exp(), high: c_per_n * half.exp() };
+        Estimate { value: c_per_n, interval: Some(interval) }
+    }
+}
+
+impl Numbers {
+    /// Tracked minus predicted displacements, m, less their mean: where a run begins is not known.
+    fn displacement_residuals_m(&self, curve: &Curve) -> Vec<f64> {
+        let motion = curve.motion(&self.law);
+        let residual = |seen: &Seen| {
+            let travelled_m = seen.travel_m * (1.0 + self.systematic * RADIUS_SHARE);
+            let slipped_m = seen.between(|index| motion[index].slipped_m);
+            // The robot's speed: with that of its wheels the offset would explain a part of the slip.
+            let late_m = self.offset_s * seen.between(|index| motion[index].speed_m_s);
+            seen.measured - (travelled_m - slipped_m + late_m)
+        };
+        let mut residuals: Vec<f64> = curve.seen.iter().map(residual).collect();
+        let mean = residuals.iter().sum::<f64>() / residuals.len().max(1) as f64;
+        residuals.iter_mut().for_each(|residual| *residual -= mean);
+        residuals
+    }
+
+    /// Measured minus predicted accelerations, m/s².
+    fn acceleration_residuals_m_s2(&self, curve: &Curve) -> Vec<f64> {
+        let motion = curve.motion(&self.law);
+        let last = motion.len() - 1;
+        let jerk = |index: usize| {
+            let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
+            let change_m_s2 = motion[to].acceleration_m_s2 - motion[from].acceleration_m_s2;
+            change_m_s2 / (curve.time_s[to] - curve.time_s[from])
+        };
+        let residual = |seen: &Seen| {
+            let predicted_m_s2 = seen.between(|index| motion[index].acceleration_m_s2);
+            let late_m_s2 = self.offset_s * seen.between(jerk);
+            seen.measured - (predicted_m_s2 + late_m_s2 + self.systematic * BIAS_M_S2)
+        };
+        curve.seen.iter().map(residual).collect()
+    }
+}
+
+/// Wheels of a straight run at the moments of their samples, and what a sensor saw of the robot.
+struct Curve {
+    time_s: Vec<f64>,
+    travel_m: Vec<f64>,
+    speed_m_s: Vec<f64>,
+    seen: Vec<Seen>,
+}
+
+/// An observation between two samples of the wheels.
+struct Seen {
+    /// The sample before.
+    index: usize,
+    /// Share of the time to the next.
+    share: f64,
+    /// Travel of the wheels, m.
+    travel_m: f64,
+    /// Displacement, m, or acceleration, m/s², of the robot.
+    measured: f64,
+}
+
+impl Seen {
+    /// A quantity of the wheels' samples at the moment of the observation, linear between them.
+    fn between(&self, quantity: impl Fn(usize) -> f64) -> f64 {
+        let (before, after) = (quantity(self.index), quantity(self.index + 1));
+        before + self.share * (after - before)
+    }
+}
+
+/// Predicted motion of the robot at a sample of the wheels.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    /// How much less than its wheels the robot has moved since the first sample, m.
+    slipped_m: f64,
+    speed_m_s: f64,
+    acceleration_m_s2: f64,
+}
+
+impl Curve {
+    /// A run as it was tracked.
+    fn tracked(run: &Run) -> Option<Self> {
+        Self::of(run, &along(run))
+    }
+
+    /// A run as the inertial sensor felt it.
+    fn felt(run: &Run) -> Option<Self> {
+        Self::of(run, &run.felt.iter().map(|felt| [felt.time_s, felt.forward_m_s2]).collect::<Vec<_>>())
+    }
+
+    /// `observed`: times, s, with what was measured then.
+    fn of(run: &Run, observed: &[[f64; 2]]) -> Option<Self> {
+        let travel_m: Vec<f64> = run.wheels.iter().map(|sample| sample.travel_m.iter().sum::<f64>() / 2.0).collect();
+        let time_s: Vec<f64> = run.wheels.iter().map(|sample| sample.time_s).collect();
+        let last = time_s.len().checked_sub(1)?;
+        let speed = |index: usize| {
+            let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
+            (travel_m[to] - travel_m[from]) / (time_s[to] - time_s[from])
+        };
+        let speed_m_s: Vec<f64> = (0..=last).map(speed).collect();
+        let seen = observed.iter().filter_map(|&[at_s, measured]| {
+            let index = time_s.partition_point(|time_s| *time_s < at_s).checked_sub(1)?;
+            let share = (at_s - time_s[index]) / (time_s.get(index + 1)? - time_s[index]);
+            let [left_m, right_m] = wheels_at(run, at_s)?;
+            Some(Seen { index, share, travel_m: f64::midpoint(left_m, right_m), measured })
+        });
+        let seen = seen.collect();
+        Some(Self { time_s, travel_m, speed_m_s, seen })
+    }
+
+    /// What the law predicts at each sample of the wheels.
+    fn motion(&self, law: &Law) -> Vec<Motion> {
+        let Law { c_per_n, relaxation_m, mass_kg } = *law;
+        let stiffness_s2 = 4.0 / (c_per_n * relaxation_m * mass_kg);
+        let (mut bent_m, mut slipped_m) = (0.0, 0.0);
+        let mut speed_m_s = self.speed_m_s.first().copied().unwrap_or(0.0);
+        let mut all = vec![Motion { slipped_m, speed_m_s, acceleration_m_s2: 0.0 }];
+        for index in 1..self.time_s.len() {
+            let sampled_s = self.time_s[index] - self.time_s[index - 1];
+            let step_s = sampled_s / f64::from(SUBSTEPS);
+            // A line whose mean is that between two samples, which is exact. Constant over 10 ms, the speed would make tyres look
+            // stiffer by 1 %.
+            let mean_m_s = (self.travel_m[index] - self.travel_m[index - 1]) / sampled_s;
+            let change_m_s = self.speed_m_s[index] - self.speed_m_s[index - 1];
+            for step in 0..SUBSTEPS {
+                let share = (f64::from(step) + 0.5) / f64::from(SUBSTEPS) - 0.5;
+                let rim_m_s = mean_m_s + change_m_s * share;
+                let before_m_s = speed_m_s;
+                bent_m = (bent_m + (rim_m_s - speed_m_s) * step_s) / (1.0 + rim_m_s.abs() * step_s / relaxation_m);
+                speed_m_s += stiffness_s2 * bent_m * step_s;
+                slipped_m += (rim_m_s - f64::midpoint(before_m_s, speed_m_s)) * step_s;
+            }
+            all.push(Motion { slipped_m, speed_m_s, acceleration_m_s2: stiffness_s2 * bent_m });
+        }
+        all
+    }
+}
