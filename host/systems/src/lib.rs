@@ -27,6 +27,15 @@ pub use sampler::Sampler;
 pub use statistic::{Statistic, Summary};
 pub use study::{Record, Study, Trial, Values};
 
+/// A text file made of a trial's result.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ResultFile {
+    /// File name without folders.
+    pub name: &'static str,
+    /// Content.
+    pub text: String,
+}
+
 /// A robot system: what a paper asks, how it and we answer, and how the answers are measured.
 pub trait System: Sync {
     /// Paper, arms and metrics.
@@ -47,6 +56,15 @@ pub trait System: Sync {
     fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
         let _ = trial;
         Ok(None)
+    }
+
+    /// Files made of a trial's result for other programs, such as a calibrated body; none for a system without.
+    ///
+    /// # Errors
+    /// When the trial could not be run, or gave nothing that could be written.
+    fn files(&self, trial: &Trial) -> Result<Vec<ResultFile>, Error> {
+        let _ = trial;
+        Ok(Vec::new())
     }
 
     /// Rows about this machine's speed, which no seed repeats: they are part of benchmarks and not of studies.

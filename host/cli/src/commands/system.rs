@@ -47,6 +47,9 @@ pub(crate) enum Systems {
         /// Draw curves of this seed's arms into an SVG file
         #[arg(long, value_name = "FILE")]
         figure: Option<PathBuf>,
+        /// Write what the trial found into files of this folder, for `--body` and other simulators
+        #[arg(long, value_name = "FOLDER")]
+        files: Option<PathBuf>,
     },
     /// Run a system's arms over seeds and print a row for each metric
     Study(StudyArgs),
@@ -101,7 +104,9 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
     match what {
         Systems::List => list(args),
         Systems::Show { name } => show(args, r4_systems::find(name)?),
-        Systems::Run { name, arm, figure } => trial(args, r4_systems::find(name)?, arm, figure.as_deref()),
+        Systems::Run { name, arm, figure, files } => {
+            trial(args, r4_systems::find(name)?, arm, figure.as_deref(), files.as_deref())
+        }
         Systems::Study(study) => run_study(args, study),
         Systems::Merge { files, out } => merge(args, files, out.as_deref()),
     }
@@ -194,7 +199,13 @@ fn limit(limit: Limit) -> String {
     }
 }
 
-fn trial(args: &Args, system: &dyn System, arm: &str, figure: Option<&Path>) -> anyhow::Result<bool> {
+fn trial(
+    args: &Args,
+    system: &dyn System,
+    arm: &str,
+    figure: Option<&Path>,
+    files: Option<&Path>,
+) -> anyhow::Result<bool> {
     let study = Study {
         arms: vec![arm.to_owned()],
         first_seed: args.seed,
@@ -206,6 +217,9 @@ fn trial(args: &Args, system: &dyn System, arm: &str, figure: Option<&Path>) -> 
     let described = trial.board.described();
     if let Some(path) = figure {
         draw(system, trial, path)?;
+    }
+    if let Some(folder) = files {
+        write_files(system, trial, folder)?;
     }
     let record = records(system, &study)?.pop().context("one trial has one record")?;
     if let Some(why) = record.failed {
@@ -231,6 +245,18 @@ fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
     let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: leave --figure out"))?;
     fs::write(path, crate::report::system(&figure)).with_context(|| format!("cannot write {}", path.display()))?;
     eprintln!("r4: {}: {}", path.display(), figure.description);
+    Ok(())
+}
+
+fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Result<()> {
+    let files = system.files(trial)?;
+    ensure!(!files.is_empty(), "{} writes no files: leave --files out", system.about().name);
+    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    for file in files {
+        let path = folder.join(file.name);
+        fs::write(&path, file.text).with_context(|| format!("cannot write {}", path.display()))?;
+        eprintln!("r4: wrote {}", path.display());
+    }
     Ok(())
 }
 

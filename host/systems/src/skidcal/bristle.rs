@@ -257,7 +257,7 @@ impl Curve {
 
     /// A run as the inertial sensor felt it.
     fn felt(run: &Run) -> Option<Self> {
-        Self::of(run, &run.felt.iter().map(|felt| [felt.time_s, felt.forward_m_s2]).collect::<Vec<_>>())
+        Self::of(run, &run.felt.iter().map(|felt| [felt.time_s, felt.measured_m_s2()]).collect::<Vec<_>>())
     }
 
     /// `observed`: times, s, with what was measured then.

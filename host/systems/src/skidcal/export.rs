@@ -1,6 +1,50 @@
-//! Compliances for other simulators.
+//! Compliances for simulated boards and other simulators.
 
 use std::fmt::Write;
+
+use r4_boards::{Robot, SimulatedBody};
+use r4_rig::Rig;
+
+use super::{
+    bristle, estimate,
+    scene::{self, Truth},
+};
+use crate::{Error, ResultFile, Trial};
+
+/// The result of a trial as a body for `--body` and as `wheel_slip` for Gazebo.
+pub(super) fn files(trial: &Trial) -> Result<Vec<ResultFile>, Error> {
+    let truth = scene::sample(trial.seed);
+    let recording = super::recorded(trial, truth)?;
+    let found = bristle::c_long(&recording).zip(estimate::ratio(&recording));
+    let (c_long, ratio) = found.ok_or_else(|| super::without_estimate(trial))?;
+    let slip = Slip { c_long_per_n: c_long.value, c_lat_per_n: c_long.value * ratio.value, friction: truth.friction };
+    let robot = Rig::new(trial.board.clone()).robot()?;
+    let mut comments = vec![format!("Slip found by `r4 system run skidcal`, arm {}, seed {}.", trial.arm, trial.seed)];
+    for (what, found, unit) in [("c_long", c_long, "1/N"), ("c_lat / c_long", ratio, "1")] {
+        if let Some(interval) = found.interval {
+            comments.push(format!("{what}: {} to {} {unit}, 95 % confidence interval.", interval.low, interval.high));
+        }
+    }
+    let text = body(&robot, &slip, truth.mass_kg, &comments).ok_or_else(|| super::without_estimate(trial))?;
+    let radius_m = recording.robot.drive.wheel_radius_m;
+    Ok(vec![
+        ResultFile { name: "body.toml", text },
+        ResultFile { name: "wheel_slip.sdf", text: sdf(&slip, &LINKS, radius_m) },
+    ])
+}
+
+/// Links of the wheels in the SDF file, to be replaced by the model's own.
+const LINKS: [&str; 4] = ["front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel"];
+
+/// A robot's body with these tyres and this mass, as a file that a simulated board loads; `None` for one without wheels.
+#[must_use]
+pub fn body(robot: &Robot, slip: &Slip, mass_kg: f64, comments: &[String]) -> Option<String> {
+    let body = robot.simulation.body.as_ref()?;
+    let Slip { c_long_per_n, c_lat_per_n, friction } = *slip;
+    let truth = Truth { c_long_per_n, c_lat_per_n, mass_kg, friction };
+    let calibrated = truth.wheeled(body.wheeled()?)?;
+    Some(SimulatedBody::wheeled_toml(&calibrated, &body.channels, comments))
+}
 
 /// Slip compliances and friction of a robot's wheels.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -49,8 +49,8 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
             }
             let Some(run) = run.as_deref_mut() else { continue };
             run.wheels.push(WheelSample { time_s, travel_m });
-            let forward_m_s2 = body.kind.inertial().specific_force_m_s2[0] + noise.inertial_m_s2();
-            run.felt.push(Felt { time_s, forward_m_s2 });
+            let forward_m_s2 = body.kind.inertial().specific_force_m_s2[0];
+            run.felt.push(Felt::new(time_s, forward_m_s2, noise.inertial_m_s2()));
             if time_s >= tracked_at_s {
                 let pose = body.kind.pose();
                 run.tracked.push(Tracked::new(time_s, [pose.x_m, pose.y_m, pose.yaw_rad], noise.place()));

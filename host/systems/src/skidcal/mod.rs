@@ -12,6 +12,7 @@
 pub mod bristle;
 pub mod estimate;
 pub mod export;
+mod figure;
 mod kinematic;
 pub mod protocol;
 pub mod scene;
@@ -19,7 +20,7 @@ pub mod scene;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Error, Figure, Limit, Metric, Paper, ResultFile, Source, Statistic, System, Target, Trial, Values,
 };
 
 /// The system.
@@ -175,7 +176,11 @@ impl System for Skidcal {
     }
 
     fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
-        figure(trial).map(Some)
+        figure::of(trial).map(Some)
+    }
+
+    fn files(&self, trial: &Trial) -> Result<Vec<ResultFile>, Error> {
+        export::files(trial)
     }
 }
 
@@ -198,39 +203,9 @@ fn recorded(trial: &Trial, truth: scene::Truth) -> Result<protocol::Recording, E
     Ok(rig.run(None, work)?.0)
 }
 
-/// The first straight run: speeds, and its slip as it was tracked, as ours predicts it, and with the paper's estimate.
-fn figure(trial: &Trial) -> Result<Figure, Error> {
-    let recording = recorded(&Trial { arm: "ours", ..trial.clone() }, scene::sample(trial.seed))?;
-    let unsuitable = || Error::Unsuitable {
-        system: NAME,
-        board: trial.board.to_string(),
-        why: "its straight run gives no estimate".to_owned(),
-    };
-    let run = bristle::FirstRun::of(&recording).ok_or_else(unsuitable)?;
-    let speeds = run.speeds();
-    let in_mm = |(time_s, slip_m): &(f64, f64)| (*time_s, slip_m * 1e3);
-    let printed = estimate::printed(&recording).map(|found| found.value);
-    Ok(Figure {
-        description: format!("the first straight run, seed {}, on {}: speeds and slip", trial.seed, trial.board),
-        axis: "Time (s)",
-        panels: vec![
-            Panel {
-                title: "Speed (m/s)",
-                curves: vec![
-                    Curve::new("wheels' rims", &speeds, |(time_s, rim_m_s, _)| (*time_s, *rim_m_s)),
-                    Curve::new("robot, predicted", &speeds, |(time_s, _, robot_m_s)| (*time_s, *robot_m_s)),
-                ],
-            },
-            Panel {
-                title: "Slip: travel of the wheels minus that of the robot (mm)",
-                curves: vec![
-                    Curve::new("tracked", &run.tracked_slip_m(), in_mm),
-                    Curve::new("ours", &run.slip_m(None), in_mm),
-                    Curve::new("with c_long as printed", &run.slip_m(printed), in_mm),
-                ],
-            },
-        ],
-    })
+fn without_estimate(trial: &Trial) -> Error {
+    let why = "its runs give no estimate: is it a skid-steer robot that moves?".to_owned();
+    Error::Unsuitable { system: NAME, board: trial.board.to_string(), why }
 }
 
 /// Metrics of one recording.
@@ -279,5 +254,7 @@ fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) ->
     values
 }
 
+#[cfg(test)]
+mod mujoco;
 #[cfg(test)]
 mod tests;

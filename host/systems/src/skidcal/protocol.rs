@@ -78,8 +78,10 @@ pub struct Tracked {
 pub struct Felt {
     /// On the host's clock, s.
     pub time_s: f64,
-    /// Specific force forwards with the sensor's noise, m/s².
-    pub forward_m_s2: f64,
+    /// Specific force forwards, m/s², without noise.
+    exact_m_s2: f64,
+    /// Noise of it, m/s².
+    noise_m_s2: f64,
 }
 
 /// What was seen of a stretch of time.
@@ -163,10 +165,25 @@ impl Tracked {
     }
 }
 
+impl Felt {
+    /// A specific force forwards, m/s², with noise.
+    #[must_use]
+    pub fn new(time_s: f64, exact_m_s2: f64, noise_m_s2: f64) -> Self {
+        Self { time_s, exact_m_s2, noise_m_s2 }
+    }
+
+    /// The specific force as it is measured, m/s².
+    #[must_use]
+    pub fn measured_m_s2(&self) -> f64 {
+        self.exact_m_s2 + self.noise_m_s2
+    }
+}
+
 impl Run {
     pub(super) fn without_noise(&self) -> Self {
         let tracked = self.tracked.iter().map(|tracked| Tracked { noise: [0.0; 3], ..*tracked });
-        Self { tracked: tracked.collect(), ..self.clone() }
+        let felt = self.felt.iter().map(|felt| Felt { noise_m_s2: 0.0, ..*felt });
+        Self { wheels: self.wheels.clone(), tracked: tracked.collect(), felt: felt.collect() }
     }
 }
 
@@ -285,7 +302,7 @@ impl<'s> Rider<'s> {
             run.wheels.push(WheelSample { time_s, travel_m: [left_m, right_m] });
             let now_s = board.now_s();
             if let Some(forward_m_s2) = self.forward_m_s2() {
-                run.felt.push(Felt { time_s: now_s, forward_m_s2: forward_m_s2 + self.noise.inertial_m_s2() });
+                run.felt.push(Felt::new(now_s, forward_m_s2, self.noise.inertial_m_s2()));
             }
             if now_s >= self.tracked_at_s
                 && let Some(place) = self.session.true_place()

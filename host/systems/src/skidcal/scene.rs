@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use r4_boards::Robot;
 use r4_rig::Alter;
-use r4_world::{AnyBody, GRAVITY_M_S2, SlipLaw};
+use r4_world::{AnyBody, GRAVITY_M_S2, SlipLaw, Wheeled};
 
 use super::protocol::Recording;
 use crate::sampler::Sampler;
@@ -53,9 +53,17 @@ pub fn sample(seed: u64) -> Truth {
 }
 
 impl Truth {
-    /// Changes the body of a robot to this one. The slip law is the linear one of the simulator that the paper calibrates.
+    /// Changes the body of a robot to this one.
     pub fn put_into(&self, robot: &mut Robot) {
         let Some(AnyBody::Wheeled(body)) = robot.simulation.body.as_mut().map(|body| &mut body.kind) else { return };
+        if let Some(changed) = self.wheeled(body) {
+            **body = changed;
+        }
+    }
+
+    /// A body with this mass and these tyres, by the linear slip law of the simulator that the paper calibrates.
+    #[must_use]
+    pub fn wheeled(&self, body: &Wheeled) -> Option<Wheeled> {
         let changed = body.changed(|chassis, wheels| {
             chassis.inertia_kg_m2 *= self.mass_kg / chassis.mass_kg;
             chassis.mass_kg = self.mass_kg;
@@ -65,10 +73,8 @@ impl Truth {
                 tyre.law = SlipLaw::Linear;
             }
         });
-        // The sampled numbers are positive, which is all that a chassis asks of them.
-        if let Ok(changed) = changed {
-            **body = changed;
-        }
+        // Positive numbers are all that a chassis asks for, and the sampled and the estimated ones are.
+        changed.ok()
     }
 
     /// Whether a wheel slides in the spin of a recording, with the forces of the linear law.

@@ -108,6 +108,30 @@ fn a_released_dead_man_ends_the_protocol_with_the_robot_at_rest() {
 }
 
 #[test]
+fn the_found_slip_is_a_body_that_a_board_loads() {
+    let trial = Trial { arm: "ablation:one-run", seed: 15, board: "sim:openscout".parse().expect("a board") };
+    let found = Skidcal.run(&trial).expect("a trial");
+    let files = Skidcal.files(&trial).expect("files");
+    let names: Vec<_> = files.iter().map(|file| file.name).collect();
+    assert_eq!(names, ["body.toml", "wheel_slip.sdf"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join(files[0].name);
+    std::fs::write(&path, &files[0].text).expect("a file");
+    let mut rig = Rig::new(trial.board.clone());
+    rig.body = Some(path);
+    let robot = rig.robot().expect("the body fits");
+    let body = robot.simulation.body.expect("a body");
+    let tyre = body.wheeled().and_then(|body| body.wheels()[0].tyre).expect("a tyre");
+    let truth = sample(15);
+    // Numbers of a file are read back to the bit.
+    let relative = tyre.compliance_per_n[0] / truth.c_long_per_n;
+    assert_eq!(relative, found["c_long_relative"]);
+    assert_eq!(body.wheeled().map(|body| body.chassis().mass_kg), Some(truth.mass_kg));
+    let compliance = format!("<slip_compliance_longitudinal>{}</slip", tyre.compliance_per_n[0]);
+    assert!(files[1].text.contains(&compliance), "{}", files[1].text);
+}
+
+#[test]
 fn slip_is_written_for_gazebo() {
     let slip = export::Slip { c_long_per_n: 0.005, c_lat_per_n: 0.05, friction: 10.0 };
     let sdf = export::sdf(&slip, &["front_left", "front_right"], 0.056);
