@@ -90,10 +90,16 @@ fn fit(design: &DMatrix<f64>, observed: &[f64], deviations: Option<&[f64]>) -> R
     // Once more for what rounding has left: a digit or two for ill-conditioned designs.
     estimates += scaled.solve(&(&right - &left * &estimates)).ok_or(collinear)?;
     let residuals = observed - design * &estimates;
-    let squares = weights.map_or_else(|| residuals.norm_squared(), |it| residuals.component_mul(&it).norm_squared());
+    let weighted = weights.map_or_else(|| residuals.clone(), |weights| residuals.component_mul(&weights));
     let degrees_of_freedom = rows - parameters;
-    let residual_variance = squares / degrees_of_freedom as f64;
-    let covariance = scaled.inverse_gram() * residual_variance;
-    let condition = scaled.condition;
-    Ok(Fit { parameters: estimates, covariance, residuals, residual_variance, degrees_of_freedom, condition })
+    let residual_variance = weighted.norm_squared() / degrees_of_freedom as f64;
+    Ok(Fit {
+        parameters: estimates,
+        covariance: scaled.inverse_gram() * residual_variance,
+        influence: scaled.influence(&left, &weighted),
+        residuals,
+        residual_variance,
+        degrees_of_freedom,
+        condition: scaled.condition,
+    })
 }

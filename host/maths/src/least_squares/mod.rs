@@ -67,8 +67,10 @@ pub enum FitError {
 pub struct Fit {
     /// Estimates, in the order of the columns or of the initial guess.
     pub parameters: DVector<f64>,
-    /// Covariance of the estimates: residual variance times (JᵀJ)⁻¹.
+    /// Covariance of the estimates: residual variance times (JᵀJ)⁻¹, unless [`Fit::autocorrelated`] replaced it.
     pub covariance: DMatrix<f64>,
+    /// Contribution of each observation, a row, to the errors of the estimates: (JᵀJ)⁻¹ Jᵢ rᵢ, weighted.
+    pub influence: DMatrix<f64>,
     /// Observed minus predicted for linear fits, as the caller computed them for nonlinear ones; not weighted.
     pub residuals: DVector<f64>,
     /// Sum of the squared (weighted) residuals over the degrees of freedom.
@@ -94,6 +96,38 @@ impl Fit {
         self.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
     }
 
+    /// The same fit with the covariance of estimates whose errors are correlated over up to `lag` successive observations, and of unlike
+    /// variance: what a model does not explain of a time series is seldom white. [`newey_west_lag`] is the usual choice.
+    ///
+    /// The correction for few observations is n / (n - p), as statsmodels has it.
+    ///
+    /// # Source
+    /// Newey, West, *A Simple, Positive Semi-Definite, Heteroskedasticity and Autocorrelation Consistent Covariance Matrix*,
+    /// Econometrica 55 (1987) 703-708.
+    ///
+    /// ```
+    /// use nalgebra::DMatrix;
+    /// // Each reading was taken twice: a mean of eight numbers that is worth one of four.
+    /// let twice = [1.0, 1.0, 5.0, 5.0, 2.0, 2.0, 4.0, 4.0];
+    /// let fit = r4_maths::least_squares::linear(&DMatrix::repeat(8, 1, 1.0), &twice).unwrap();
+    /// let white = fit.standard_errors()[0];
+    /// assert!(fit.autocorrelated(1).standard_errors()[0] > white);
+    /// ```
+    #[must_use]
+    pub fn autocorrelated(mut self, lag: usize) -> Self {
+        let observed = self.influence.nrows();
+        let mut covariance = self.influence.tr_mul(&self.influence);
+        for distance in 1..=lag.min(observed.saturating_sub(1)) {
+            let rows = observed - distance;
+            let product = self.influence.rows(0, rows).tr_mul(&self.influence.rows(distance, rows));
+            // Bartlett's weights, which keep the matrix positive semi-definite.
+            let weight = 1.0 - distance as f64 / (lag + 1) as f64;
+            covariance += (&product + product.transpose()) * weight;
+        }
+        self.covariance = covariance * (observed as f64 / self.degrees_of_freedom as f64);
+        self
+    }
+
     /// Student's t intervals of all parameters, each by itself; exact for linear fits with normal errors.
     ///
     /// # Errors
@@ -116,6 +150,20 @@ impl Fit {
         let around = |(value, error): (&f64, f64)| Interval { low: value - times * error, high: value + times * error };
         Ok(self.parameters.iter().zip(self.standard_errors()).map(around).collect())
     }
+}
+
+/// Lag for [`Fit::autocorrelated`] that grows slowly enough with the number of observations: the integer part of 4 (n / 100)^(2/9).
+///
+/// # Source
+/// Newey, West, *Automatic Lag Selection in Covariance Matrix Estimation*, Review of Economic Studies 61 (1994) 631-653.
+///
+/// ```
+/// assert_eq!(r4_maths::least_squares::newey_west_lag(100), 4);
+/// assert_eq!(r4_maths::least_squares::newey_west_lag(1000), 6);
+/// ```
+#[must_use]
+pub fn newey_west_lag(observed: usize) -> usize {
+    (4.0 * (observed as f64 / 100.0).powf(2.0 / 9.0)) as usize
 }
 
 /// A matrix with its columns scaled to length 1, decomposed: columns of different units have no condition in common.
@@ -149,6 +197,15 @@ impl Scaled {
     /// Parameters with the least sum of squares.
     fn solve(&self, observed: &DVector<f64>) -> Option<DVector<f64>> {
         Some(self.svd.solve(observed, 0.0).ok()?.component_div(&self.lengths))
+    }
+
+    /// Rows (JᵀJ)⁻¹ Jᵢ rᵢ of the scaled matrix J.
+    fn influence(&self, matrix: &DMatrix<f64>, residuals: &DVector<f64>) -> DMatrix<f64> {
+        let mut rows = matrix * self.inverse_gram();
+        for (mut row, residual) in rows.row_iter_mut().zip(residuals) {
+            row *= *residual;
+        }
+        rows
     }
 
     /// (JᵀJ)⁻¹.

@@ -58,8 +58,15 @@ pub fn nonlinear(start: &[f64], residuals: impl Fn(&[f64]) -> Vec<f64>) -> Resul
     let scaled = Scaled::of(&jacobian)?;
     let degrees_of_freedom = observed - parameters;
     let residual_variance = residuals.norm_squared() / degrees_of_freedom as f64;
-    let (covariance, condition) = (scaled.inverse_gram() * residual_variance, scaled.condition);
-    Ok(Fit { parameters: problem.at, covariance, residuals, residual_variance, degrees_of_freedom, condition })
+    Ok(Fit {
+        covariance: scaled.inverse_gram() * residual_variance,
+        influence: scaled.influence(&jacobian, &residuals),
+        parameters: problem.at,
+        residuals,
+        residual_variance,
+        degrees_of_freedom,
+        condition: scaled.condition,
+    })
 }
 
 struct Problem<'r, F> {

@@ -13,6 +13,8 @@ struct Linear {
     deviations: Vec<f64>,
     parameters: Vec<f64>,
     covariance: Vec<Vec<f64>>,
+    lag: usize,
+    autocorrelated: Vec<Vec<f64>>,
     residuals: Vec<f64>,
     residual_variance: f64,
     intervals: Vec<[f64; 2]>,
@@ -45,10 +47,13 @@ fn linear_fits_are_those_of_statsmodels() {
                 );
             }
         }
-        for (row, expected) in case.covariance.iter().enumerate() {
-            for (column, expected) in expected.iter().enumerate() {
-                let error = (found.covariance[(row, column)] - expected).abs();
-                assert!(error <= two * errors[row] * errors[column], "{row} {column}: {error} {expected}");
+        let autocorrelated = found.clone().autocorrelated(case.lag);
+        for (found, expected) in [(&found, &case.covariance), (&autocorrelated, &case.autocorrelated)] {
+            for (row, expected) in expected.iter().enumerate() {
+                for (column, expected) in expected.iter().enumerate() {
+                    let error = (found.covariance[(row, column)] - expected).abs();
+                    assert!(error <= two * errors[row] * errors[column], "{row} {column}: {error} {expected}");
+                }
             }
         }
         // Residuals are differences of numbers as great as what was observed.

@@ -188,6 +188,8 @@ def linear_fit(design, observed, deviations):
         "deviations": deviations.tolist(),
         "parameters": found.params,
         "covariance": found.cov_params(),
+        "lag": 3,
+        "autocorrelated": found.get_robustcov_results("HAC", maxlags=3, use_correction=True).cov_params(),
         "residuals": found.resid,
         "residual_variance": found.scale,
         "intervals": found.conf_int(0.1),

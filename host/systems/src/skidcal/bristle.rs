@@ -123,6 +123,21 @@ struct Law {
     mass_kg: f64,
 }
 
+impl Law {
+    /// Period of the robot's swing on its bristles, s, without damping.
+    fn period_s(&self) -> f64 {
+        std::f64::consts::TAU * (self.c_per_n * self.relaxation_m * self.mass_kg / 4.0).sqrt()
+    }
+}
+
+/// Mean time between two observations, s.
+fn every_s(curves: &[Curve]) -> Option<f64> {
+    let curve = curves.first()?;
+    let (first, last) = (curve.seen.first()?, curve.seen.last()?);
+    let at_s = |seen: &Seen| seen.between(|index| curve.time_s[index]);
+    Some((at_s(last) - at_s(first)) / (curve.seen.len().checked_sub(1)? as f64))
+}
+
 /// What is fitted.
 #[derive(Clone, Copy, Debug)]
 struct Numbers {
@@ -158,6 +173,11 @@ impl Fit {
             all
         };
         let fit = least_squares::nonlinear(&start, all).ok()?;
+        // The wheels' quantised travel is an input of the law: its error swings with the bristles, and the residual is correlated over a
+        // period of that.
+        let period_s = scaled(fit.parameters.as_slice()).law.period_s();
+        let lag = least_squares::newey_west_lag(fit.residuals.len()).max((period_s / every_s(curves)?) as usize);
+        let fit = fit.autocorrelated(lag);
         let log_interval = *fit.intervals(CONFIDENCE).ok()?.get(2)?;
         Some(Self {
             numbers: scaled(fit.parameters.as_slice()),
