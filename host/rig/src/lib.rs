@@ -11,6 +11,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! A [`Fleet`] runs several virtual boards on one clock.
+//!
 //! The rest is pure: it is given what was measured, and returns set points for channels.
 //!
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
@@ -21,6 +23,7 @@ mod clock;
 pub mod emulated;
 mod error;
 mod flash_file;
+mod fleet;
 mod ground;
 pub mod heat;
 mod interrupt;
@@ -41,6 +44,7 @@ mod watch;
 pub use clock::HostClock;
 pub use error::Error;
 pub use flash_file::{FlashFile, FlashFileError};
+pub use fleet::Fleet;
 pub use ground::{GroundDrive, Velocity};
 pub use interrupt::{Interrupt, Interrupted};
 pub use motion::{Driven, HeldOutput, NotReached, Unsuitable};

@@ -266,19 +266,8 @@ impl Rig {
         let mut simulation = Simulation::new(self.pace);
         let (board, file) = self.power_up(&mut simulation)?;
         let clock = simulation.clock();
-        let port = board.connect().ok_or(Error::Connected)?;
         let begin = Instant::now();
-        let (tx, cable) = Cable::new(port.tx, clock.clone());
-        let host_clock = HostClock::Virtual(clock.clone());
-        let (rx, tx) =
-            (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
-        let environment = Some((board.clone(), cable));
-        let host = with_board(rx, tx, host_clock.clone(), async |connected| {
-            let session =
-                Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
-            self.unless_interrupted(&session, work(&session)).await
-        });
-        let result = simulation.block_on(host);
+        let result = simulation.block_on(self.session_with(board.clone(), &clock, tap, work));
         if let Some(failure) = board.failure() {
             return Err(Error::Stopped(failure).into());
         }
@@ -287,8 +276,29 @@ impl Rig {
         if let Some(file) = file {
             file.write(&board.flash()).map_err(Error::from)?;
         }
-        let value = result.map_err(|source| Error::Connect { board: self.target.to_string(), source })??;
-        Ok((value, elapsed))
+        Ok((result?, elapsed))
+    }
+
+    /// Connects to a virtual board that is powered up and runs `work` in a session with it.
+    pub(crate) async fn session_with<T, E: From<Error>>(
+        &self,
+        board: Rc<dyn VirtualBoard>,
+        clock: &r4_sim::Clock,
+        tap: Option<SharedTap>,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let port = board.connect().ok_or(Error::Connected)?;
+        let (tx, cable) = Cable::new(port.tx, clock.clone());
+        let host_clock = HostClock::Virtual(clock.clone());
+        let (rx, tx) =
+            (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
+        let environment = Some((board, cable));
+        let connected = with_board(rx, tx, host_clock.clone(), async |connected| {
+            let session =
+                Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
+            self.unless_interrupted(&session, work(&session)).await
+        });
+        connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
     }
 
     fn run_on_link<T, E: From<Error>>(
