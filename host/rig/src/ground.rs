@@ -1,7 +1,8 @@
 //! From a velocity over the ground to set points of wheels.
 
 use r4_boards::{Ackermann, Drive, SkidSteer};
-use r4_protocol::{ChannelId, Mode, Setpoint};
+use r4_driver::{Board, Clock};
+use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
 
 /// How a robot moves over the ground.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -50,6 +51,23 @@ impl GroundDrive {
             Drive::Ackermann(robot) => ackermann(robot, velocity),
         }
     }
+}
+
+/// Mean positions of the left and the right wheels in a telemetry frame, rad; `None` unless it has all of them.
+#[must_use]
+pub fn sides_rad<C: Clock>(board: &Board<C>, drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
+    let mean = |side: &[ChannelId]| {
+        let mut sum_rad = 0.0;
+        for wheel in side {
+            let counts = samples.iter().find_map(|sample| match *sample {
+                Sample::Motor { channel, position, .. } if channel == *wheel => Some(position),
+                _ => None,
+            })?;
+            sum_rad += f64::from(counts) * f64::from(board.channel(*wheel).ok()?.resolution);
+        }
+        Some(sum_rad / side.len() as f64)
+    };
+    Some([mean(&drive.left)?, mean(&drive.right)?])
 }
 
 /// 1, or less where `asked` is more than `most`.

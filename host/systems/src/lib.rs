@@ -10,6 +10,7 @@
 //! its line in [`all`].
 
 mod about;
+pub mod absim;
 mod error;
 mod figure;
 mod row;
@@ -80,7 +81,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &tail::Tail]
+    &[&skidcal::Skidcal, &absim::Absim, &tail::Tail]
 }
 
 /// The system with this name.

@@ -3,8 +3,8 @@
 use futures::future::try_join_all;
 use r4_boards::{Drive, Robot, SimulatedBody, SkidSteer};
 use r4_driver::TelemetryStream;
-use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
-use r4_rig::{Error, Session};
+use r4_protocol::{Mode, Setpoint};
+use r4_rig::{Error, Session, sides_rad};
 
 use super::{bristle, scene::Noise};
 
@@ -296,10 +296,11 @@ impl<'s> Rider<'s> {
             if frame.state == r4_protocol::SafetyState::Tripped {
                 return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
             }
-            let travel = [&drive.left, &drive.right].map(|side| self.travel_m(side, &frame.samples));
-            let (Some(run), [Some(left_m), Some(right_m)]) = (run.as_deref_mut(), travel) else { continue };
+            let sides = sides_rad(board, drive, &frame.samples);
+            let (Some(run), Some(sides_rad)) = (run.as_deref_mut(), sides) else { continue };
             let time_s = board.host_us(frame.device_us) as f64 * 1e-6;
-            run.wheels.push(WheelSample { time_s, travel_m: [left_m, right_m] });
+            run.wheels
+                .push(WheelSample { time_s, travel_m: sides_rad.map(|angle_rad| angle_rad * drive.wheel_radius_m) });
             let now_s = board.now_s();
             if let Some(forward_m_s2) = self.forward_m_s2() {
                 run.felt.push(Felt::new(now_s, forward_m_s2, self.noise.inertial_m_s2()));
@@ -320,19 +321,5 @@ impl<'s> Rider<'s> {
         let mut world = self.session.virtual_board().ok()?.world();
         world.catch_up();
         Some(world.body()?.inertial().specific_force_m_s2[0])
-    }
-
-    /// Mean travel of the wheels of a side, m, if all are in `samples`.
-    fn travel_m(&self, side: &[ChannelId], samples: &[Sample]) -> Option<f64> {
-        let mut sum_rad = 0.0;
-        for wheel in side {
-            let counts = samples.iter().find_map(|sample| match *sample {
-                Sample::Motor { channel, position, .. } if channel == *wheel => Some(position),
-                _ => None,
-            })?;
-            let resolution = self.session.board.channel(*wheel).ok()?.resolution;
-            sum_rad += f64::from(counts) * f64::from(resolution);
-        }
-        Some(sum_rad / side.len() as f64 * self.robot.drive.wheel_radius_m)
     }
 }

@@ -1,0 +1,269 @@
+//! A fleet on one event clock: each robot a timed event, or a board.
+
+use std::pin::pin;
+
+use futures::{
+    StreamExt,
+    channel::mpsc::{UnboundedReceiver, UnboundedSender},
+    future::{Either, select},
+};
+use r4_driver::Clock as _;
+use r4_rig::{Fleet, HostClock, Pace, Place, Session};
+
+use super::{
+    action::Impossible,
+    ideal::IdealDrive,
+    mission::{Input, Order},
+    motion::{Leg, Motion},
+    queue::Queue,
+    wall::Wall,
+};
+use crate::Error;
+
+/// What a fleet is for.
+pub trait Program {
+    /// Where the robots start.
+    fn starts(&self) -> &[Place];
+
+    /// When [`Input::Deadline`] is due, s.
+    fn deadline_s(&self) -> f64;
+
+    /// Takes what happened at `now_us` and appends what follows to `orders`.
+    ///
+    /// # Errors
+    /// When a robot reports what its goal's state does not allow.
+    fn handle(&mut self, now_us: u64, input: Input, orders: &mut Vec<Order>) -> Result<(), Impossible>;
+
+    /// Whether nothing follows any more.
+    fn has_ended(&self) -> bool;
+}
+
+/// How a robot is simulated.
+#[derive(Clone)]
+pub enum Fidelity {
+    /// Its navigation is a timed event.
+    Abstract(Motion),
+    /// It is driven by the board's program, on wheels that turn as they are commanded.
+    Ideal(IdealDrive),
+    /// It is a board, which gets its orders here.
+    Board(UnboundedSender<Order>),
+}
+
+/// What is due on the event clock. At the same time in this order, and among robots by their numbers.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Due {
+    Start,
+    Arrived { robot: usize, leg: u64 },
+    Sampled { robot: usize, leg: u64 },
+    Stopped { robot: usize },
+    Fails { robot: usize, reason: String },
+    Planned,
+    Deadline,
+}
+
+/// A robot of the abstract fidelity.
+#[derive(Clone)]
+struct Body {
+    at: Place,
+    /// Way, and when it began, µs.
+    leg: Option<(Way, u64)>,
+    /// Counts orders, so that events of earlier ones are known.
+    number: u64,
+}
+
+/// The way to a goal.
+#[derive(Clone)]
+enum Way {
+    Timed(Leg),
+    Driven(Vec<Place>),
+}
+
+impl Way {
+    fn duration_s(&self) -> f64 {
+        match self {
+            Self::Timed(leg) => leg.duration_s(),
+            Self::Driven(places) => (places.len() - 1) as f64 * IdealDrive::PERIOD_S,
+        }
+    }
+
+    /// Place and path length after `time_s`.
+    fn at(&self, time_s: f64) -> (Place, f64) {
+        match self {
+            Self::Timed(leg) => (leg.at(time_s), leg.covered_m(time_s)),
+            Self::Driven(places) => {
+                let last = ((time_s / IdealDrive::PERIOD_S).round() as usize).min(places.len() - 1);
+                let steps = places[..=last].windows(2);
+                (places[last], steps.map(|pair| (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m)).sum())
+            }
+        }
+    }
+}
+
+/// A run of a program by a fleet.
+pub struct Run<P> {
+    /// The program.
+    pub mission: P,
+    /// One for each robot.
+    pub robots: Vec<Fidelity>,
+    /// Charges compute time.
+    pub wall: Wall,
+    /// Robots that are lost at a time, µs, and why.
+    pub losses: Vec<(u64, usize, String)>,
+    /// Whether orders of the same time are carried out from the last to the first.
+    pub is_reversed: bool,
+    /// Each place that an abstract robot's legs ended at, with its time, s.
+    pub paths: Vec<Vec<(f64, Place)>>,
+}
+
+impl<P: Program> Run<P> {
+    /// A run without losses.
+    #[must_use]
+    pub fn new(mission: P, robots: Vec<Fidelity>, wall: Wall) -> Self {
+        let paths = mission.starts().iter().map(|start| vec![(0.0, *start)]).collect();
+        Self { mission, robots, wall, losses: Vec::new(), is_reversed: false, paths }
+    }
+
+    /// Runs a program in which no robot is a board, at a pace against the wall.
+    ///
+    /// # Errors
+    /// When the program loses track of a goal.
+    pub fn alone(self, pace: Pace) -> Result<Self, Error> {
+        let (_, reports) = futures::channel::mpsc::unbounded();
+        let member = async |_: usize, _: &Session<'_>| Ok::<_, Error>(());
+        let fleet = Fleet { rigs: Vec::new(), pace };
+        let work = async move |clock: &HostClock| {
+            let mut run = self;
+            run.drive(clock, reports).await?;
+            Ok(run)
+        };
+        Ok(fleet.run(member, work)?.0)
+    }
+
+    /// Runs the program on a clock; `reports` are those of the boards.
+    ///
+    /// # Errors
+    /// When the program loses track of a goal, or waits for nothing.
+    pub async fn drive(&mut self, clock: &HostClock, mut reports: UnboundedReceiver<Input>) -> Result<(), Error> {
+        let begin_us = clock.now_us();
+        let mut queue = Queue::default();
+        queue.push(0, Due::Start);
+        queue.push((self.mission.deadline_s() * 1e6) as u64, Due::Deadline);
+        for (at_us, robot, reason) in self.losses.drain(..) {
+            queue.push(at_us, Due::Fails { robot, reason });
+        }
+        let body = |at: &Place| Body { at: *at, leg: None, number: 0 };
+        let mut bodies: Vec<Body> = self.mission.starts().iter().map(body).collect();
+        let mut orders = Vec::new();
+        while !self.mission.has_ended() {
+            let now_us = clock.now_us() - begin_us;
+            let (at_us, input) = if let Some((at_us, due)) = queue.pop_due(now_us) {
+                let Some(input) = self.happened(due, at_us, &mut bodies) else { continue };
+                (at_us, input)
+            } else {
+                let due = async {
+                    match queue.next_us() {
+                        Some(at_us) => clock.sleep_until(begin_us + at_us).await,
+                        None => std::future::pending().await,
+                    }
+                };
+                match select(pin!(due), pin!(next(&mut reports))).await {
+                    Either::Left(_) => continue,
+                    Either::Right((input, _)) => (clock.now_us() - begin_us, input),
+                }
+            };
+            self.mission.handle(at_us, input, &mut orders).map_err(|why| Error::Unsuitable {
+                system: super::NAME,
+                board: "the fleet".into(),
+                why: why.to_string(),
+            })?;
+            if self.is_reversed {
+                orders.reverse();
+            }
+            for order in orders.drain(..) {
+                self.carry_out(order, at_us, &mut bodies, &mut queue);
+            }
+        }
+        Ok(())
+    }
+
+    /// What a due event is for the mission; `None` for one of an order that is no longer valid.
+    fn happened(&mut self, due: Due, at_us: u64, bodies: &mut [Body]) -> Option<Input> {
+        let at_s = at_us as f64 * 1e-6;
+        Some(match due {
+            Due::Start => Input::Start,
+            Due::Planned => Input::Planned,
+            Due::Deadline => Input::Deadline,
+            Due::Arrived { robot, leg } => {
+                let body = &mut bodies[robot];
+                let (way, _) = body.leg.take_if(|_| body.number == leg)?;
+                let (place, driven_m) = way.at(f64::INFINITY);
+                body.at = place;
+                self.paths[robot].push((at_s, place));
+                Input::Arrived(robot, driven_m)
+            }
+            Due::Sampled { robot, leg } if bodies[robot].number == leg => {
+                Input::Sampled(robot, [bodies[robot].at.x_m, bodies[robot].at.y_m])
+            }
+            Due::Sampled { .. } => return None,
+            Due::Stopped { robot } => Input::Stopped(robot, self.stopped(robot, at_us, bodies)),
+            Due::Fails { robot, reason } => {
+                self.stopped(robot, at_us, bodies);
+                Input::Failed(robot, reason)
+            }
+        })
+    }
+
+    /// Stops an abstract robot where it is, and how far it came, m.
+    fn stopped(&mut self, robot: usize, at_us: u64, bodies: &mut [Body]) -> f64 {
+        let body = &mut bodies[robot];
+        body.number += 1;
+        let Some((way, since_us)) = body.leg.take() else { return 0.0 };
+        let (place, driven_m) = way.at((at_us - since_us) as f64 * 1e-6);
+        body.at = place;
+        self.paths[robot].push((at_us as f64 * 1e-6, place));
+        driven_m
+    }
+
+    fn carry_out(&mut self, order: Order, now_us: u64, bodies: &mut [Body], queue: &mut Queue<Due>) {
+        let robot = match order {
+            Order::End => return,
+            Order::Plan(work) => {
+                queue.push(now_us + self.wall.charge_us(work), Due::Planned);
+                return;
+            }
+            Order::Go { robot, .. } | Order::Sample { robot, .. } | Order::Stop { robot } => robot,
+        };
+        let after = |seconds: f64| now_us + (seconds * 1e6).round() as u64;
+        let body = &mut bodies[robot];
+        let way = |goal_m| match &self.robots[robot] {
+            Fidelity::Abstract(motion) => Some(Way::Timed(motion.leg(body.at, goal_m))),
+            Fidelity::Ideal(drive) => Some(Way::Driven(drive.leg(body.at, goal_m))),
+            Fidelity::Board(_) => None,
+        };
+        if let Fidelity::Board(orders) = &self.robots[robot] {
+            // A board that is gone has reported why.
+            drop(orders.unbounded_send(order));
+            return;
+        }
+        match order {
+            Order::Go { goal_m, .. } => {
+                let Some(way) = way(goal_m) else { return };
+                let arrives_us = after(way.duration_s());
+                body.number += 1;
+                body.leg = Some((way, now_us));
+                queue.push(arrives_us, Due::Arrived { robot, leg: body.number });
+            }
+            Order::Sample { for_s, .. } => queue.push(after(for_s), Due::Sampled { robot, leg: body.number }),
+            // Preemption is immediate: the event is due now.
+            _ => queue.push(now_us, Due::Stopped { robot }),
+        }
+    }
+}
+
+/// The next report of a board; without boards there is none.
+async fn next(reports: &mut UnboundedReceiver<Input>) -> Input {
+    match reports.next().await {
+        Some(input) => input,
+        None => std::future::pending().await,
+    }
+}
