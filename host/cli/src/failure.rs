@@ -166,7 +166,7 @@ fn of_open(error: &OpenError) -> Kind {
 mod tests {
     use anyhow::Context;
     use r4_protocol::{Causes, ChannelKind};
-    use r4_rig::{NotReached, Unsuitable};
+    use r4_rig::{NotReached, Unsuitable, scenario::ScenarioError};
 
     use super::*;
 
@@ -182,6 +182,11 @@ mod tests {
             (driver(Error::Stopped { causes: Causes::NONE }), Kind::Stopped, None),
             (RigError::from(Unsuitable { channel, why: String::new() }).into(), Kind::Refused, Some(channel)),
             (RigError::from(NotReached { channel, how: String::new() }).into(), Kind::NotReached, Some(channel)),
+            (
+                RigError::from(ScenarioError::Step { at_s: 1.0, source: Error::LinkLost { silent_ms: 400 } }).into(),
+                Kind::LinkLost,
+                None,
+            ),
             (OpenError::Busy("/dev/ttyACM0".into()).into(), Kind::InUse, None),
             (OpenError::NoBoard.into(), Kind::NoBoard, None),
             (Interrupted.into(), Kind::Interrupted, None),

@@ -9,7 +9,7 @@ use r4_sim::SimError;
 
 use crate::{
     FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, WatchError,
-    calibrate::CalibrateError, emulated::EmulatedError, tune::TuneError,
+    calibrate::CalibrateError, emulated::EmulatedError, scenario::ScenarioError, tune::TuneError,
 };
 
 /// A session could not be opened, or did not end as it should.
@@ -70,6 +70,9 @@ pub enum Error {
     /// A loop could not be tuned.
     #[error(transparent)]
     Tune(Box<TuneError>),
+    /// A scenario cannot be read or played.
+    #[error(transparent)]
+    Scenario(Box<ScenarioError>),
     /// The session was ended by an [`Interrupt`](crate::Interrupt).
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
@@ -149,6 +152,7 @@ boxed!(
     Plant(PlantError),
     PlantFile(PlantFileError),
     Robot(BoardError),
+    Scenario(ScenarioError),
     Simulation(SimError),
     Tune(TuneError),
     Watch(WatchError)

@@ -36,6 +36,7 @@ pub mod quantity;
 pub mod recording;
 mod rig;
 mod route;
+pub mod scenario;
 mod session;
 mod target;
 pub mod tune;

@@ -1,10 +1,6 @@
-//! Scenarios, as `r4 scenario` reads them: the program's own module.
+//! Scenarios, as `r4 scenario` reads them.
 
-#[allow(dead_code, reason = "the program uses the rest")]
-#[path = "../../../host/cli/src/commands/scenario/file.rs"]
-mod file;
-
-use file::{Action, Scenario};
+use r4_rig::scenario::{Action, Scenario};
 
 /// Any text. Times and quantities of what is taken can be waited for, and given to a world.
 ///

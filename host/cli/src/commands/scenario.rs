@@ -1,14 +1,12 @@
-//! `r4 scenario`: a file says what is done to a virtual board and when; what came of it is printed, or compared between a
-//! simulated and an emulated board.
-
-mod compare;
-mod file;
-mod play;
+//! `r4 scenario`: plays files of timed steps on virtual boards and prints the outcomes, or compares them between a simulated and an
+//! emulated board.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
-use r4_rig::Rig;
+use r4_rig::{
+    Rig,
+    scenario::{self, Difference, Outcome, Scenario, differences},
+};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -18,9 +16,6 @@ use crate::{
     session::{self, Target},
     table,
 };
-use compare::{Difference, differences};
-use file::Scenario;
-use play::Outcome;
 
 #[derive(Serialize)]
 struct Played<'a> {
@@ -63,7 +58,7 @@ pub(crate) fn play_on(
     for path in files {
         let scenario = Scenario::read(path)?;
         let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
-        let outcome = outcome(&args, &rig(&args)?, &scenario, path)?;
+        let outcome = outcome(&args, &rig(&args)?, &scenario)?;
         if args.json {
             let (scenario, board) = (name(path), args.board.to_string());
             output::json(&Played { scenario, board, outcome: &outcome })?;
@@ -71,14 +66,14 @@ pub(crate) fn play_on(
         }
         output::line(format_args!("{} on {}", name(path), args.board))?;
         let mut rows = table::new(&["s", "channel", "position", "speed", "state"], 0..1);
-        for look in &outcome.looks {
-            for motion in &look.motions {
+        for checkpoint in &outcome.checkpoints {
+            for motion in &checkpoint.motions {
                 rows.add_row([
-                    format!("{:.3}", look.at_s),
+                    format!("{:.3}", checkpoint.at_s),
                     motion.channel.clone(),
                     format!("{:.5} {}", motion.position, motion.unit),
                     format!("{:.4} {}/s", motion.speed, motion.unit),
-                    look.state.clone(),
+                    checkpoint.state.clone(),
                 ]);
             }
         }
@@ -102,7 +97,7 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         let log = |board: &Target| args.log.filter(|_| matches!(board, Target::Emu(_)));
         let on = |board: Target| {
             let args = Args { log: log(&board), board, ..args.clone() };
-            outcome(&args, &session::rig(&args, Pace::Free)?, &scenario, path)
+            outcome(&args, &session::rig(&args, Pace::Free)?, &scenario)
         };
         let simulated = on(Target::Sim(scenario.robot.clone()))?;
         let emulated = on(Target::Emu(scenario.robot.clone()))?;
@@ -110,7 +105,7 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         rows.push(ComparedRow {
             scenario: name(path),
             robot: scenario.robot,
-            looks: simulated.looks.len(),
+            looks: simulated.checkpoints.len(),
             trips: simulated.trips.len(),
             worst_share: compared.worst_share,
             differences: compared.list,
@@ -142,22 +137,11 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     Ok(agree)
 }
 
-fn outcome(args: &Args, rig: &Rig, scenario: &Scenario, path: &Path) -> anyhow::Result<Outcome> {
-    if scenario.steps.is_empty() {
-        bail!("{} has no steps", path.display());
-    }
-    let (outcome, _) = session::run_on(args, rig, async |session| play::play(session, scenario).await)?;
+fn outcome(args: &Args, rig: &Rig, scenario: &Scenario) -> anyhow::Result<Outcome> {
+    let (outcome, _) = session::run_on(args, rig, async |session| Ok(scenario::play(session, scenario).await?))?;
     Ok(outcome)
 }
 
 fn name(path: &Path) -> String {
     path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
-
-impl Scenario {
-    fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        toml::from_str(&text)
-            .with_context(|| format!("{} is no scenario; docs/scenarios.md says how one is written", path.display()))
-    }
 }

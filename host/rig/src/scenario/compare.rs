@@ -1,20 +1,22 @@
-//! What differs between two outcomes of one scenario.
+//! Differences between two outcomes of one scenario.
 
 use std::fmt;
 
 use serde::Serialize;
 
-use super::play::{Motion, Outcome};
+use super::{Motion, Outcome};
 
-/// Something on which a simulated and an emulated board do not agree.
+/// A value in which a simulated and an emulated board differ by more than is allowed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Difference {
-    /// Where: a moment and a channel, or the trips.
-    of: String,
-    simulated: String,
-    emulated: String,
-    /// What would have been allowed.
-    allowed: String,
+pub struct Difference {
+    /// Moment and channel, or the list that differs.
+    pub of: String,
+    /// Value on the simulated board.
+    pub simulated: String,
+    /// Value on the emulated board.
+    pub emulated: String,
+    /// Largest allowed difference.
+    pub allowed: String,
 }
 
 impl fmt::Display for Difference {
@@ -24,23 +26,28 @@ impl fmt::Display for Difference {
     }
 }
 
-pub(super) struct Compared {
-    pub(super) list: Vec<Difference>,
-    /// The largest difference of a position, as a share of what is allowed.
-    pub(super) worst_share: f64,
+/// Result of a comparison.
+pub struct Compared {
+    /// Differences beyond what is allowed.
+    pub list: Vec<Difference>,
+    /// Largest difference of a position, as a share of the allowed one.
+    pub worst_share: f64,
 }
 
+/// Compares the outcomes of one scenario on a simulated and an emulated board.
+///
 /// Positions may differ by one count of the sensor and by one control period of motion: the two boards' loops do not run at
-/// the same moment. The motion is that at this look or the one before, whichever is faster: what was stopped in between was
+/// the same moment. The motion is that at this checkpoint or the one before, whichever is faster: an output that stopped in between
 /// stopped up to a period earlier or later. States, trips and refusals must be the same.
-pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
+#[must_use]
+pub fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
     let mut list = Vec::new();
     let mut worst_share = 0.0_f64;
     let mut differ = |of: String, simulated: String, emulated: String, allowed: String| {
         list.push(Difference { of, simulated, emulated, allowed });
     };
     let mut speeds = Vec::new();
-    for (ours, theirs) in simulated.looks.iter().zip(&emulated.looks) {
+    for (ours, theirs) in simulated.checkpoints.iter().zip(&emulated.checkpoints) {
         if ours.state != theirs.state {
             differ(format!("state at {} s", ours.at_s), ours.state.clone(), theirs.state.clone(), "the same".into());
         }
@@ -75,13 +82,13 @@ pub(super) fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::scenario::play::Look;
+    use crate::scenario::Checkpoint;
 
     fn outcome(position: f64, speed: f64) -> Outcome {
         let motion =
             Motion { channel: "osmc0".into(), unit: "rad", position, speed, resolution: 0.001, period_s: 0.001 };
-        let look = Look { at_s: 1.0, state: "armed".into(), motions: vec![motion] };
-        Outcome { looks: vec![look], trips: vec![vec!["stalled".into()]], refused: Vec::new() }
+        let checkpoint = Checkpoint { at_s: 1.0, state: "armed".into(), motions: vec![motion] };
+        Outcome { checkpoints: vec![checkpoint], trips: vec![vec!["stalled".into()]], refused: Vec::new() }
     }
 
     #[test]

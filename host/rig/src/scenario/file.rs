@@ -1,99 +1,143 @@
 //! A scenario's file.
 
+use std::{fs, path::Path};
+
 use r4_protocol::{ChannelId, Mode};
 use serde::{Deserialize, Deserializer, de::Error};
 
-/// What is done to one board.
+use super::ScenarioError;
+
+/// The robot and the timed steps of a scenario, as its file lists them.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Scenario {
+pub struct Scenario {
     /// A built-in robot, or a file beside this one.
-    pub(super) robot: String,
-    /// In order of time.
-    pub(super) steps: Vec<Step>,
+    pub robot: String,
+    /// The steps, in order of time.
+    pub steps: Vec<Step>,
 }
 
-/// One thing that is done.
+/// An action and its time.
 #[derive(Clone, Debug, Deserialize)]
-pub(super) struct Step {
-    /// Since the host's session began; a step that comes while another still waits for its answer is done after that.
+pub struct Step {
+    /// Time since the host's session began, s; a step that comes while another still waits for its answer follows that answer.
     #[serde(deserialize_with = "seconds")]
-    pub(super) at_s: f64,
-    /// What.
+    pub at_s: f64,
+    /// What the step does.
     #[serde(flatten)]
-    pub(super) action: Action,
+    pub action: Action,
 }
 
-/// What a step does.
+/// A request of the host, or a change around the board.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
-pub(super) enum Action {
-    /// Notes where everything is.
+pub enum Action {
+    /// Samples every position and the board's state.
     Look,
+    /// The host arms the board.
     Arm,
+    /// The host disarms the board.
     Disarm,
-    /// Stop by the host.
+    /// The host stops the board.
     Stop,
+    /// The host clears a trip.
     Clear,
-    /// A set point; SI units.
+    /// The host sends a set point.
     Set {
+        /// The output.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
+        /// The quantity that is set.
         #[serde(deserialize_with = "mode")]
         mode: Mode,
+        /// The set point, in SI units.
         value: f32,
     },
-    /// The dead-man's handle.
+    /// The operator holds or releases the dead-man's handle.
     DeadMan {
+        /// Whether the handle is held from now on.
         held: bool,
     },
-    /// The auxiliary stop.
+    /// The operator presses or releases the auxiliary stop.
     AuxiliaryStop {
+        /// Whether the button is pressed from now on.
         pressed: bool,
     },
-    /// What a range sensor sees; nothing without a distance.
+    /// A range sensor sees an obstacle, or nothing without a distance.
     Distance {
+        /// Index of the sensor.
         range: u8,
+        /// Distance of the obstacle, m.
         #[serde(default, deserialize_with = "some_finite")]
         distance_m: Option<f64>,
     },
-    /// A rail's voltage without load.
+    /// A rail's voltage without load changes.
     Supply {
+        /// The rail.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
+        /// Its voltage from now on, V.
         #[serde(deserialize_with = "finite")]
         emf_v: f64,
     },
-    /// What a motor drives blocks, or turns again.
+    /// The mechanism behind a motor blocks, or turns again.
     Block {
+        /// The motor.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
+        /// Whether it is blocked from now on.
         blocked: bool,
     },
-    /// The next transfers to an address on the board's bus are not acknowledged.
+    /// A chip does not acknowledge the next transfers on the board's bus.
     BusNack {
+        /// The chip's address.
         address: u8,
+        /// Number of transfers.
         transfers: u32,
     },
-    /// The bus is held low from now on, for this long or until it is recovered.
+    /// The bus is held low from now on.
     BusStuck {
+        /// For how long, s.
         #[serde(deserialize_with = "seconds")]
         for_s: f64,
+        /// Whether it stays low after the nine clocks of a recovery.
         persistent: bool,
     },
-    /// The encoder's next edges are lost.
+    /// The next edges of an encoder are lost.
     LoseEdges {
+        /// Index of the encoder.
         encoder: u8,
+        /// Number of edges.
         count: u32,
     },
     /// The wire from the host is cut, or mended.
     HostCable {
+        /// Whether it is cut from now on.
         cut: bool,
     },
 }
 
+impl Scenario {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no scenario or has no steps.
+    pub fn read(path: &Path) -> Result<Self, ScenarioError> {
+        let path = path.to_owned();
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(source) => return Err(ScenarioError::NotReadable { path, source }),
+        };
+        match toml::from_str::<Self>(&text) {
+            Ok(scenario) if scenario.steps.is_empty() => Err(ScenarioError::NoSteps { path }),
+            Ok(scenario) => Ok(scenario),
+            Err(source) => Err(ScenarioError::Malformed { path, source: Box::new(source) }),
+        }
+    }
+}
+
 impl Action {
-    /// What was done to the board, as a message names it.
+    /// Name of a request to the board, for messages about its refusal.
     pub(super) fn what(&self) -> String {
         match self {
             Self::Arm => "arm".into(),
@@ -101,13 +145,13 @@ impl Action {
             Self::Stop => "stop".into(),
             Self::Clear => "clear".into(),
             Self::Set { channel, mode, value } => format!("set {channel} {mode} {value}"),
-            // Done to what is around the board, which refuses nothing.
+            // Changes around the board, which refuses nothing.
             _ => "step".into(),
         }
     }
 }
 
-/// Longer than any scenario, s.
+/// Longest time in a scenario, s: far above what anybody waits for, far below what a clock of nanoseconds counts.
 const LONGEST_S: f64 = 1e6;
 
 fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {

@@ -1,7 +1,6 @@
-//! Plays a scenario on a virtual board.
+//! A scenario on a virtual board.
 
-use anyhow::Context;
-use r4_driver::{Board, Error};
+use r4_driver::{Board, Error as DriverError};
 use r4_protocol::{
     Setpoint,
     config::{BoardConfig, Feedback, Place},
@@ -12,46 +11,57 @@ use r4_sim::{
 };
 use serde::Serialize;
 
-use super::file::{Action, Scenario, Step};
-use crate::session::{HostClock, Session};
-use r4_rig::cable::CableState;
+use super::{Action, Scenario, ScenarioError, Step};
+use crate::{Error, HostClock, Session, cable::CableState};
 
-/// What came of a scenario.
+/// Result of a scenario on one board.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Outcome {
-    pub(super) looks: Vec<Look>,
-    /// Causes of each trip, the first first.
-    pub(super) trips: Vec<Vec<String>>,
-    /// Steps the board refused, and why.
-    pub(super) refused: Vec<String>,
+pub struct Outcome {
+    /// Samples of the steps that ask for one, in order of time.
+    #[serde(rename = "looks")]
+    pub checkpoints: Vec<Checkpoint>,
+    /// Causes of each trip, the oldest trip first.
+    pub trips: Vec<Vec<String>>,
+    /// Steps that the board refused, each with its reason.
+    pub refused: Vec<String>,
 }
 
-/// Where everything was at one moment.
+/// Positions of all outputs and the board's state at one moment.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Look {
-    pub(super) at_s: f64,
-    pub(super) state: String,
-    pub(super) motions: Vec<Motion>,
+pub struct Checkpoint {
+    /// Time of the step, s.
+    pub at_s: f64,
+    /// The board's safety state.
+    pub state: String,
+    /// The outputs that move, in the order of the board's channels.
+    pub motions: Vec<Motion>,
 }
 
-/// What one output did, as the world knows it and not as the board measured it.
+/// Motion of one output in the simulated world, which the board knows by its sensor only.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Motion {
-    pub(super) channel: String,
-    pub(super) unit: &'static str,
-    pub(super) position: f64,
-    /// Per second.
-    pub(super) speed: f64,
-    /// What its sensor resolves, for a stepper its step.
-    pub(super) resolution: f64,
+pub struct Motion {
+    /// The output.
+    pub channel: String,
+    /// Unit of the position and the resolution.
+    pub unit: &'static str,
+    /// True position.
+    pub position: f64,
+    /// True speed, in the unit per second.
+    pub speed: f64,
+    /// Resolution of its sensor; of a stepper its step.
+    pub resolution: f64,
     /// One period of the board's control loop, s.
-    pub(super) period_s: f64,
+    pub period_s: f64,
 }
 
 /// Noise of the simulated potentiometers reaches this many codes now and then (4.3 standard deviations of 2.3 codes).
 const POTENTIOMETER_CODES: f64 = 10.0;
 
-pub(super) async fn play(session: &Session<'_>, scenario: &Scenario) -> anyhow::Result<Outcome> {
+/// Does the steps of `scenario` to the session's board, at their times. Refused steps are part of the outcome.
+///
+/// # Errors
+/// When the board is not virtual, or the link to it is lost.
+pub async fn play(session: &Session<'_>, scenario: &Scenario) -> Result<Outcome, Error> {
     let (around, cable) = (session.virtual_board()?, session.cable()?);
     let mut outcome = Outcome::default();
     let begin_s = session.board.now_s();
@@ -60,13 +70,13 @@ pub(super) async fn play(session: &Session<'_>, scenario: &Scenario) -> anyhow::
         match act(session.board, around, cable, step, &mut outcome).await {
             Ok(()) => {}
             // Part of the outcome: a scenario may well ask for what is not allowed.
-            Err(error @ (Error::Refused { .. } | Error::Stopped { .. } | Error::TimedOut { .. })) => {
+            Err(error @ (DriverError::Refused { .. } | DriverError::Stopped { .. } | DriverError::TimedOut { .. })) => {
                 outcome.refused.push(format!("{} at {} s: {error}", step.action.what(), step.at_s));
             }
-            Err(error) => return Err(error).with_context(|| format!("at {} s", step.at_s)),
+            Err(source) => return Err(ScenarioError::Step { at_s: step.at_s, source }.into()),
         }
     }
-    let faults = session.board.faults().await.context("cannot read the history of trips")?;
+    let faults = session.board.faults().await.map_err(ScenarioError::Trips)?;
     let causes = |fault: &r4_protocol::FaultInfo| fault.causes.iter().map(|cause| cause.to_string()).collect();
     outcome.trips = faults.iter().map(causes).collect();
     outcome.trips.reverse();
@@ -79,9 +89,9 @@ async fn act(
     cable: &CableState,
     step: &Step,
     outcome: &mut Outcome,
-) -> Result<(), Error> {
+) -> Result<(), DriverError> {
     match step.action {
-        Action::Look => outcome.looks.push(look(board, around, step.at_s)),
+        Action::Look => outcome.checkpoints.push(checkpoint(board, around, step.at_s)),
         Action::Arm => board.arm().await?,
         Action::Disarm => board.disarm().await?,
         Action::Stop => board.stop().await?,
@@ -96,7 +106,7 @@ async fn act(
         }
         Action::Supply { channel, emf_v } => around.world().set_emf(channel, emf_v),
         Action::Block { channel, blocked } => {
-            // The robot's file has been read with this plant before.
+            // Fails only for a plant that cannot be built, and this one was built at power-up.
             let _ = around.block_motor(channel, blocked);
         }
         Action::BusNack { address, transfers } => inject(
@@ -127,7 +137,7 @@ fn inject(around: &dyn VirtualBoard, injection: Injection) {
     around.world().bus.inject(injection);
 }
 
-fn look(board: &Board<HostClock>, around: &dyn VirtualBoard, at_s: f64) -> Look {
+fn checkpoint(board: &Board<HostClock>, around: &dyn VirtualBoard, at_s: f64) -> Checkpoint {
     let config = &around.robot().config;
     let mut world = around.world();
     let motions = config.channels().filter_map(|(channel, place)| {
@@ -141,10 +151,10 @@ fn look(board: &Board<HostClock>, around: &dyn VirtualBoard, at_s: f64) -> Look 
             period_s: f64::from(config.control_period_us) * 1e-6,
         })
     });
-    Look { at_s, motions: motions.collect(), state: board.safety().0.to_string() }
+    Checkpoint { at_s, motions: motions.collect(), state: board.safety().0.to_string() }
 }
 
-/// What the sensor of an output resolves, or its smallest command, and the unit of both; `None` for what does not move.
+/// Resolution of an output's sensor, or its smallest command, and the unit; `None` for a channel that does not move.
 fn resolution(config: &BoardConfig, place: Place) -> Option<(f64, &'static str)> {
     use std::f64::consts::TAU;
     match place {
