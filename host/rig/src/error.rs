@@ -9,7 +9,7 @@ use r4_sim::SimError;
 
 use crate::{
     FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, WatchError,
-    calibrate::CalibrateError, emulated::EmulatedError, scenario::ScenarioError, tune::TuneError,
+    calibrate::CalibrateError, emulated::EmulatedError, round::RoundError, scenario::ScenarioError, tune::TuneError,
 };
 
 /// A session could not be opened, or did not end as it should.
@@ -70,6 +70,9 @@ pub enum Error {
     /// A loop could not be tuned.
     #[error(transparent)]
     Tune(Box<TuneError>),
+    /// A robot cannot drive round waypoints.
+    #[error(transparent)]
+    Round(Box<RoundError>),
     /// A scenario cannot be read or played.
     #[error(transparent)]
     Scenario(Box<ScenarioError>),
@@ -152,6 +155,7 @@ boxed!(
     Plant(PlantError),
     PlantFile(PlantFileError),
     Robot(BoardError),
+    Round(RoundError),
     Scenario(ScenarioError),
     Simulation(SimError),
     Tune(TuneError),

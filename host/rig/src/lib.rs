@@ -35,6 +35,7 @@ mod plant_file;
 pub mod quantity;
 pub mod recording;
 mod rig;
+pub mod round;
 mod route;
 pub mod scenario;
 mod session;

@@ -1,15 +1,17 @@
-//! A robot that drives round a room, slows and stops for people, and goes on.
+//! The demo of a robot that drives: [`r4_rig::round`] in a room with people, with a report.
 //!
-//! The robot knows what the board measures: positions of wheels and ranges. Its true place comes from the simulation and goes into the
+//! The robot uses what the board measures: positions of wheels and ranges. Its true place comes from the simulation and goes into the
 //! report only.
 
-use std::{collections::HashMap, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use r4_boards::{Drive, SkidSteer};
+use r4_boards::SkidSteer;
 use r4_log::Log;
-use r4_protocol::{ChannelId, ChannelKind, Quality, SafetyState, Sample};
-use r4_rig::{Follower, GroundDrive, Limits, Odometry, Place, Velocity};
+use r4_rig::{
+    Limits, Velocity,
+    round::{self, Measured, Observation, Round},
+};
 use r4_sim::Pace;
 use r4_world::{Body, Pose};
 use serde::Serialize;
@@ -23,16 +25,16 @@ use crate::{
     table,
 };
 
-/// Corners of the way, m, from the place where it starts.
+/// Waypoints, m, from the place where the robot starts.
 const CORNERS_M: [[f64; 2]; 4] = [[2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]];
 /// Our choice: slow enough to walk beside, and room for a person's foot in front.
 const LIMITS: Limits =
     Limits { speed_m_s: 0.35, turn_rate_rad_s: 1.0, braking_m_s2: 0.3, stop_m: 0.35, reached_m: 0.05 };
-/// How often wheels and ranges are looked at, ms.
-const LOOK_EVERY_MS: u16 = 20;
-/// A robot that has not come round by then does not, s.
+/// Period of the wheels' and range sensors' telemetry, ms.
+const TELEMETRY_MS: u16 = 20;
+/// Limit of the drive, s.
 const TIMEOUT_S: f64 = 120.0;
-/// How often a trip's causes are looked at until they are gone, s.
+/// Period of attempts to clear a trip, s.
 const CLEAR_EVERY_S: f64 = 0.5;
 /// Every fifth look, each 0.1 s, is a point of the ways on the map.
 const PLACE_EVERY: usize = 5;
@@ -44,26 +46,13 @@ const PERSON_M: f64 = 0.05;
 /// Largest error of the odometry at the end that is promised, m: 2.5 % of the way.
 const ODOMETRY_M: f64 = 0.2;
 
-/// What the robot knew at one moment, and did.
-#[derive(Clone, Copy, Debug)]
-struct Known {
-    time_s: f64,
-    /// Mean positions of the left and the right wheels, rad.
-    sides_rad: [f64; 2],
-    /// By the odometry.
-    place: Place,
-    /// In front, m; infinite with nothing in range.
-    free_m: f64,
-    /// Asked for.
-    velocity: Velocity,
-}
-
-/// The same moment, with what was true.
+/// Measurements of a telemetry frame, with the truth of the simulation at that moment.
 #[derive(Clone, Copy, Debug)]
 struct Look {
-    known: Known,
+    known: Measured,
+    /// True pose of the body.
     truth: Pose,
-    /// Speed over the ground of the places where the left and the right wheels are, m/s.
+    /// True speed over the ground beside the left and the right wheels, m/s.
     ground_m_s: [f64; 2],
     /// From the outline to the nearest person, m.
     person_m: f64,
@@ -75,7 +64,7 @@ impl Look {
     }
 }
 
-/// Something that happened on the way.
+/// A change of what the robot does, with the true place of it.
 #[derive(Clone, Debug, Serialize)]
 struct Event {
     time_s: f64,
@@ -87,6 +76,7 @@ struct Run {
     looks: Vec<Look>,
     events: Vec<Event>,
     corners: usize,
+    trips: usize,
     map: Map,
 }
 
@@ -141,145 +131,27 @@ pub(super) fn run(args: &Args, demo: &Demo, robot: &SkidSteer) -> anyhow::Result
     Ok(met)
 }
 
-/// What the board says of wheels and ranges.
-struct Senses<'r> {
-    robot: &'r SkidSteer,
-    wheels_rad: HashMap<ChannelId, f64>,
-    ranges_m: HashMap<ChannelId, f64>,
-}
-
-impl Senses<'_> {
-    fn look(&mut self, session: &Session<'_>, samples: &[Sample]) {
-        for sample in samples {
-            match *sample {
-                Sample::Motor { channel, position, .. } => {
-                    let resolution = session.board.channel(channel).map_or(0.0, |info| f64::from(info.resolution));
-                    self.wheels_rad.insert(channel, f64::from(position) * resolution);
-                }
-                Sample::Reading { channel, value, quality, .. } if channel.kind == ChannelKind::Range => {
-                    self.ranges_m.insert(
-                        channel,
-                        match quality {
-                            Quality::Good => value.into(),
-                            Quality::OutOfRange => f64::INFINITY,
-                            // A sensor that does not work sees nothing, so nothing is known to be free.
-                            _ => 0.0,
-                        },
-                    );
-                }
-                _ => {}
-            }
-        }
-    }
-
-    /// Mean positions of the left and the right wheels, rad, once all are known.
-    fn sides_rad(&self) -> Option<[f64; 2]> {
-        let mean = |side: &[ChannelId]| {
-            let angles: Option<Vec<f64>> = side.iter().map(|channel| self.wheels_rad.get(channel).copied()).collect();
-            angles.map(|angles| angles.iter().sum::<f64>() / angles.len() as f64)
-        };
-        Some([mean(&self.robot.left)?, mean(&self.robot.right)?])
-    }
-
-    /// Way in front that is free, m.
-    fn free_m(&self) -> f64 {
-        self.ranges_m.values().copied().fold(f64::INFINITY, f64::min)
-    }
-}
-
 async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> {
-    let board = session.board;
-    let ground = GroundDrive::new(Drive::SkidSteer(robot.clone()));
-    let mut odometry = Odometry::new(robot);
-    let mut follower = Follower::new(LIMITS, CORNERS_M);
-    let ranges: Vec<_> =
-        board.channels().iter().map(|info| info.id).filter(|id| id.kind == ChannelKind::Range).collect();
-    if ranges.is_empty() {
-        bail!("the robot has no range sensors, so it would not see people: add [[range]] tables to its file");
-    }
-    // Nothing is known to be free before a sensor has said so.
-    let ranges_m = ranges.iter().map(|channel| (*channel, 0.0)).collect();
-    let mut senses = Senses { robot, wheels_rad: HashMap::new(), ranges_m };
-    let mut telemetry = board.telemetry();
-    for channel in ranges.iter().chain(&robot.left).chain(&robot.right).copied() {
-        board.subscribe(channel, LOOK_EVERY_MS).await?;
-    }
-    let mut run = Run { looks: Vec::new(), events: Vec::new(), corners: 0, map: scene(session)? };
-    let begin_s = board.now_s();
-    session
-        .armed(async || {
-            // When a trip is to be cleared next, once the board has tripped.
-            let mut clear_s: Option<f64> = None;
-            let mut waits = false;
-            loop {
-                let frame = telemetry.next().await?;
-                senses.look(session, &frame.samples);
-                let Some(sides_rad) = senses.sides_rad() else { continue };
-                odometry.look(sides_rad[0], sides_rad[1]);
-                let time_s = board.now_s() - begin_s;
-                let mut velocity = Velocity::default();
-                if frame.state == SafetyState::Tripped {
-                    if clear_s.is_none() {
-                        run.happened(session, time_s, format!("tripped: {}", frame.causes))?;
-                    }
-                    let at_s = *clear_s.get_or_insert(time_s + CLEAR_EVERY_S);
-                    if time_s >= at_s {
-                        clear_s = Some(time_s + CLEAR_EVERY_S);
-                        if again(session).await? {
-                            run.happened(session, board.now_s() - begin_s, "cleared and armed again".into())?;
-                            // Frames that waited meanwhile tell of the trip.
-                            (clear_s, telemetry) = (None, board.telemetry());
-                        }
-                    }
-                } else {
-                    match follower.velocity(odometry.place(), senses.free_m()) {
-                        Some(next) => velocity = next,
-                        None => break,
-                    }
-                    // One after the other, so that a replay of the log sends them at the same moments.
-                    for (channel, setpoint) in ground.setpoints(velocity) {
-                        board.set(channel, setpoint).await.or_else(unless_tripped)?;
-                    }
-                    let stands = velocity == Velocity::default();
-                    if stands != waits {
-                        let what = if stands { "stops for what is in front" } else { "goes on" };
-                        run.happened(session, time_s, what.into())?;
-                        waits = stands;
-                    }
-                }
-                run.looked(
-                    session,
-                    Known { time_s, sides_rad, place: odometry.place(), free_m: senses.free_m(), velocity },
-                )?;
-                if time_s > TIMEOUT_S {
-                    break;
-                }
-            }
-            run.corners = CORNERS_M.len() - follower.places_left();
-            anyhow::Ok(())
-        })
-        .await?;
-    Ok(run)
-}
-
-/// A set point that is refused because the board has tripped meanwhile is no error: the next frame says why.
-fn unless_tripped(error: r4_driver::Error) -> Result<(), r4_driver::Error> {
-    if matches!(error, r4_driver::Error::Refused { .. }) { Ok(()) } else { Err(error) }
-}
-
-/// Plays the person who has looked why the robot stopped, clears the trip and arms. Whether its cause was gone.
-async fn again(session: &Session<'_>) -> anyhow::Result<bool> {
-    match session.board.clear().await {
-        Ok(()) => {}
-        Err(r4_driver::Error::Refused { .. }) => return Ok(false),
-        Err(error) => return Err(error.into()),
-    }
-    session.board.arm().await.context("cannot arm again")?;
-    Ok(true)
+    let round = Round {
+        waypoints_m: CORNERS_M.to_vec(),
+        limits: LIMITS,
+        telemetry_ms: TELEMETRY_MS,
+        clear_every_s: CLEAR_EVERY_S,
+        timeout_s: TIMEOUT_S,
+    };
+    let mut run = Run { looks: Vec::new(), events: Vec::new(), corners: 0, trips: 0, map: scene(session)? };
+    let corners = round::drive(session, robot, &round, |observation| match observation {
+        Observation::Measured(measured) => run.looked(session, measured),
+        Observation::Event(time_s, event) => run.happened(session, time_s, event),
+    });
+    let corners = corners.await?;
+    Ok(Run { corners, ..run })
 }
 
 impl Run {
-    fn happened(&mut self, session: &Session<'_>, time_s: f64, what: String) -> anyhow::Result<()> {
+    fn happened(&mut self, session: &Session<'_>, time_s: f64, event: round::Event) -> anyhow::Result<()> {
+        let what = event.to_string();
+        self.trips += usize::from(matches!(event, round::Event::Tripped(_)));
         let Pose { x_m, y_m, .. } = session.virtual_board()?.world().pose().context(NO_BODY)?;
         let place_m = [x_m, y_m];
         self.map.events_m.push((place_m, format!("{time_s:.1} s: {what}")));
@@ -287,7 +159,7 @@ impl Run {
         Ok(())
     }
 
-    fn looked(&mut self, session: &Session<'_>, known: Known) -> anyhow::Result<()> {
+    fn looked(&mut self, session: &Session<'_>, known: Measured) -> anyhow::Result<()> {
         let board = session.virtual_board()?;
         let mut world = board.world();
         let (Some(truth), Some(twist)) = (world.pose(), world.twist()) else { bail!(NO_BODY) };
@@ -341,7 +213,6 @@ fn rows(run: &Run) -> Vec<Row> {
     let error_deg = last.map_or(f64::NAN, |look| (look.known.place.yaw_rad - look.truth.yaw_rad).to_degrees());
     let way = |pair: &[Look]| (pair[1].truth.x_m - pair[0].truth.x_m).hypot(pair[1].truth.y_m - pair[0].truth.y_m);
     let way_m: f64 = run.looks.windows(2).map(way).sum();
-    let trips = run.events.iter().filter(|event| event.what.starts_with("tripped")).count();
     let stood_s: f64 = run
         .looks
         .windows(2)
@@ -382,7 +253,7 @@ fn rows(run: &Run) -> Vec<Row> {
             met: true,
         },
         Row { what: "stood still", value: stood_s, unit: "s", promised: None, met: true },
-        Row { what: "trips of the board", value: trips as f64, unit: "", promised: None, met: true },
+        Row { what: "trips of the board", value: run.trips as f64, unit: "", promised: None, met: true },
     ]
 }
 

@@ -1,0 +1,176 @@
+//! A drive round waypoints: a skid-steer robot follows them by its odometry, slows and stops for obstacles that its range sensors
+//! see, and goes on once they are gone.
+//!
+//! The robot uses only what the board measures. An observer that is given to [`drive`] records, and may compare with the truth of a
+//! simulation.
+
+mod error;
+mod senses;
+
+use std::fmt;
+
+use r4_boards::{Drive, SkidSteer};
+use r4_driver::Error as DriverError;
+use r4_protocol::{Causes, ChannelId, ChannelKind, SafetyState};
+
+pub use error::RoundError;
+use senses::Senses;
+
+use crate::{Error, Follower, GroundDrive, Limits, Odometry, Place, Session, Velocity};
+
+/// Waypoints, and how a robot drives them.
+#[derive(Clone, Debug)]
+pub struct Round {
+    /// The waypoints, m, in the frame of the place where the robot starts.
+    pub waypoints_m: Vec<[f64; 2]>,
+    /// Speeds and distances.
+    pub limits: Limits,
+    /// Period of wheels' and range sensors' telemetry, ms.
+    pub telemetry_ms: u16,
+    /// Period of attempts to clear a trip, s.
+    pub clear_every_s: f64,
+    /// Time after which the drive ends before its last waypoint, s.
+    pub timeout_s: f64,
+}
+
+/// Measurements of one telemetry frame, and the velocity that follows from them.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured {
+    /// Time since the drive began, s.
+    pub time_s: f64,
+    /// Mean positions of the left and the right wheels, rad.
+    pub sides_rad: [f64; 2],
+    /// Place by the odometry.
+    pub place: Place,
+    /// Free distance in front, m; infinite with no obstacle in range.
+    pub free_m: f64,
+    /// Velocity that is asked for; zero while the board is tripped.
+    pub velocity: Velocity,
+}
+
+/// A change of what the robot does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// The board tripped.
+    Tripped(Causes),
+    /// The trip's causes are gone; it was cleared and the board armed again.
+    ArmedAgain,
+    /// The robot stands because of an obstacle in front.
+    Stands,
+    /// The obstacle is gone.
+    GoesOn,
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tripped(causes) => write!(f, "tripped: {causes}"),
+            Self::ArmedAgain => f.write_str("cleared and armed again"),
+            Self::Stands => f.write_str("stops for what is in front"),
+            Self::GoesOn => f.write_str("goes on"),
+        }
+    }
+}
+
+/// A record of a drive, as it is passed to an observer.
+#[derive(Clone, Copy, Debug)]
+pub enum Observation {
+    /// One telemetry frame.
+    Measured(Measured),
+    /// A change at a time since the drive began, s.
+    Event(f64, Event),
+}
+
+/// Arms, drives `round` and disarms. Passes each [`Observation`] to `observe`, and returns the number of waypoints reached.
+///
+/// After a trip it clears and arms again as soon as the causes are gone: the caller answers for a person who would have looked why.
+///
+/// # Errors
+/// That of `observe`; when the robot has no range sensor, or the board fails otherwise than by a trip.
+pub async fn drive<E: From<Error>>(
+    session: &Session<'_>,
+    robot: &SkidSteer,
+    round: &Round,
+    mut observe: impl FnMut(Observation) -> Result<(), E>,
+) -> Result<usize, E> {
+    let board = session.board;
+    let ground = GroundDrive::new(Drive::SkidSteer(robot.clone()));
+    let mut odometry = Odometry::new(robot);
+    let mut follower = Follower::new(round.limits, round.waypoints_m.iter().copied());
+    let ranges: Vec<ChannelId> =
+        board.channels().iter().map(|info| info.id).filter(|id| id.kind == ChannelKind::Range).collect();
+    if ranges.is_empty() {
+        return Err(Error::from(RoundError::NoRangeSensor).into());
+    }
+    let mut senses = Senses::new(robot, &ranges);
+    let mut telemetry = board.telemetry();
+    for channel in ranges.iter().chain(&robot.left).chain(&robot.right).copied() {
+        board.subscribe(channel, round.telemetry_ms).await.map_err(Error::from)?;
+    }
+    let begin_s = board.now_s();
+    let work = async || {
+        // Time of the next attempt to clear, once the board has tripped.
+        let mut clear_s: Option<f64> = None;
+        let mut stood = false;
+        loop {
+            let frame = telemetry.next().await.map_err(Error::from)?;
+            senses.update(board, &frame.samples);
+            let Some(sides_rad) = senses.sides_rad() else { continue };
+            odometry.look(sides_rad[0], sides_rad[1]);
+            let time_s = board.now_s() - begin_s;
+            let mut velocity = Velocity::default();
+            if frame.state == SafetyState::Tripped {
+                if clear_s.is_none() {
+                    observe(Observation::Event(time_s, Event::Tripped(frame.causes)))?;
+                }
+                let at_s = *clear_s.get_or_insert(time_s + round.clear_every_s);
+                if time_s >= at_s {
+                    clear_s = Some(time_s + round.clear_every_s);
+                    if arm_again(session).await? {
+                        observe(Observation::Event(board.now_s() - begin_s, Event::ArmedAgain))?;
+                        // Frames that waited meanwhile still report the trip.
+                        (clear_s, telemetry) = (None, board.telemetry());
+                    }
+                }
+            } else {
+                match follower.velocity(odometry.place(), senses.free_m()) {
+                    Some(next) => velocity = next,
+                    None => break,
+                }
+                // One after the other, so that a replay of the log sends them at the same moments.
+                for (channel, setpoint) in ground.setpoints(velocity) {
+                    board.set(channel, setpoint).await.or_else(unless_refused).map_err(Error::from)?;
+                }
+                let stands = velocity == Velocity::default();
+                if stands != stood {
+                    let event = if stands { Event::Stands } else { Event::GoesOn };
+                    observe(Observation::Event(time_s, event))?;
+                    stood = stands;
+                }
+            }
+            let (place, free_m) = (odometry.place(), senses.free_m());
+            observe(Observation::Measured(Measured { time_s, sides_rad, place, free_m, velocity }))?;
+            if time_s > round.timeout_s {
+                break;
+            }
+        }
+        Ok(round.waypoints_m.len() - follower.places_left())
+    };
+    session.armed(work).await
+}
+
+/// Ignores the refusal of a set point: the board has tripped meanwhile, and the next frame has the cause.
+fn unless_refused(error: DriverError) -> Result<(), DriverError> {
+    if matches!(error, DriverError::Refused { .. }) { Ok(()) } else { Err(error) }
+}
+
+/// Clears the trip and arms. Returns whether the causes were gone.
+async fn arm_again(session: &Session<'_>) -> Result<bool, Error> {
+    match session.board.clear().await {
+        Ok(()) => {}
+        Err(DriverError::Refused { .. }) => return Ok(false),
+        Err(error) => return Err(error.into()),
+    }
+    session.board.arm().await.map_err(RoundError::NotArmedAgain)?;
+    Ok(true)
+}
