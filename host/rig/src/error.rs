@@ -9,7 +9,8 @@ use r4_sim::SimError;
 
 use crate::{
     FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, WatchError,
-    calibrate::CalibrateError, emulated::EmulatedError, round::RoundError, scenario::ScenarioError, tune::TuneError,
+    calibrate::CalibrateError, emulated::EmulatedError, excite::ExciteError, replay::ReplayError, round::RoundError,
+    scenario::ScenarioError, tune::TuneError, twin::TwinError,
 };
 
 /// A session could not be opened, or did not end as it should.
@@ -70,6 +71,15 @@ pub enum Error {
     /// A loop could not be tuned.
     #[error(transparent)]
     Tune(Box<TuneError>),
+    /// A motor cannot be excited.
+    #[error(transparent)]
+    Excite(Box<ExciteError>),
+    /// A log cannot be replayed.
+    #[error(transparent)]
+    Replay(Box<ReplayError>),
+    /// A simulated board cannot be compared with a recording.
+    #[error(transparent)]
+    Twin(#[from] TwinError),
     /// A robot cannot drive round waypoints.
     #[error(transparent)]
     Round(Box<RoundError>),
@@ -152,9 +162,11 @@ macro_rules! boxed {
 
 boxed!(
     Calibrate(CalibrateError),
+    Excite(ExciteError),
     Plant(PlantError),
     PlantFile(PlantFileError),
     Robot(BoardError),
+    Replay(ReplayError),
     Round(RoundError),
     Scenario(ScenarioError),
     Simulation(SimError),

@@ -1,11 +1,9 @@
 //! `r4 identify close`: from a board to a better plant file, and what it is worth.
 
-use std::{fs, path::PathBuf, pin::pin};
+use std::{fs, path::PathBuf};
 
-use anyhow::{Context, bail, ensure};
-use futures::future::{Either, select};
+use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
-use r4_driver::Error;
 use r4_identify::{
     Identified, Progress, Task,
     data::{self, Mapping, Options, Recorded},
@@ -15,22 +13,23 @@ use r4_identify::{
 };
 use r4_log::Log;
 use r4_plants::{Effect, PlantKind, PlantSpec};
-use r4_protocol::{
-    Cause, ChannelId, ChannelInfo, ChannelKind, Mode, Parameter, ParameterInfo, SafetyState, Sample, Setpoint,
+use r4_protocol::ChannelId;
+use r4_rig::{
+    excite::{self, Excitation, Patience, TRAIN},
+    twin::Twins,
 };
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::{
     bar,
-    check::{Twins, twins},
-    excite::{Plan, TRAIN},
+    check::{print_twins, twins},
     print, show, write,
 };
 use crate::{
     args::{Args, seconds},
     output,
-    session::{self, Session, Target},
+    session::{self, Target},
 };
 
 /// The motor must be free to move. DIR gets train-1.mcap, train-2.mcap, fresh.mcap, report.json, report.html and plant.toml.
@@ -56,62 +55,8 @@ pub(super) struct Close {
     seconds: f64,
 }
 
-/// How often the motor is looked at, ms.
-const LOOK_EVERY_MS: u16 = 5;
-/// How often a duty that changes all the time is told to the board, s.
-const TELL_EVERY_S: f64 = 0.02;
-/// Telemetry may be silent for this long, s.
-const SILENT_S: f64 = 0.3;
-/// Of what the board allows: it is not to be limited by rounding.
-const BELOW_LIMIT: f64 = 0.98;
-/// A motor that does not move at the duty that counts as a stall is let go after this share of the time to a trip.
-const PATIENCE: f64 = 0.6;
-/// The same after a trip, and how often a recording is begun again.
-const LESS_PATIENCE: f64 = 0.5;
-const ATTEMPTS: usize = 4;
-/// Of the range, at either end: a motor there is sent the other way.
-const MARGIN: f64 = 0.15;
-/// Shorter recordings tell nothing of what is slow.
+/// Shortest recording that shows what is slow, s.
 const SHORTEST_S: f64 = 4.0;
-
-/// What the board says of the motor, SI.
-#[derive(Clone, Copy, Debug)]
-struct Limits {
-    duty_max: f64,
-    static_duty: f64,
-    stall_duty: f64,
-    stall_travel: f64,
-    stall_s: f64,
-    range: (f64, f64),
-    resolution: f64,
-}
-
-impl Limits {
-    fn new(info: &ChannelInfo, parameters: &[ParameterInfo]) -> anyhow::Result<Self> {
-        let channel = info.id;
-        let number = |parameter: Parameter| {
-            let of = |info: &&ParameterInfo| info.key.channel == Some(channel) && info.key.parameter == parameter;
-            let found = parameters.iter().find(of).map(|info| f64::from(info.active));
-            found.with_context(|| format!("the board does not tell {} of {channel}", parameter.name()))
-        };
-        Ok(Self {
-            duty_max: number(Parameter::DutyMax)?,
-            static_duty: number(Parameter::StaticDuty)?,
-            stall_duty: number(Parameter::StallDuty)?,
-            stall_travel: number(Parameter::StallTravel)?,
-            stall_s: number(Parameter::StallTimeMs)? * 1e-3,
-            range: (number(Parameter::PositionMin)?, number(Parameter::PositionMax)?),
-            resolution: info.resolution.into(),
-        })
-    }
-}
-
-/// The telemetry has stopped.
-#[derive(Debug, thiserror::Error)]
-#[error("no telemetry of {channel} for {SILENT_S} s")]
-struct Silent {
-    channel: ChannelId,
-}
 
 /// What `--json` tells.
 #[derive(Serialize)]
@@ -182,7 +127,7 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
         if !declared.is_empty() {
             output::line(format_args!("the plant file had {} before", declared.join(", ")))?;
         }
-        twin.print()?;
+        print_twins(&twin)?;
     }
     if !better {
         eprintln!("r4: the simulated board is no nearer to the fresh recording: keep the plant file that you had");
@@ -222,22 +167,21 @@ fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
 
 /// Makes all recordings; their files.
 fn record(args: &Args, close: &Close, progress: &ProgressBar) -> anyhow::Result<Vec<PathBuf>> {
+    let excitation = Excitation { channel: close.channel, length_s: close.seconds, duty: close.duty };
     let mut files = Vec::new();
-    let mut patience = PATIENCE;
-    let mut attempts = 0;
+    let mut patience = Patience::default();
     while files.len() <= TRAIN {
         let index = files.len();
         let name = if index < TRAIN { format!("train-{}.mcap", index + 1) } else { "fresh.mcap".to_owned() };
         show(progress, Progress { step: format!("recording {name}"), share: 0.0 });
         let (excited, bytes) = session::in_memory(args, Pace::Free, async |session| {
-            excite(session, close, index, patience, progress).await
+            let done = |share: f64| progress.set_position((share * 1_000.0) as u64);
+            Ok(excite::excite(session, &excitation, index, &patience, &done).await?)
         });
-        attempts += 1;
         match excited {
-            Ok(_) => {}
-            Err(error) if is_stall(&error) && attempts < ATTEMPTS => {
+            Ok(_) => patience.succeeded(),
+            Err(error) if is_stall(&error) && patience.stalled() => {
                 eprintln!("r4: {} stalled: cleared, and again with less of that", close.channel);
-                patience *= LESS_PATIENCE;
                 continue;
             }
             Err(error) => return Err(error.context(format!("cannot record {name}"))),
@@ -250,134 +194,7 @@ fn record(args: &Args, close: &Close, progress: &ProgressBar) -> anyhow::Result<
 }
 
 fn is_stall(error: &anyhow::Error) -> bool {
-    matches!(session::driver_error(error), Some(Error::Stopped { causes }) if causes.contains(Cause::Stalled))
-}
-
-/// One recording: arms, excites, disarms; a stall is cleared.
-async fn excite(
-    session: &Session<'_>,
-    close: &Close,
-    index: usize,
-    patience: f64,
-    progress: &ProgressBar,
-) -> anyhow::Result<()> {
-    let (board, channel) = (session.board, close.channel);
-    let info = board.channel(channel)?;
-    let moves = matches!(channel.kind, ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb);
-    ensure!(
-        moves && info.mode(Mode::Duty).is_some() && info.mode(Mode::Position).is_some(),
-        "{channel} cannot be excited: a motor with an encoder or a potentiometer can"
-    );
-    let limits = Limits::new(info, &board.parameters().await?)?;
-    let cap = match close.duty {
-        Some(duty) if duty > limits.duty_max => {
-            bail!("{channel} takes a duty up to {:.3}: give --duty that or less", limits.duty_max)
-        }
-        Some(duty) => duty,
-        None => BELOW_LIMIT * limits.duty_max,
-    };
-    ensure!(
-        cap > limits.static_duty,
-        "duty {cap:.3} is no more than what friction takes of {channel} ({:.3}): allow more with --duty",
-        limits.static_duty
-    );
-    let plan = Plan::new(index, close.seconds, limits.static_duty, cap);
-    let driven = session.armed(async || drive(session, channel, &plan, &limits, patience, progress).await).await;
-    if driven.as_ref().is_err_and(is_stall) {
-        board.clear().await.context("cannot clear the stall")?;
-    }
-    driven
-}
-
-/// Tells the board the duties of `plan`, and keeps the motor within its range and from stalling.
-async fn drive(
-    session: &Session<'_>,
-    channel: ChannelId,
-    plan: &Plan,
-    limits: &Limits,
-    patience: f64,
-    progress: &ProgressBar,
-) -> anyhow::Result<()> {
-    let board = session.board;
-    let mut telemetry = board.telemetry();
-    board.subscribe(channel, LOOK_EVERY_MS).await?;
-    let (low, high) = limits.range;
-    let inside = (low + MARGIN * (high - low), high - MARGIN * (high - low));
-    let mut guard = Guard::new(limits, patience);
-    // A motor that begins at one end of its range is sent away from it first.
-    let mut direction = 1.0;
-    let (mut begin_s, mut told, mut told_s) = (None, None, f64::NEG_INFINITY);
-    let mut armed = false;
-    loop {
-        let frame = match select(pin!(telemetry.next()), pin!(board.sleep_s(SILENT_S))).await {
-            Either::Left((frame, _)) => frame?,
-            Either::Right(_) => return Err(Silent { channel }.into()),
-        };
-        // Under way since before it was armed.
-        if !armed && frame.state == SafetyState::Disarmed {
-            continue;
-        }
-        armed = true;
-        if frame.state != SafetyState::Armed {
-            return Err(Error::Stopped { causes: frame.causes }.into());
-        }
-        let found = frame.samples.iter().find_map(|sample| match *sample {
-            Sample::Motor { channel: of, position, .. } if of == channel => Some(position),
-            _ => None,
-        });
-        let Some(position) = found.map(|counts| f64::from(counts) * limits.resolution) else { continue };
-        let now_s = frame.device_us as f64 * 1e-6;
-        let after_s = now_s - *begin_s.get_or_insert(now_s);
-        let Some((part, planned)) = plan.at(after_s) else { return Ok(()) };
-        let mut duty = direction * planned;
-        if position > inside.1 && duty > 0.0 || position < inside.0 && duty < 0.0 {
-            direction = -direction;
-            duty = -duty;
-        }
-        if guard.is_stuck(now_s, part, position, told.unwrap_or(0.0)) {
-            duty = 0.0;
-        }
-        let due = now_s - told_s >= TELL_EVERY_S || duty == 0.0;
-        if told != Some(duty) && due {
-            board.set(channel, Setpoint { mode: Mode::Duty, value: duty as f32 }).await?;
-            (told, told_s) = (Some(duty), now_s);
-            progress.set_position((after_s / plan.length_s() * 1_000.0) as u64);
-        }
-    }
-}
-
-/// Lets a motor go before the board takes it for stalled.
-struct Guard {
-    stall_duty: f64,
-    travel: f64,
-    patience_s: f64,
-    /// Where it was last seen to move, and when.
-    moved: Option<(f64, f64)>,
-    /// The part of the plan in which it does not.
-    stuck_in: Option<usize>,
-}
-
-impl Guard {
-    fn new(limits: &Limits, patience: f64) -> Self {
-        Self {
-            stall_duty: limits.stall_duty,
-            travel: limits.stall_travel,
-            patience_s: patience * limits.stall_s,
-            moved: None,
-            stuck_in: None,
-        }
-    }
-
-    /// Whether it is to be left alone for the rest of this part of the plan.
-    fn is_stuck(&mut self, now_s: f64, part: usize, position: f64, duty: f64) -> bool {
-        let (from, since_s) = *self.moved.get_or_insert((position, now_s));
-        if duty.abs() < self.stall_duty || (position - from).abs() >= self.travel {
-            self.moved = Some((position, now_s));
-        } else if now_s - since_s > self.patience_s {
-            self.stuck_in = Some(part);
-        }
-        self.stuck_in == Some(part)
-    }
+    session::driver_error(error).is_some_and(excite::is_stall)
 }
 
 /// What is found in the recordings.

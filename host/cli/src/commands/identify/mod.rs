@@ -2,7 +2,6 @@
 
 mod check;
 mod close;
-mod excite;
 mod models;
 mod print;
 

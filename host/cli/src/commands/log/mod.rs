@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-pub(super) use replay::again;
+pub(super) use replay::seed;
 
 use anyhow::{Context, bail};
 use clap::Subcommand;

@@ -1,31 +1,19 @@
 //! `r4 log replay`
 
-mod plan;
-
-use std::{path::PathBuf, pin::pin, str::FromStr};
+use std::{path::PathBuf, str::FromStr};
 
 use anyhow::{Context, bail, ensure};
-use futures::{
-    StreamExt,
-    future::{Either, LocalBoxFuture, select},
-    poll,
-    stream::FuturesUnordered,
-};
-use r4_driver::{Board, Clock as _};
 use r4_log::{Difference, Log, compare};
-use r4_protocol::{Request, Unit};
+use r4_protocol::Unit;
+use r4_rig::{
+    quantity::Quantity,
+    replay::{Plan, play, shift_s},
+};
 use r4_sim::Pace;
 use serde::Serialize;
 
-use self::plan::Plan;
 use super::read;
-use crate::{
-    args::Args,
-    output,
-    session::{self, HostClock, Session},
-    table,
-};
-use r4_rig::quantity::Quantity;
+use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Replay {
@@ -134,17 +122,6 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     Ok(report.met)
 }
 
-/// What a simulated board makes of a recorded run, and what makes its times those of the recording, s.
-pub(in crate::commands) fn again(args: &Args, log: &Log) -> anyhow::Result<(Log, f64)> {
-    let plan = Plan::of(log).context("the log cannot be replayed")?;
-    // `--record` is for the run that was replayed.
-    let Sent { bytes, played, .. } = send(&Args { record: None, ..args.clone() }, log, &plan);
-    played.context("cannot replay the log")?;
-    let again = Log::from_bytes(&bytes)?;
-    let shift_s = shift_s(log, &again);
-    Ok((again, shift_s))
-}
-
 /// A run that was sent again.
 struct Sent {
     /// The log of it, as far as it came.
@@ -154,108 +131,21 @@ struct Sent {
     played: anyhow::Result<()>,
 }
 
+/// Seed of the log's own noise, unless `--seed` asks for another.
+pub(in crate::commands) fn seed(args: &Args, log: &Log) -> u64 {
+    if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed }
+}
+
 /// Plays a run on the board that `args` name.
 fn send(args: &Args, log: &Log, plan: &Plan) -> Sent {
-    // The log's own noise, unless other is asked for.
-    let seed = if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed };
+    let seed = seed(args, log);
     let seeded = Args { seed, ..args.clone() };
-    let (result, log) = session::in_memory(&seeded, Pace::Free, async |session| play(session, plan).await);
+    let (result, log) = session::in_memory(&seeded, Pace::Free, async |session| Ok(play(session, plan).await?));
     Sent { bytes: log, seed, played: result.map(|_| ()) }
 }
 
 /// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
 const AT_THE_ENDS: usize = 2;
-
-/// Sends every request at its time, and leaves when the recorded session ended.
-async fn play(session: &Session<'_>, plan: &Plan) -> anyhow::Result<()> {
-    let (board, clock) = (session.board, &session.clock);
-    let began_us = session.tap.as_ref().and_then(|tap| tap.borrow().began_us()).unwrap_or_default();
-    // Where the recorded link was faster than the simulated one, everything is later.
-    let opened_us = clock.now_us() - began_us;
-    let late_us = plan.steps.first().map_or(0, |first| opened_us.saturating_sub(first.at_us));
-    let at = |after_us: u64| began_us + late_us + after_us;
-    let mut under_way: FuturesUnordered<LocalBoxFuture<'_, Result<(), r4_driver::Error>>> = FuturesUnordered::new();
-    for step in &plan.steps {
-        wait(clock, at(step.at_us), &mut under_way).await?;
-        let mut sending = request(board, &step.request);
-        // Sent now, and answered later.
-        match poll!(&mut sending) {
-            std::task::Poll::Ready(result) => answered(result)?,
-            std::task::Poll::Pending => under_way.push(sending),
-        }
-    }
-    wait(clock, at(plan.end_us), &mut under_way).await
-}
-
-/// Takes answers until `until_us`.
-async fn wait(
-    clock: &HostClock,
-    until_us: u64,
-    under_way: &mut FuturesUnordered<LocalBoxFuture<'_, Result<(), r4_driver::Error>>>,
-) -> anyhow::Result<()> {
-    let mut sleep = pin!(clock.sleep_until(until_us));
-    while !under_way.is_empty() {
-        match select(under_way.next(), &mut sleep).await {
-            Either::Left((result, _)) => answered(result.unwrap_or(Ok(())))?,
-            Either::Right(((), _)) => return Ok(()),
-        }
-    }
-    sleep.await;
-    Ok(())
-}
-
-/// A refusal or a lost answer is part of the run, and compared; the end of the link is not.
-fn answered(result: Result<(), r4_driver::Error>) -> anyhow::Result<()> {
-    match result {
-        Err(error @ (r4_driver::Error::LinkLost { .. } | r4_driver::Error::LinkFailed { .. })) => Err(error.into()),
-        Ok(()) | Err(_) => Ok(()),
-    }
-}
-
-/// The driver's way to send `request`.
-fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFuture<'b, Result<(), r4_driver::Error>> {
-    Box::pin(async move {
-        match request {
-            Request::Arm => board.arm().await,
-            Request::Disarm => board.disarm().await,
-            Request::Clear => board.clear().await,
-            Request::Stop => board.stop().await,
-            Request::Set { channel, setpoint, .. } => board.set(*channel, *setpoint).await,
-            Request::Subscribe { channel, period_ms } => board.subscribe(*channel, *period_ms).await,
-            Request::SetGains { channel, mode, gains } => board.set_gains(*channel, *mode, *gains).await,
-            Request::Stats => board.stats().await.map(|_| ()),
-            Request::SetParameter { key, value } => board.set_parameter(*key, *value).await,
-            Request::SetName { robot } => board.set_name(robot).await,
-            Request::SaveParameters => board.save_parameters().await,
-            Request::ResetParameters => board.reset_parameters().await,
-            Request::Restart => board.restart().await,
-            Request::Bootloader => board.restart_in_bootloader().await,
-            Request::I2cTransfer { bus, address, write, read } => {
-                board.i2c_transfer(*bus, *address, write, *read).await.map(|_| ())
-            }
-            Request::UartWrite { port, bytes } => board.uart_write(*port, bytes).await,
-            Request::UartRead { port } => board.uart_read(*port).await.map(|_| ()),
-            // The driver's own, when a session is opened and closed, and questions that are not recorded.
-            Request::Hello { .. }
-            | Request::Bind { .. }
-            | Request::Log { .. }
-            | Request::Image
-            | Request::Bye
-            | Request::Describe { .. }
-            | Request::DescribeParameter { .. }
-            | Request::Fault { .. }
-            | Request::FaultSnapshot { .. } => Ok(()),
-        }
-    })
-}
-
-/// What makes the times of `again` those of `log`: their first set points, or else their first requests, fall together.
-fn shift_s(log: &Log, again: &Log) -> f64 {
-    let commands = log.commands.first().zip(again.commands.first()).map(|(a, b)| a.time_s - b.time_s);
-    let requests = || log.requests.first().zip(again.requests.first()).map(|(a, b)| a.time_s - b.time_s);
-    let starts = || log.time_span_s().zip(again.time_span_s()).map(|(a, b)| a.0 - b.0);
-    commands.or_else(requests).or_else(starts).unwrap_or_default()
-}
 
 fn judge(
     replay: &Replay,

@@ -1,13 +1,14 @@
-//! What a motor is told so that its recording tells as much as it can.
+//! Duties over time that excite a motor's friction, inertia and nonlinearities.
 
 use std::f64::consts::TAU;
 
-/// Duties over time.
+/// Duties over time of one recording.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Plan {
+pub struct Plan {
     parts: Vec<Part>,
-    /// What friction takes, and the most there may be.
+    /// Duty that overcomes friction.
     low: f64,
+    /// Largest duty.
     cap: f64,
 }
 
@@ -22,26 +23,27 @@ struct Part {
 enum Shape {
     Rest,
     Hold(f64),
-    /// From nothing up to a share of the whole duty, back, and the same the other way.
+    /// A triangle from zero to a share of the largest duty and back, forwards and then backwards.
     Ramp(f64),
-    /// Four sines that share no period, of the whole duty; the number turns their phases.
+    /// Four sines without a common period, up to the largest duty; the number shifts their phases.
     Sines(f64),
 }
 
-/// Recordings to fit to, and the one to test on.
-pub(super) const TRAIN: usize = 2;
+/// Number of recordings to fit to; one more is to test on.
+pub const TRAIN: usize = 2;
 
-/// Hz, of the sines; no one is a multiple of another.
+/// Frequencies of the sines, Hz; none is a multiple of another.
 const SINES_HZ: [f64; 4] = [0.31, 0.73, 1.37, 2.9];
-/// Sum of four sines of one size: seldom more.
+/// The sum of four unit sines seldom exceeds this.
 const PEAK: f64 = 2.8;
 
-/// What a plan takes unless it is stretched, s.
+/// Length of a plan that is not stretched, s.
 const LENGTH_S: f64 = 12.0;
 
 impl Plan {
-    /// Recording number `index` of `length_s`, up to a duty of `cap`, of a motor that starts at about `low`.
-    pub(super) fn new(index: usize, length_s: f64, low: f64, cap: f64) -> Self {
+    /// The plan of recording number `index` of `length_s`, up to a duty of `cap`, of a motor that starts at about `low`.
+    #[must_use]
+    pub fn new(index: usize, length_s: f64, low: f64, cap: f64) -> Self {
         use Shape::{Hold, Ramp, Rest, Sines};
         let parts: &[(f64, Shape)] = match index {
             0 => &[
@@ -90,12 +92,15 @@ impl Plan {
         Self { parts: parts.collect(), low: low.min(cap), cap }
     }
 
-    pub(super) fn length_s(&self) -> f64 {
+    /// Duration of the whole plan, s.
+    #[must_use]
+    pub fn length_s(&self) -> f64 {
         self.parts.iter().map(|part| part.duration_s).sum()
     }
 
-    /// Which part, and the duty; nothing once it is over.
-    pub(super) fn at(&self, time_s: f64) -> Option<(usize, f64)> {
+    /// The part of the plan at `time_s` and its duty; `None` after the end.
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> Option<(usize, f64)> {
         let mut begin_s = 0.0;
         for (place, part) in self.parts.iter().enumerate() {
             if time_s < begin_s + part.duration_s {

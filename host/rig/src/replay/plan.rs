@@ -1,38 +1,40 @@
-//! What a replay sends, and when.
+//! The requests of a recorded run, with their times.
 
 use r4_log::Log;
 use r4_protocol::{Cause, Request, SafetyState};
 
-/// The requests of a run.
+use super::ReplayError;
+
+/// The requests of a recorded run.
 #[derive(Debug, PartialEq)]
-pub(super) struct Plan {
-    /// In order of time.
-    pub(super) steps: Vec<Step>,
-    /// When the session is left: since the host said hello, us.
-    pub(super) end_us: u64,
-    /// The log has nothing but set points: the rest is what its states and samples tell.
-    pub(super) inferred: bool,
+pub struct Plan {
+    /// The requests, in order of time.
+    pub steps: Vec<Step>,
+    /// End of the session, µs since the host said hello.
+    pub end_us: u64,
+    /// Whether arming and subscriptions are inferred from states and samples, because the log has only set points.
+    pub inferred: bool,
 }
 
-/// A request to send.
+/// A request and its time.
 #[derive(Debug, PartialEq)]
-pub(super) struct Step {
-    /// Since the host said hello, us.
-    pub(super) at_us: u64,
-    pub(super) request: Request,
+pub struct Step {
+    /// Time since the host said hello, µs.
+    pub at_us: u64,
+    /// The request.
+    pub request: Request,
 }
 
-/// The log says nothing of what was done, not even that the board was listened to.
-#[derive(Debug, thiserror::Error)]
-#[error("it holds neither requests nor samples: record again, with `r4 log record` or `--record`")]
-pub(super) struct NothingToDo;
-
-/// Arming comes so long before the set point that needs it, s.
+/// Time of an inferred arming before the set point that needs it, s.
 const ARM_BEFORE_S: f64 = 0.001;
 
 impl Plan {
-    pub(super) fn of(log: &Log) -> Result<Self, NothingToDo> {
-        let (start_s, end_s) = log.time_span_s().ok_or(NothingToDo)?;
+    /// The requests of the run that `log` records.
+    ///
+    /// # Errors
+    /// [`ReplayError::Empty`] for a log without requests and samples.
+    pub fn of(log: &Log) -> Result<Self, ReplayError> {
+        let (start_s, end_s) = log.time_span_s().ok_or(ReplayError::Empty)?;
         let timed: Option<Vec<(u64, &Request)>> =
             log.requests.iter().map(|logged| Some((logged.sent_us?, &logged.request))).collect();
         let timed = timed.filter(|timed| !timed.is_empty());
@@ -51,7 +53,7 @@ impl Plan {
     }
 }
 
-/// What must have been sent for the log to be as it is.
+/// The requests that must have been sent for the log to be as it is.
 fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
     let mut steps = Vec::new();
     for coverage in log.coverage() {
@@ -68,10 +70,10 @@ fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
             (SafetyState::Armed, SafetyState::Disarmed) => Some(Request::Disarm),
             (SafetyState::Tripped, SafetyState::Disarmed) => Some(Request::Clear),
             (_, SafetyState::Tripped) if change.causes.contains(Cause::HostStop) => Some(Request::Stop),
-            // What else trips a board has to come of itself.
+            // Other trips are the board's own, and must happen again by themselves.
             _ => None,
         };
-        // A state is told by the next sample; a set point that the board took came after it was armed.
+        // The next sample carries a new state; a set point that the board accepted was sent after arming.
         let taken = log.commands.iter().find(|command| (before_s..change.time_s).contains(&command.time_s));
         let time_s = match (&request, taken) {
             (Some(Request::Arm), Some(command)) => command.time_s - ARM_BEFORE_S,

@@ -1,0 +1,46 @@
+//! Failures of excitation.
+
+use r4_driver::Error as DriverError;
+use r4_protocol::ChannelId;
+
+/// A motor cannot be excited.
+#[derive(Debug, thiserror::Error)]
+pub enum ExciteError {
+    /// The channel is no motor with feedback.
+    #[error("{channel} cannot be excited: a motor with an encoder or a potentiometer can")]
+    Unfit {
+        /// The channel.
+        channel: ChannelId,
+    },
+    /// The largest duty is above what the board allows.
+    #[error("{channel} takes a duty up to {duty_max:.3}: give --duty that or less")]
+    TooMuch {
+        /// The motor.
+        channel: ChannelId,
+        /// Largest duty that the board allows.
+        duty_max: f64,
+    },
+    /// The largest duty does not overcome friction.
+    #[error(
+        "duty {duty:.3} is no more than what friction takes of {channel} ({static_duty:.3}): allow more with --duty"
+    )]
+    BelowFriction {
+        /// The motor.
+        channel: ChannelId,
+        /// Largest duty.
+        duty: f64,
+        /// Duty that overcomes friction.
+        static_duty: f64,
+    },
+    /// The telemetry has stopped.
+    #[error("no telemetry of {channel} for {silent_s} s")]
+    Silent {
+        /// The motor.
+        channel: ChannelId,
+        /// Time without telemetry, s.
+        silent_s: f64,
+    },
+    /// The board does not clear the trip after a stall.
+    #[error("cannot clear the stall")]
+    NotCleared(#[source] DriverError),
+}
