@@ -1,6 +1,6 @@
 //! Slip compliances from a recording by the paper's formulas, by the repaired one, and the ratio by ours.
 //!
-//! The estimate of `c_long` by ours is in [`bristle`](super::bristle).
+//! The estimate of `c_long` by ours is in [`bristle`].
 
 use nalgebra::DMatrix;
 use r4_maths::{least_squares, statistics::Interval};
