@@ -38,10 +38,26 @@ pub enum ChannelKind {
     Dac,
     /// Dead-man's handle.
     DeadMan,
+    /// Inertial measurement unit on the I2C bus.
+    Imu,
+    /// Current monitor on the I2C bus.
+    Current,
 }
 
+/// One of the numbers that a channel measures together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Quantity {
+    /// Its name with its unit, as logs and programs have it.
+    pub field: &'static str,
+    /// Its unit.
+    pub unit: Unit,
+}
+
+/// Most numbers that a channel measures together.
+pub const MAX_QUANTITIES: usize = 6;
+
 impl ChannelKind {
-    const NAMES: [(Self, &'static str); 14] = [
+    const NAMES: [(Self, &'static str); 16] = [
         (Self::Osmc, "osmc"),
         (Self::Actuator, "actuator"),
         (Self::Dhb, "dhb"),
@@ -56,7 +72,34 @@ impl ChannelKind {
         (Self::Supply, "supply"),
         (Self::Dac, "dac"),
         (Self::DeadMan, "dead-man"),
+        (Self::Imu, "imu"),
+        (Self::Current, "current"),
     ];
+
+    /// What a channel of this kind measures together, in the order of [`Sample::Sensor`](crate::Sample::Sensor)'s values; nothing for a
+    /// channel with one number.
+    #[must_use]
+    pub const fn quantities(self) -> &'static [Quantity] {
+        const fn quantity(field: &'static str, unit: Unit) -> Quantity {
+            Quantity { field, unit }
+        }
+        match self {
+            Self::Imu => {
+                const {
+                    &[
+                        quantity("acceleration_x_m_s2", Unit::MPerS2),
+                        quantity("acceleration_y_m_s2", Unit::MPerS2),
+                        quantity("acceleration_z_m_s2", Unit::MPerS2),
+                        quantity("rate_x_rad_s", Unit::RadPerS),
+                        quantity("rate_y_rad_s", Unit::RadPerS),
+                        quantity("rate_z_rad_s", Unit::RadPerS),
+                    ]
+                }
+            }
+            Self::Current => const { &[quantity("current_a", Unit::A), quantity("voltage_v", Unit::V)] },
+            _ => &[],
+        }
+    }
 
     /// The name used on command lines and in files.
     #[must_use]
@@ -129,6 +172,10 @@ pub enum Unit {
     V,
     /// On or off.
     Bool,
+    /// Metres per second squared.
+    MPerS2,
+    /// Amperes.
+    A,
 }
 
 impl fmt::Display for Unit {
@@ -141,6 +188,8 @@ impl fmt::Display for Unit {
             Self::Duty => "duty",
             Self::V => "V",
             Self::Bool => "bool",
+            Self::MPerS2 => "m/s2",
+            Self::A => "A",
         })
     }
 }

@@ -29,7 +29,7 @@ pub mod message;
 pub mod parameter;
 pub mod state;
 
-pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
+pub use channel::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Quantity, Range, Unit};
 pub use cycle::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, Unscaled};
 pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use image::ImageInfo;
@@ -42,7 +42,7 @@ pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 7;
+pub const VERSION: u16 = 8;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///

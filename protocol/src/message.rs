@@ -9,7 +9,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    channel::{ChannelId, ChannelInfo, Mode, Range},
+    channel::{ChannelId, ChannelInfo, MAX_QUANTITIES, Mode, Range},
     config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, Cycle, CycleChannel, CycleState},
     image::ImageInfo,
@@ -630,6 +630,18 @@ pub enum Sample {
         /// Transitions that no shaft makes, since power-up; only where edges are decoded by the processor.
         illegal: u32,
     },
+    /// Of a sensor that measures several numbers together.
+    Sensor {
+        /// Which.
+        channel: ChannelId,
+        /// In the order and units of [`ChannelKind::quantities`](crate::ChannelKind::quantities), those behind them 0; the last good ones
+        /// where `quality` is not [`Quality::Good`].
+        values: [f32; MAX_QUANTITIES],
+        /// Since they were taken.
+        age_ms: u16,
+        /// Whether they can be relied on.
+        quality: Quality,
+    },
 }
 
 /// How hot a motor's winding is, by the board's thermal model.
@@ -669,6 +681,12 @@ pub enum Quality {
     Low,
     /// Above what a connected source gives, or clamped.
     High,
+    /// The sensor answers, and has nothing new to tell.
+    Stale,
+    /// Another chip answers at the sensor's address, or the sensor does not take its settings.
+    WrongChip,
+    /// One of its numbers is at the end of the sensor's range.
+    Saturated,
 }
 
 impl fmt::Display for Quality {
@@ -681,6 +699,9 @@ impl fmt::Display for Quality {
             Self::Stuck => "echo does not end",
             Self::Low => "implausibly low: shorted?",
             Self::High => "implausibly high: open or clamped?",
+            Self::Stale => "no new measurement",
+            Self::WrongChip => "not the chip that the robot's file names",
+            Self::Saturated => "at the end of its range",
         })
     }
 }
@@ -693,7 +714,8 @@ impl Sample {
             Self::Motor { channel, .. }
             | Self::Scalar { channel, .. }
             | Self::Reading { channel, .. }
-            | Self::Encoder { channel, .. } => *channel,
+            | Self::Encoder { channel, .. }
+            | Self::Sensor { channel, .. } => *channel,
         }
     }
 }

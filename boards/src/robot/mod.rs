@@ -6,6 +6,7 @@ mod input;
 mod motor;
 mod output;
 mod read;
+mod sensor;
 mod simulation;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
@@ -14,6 +15,7 @@ use r4_world::{AnyBody, Pose, Scene};
 pub(crate) use body::{read_body, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
+pub use sensor::SimulatedImu;
 
 use crate::carrier::Carrier;
 
@@ -53,6 +55,8 @@ pub struct Simulation {
     pub analogs: Vec<SimulatedAnalog>,
     /// One for each switch, in the order of [`BoardConfig::switches`].
     pub switches: Vec<SimulatedSwitch>,
+    /// One for each IMU.
+    pub imus: Vec<SimulatedImu>,
     /// What couples motors; `None` lets each turn alone.
     pub body: Option<SimulatedBody>,
     /// What is around the body.

@@ -11,7 +11,7 @@ use r4_protocol::{
 };
 use serde::Deserialize;
 
-use super::{Drive, Robot, Simulation, body, input, motor::Motor, output, simulation};
+use super::{Drive, Robot, Simulation, body, input, motor::Motor, output, sensor, simulation};
 use crate::{
     carrier::{self, Carrier},
     error::BoardError,
@@ -62,6 +62,8 @@ struct RobotFile {
     analog: Vec<input::Analog>,
     #[serde(default)]
     supply: Vec<input::Supply>,
+    #[serde(default)]
+    imu: Vec<sensor::Imu>,
     drive: Option<Drive>,
     body: Option<body::Body>,
     world: Option<body::WorldTable>,
@@ -163,6 +165,17 @@ impl<'p> Place<'p, '_> {
         self.claims.take("analog input", input, path)
     }
 
+    /// Takes an address on the bus with the carrier's chips, none of which may have it, used or not.
+    pub(super) fn take_address(&mut self, address: u8) -> Result<(), BoardError> {
+        let i2c = &self.carrier.i2c;
+        let chips = i2c.devices.iter().map(|device| device.address);
+        let mut taken = chips.chain(i2c.reserved.iter().map(|reserved| reserved.address));
+        if taken.any(|taken| taken == address) {
+            return Err(self.rule("address", "must be free on the carrier's I2C bus: see [i2c] of its file"));
+        }
+        self.claims.take("I2C address", address, format!("{}.address", self.path))
+    }
+
     fn take_encoder(&mut self, input: u8, field: &str) -> Result<(), BoardError> {
         let path = format!("{}.{field}", self.path);
         self.reader.encoder(input, &path)?;
@@ -214,6 +227,7 @@ impl Reader<'_> {
         let (relays, dacs) = (list!(relay), list!(dac));
         let (encoders, switches, ranges) = (list!(encoder), list!(switch), list!(range));
         let (analogs, supplies) = (list!(analog), list!(supply));
+        let sensors = list!(imu);
 
         let carrier = self.carrier;
         let on_bridge = |dhb| motors.iter().any(|motor| matches!(motor.bridge, BridgeConfig::Dhb(_)) == dhb);
@@ -262,6 +276,7 @@ impl Reader<'_> {
                 node: file.can.node,
                 data_kbit_per_s: file.can.data_kbit_per_s,
             },
+            sensors,
         };
         self.home_switches(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {
@@ -348,7 +363,7 @@ impl Reader<'_> {
             ChannelKind::Switch => ("switch", encoder.connectors.len()),
             ChannelKind::Range => ("range sensor connector", range.connectors.len()),
             ChannelKind::Analog => ("analog input", analog.inputs.len()),
-            ChannelKind::Supply | ChannelKind::DeadMan => return None,
+            ChannelKind::Supply | ChannelKind::DeadMan | ChannelKind::Imu | ChannelKind::Current => return None,
         })
     }
 

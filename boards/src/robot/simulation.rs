@@ -5,17 +5,17 @@ use std::fmt::Display;
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, ServoConfig, StepperConfig,
-        SupplyConfig, SwitchConfig,
+        AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, SensorConfig, ServoConfig,
+        StepperConfig, SupplyConfig, SwitchConfig,
     },
 };
 use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
-    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedEncoder, SimulatedMotor, SimulatedRail,
-    SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation,
-    TruePoint,
+    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedEncoder, SimulatedImu, SimulatedMotor,
+    SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
+    Simulation, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -67,6 +67,8 @@ pub(super) struct Tables {
     analog: Vec<Analog>,
     #[serde(default)]
     switch: Vec<Switch>,
+    #[serde(default)]
+    imu: Vec<SimulatedImu>,
 }
 
 #[derive(Deserialize)]
@@ -272,7 +274,7 @@ macro_rules! about {
 }
 
 about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
-about!(Range "range", Analog "analog", Switch "switch");
+about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu");
 
 impl Tables {
     /// Checks the tables against the robot's configuration, and reads the plant files.
@@ -294,6 +296,7 @@ impl Tables {
             }
         }
         let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
+        let imus: Vec<_> = config.sensors.iter().filter(|sensor| sensor.id.kind == ChannelKind::Imu).copied().collect();
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
             motors: check.motors(self)?,
@@ -304,6 +307,7 @@ impl Tables {
             steppers: check.each(&self.stepper, &config.steppers, |stepper| stepper.id, Check::stepper)?,
             ranges: check.each(&self.range, &config.ranges, |range| range.id, Check::range)?,
             analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
+            imus: check.each(&self.imu, &imus, |imu| imu.id, Check::imu)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             body,
             scene: Scene::default(),
@@ -580,6 +584,16 @@ impl Check<'_> {
             volts_per_code: analog.and_then(|analog| analog.volts_per_code).unwrap_or(config.volts_per_code.into()),
             noise_rms_codes: analog.and_then(|analog| analog.noise_rms_codes).unwrap_or(NOISE_RMS_CODES),
         })
+    }
+
+    fn imu(
+        &mut self,
+        config: &SensorConfig,
+        imu: Option<&SimulatedImu>,
+        path: &str,
+    ) -> Result<SimulatedImu, BoardError> {
+        let imu = imu.copied().unwrap_or_else(|| SimulatedImu::new(config.id));
+        if imu.is_finite() { Ok(imu) } else { Err(self.reader.rule(path, "numbers must be finite")) }
     }
 
     /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.

@@ -132,6 +132,6 @@ fn told(status: Status, speed_scale: f32) -> CycleMotor {
             settled,
         },
         Status::Scalar(share) => CycleMotor { duty: steps(share, DUTY_SCALE).unwrap_or(NOTHING), ..CycleMotor::NONE },
-        Status::Encoder { .. } | Status::Reading { .. } => CycleMotor::NONE,
+        Status::Encoder { .. } | Status::Reading { .. } | Status::Sensor { .. } => CycleMotor::NONE,
     }
 }

@@ -9,7 +9,7 @@ use r4_protocol::{
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
-        StepperConfig,
+        SensorDescription, StepperConfig,
     },
 };
 
@@ -292,6 +292,11 @@ fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Ra
             (Unit::V, Range::new(analog.offset_v, analog.offset_v + FULL_CODE * analog.volts_per_code))
         }
         (Place::Supply(index), _) => (Unit::V, config.supplies[index].range_v),
+        (Place::Sensor(index), _) => {
+            let SensorDescription { kind, range, .. } = config.sensors[index].chip.description();
+            // Every kind on the bus has quantities.
+            (kind.quantities().first().map_or(Unit::Bool, |first| first.unit), range)
+        }
         // A motor's own quantity is its first mode.
         (_, Some(first)) => (first.unit, first.range),
         (_, None) => (Unit::Bool, SWITCH),
@@ -302,6 +307,7 @@ fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Ra
 fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
     match place {
         Place::Range(_) => 1e6 / ranging::cycle(config.ranges.len()).as_micros() as f32,
+        Place::Sensor(index) => config.sensors[index].rate_hz.into(),
         Place::Servo(_) => config.servo_pwm.map_or(0.0, |chip| chip.frequency_hz),
         _ => 1e6 / config.control_period_us as f32,
     }

@@ -19,6 +19,7 @@
 //! Before them, [`storage::parameters::load`] makes the configuration to start with.
 #![no_std]
 
+mod bus;
 pub mod chips;
 pub mod control;
 mod cycle;

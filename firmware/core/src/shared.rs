@@ -10,9 +10,10 @@ use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, DeviceStats, HotWinding, ImageInfo, Mode, Quality, Refusal, SafetyState, Setpoint, Winding,
+    channel::MAX_QUANTITIES,
     config::{
-        ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SERVOS, MAX_SUPPLIES,
-        PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
+        ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SENSORS, MAX_SERVOS,
+        MAX_SUPPLIES, PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
     },
 };
 
@@ -107,6 +108,7 @@ pub(crate) enum Status {
     Scalar(f32),
     Encoder { position: i32, speed: f32, illegal: u32 },
     Reading { value: f32, quality: Quality, taken: Instant },
+    Sensor { values: [f32; MAX_QUANTITIES], quality: Quality, taken: Instant },
 }
 
 /// Where the supervisor stands, for the other tasks.
@@ -123,7 +125,8 @@ pub(crate) struct SafetyView {
 /// Channels that take commands; a brake is commanded beside its drive.
 const OUTPUTS: usize = MAX_MOTORS + 2 * MAX_BLDCS + MAX_SERVOS + STEPPERS + MAX_RELAYS + DAC_OUTPUTS;
 /// Most channels of a board, the dead-man's handle and the auxiliary stop with them.
-const CHANNELS: usize = OUTPUTS - MAX_BLDCS + ENCODERS + SWITCHES + RANGE_SENSORS + ANALOG_INPUTS + MAX_SUPPLIES + 2;
+const CHANNELS: usize =
+    OUTPUTS - MAX_BLDCS + ENCODERS + SWITCHES + RANGE_SENSORS + ANALOG_INPUTS + MAX_SUPPLIES + MAX_SENSORS + 2;
 
 /// Where a channel's status is kept. Outputs come first, and their commands are kept in the same place.
 fn slot(place: Place) -> usize {
@@ -137,7 +140,8 @@ fn slot(place: Place) -> usize {
     const RANGE: usize = SWITCH + SWITCHES;
     const ANALOG: usize = RANGE + RANGE_SENSORS;
     const SUPPLY: usize = ANALOG + ANALOG_INPUTS;
-    const DEAD_MAN: usize = SUPPLY + MAX_SUPPLIES;
+    const SENSOR: usize = SUPPLY + MAX_SUPPLIES;
+    const DEAD_MAN: usize = SENSOR + MAX_SENSORS;
     match place {
         Place::Motor(index) => index,
         Place::Bldc(index) => BLDC + index,
@@ -150,6 +154,7 @@ fn slot(place: Place) -> usize {
         Place::Range(index) => RANGE + index,
         Place::Analog(index) => ANALOG + index,
         Place::Supply(index) => SUPPLY + index,
+        Place::Sensor(index) => SENSOR + index,
         Place::DeadMan(index) => DEAD_MAN + index,
     }
 }
@@ -300,6 +305,9 @@ impl<M: RawMutex> Shared<M> {
                 Place::Servo(_) if !valid => Status::Scalar(f32::NAN),
                 Place::Range(_) | Place::Analog(_) => {
                     Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
+                }
+                Place::Sensor(_) => {
+                    Status::Sensor { values: [0.0; MAX_QUANTITIES], quality: Quality::None, taken: Instant::now() }
                 }
                 _ => Status::Scalar(0.0),
             };

@@ -84,6 +84,10 @@ fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, now: Instant) -> 
             let age_ms = now.saturating_duration_since(taken).as_millis().min(u16::MAX.into()) as u16;
             Sample::Reading { channel, value, age_ms, quality }
         }
+        Status::Sensor { values, quality, taken } => {
+            let age_ms = now.saturating_duration_since(taken).as_millis().min(u16::MAX.into()) as u16;
+            Sample::Sensor { channel, values, age_ms, quality }
+        }
     })
 }
 
@@ -113,13 +117,7 @@ mod tests {
     fn told(subscriptions: &mut Subscriptions, board: Board) -> List<ChannelId> {
         let telemetry = subscriptions.telemetry(board);
         let samples = telemetry.into_iter().flat_map(|telemetry| telemetry.samples);
-        let channel = |sample| match sample {
-            Sample::Motor { channel, .. }
-            | Sample::Scalar { channel, .. }
-            | Sample::Encoder { channel, .. }
-            | Sample::Reading { channel, .. } => channel,
-        };
-        samples.map(channel).collect()
+        samples.map(|sample| sample.channel()).collect()
     }
 
     /// The same moments for channels that were asked for at different times, from the shortest period to the longest.

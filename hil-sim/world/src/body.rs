@@ -114,6 +114,13 @@ pub struct Inertial {
 }
 
 impl Inertial {
+    /// Of a level body that does not move: it feels what holds it against gravity.
+    pub const AT_REST: Self = Self {
+        specific_force_m_s2: [0.0, 0.0, crate::GRAVITY_M_S2],
+        rate_rad_s: [0.0; 3],
+        angular_acceleration_rad_s2: [0.0; 3],
+    };
+
     /// The same at another point of the part, m from the first: `f + α × r + ω × (ω × r)`.
     #[must_use]
     pub fn at(&self, place_m: [f64; 3]) -> Self {

@@ -64,7 +64,7 @@ pub use coverage::Coverage;
 pub use header::{Header, Recorded};
 pub use read::{
     EncoderSample, EncoderSeries, Gap, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
-    MotorSeries, ReadingSample, ReadingSeries, ScalarSeries, StateChange, Warning,
+    MotorSeries, ReadingSample, ReadingSeries, ScalarSeries, SensorSample, SensorSeries, StateChange, Warning,
 };
 pub use record::{RecordError, Recorder};
 pub use request::request_name;

@@ -1,6 +1,8 @@
 //! The JSON messages and their schemas.
 
-use r4_protocol::{ChannelInfo, Mode, Quality, SafetyState, Setpoint, Unit};
+use std::{borrow::Cow, collections::BTreeMap};
+
+use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Setpoint, Unit};
 use serde::{Deserialize, Serialize};
 
 use crate::header::{mode_from, mode_name};
@@ -154,6 +156,10 @@ pub(crate) struct ScalarMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     on: Option<bool>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    acceleration_m_s2: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    current_a: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) age_ms: Option<u16>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) quality: Option<&'a str>,
@@ -171,6 +177,8 @@ impl ScalarMessage<'_> {
             Unit::Duty => message.duty = value,
             Unit::V => message.voltage_v = value,
             Unit::Bool => message.on = value.map(|value| value != 0.0),
+            Unit::MPerS2 => message.acceleration_m_s2 = value,
+            Unit::A => message.current_a = value,
         }
         message
     }
@@ -184,7 +192,35 @@ impl ScalarMessage<'_> {
             Unit::Duty => self.duty,
             Unit::V => self.voltage_v,
             Unit::Bool => self.on.map(|on| if on { 1.0 } else { 0.0 }),
+            Unit::MPerS2 => self.acceleration_m_s2,
+            Unit::A => self.current_a,
         }
+    }
+}
+
+/// A sample of a sensor that measures several numbers together: each in the field that its kind names, where it is finite.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct SensorMessage<'a> {
+    #[serde(flatten)]
+    values: BTreeMap<String, f32>,
+    pub(crate) age_ms: u16,
+    #[serde(borrow)]
+    pub(crate) quality: Cow<'a, str>,
+}
+
+impl SensorMessage<'_> {
+    pub(crate) fn new(kind: ChannelKind, values: &[f32], age_ms: u16, quality: Quality) -> Self {
+        let named = kind.quantities().iter().zip(values).filter(|(_, value)| value.is_finite());
+        Self {
+            values: named.map(|(quantity, value)| (quantity.field.to_owned(), *value)).collect(),
+            age_ms,
+            quality: quality_name(quality).into(),
+        }
+    }
+
+    /// NaN for what is not there.
+    pub(crate) fn value(&self, field: &str) -> f64 {
+        self.values.get(field).map_or(f64::NAN, |value| f64::from(*value))
     }
 }
 
@@ -232,7 +268,7 @@ pub(crate) fn state_from(name: &str) -> Option<SafetyState> {
         .find(|state| state_name(*state) == name)
 }
 
-const QUALITIES: [(Quality, &str); 7] = [
+const QUALITIES: [(Quality, &str); 10] = [
     (Quality::Good, "good"),
     (Quality::None, "none"),
     (Quality::OutOfRange, "out-of-range"),
@@ -240,6 +276,9 @@ const QUALITIES: [(Quality, &str); 7] = [
     (Quality::Stuck, "stuck"),
     (Quality::Low, "low"),
     (Quality::High, "high"),
+    (Quality::Stale, "stale"),
+    (Quality::WrongChip, "wrong-chip"),
+    (Quality::Saturated, "saturated"),
 ];
 
 /// The name of `quality` in a file.
@@ -285,6 +324,8 @@ pub(crate) const REQUEST: &str = "r4.Request";
 pub(crate) const REFUSAL: &str = "r4.Refusal";
 /// Ends the names of the schemas of inputs that can fail.
 pub(crate) const READING: &str = "Reading";
+/// Ends the names of the schemas of sensors that measure several numbers together.
+pub(crate) const SENSOR: &str = "Sensor";
 
 pub(crate) const SENT_US: (&str, &str, &str) =
     ("sent_us", "integer", "When it was sent: since the host said hello, by its clock, us");
@@ -348,6 +389,8 @@ fn scalar(unit: Unit) -> (&'static str, (&'static str, &'static str, &'static st
         Unit::Duty => ("r4.Duty", ("duty", "number", "Share of the supply, -1 to 1")),
         Unit::V => ("r4.Voltage", ("voltage_v", "number", "Voltage, V")),
         Unit::Bool => ("r4.Switch", ("on", "boolean", "On or off")),
+        Unit::MPerS2 => ("r4.Acceleration", ("acceleration_m_s2", "number", "Acceleration, m/s2")),
+        Unit::A => ("r4.Current", ("current_a", "number", "Current, A")),
     }
 }
 
@@ -358,10 +401,25 @@ pub(crate) fn scalar_schema(unit: Unit) -> Schema {
 
 pub(crate) fn reading_schema(unit: Unit) -> Schema {
     let (name, field) = scalar(unit);
+    schema(&format!("{name}{READING}"), &[field, AGE, ("quality", "string", &quality_meaning())])
+}
+
+const AGE: (&str, &str, &str) = ("age_ms", "integer", "Since it was measured, ms");
+
+fn quality_meaning() -> String {
     let names: Vec<&str> = QUALITIES.iter().map(|(_, name)| *name).collect();
-    let quality = format!("Whether it can be relied on: {}", names.join(", "));
-    let age = ("age_ms", "integer", "Since it was measured, ms");
-    schema(&format!("{name}{READING}"), &[field, age, ("quality", "string", &quality)])
+    format!("Whether it can be relied on: {}", names.join(", "))
+}
+
+/// Of a sensor that measures several numbers together.
+pub(crate) fn sensor_schema(kind: ChannelKind) -> Schema {
+    let meanings: Vec<_> = kind.quantities().iter().map(|quantity| format!("In {}", quantity.unit)).collect();
+    let quantities = kind.quantities().iter().zip(&meanings);
+    let mut fields: Vec<_> =
+        quantities.map(|(quantity, meaning)| (quantity.field, "number", meaning.as_str())).collect();
+    let quality = quality_meaning();
+    fields.extend([AGE, ("quality", "string", &quality)]);
+    schema(&format!("r4.{}{SENSOR}", kind.name()), &fields)
 }
 
 pub(crate) fn encoder_schema() -> Schema {

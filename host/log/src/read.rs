@@ -17,8 +17,8 @@ use crate::{
     header::{self, BadHeader, Header, mode_from},
     message::{
         COMMAND_TOPIC, CommandMessage, ENCODER, EncoderMessage, GAP_TOPIC, GapMessage, LINEAR_MOTOR, MotorMessage,
-        READING, REFUSAL_TOPIC, REQUEST_TOPIC, ROTARY_MOTOR, STATE_TOPIC, ScalarMessage, StateMessage, is_linear,
-        quality_from, state_from,
+        READING, REFUSAL_TOPIC, REQUEST_TOPIC, ROTARY_MOTOR, SENSOR, STATE_TOPIC, ScalarMessage, SensorMessage,
+        StateMessage, is_linear, quality_from, state_from,
     },
     request::{Described, RefusalMessage, RequestMessage},
 };
@@ -200,6 +200,29 @@ pub struct EncoderSeries {
     pub samples: Vec<EncoderSample>,
 }
 
+/// A sensor that measures several numbers together, at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorSample {
+    /// The board's clock, s.
+    pub time_s: f64,
+    /// In the order and units of [`ChannelKind::quantities`](r4_protocol::ChannelKind::quantities); the last good ones where `quality` is
+    /// not [`Quality::Good`]. NaN where one was not finite.
+    pub values: Vec<f64>,
+    /// Since they were measured.
+    pub age_ms: u16,
+    /// Whether they can be relied on.
+    pub quality: Quality,
+}
+
+/// A sensor that measures several numbers together, over a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorSeries {
+    /// What the channel is.
+    pub info: ChannelInfo,
+    /// In order of time; at least one.
+    pub samples: Vec<SensorSample>,
+}
+
 /// The safety supervisor from one moment on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateChange {
@@ -281,6 +304,8 @@ pub struct Log {
     pub encoders: Vec<EncoderSeries>,
     /// Inputs that can fail, with samples, in the header's order.
     pub readings: Vec<ReadingSeries>,
+    /// Sensors that measure several numbers together, with samples, in the header's order.
+    pub sensors: Vec<SensorSeries>,
     /// Other channels with samples, in the header's order.
     pub scalars: Vec<ScalarSeries>,
     /// Changes of the safety state, in order of time.
@@ -365,6 +390,12 @@ impl Log {
         self.readings.iter().find(|series| series.info.id == id)
     }
 
+    /// The samples of `id`, a sensor that measures several numbers together.
+    #[must_use]
+    pub fn sensor(&self, id: ChannelId) -> Option<&SensorSeries> {
+        self.sensors.iter().find(|series| series.info.id == id)
+    }
+
     /// The samples of `id`, a channel that has one number.
     #[must_use]
     pub fn scalar(&self, id: ChannelId) -> Option<&ScalarSeries> {
@@ -377,11 +408,19 @@ impl Log {
         let motors = self.motors.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
         let encoders = self.encoders.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
         let readings = self.readings.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
+        let sensors = self.sensors.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
         let scalars = self.scalars.iter().flat_map(|series| series.samples.iter().map(|(time_s, _)| *time_s));
         let states = self.states.iter().map(|change| change.time_s);
         let commands = self.commands.iter().map(|command| command.time_s);
         let requests = self.requests.iter().map(|request| request.time_s);
-        let times = motors.chain(encoders).chain(readings).chain(scalars).chain(states).chain(commands).chain(requests);
+        let times = motors
+            .chain(encoders)
+            .chain(readings)
+            .chain(sensors)
+            .chain(scalars)
+            .chain(states)
+            .chain(commands)
+            .chain(requests);
         times.fold(None, |span, time_s| match span {
             None => Some((time_s, time_s)),
             Some((first, last)) => Some((time_s.min(first), time_s.max(last))),
@@ -401,6 +440,7 @@ enum Content {
     Motor(ChannelId),
     Encoder(ChannelId),
     Reading(ChannelId),
+    Sensor(ChannelId),
     Scalar(ChannelId),
     State,
     Command,
@@ -425,6 +465,7 @@ struct Reader {
     motors: BTreeMap<ChannelId, Vec<MotorSample>>,
     encoders: BTreeMap<ChannelId, Vec<EncoderSample>>,
     readings: BTreeMap<ChannelId, Vec<ReadingSample>>,
+    sensors: BTreeMap<ChannelId, Vec<SensorSample>>,
     scalars: BTreeMap<ChannelId, Vec<(f64, f64)>>,
     states: Vec<StateChange>,
     commands: Vec<LoggedCommand>,
@@ -489,6 +530,7 @@ impl Reader {
             ROTARY_MOTOR | LINEAR_MOTOR => Content::Motor,
             ENCODER => Content::Encoder,
             reading if reading.ends_with(READING) => Content::Reading,
+            sensor if sensor.ends_with(SENSOR) => Content::Sensor,
             _ => Content::Scalar,
         };
         let content = match name.as_str() {
@@ -513,6 +555,7 @@ impl Reader {
             Content::Motor(id) => self.motor(id, time_s, data),
             Content::Encoder(id) => self.encoder(id, time_s, data),
             Content::Reading(id) => self.reading(id, time_s, data),
+            Content::Sensor(id) => self.sensor(id, time_s, data),
             Content::Scalar(id) => self.scalar(id, time_s, data),
             Content::State => self.state(time_s, data),
             Content::Command => self.command(time_s, header.publish_time / 1000, data),
@@ -574,6 +617,14 @@ impl Reader {
         Some(())
     }
 
+    fn sensor(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
+        let message: SensorMessage = serde_json::from_slice(data).ok()?;
+        let values = id.kind.quantities().iter().map(|quantity| message.value(quantity.field)).collect();
+        let (age_ms, quality) = (message.age_ms, quality_from(&message.quality)?);
+        self.sensors.entry(id).or_default().push(SensorSample { time_s, values, age_ms, quality });
+        Some(())
+    }
+
     fn scalar(&mut self, id: ChannelId, time_s: f64, data: &[u8]) -> Option<()> {
         let message: ScalarMessage = serde_json::from_slice(data).ok()?;
         let value = number(message.value(self.info(id)?.unit));
@@ -631,7 +682,8 @@ impl Reader {
         if self.cut_short {
             self.warnings.push(Warning::CutShort);
         }
-        let (mut motors, mut encoders, mut readings, mut scalars) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut motors, mut encoders, mut readings) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut sensors, mut scalars) = (Vec::new(), Vec::new());
         for info in &header.channels {
             if let Some(mut samples) = self.motors.remove(&info.id) {
                 samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
@@ -644,6 +696,10 @@ impl Reader {
             if let Some(mut samples) = self.readings.remove(&info.id) {
                 samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
                 readings.push(ReadingSeries { info: info.clone(), samples });
+            }
+            if let Some(mut samples) = self.sensors.remove(&info.id) {
+                samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+                sensors.push(SensorSeries { info: info.clone(), samples });
             }
             if let Some(mut samples) = self.scalars.remove(&info.id) {
                 samples.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -662,7 +718,20 @@ impl Reader {
         self.refusals.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         self.gaps.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         let Self { states, commands, requests, refusals, gaps, warnings, .. } = self;
-        Ok(Log { header, motors, encoders, readings, scalars, states, commands, requests, refusals, gaps, warnings })
+        Ok(Log {
+            header,
+            motors,
+            encoders,
+            readings,
+            sensors,
+            scalars,
+            states,
+            commands,
+            requests,
+            refusals,
+            gaps,
+            warnings,
+        })
     }
 }
 

@@ -13,7 +13,8 @@ use crate::{
     header::{self, Header},
     message::{
         self, COMMAND_TOPIC, CommandMessage, EncoderMessage, GAP_TOPIC, GapMessage, MotorMessage, REFUSAL_TOPIC,
-        REQUEST_TOPIC, STATE_TOPIC, ScalarMessage, Schema, StateMessage, finite, is_linear, quality_name, state_name,
+        REQUEST_TOPIC, STATE_TOPIC, ScalarMessage, Schema, SensorMessage, StateMessage, finite, is_linear,
+        quality_name, state_name,
     },
     read::Gap,
     request::{self, RequestMessage},
@@ -133,6 +134,10 @@ impl<W: Write> Recorder<W> {
                     let (position_rad, speed_rad_s) = (measured(position), finite(speed));
                     let message = EncoderMessage { position_counts: position, position_rad, speed_rad_s, illegal };
                     self.write(device_us, &topic, message::encoder_schema, &message)?;
+                }
+                Sample::Sensor { values, age_ms, quality, .. } => {
+                    let message = SensorMessage::new(channel.kind, &values, age_ms, quality);
+                    self.write(device_us, &topic, || message::sensor_schema(channel.kind), &message)?;
                 }
             }
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use r4_protocol::{Mode, Request, Unit};
 
 use crate::{
-    EncoderSample, Log, LoggedRefusal, MotorSample,
+    EncoderSample, Log, LoggedRefusal, MotorSample, SensorSample,
     header::{MODES, mode_name},
     message::{is_linear, quality_name, scalar_field, state_name},
 };
@@ -132,6 +132,15 @@ impl Log {
             };
             if let Some(series) = self.reading(id) {
                 add(scalar_field(info.unit), kind, of(&series.samples, |s| (s.time_s, scalar(s.value))));
+                let age = of(&series.samples, |sample| (sample.time_s, Some(Value::Integer(sample.age_ms.into()))));
+                add("age_ms", Kind::Continuous, age);
+                add("quality", Kind::Held, of(&series.samples, |s| (s.time_s, text(quality_name(s.quality)))));
+            }
+            if let Some(series) = self.sensor(id) {
+                for (place, quantity) in id.kind.quantities().iter().enumerate() {
+                    let value = |sample: &SensorSample| sample.values.get(place).and_then(|value| single(*value));
+                    add(quantity.field, Kind::Continuous, of(&series.samples, |s| (s.time_s, value(s))));
+                }
                 let age = of(&series.samples, |sample| (sample.time_s, Some(Value::Integer(sample.age_ms.into()))));
                 add("age_ms", Kind::Continuous, age);
                 add("quality", Kind::Held, of(&series.samples, |s| (s.time_s, text(quality_name(s.quality)))));

@@ -114,6 +114,8 @@ pub fn human(unit: Unit) -> (f64, &'static str, usize) {
         Unit::Duty => (1.0, "", 3),
         Unit::V => (1.0, "V", 2),
         Unit::Bool => (1.0, "", 0),
+        Unit::MPerS2 => (1.0, "m/s2", 3),
+        Unit::A => (1.0, "A", 3),
     }
 }
 

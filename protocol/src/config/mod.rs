@@ -6,6 +6,7 @@ mod input;
 mod motor;
 mod numbers;
 mod output;
+mod sensor;
 
 use core::{fmt, ops::RangeInclusive};
 
@@ -23,6 +24,7 @@ pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
     ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
 };
+pub use sensor::{Icm20948Config, MAX_SENSORS, SensorChip, SensorConfig, SensorDescription, bus_bits};
 
 use crate::{
     can::{BITRATES_KBIT, DATA_RATES_KBIT, Node},
@@ -115,6 +117,8 @@ pub struct BoardConfig {
     pub supplies: Vec<SupplyConfig, MAX_SUPPLIES>,
     /// The bus hosts may reach the board by.
     pub can: CanConfig,
+    /// Sensors on the bus with the output chips.
+    pub sensors: Vec<SensorConfig, MAX_SENSORS>,
 }
 
 /// The CAN bus that hosts reach the board by. Read when the board starts.
@@ -172,6 +176,8 @@ pub enum Place {
     Supply(usize),
     /// Every board has the dead-man's handle (0); the auxiliary stop is 1, if it is wired.
     DeadMan(usize),
+    /// In [`BoardConfig::sensors`].
+    Sensor(usize),
 }
 
 /// Why a configuration is not taken.
@@ -221,6 +227,7 @@ impl BoardConfig {
             .chain(list!(ranges, Range))
             .chain(list!(analogs, Analog))
             .chain(list!(supplies, Supply))
+            .chain(list!(sensors, Sensor))
             .chain(stops)
     }
 
@@ -275,6 +282,7 @@ impl BoardConfig {
             let twice = self.channels().take(position).any(|(other, _)| other == id);
             check(Some(id), !twice, "the channel is named twice")?;
         }
+        self.validate_sensors()?;
         self.validate_windings()
     }
 
@@ -308,32 +316,76 @@ impl BoardConfig {
         if let Some(bank) = self.stepper_bank {
             bank.validate()?;
         }
-        let pwm = [self.osmc_pwm, self.dhb_pwm].map(|chip| chip.map(|chip| chip.address));
-        let others = [self.servo_pwm.map(|chip| chip.address), self.bldc_dac.map(|chip| chip.address)];
         self.validate_bus()?;
         let mut addresses = Used::default();
-        let distinct = pwm.into_iter().chain(others).flatten().all(|address| addresses.take(address));
-        rule(distinct, "two chips have the same address")
+        rule(self.output_addresses().all(|address| addresses.take(address)), "two chips have the same address")
+    }
+
+    /// Addresses of the output chips.
+    fn output_addresses(&self) -> impl Iterator<Item = u8> {
+        let pwm = [self.osmc_pwm, self.dhb_pwm].map(|chip| chip.map(|chip| chip.address));
+        let others = [
+            self.servo_pwm.map(|chip| chip.address),
+            self.bldc_dac.map(|chip| chip.address),
+            self.expander.map(|chip| chip.address),
+        ];
+        pwm.into_iter().chain(others).flatten()
+    }
+
+    /// Every sensor has an address of its own, and its longest transfer fits beside the writes of all OSMC bridges in a period; all
+    /// together take at most half of what those writes leave. The other half is for DHB bridges, drives, servos and read-back.
+    fn validate_sensors(&self) -> Result<(), ConfigError> {
+        let mut addresses = Used::default();
+        for address in self.output_addresses() {
+            addresses.take(address);
+        }
+        let left = self.period_bits().saturating_sub(self.osmc_bits());
+        let periods_per_s = 1_000_000 / u64::from(self.control_period_us.max(1));
+        let mut bits_per_s = 0;
+        for sensor in &self.sensors {
+            let rule = |holds: bool, rule| check(Some(sensor.id), holds, rule);
+            sensor.validate()?;
+            rule(addresses.take(sensor.address), "the address belongs to another chip on the bus")?;
+            let SensorDescription { longest_bits, reading_bits, transfers, .. } = sensor.chip.description();
+            rule(u64::from(longest_bits) <= left, "the outputs' writes leave no room on the bus for this sensor")?;
+            rule(
+                u64::from(sensor.rate_hz) * u64::from(transfers) <= periods_per_s,
+                "rate_hz is too high: each transfer of a reading takes a control period",
+            )?;
+            bits_per_s += u64::from(sensor.rate_hz) * u64::from(reading_bits);
+            rule(
+                2 * bits_per_s <= left * periods_per_s,
+                "the sensors' readings must fit half of what the OSMC bridges leave of the bus: lower rate_hz",
+            )?;
+        }
+        Ok(())
+    }
+
+    /// Bits on the bus in a control period: 95 %, the rest is for the processor.
+    fn period_bits(&self) -> u64 {
+        u64::from(self.control_period_us) * u64::from(self.i2c_hz) / 1_000_000 * 95 / 100
+    }
+
+    /// Most bits that the OSMC bridges take in a period: six bytes each, whose pulse meets the end of the PWM period.
+    fn osmc_bits(&self) -> u64 {
+        let is_osmc = |motor: &&MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
+        self.motors.iter().filter(is_osmc).count() as u64 * u64::from(bus_bits(6))
     }
 
     /// Each control period must have room on the bus for the largest single write, and beside every OSMC bridge for the
     /// largest of the others, or some output would never be written.
     fn validate_bus(&self) -> Result<(), ConfigError> {
-        const fn bits(bytes: u64) -> u64 {
-            9 * bytes + 3
-        }
+        let bits = |bytes| u64::from(bus_bits(bytes));
         let is_osmc = |motor: &&MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
-        let osmc = self.motors.iter().filter(is_osmc).count() as u64;
-        let has_dhb = self.motors.len() as u64 > osmc;
+        let osmc = self.motors.iter().filter(is_osmc).count();
+        let has_dhb = self.motors.len() > osmc;
         // All lines of a bridge, a reading back of a PWM chip's mode, all voltages of the DAC.
         let all_lines = if osmc > 0 { bits(18) } else { 0 };
         let others =
             [(has_dhb, bits(14)), (!self.bldcs.is_empty(), bits(9)), (!self.motors.is_empty(), bits(5) + bits(4))];
         let largest = others.into_iter().filter(|(there, _)| *there).map(|(_, bits)| bits).max();
-        // Six bytes of a bridge whose pulse meets the end of the PWM period: four registers.
-        let needed = all_lines.max(osmc * bits(6) + largest.unwrap_or(0)).max(bits(6));
-        // 95 % of the period: the rest is for the processor.
-        let room = u64::from(self.control_period_us) * u64::from(self.i2c_hz) / 1_000_000 * 95 / 100;
+        let needed = all_lines.max(self.osmc_bits() + largest.unwrap_or(0)).max(bits(6));
+        let room = self.period_bits();
         check(None, room >= needed, "i2c_hz and control_period_us must leave room for every output in a period")
     }
 

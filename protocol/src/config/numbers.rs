@@ -138,7 +138,7 @@ macro_rules! lend {
                     Some(Place::Range(index)) => range(config.ranges.$get(index)?, parameter),
                     Some(Place::Analog(index)) => analog(config.analogs.$get(index)?, parameter),
                     Some(Place::Supply(index)) => supply(config.supplies.$get(index)?, parameter),
-                    Some(Place::Relay(_) | Place::Switch(_) | Place::DeadMan(_)) => None,
+                    Some(Place::Relay(_) | Place::Switch(_) | Place::DeadMan(_) | Place::Sensor(_)) => None,
                 }
             }
 

@@ -5,9 +5,10 @@ use r4_protocol::{
     config::{
         AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, CanConfig, ControlConfig, CurrentSense,
         DacChipConfig, DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback,
-        FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig,
-        RelayConfig, RelayRole, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
-        StepperBankConfig, StepperConfig, SupplyConfig, SwitchConfig, WindingConfig,
+        FollowConfig, HomingConfig, Icm20948Config, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig,
+        RangeConfig, RelayConfig, RelayRole, Reverse, SensorChip, SensorConfig, ServoChipConfig, ServoConfig,
+        ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig, SupplyConfig, SwitchConfig,
+        WindingConfig,
     },
 };
 
@@ -92,6 +93,14 @@ pub(crate) fn good() -> BoardConfig {
             .into_iter()
             .collect(),
         can: CanConfig::default(),
+        sensors: [SensorConfig {
+            id: id(ChannelKind::Imu, 0),
+            address: 0x68,
+            rate_hz: 25,
+            chip: SensorChip::Icm20948(Icm20948Config { acceleration_max_g: 4, rate_max_deg_s: 500 }),
+        }]
+        .into_iter()
+        .collect(),
     }
 }
 

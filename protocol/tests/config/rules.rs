@@ -5,12 +5,12 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Stepper, Supply, Switch},
+    ChannelKind::{Imu, Stepper, Supply, Switch},
     Range,
     config::{
         BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig, DhbLines,
-        DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, MAX_EXACT, PidGains, Place, PotPoint, Reverse,
-        WindingConfig,
+        DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, MAX_EXACT, PidGains, Place,
+        PotPoint, Reverse, SensorChip, SensorConfig, WindingConfig,
     },
 };
 
@@ -438,7 +438,52 @@ const TWICE: &[Case] = {
     ]
 };
 
-const GROUPS: [&[Case]; 6] = [BOARD, MOTORS, LOOPS, OUTPUTS, INPUTS, TWICE];
+const SENSORS: &[Case] = {
+    const IMU0: Option<ChannelId> = Some(id(Imu, 0));
+    const TAKEN: &str = "the address belongs to another chip on the bus";
+    const RATE: &str = "the chip cannot be read at this rate_hz";
+    const ACCELERATION: &str = "acceleration_max_g must be 2, 4, 8 or 16";
+    const TURNING: &str = "rate_max_deg_s must be 250, 500, 1000 or 2000";
+    fn imu(config: &mut BoardConfig) -> &mut Icm20948Config {
+        let SensorChip::Icm20948(imu) = &mut config.sensors[0].chip;
+        imu
+    }
+    fn second(config: &mut BoardConfig, address: u8) {
+        let second = SensorConfig { id: id(Imu, 1), address, ..config.sensors[0] };
+        config.sensors.push(second).expect("room");
+    }
+    &[
+        (Some(id(Dhb, 7)), "the channel's name must be of the kind that the chip measures", |c| {
+            c.sensors[0].id = id(Dhb, 7);
+        }),
+        (IMU0, "the chip cannot have this address", |c| c.sensors[0].address = 0x6A),
+        (IMU0, RATE, |c| c.sensors[0].rate_hz = 4),
+        (IMU0, RATE, |c| c.sensors[0].rate_hz = 401),
+        (IMU0, ACCELERATION, |c| imu(c).acceleration_max_g = 3),
+        (IMU0, TURNING, |c| imu(c).rate_max_deg_s = 125),
+        (Some(id(Imu, 1)), TAKEN, |c| second(c, 0x68)),
+        (IMU0, TAKEN, |c| c.dhb_pwm.as_mut().expect("it has one").address = 0x68),
+        // 2 x 250 periods of 2 ms; a period has room for 760 bits.
+        (IMU0, "rate_hz is too high: each transfer of a reading takes a control period", |c| {
+            (c.control_period_us, c.sensors[0].rate_hz) = (2000, 251);
+        }),
+        // 309 bits, 171 of them for three OSMC bridges: the longest transfer needs 138.
+        (IMU0, "the outputs' writes leave no room on the bus for this sensor", |c| {
+            (c.i2c_hz, c.control_period_us) = (400_000, 812);
+        }),
+        // Of 380 bits three OSMC bridges leave 209: half of that is 104 500 bits a second, 590 readings of 177 bits.
+        (
+            Some(id(Imu, 1)),
+            "the sensors' readings must fit half of what the OSMC bridges leave of the bus: lower rate_hz",
+            |c| {
+                c.sensors[0].rate_hz = 296;
+                second(c, 0x69);
+            },
+        ),
+    ]
+};
+
+const GROUPS: [&[Case]; 7] = [BOARD, MOTORS, LOOPS, OUTPUTS, INPUTS, TWICE, SENSORS];
 
 #[test]
 fn each_change_breaks_its_rule() {
@@ -459,7 +504,7 @@ fn no_rule_is_without_a_change_that_breaks_it() {
     let sources = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/config");
     let broken: BTreeSet<_> = GROUPS.into_iter().flatten().map(|(_, rule, _)| (*rule).to_owned()).collect();
     let mut known = BTreeSet::new();
-    for file in ["mod.rs", "motor.rs", "output.rs", "input.rs"] {
+    for file in ["mod.rs", "motor.rs", "output.rs", "input.rs", "sensor.rs"] {
         let source = fs::read_to_string(sources.join(file)).expect("the sources are beside the tests");
         let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
         known.extend(
@@ -552,6 +597,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
 fn a_period_has_room_for_every_output() {
     let with = |motors: &[usize], bldcs: bool| {
         let mut config = good();
+        config.sensors.clear();
+        config.sensors.clear();
         config.motors = motors.iter().map(|motor| good().motors[*motor]).collect();
         if !bldcs {
             config.bldcs.clear();
@@ -623,6 +670,7 @@ fn a_board_with_nothing_on_it_is_taken() {
     config.ranges.clear();
     config.analogs.clear();
     config.supplies.clear();
+    config.sensors.clear();
     config.osmc_pwm = None;
     config.dhb_pwm = None;
     config.servo_pwm = None;
@@ -641,7 +689,7 @@ fn channels_are_in_the_order_of_the_lists_and_found_by_name() {
     assert_eq!(
         names.join(" "),
         "osmc0 actuator1 osmc2 dhb0 bldc0 bldc1 bldc2 servo0 servo15 stepper0 stepper3 relay0 relay1 dac0 dac1 \
-         encoder0 encoder3 switch0 switch1 switch3 range0 range1 analog4 analog5 supply0 supply1 dead-man0 dead-man1"
+         encoder0 encoder3 switch0 switch1 switch3 range0 range1 analog4 analog5 supply0 supply1 imu0 dead-man0 dead-man1"
     );
     for (id, place) in config.channels() {
         assert_eq!(config.place(id), Some(place));

@@ -2,7 +2,8 @@
 
 use proptest::{prop_assert, proptest};
 use r4_protocol::{
-    ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, Request, ToDevice, ToHost, Unit,
+    ChannelId, ChannelInfo, ChannelKind, FrameError, Mode, ModeInfo, Range, Reply, Request, Sample, ToDevice, ToHost,
+    Unit,
     channel::MAX_MODES,
     cycle::{CYCLE_FRAME, CYCLE_STATE_FRAME},
     encode_frame,
@@ -15,7 +16,7 @@ use crate::{frame, payload, receive, samples, strategies};
 /// Bytes of the longest message to a board: an `I2cTransfer`.
 const LONGEST_TO_DEVICE: usize = 73;
 /// Bytes of the longest message to a host: a full `Telemetry`.
-const LONGEST_TO_HOST: usize = 226;
+const LONGEST_TO_HOST: usize = 246;
 
 /// The lengths are pinned because the schema does not tell how much a `Vec` or a `String` holds.
 #[test]
@@ -147,8 +148,8 @@ fn a_message_of_another_version_is_not_a_message() {
 /// A board with more samples or longer names than this version's is another version's: an error, not a cut-off list.
 #[test]
 fn lists_longer_than_this_versions_are_not_a_message() {
-    let samples = samples::largest_telemetry().samples;
-    let one_more: heapless::Vec<_, { MAX_SAMPLES + 1 }> = samples.iter().chain(&samples[..1]).copied().collect();
+    let sample = Sample::Scalar { channel: ChannelId::new(ChannelKind::Supply, 0), value: 24.5 };
+    let one_more: heapless::Vec<_, { MAX_SAMPLES + 1 }> = [sample; MAX_SAMPLES + 1].into_iter().collect();
     let telemetry = (2u8, 1u8, 0u8, 0u8, one_more);
     assert_eq!(receive::<ToHost>(&frame(&telemetry)), [Err(FrameError::NotAMessage)]);
 }

@@ -5,7 +5,8 @@ use r4_protocol::{
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo,
     MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState,
     Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
-    config::{MAX_MOTORS, MAX_SUPPLIES, PidGains},
+    channel::MAX_QUANTITIES,
+    config::{MAX_MOTORS, MAX_SENSORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_RAW, MAX_SAMPLES},
 };
@@ -166,9 +167,15 @@ pub(crate) fn largest_telemetry() -> Telemetry {
         device_us: u64::MAX,
         state: SafetyState::Tripped,
         causes: Causes::from_bits(u32::MAX),
-        samples: [LARGEST_SAMPLE; MAX_SAMPLES].into_iter().collect(),
+        samples: (0..MAX_SAMPLES)
+            .map(|place| if place < MAX_SENSORS { LARGEST_SENSOR } else { LARGEST_SAMPLE })
+            .collect(),
     }
 }
+
+/// A frame has at most one of each sensor that a board can have.
+const LARGEST_SENSOR: Sample =
+    Sample::Sensor { channel: LAST, values: [f32::MAX; MAX_QUANTITIES], age_ms: u16::MAX, quality: Quality::Saturated };
 
 const LARGEST_SAMPLE: Sample = Sample::Motor {
     channel: LAST,
@@ -344,6 +351,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
             }),
         ),
         ("channel-v", input(ChannelKind::Supply, Unit::V, 30.0, 100.0)),
+        ("channel-imu", input(ChannelKind::Imu, Unit::MPerS2, 39.2266, 100.0)),
+        ("channel-current", input(ChannelKind::Current, Unit::A, 40.96, 100.0)),
         ("channel-bool", input(ChannelKind::DeadMan, Unit::Bool, 1.0, 1000.0)),
         ("channel-infinite", input(ChannelKind::Range, Unit::M, f32::INFINITY, NAN)),
         ("counters", Reply::Stats(stats)),
@@ -512,6 +521,8 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
         speed,
         illegal,
     };
+    let sensor =
+        |kind, values, age_ms, quality| Sample::Sensor { channel: ChannelId::new(kind, 1), values, age_ms, quality };
     let volts = Sample::Scalar { channel: SUPPLY0, value: 24.5 };
     let armed = |samples: &[Sample]| Telemetry {
         device_us: 2_000_000,
@@ -539,6 +550,15 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
             ]),
         ),
         ("telemetry-encoder", armed(&[encoder(-1200, 2.5, 0), encoder(i32::MIN, f32::MIN, u32::MAX)])),
+        (
+            "telemetry-sensor",
+            armed(&[
+                sensor(ChannelKind::Imu, [0.5, -0.25, 9.75, 0.125, -1.5, 3.0], 3, Quality::Good),
+                sensor(ChannelKind::Current, [2.5, 12.0, 0.0, 0.0, 0.0, 0.0], 900, Quality::Stale),
+                sensor(ChannelKind::Imu, [0.0; MAX_QUANTITIES], 0, Quality::WrongChip),
+                sensor(ChannelKind::Imu, [39.0; MAX_QUANTITIES], 1, Quality::Saturated),
+            ]),
+        ),
         ("telemetry-largest", largest_telemetry()),
     ]
     .into_iter()

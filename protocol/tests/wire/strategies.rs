@@ -16,7 +16,7 @@ use r4_protocol::{
     Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
     Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_MODES,
-    config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
+    config::{MAX_MOTORS, MAX_NAME, MAX_SENSORS, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,
     message::{MAX_FIRMWARE, MAX_RAW, MAX_SAMPLES},
 };
@@ -271,8 +271,14 @@ fn fault_snapshot() -> impl Strategy<Value = FaultSnapshot> {
 }
 
 fn telemetry() -> impl Strategy<Value = Telemetry> {
-    (u64s(), state(), causes(), vec(sample(), 0..=MAX_SAMPLES)).prop_map(|(device_us, state, causes, samples)| {
-        Telemetry { device_us, state, causes, samples: samples.into_iter().collect() }
+    // A board has that many sensors, and a frame at most one sample of each.
+    let sensors = vec(sensor_sample(), 0..=MAX_SENSORS);
+    let others = vec(sample(), 0..=MAX_SAMPLES - MAX_SENSORS);
+    (u64s(), state(), causes(), sensors, others).prop_map(|(device_us, state, causes, sensors, others)| Telemetry {
+        device_us,
+        state,
+        causes,
+        samples: sensors.into_iter().chain(others).collect(),
     })
 }
 
@@ -306,9 +312,19 @@ fn sample() -> impl Strategy<Value = Sample> {
     ]
 }
 
+fn sensor_sample() -> impl Strategy<Value = Sample> {
+    let values = proptest::array::uniform6(f32s());
+    (channel(), values, u16s(), quality()).prop_map(|(channel, values, age_ms, quality)| Sample::Sensor {
+        channel,
+        values,
+        age_ms,
+        quality,
+    })
+}
+
 fn quality() -> impl Strategy<Value = Quality> {
-    use Quality::{Good, High, Low, NoAnswer, None, OutOfRange, Stuck};
-    select(vec![Good, None, OutOfRange, NoAnswer, Stuck, Low, High])
+    use Quality::{Good, High, Low, NoAnswer, None, OutOfRange, Saturated, Stale, Stuck, WrongChip};
+    select(vec![Good, None, OutOfRange, NoAnswer, Stuck, Low, High, Stale, WrongChip, Saturated])
 }
 
 fn key() -> impl Strategy<Value = ParameterKey> {
@@ -324,15 +340,18 @@ fn raw() -> impl Strategy<Value = heapless::Vec<u8, MAX_RAW>> {
 
 fn channel() -> impl Strategy<Value = ChannelId> {
     use ChannelKind::{
-        Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range, Relay, Servo, Stepper, Supply, Switch,
+        Actuator, Analog, Bldc, Current, Dac, DeadMan, Dhb, Encoder, Imu, Osmc, Range, Relay, Servo, Stepper, Supply,
+        Switch,
     };
-    let kinds =
-        vec![Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan];
+    let kinds = vec![
+        Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan, Imu,
+        Current,
+    ];
     (select(kinds), any::<u8>()).prop_map(|(kind, index)| ChannelId::new(kind, index))
 }
 
 fn unit() -> impl Strategy<Value = Unit> {
-    select(vec![Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool])
+    select(vec![Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A])
 }
 
 fn mode() -> impl Strategy<Value = Mode> {

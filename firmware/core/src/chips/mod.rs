@@ -1,8 +1,10 @@
 //! Drivers of the board's chips, on `embedded-hal-async` I2C.
 
+pub mod icm20948;
 pub mod mcp23017;
 pub mod mcp4728;
 pub mod pca9685;
+pub mod sensor;
 
 /// Why an operation did not succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -24,7 +24,7 @@ use crate::{
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals},
-    sensing::{analog::Supply, storm::IllegalRate},
+    sensing::{analog::Supply, on_bus::Sensors, storm::IllegalRate},
     shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
     storage::faults::SNAPSHOT_MS,
 };
@@ -130,6 +130,9 @@ struct Control<B, P> {
     /// The arming whose stop has its brakes written: see [`crate::safety::stop`].
     braked: Option<u16>,
     bad_configuration: bool,
+    /// On the bus.
+    bus_sensors: Sensors,
+    /// What the inputs show.
     sensors: Causes,
     /// How many trips have been seen, and when one was that is still to be handed over.
     trips: u32,
@@ -168,6 +171,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             fault: None,
             safe: false,
             braked: None,
+            bus_sensors: Sensors::new(config.sensors.iter().filter(|_| valid)),
             sensors: Causes::NONE,
             trips: 0,
             tripped_us: None,
@@ -185,13 +189,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
         // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
         self.step_steppers(shared);
-        self.outputs.leave_time(Instant::now().saturating_duration_since(due));
+        self.outputs.bus().leave_time(Instant::now().saturating_duration_since(due));
         let view = shared.safety();
         if view.state == SafetyState::Armed {
             self.drive(shared, view).await;
         } else {
             self.hold_safe(shared).await;
         }
+        self.ask_sensors(shared, view).await;
         self.publish_outputs(shared);
         self.record(shared);
         shared.set_control_causes(self.causes());
@@ -575,6 +580,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         } else {
             self.check().await;
         }
+    }
+
+    /// Gives the sensors what the outputs have left of the bus in this period, unless a stop has come: that is carried out next.
+    async fn ask_sensors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+        // The safe state and the DAC's read-back take the whole period.
+        let is_taken = view.state != SafetyState::Armed && self.tick.is_multiple_of(REASSERT_EVERY / 2);
+        if self.bus_sensors.is_empty() || is_taken || self.fault.is_some() {
+            return;
+        }
+        self.bus_sensors.ask(shared, self.outputs.bus(), || shared.safety() != view).await;
     }
 
     async fn check(&mut self) {

@@ -1,4 +1,4 @@
-//! The board's outputs on I2C: the one owner of the bus, of the order of writes and of the safe state.
+//! The board's outputs on I2C: the order of writes, and the safe state. Sensors have what they leave of the bus.
 
 pub mod bldc;
 pub mod bridge;
@@ -16,6 +16,7 @@ use heapless::Vec;
 use r4_protocol::config::{BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig};
 
 use crate::{
+    bus::{Scheduler, bits},
     chips::{
         ChipError,
         mcp4728::{Mcp4728, OUTPUTS as DAC_OUTPUTS},
@@ -38,11 +39,6 @@ pub enum OutputFault {
     Mismatch,
 }
 
-/// A transfer that fails so often has failed.
-const TRIES: u32 = 3;
-/// Share of a control period that transfers may take: the rest is for the processor and for a repeat. A processor that is slow
-/// in a period reduces it: see [`Outputs::leave_time`].
-const BUS_SHARE: f32 = 0.95;
 /// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
 const QUEUE: usize = 32;
 /// Counts of a PWM period, over which the bridges of a chip are spread.
@@ -53,11 +49,6 @@ const SERVO_PERIODS_DUE: usize = 8;
 const EXPANDER_BITS: u32 = bits(4);
 /// Most bits on the bus to read one thing back: mode and prescaler of a PWM chip, each with two addresses and a register.
 const CHECK_BITS: u32 = bits(5) + bits(4);
-
-/// Bits on the bus for a transfer of so many bytes, addresses included: nine each, START, STOP and the time between.
-const fn bits(bytes: u32) -> u32 {
-    9 * bytes + 3
-}
 
 /// The brushless drives and their DAC.
 struct Drives {
@@ -129,7 +120,7 @@ fn bridge_chips(config: &BoardConfig) -> [Option<Pca9685>; 2] {
 /// # Errors
 /// The first [`OutputFault`], after all chips were tried.
 pub async fn sweep<B: Bus>(bus: B, config: &BoardConfig) -> Result<(), OutputFault> {
-    let mut bus = Patient { bus, retries: 0 };
+    let mut bus = Scheduler::new(bus, config);
     let mut drives = Drives::of(config);
     let mut result = Ok(());
     if let Some(expander) = config.expander {
@@ -154,7 +145,7 @@ pub async fn sweep<B: Bus>(bus: B, config: &BoardConfig) -> Result<(), OutputFau
 }
 
 async fn sweep_expander<B: Bus>(
-    bus: &mut Patient<B>,
+    bus: &mut Scheduler<B>,
     expander: &mut Expander,
     drives: Option<&mut Drives>,
 ) -> Result<(), OutputFault> {
@@ -178,7 +169,7 @@ pub(crate) fn dac_code(volts: f32) -> u16 {
 
 /// The outputs of one board.
 pub struct Outputs<B> {
-    bus: Patient<B>,
+    bus: Scheduler<B>,
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
@@ -197,12 +188,6 @@ pub struct Outputs<B> {
     /// What is to be written in this period, and has not been.
     queue: Queue,
     period_s: f32,
-    /// Nine bits on the bus, rounded down.
-    byte_time: Duration,
-    bits_per_ms: u32,
-    /// Bits that fit a control period, and those left of this one.
-    bits_per_tick: u32,
-    bits_left: u32,
     /// What can be read back, and what is next.
     checks: usize,
     next_check: usize,
@@ -231,7 +216,6 @@ impl<B: Bus> Outputs<B> {
         });
         let expander = config.expander.filter(|_| valid);
         let period_s = config.control_period_us as f32 * 1e-6;
-        let bits_per_tick = (period_s * BUS_SHARE * config.i2c_hz as f32) as u32;
         let drives = Drives::of(config).filter(|_| valid);
         let servos = config.servo_pwm.filter(|_| valid).map(|chip| Servos::new(chip, &config.servos));
         let bridges: Vec<Bridge, MAX_MOTORS> = bridges.collect();
@@ -239,7 +223,7 @@ impl<B: Bus> Outputs<B> {
         let lines = bridges.iter().map(Bridge::line_count).sum::<usize>();
         let servo_checks = servos.as_ref().map_or(0, |servos| 1 + servos.count());
         Self {
-            bus: Patient { bus, retries: 0 },
+            bus: Scheduler::new(bus, config),
             checks: 1 + osmc.iter().chain(&dhb).count() + lines + servo_checks,
             sets: [set(true), set(false)],
             bridges,
@@ -253,11 +237,7 @@ impl<B: Bus> Outputs<B> {
             servos,
             servos_due: 0,
             queue: Queue::default(),
-            byte_time: Duration::from_micros(9_000_000_u32.checked_div(config.i2c_hz).unwrap_or(0).into()),
             period_s,
-            bits_per_ms: config.i2c_hz / 1000,
-            bits_per_tick,
-            bits_left: bits_per_tick,
             next_check: 0,
         }
     }
@@ -344,7 +324,7 @@ impl<B: Bus> Outputs<B> {
             if !bridge.is_on() || self.braked[index].is_some() {
                 continue;
             }
-            if !self.fits(off_bits) {
+            if !self.bus.fits(off_bits) {
                 result = result.and(Ok(false));
                 continue;
             }
@@ -399,16 +379,12 @@ impl<B: Bus> Outputs<B> {
     /// A control period begins: the bus is free again.
     pub fn begin_tick(&mut self) {
         self.forget_queue();
-        self.bits_left = self.bits_per_tick;
+        self.bus.begin_period();
     }
 
-    /// Leaves the processor time for the rest of this period, of which it has `taken` so much for inputs and steppers: outputs, values
-    /// for hosts and what interrupts take about twice that. What it has taken so far comes out of the share that transfers leave.
-    /// Fixed by `r4 --board emu:every-interface bench firmware --seconds 2`: with twice no period is late and jitter is 10 us, with
-    /// half of that 15 of 2005 are late and jitter is 16 us.
-    pub fn leave_time(&mut self, taken: Duration) {
-        let taken_us = taken.as_micros().min(u16::MAX.into()) as u32;
-        self.bits_left = self.bits_left.saturating_sub(2 * taken_us * self.bits_per_ms / 1000);
+    /// The bus, for sensors.
+    pub(crate) fn bus(&mut self) -> &mut Scheduler<B> {
+        &mut self.bus
     }
 
     /// Sends what [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in this period, in that
@@ -428,7 +404,7 @@ impl<B: Bus> Outputs<B> {
                 Change::Drives(codes) => self.drives.iter_mut().for_each(|drives| drives.written = Some(codes)),
                 Change::Servo(pulse) => self.servos.iter_mut().for_each(|servos| servos.sent(pulse)),
             }
-            let took = self.byte_time * (1 + write.bytes().len() as u32);
+            let took = self.bus.byte_time() * (1 + write.bytes().len() as u32);
             ended = ended.checked_sub(took).unwrap_or(ended);
         }
         self.forget_queue();
@@ -438,13 +414,6 @@ impl<B: Bus> Outputs<B> {
     fn forget_queue(&mut self) {
         self.queue.writes.clear();
         self.queue.changes.clear();
-    }
-
-    /// Takes `bits` out of what is left of this period; false when they do not fit, and must wait.
-    fn fits(&mut self, bits: u32) -> bool {
-        let left = self.bits_left.checked_sub(bits);
-        self.bits_left = left.unwrap_or(self.bits_left);
-        left.is_some()
     }
 
     /// Whether the motors' supply goes over a relay.
@@ -477,7 +446,7 @@ impl<B: Bus> Outputs<B> {
             return Ok(());
         }
         // Never waits: it comes first in every period.
-        self.fits(EXPANDER_BITS);
+        self.bus.fits(EXPANDER_BITS);
         let Some(expander) = &mut self.expander else { return Ok(()) };
         self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await
     }
@@ -501,7 +470,7 @@ impl<B: Bus> Outputs<B> {
 
     /// Takes the bits of `write` out of what is left of this period; false when it must wait.
     fn reserve(&mut self, write: &Write) -> bool {
-        self.queue.has_room() && self.fits(bits(1 + write.bytes().len() as u32))
+        self.queue.has_room() && self.bus.fits(bits(1 + write.bytes().len() as u32))
     }
 
     /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
@@ -557,7 +526,7 @@ impl<B: Bus> Outputs<B> {
         let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
         for _ in 0..self.servos_due.min(2 * in_turn) {
-            if !self.queue.has_room() || self.bits_left < bits(Servos::WRITE_BYTES) {
+            if !self.queue.has_room() || self.bus.bits_left() < bits(Servos::WRITE_BYTES) {
                 break;
             }
             let next = self.servos.as_mut().and_then(Servos::next_write);
@@ -566,7 +535,7 @@ impl<B: Bus> Outputs<B> {
                 break;
             };
             self.servos_due -= 1;
-            self.fits(bits(Servos::WRITE_BYTES));
+            self.bus.fits(bits(Servos::WRITE_BYTES));
             self.queue.push(write, Change::Servo(pulse));
         }
     }
@@ -582,7 +551,7 @@ impl<B: Bus> Outputs<B> {
 
     /// Keeps the bus free for one [`Outputs::check_next`] in this period; false when that does not fit, and must wait.
     pub fn reserve_check(&mut self) -> bool {
-        self.fits(CHECK_BITS)
+        self.bus.fits(CHECK_BITS)
     }
 
     /// Reads one thing of expander and PWM chips back and compares; each call takes the next one in turn. Only after
@@ -633,7 +602,7 @@ impl<B: Bus> Outputs<B> {
 
     /// Transfers that had to be repeated since the last call.
     pub fn take_retries(&mut self) -> u32 {
-        core::mem::take(&mut self.bus.retries)
+        self.bus.take_retries()
     }
 }
 
@@ -658,55 +627,5 @@ impl Iterator for Order {
         let next = if later == 0 { self.left } else { later }.trailing_zeros();
         self.left ^= 1 << next;
         Some(next as usize)
-    }
-}
-
-/// The bus, with the patience that transfers need.
-struct Patient<B> {
-    bus: B,
-    retries: u32,
-}
-
-impl<B: Bus> Patient<B> {
-    /// Sends `writes` with the same patience, each for itself, unless `stops` says otherwise. How many were sent, and why not all.
-    async fn send(
-        &mut self,
-        writes: &[Write],
-        mut stops: impl FnMut(&mut Context<'_>) -> bool,
-    ) -> (usize, Result<(), OutputFault>) {
-        let (mut sent, mut tries) = (0, 0);
-        while let Some(rest) = writes.get(sent..).filter(|rest| !rest.is_empty()) {
-            let (more, result) = self.bus.write_all(rest, &mut stops).await;
-            sent += more;
-            if result.is_ok() {
-                break;
-            }
-            tries = if more > 0 { 1 } else { tries + 1 };
-            if tries == TRIES {
-                return (sent, Err(OutputFault::Bus));
-            }
-            self.retries += 1;
-            self.bus.recover().await;
-        }
-        (sent, Ok(()))
-    }
-
-    /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
-    /// it costs a time-out.
-    async fn checked<T>(
-        &mut self,
-        mut operation: impl AsyncFnMut(&mut B) -> Result<T, ChipError<B::Error>>,
-    ) -> Result<T, OutputFault> {
-        let mut tries = 1;
-        loop {
-            match operation(&mut self.bus).await {
-                Ok(done) => return Ok(done),
-                Err(ChipError::Mismatch { .. }) => return Err(OutputFault::Mismatch),
-                Err(ChipError::Bus(_)) if tries == TRIES => return Err(OutputFault::Bus),
-                Err(ChipError::Bus(_)) => self.bus.recover().await,
-            }
-            tries += 1;
-            self.retries += 1;
-        }
     }
 }

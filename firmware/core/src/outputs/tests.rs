@@ -227,7 +227,7 @@ impl Rig {
     fn servo_period(&mut self, taken: Duration) -> u32 {
         let before = self.chips.bus.clocks();
         self.outputs.begin_tick();
-        self.outputs.leave_time(taken);
+        self.outputs.bus().leave_time(taken);
         self.outputs.step_servos();
         self.outputs.write_servos();
         assert_eq!(done(self.outputs.flush(|_| false)), Ok(true));
@@ -437,8 +437,8 @@ fn a_processor_that_takes_long_leaves_transfers_less() {
     let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));
     let mut left_after = |taken_us| {
         outputs.begin_tick();
-        outputs.leave_time(Duration::from_micros(taken_us));
-        outputs.bits_left
+        outputs.bus().leave_time(Duration::from_micros(taken_us));
+        outputs.bus().bits_left()
     };
     assert_eq!([0, 20, 475, 476, 3_600_000_000].map(&mut left_after), [380, 364, 0, 0, 0]);
     assert_eq!(left_after(0), 380, "it is the period's alone");

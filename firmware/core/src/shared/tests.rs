@@ -179,6 +179,7 @@ fn no_two_channels_share_a_place() {
         Place::Range(RANGE_SENSORS - 1),
         Place::Analog(ANALOG_INPUTS - 1),
         Place::Supply(MAX_SUPPLIES - 1),
+        Place::Sensor(MAX_SENSORS - 1),
         Place::DeadMan(1),
     ];
     let first = |place| match place {
@@ -193,6 +194,7 @@ fn no_two_channels_share_a_place() {
         Place::Range(_) => Place::Range(0),
         Place::Analog(_) => Place::Analog(0),
         Place::Supply(_) => Place::Supply(0),
+        Place::Sensor(_) => Place::Sensor(0),
         Place::DeadMan(_) => Place::DeadMan(0),
     };
     // Kind by kind without a gap, up to the last place of all.

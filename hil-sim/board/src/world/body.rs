@@ -2,7 +2,7 @@
 
 use r4_boards::{Mount, RangeView, Robot, SimulatedBody};
 use r4_protocol::ChannelId;
-use r4_world::{AnyBody, MAX_STEP_S, Pose, Scene, ShaftMotion, Twist, Wheeled};
+use r4_world::{AnyBody, Inertial, MAX_STEP_S, Pose, Scene, ShaftMotion, Twist, Wheeled};
 
 use super::{
     RANGE_SENSORS, World,
@@ -102,6 +102,11 @@ impl Coupling {
             }
             self.owed_ns += step_ns;
         }
+    }
+
+    /// What an inertial sensor at the body's origin feels, at most [`MAX_STEP_S`] ago.
+    pub(super) fn inertial(&self) -> Inertial {
+        self.body.inertial()
     }
 
     /// Brings the body to now, and gives the shafts its loads.

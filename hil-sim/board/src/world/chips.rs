@@ -2,11 +2,14 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::Robot;
+use r4_boards::{Robot, SimulatedImu};
+use r4_protocol::config::{SensorChip, SensorConfig};
+use r4_world::Inertial;
 
 use super::wires::BoardChip;
 use crate::{
     chips::{
+        icm20948::{Icm20948, Truth},
         mcp4728::{CHANNELS, Mcp4728, Setting},
         mcp23017::{Mcp23017, PinState, Port},
         pca9685::Pca9685,
@@ -25,13 +28,33 @@ pub(super) struct Chips {
     pub(super) servo_pwm: Option<Rc<RefCell<Pca9685>>>,
     pub(super) bldc_dac: Option<Rc<RefCell<Mcp4728>>>,
     pub(super) expander: Option<Rc<RefCell<Mcp23017>>>,
+    pub(super) imus: Vec<Imu>,
+}
+
+/// An IMU and how it sits on the body.
+pub(super) struct Imu {
+    pub(super) chip: Rc<RefCell<Icm20948>>,
+    pub(super) mounting: SimulatedImu,
+}
+
+impl Imu {
+    fn new(config: &SensorConfig, mounting: &SimulatedImu, seed: u64) -> Self {
+        let SensorChip::Icm20948(_) = config.chip;
+        let chip = Rc::new(RefCell::new(Icm20948::new(config.address, seed.wrapping_add(config.address.into()))));
+        Self { chip, mounting: *mounting }
+    }
 }
 
 impl Chips {
-    pub(super) fn new(robot: &Robot, bus: &mut I2cBus) -> Self {
+    pub(super) fn new(robot: &Robot, bus: &mut I2cBus, seed: u64) -> Self {
         let config = &robot.config;
         let pwm = |address, oscillator_hz| Rc::new(RefCell::new(Pca9685::new(address, oscillator_hz)));
+        let imus = robot.simulation.imus.iter().filter_map(|mounting| {
+            let config = config.sensors.iter().find(|sensor| sensor.id == mounting.channel)?;
+            Some(Imu::new(config, mounting, seed))
+        });
         let chips = Self {
+            imus: imus.collect(),
             osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
@@ -50,7 +73,21 @@ impl Chips {
         chips.pwms().for_each(|chip| bus.attach(chip.clone()));
         chips.bldc_dac.iter().for_each(|chip| bus.attach(chip.clone()));
         chips.expander.iter().for_each(|chip| bus.attach(chip.clone()));
+        chips.imus.iter().for_each(|imu| bus.attach(imu.chip.clone()));
         chips
+    }
+
+    /// Lets inertial sensors feel `inertial`, that of the body's origin, up to `until_ns`.
+    pub(super) fn feel(&self, until_ns: u64, inertial: Inertial) {
+        for Imu { chip, mounting } in &self.imus {
+            let Inertial { specific_force_m_s2, rate_rad_s, .. } = inertial.at(mounting.place_m);
+            let add = |felt: [f64; 3], bias: [f64; 3]| std::array::from_fn(|axis| felt[axis] + bias[axis]);
+            let truth = Truth {
+                acceleration_m_s2: add(specific_force_m_s2, mounting.acceleration_bias_m_s2),
+                rate_rad_s: add(rate_rad_s, mounting.rate_bias_rad_s),
+            };
+            chip.borrow_mut().feel(until_ns, truth);
+        }
     }
 
     fn pwms(&self) -> impl Iterator<Item = &Rc<RefCell<Pca9685>>> {
@@ -101,6 +138,7 @@ impl Chips {
         self.pwms().for_each(|chip| all.extend(chip.borrow().misuse().first()));
         self.bldc_dac.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
         self.expander.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
+        self.imus.iter().for_each(|imu| all.extend(imu.chip.borrow().misuse().first()));
         all
     }
 }

@@ -20,11 +20,12 @@ use r4_protocol::{
     ChannelId,
     config::{MAX_MOTORS, RelayConfig, RelayRole},
 };
-use r4_world::Scene;
+use r4_world::{Inertial, Scene};
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
     chips::{
+        icm20948::Icm20948,
         mcp4728::Mcp4728,
         mcp23017::{Mcp23017, PinState},
         pca9685::Pca9685,
@@ -111,7 +112,7 @@ impl World {
     /// When a plant's file is not right.
     pub fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
-        let chips = Chips::new(robot, &mut bus);
+        let chips = Chips::new(robot, &mut bus, seed);
         let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
         let mut motors = Vec::new();
         for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
@@ -193,6 +194,7 @@ impl World {
             }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }
+        self.chips.feel(until_ns, self.body.as_ref().map_or(Inertial::AT_REST, Coupling::inertial));
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
             let current_a: f64 = on_rail.map(|motor| motor.plant.supply_current_a()).sum();
@@ -391,6 +393,12 @@ impl World {
     #[must_use]
     pub fn expander(&self) -> Option<&Rc<RefCell<Mcp23017>>> {
         self.chips.expander.as_ref()
+    }
+
+    /// An IMU, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn imu(&self, channel: ChannelId) -> Option<&Rc<RefCell<Icm20948>>> {
+        self.chips.imus.iter().find(|imu| imu.mounting.channel == channel).map(|imu| &imu.chip)
     }
 
     /// Everything done against a datasheet so far, in order of time.

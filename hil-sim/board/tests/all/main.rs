@@ -2,6 +2,7 @@
 
 mod bodies;
 mod braking;
+mod bus_sensors;
 mod compatibility;
 mod control;
 mod dac_and_servo;

@@ -89,6 +89,7 @@ fn board(robot: &str, supplies: u8) -> BoardConfig {
         analogs: Default::default(),
         supplies: (0..supplies).map(supply).collect(),
         can: CanConfig::default(),
+        sensors: Default::default(),
     };
     assert_eq!(config.validate(), Ok(()));
     config

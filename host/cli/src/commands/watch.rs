@@ -1,6 +1,6 @@
 //! `r4 watch`
 
-use std::{cell::RefCell, future::pending};
+use std::{cell::RefCell, collections::BTreeMap, future::pending};
 
 use anyhow::anyhow;
 use r4_driver::Clock;
@@ -41,6 +41,9 @@ struct Value {
     winding: Option<WindingHeat>,
     #[serde(skip_serializing_if = "Option::is_none")]
     illegal: Option<u32>,
+    /// Of a sensor that measures several numbers together, each by its name with its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    values: Option<BTreeMap<&'static str, f32>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     age_ms: Option<u16>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -67,6 +70,7 @@ impl Value {
             homed: None,
             winding: None,
             illegal: None,
+            values: None,
             age_ms: None,
             quality: None,
         };
@@ -85,6 +89,14 @@ impl Value {
             Sample::Reading { value: last, age_ms, quality, .. } => {
                 (value.age_ms, value.quality) = (Some(age_ms), Some(quality.to_string()));
                 if quality == Quality::None { f64::NAN } else { last.into() }
+            }
+            Sample::Sensor { channel, values, age_ms, quality } => {
+                (value.age_ms, value.quality) = (Some(age_ms), Some(quality.to_string()));
+                if quality != Quality::None {
+                    let named = channel.kind.quantities().iter().zip(values);
+                    value.values = Some(named.map(|(quantity, value)| (quantity.field, value)).collect());
+                }
+                if quality == Quality::None { f64::NAN } else { values[0].into() }
             }
             Sample::Encoder { position: counts, speed, illegal, .. } => {
                 (value.speed, value.illegal) = (Some(speed), Some(illegal));
@@ -217,6 +229,9 @@ fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     for (info, sample) in infos.iter().zip(samples) {
         line += &format!("{:>13}", format!("{} {}", info.id, human(info.unit).1).trim_end());
         let value = Value::new(info, sample);
+        for quantity in info.id.kind.quantities().iter().skip(1) {
+            line += &format!("{:>10}", human(quantity.unit).1);
+        }
         if value.speed.is_some() {
             line += &format!("{:>9}", human(speed_unit(info.unit)).1);
         }
@@ -236,12 +251,25 @@ pub(super) fn number(info: &ChannelInfo, sample: &Sample) -> Option<f64> {
 pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     let value = Value::new(info, sample);
     let number = match *sample {
-        Sample::Reading { quality, .. } if quality != Quality::Good => fault(quality).to_owned(),
+        Sample::Reading { quality, .. } | Sample::Sensor { quality, .. } if quality != Quality::Good => {
+            fault(quality).to_owned()
+        }
         _ => value.value.map_or("-".to_owned(), |value| Quantity::new(value, info.unit).number()),
     };
     let speed = value.speed.map(|speed| Quantity::new(speed.into(), speed_unit(info.unit)).number());
     let duty = value.duty.map(|duty| Quantity::new(duty.into(), Unit::Duty).number());
     [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
+}
+
+/// What a sensor measures together with its first quantity, as text.
+fn further(sample: &Sample) -> Vec<String> {
+    let Sample::Sensor { channel, values, quality, .. } = *sample else { return Vec::new() };
+    let others = channel.kind.quantities().iter().zip(values).skip(1);
+    let number = |(quantity, value): (&r4_protocol::Quantity, f32)| match quality {
+        Quality::Good | Quality::Saturated => Quantity::new(value.into(), quantity.unit).number(),
+        _ => "-".to_owned(),
+    };
+    others.map(number).collect()
 }
 
 /// A motor of whose winding the board warns.
@@ -264,6 +292,9 @@ fn fault(quality: Quality) -> &'static str {
         Quality::Stuck => "stuck",
         Quality::Low => "too low",
         Quality::High => "too high",
+        Quality::Stale => "stale",
+        Quality::WrongChip => "wrong chip",
+        Quality::Saturated => "saturated",
     }
 }
 
@@ -272,6 +303,9 @@ fn print_line(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> a
     for (info, sample) in infos.iter().zip(samples) {
         let [number, speed, duty] = columns(info, sample);
         line += &format!("{number:>13}");
+        for number in further(sample) {
+            line += &format!("{number:>10}");
+        }
         if !speed.is_empty() {
             line += &format!("{speed:>9}");
         }
@@ -293,6 +327,9 @@ fn print_list(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> a
     for (info, sample) in infos.iter().zip(samples) {
         let [number, speed, duty] = columns(info, sample);
         let mut line = format!("  {:<12}{number:>13} {:<4}", info.id.to_string(), human(info.unit).1);
+        for (number, quantity) in further(sample).iter().zip(info.id.kind.quantities().iter().skip(1)) {
+            line += &format!("{number:>10} {}", human(quantity.unit).1);
+        }
         if !speed.is_empty() {
             line += &format!("{speed:>10} {:<6}", human(speed_unit(info.unit)).1);
         }

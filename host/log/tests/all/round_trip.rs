@@ -3,7 +3,7 @@
 
 use std::{fs, io::Cursor};
 
-use crate::common::{ACTUATOR, DHB, ENCODER, OSMC, RANGE, SUPPLY, SWITCH, header, messages, run};
+use crate::common::{ACTUATOR, DHB, ENCODER, IMU, OSMC, RANGE, SUPPLY, SWITCH, header, messages, run};
 use mcap::records::op;
 use proptest::{collection::vec, prelude::*};
 use r4_log::{Log, RecordError, Recorder};
@@ -176,6 +176,9 @@ fn qualities() -> impl Strategy<Value = Quality> {
         Just(Quality::Stuck),
         Just(Quality::Low),
         Just(Quality::High),
+        Just(Quality::Stale),
+        Just(Quality::WrongChip),
+        Just(Quality::Saturated),
     ]
 }
 
@@ -212,6 +215,8 @@ fn samples() -> impl Strategy<Value = Sample> {
             age_ms,
             quality
         }),
+        (proptest::array::uniform6(floats()), any::<u16>(), qualities())
+            .prop_map(|(values, age_ms, quality)| { Sample::Sensor { channel: IMU, values, age_ms, quality } }),
         (any::<i32>(), floats(), any::<u32>()).prop_map(|(position, speed, illegal)| Sample::Encoder {
             channel: ENCODER,
             position,
@@ -282,6 +287,14 @@ proptest! {
             let Sample::Reading { value, age_ms, quality, .. } = *written else { unreachable!() };
             prop_assert_eq!((read.time_s, read.age_ms, read.quality), (*time_s, age_ms, quality));
             prop_assert!(same(read.value, logged(value)));
+        }
+        let read = log.sensor(IMU).map_or(&[][..], |series| &series.samples);
+        prop_assert_eq!(read.len(), of(IMU).count());
+        for (read, (time_s, written)) in read.iter().zip(of(IMU)) {
+            let Sample::Sensor { values, age_ms, quality, .. } = *written else { unreachable!() };
+            prop_assert_eq!((read.time_s, read.age_ms, read.quality), (*time_s, age_ms, quality));
+            prop_assert!(read.values.iter().zip(values).all(|(read, value)| same(*read, logged(value))));
+            prop_assert_eq!(read.values.len(), values.len());
         }
         let read = log.encoder(ENCODER).map_or(&[][..], |series| &series.samples);
         prop_assert_eq!(read.len(), of(ENCODER).count());

@@ -369,7 +369,7 @@ fn row_line(state: &State, row: &Row, mark: char, width: u16) -> Line<'static> {
     let unit = human(row.info.unit).1;
     let speed_unit = if speed.is_empty() { "" } else { human(speed_unit(row.info.unit)).1 };
     let hz = if state.link.lost.is_some() { 0.0 } else { row.rate.hz(state.now_s) };
-    let is_bad = matches!(row.sample, Some(Sample::Reading { quality, .. }) if quality != Quality::Good);
+    let is_bad = matches!(row.sample, Some(Sample::Reading { quality, .. } | Sample::Sensor { quality, .. }) if quality != Quality::Good);
     let is_selected = mark == '\u{25b8}';
     let style = match (is_bad, is_selected) {
         (true, _) => WRONG,
@@ -509,7 +509,7 @@ fn title(row: &Row) -> String {
             title += &format!(", winding {} %", winding.heat_percent);
         }
     }
-    if let Some(Sample::Reading { quality, age_ms, .. }) = row.sample {
+    if let Some(Sample::Reading { quality, age_ms, .. } | Sample::Sensor { quality, age_ms, .. }) = row.sample {
         title += &format!(", {quality}, {age_ms} ms old");
     }
     title + " "

@@ -310,7 +310,7 @@ impl Row {
         self.sample = Some(*sample);
         self.rate.count(now_s);
         // The value beside a bad quality is the last good one.
-        let is_good = !matches!(sample, Sample::Reading { quality, .. } if *quality != Quality::Good);
+        let is_good = !matches!(sample, Sample::Reading { quality, .. } | Sample::Sensor { quality, .. } if *quality != Quality::Good);
         if let Some(value) = watch::number(&self.info, sample).filter(|_| is_good) {
             self.history.push_back((device_s, value));
         }

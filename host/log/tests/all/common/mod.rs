@@ -26,6 +26,7 @@ pub(crate) const DHB: ChannelId = ChannelId::new(ChannelKind::Dhb, 2);
 pub(crate) const SUPPLY: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
 pub(crate) const SWITCH: ChannelId = ChannelId::new(ChannelKind::Switch, 3);
 pub(crate) const ENCODER: ChannelId = ChannelId::new(ChannelKind::Encoder, 4);
+pub(crate) const IMU: ChannelId = ChannelId::new(ChannelKind::Imu, 0);
 pub(crate) const RANGE: ChannelId = ChannelId::new(ChannelKind::Range, 5);
 
 pub(crate) fn header() -> Header {
@@ -67,6 +68,7 @@ pub(crate) fn header() -> Header {
             channel(SWITCH, Unit::Bool, Range::new(0.0, 1.0), 0.0, &[]),
             channel(ENCODER, Unit::Rad, Range::symmetric(f32::MAX), 0.01, &[]),
             channel(RANGE, Unit::M, Range::new(0.02, 4.0), 0.0, &[]),
+            channel(IMU, Unit::MPerS2, Range::symmetric(39.2), 0.0, &[]),
         ],
         seed: Some(7),
         recorded: None,

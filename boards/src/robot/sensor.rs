@@ -1,0 +1,69 @@
+//! `[[imu]]` and `[[simulation.imu]]`: sensors on the bus with the output chips, and what is true of them.
+
+use r4_protocol::{
+    channel::{ChannelId, ChannelKind},
+    config::{Icm20948Config, SensorChip, SensorConfig},
+};
+use serde::Deserialize;
+
+use super::read::{Place, Table};
+use crate::{error::BoardError, number::channel};
+
+/// An ICM-20948.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Imu {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    address: u8,
+    rate_hz: u16,
+    acceleration_max_g: u8,
+    rate_max_deg_s: u16,
+}
+
+impl Table for Imu {
+    type Config = SensorConfig;
+    const KIND: ChannelKind = ChannelKind::Imu;
+
+    fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<SensorConfig, BoardError> {
+        let &Self { channel: id, address, rate_hz, acceleration_max_g, rate_max_deg_s } = self;
+        place.take_address(address)?;
+        let chip = SensorChip::Icm20948(Icm20948Config { acceleration_max_g, rate_max_deg_s });
+        Ok(SensorConfig { id, address, rate_hz, chip })
+    }
+}
+
+/// How an inertial sensor sits on the body, and how far it is off. Its axes are the body's: x forwards, y to the left, z upwards.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedImu {
+    /// Which.
+    #[serde(deserialize_with = "channel")]
+    pub channel: ChannelId,
+    /// Where it sits, from the origin of the body, m.
+    #[serde(default)]
+    pub place_m: [f64; 3],
+    /// What it shows of each acceleration when there is none, m/s².
+    #[serde(default)]
+    pub acceleration_bias_m_s2: [f64; 3],
+    /// What it shows of each rate at rest, rad/s.
+    #[serde(default)]
+    pub rate_bias_rad_s: [f64; 3],
+}
+
+impl SimulatedImu {
+    /// What is true where a file says nothing: at the origin of the body, without bias.
+    pub(super) fn new(channel: ChannelId) -> Self {
+        Self { channel, place_m: [0.0; 3], acceleration_bias_m_s2: [0.0; 3], rate_bias_rad_s: [0.0; 3] }
+    }
+
+    /// Whether all its numbers are finite.
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { channel: _, place_m, acceleration_bias_m_s2, rate_bias_rad_s } = self;
+        [place_m, acceleration_bias_m_s2, rate_bias_rad_s].into_iter().flatten().all(|value| value.is_finite())
+    }
+}

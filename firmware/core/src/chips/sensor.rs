@@ -1,0 +1,142 @@
+//! What drivers of sensors have in common: each says its next transfer, and is given what came of it.
+//!
+//! A driver does not own the bus, so that it need not wait for it: a transfer is carried out in the control period that has room.
+
+use embassy_time::Duration;
+use r4_protocol::{
+    channel::MAX_QUANTITIES,
+    config::{SensorChip, SensorConfig},
+};
+
+use super::icm20948::Icm20948;
+use crate::bus::bits;
+
+/// Most bytes written in one exchange: a register and two more.
+const WRITTEN: usize = 3;
+/// Most bytes read in one exchange: with two addresses and a register, 15 bytes take 0.35 ms at 400 kHz.
+pub const MAX_READ: usize = 12;
+
+/// One transfer: bytes written, then bytes read behind a repeated START, where there are any.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Exchange {
+    written: [u8; WRITTEN],
+    length: u8,
+    read: u8,
+}
+
+impl Exchange {
+    /// Writes one register.
+    #[must_use]
+    pub const fn set(register: u8, value: u8) -> Self {
+        Self { written: [register, value, 0], length: 2, read: 0 }
+    }
+
+    /// Writes a register of two bytes, or two registers in a row.
+    #[must_use]
+    pub const fn set_both(register: u8, values: [u8; 2]) -> Self {
+        Self { written: [register, values[0], values[1]], length: 3, read: 0 }
+    }
+
+    /// Reads `count` bytes from `register` on, at most [`MAX_READ`].
+    #[must_use]
+    pub const fn get(register: u8, count: u8) -> Self {
+        let read = if count as usize > MAX_READ { MAX_READ as u8 } else { count };
+        Self { written: [register, 0, 0], length: 1, read }
+    }
+
+    /// The bytes written, without the address.
+    #[must_use]
+    pub fn written(&self) -> &[u8] {
+        &self.written[..usize::from(self.length)]
+    }
+
+    /// How many bytes are read.
+    #[must_use]
+    pub const fn read(&self) -> usize {
+        self.read as usize
+    }
+
+    /// What it takes of the bus.
+    #[must_use]
+    pub const fn bits(&self) -> u32 {
+        let addresses = if self.read > 0 { 2 } else { 1 };
+        bits(addresses + self.length as u32 + self.read as u32)
+    }
+}
+
+/// What came of an exchange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Outcome {
+    /// The next exchange may follow.
+    Next,
+    /// The chip takes this long before the next exchange.
+    Wait(Duration),
+    /// Nothing has been measured since the last reading: ask again.
+    NotReady,
+    /// A reading, in the order and units of the channel's quantities.
+    Reading {
+        /// SI.
+        values: [f32; MAX_QUANTITIES],
+        /// Whether one of them is at the end of its range.
+        saturated: bool,
+    },
+    /// Another chip answers, or it does not keep its settings.
+    WrongChip,
+}
+
+/// A driver of one chip.
+pub trait Driver {
+    /// Begins again: the chip may be in any state.
+    fn restart(&mut self);
+
+    /// The transfer to be carried out next.
+    fn next(&self) -> Exchange;
+
+    /// That transfer has been carried out, and `read` is what it gave; [`Driver::next`] then says another.
+    fn done(&mut self, read: &[u8]) -> Outcome;
+}
+
+macro_rules! chips {
+    ($($chip:ident)*) => {
+        /// The driver of any of the chips.
+        #[derive(Clone, Debug)]
+        pub enum AnyDriver {
+            $(
+                #[doc = concat!("Of a [`", stringify!($chip), "`].")]
+                $chip($chip),
+            )*
+        }
+
+        impl AnyDriver {
+            /// The driver of the chip that `config` names, which has not been asked anything yet.
+            #[must_use]
+            pub fn new(config: &SensorConfig) -> Self {
+                match &config.chip {
+                    $(SensorChip::$chip(chip) => Self::$chip($chip::new(chip, config.rate_hz)),)*
+                }
+            }
+        }
+
+        impl Driver for AnyDriver {
+            fn restart(&mut self) {
+                match self {
+                    $(Self::$chip(driver) => driver.restart(),)*
+                }
+            }
+
+            fn next(&self) -> Exchange {
+                match self {
+                    $(Self::$chip(driver) => driver.next(),)*
+                }
+            }
+
+            fn done(&mut self, read: &[u8]) -> Outcome {
+                match self {
+                    $(Self::$chip(driver) => driver.done(read),)*
+                }
+            }
+        }
+    };
+}
+
+chips!(Icm20948);

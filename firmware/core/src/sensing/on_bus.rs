@@ -1,0 +1,169 @@
+//! Sensors on the bus with the output chips, read with what the outputs leave of it.
+//!
+//! Each sensor has one transfer in a period at most. One that fails is not repeated in its period, and a sensor that has failed is left
+//! alone for a while: what the outputs have of the bus is the same with it and without it.
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::{Duration, Instant};
+use heapless::Vec;
+use r4_protocol::{
+    Quality,
+    channel::MAX_QUANTITIES,
+    config::{MAX_SENSORS, Place, SensorConfig},
+};
+
+use crate::{
+    bus::{ExchangeFault, Scheduler, TRIES},
+    chips::sensor::{AnyDriver, Driver, MAX_READ, Outcome},
+    platform::Bus,
+    shared::{Shared, Status},
+};
+
+/// A sensor that has failed is asked again after this long. One that holds the bus takes it for up to 2 ms each time, until the
+/// transfer is given up and the bus freed: at most two periods in a thousand are late, and ten in a row trip.
+const RETRY: Duration = Duration::from_secs(1);
+/// No sensor is asked anything before: the longest that a chip takes from its power-up to its first transfer (ICM-20948, table 3).
+const POWER_UP: Duration = Duration::from_millis(100);
+/// Without a new reading for this many of its own periods, a sensor has failed.
+const STALE_PERIODS: u32 = 5;
+
+/// Sensors on the bus, in the order of the configuration.
+pub(crate) struct Sensors {
+    sensors: Vec<Sensor, MAX_SENSORS>,
+    /// The one that is asked first in the next period.
+    first: usize,
+}
+
+struct Sensor {
+    address: u8,
+    period: Duration,
+    driver: AnyDriver,
+    /// When its next transfer may be.
+    due: Instant,
+    /// When its newest reading was to begin.
+    reading_due: Instant,
+    /// By then there must be a reading; `None` while it is set up.
+    stale_at: Option<Instant>,
+    /// Transfers in a row that failed.
+    failed: u32,
+    values: [f32; MAX_QUANTITIES],
+    taken: Instant,
+    quality: Quality,
+}
+
+impl Sensors {
+    pub(crate) fn new<'c>(configs: impl Iterator<Item = &'c SensorConfig>) -> Self {
+        let now = Instant::now();
+        let due = now + POWER_UP;
+        let sensors = configs.map(|config| Sensor {
+            address: config.address,
+            period: Duration::from_hz(u64::from(config.rate_hz).max(1)),
+            driver: AnyDriver::new(config),
+            due,
+            reading_due: due,
+            stale_at: None,
+            failed: 0,
+            values: [0.0; MAX_QUANTITIES],
+            taken: now,
+            quality: Quality::None,
+        });
+        Self { sensors: sensors.collect(), first: 0 }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.sensors.is_empty()
+    }
+
+    /// One transfer with each sensor that is due, as far as the bus has room in this period, until `stops` says so; it is asked before
+    /// each. The first that had to wait comes first in the next period.
+    pub(crate) async fn ask<M: RawMutex, B: Bus>(
+        &mut self,
+        shared: &Shared<M>,
+        bus: &mut Scheduler<B>,
+        mut stops: impl FnMut() -> bool,
+    ) {
+        let count = self.sensors.len();
+        let first = self.first;
+        let mut waiting = None;
+        for step in 0..count {
+            let index = (first + step) % count;
+            let Some(sensor) = self.sensors.get_mut(index) else { break };
+            let now = Instant::now();
+            let mut changed = sensor.has_become_stale(now);
+            if now >= sensor.due {
+                let exchange = sensor.driver.next();
+                if waiting.is_none() && !stops() && bus.fits(exchange.bits()) {
+                    let mut read = [0; MAX_READ];
+                    let read = &mut read[..exchange.read()];
+                    let result = bus.exchange(sensor.address, &exchange, read).await;
+                    changed |= sensor.take(result, read, now);
+                } else {
+                    waiting.get_or_insert(index);
+                }
+            }
+            if changed {
+                let Sensor { values, quality, taken, .. } = *sensor;
+                shared.publish(Place::Sensor(index), Status::Sensor { values, quality, taken });
+            }
+        }
+        self.first = waiting.unwrap_or(first);
+    }
+}
+
+impl Sensor {
+    fn has_become_stale(&mut self, now: Instant) -> bool {
+        let stale = self.stale_at.is_some_and(|at| now >= at);
+        if stale {
+            self.fail(Quality::Stale, now);
+        }
+        stale
+    }
+
+    /// What came of the transfer begun at `now`; whether the status has changed.
+    fn take(&mut self, result: Result<(), ExchangeFault>, read: &[u8], now: Instant) -> bool {
+        if let Err(fault) = result {
+            self.failed += 1;
+            // One that may hold the bus is not tried again at once.
+            let given_up = self.failed == TRIES || fault == ExchangeFault::Bus;
+            if given_up {
+                self.fail(Quality::NoAnswer, now);
+            }
+            return given_up;
+        }
+        self.failed = 0;
+        match self.driver.done(read) {
+            Outcome::Next => false,
+            Outcome::NotReady => {
+                self.stale_at.get_or_insert(now + self.period * STALE_PERIODS);
+                false
+            }
+            Outcome::Wait(duration) => {
+                // From the end of the transfer on, which takes less than 1 ms.
+                self.due = now + duration + Duration::from_millis(1);
+                self.reading_due = self.due;
+                false
+            }
+            Outcome::WrongChip => {
+                self.fail(Quality::WrongChip, now);
+                true
+            }
+            Outcome::Reading { values, saturated } => {
+                (self.values, self.taken) = (values, now);
+                self.quality = if saturated { Quality::Saturated } else { Quality::Good };
+                self.stale_at = Some(now + self.period * STALE_PERIODS);
+                // On a grid, so that a wait for the bus does not lower the rate; what was missed is not made up for.
+                self.reading_due = (self.reading_due + self.period).max(now);
+                self.due = self.reading_due;
+                true
+            }
+        }
+    }
+
+    /// Begins again in a while.
+    fn fail(&mut self, quality: Quality, now: Instant) {
+        self.quality = quality;
+        (self.failed, self.stale_at) = (0, None);
+        self.due = now + RETRY;
+        self.driver.restart();
+    }
+}

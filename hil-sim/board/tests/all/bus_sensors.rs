@@ -1,0 +1,251 @@
+//! Sensors on the bus with the output chips: their drivers on models of the chips, and whole boards that have them.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use std::{cell::RefCell, rc::Rc};
+
+use embedded_hal::i2c::Operation;
+use r4_boards::Robot;
+use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
+    config::{Icm20948Config, SensorChip, SensorConfig},
+};
+use r4_sim::{
+    chips::icm20948::{Icm20948, Truth},
+    i2c::{Disturbance, I2cBus, Injection, Span},
+};
+
+use crate::{
+    harness::{Bench, MS, bench},
+    whole_board::sample,
+};
+
+const IMU: ChannelId = ChannelId::new(ChannelKind::Imu, 0);
+const ADDRESS: u8 = 0x68;
+
+fn openscout() -> Robot {
+    r4_boards::load("openscout").expect("built in")
+}
+
+/// Lets `driver` have the bus to itself, a transfer in each millisecond, until it has a reading.
+fn read(driver: &mut AnyDriver, bus: &mut I2cBus, mut pass: impl FnMut(u64)) -> ([f32; 6], bool) {
+    let mut now_ns = 0;
+    for _ in 0..1000 {
+        pass(now_ns);
+        let exchange = driver.next();
+        let mut bytes = vec![0; exchange.read()];
+        let done = if bytes.is_empty() {
+            bus.execute(now_ns, ADDRESS, &mut [Operation::Write(exchange.written())])
+        } else {
+            bus.execute(now_ns, ADDRESS, &mut [Operation::Write(exchange.written()), Operation::Read(&mut bytes)])
+        };
+        // The longest that a stop may have to wait for.
+        let done = done.unwrap();
+        assert!(done.end_ns - done.start_ns <= 450_000, "{exchange:?}");
+        now_ns += MS;
+        match driver.done(&bytes) {
+            Outcome::Next | Outcome::NotReady => {}
+            Outcome::Wait(duration) => now_ns += duration.as_micros() * 1000,
+            Outcome::Reading { values, saturated } => return (values, saturated),
+            Outcome::WrongChip => panic!("it is the right one"),
+        }
+    }
+    panic!("no reading in 1000 transfers");
+}
+
+#[test]
+fn an_icm_20948_gives_what_it_feels_at_every_full_scale() {
+    for (acceleration_max_g, rate_max_deg_s) in [(2, 250), (4, 500), (8, 1000), (16, 2000)] {
+        for rate_hz in [5, 100, 400] {
+            let chip = Rc::new(RefCell::new(Icm20948::new(ADDRESS, 7)));
+            let mut bus = I2cBus::new(400_000);
+            bus.attach(chip.clone());
+            let config = Icm20948Config { acceleration_max_g, rate_max_deg_s };
+            let config = SensorConfig { id: IMU, address: ADDRESS, rate_hz, chip: SensorChip::Icm20948(config) };
+            let truth = Truth { acceleration_m_s2: [1.0, -2.0, 9.806_65], rate_rad_s: [0.5, -1.0, 2.0] };
+            let pass = |now_ns: u64| chip.borrow_mut().feel(100 * MS + now_ns, truth);
+            let mut driver = AnyDriver::new(&config);
+            read(&mut driver, &mut bus, pass);
+            // The first sample is of a filter that has not settled: at 5 Hz it is one of 5.7 Hz, and 1 s is 36 time constants.
+            chip.borrow_mut().feel(2000 * MS, truth);
+            let (values, saturated) = read(&mut driver, &mut bus, |now_ns| {
+                chip.borrow_mut().feel(2000 * MS + now_ns, truth);
+            });
+            assert!(!saturated);
+            // Five standard deviations behind the widest filter, 151.8 Hz or 246 Hz, and a count at the largest full scale.
+            for (axis, value) in values.iter().enumerate() {
+                let (expected, tolerance) = if axis < 3 {
+                    (truth.acceleration_m_s2[axis], 5.0 * 230e-6 * 9.8 * 19.7 + 0.005)
+                } else {
+                    (truth.rate_rad_s[axis - 3], (5.0 * 0.015 * 15.5 + 0.061_f64).to_radians())
+                };
+                let error = (f64::from(*value) - expected).abs();
+                assert!(error < tolerance, "{config:?}, axis {axis}: {value}, not {expected}");
+            }
+            assert_eq!(chip.borrow().misuse().first(), []);
+        }
+    }
+}
+
+/// The newest sample of `imu0`.
+async fn imu(bench: &Bench<'_>) -> ([f64; 6], u16, Quality) {
+    match sample(bench, IMU).await {
+        Sample::Sensor { values, age_ms, quality, .. } => (values.map(f64::from), age_ms, quality),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Drives `openscout` with its left and right wheels at these speeds, rad/s.
+async fn drive(bench: &Bench<'_>, left: f32, right: f32) {
+    for (index, speed) in [left, right, left, right].into_iter().enumerate() {
+        let wheel = ChannelId::new(ChannelKind::Dhb, index as u8);
+        bench.set(wheel, Mode::Speed, speed).await.unwrap();
+    }
+}
+
+#[test]
+fn an_imu_follows_the_body() {
+    let robot = openscout();
+    let [mounting] = robot.simulation.imus[..] else { panic!("openscout has one") };
+    bench(&robot, async |bench| {
+        bench.host.arm().await.unwrap();
+        for (left, right) in [(-3.0, 3.0), (3.0, -3.0)] {
+            drive(bench, left, right).await;
+            bench.sleep_ms(2000).await;
+            let mean_of = 50;
+            let mut mean = [0.0; 6];
+            for _ in 0..mean_of {
+                let (values, age_ms, quality) = imu(bench).await;
+                // 100 readings a second, each told within 5 ms.
+                assert!(quality == Quality::Good && age_ms <= 20, "{quality}, {age_ms} ms");
+                mean.iter_mut().zip(values).for_each(|(mean, value)| *mean += value / f64::from(mean_of));
+            }
+            let yaw_rad_s = bench.board.world().twist().expect("it has a body").yaw_rad_s;
+            assert!(yaw_rad_s.abs() > 0.5, "it turns: {yaw_rad_s} rad/s");
+            // Noise is 1.6 mrad/s and 0.014 m/s2, less in the mean; how the turn varies by its wheels' loops is more.
+            let rate = mean[5] - mounting.rate_bias_rad_s[2];
+            assert!((rate - yaw_rad_s).abs() < 0.02, "{rate} rad/s, {yaw_rad_s} rad/s");
+            let up = mean[2] - mounting.acceleration_bias_m_s2[2];
+            assert!((up - 9.806_65).abs() < 0.02, "{up} m/s2");
+        }
+    });
+}
+
+fn inject(bench: &Bench<'_>, disturbance: Disturbance) {
+    let span = Span::Time { from_ns: bench.clock.now_ns(), until_ns: u64::MAX };
+    bench.board.world().bus.inject(Injection { disturbance, span, address: Some(ADDRESS) });
+}
+
+/// Each fault shows on the channel and nowhere else, and the sensor comes back by itself: it is asked again each second, and takes
+/// 0.2 s to set up.
+#[test]
+fn a_sensor_that_fails_is_told_of_and_stops_nothing() {
+    type Change = fn(&Bench<'_>);
+    let broken: [(Change, Change, Quality, u64); 4] = [
+        (|bench| inject(bench, Disturbance::AddressNack), |bench| bench.device().free_bus(), Quality::NoAnswer, 500),
+        // It holds the bus when it is addressed, until it is clocked.
+        (
+            |bench| inject(bench, Disturbance::StuckLow { persistent: false }),
+            |bench| bench.device().free_bus(),
+            Quality::NoAnswer,
+            500,
+        ),
+        (
+            |bench| bench.board.world().imu(IMU).unwrap().borrow_mut().set_hung(true),
+            |bench| bench.board.world().imu(IMU).unwrap().borrow_mut().set_hung(false),
+            Quality::Stale,
+            500,
+        ),
+        // Asleep after the loss of its supply, and another chip when it is asked again.
+        (
+            |bench| {
+                let now_ns = bench.clock.now_ns();
+                let world = bench.board.world();
+                let mut chip = world.imu(IMU).unwrap().borrow_mut();
+                chip.set_identity(0xE1);
+                chip.power_cycle(now_ns);
+            },
+            |bench| bench.board.world().imu(IMU).unwrap().borrow_mut().set_identity(0xEA),
+            Quality::WrongChip,
+            1500,
+        ),
+    ];
+    bench(&openscout(), async |bench| {
+        bench.host.arm().await.unwrap();
+        drive(bench, 3.0, 3.0).await;
+        bench.sleep_ms(1000).await;
+        for (break_it, repair, expected, after_ms) in broken {
+            assert_eq!(imu(bench).await.2, Quality::Good, "before {expected}");
+            break_it(bench);
+            bench.sleep_ms(after_ms).await;
+            let (_, age_ms, quality) = imu(bench).await;
+            assert_eq!(quality, expected);
+            assert!(u64::from(age_ms) > after_ms - 50, "{expected}: {age_ms} ms");
+            assert_eq!(bench.safety().await, (SafetyState::Armed, Causes::NONE), "{expected}");
+            repair(bench);
+            bench.sleep_ms(1500).await;
+        }
+        assert_eq!(imu(bench).await.2, Quality::Good);
+        // A wheel has not stopped meanwhile.
+        let speed = bench.board.world().speed(ChannelId::new(ChannelKind::Dhb, 0)).unwrap();
+        assert!((speed - 3.0).abs() < 0.2, "{speed} rad/s");
+    });
+}
+
+#[test]
+fn a_bus_that_stays_stuck_trips_the_board_whoever_holds_it() {
+    bench(&openscout(), async |bench| {
+        bench.host.arm().await.unwrap();
+        bench.sleep_ms(500).await;
+        inject(bench, Disturbance::StuckLow { persistent: true });
+        bench.sleep_ms(500).await;
+        let (state, causes) = bench.safety().await;
+        assert!(state == SafetyState::Tripped && causes.contains(Cause::I2cFault), "{causes}");
+    });
+}
+
+#[test]
+fn a_number_at_the_end_of_its_range_is_told() {
+    let mut robot = openscout();
+    robot.simulation.imus[0].acceleration_bias_m_s2 = [0.0, -50.0, 0.0];
+    bench(&robot, async |bench| {
+        bench.sleep_ms(1000).await;
+        let (values, _, quality) = imu(bench).await;
+        // 4 g.
+        assert!(quality == Quality::Saturated && (values[1] + 39.2266).abs() < 0.01, "{values:?}, {quality}");
+    });
+}
+
+/// Every write to the output chips and every reading back, with its time, is as with a sensor that is not plugged in: which is asked three
+/// times a second.
+#[test]
+fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
+    let wire = |robot: &Robot| {
+        bench(robot, async |bench| {
+            bench.sleep_ms(500).await;
+            bench.device().record_wire();
+            bench.host.arm().await.unwrap();
+            // Duties, which nothing that is measured changes: looking at the world more often rounds it otherwise.
+            for duty in [0.4, -0.6, 0.2, 0.9] {
+                for index in 0..4 {
+                    bench.set(ChannelId::new(ChannelKind::Dhb, index), Mode::Duty, duty).await.unwrap();
+                }
+                bench.sleep_ms(250).await;
+            }
+            bench.host.disarm().await.unwrap();
+            bench.sleep_ms(100).await;
+            bench.device().wire_since(0).collect::<Vec<_>>()
+        })
+    };
+    let with = wire(&openscout());
+    let mut robot = openscout();
+    robot.simulation.imus.clear();
+    let without: Vec<_> = wire(&robot).into_iter().filter(|record| record.address != ADDRESS).collect();
+    let (sensors, outputs): (Vec<_>, Vec<_>) = with.into_iter().partition(|record| record.address == ADDRESS);
+    // 1.1 s, 100 readings a second of two transfers.
+    assert!((200..=230).contains(&sensors.len()), "{}", sensors.len());
+    assert!(outputs.len() > 400, "{}", outputs.len());
+    let differs = outputs.iter().zip(&without).find(|(with, without)| with != without);
+    assert!(differs.is_none() && outputs.len() == without.len(), "{differs:?}");
+}

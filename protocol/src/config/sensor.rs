@@ -1,0 +1,112 @@
+//! Sensors on the bus with the output chips: one list for all kinds, one row of [`SensorChip`] for each chip.
+
+use core::ops::RangeInclusive;
+
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+use super::{ConfigError, check};
+use crate::channel::{ChannelId, ChannelKind, Range};
+
+/// Most sensors on the bus: as many samples as fit a frame of telemetry beside four of motors.
+pub const MAX_SENSORS: usize = 4;
+
+/// m/s² in one g, by definition (ISO 80000-3).
+const G_M_S2: f32 = 9.806_65;
+
+/// Bits on the bus for a transfer of this many bytes, addresses included: nine each, START, STOP and the time between.
+#[must_use]
+pub const fn bus_bits(bytes: u32) -> u32 {
+    9 * bytes + 3
+}
+
+/// A sensor on the bus with the output chips.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct SensorConfig {
+    /// The kind of its chip and its number.
+    pub id: ChannelId,
+    /// 7-bit I2C address.
+    pub address: u8,
+    /// Readings a second.
+    pub rate_hz: u16,
+    /// The chip with its settings.
+    pub chip: SensorChip,
+}
+
+/// The chips there are drivers for, with their settings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum SensorChip {
+    /// TDK ICM-20948: accelerations and rates about three axes.
+    Icm20948(Icm20948Config),
+}
+
+/// Full scales of an ICM-20948.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Icm20948Config {
+    /// Largest acceleration, g: 2, 4, 8 or 16.
+    pub acceleration_max_g: u8,
+    /// Largest rate, °/s: 250, 500, 1000 or 2000.
+    pub rate_max_deg_s: u16,
+}
+
+/// What the board needs to know of a chip apart from its registers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorDescription {
+    /// What its channel is.
+    pub kind: ChannelKind,
+    /// Addresses it can have.
+    pub addresses: RangeInclusive<u8>,
+    /// Rates at which it can be read, Hz.
+    pub rates_hz: RangeInclusive<u16>,
+    /// Range of the first of its quantities.
+    pub range: Range,
+    /// Bits on the bus of its longest transfer, at most 0.45 ms at 400 kHz.
+    pub longest_bits: u32,
+    /// Bits on the bus of all transfers of one reading.
+    pub reading_bits: u32,
+    /// How many transfers one reading takes.
+    pub transfers: u32,
+}
+
+impl SensorChip {
+    /// What there is to know of the chip.
+    #[must_use]
+    pub fn description(&self) -> SensorDescription {
+        match self {
+            // Two addresses, a register and the status; then the same and twelve bytes.
+            Self::Icm20948(chip) => SensorDescription {
+                kind: ChannelKind::Imu,
+                addresses: 0x68..=0x69,
+                rates_hz: 5..=400,
+                range: Range::symmetric(f32::from(chip.acceleration_max_g) * G_M_S2),
+                longest_bits: bus_bits(15),
+                reading_bits: bus_bits(4) + bus_bits(15),
+                transfers: 2,
+            },
+        }
+    }
+
+    fn validate(&self, id: ChannelId) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(id), holds, rule);
+        match self {
+            Self::Icm20948(chip) => {
+                rule([2, 4, 8, 16].contains(&chip.acceleration_max_g), "acceleration_max_g must be 2, 4, 8 or 16")?;
+                rule(
+                    [250, 500, 1000, 2000].contains(&chip.rate_max_deg_s),
+                    "rate_max_deg_s must be 250, 500, 1000 or 2000",
+                )
+            }
+        }
+    }
+}
+
+impl SensorConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(self.id), holds, rule);
+        let SensorDescription { kind, addresses, rates_hz, .. } = self.chip.description();
+        rule(self.id.kind == kind, "the channel's name must be of the kind that the chip measures")?;
+        rule(addresses.contains(&self.address), "the chip cannot have this address")?;
+        rule(rates_hz.contains(&self.rate_hz), "the chip cannot be read at this rate_hz")?;
+        self.chip.validate(self.id)
+    }
+}
