@@ -35,3 +35,22 @@ impl Curve {
         Self { name, points: samples.iter().map(point).collect() }
     }
 }
+
+/// A square of ground from above: values of its cells, with paths and marks over them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// What it shows.
+    pub title: String,
+    /// Unit of the values, for the scale.
+    pub unit: &'static str,
+    /// Side of the square, m; its south-western corner is the origin.
+    pub side_m: f64,
+    /// Cells along a side.
+    pub columns: usize,
+    /// Values from the south-western cell on, row by row.
+    pub values: Vec<f64>,
+    /// At most four.
+    pub paths: Vec<Curve>,
+    /// Places, m.
+    pub marks_m: Vec<[f64; 2]>,
+}

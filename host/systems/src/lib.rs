@@ -22,7 +22,7 @@ pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
-pub use figure::{Curve, Figure, Panel};
+pub use figure::{Curve, Figure, Panel, View};
 pub use row::Row;
 pub use sampler::Sampler;
 pub use statistic::{Statistic, Summary};
@@ -64,6 +64,15 @@ pub trait System: Sync {
     /// # Errors
     /// When the trial could not be run, or gave nothing that could be written.
     fn files(&self, trial: &Trial) -> Result<Vec<ResultFile>, Error> {
+        let _ = trial;
+        Ok(Vec::new())
+    }
+
+    /// Views from above that go over the panels of [`System::figure`], two beside each other; none for most systems.
+    ///
+    /// # Errors
+    /// When the trial could not be run.
+    fn views(&self, trial: &Trial) -> Result<Vec<View>, Error> {
         let _ = trial;
         Ok(Vec::new())
     }

@@ -243,7 +243,9 @@ fn trial(
 fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
     let name = system.about().name;
     let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: leave --figure out"))?;
-    fs::write(path, crate::report::system(&figure)).with_context(|| format!("cannot write {}", path.display()))?;
+    let views = system.views(trial)?;
+    fs::write(path, crate::report::system(&figure, &views))
+        .with_context(|| format!("cannot write {}", path.display()))?;
     eprintln!("r4: {}: {}", path.display(), figure.description);
     Ok(())
 }

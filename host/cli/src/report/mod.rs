@@ -8,6 +8,7 @@ mod map;
 mod plot;
 mod series;
 mod system;
+mod view;
 
 use std::fmt::Write as _;
 

@@ -3,6 +3,7 @@
 use super::{
     plot::{Figure, Line, Panel, color},
     series::{extent, framed},
+    view,
 };
 
 /// Pixels.
@@ -11,8 +12,8 @@ const HEIGHT: i32 = 170;
 const WIDTH: u32 = 6;
 const COLORS: [plotters::style::RGBColor; 4] = [color::BLUE, color::ORANGE, color::GREEN, color::PURPLE];
 
-/// A system's figure as an SVG file that stands alone.
-pub(crate) fn system(figure: &r4_systems::Figure) -> String {
+/// A system's figure, below its views from above, as an SVG file that stands alone.
+pub(crate) fn system(figure: &r4_systems::Figure, views: &[r4_systems::View]) -> String {
     let points = |axis: fn(&(f64, f64)) -> f64| {
         let curves = figure.panels.iter().flat_map(|panel| &panel.curves);
         extent(curves.flat_map(|curve| &curve.points).map(axis)).unwrap_or((0.0, 1.0))
@@ -25,7 +26,8 @@ pub(crate) fn system(figure: &r4_systems::Figure) -> String {
         trips_s: Vec::new(),
         panels: figure.panels.iter().map(panel).collect(),
     };
-    drawn.svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1)
+    let panels = drawn.svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1);
+    if views.is_empty() { panels } else { view::above(views, &panels, &figure.description) }
 }
 
 fn panel(panel: &r4_systems::Panel) -> Panel {

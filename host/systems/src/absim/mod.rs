@@ -24,6 +24,7 @@ pub mod fleet;
 pub mod ideal;
 pub mod mission;
 pub mod motion;
+mod picture;
 pub mod queue;
 pub mod scene;
 pub mod soil;
@@ -32,7 +33,9 @@ pub mod wall;
 
 use r4_rig::{Pace, Target as Board};
 
-use crate::{About, Arm, Error, Limit, Metric, Paper, Row, Source, Statistic, System, Target, Trial, Values};
+use crate::{
+    About, Arm, Error, Figure, Limit, Metric, Paper, Row, Source, Statistic, System, Target, Trial, Values, View,
+};
 use action::State;
 use fleet::{Fidelity, Run};
 use ideal::IdealDrive;
@@ -153,8 +156,19 @@ impl System for Absim {
         match trial.arm {
             BOARDS => on_boards(trial, Scene::of(trial.seed)),
             ONE_BOARD => on_boards(trial, Scene::small(trial.seed)),
-            arm => abstracted(trial, arm),
+            arm => {
+                let (run, others) = abstracted(trial, arm)?;
+                Ok(compare(arm, &run, &others))
+            }
         }
+    }
+
+    fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
+        picture::figure(trial).map(Some)
+    }
+
+    fn views(&self, trial: &Trial) -> Result<Vec<View>, Error> {
+        picture::views(trial)
     }
 
     fn timings(&self, is_quick: bool) -> Result<Vec<Row>, Error> {
@@ -177,8 +191,8 @@ fn timed_run(
     run.alone(Pace::Free)
 }
 
-/// One trial of an arm without boards.
-fn abstracted(trial: &Trial, arm: &str) -> Result<Values, Error> {
+/// One trial of an arm without boards, and the runs that it is compared with: of other speeds and orders.
+fn abstracted(trial: &Trial, arm: &str) -> Result<(Run<Mission>, Vec<Run<Mission>>), Error> {
     let scene = Scene::of(trial.seed);
     let printed = |factor: f64, slows: bool| {
         let robot = Fidelity::Abstract(Motion::PRINTED);
@@ -217,17 +231,22 @@ fn abstracted(trial: &Trial, arm: &str) -> Result<Values, Error> {
             run = timed_run(scene, robot, Charging::Declared, 1.0, false)?;
         }
     }
-    let mut values = evaluate(&run);
+    Ok((run, others))
+}
+
+/// Metrics of a run beside others of its arm.
+fn compare(arm: &str, run: &Run<Mission>, others: &[Run<Mission>]) -> Values {
+    let mut values = evaluate(run);
     if !others.is_empty() {
-        let same = others.iter().all(|other| is_same(&run, other));
-        let cosine = others.iter().map(|other| cosine(&compared(&run), &compared(other)));
+        let same = others.iter().all(|other| is_same(run, other));
+        let cosine = others.iter().map(|other| cosine(&compared(run), &compared(other)));
         values.insert("cosine".into(), cosine.fold(f64::INFINITY, f64::min));
         values.insert("bit_equal".into(), f64::from(u8::from(same)));
     }
     if matches!(arm, PRINTED | FASTER | FASTER_SLOWED) {
-        values.insert("speed_factor".into(), run.wall.speed_factor(completion_s(&run)));
+        values.insert("speed_factor".into(), run.wall.speed_factor(completion_s(run)));
     }
-    Ok(values)
+    values
 }
 
 /// A trial of boards, and how far the abstract fidelities of the same scene are from it.
