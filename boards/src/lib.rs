@@ -85,6 +85,16 @@ pub fn load_body(path: &Path, robot: &Robot) -> Result<SimulatedBody, BoardError
     robot::read_body(&source, robot)
 }
 
+/// Gives a robot the `[body]` and the `[world]` of a `.toml` file, each if it is there. Other tables of the file are not read: a
+/// scenario has its steps beside these two.
+///
+/// # Errors
+/// The first thing that is wrong with one of the two, with file, line and field.
+pub fn load_environment(path: &Path, robot: &mut Robot) -> Result<(), BoardError> {
+    let source = Source::read(path).map_err(|(path, source)| BoardError::NotReadable { path, source })?;
+    robot::read_environment(&source, robot)
+}
+
 fn find(name_or_path: &str, what: &'static str, known: &[&'static str]) -> Result<(Source, Folder), BoardError> {
     if name_or_path.ends_with(".toml") {
         let path = Path::new(name_or_path);

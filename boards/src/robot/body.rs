@@ -369,6 +369,31 @@ pub(crate) fn read_body(source: &Source, robot: &Robot) -> Result<SimulatedBody,
     file.body.check(&Reader { source, carrier: &robot.carrier }, &robot.config)
 }
 
+/// The tables of a file that describe a robot's body and world, whatever else the file has.
+#[derive(Deserialize)]
+struct EnvironmentFile {
+    body: Option<Body>,
+    world: Option<WorldTable>,
+}
+
+/// Gives `robot` the `[body]` and the `[world]` of a file, each if it is there.
+pub(crate) fn read_environment(source: &Source, robot: &mut Robot) -> Result<(), BoardError> {
+    let file: EnvironmentFile = source.parse()?;
+    if let Some(body) = file.body {
+        let body = body.check(&Reader { source, carrier: &robot.carrier }, &robot.config)?;
+        robot.simulation.set_body(body);
+    }
+    if let Some(world) = file.world {
+        let world = world.check(source)?;
+        if robot.simulation.body.is_none() {
+            let rule = "needs a [body] that stands in it, in this file or in the robot's";
+            return Err(BoardError::Rule { at: source.at("world"), channel: None, rule });
+        }
+        robot.simulation.enter(world);
+    }
+    Ok(())
+}
+
 impl SimulatedBody {
     /// The body, if it is a chassis on wheels.
     #[must_use]

@@ -12,7 +12,7 @@ mod simulation;
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 use r4_world::{AnyBody, Pose, Scene};
 
-pub(crate) use body::{read_body, read_world};
+pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 pub use sensor::SimulatedImu;

@@ -38,6 +38,9 @@ pub struct Rig {
     pub pace: Pace,
     /// File with a virtual board's flash; made if there is none.
     pub flash: Option<PathBuf>,
+    /// File whose `[body]` and `[world]` a virtual board's robot gets in place of its own, each if the file has it: a scenario's.
+    /// `body` and `world` go before these.
+    pub environment: Option<PathBuf>,
     /// World in which a virtual robot's body stands: a built-in name or a TOML file.
     pub world: Option<String>,
     /// Other physics for motors of a virtual board.
@@ -115,6 +118,7 @@ impl Rig {
             seed: 1,
             pace: Pace::Free,
             flash: None,
+            environment: None,
             world: None,
             plants: Vec::new(),
             body: None,
@@ -140,6 +144,9 @@ impl Rig {
     fn prepared(&self) -> Result<(Robot, bool), Error> {
         let name = self.target.robot()?;
         let mut robot = r4_boards::load(name)?;
+        if let Some(file) = &self.environment {
+            r4_boards::load_environment(file, &mut robot)?;
+        }
         if let Some(file) = &self.body {
             replace_body(&mut robot, file)?;
         }

@@ -58,7 +58,7 @@ pub(crate) fn play_on(
     for path in files {
         let scenario = Scenario::read(path)?;
         let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
-        let outcome = outcome(&args, &rig(&args)?, &scenario)?;
+        let outcome = outcome(&args, rig(&args)?, &scenario)?;
         if args.json {
             let (scenario, board) = (name(path), args.board.to_string());
             output::json(&Played { scenario, board, outcome: &outcome })?;
@@ -97,7 +97,7 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         let log = |board: &Target| args.log.filter(|_| matches!(board, Target::Emu(_)));
         let on = |board: Target| {
             let args = Args { log: log(&board), board, ..args.clone() };
-            outcome(&args, &session::rig(&args, Pace::Free)?, &scenario)
+            outcome(&args, session::rig(&args, Pace::Free)?, &scenario)
         };
         let simulated = on(Target::Sim(scenario.robot.clone()))?;
         let emulated = on(Target::Emu(scenario.robot.clone()))?;
@@ -137,8 +137,9 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     Ok(agree)
 }
 
-fn outcome(args: &Args, rig: &Rig, scenario: &Scenario) -> anyhow::Result<Outcome> {
-    let (outcome, _) = session::run_on(args, rig, async |session| Ok(scenario::play(session, scenario).await?))?;
+fn outcome(args: &Args, rig: Rig, scenario: &Scenario) -> anyhow::Result<Outcome> {
+    let (outcome, _) =
+        session::run_on(args, &scenario.set_up(rig), async |session| Ok(scenario::play(session, scenario).await?))?;
     Ok(outcome)
 }
 

@@ -1,11 +1,18 @@
 //! A scenario's file.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use r4_protocol::{ChannelId, Mode};
-use serde::{Deserialize, Deserializer, de::Error};
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error, IgnoredAny},
+};
 
 use super::ScenarioError;
+use crate::Rig;
 
 /// The robot and the timed steps of a scenario, as its file lists them.
 #[derive(Clone, Debug, Deserialize)]
@@ -15,6 +22,14 @@ pub struct Scenario {
     pub robot: String,
     /// The steps, in order of time.
     pub steps: Vec<Step>,
+    /// `[body]` and `[world]`, which [`Rig::robot`] reads for the robot of the board.
+    #[serde(rename = "body")]
+    _body: Option<IgnoredAny>,
+    #[serde(rename = "world")]
+    _world: Option<IgnoredAny>,
+    /// The file itself.
+    #[serde(skip)]
+    path: PathBuf,
 }
 
 /// An action and its time.
@@ -130,9 +145,15 @@ impl Scenario {
         };
         match toml::from_str::<Self>(&text) {
             Ok(scenario) if scenario.steps.is_empty() => Err(ScenarioError::NoSteps { path }),
-            Ok(scenario) => Ok(scenario),
+            Ok(scenario) => Ok(Self { path, ..scenario }),
             Err(source) => Err(ScenarioError::Malformed { path, source: Box::new(source) }),
         }
+    }
+
+    /// The same board with the scenario's `[body]` and `[world]`.
+    #[must_use]
+    pub fn set_up(&self, rig: Rig) -> Rig {
+        Rig { environment: Some(self.path.clone()), ..rig }
     }
 }
 
@@ -200,6 +221,31 @@ mod tests {
             steps(r#"{ at_s = 0.5, do = "set", channel = "osmc0", mode = "duty", value = 0.5 }"#).expect("right");
         assert!(matches!(scenario.steps[0].action, Action::Set { mode: Mode::Duty, value: 0.5, .. }));
         assert!(matches!(steps(r#"{ at_s = 1, do = "arm" }"#).expect("right").steps[0].action, Action::Arm));
+    }
+
+    #[test]
+    fn a_wrong_body_or_world_is_refused_by_line_and_field() {
+        let robot = |tables: &str| {
+            let file = tempfile::Builder::new().suffix(".toml").tempfile().expect("a file");
+            let steps = r#"[{ at_s = 0.5, do = "arm" }]"#;
+            fs::write(file.path(), format!("robot = \"openscout\"\nsteps = {steps}\n{tables}")).expect("written");
+            let scenario = Scenario::read(file.path()).expect("the steps are right");
+            scenario.set_up(Rig::new("sim:openscout".parse().expect("a board"))).robot()
+        };
+        let wall = "[[world.wall]]\npoints_m = [[1.0, -1.0], [1.0, 1.0]]\n";
+        let own = robot("").expect("the robot's own");
+        let walled = robot(wall).expect("a wall");
+        assert_eq!(own.simulation.scene.walls_m().count(), 0);
+        assert_eq!(walled.simulation.scene.walls_m().count(), 1);
+        assert_eq!(walled.simulation.body, own.simulation.body);
+        for (tables, at) in [
+            ("[[world.wall]]\npoints = [[1.0, -1.0], [1.0, 1.0]]\n", "4: world.wall[0].points"),
+            ("[[world.post]]\ncentre_m = [1.0, 0.0]\nradius_m = -0.1\n", "3: world.post[0]"),
+            ("[body.wheeled]\nmass_kg = -9.0\n", "4: body.wheeled.mass_kg"),
+        ] {
+            let problem = robot(tables).expect_err(tables).to_string();
+            assert!(problem.contains(&format!(".toml:{at}: ")), "{problem}");
+        }
     }
 
     #[test]
