@@ -255,6 +255,8 @@ fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) ->
 }
 
 #[cfg(test)]
+mod husky;
+#[cfg(test)]
 mod mujoco;
 #[cfg(test)]
 mod tests;
