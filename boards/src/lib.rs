@@ -24,8 +24,9 @@ pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
     Ackermann, Drive, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
-    SimulatedEncoder, SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
-    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint, World,
+    SimulatedCurrent, SimulatedEncoder, SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor,
+    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint,
+    World,
 };
 use source::{Folder, Source};
 

@@ -15,7 +15,7 @@ use r4_world::{AnyBody, Pose, Scene};
 pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
-pub use sensor::SimulatedImu;
+pub use sensor::{SimulatedCurrent, SimulatedImu};
 
 use crate::carrier::Carrier;
 
@@ -57,6 +57,8 @@ pub struct Simulation {
     pub switches: Vec<SimulatedSwitch>,
     /// One for each IMU.
     pub imus: Vec<SimulatedImu>,
+    /// One for each current monitor.
+    pub currents: Vec<SimulatedCurrent>,
     /// What couples motors; `None` lets each turn alone.
     pub body: Option<SimulatedBody>,
     /// What is around the body.

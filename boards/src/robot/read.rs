@@ -5,8 +5,8 @@ use std::{fmt::Display, io::ErrorKind};
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BoardConfig, BridgeConfig, CanConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MotorConfig,
-        PwmConfig,
+        BoardConfig, BridgeConfig, CanConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MAX_SENSORS,
+        MotorConfig, PwmConfig, SensorConfig,
     },
 };
 use serde::Deserialize;
@@ -64,6 +64,8 @@ struct RobotFile {
     supply: Vec<input::Supply>,
     #[serde(default)]
     imu: Vec<sensor::Imu>,
+    #[serde(default)]
+    current: Vec<sensor::Current>,
     drive: Option<Drive>,
     body: Option<body::Body>,
     world: Option<body::WorldTable>,
@@ -227,7 +229,10 @@ impl Reader<'_> {
         let (relays, dacs) = (list!(relay), list!(dac));
         let (encoders, switches, ranges) = (list!(encoder), list!(switch), list!(range));
         let (analogs, supplies) = (list!(analog), list!(supply));
-        let sensors = list!(imu);
+        let mut sensors: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(imu);
+        let currents: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(current);
+        let full = |_| self.rule("current", "the firmware has at most 4 sensors on the bus");
+        sensors.extend_from_slice(&currents).map_err(full)?;
 
         let carrier = self.carrier;
         let on_bridge = |dhb| motors.iter().any(|motor| matches!(motor.bridge, BridgeConfig::Dhb(_)) == dhb);

@@ -1,13 +1,17 @@
-//! `[[imu]]` and `[[simulation.imu]]`: sensors on the bus with the output chips, and what is true of them.
+//! `[[imu]]`, `[[current]]`, and `[[simulation.imu]]`, `[[simulation.current]]`: sensors on the bus with the output chips, and what is
+//! true of them.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{Icm20948Config, SensorChip, SensorConfig},
+    config::{Icm20948Config, Ina226Config, SensorChip, SensorConfig},
 };
 use serde::Deserialize;
 
 use super::read::{Place, Table};
-use crate::{error::BoardError, number::channel};
+use crate::{
+    error::BoardError,
+    number::{channel, optional_positive, positive},
+};
 
 /// An ICM-20948.
 #[derive(Deserialize)]
@@ -35,6 +39,48 @@ impl Table for Imu {
         let chip = SensorChip::Icm20948(Icm20948Config { acceleration_max_g, rate_max_deg_s });
         Ok(SensorConfig { id, address, rate_hz, chip })
     }
+}
+
+/// An INA226.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Current {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    address: u8,
+    rate_hz: u16,
+    #[serde(deserialize_with = "positive")]
+    shunt_ohm: f32,
+}
+
+impl Table for Current {
+    type Config = SensorConfig;
+    const KIND: ChannelKind = ChannelKind::Current;
+
+    fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<SensorConfig, BoardError> {
+        let &Self { channel: id, address, rate_hz, shunt_ohm } = self;
+        place.take_address(address)?;
+        Ok(SensorConfig { id, address, rate_hz, chip: SensorChip::Ina226(Ina226Config { shunt_ohm }) })
+    }
+}
+
+/// Where a current monitor is.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedCurrent {
+    /// Which.
+    #[serde(deserialize_with = "channel")]
+    pub channel: ChannelId,
+    /// The supply, or the motor on a bridge, whose current it sees: what is drawn counts as positive.
+    #[serde(deserialize_with = "channel")]
+    pub of: ChannelId,
+    /// True resistance of the shunt, Ω; `None` for that of the configuration.
+    #[serde(default, deserialize_with = "optional_positive")]
+    pub shunt_ohm: Option<f64>,
 }
 
 /// How an inertial sensor sits on the body, and how far it is off. Its axes are the body's: x forwards, y to the left, z upwards.

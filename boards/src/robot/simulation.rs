@@ -13,9 +13,9 @@ use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
-    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedEncoder, SimulatedImu, SimulatedMotor,
-    SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
-    Simulation, TruePoint,
+    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedCurrent, SimulatedEncoder, SimulatedImu,
+    SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper,
+    SimulatedSwitch, Simulation, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -69,6 +69,8 @@ pub(super) struct Tables {
     switch: Vec<Switch>,
     #[serde(default)]
     imu: Vec<SimulatedImu>,
+    #[serde(default)]
+    current: Vec<SimulatedCurrent>,
 }
 
 #[derive(Deserialize)]
@@ -274,7 +276,7 @@ macro_rules! about {
 }
 
 about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
-about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu");
+about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu", SimulatedCurrent "current");
 
 impl Tables {
     /// Checks the tables against the robot's configuration, and reads the plant files.
@@ -296,7 +298,9 @@ impl Tables {
             }
         }
         let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
-        let imus: Vec<_> = config.sensors.iter().filter(|sensor| sensor.id.kind == ChannelKind::Imu).copied().collect();
+        let on_bus = |kind| -> Vec<SensorConfig> {
+            config.sensors.iter().filter(|sensor| sensor.id.kind == kind).copied().collect()
+        };
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
             motors: check.motors(self)?,
@@ -307,7 +311,8 @@ impl Tables {
             steppers: check.each(&self.stepper, &config.steppers, |stepper| stepper.id, Check::stepper)?,
             ranges: check.each(&self.range, &config.ranges, |range| range.id, Check::range)?,
             analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
-            imus: check.each(&self.imu, &imus, |imu| imu.id, Check::imu)?,
+            imus: check.each(&self.imu, &on_bus(ChannelKind::Imu), |imu| imu.id, Check::imu)?,
+            currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             body,
             scene: Scene::default(),
@@ -594,6 +599,27 @@ impl Check<'_> {
     ) -> Result<SimulatedImu, BoardError> {
         let imu = imu.copied().unwrap_or_else(|| SimulatedImu::new(config.id));
         if imu.is_finite() { Ok(imu) } else { Err(self.reader.rule(path, "numbers must be finite")) }
+    }
+
+    /// A current monitor that no table is about is in the only supply.
+    fn current(
+        &mut self,
+        config: &SensorConfig,
+        current: Option<&SimulatedCurrent>,
+        path: &str,
+    ) -> Result<SimulatedCurrent, BoardError> {
+        let Some(current) = current else {
+            let [supply] = &self.config.supplies[..] else {
+                return Err(self
+                    .reader
+                    .rule(path, "needs a [[simulation.current]] table that says whose current it sees"));
+            };
+            return Ok(SimulatedCurrent { channel: config.id, of: supply.id, shunt_ohm: None });
+        };
+        let supplies = self.config.supplies.iter().map(|supply| &supply.id);
+        let known = supplies.chain(self.config.motors.iter().map(|motor| &motor.id));
+        self.reader.one_of("supply or motor", current.of, known, format!("{path}.of"))?;
+        Ok(*current)
     }
 
     /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.

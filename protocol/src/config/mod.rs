@@ -24,7 +24,7 @@ pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
     ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
 };
-pub use sensor::{Icm20948Config, MAX_SENSORS, SensorChip, SensorConfig, SensorDescription, bus_bits};
+pub use sensor::{Icm20948Config, Ina226Config, MAX_SENSORS, SensorChip, SensorConfig, SensorDescription, bus_bits};
 
 use crate::{
     can::{BITRATES_KBIT, DATA_RATES_KBIT, Node},

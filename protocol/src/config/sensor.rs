@@ -5,7 +5,7 @@ use core::ops::RangeInclusive;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, check};
+use super::{ConfigError, check, positive};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
 /// Most sensors on the bus: as many samples as fit a frame of telemetry beside four of motors.
@@ -38,6 +38,8 @@ pub struct SensorConfig {
 pub enum SensorChip {
     /// TDK ICM-20948: accelerations and rates about three axes.
     Icm20948(Icm20948Config),
+    /// TI INA226: a current, through a shunt, and a voltage.
+    Ina226(Ina226Config),
 }
 
 /// Full scales of an ICM-20948.
@@ -48,6 +50,16 @@ pub struct Icm20948Config {
     /// Largest rate, °/s: 250, 500, 1000 or 2000.
     pub rate_max_deg_s: u16,
 }
+
+/// The shunt of an INA226.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Ina226Config {
+    /// Ω
+    pub shunt_ohm: f32,
+}
+
+/// Largest voltage at a shunt that an INA226 measures, V.
+const INA226_SHUNT_V: f32 = 0.081_92;
 
 /// What the board needs to know of a chip apart from its registers.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,6 +95,16 @@ impl SensorChip {
                 reading_bits: bus_bits(4) + bus_bits(15),
                 transfers: 2,
             },
+            // Whether it is ready, shunt and bus: each two addresses, a register and its two bytes.
+            Self::Ina226(chip) => SensorDescription {
+                kind: ChannelKind::Current,
+                addresses: 0x40..=0x4F,
+                rates_hz: 1..=333,
+                range: Range::symmetric(INA226_SHUNT_V / chip.shunt_ohm),
+                longest_bits: bus_bits(5),
+                reading_bits: 3 * bus_bits(5),
+                transfers: 3,
+            },
         }
     }
 
@@ -96,6 +118,7 @@ impl SensorChip {
                     "rate_max_deg_s must be 250, 500, 1000 or 2000",
                 )
             }
+            Self::Ina226(chip) => rule(positive(chip.shunt_ohm), "shunt_ohm must be positive"),
         }
     }
 }

@@ -5,12 +5,12 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Imu, Stepper, Supply, Switch},
+    ChannelKind::{Current, Imu, Stepper, Supply, Switch},
     Range,
     config::{
         BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig, DhbLines,
-        DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, MAX_EXACT, PidGains, Place,
-        PotPoint, Reverse, SensorChip, SensorConfig, WindingConfig,
+        DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, Ina226Config, MAX_EXACT,
+        PidGains, Place, PotPoint, Reverse, SensorChip, SensorConfig, WindingConfig,
     },
 };
 
@@ -445,7 +445,7 @@ const SENSORS: &[Case] = {
     const ACCELERATION: &str = "acceleration_max_g must be 2, 4, 8 or 16";
     const TURNING: &str = "rate_max_deg_s must be 250, 500, 1000 or 2000";
     fn imu(config: &mut BoardConfig) -> &mut Icm20948Config {
-        let SensorChip::Icm20948(imu) = &mut config.sensors[0].chip;
+        let SensorChip::Icm20948(imu) = &mut config.sensors[0].chip else { panic!("the IMU") };
         imu
     }
     fn second(config: &mut BoardConfig, address: u8) {
@@ -461,6 +461,10 @@ const SENSORS: &[Case] = {
         (IMU0, RATE, |c| c.sensors[0].rate_hz = 401),
         (IMU0, ACCELERATION, |c| imu(c).acceleration_max_g = 3),
         (IMU0, TURNING, |c| imu(c).rate_max_deg_s = 125),
+        (Some(id(Current, 0)), "shunt_ohm must be positive", |c| {
+            let chip = SensorChip::Ina226(Ina226Config { shunt_ohm: 0.0 });
+            c.sensors[0] = SensorConfig { id: id(Current, 0), address: 0x45, rate_hz: 10, chip };
+        }),
         (Some(id(Imu, 1)), TAKEN, |c| second(c, 0x68)),
         (IMU0, TAKEN, |c| c.dhb_pwm.as_mut().expect("it has one").address = 0x68),
         // 2 x 250 periods of 2 ms; a period has room for 760 bits.

@@ -1,6 +1,7 @@
 //! Drivers of the board's chips, on `embedded-hal-async` I2C.
 
 pub mod icm20948;
+pub mod ina226;
 pub mod mcp23017;
 pub mod mcp4728;
 pub mod pca9685;

@@ -8,7 +8,7 @@ use r4_protocol::{
     config::{SensorChip, SensorConfig},
 };
 
-use super::icm20948::Icm20948;
+use super::{icm20948::Icm20948, ina226::Ina226};
 use crate::bus::bits;
 
 /// Most bytes written in one exchange: a register and two more.
@@ -139,4 +139,4 @@ macro_rules! chips {
     };
 }
 
-chips!(Icm20948);
+chips!(Icm20948 Ina226);

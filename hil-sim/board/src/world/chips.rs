@@ -2,14 +2,18 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{Robot, SimulatedImu};
-use r4_protocol::config::{SensorChip, SensorConfig};
+use r4_boards::{Robot, SimulatedCurrent, SimulatedImu};
+use r4_protocol::{
+    ChannelId,
+    config::{SensorChip, SensorConfig},
+};
 use r4_world::Inertial;
 
 use super::wires::BoardChip;
 use crate::{
     chips::{
         icm20948::{Icm20948, Truth},
+        ina226::{Ina226, Inputs},
         mcp4728::{CHANNELS, Mcp4728, Setting},
         mcp23017::{Mcp23017, PinState, Port},
         pca9685::Pca9685,
@@ -29,6 +33,7 @@ pub(super) struct Chips {
     pub(super) bldc_dac: Option<Rc<RefCell<Mcp4728>>>,
     pub(super) expander: Option<Rc<RefCell<Mcp23017>>>,
     pub(super) imus: Vec<Imu>,
+    pub(super) currents: Vec<CurrentMonitor>,
 }
 
 /// An IMU and how it sits on the body.
@@ -39,9 +44,26 @@ pub(super) struct Imu {
 
 impl Imu {
     fn new(config: &SensorConfig, mounting: &SimulatedImu, seed: u64) -> Self {
-        let SensorChip::Icm20948(_) = config.chip;
         let chip = Rc::new(RefCell::new(Icm20948::new(config.address, seed.wrapping_add(config.address.into()))));
         Self { chip, mounting: *mounting }
+    }
+}
+
+/// A current monitor, and where it is.
+pub(super) struct CurrentMonitor {
+    pub(super) chip: Rc<RefCell<Ina226>>,
+    pub(super) wiring: SimulatedCurrent,
+    shunt_ohm: f64,
+}
+
+impl CurrentMonitor {
+    fn new(config: &SensorConfig, wiring: &SimulatedCurrent) -> Option<Self> {
+        let SensorChip::Ina226(chip) = config.chip else { return None };
+        Some(Self {
+            chip: Rc::new(RefCell::new(Ina226::new(config.address))),
+            wiring: *wiring,
+            shunt_ohm: wiring.shunt_ohm.unwrap_or(chip.shunt_ohm.into()),
+        })
     }
 }
 
@@ -49,12 +71,14 @@ impl Chips {
     pub(super) fn new(robot: &Robot, bus: &mut I2cBus, seed: u64) -> Self {
         let config = &robot.config;
         let pwm = |address, oscillator_hz| Rc::new(RefCell::new(Pca9685::new(address, oscillator_hz)));
-        let imus = robot.simulation.imus.iter().filter_map(|mounting| {
-            let config = config.sensors.iter().find(|sensor| sensor.id == mounting.channel)?;
-            Some(Imu::new(config, mounting, seed))
-        });
+        let sensor = |channel| config.sensors.iter().find(|sensor| sensor.id == channel);
+        let imus = robot.simulation.imus.iter();
+        let imus = imus.filter_map(|mounting| Some(Imu::new(sensor(mounting.channel)?, mounting, seed)));
+        let currents = robot.simulation.currents.iter();
+        let currents = currents.filter_map(|wiring| CurrentMonitor::new(sensor(wiring.channel)?, wiring));
         let chips = Self {
             imus: imus.collect(),
+            currents: currents.collect(),
             osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
@@ -74,6 +98,7 @@ impl Chips {
         chips.bldc_dac.iter().for_each(|chip| bus.attach(chip.clone()));
         chips.expander.iter().for_each(|chip| bus.attach(chip.clone()));
         chips.imus.iter().for_each(|imu| bus.attach(imu.chip.clone()));
+        chips.currents.iter().for_each(|current| bus.attach(current.chip.clone()));
         chips
     }
 
@@ -87,6 +112,15 @@ impl Chips {
                 rate_rad_s: add(rate_rad_s, mounting.rate_bias_rad_s),
             };
             chip.borrow_mut().feel(until_ns, truth);
+        }
+    }
+
+    /// Lets current monitors see what is drawn from a supply or by a motor, A, and at which voltage, up to `until_ns`.
+    pub(super) fn see_currents(&self, until_ns: u64, drawn: impl Fn(ChannelId) -> Option<[f64; 2]>) {
+        for CurrentMonitor { chip, wiring, shunt_ohm } in &self.currents {
+            // The file's reader has checked that it exists.
+            let [current_a, volts] = drawn(wiring.of).unwrap_or_default();
+            chip.borrow_mut().feel(until_ns, Inputs { shunt_v: current_a * shunt_ohm, bus_v: volts });
         }
     }
 
@@ -139,6 +173,7 @@ impl Chips {
         self.bldc_dac.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
         self.expander.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
         self.imus.iter().for_each(|imu| all.extend(imu.chip.borrow().misuse().first()));
+        self.currents.iter().for_each(|current| all.extend(current.chip.borrow().misuse().first()));
         all
     }
 }

@@ -26,6 +26,7 @@ use rand_pcg::{Pcg64, rand_core::SeedableRng};
 use crate::{
     chips::{
         icm20948::Icm20948,
+        ina226::Ina226,
         mcp4728::Mcp4728,
         mcp23017::{Mcp23017, PinState},
         pca9685::Pca9685,
@@ -81,6 +82,8 @@ pub struct World {
 struct Rail {
     spec: SimulatedRail,
     volts: f64,
+    /// What motors draw from it.
+    current_a: f64,
 }
 
 impl Rail {
@@ -113,7 +116,8 @@ impl World {
     pub fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
         let chips = Chips::new(robot, &mut bus, seed);
-        let rails: Vec<_> = robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, spec: *spec }).collect();
+        let rails: Vec<_> =
+            robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, current_a: 0.0, spec: *spec }).collect();
         let mut motors = Vec::new();
         for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
             // The file's reader has checked that rail and motor exist.
@@ -198,10 +202,17 @@ impl World {
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
             let current_a: f64 = on_rail.map(|motor| motor.plant.supply_current_a()).sum();
+            rail.current_a = current_a;
             rail.volts = rail.after(current_a, dt_s);
             // Near its lock-out the gate driver must be asked each time, not only when a line changes.
             self.stale |= rail.volts < motor::GATE_SUPPLY_V;
         }
+        self.chips.see_currents(until_ns, |of| {
+            let rail = self.rails.iter().find(|rail| rail.spec.channel == of);
+            let motor = || self.motors.iter().find(|motor| motor.channel == of);
+            let of_motor = || motor().map(|motor| [motor.plant.supply_current_a(), self.rails[motor.rail].volts]);
+            rail.map(|rail| [rail.current_a, rail.volts]).or_else(of_motor)
+        });
     }
 
     /// Lets bridges, drives and servos see their lines and supply as they are now.
@@ -399,6 +410,18 @@ impl World {
     #[must_use]
     pub fn imu(&self, channel: ChannelId) -> Option<&Rc<RefCell<Icm20948>>> {
         self.chips.imus.iter().find(|imu| imu.mounting.channel == channel).map(|imu| &imu.chip)
+    }
+
+    /// A current monitor, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn current_monitor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Ina226>>> {
+        self.chips.currents.iter().find(|monitor| monitor.wiring.channel == channel).map(|monitor| &monitor.chip)
+    }
+
+    /// What motors draw from a rail, A; negative where they feed it.
+    pub fn rail_current_a(&mut self, rail: ChannelId) -> Option<f64> {
+        self.catch_up();
+        self.rails.iter().find(|known| known.spec.channel == rail).map(|rail| rail.current_a)
     }
 
     /// Everything done against a datasheet so far, in order of time.

@@ -9,10 +9,13 @@ use r4_boards::Robot;
 use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
-    config::{Icm20948Config, SensorChip, SensorConfig},
+    config::{Icm20948Config, Ina226Config, SensorChip, SensorConfig},
 };
 use r4_sim::{
-    chips::icm20948::{Icm20948, Truth},
+    chips::{
+        icm20948::{Icm20948, Truth},
+        ina226::{Ina226, Inputs},
+    },
     i2c::{Disturbance, I2cBus, Injection, Span},
 };
 
@@ -28,17 +31,19 @@ fn openscout() -> Robot {
     r4_boards::load("openscout").expect("built in")
 }
 
+const CURRENT: ChannelId = ChannelId::new(ChannelKind::Current, 0);
+
 /// Lets `driver` have the bus to itself, a transfer in each millisecond, until it has a reading.
-fn read(driver: &mut AnyDriver, bus: &mut I2cBus, mut pass: impl FnMut(u64)) -> ([f32; 6], bool) {
+fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl FnMut(u64)) -> ([f32; 6], bool) {
     let mut now_ns = 0;
     for _ in 0..1000 {
         pass(now_ns);
         let exchange = driver.next();
         let mut bytes = vec![0; exchange.read()];
         let done = if bytes.is_empty() {
-            bus.execute(now_ns, ADDRESS, &mut [Operation::Write(exchange.written())])
+            bus.execute(now_ns, address, &mut [Operation::Write(exchange.written())])
         } else {
-            bus.execute(now_ns, ADDRESS, &mut [Operation::Write(exchange.written()), Operation::Read(&mut bytes)])
+            bus.execute(now_ns, address, &mut [Operation::Write(exchange.written()), Operation::Read(&mut bytes)])
         };
         // The longest that a stop may have to wait for.
         let done = done.unwrap();
@@ -66,10 +71,10 @@ fn an_icm_20948_gives_what_it_feels_at_every_full_scale() {
             let truth = Truth { acceleration_m_s2: [1.0, -2.0, 9.806_65], rate_rad_s: [0.5, -1.0, 2.0] };
             let pass = |now_ns: u64| chip.borrow_mut().feel(100 * MS + now_ns, truth);
             let mut driver = AnyDriver::new(&config);
-            read(&mut driver, &mut bus, pass);
+            read(&mut driver, &mut bus, ADDRESS, pass);
             // The first sample is of a filter that has not settled: at 5 Hz it is one of 5.7 Hz, and 1 s is 36 time constants.
             chip.borrow_mut().feel(2000 * MS, truth);
-            let (values, saturated) = read(&mut driver, &mut bus, |now_ns| {
+            let (values, saturated) = read(&mut driver, &mut bus, ADDRESS, |now_ns| {
                 chip.borrow_mut().feel(2000 * MS + now_ns, truth);
             });
             assert!(!saturated);
@@ -86,6 +91,55 @@ fn an_icm_20948_gives_what_it_feels_at_every_full_scale() {
             assert_eq!(chip.borrow().misuse().first(), []);
         }
     }
+}
+
+#[test]
+fn an_ina226_gives_current_and_voltage_for_every_shunt() {
+    for (shunt_ohm, current_a) in [(0.1, -0.5), (0.005, 12.5), (0.000_5, 150.0)] {
+        for rate_hz in [1, 50, 333] {
+            let chip = Rc::new(RefCell::new(Ina226::new(0x45)));
+            let mut bus = I2cBus::new(400_000);
+            bus.attach(chip.clone());
+            let config = SensorChip::Ina226(Ina226Config { shunt_ohm });
+            let config = SensorConfig { id: CURRENT, address: 0x45, rate_hz, chip: config };
+            let inputs = Inputs { shunt_v: current_a * f64::from(shunt_ohm), bus_v: 12.34 };
+            let mut driver = AnyDriver::new(&config);
+            let pass = |now_ns| chip.borrow_mut().feel(now_ns, inputs);
+            let (values, saturated) = read(&mut driver, &mut bus, 0x45, pass);
+            assert!(!saturated);
+            // Half a count of 2.5 uV and of 1.25 mV, and the rounding of f32.
+            let tolerance_a = 1.25e-6 / f64::from(shunt_ohm) + 1e-6 * current_a.abs();
+            assert!((f64::from(values[0]) - current_a).abs() < tolerance_a, "{values:?}");
+            assert!((f64::from(values[1]) - 12.34).abs() < 0.000_63, "{values:?}");
+            assert_eq!(chip.borrow().misuse().first(), []);
+        }
+    }
+}
+
+#[test]
+fn a_current_monitor_follows_its_supply() {
+    let supply = ChannelId::new(ChannelKind::Supply, 0);
+    bench(&openscout(), async |bench| {
+        bench.host.arm().await.unwrap();
+        for (left, right) in [(0.0, 0.0), (-3.0, 3.0)] {
+            drive(bench, left, right).await;
+            bench.sleep_ms(1500).await;
+            let (mut measured, mut truth) = ([0.0; 2], [0.0; 2]);
+            for _ in 0..50 {
+                let Sample::Sensor { values, quality, .. } = sample(bench, CURRENT).await else { panic!("a sensor") };
+                assert_eq!(quality, Quality::Good);
+                let world = [bench.board.world().rail_current_a(supply), bench.board.world().rail_v(supply)];
+                for index in 0..2 {
+                    measured[index] += f64::from(values[index]) / 50.0;
+                    truth[index] += world[index].unwrap() / 50.0;
+                }
+            }
+            // Samples are of other moments than the truth is: the loops move the current by a few per cent.
+            assert!((measured[0] - truth[0]).abs() < 0.02 + 0.1 * truth[0].abs(), "{measured:?}, {truth:?}");
+            assert!((measured[1] - truth[1]).abs() < 0.02, "{measured:?}, {truth:?}");
+            assert!(left == 0.0 || truth[0] > 0.2, "turning takes a current: {truth:?}");
+        }
+    });
 }
 
 /// The newest sample of `imu0`.
@@ -217,7 +271,7 @@ fn a_number_at_the_end_of_its_range_is_told() {
     });
 }
 
-/// Every write to the output chips and every reading back, with its time, is as with a sensor that is not plugged in: which is asked three
+/// Every write to the output chips and every reading back, with its time, is as with sensors that are not plugged in, which are asked three
 /// times a second.
 #[test]
 fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
@@ -238,13 +292,15 @@ fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
             bench.device().wire_since(0).collect::<Vec<_>>()
         })
     };
+    let is_sensor = |address| address == ADDRESS || address == 0x45;
     let with = wire(&openscout());
     let mut robot = openscout();
     robot.simulation.imus.clear();
-    let without: Vec<_> = wire(&robot).into_iter().filter(|record| record.address != ADDRESS).collect();
-    let (sensors, outputs): (Vec<_>, Vec<_>) = with.into_iter().partition(|record| record.address == ADDRESS);
-    // 1.1 s, 100 readings a second of two transfers.
-    assert!((200..=230).contains(&sensors.len()), "{}", sensors.len());
+    robot.simulation.currents.clear();
+    let without: Vec<_> = wire(&robot).into_iter().filter(|record| !is_sensor(record.address)).collect();
+    let (sensors, outputs): (Vec<_>, Vec<_>) = with.into_iter().partition(|record| is_sensor(record.address));
+    // 1.1 s, 100 readings a second of two transfers, and 50 of three.
+    assert!((340..=420).contains(&sensors.len()), "{}", sensors.len());
     assert!(outputs.len() > 400, "{}", outputs.len());
     let differs = outputs.iter().zip(&without).find(|(with, without)| with != without);
     assert!(differs.is_none() && outputs.len() == without.len(), "{differs:?}");

@@ -1,0 +1,162 @@
+//! TI INA226: the current through a shunt, and the voltage of its bus. Section and table numbers are those of its datasheet, SBOS547A.
+
+use embassy_time::Duration;
+use r4_protocol::{channel::MAX_QUANTITIES, config::Ina226Config};
+
+use super::sensor::{Driver, Exchange, Outcome};
+
+// Registers (table 2).
+const CONFIGURATION: u8 = 0x00;
+const SHUNT_VOLTAGE: u8 = 0x01;
+const BUS_VOLTAGE: u8 = 0x02;
+const MASK_ENABLE: u8 = 0x06;
+const MANUFACTURER_ID: u8 = 0xFE;
+const DIE_ID: u8 = 0xFF;
+
+/// "TI" (7.6.9), and the die (7.6.10).
+const MANUFACTURER: [u8; 2] = *b"TI";
+const DIE: [u8; 2] = [0x22, 0x60];
+/// CONFIGURATION (7.6.1): all registers as after power-up.
+const RESET: [u8; 2] = [0x80, 0x00];
+/// CONFIGURATION: the bit that reads 1; conversions of 1.1 ms, of shunt and bus, without end.
+const CONTINUOUS: u16 = 1 << 14 | 0b100 << 6 | 0b100 << 3 | 0b111;
+const AVERAGES_AT: u16 = 9;
+/// What can be averaged (table 6).
+const AVERAGES: [u32; 8] = [1, 4, 16, 64, 128, 256, 512, 1024];
+/// Longest time of a shunt's and a bus's conversion of 1.1 ms (6.5), µs.
+const BOTH_US: u32 = 2 * 1210;
+/// MASK_ENABLE (7.6.7), its lower byte: all conversions and averages are done.
+const CONVERSION_READY: u8 = 1 << 3;
+/// V of one count (7.6.2, 7.6.3).
+const SHUNT_V: f32 = 2.5e-6;
+const BUS_V: f32 = 1.25e-3;
+/// From a reset to its registers' values: the datasheet gives no time for it, our choice.
+const START_UP: Duration = Duration::from_millis(1);
+
+/// What the next transfer is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Manufacturer,
+    Die,
+    Reset,
+    Set,
+    Check,
+    Status,
+    Shunt,
+    Bus,
+}
+
+/// The driver of one chip.
+#[derive(Clone, Debug)]
+pub struct Ina226 {
+    state: State,
+    configuration: [u8; 2],
+    amperes_per_count: f32,
+    /// Of the shunt, in the reading under way.
+    counts: i16,
+}
+
+impl Ina226 {
+    /// Set up by `config` for `rate_hz` readings a second, 1 to 333. Each is the mean of as many conversions as that leaves time for.
+    #[must_use]
+    pub fn new(config: &Ina226Config, rate_hz: u16) -> Self {
+        let period_us = 1_000_000 / u32::from(rate_hz.max(1));
+        let averages = AVERAGES.iter().rposition(|count| count * BOTH_US <= period_us).unwrap_or(0) as u16;
+        Self {
+            state: State::Manufacturer,
+            configuration: (CONTINUOUS | averages << AVERAGES_AT).to_be_bytes(),
+            amperes_per_count: SHUNT_V / config.shunt_ohm,
+            counts: 0,
+        }
+    }
+}
+
+impl Driver for Ina226 {
+    fn restart(&mut self) {
+        self.state = State::Manufacturer;
+    }
+
+    fn next(&self) -> Exchange {
+        match self.state {
+            State::Manufacturer => Exchange::get(MANUFACTURER_ID, 2),
+            State::Die => Exchange::get(DIE_ID, 2),
+            State::Reset => Exchange::set_both(CONFIGURATION, RESET),
+            State::Set => Exchange::set_both(CONFIGURATION, self.configuration),
+            State::Check => Exchange::get(CONFIGURATION, 2),
+            State::Status => Exchange::get(MASK_ENABLE, 2),
+            State::Shunt => Exchange::get(SHUNT_VOLTAGE, 2),
+            State::Bus => Exchange::get(BUS_VOLTAGE, 2),
+        }
+    }
+
+    fn done(&mut self, read: &[u8]) -> Outcome {
+        let (state, outcome) = match (self.state, read) {
+            (State::Manufacturer, read) if *read == MANUFACTURER => (State::Die, Outcome::Next),
+            (State::Die, read) if *read == DIE => (State::Reset, Outcome::Next),
+            (State::Reset, _) => (State::Set, Outcome::Wait(START_UP)),
+            (State::Set, _) => (State::Check, Outcome::Next),
+            (State::Check, read) if *read == self.configuration => (State::Status, Outcome::Next),
+            (State::Status, [_, low]) if low & CONVERSION_READY != 0 => (State::Shunt, Outcome::Next),
+            (State::Status, _) => (State::Status, Outcome::NotReady),
+            (State::Shunt, [high, low]) => {
+                self.counts = i16::from_be_bytes([*high, *low]);
+                (State::Bus, Outcome::Next)
+            }
+            (State::Bus, [high, low]) => {
+                let mut values = [0.0; MAX_QUANTITIES];
+                let bus = u16::from_be_bytes([*high, *low]);
+                let measured = [f32::from(self.counts) * self.amperes_per_count, f32::from(bus) * BUS_V];
+                values.iter_mut().zip(measured).for_each(|(value, measured)| *value = measured);
+                let saturated = self.counts == i16::MAX || self.counts == i16::MIN;
+                (State::Status, Outcome::Reading { values, saturated })
+            }
+            _ => (State::Manufacturer, Outcome::WrongChip),
+        };
+        self.state = state;
+        outcome
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::config::SensorChip;
+
+    use super::*;
+
+    /// The board plans the bus by what the configuration says of the chip.
+    #[test]
+    fn transfers_are_as_long_as_the_board_plans_them() {
+        let config = Ina226Config { shunt_ohm: 0.005 };
+        let planned = SensorChip::Ina226(config).description();
+        let mut driver = Ina226::new(&config, 100);
+        let mut longest = 0;
+        while driver.state != State::Status {
+            longest = longest.max(driver.next().bits());
+            let outcome = match driver.state {
+                State::Manufacturer => driver.done(&MANUFACTURER),
+                State::Die => driver.done(&DIE),
+                State::Check => driver.done(&driver.configuration.clone()),
+                _ => driver.done(&[]),
+            };
+            assert!(matches!(outcome, Outcome::Next | Outcome::Wait(_)), "{outcome:?}");
+        }
+        let (mut reading, mut transfers) = (0, 0);
+        loop {
+            let bits = driver.next().bits();
+            (reading, longest, transfers) = (reading + bits, longest.max(bits), transfers + 1);
+            if let Outcome::Reading { .. } = driver.done(&[0, CONVERSION_READY]) {
+                break;
+            }
+        }
+        assert_eq!((planned.longest_bits, planned.reading_bits, planned.transfers), (longest, reading, transfers));
+    }
+
+    /// As many conversions of at most 2.42 ms for both as the period between two readings has room for.
+    #[test]
+    fn a_reading_is_the_mean_of_what_its_period_has_room_for() {
+        for (rate_hz, averages) in [(333, 0), (104, 0), (103, 1), (25, 2), (1, 5)] {
+            let driver = Ina226::new(&Ina226Config { shunt_ohm: 0.1 }, rate_hz);
+            assert_eq!(driver.configuration[0] >> 1 & 7, averages, "{rate_hz} Hz");
+        }
+    }
+}
