@@ -1,9 +1,13 @@
 //! The JSON messages and their schemas.
 
-use std::{borrow::Cow, collections::BTreeMap};
+use std::{borrow::Cow, collections::BTreeMap, fmt};
 
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Setpoint, Unit};
-use serde::{Deserialize, Serialize};
+use serde::{
+    Deserialize, Deserializer, Serialize, Serializer,
+    de::{Error as _, MapAccess, Visitor},
+    ser::SerializeMap as _,
+};
 
 use crate::header::{mode_from, mode_name};
 
@@ -199,20 +203,66 @@ impl ScalarMessage<'_> {
 }
 
 /// A sample of a sensor that measures several numbers together: each in the field that its kind names, where it is finite.
-#[derive(Serialize, Deserialize)]
+///
+/// Written out for the reason given at `with_setpoint`, and because a flattened number cannot be read where serde_json keeps
+/// numbers as text, which another crate of the same program may ask for.
 pub(crate) struct SensorMessage<'a> {
-    #[serde(flatten)]
-    values: BTreeMap<String, f32>,
+    values: BTreeMap<Cow<'a, str>, f32>,
     pub(crate) age_ms: u16,
-    #[serde(borrow)]
     pub(crate) quality: Cow<'a, str>,
+}
+
+impl Serialize for SensorMessage<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.values.len() + 2))?;
+        for (field, value) in &self.values {
+            map.serialize_entry(field, value)?;
+        }
+        map.serialize_entry("age_ms", &self.age_ms)?;
+        map.serialize_entry("quality", &self.quality)?;
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for SensorMessage<'de> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+
+        impl<'de> Visitor<'de> for Fields {
+            type Value = SensorMessage<'de>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a sample of a sensor: numbers, age_ms and quality")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+                let (mut values, mut age_ms, mut quality) = (BTreeMap::new(), None, None);
+                while let Some(field) = map.next_key::<Cow<'de, str>>()? {
+                    match &*field {
+                        "age_ms" => age_ms = Some(map.next_value()?),
+                        "quality" => quality = Some(map.next_value()?),
+                        _ => {
+                            values.insert(field, map.next_value()?);
+                        }
+                    }
+                }
+                Ok(SensorMessage {
+                    values,
+                    age_ms: age_ms.ok_or_else(|| A::Error::missing_field("age_ms"))?,
+                    quality: quality.ok_or_else(|| A::Error::missing_field("quality"))?,
+                })
+            }
+        }
+
+        deserializer.deserialize_map(Fields)
+    }
 }
 
 impl SensorMessage<'_> {
     pub(crate) fn new(kind: ChannelKind, values: &[f32], age_ms: u16, quality: Quality) -> Self {
         let named = kind.quantities().iter().zip(values).filter(|(_, value)| value.is_finite());
         Self {
-            values: named.map(|(quantity, value)| (quantity.field.to_owned(), *value)).collect(),
+            values: named.map(|(quantity, value)| (quantity.field.into(), *value)).collect(),
             age_ms,
             quality: quality_name(quality).into(),
         }

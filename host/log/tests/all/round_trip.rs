@@ -255,7 +255,7 @@ proptest! {
             }
         }
         let log = Log::from_bytes(&recorder.finish().unwrap().into_inner()).unwrap();
-        prop_assert!(log.warnings.is_empty());
+        prop_assert!(log.warnings.is_empty(), "{:?}", log.warnings);
         prop_assert!(log.states.iter().map(|change| (change.time_s, change.causes)).eq(states));
         let of = |id| written.iter().filter(move |(_, sample)| sample.channel() == id);
         for (id, resolution) in [(OSMC, 0.001_f32), (ACTUATOR, 0.000_1)] {
