@@ -50,13 +50,15 @@ pub enum Fidelity {
 }
 
 /// What is due on the event clock. At the same time in this order, and among robots by their numbers.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+///
+/// A loss is an entry of [`Run::losses`], which has its reason: that keeps events small.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Start,
     Arrived { robot: usize, leg: u64 },
     Sampled { robot: usize, leg: u64 },
     Stopped { robot: usize },
-    Fails { robot: usize, reason: String },
+    Fails { robot: usize, loss: usize },
     Planned,
     Deadline,
 }
@@ -148,8 +150,8 @@ impl<P: Program> Run<P> {
         let mut queue = Queue::default();
         queue.push(0, Due::Start);
         queue.push((self.mission.deadline_s() * 1e6) as u64, Due::Deadline);
-        for (at_us, robot, reason) in self.losses.drain(..) {
-            queue.push(at_us, Due::Fails { robot, reason });
+        for (loss, &(at_us, robot, _)) in self.losses.iter().enumerate() {
+            queue.push(at_us, Due::Fails { robot, loss });
         }
         let body = |at: &Place| Body { at: *at, leg: None, number: 0 };
         let mut bodies: Vec<Body> = self.mission.starts().iter().map(body).collect();
@@ -206,9 +208,9 @@ impl<P: Program> Run<P> {
             }
             Due::Sampled { .. } => return None,
             Due::Stopped { robot } => Input::Stopped(robot, self.stopped(robot, at_us, bodies)),
-            Due::Fails { robot, reason } => {
+            Due::Fails { robot, loss } => {
                 self.stopped(robot, at_us, bodies);
-                Input::Failed(robot, reason)
+                Input::Failed(robot, self.losses[loss].2.clone())
             }
         })
     }

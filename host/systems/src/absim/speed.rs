@@ -26,6 +26,8 @@ const SAMPLES: usize = 160;
 /// Fleets whose cost is compared: of these sizes, each robot with so many goals.
 const SIZES: [usize; 6] = [20, 50, 100, 200, 500, 1_000];
 const GOALS: usize = 50;
+/// Runs of each fleet, of which the fastest counts: what else the machine does only adds to it.
+const FASTEST_OF: usize = 5;
 /// Repeats of each measurement, and of a quick one.
 const REPEATS: usize = 20;
 const QUICK_REPEATS: usize = 5;
@@ -140,11 +142,15 @@ fn factor(scene: Scene, charging: Charging) -> Result<f64, Error> {
 
 /// Duration of a patrol on the wall, s.
 fn patrol_s(robots: usize, seed: u64) -> Result<f64, Error> {
-    let fleet = vec![Fidelity::Abstract(CALIBRATED); robots];
-    let run = Run::new(Patrol::new(robots, seed), fleet, Wall::new(seed, 1.0, Charging::Free));
-    let begin = Instant::now();
-    run.alone(Pace::Free)?;
-    Ok(begin.elapsed().as_secs_f64())
+    let mut fastest_s = f64::INFINITY;
+    for _ in 0..FASTEST_OF {
+        let fleet = vec![Fidelity::Abstract(CALIBRATED); robots];
+        let run = Run::new(Patrol::new(robots, seed), fleet, Wall::new(seed, 1.0, Charging::Free));
+        let begin = Instant::now();
+        run.alone(Pace::Free)?;
+        fastest_s = fastest_s.min(begin.elapsed().as_secs_f64());
+    }
+    Ok(fastest_s)
 }
 
 /// Exponent of cost against robots: slope of the logarithms, with its 95 % confidence interval.
