@@ -97,7 +97,7 @@ pub struct Mount {
 /// An RC servo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedServo {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// Pulse at one end of its travel, s.
     pub pulse_min_s: f64,
@@ -114,7 +114,7 @@ pub struct SimulatedServo {
 /// A brushless drive with its motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedBldc {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// Where it stands still, V: both ends.
     pub dead_zone_v: [f64; 2],
@@ -159,7 +159,7 @@ pub struct SimulatedEncoder {
 /// A stepper motor with its driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedStepper {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// Highest rate at which it starts and stops without losing steps, Hz.
     pub start_rate_hz: f64,
@@ -168,7 +168,7 @@ pub struct SimulatedStepper {
 /// What is in front of a range sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedRange {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// What it sees.
     pub sees: RangeView,
@@ -189,7 +189,7 @@ pub enum RangeView {
 /// What is at an analog input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedAnalog {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// V
     pub volts: f64,
@@ -202,7 +202,7 @@ pub struct SimulatedAnalog {
 /// What closes a switch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedSwitch {
-    /// Which.
+    /// Channel of the simulated part.
     pub channel: ChannelId,
     /// The motor or stepper that closes it; `None` for one that nothing touches.
     pub axis: Option<ChannelId>,

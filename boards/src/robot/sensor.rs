@@ -1,5 +1,5 @@
-//! `[[imu]]`, `[[current]]`, and `[[simulation.imu]]`, `[[simulation.current]]`: sensors on the bus with the output chips, and what is
-//! true of them.
+//! `[[imu]]`, `[[current]]`, and `[[simulation.imu]]`, `[[simulation.current]]`: sensors on the bus with the output chips, and what they
+//! measure in simulation.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
@@ -13,7 +13,7 @@ use crate::{
     number::{channel, optional_positive, positive},
 };
 
-/// An ICM-20948.
+/// An inertial sensor, ICM-20948.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Imu {
@@ -41,7 +41,7 @@ impl Table for Imu {
     }
 }
 
-/// An INA226.
+/// A current monitor, INA226.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Current {
@@ -72,7 +72,7 @@ impl Table for Current {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedCurrent {
-    /// Which.
+    /// Channel of the sensor.
     #[serde(deserialize_with = "channel")]
     pub channel: ChannelId,
     /// The supply, or the motor on a bridge, whose current it sees: what is drawn counts as positive.
@@ -87,7 +87,7 @@ pub struct SimulatedCurrent {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedImu {
-    /// Which.
+    /// Channel of the sensor.
     #[serde(deserialize_with = "channel")]
     pub channel: ChannelId,
     /// Where it sits, from the origin of the body, m.

@@ -63,8 +63,8 @@ impl<B: Bus> Scheduler<B> {
         self.bits_left = self.bits_per_period;
     }
 
-    /// Leaves the processor time for the rest of this period, of which it has `taken` so much for inputs and steppers: outputs, values
-    /// for hosts and what interrupts take about twice that. What it has taken so far comes out of the share that transfers leave.
+    /// Leaves the processor time for the rest of this period. `taken` is how long inputs and steppers have needed: outputs, values for
+    /// hosts and interrupts need about twice that. What it has taken so far comes out of the share that transfers leave.
     /// Fixed by `r4 --board emu:every-interface bench firmware --seconds 2`: with twice no period is late and jitter is 10 us, with
     /// half of that 15 of 2005 are late and jitter is 16 us.
     pub(crate) fn leave_time(&mut self, taken: Duration) {
@@ -72,7 +72,7 @@ impl<B: Bus> Scheduler<B> {
         self.bits_left = self.bits_left.saturating_sub(2 * taken_us * self.bits_per_ms / 1000);
     }
 
-    /// Takes `bits` out of what is left of this period; false when they do not fit, and must wait.
+    /// Reserves `bits` in this period; false when they do not fit and have to wait.
     pub(crate) fn fits(&mut self, bits: u32) -> bool {
         let left = self.bits_left.checked_sub(bits);
         self.bits_left = left.unwrap_or(self.bits_left);

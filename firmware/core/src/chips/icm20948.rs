@@ -172,31 +172,23 @@ impl Driver for Icm20948 {
 mod tests {
     use r4_protocol::config::SensorChip;
 
-    use super::*;
+    use super::{
+        super::sensor::tests::{Taken, taken},
+        *,
+    };
 
-    /// The board plans the bus by what the configuration says of the chip; a reading is a status and its data.
+    /// The board plans the bus by what the configuration says of the chip.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let config = Icm20948Config { acceleration_max_g: 4, rate_max_deg_s: 500 };
         let planned = SensorChip::Icm20948(config).description();
-        let mut driver = Icm20948::new(&config, 100);
-        let mut longest = 0;
-        while driver.state != State::Status {
-            longest = longest.max(driver.next().bits());
-            // Answers as the chip would.
-            let outcome = match driver.state {
-                State::Identify => driver.done(&[IDENTITY]),
-                State::CheckGyro => driver.done(&[driver.divider, driver.gyro_config]),
-                State::CheckAccel => driver.done(&[0, driver.divider, 0, 0, driver.accel_config]),
-                _ => driver.done(&[]),
-            };
-            assert!(matches!(outcome, Outcome::Next | Outcome::Wait(_)), "{outcome:?}");
-        }
-        let status = driver.next().bits();
-        assert_eq!(driver.done(&[RAW_DATA_0_RDY]), Outcome::Next);
-        let data = driver.next().bits();
-        assert_eq!((planned.longest_bits, planned.reading_bits), (longest.max(data), status + data));
-        assert!(matches!(driver.done(&[0; 12]), Outcome::Reading { .. }));
-        assert_eq!(driver.state, State::Status);
+        let taken = taken(&mut Icm20948::new(&config, 100), |driver| match driver.state {
+            State::Identify => [IDENTITY].into(),
+            State::CheckGyro => [driver.divider, driver.gyro_config].into(),
+            State::CheckAccel => [0, driver.divider, 0, 0, driver.accel_config].into(),
+            State::Status => [RAW_DATA_0_RDY].into(),
+            _ => [0; 12].into(),
+        });
+        assert_eq!(taken, Taken::planned(&planned));
     }
 }

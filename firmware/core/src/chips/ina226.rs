@@ -121,34 +121,23 @@ impl Driver for Ina226 {
 mod tests {
     use r4_protocol::config::SensorChip;
 
-    use super::*;
+    use super::{
+        super::sensor::tests::{Taken, taken},
+        *,
+    };
 
     /// The board plans the bus by what the configuration says of the chip.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let config = Ina226Config { shunt_ohm: 0.005 };
         let planned = SensorChip::Ina226(config).description();
-        let mut driver = Ina226::new(&config, 100);
-        let mut longest = 0;
-        while driver.state != State::Status {
-            longest = longest.max(driver.next().bits());
-            let outcome = match driver.state {
-                State::Manufacturer => driver.done(&MANUFACTURER),
-                State::Die => driver.done(&DIE),
-                State::Check => driver.done(&driver.configuration.clone()),
-                _ => driver.done(&[]),
-            };
-            assert!(matches!(outcome, Outcome::Next | Outcome::Wait(_)), "{outcome:?}");
-        }
-        let (mut reading, mut transfers) = (0, 0);
-        loop {
-            let bits = driver.next().bits();
-            (reading, longest, transfers) = (reading + bits, longest.max(bits), transfers + 1);
-            if let Outcome::Reading { .. } = driver.done(&[0, CONVERSION_READY]) {
-                break;
-            }
-        }
-        assert_eq!((planned.longest_bits, planned.reading_bits, planned.transfers), (longest, reading, transfers));
+        let taken = taken(&mut Ina226::new(&config, 100), |driver| match driver.state {
+            State::Manufacturer => MANUFACTURER.into(),
+            State::Die => DIE.into(),
+            State::Check => driver.configuration.into(),
+            _ => [0, CONVERSION_READY].into(),
+        });
+        assert_eq!(taken, Taken::planned(&planned));
     }
 
     /// As many conversions of at most 2.42 ms for both as the period between two readings has room for.

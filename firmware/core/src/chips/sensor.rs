@@ -25,7 +25,7 @@ pub struct Exchange {
 }
 
 impl Exchange {
-    /// Writes one register.
+    /// Writes `value` into a register of one byte.
     #[must_use]
     pub const fn set(register: u8, value: u8) -> Self {
         Self { written: [register, value, 0], length: 2, read: 0 }
@@ -73,9 +73,9 @@ pub enum Outcome {
     Wait(Duration),
     /// Nothing has been measured since the last reading: ask again.
     NotReady,
-    /// A reading, in the order and units of the channel's quantities.
+    /// All quantities of the channel have been measured.
     Reading {
-        /// SI.
+        /// SI, in the order of the channel's quantities.
         values: [f32; MAX_QUANTITIES],
         /// Whether one of them is at the end of its range.
         saturated: bool,
@@ -140,3 +140,50 @@ macro_rules! chips {
 }
 
 chips!(Icm20948 Ina226);
+
+#[cfg(test)]
+pub(super) mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use r4_protocol::config::SensorDescription;
+
+    use super::*;
+
+    /// What a driver takes of the bus.
+    #[derive(Debug, PartialEq)]
+    pub(crate) struct Taken {
+        longest_bits: u32,
+        reading_bits: u32,
+        transfers: u32,
+    }
+
+    impl Taken {
+        /// What the configuration says that it takes.
+        pub(crate) fn planned(chip: &SensorDescription) -> Self {
+            Self { longest_bits: chip.longest_bits, reading_bits: chip.reading_bits, transfers: chip.transfers }
+        }
+    }
+
+    /// Carries out the set-up and two readings of a driver whose chip gives `answer`; a reading's transfers are those of the second.
+    pub(crate) fn taken<D: Driver>(driver: &mut D, answer: impl Fn(&D) -> Vec<u8>) -> Taken {
+        let mut longest_bits = 0;
+        let mut until_reading = || {
+            let (mut bits, mut transfers) = (0, 0);
+            loop {
+                let exchange = driver.next();
+                (bits, transfers) = (bits + exchange.bits(), transfers + 1);
+                longest_bits = longest_bits.max(exchange.bits());
+                match driver.done(&answer(driver)[..]) {
+                    Outcome::Next | Outcome::Wait(_) => {}
+                    Outcome::Reading { .. } => return (bits, transfers),
+                    outcome => panic!("{outcome:?} to {exchange:?}"),
+                }
+            }
+        };
+        until_reading();
+        let (reading_bits, transfers) = until_reading();
+        Taken { longest_bits, reading_bits, transfers }
+    }
+}

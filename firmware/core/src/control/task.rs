@@ -130,7 +130,7 @@ struct Control<B, P> {
     /// The arming whose stop has its brakes written: see [`crate::safety::stop`].
     braked: Option<u16>,
     bad_configuration: bool,
-    /// On the bus.
+    /// Sensors on the I2C bus.
     bus_sensors: Sensors,
     /// What the inputs show.
     sensors: Causes,

@@ -468,7 +468,7 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Takes the bits of `write` out of what is left of this period; false when it must wait.
+    /// Reserves the bits of `write` in this period; false when it has to wait.
     fn reserve(&mut self, write: &Write) -> bool {
         self.queue.has_room() && self.bus.fits(bits(1 + write.bytes().len() as u32))
     }

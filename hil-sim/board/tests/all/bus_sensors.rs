@@ -249,7 +249,7 @@ fn a_sensor_that_fails_is_told_of_and_stops_nothing() {
 }
 
 #[test]
-fn a_bus_that_stays_stuck_trips_the_board_whoever_holds_it() {
+fn a_bus_that_a_sensor_holds_for_ever_trips_the_board() {
     bench(&openscout(), async |bench| {
         bench.host.arm().await.unwrap();
         bench.sleep_ms(500).await;

@@ -23,8 +23,9 @@ const ROBOTS: usize = 20;
 const SIDE_M: f64 = 50.0;
 /// Samples of its mission: eight for each robot.
 const SAMPLES: usize = 160;
-/// Fleets whose cost is compared: of these sizes, each robot with so many goals.
+/// Numbers of robots whose cost is compared.
 const SIZES: [usize; 6] = [20, 50, 100, 200, 500, 1_000];
+/// Goals of each robot in these fleets.
 const GOALS: usize = 50;
 /// Runs of each fleet, of which the fastest counts: what else the machine does only adds to it.
 const FASTEST_OF: usize = 5;

@@ -9,7 +9,7 @@
 //! # Where the datasheet leaves room
 //! - It gives bandwidths of the filters, and neither order nor delay: the first order is our choice.
 //! - With both sensors on, all samples come at the gyroscope's rate (10.1).
-//! - RAW_DATA_0_RDY of INT_STATUS_1 tells of a new sample whether or not its interrupt is enabled, and is cleared by reading (8.13).
+//! - RAW_DATA_0_RDY of INT_STATUS_1 is set by a new sample whether or not its interrupt is enabled, and is cleared by reading (8.13).
 //! - From power-up or reset the chip acknowledges nothing for 11 ms after power-up, which is typical, and 100 ms after a reset, which is
 //!   the longest (table 3).
 //! - Scale errors, cross-axis sensitivity and temperature are 0; biases come from outside.
@@ -64,7 +64,7 @@ pub struct Truth {
 /// Where the chip is in a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
-    /// Not addressed.
+    /// The chip is not addressed.
     None,
     /// The next byte is the register address.
     Pointer,
@@ -72,7 +72,7 @@ enum Transfer {
     Data,
 }
 
-/// One chip.
+/// One chip on the bus, with its four banks of registers.
 #[derive(Clone, Debug)]
 pub struct Icm20948 {
     address: u8,
