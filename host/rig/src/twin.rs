@@ -1,11 +1,31 @@
 //! Digital twins: the difference between a recorded run and the same run on a simulated board.
 
+use std::path::PathBuf;
+
 use r4_log::{Log, MotorSample, MotorSeries};
 use r4_maths::statistics::RootMeanSquare;
 use r4_protocol::{ChannelId, SafetyState};
 use serde::Serialize;
 
 use crate::{Error, PlantFile, Rig, replay};
+
+/// What of a recorded run is compared.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Observed {
+    /// Position and speed of a motor.
+    Motor(ChannelId),
+    /// A signal of numbers by its name, as in `imu0.rate_z_rad_s`.
+    Signal(String),
+}
+
+/// Physics of a virtual board other than those of its robot's file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Physics {
+    /// A motor's plant.
+    Plant(PlantFile),
+    /// File of the robot's body.
+    Body(PathBuf),
+}
 
 /// A simulated board cannot be compared with a recording.
 #[derive(Debug, thiserror::Error)]
@@ -18,11 +38,19 @@ pub enum TwinError {
         /// The motors that are recorded.
         motors: Vec<ChannelId>,
     },
-    /// The replay has no samples of the motor.
-    #[error("the simulated board sent no samples of {channel}")]
+    /// The recording has no such signal of numbers.
+    #[error("the log has no signal {name} of numbers: it has {}", .signals.join(", "))]
+    NoSignal {
+        /// The name asked for.
+        name: String,
+        /// Signals that are recorded.
+        signals: Vec<String>,
+    },
+    /// The replay has no samples of it.
+    #[error("the simulated board sent no samples of {observed}")]
     NotSimulated {
-        /// The motor.
-        channel: ChannelId,
+        /// The motor or the signal.
+        observed: String,
     },
     /// The two runs do not overlap in time.
     #[error("the simulated board sent no samples at the times of the recording")]
@@ -34,98 +62,164 @@ fn listed(motors: &[ChannelId]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Difference between a simulated board and a recording.
+/// Errors of one quantity on a simulated board with two kinds of physics.
 #[derive(Clone, Debug, Serialize)]
-pub struct Twin {
-    /// Root mean square error of the position, rad or m; of an angle from where each run began.
-    pub position_rmse: f64,
-    /// Root mean square error of the speed, rad/s or m/s.
-    pub speed_rmse: f64,
-    /// Causes of the simulated board's trip, if the recorded one did not trip.
-    pub stopped: Option<String>,
+pub struct Difference {
+    /// `position`, `speed`, or the signal's name.
+    pub name: String,
+    /// Unit of the errors; `None` for a signal, whose name ends with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<&'static str>,
+    /// Root mean square error with the physics as they were; an angle's is counted from where each run began.
+    pub rmse_before: f64,
+    /// The same with the physics as they are now.
+    pub rmse_after: f64,
 }
 
-/// The differences with two plants.
+/// Differences between a recording and a simulated board with two kinds of physics.
 #[derive(Clone, Debug, Serialize)]
 pub struct Twins {
-    /// With the plant as it was.
-    pub before: Twin,
-    /// With the plant as it is now.
-    pub after: Twin,
-    /// Unit of the position's error.
-    pub position_unit: &'static str,
-    /// Unit of the speed's error.
-    pub speed_unit: &'static str,
+    /// Of each quantity; the first says which is nearer.
+    pub differences: Vec<Difference>,
+    /// Causes of the simulated board's trip with the physics as they were, if the recorded one did not trip.
+    pub stopped_before: Option<String>,
+    /// The same with the physics as they are now.
+    pub stopped_after: Option<String>,
     /// Number of recorded samples.
     pub samples: usize,
 }
 
-/// Replays `log` on the virtual board of `rig` with two plants for the motor, and compares each run with the recording. For a plant
-/// of `None` it is that of `rig`.
+impl Twins {
+    /// Whether the simulated board is at least as near to the recording as before.
+    #[must_use]
+    pub fn is_as_near(&self) -> bool {
+        self.differences.first().is_some_and(|first| first.rmse_after <= first.rmse_before)
+    }
+}
+
+/// Replays `log` on the virtual board of `rig` with two kinds of physics, and compares each run with the recording. Physics of `None`
+/// are those of `rig`.
 ///
 /// # Errors
-/// When the motor is not in the log, or the log cannot be replayed.
+/// When what is observed is not in the log, or the log cannot be replayed.
 pub fn compare(
     rig: &Rig,
     log: &Log,
-    channel: ChannelId,
-    (before, after): (Option<PlantFile>, PlantFile),
+    observed: &Observed,
+    (before, after): (Option<Physics>, Physics),
 ) -> Result<Twins, Error> {
     rig.target.robot()?;
-    let motors = || log.motors.iter().map(|motor| motor.info.id).collect();
-    let recorded = log.motor(channel).ok_or_else(|| TwinError::NotRecorded { channel, motors: motors() })?;
-    let (position_unit, speed_unit) = if recorded.is_linear() { ("m", "m/s") } else { ("rad", "rad/s") };
-    let before = twin(rig, log, recorded, before)?;
-    let after = twin(rig, log, recorded, Some(after))?;
-    Ok(Twins { before, after, position_unit, speed_unit, samples: recorded.samples.len() })
+    let recorded = tracks(log, observed)?;
+    let (before, stopped_before) = errors(rig, log, (observed, &recorded), before)?;
+    let (after, stopped_after) = errors(rig, log, (observed, &recorded), Some(after))?;
+    let samples = recorded.iter().map(|track| track.samples.len()).max().unwrap_or(0);
+    let errors = before.into_iter().zip(after);
+    let differences = recorded.into_iter().zip(errors).map(|(Track { name, unit, .. }, (rmse_before, rmse_after))| {
+        Difference { name, unit, rmse_before, rmse_after }
+    });
+    Ok(Twins { differences: differences.collect(), stopped_before, stopped_after, samples })
 }
 
-fn twin(rig: &Rig, log: &Log, recorded: &MotorSeries, plant: Option<PlantFile>) -> Result<Twin, Error> {
-    let channel = recorded.info.id;
+/// One quantity over time.
+struct Track {
+    name: String,
+    unit: Option<&'static str>,
+    /// Time in s and value.
+    samples: Vec<(f64, f64)>,
+}
+
+impl Track {
+    fn of_motor(motor: &MotorSeries, name: &str, unit: &'static str, value: fn(&MotorSample) -> f64) -> Self {
+        let samples = motor.samples.iter().map(|sample| (sample.time_s, value(sample))).collect();
+        Self { name: name.to_owned(), unit: Some(unit), samples }
+    }
+
+    /// Counted from the first sample.
+    fn from_start(mut self) -> Self {
+        let start = self.samples.first().map_or(0.0, |(_, value)| *value);
+        self.samples.iter_mut().for_each(|(_, value)| *value -= start);
+        self
+    }
+}
+
+/// What is observed, as `log` has it.
+fn tracks(log: &Log, observed: &Observed) -> Result<Vec<Track>, TwinError> {
+    match observed {
+        &Observed::Motor(channel) => {
+            let motors = || log.motors.iter().map(|motor| motor.info.id).collect();
+            let motor = log.motor(channel).ok_or_else(|| TwinError::NotRecorded { channel, motors: motors() })?;
+            let of = |name, unit, value| Track::of_motor(motor, name, unit, value);
+            let position = |unit| of("position", unit, |sample| sample.position);
+            let speed = |unit| of("speed", unit, |sample| sample.speed);
+            Ok(if motor.is_linear() {
+                // The zero of a rod is calibrated.
+                vec![position("m"), speed("m/s")]
+            } else {
+                // The zero of an angle is where power came on, which differs between the machine and a simulation.
+                vec![position("rad").from_start(), speed("rad/s")]
+            })
+        }
+        Observed::Signal(name) => {
+            let signals = log.signals();
+            let named = signals.iter().find(|signal| signal.name == *name);
+            let numbers = named.into_iter().flat_map(|signal| &signal.samples);
+            let samples: Vec<_> = numbers.filter_map(|(time_s, value)| Some((*time_s, value.number()?))).collect();
+            if samples.is_empty() {
+                let signals = signals.into_iter().map(|signal| signal.name).collect();
+                return Err(TwinError::NoSignal { name: name.clone(), signals });
+            }
+            Ok(vec![Track { name: name.clone(), unit: None, samples }])
+        }
+    }
+}
+
+/// Errors of each track of a virtual board that replays `log` with other physics, and causes of a trip that is not recorded.
+fn errors(
+    rig: &Rig,
+    log: &Log,
+    (observed, recorded): (&Observed, &[Track]),
+    physics: Option<Physics>,
+) -> Result<(Vec<f64>, Option<String>), Error> {
     let mut rig = rig.clone();
-    if let Some(plant) = plant {
-        rig.plants.retain(|other| other.channel != channel);
-        rig.plants.push(plant);
+    match physics {
+        Some(Physics::Plant(plant)) => {
+            rig.plants.retain(|other| other.channel != plant.channel);
+            rig.plants.push(plant);
+        }
+        Some(Physics::Body(file)) => rig.body = Some(file),
+        None => {}
     }
     let (again, shift_s) = replay::again(&rig, log)?;
-    let simulated = again.motor(channel).ok_or(TwinError::NotSimulated { channel })?;
+    let simulated = tracks(&again, observed).map_err(|_| {
+        let observed = match observed {
+            Observed::Motor(channel) => channel.to_string(),
+            Observed::Signal(name) => name.clone(),
+        };
+        TwinError::NotSimulated { observed }
+    })?;
     let stopped = |log: &Log| log.states.iter().find(|state| state.state == SafetyState::Tripped).map(|it| it.causes);
     let stopped = stopped(&again).filter(|_| stopped(log).is_none()).map(|causes| causes.to_string());
-    let rmse = |value: fn(&MotorSample) -> f64, from_start| rmse(recorded, simulated, shift_s, value, from_start);
-    // The zero of an angle is where power came on, which differs between the machine and a simulation; a rod's zero is calibrated.
-    let position_rmse = rmse(|sample| sample.position, !recorded.is_linear());
-    let speed_rmse = rmse(|sample| sample.speed, false);
-    let (Some(position_rmse), Some(speed_rmse)) = (position_rmse, speed_rmse) else {
-        return Err(TwinError::NothingInCommon.into());
-    };
-    Ok(Twin { position_rmse, speed_rmse, stopped })
+    let errors = recorded.iter().zip(&simulated).map(|(recorded, simulated)| rmse(recorded, simulated, shift_s));
+    let errors: Option<Vec<f64>> = errors.collect();
+    Ok((errors.ok_or(TwinError::NothingInCommon)?, stopped))
 }
 
 /// Root mean square of the difference between two runs, at the moments of the first. The second is interpolated linearly, its times
 /// shifted by `shift_s`. `None` without a common moment.
-fn rmse(
-    recorded: &MotorSeries,
-    simulated: &MotorSeries,
-    shift_s: f64,
-    value: fn(&MotorSample) -> f64,
-    from_start: bool,
-) -> Option<f64> {
-    let zero = |series: &MotorSeries| series.samples.first().map(value).filter(|_| from_start).unwrap_or(0.0);
-    let (zero_recorded, zero_simulated) = (zero(recorded), zero(simulated));
+fn rmse(recorded: &Track, simulated: &Track, shift_s: f64) -> Option<f64> {
     let mut differences = RootMeanSquare::default();
-    for sample in &recorded.samples {
-        let at_s = sample.time_s - shift_s;
-        let after = simulated.samples.partition_point(|other| other.time_s < at_s);
-        let (Some(right), left) = (simulated.samples.get(after), after.saturating_sub(1)) else { continue };
-        let left = &simulated.samples[left];
-        let step_s = right.time_s - left.time_s;
+    for &(time_s, value) in &recorded.samples {
+        let at_s = time_s - shift_s;
+        let after = simulated.samples.partition_point(|(time_s, _)| *time_s < at_s);
+        let (Some(&(right_s, right)), left) = (simulated.samples.get(after), after.saturating_sub(1)) else { continue };
+        let (left_s, left) = simulated.samples[left];
+        let step_s = right_s - left_s;
         // The second run has no sample yet.
-        if at_s < left.time_s && at_s != right.time_s {
+        if at_s < left_s && at_s != right_s {
             continue;
         }
-        let share = if step_s > 0.0 { (at_s - left.time_s) / step_s } else { 1.0 };
-        let there = value(left) + share * (value(right) - value(left)) - zero_simulated;
-        let difference = value(sample) - zero_recorded - there;
+        let share = if step_s > 0.0 { (at_s - left_s) / step_s } else { 1.0 };
+        let difference = value - (left + share * (right - left));
         if difference.is_finite() {
             differences.push(difference);
         }

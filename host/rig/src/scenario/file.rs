@@ -68,6 +68,14 @@ pub enum Action {
         /// The set point, in SI units.
         value: f32,
     },
+    /// The host subscribes to a channel, so that a recording has its samples.
+    Subscribe {
+        /// The channel.
+        #[serde(deserialize_with = "channel")]
+        channel: ChannelId,
+        /// Time between two samples, ms; 0 ends the subscription.
+        period_ms: u16,
+    },
     /// The operator holds or releases the dead-man's handle.
     DeadMan {
         /// Whether the handle is held from now on.
@@ -166,6 +174,7 @@ impl Action {
             Self::Stop => "stop".into(),
             Self::Clear => "clear".into(),
             Self::Set { channel, mode, value } => format!("set {channel} {mode} {value}"),
+            Self::Subscribe { channel, .. } => format!("subscribe {channel}"),
             // Changes around the board, which refuses nothing.
             _ => "step".into(),
         }

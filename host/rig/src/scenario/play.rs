@@ -97,6 +97,7 @@ async fn act(
         Action::Stop => board.stop().await?,
         Action::Clear => board.clear().await?,
         Action::Set { channel, mode, value } => board.set(channel, Setpoint { mode, value }).await?,
+        Action::Subscribe { channel, period_ms } => board.subscribe(channel, period_ms).await?,
         Action::DeadMan { held } => around.dead_man().set(held),
         Action::AuxiliaryStop { pressed } => around.auxiliary_stop().set(!pressed),
         Action::Distance { range, distance_m } => {

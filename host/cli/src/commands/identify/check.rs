@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use r4_log::Log;
 use r4_protocol::ChannelId;
 use r4_rig::{
     PlantFile,
-    twin::{self, Twins},
+    twin::{self, Difference, Observed, Physics, Twins},
 };
 use r4_sim::Pace;
 use serde::Serialize;
@@ -20,83 +20,111 @@ use crate::{
     session, table,
 };
 
-/// The board is simulated; its controller, loops, limits and protections are in it, and its noise is that of the recording.
+/// The board is simulated; its controller, loops, limits and protections are in it, and its noise is that of the recording. Either a
+/// motor is compared with another plant, or a signal with another body.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Check {
     /// The log of a run, of this board or of the real one
     #[arg(value_name = "LOG")]
-    pub(super) recording: PathBuf,
-    /// The motor
-    #[arg(long, value_name = "CHANNEL")]
-    pub(super) channel: ChannelId,
-    /// The plant as it was [default: that of the robot's file]
-    #[arg(long, value_name = "FILE")]
-    pub(super) plant_before: Option<PathBuf>,
-    /// The plant as it is now
-    #[arg(long, value_name = "FILE")]
-    pub(super) plant_after: PathBuf,
+    recording: PathBuf,
+    /// The motor whose position and speed are compared
+    #[arg(long, value_name = "CHANNEL", required_unless_present = "signal", requires = "plant_after")]
+    channel: Option<ChannelId>,
+    /// The motor's plant as it was [default: that of the robot's file]
+    #[arg(long, value_name = "FILE", requires = "channel")]
+    plant_before: Option<PathBuf>,
+    /// The motor's plant as it is now
+    #[arg(long, value_name = "FILE", requires = "channel")]
+    plant_after: Option<PathBuf>,
+    /// The signal that is compared, as in imu0.rate_z_rad_s
+    #[arg(long, value_name = "SIGNAL", conflicts_with = "channel", requires = "body_after")]
+    signal: Option<String>,
+    /// The robot's body as it is now; as it was, it is that of `--body`, or of the robot's file
+    #[arg(long, value_name = "FILE", requires = "signal")]
+    body_after: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
 struct Report<'a> {
     log: &'a Path,
     board: String,
-    channel: String,
+    /// The motor, or the signal.
+    observed: String,
     #[serde(flatten)]
     twins: Twins,
 }
 
 pub(super) fn run(args: &Args, check: &Check) -> anyhow::Result<bool> {
-    ensure!(args.blind.is_none(), "--blind hides what the plants to compare are to tell: leave it out");
-    let log = log::read(&check.recording)?;
-    let twins = twins(args, &log, check.channel, (check.plant_before.as_deref(), &check.plant_after))
-        .with_context(|| check.recording.display().to_string())?;
-    let better = twins.after.position_rmse <= twins.before.position_rmse;
+    ensure!(args.blind.is_none(), "--blind hides what the files to compare are to tell: leave it out");
+    let Check { recording, channel, plant_before, plant_after, signal, body_after } = check;
+    let plant = |channel, path: &Path| Physics::Plant(PlantFile { channel, path: path.to_owned() });
+    let (observed, before, after, file) = match (channel, plant_after, signal, body_after) {
+        (&Some(channel), Some(after), ..) => {
+            let before = plant_before.as_deref().map(|file| plant(channel, file));
+            (Observed::Motor(channel), before, plant(channel, after), after)
+        }
+        (.., Some(signal), Some(after)) => {
+            (Observed::Signal(signal.clone()), None, Physics::Body(after.clone()), after)
+        }
+        _ => bail!("name a motor and its plant with --channel and --plant-after, or --signal and --body-after"),
+    };
+    let log = log::read(recording)?;
+    let twins = twins(args, &log, &observed, (before, after)).with_context(|| recording.display().to_string())?;
+    let is_as_near = twins.is_as_near();
     if args.json {
-        let (board, channel) = (args.board.to_string(), check.channel.to_string());
-        output::json(&Report { log: &check.recording, board, channel, twins })?;
+        let observed = match observed {
+            Observed::Motor(channel) => channel.to_string(),
+            Observed::Signal(name) => name,
+        };
+        output::json(&Report { log: recording, board: args.board.to_string(), observed, twins })?;
     } else {
         print_twins(&twins)?;
     }
-    if !better {
-        eprintln!("r4: the simulated board is farther from the recording with {}", check.plant_after.display());
+    if !is_as_near {
+        eprintln!("r4: the simulated board is farther from the recording with {}", file.display());
     }
-    Ok(better)
+    Ok(is_as_near)
 }
 
-/// Compares the simulated board that `args` name with a recording, with the plant as it was and as it is now.
+/// Compares the simulated board that `args` name with a recording, with the physics as they were and as they are now.
 pub(super) fn twins(
     args: &Args,
     log: &Log,
-    channel: ChannelId,
-    (before, after): (Option<&Path>, &Path),
+    observed: &Observed,
+    physics: (Option<Physics>, Physics),
 ) -> anyhow::Result<Twins> {
     let args = Args { blind: None, record: None, seed: log::seed(args, log), ..args.clone() };
-    let plant = |file: &Path| PlantFile { channel, path: file.to_owned() };
     session::catch_interrupts();
-    Ok(twin::compare(&session::rig(&args, Pace::Free)?, log, channel, (before.map(plant), plant(after)))?)
+    Ok(twin::compare(&session::rig(&args, Pace::Free)?, log, observed, physics)?)
 }
 
-/// Prints both errors and their ratio.
+/// Prints the errors of each quantity and the first's ratio.
 pub(super) fn print_twins(twins: &Twins) -> anyhow::Result<()> {
-    let Twins { before, after, position_unit, speed_unit, samples } = twins;
-    let position = Scale::of(position_unit, after.position_rmse);
-    let speed = Scale::of(speed_unit, after.speed_rmse);
-    let of_position = format!("position ({})", position.unit());
-    let of_speed = format!("speed ({})", speed.unit());
-    let mut rows = table::new(&["simulated board, RMSE", &of_position, &of_speed, "stopped"], 1..3);
-    for (name, twin) in [("plant before", before), ("plant after", after)] {
-        rows.add_row([
-            name.to_owned(),
-            position.text(twin.position_rmse),
-            speed.text(twin.speed_rmse),
-            twin.stopped.clone().unwrap_or_default(),
-        ]);
+    let Twins { differences, stopped_before, stopped_after, samples } = twins;
+    let scales = || differences.iter().map(|of| of.unit.map(|unit| Scale::of(unit, of.rmse_after)));
+    let mut heads = vec!["simulated board, RMSE".to_owned()];
+    heads.extend(differences.iter().zip(scales()).map(|(of, scale)| match scale {
+        Some(scale) => format!("{} ({})", of.name, scale.unit()),
+        None => of.name.clone(),
+    }));
+    heads.push("stopped".to_owned());
+    let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
+    let mut rows = table::new(&heads, 1..heads.len() - 1);
+    let rmse: [(_, fn(&Difference) -> f64, _); 2] =
+        [("before", |of| of.rmse_before, stopped_before), ("after", |of| of.rmse_after, stopped_after)];
+    for (name, rmse, stopped) in rmse {
+        let mut row = vec![name.to_owned()];
+        row.extend(differences.iter().zip(scales()).map(|(of, scale)| match scale {
+            Some(scale) => scale.text(rmse(of)),
+            None => significant(rmse(of)),
+        }));
+        row.push(stopped.clone().unwrap_or_default());
+        rows.add_row(row);
     }
     output::line(rows)?;
-    if after.position_rmse > 0.0 {
-        let times = significant(before.position_rmse / after.position_rmse);
-        output::line(format_args!("{samples} samples; position {times} times as near as before"))?;
+    if let Some(first) = differences.first().filter(|first| first.rmse_after > 0.0) {
+        let times = significant(first.rmse_before / first.rmse_after);
+        output::line(format_args!("{samples} samples; {} {times} times as near as before", first.name))?;
     }
     Ok(())
 }

@@ -1,6 +1,9 @@
 //! `r4 identify close`: from a board to a better plant file, and what it is worth.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
@@ -15,8 +18,9 @@ use r4_log::Log;
 use r4_plants::{Effect, PlantKind, PlantSpec};
 use r4_protocol::ChannelId;
 use r4_rig::{
+    PlantFile,
     excite::{self, Excitation, Patience, TRAIN},
-    twin::Twins,
+    twin::{Observed, Physics, Twins},
 };
 use r4_sim::Pace;
 use serde::Serialize;
@@ -105,12 +109,14 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
         }
     };
     progress.set_message("the simulated board, before and after");
-    let twin = twins(&twin_args, &Log::read(&fresh[0])?, channel, (Some(&before), &files[2]));
+    let plant = |path: &Path| Physics::Plant(PlantFile { channel, path: path.to_owned() });
+    let physics = (Some(plant(&before)), plant(&files[2]));
+    let twin = twins(&twin_args, &Log::read(&fresh[0])?, &Observed::Motor(channel), physics);
     progress.finish_and_clear();
     let twin = twin.with_context(|| format!("cannot compare the simulated board on {}", fresh[0].display()))?;
 
     let declared: Vec<&str> = declared.effects().iter().map(|effect| effect.name()).collect();
-    let better = twin.after.position_rmse <= twin.before.position_rmse;
+    let is_as_near = twin.is_as_near();
     if args.json {
         output::json(&Closed {
             board: args.board.to_string(),
@@ -129,10 +135,10 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
         }
         print_twins(&twin)?;
     }
-    if !better {
+    if !is_as_near {
         eprintln!("r4: the simulated board is no nearer to the fresh recording: keep the plant file that you had");
     }
-    Ok(better)
+    Ok(is_as_near)
 }
 
 /// The same arguments for the simulated board that is to be like `--board`.
