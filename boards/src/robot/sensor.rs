@@ -99,17 +99,28 @@ pub struct SimulatedImu {
     /// What it shows of each rate at rest, rad/s.
     #[serde(default)]
     pub rate_bias_rad_s: [f64; 3],
+    /// What it shows of a rate of 1 rad/s about each axis, without bias, rad/s.
+    #[serde(default = "exact")]
+    pub rate_scale: [f64; 3],
+}
+
+fn exact() -> [f64; 3] {
+    [1.0; 3]
 }
 
 impl SimulatedImu {
-    /// What is true where a file says nothing: at the origin of the body, without bias.
+    /// What is true where a file says nothing: at the origin of the body, without bias, of exact scale.
     pub(super) fn new(channel: ChannelId) -> Self {
-        Self { channel, place_m: [0.0; 3], acceleration_bias_m_s2: [0.0; 3], rate_bias_rad_s: [0.0; 3] }
+        let [place_m, acceleration_bias_m_s2, rate_bias_rad_s] = [[0.0; 3]; 3];
+        Self { channel, place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale: exact() }
     }
 
     /// Whether all its numbers are finite.
     pub(super) fn is_finite(&self) -> bool {
-        let Self { channel: _, place_m, acceleration_bias_m_s2, rate_bias_rad_s } = self;
-        [place_m, acceleration_bias_m_s2, rate_bias_rad_s].into_iter().flatten().all(|value| value.is_finite())
+        let Self { channel: _, place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale } = self;
+        [place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale]
+            .into_iter()
+            .flatten()
+            .all(|value| value.is_finite())
     }
 }

@@ -35,7 +35,7 @@ pub struct Paper {
 /// One way to answer a system's question.
 #[derive(Debug)]
 pub struct Arm {
-    /// `paper`, `ours`, or a name behind `baseline:` or `ablation:`.
+    /// `paper`, `ours`, or a name behind `baseline:`, `ablation:` or `blind:`.
     pub name: &'static str,
     /// What it does, in one sentence.
     pub does: &'static str,

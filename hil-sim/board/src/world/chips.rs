@@ -107,9 +107,10 @@ impl Chips {
         for Imu { chip, mounting } in &self.imus {
             let Inertial { specific_force_m_s2, rate_rad_s, .. } = inertial.at(mounting.place_m);
             let add = |felt: [f64; 3], bias: [f64; 3]| std::array::from_fn(|axis| felt[axis] + bias[axis]);
+            let scaled = |felt: [f64; 3], scale: [f64; 3]| std::array::from_fn(|axis| felt[axis] * scale[axis]);
             let truth = Truth {
                 acceleration_m_s2: add(specific_force_m_s2, mounting.acceleration_bias_m_s2),
-                rate_rad_s: add(rate_rad_s, mounting.rate_bias_rad_s),
+                rate_rad_s: add(scaled(rate_rad_s, mounting.rate_scale), mounting.rate_bias_rad_s),
             };
             chip.borrow_mut().feel(until_ns, truth);
         }

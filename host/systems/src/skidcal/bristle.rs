@@ -13,7 +13,7 @@
 
 use r4_maths::{
     least_squares,
-    statistics::{Interval, mean, mean_interval},
+    statistics::{Interval, mean, mean_interval, rms},
 };
 
 use super::{
@@ -37,6 +37,9 @@ const BIAS_M_S2: f64 = 0.1;
 const CLOCK_S: f64 = 5e-3;
 /// Confidence of intervals.
 const CONFIDENCE: f64 = 0.95;
+/// Places of the scaled numbers.
+const SYSTEMATIC: usize = 0;
+const LOG_C: usize = 2;
 /// Runs there and back that the inertial sensor needs at most: Student's t interval of four is 1.6 times as wide as a normal one, that
 /// of two 6.5 times.
 const INERTIAL_RUNS: usize = 4;
@@ -68,6 +71,34 @@ pub fn c_long_inertial(recording: &Recording) -> Option<Estimate> {
     let Ok(interval) = mean_interval(&logs, CONFIDENCE) else { return Some(fits.first()?.estimate(0)) };
     let value = mean(&logs).ok()?.exp();
     Some(Estimate { value, interval: Some(Interval { low: interval.low.exp(), high: interval.high.exp() }) })
+}
+
+/// Radius of the wheels from tracked positions of `fit_to`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Radius {
+    /// True radius over the configured one.
+    pub(super) scale: f64,
+    /// Whether the interval at the level asked for excludes the configured one.
+    pub(super) is_another: bool,
+    /// Root mean square error of the displacements in `held_out` with the configured radius, m.
+    pub(super) before_m: f64,
+    /// The same with the one found.
+    pub(super) after_m: f64,
+}
+
+/// The wheels' radius by the runs of one recording, tried on those of another.
+pub(super) fn wheel_radius(fit_to: &Recording, held_out: &Recording, level: f64) -> Option<Radius> {
+    let (curves, fit) = fit_tracked(fit_to)?;
+    let error_m = |numbers: &Numbers| {
+        let curves = held_out.straight.iter().filter_map(Curve::tracked);
+        rms(&curves.flat_map(|curve| numbers.displacement_residuals_m(&curve)).collect::<Vec<_>>()).ok()
+    };
+    Some(Radius {
+        scale: 1.0 + fit.numbers.systematic * RADIUS_SHARE,
+        is_another: !fit.interval(SYSTEMATIC, level, curves.len())?.contains(0.0),
+        before_m: error_m(&Numbers { systematic: 0.0, ..fit.numbers })?,
+        after_m: error_m(&fit.numbers)?,
+    })
 }
 
 fn fit_tracked(recording: &Recording) -> Option<(Vec<Curve>, Fit)> {
@@ -150,9 +181,8 @@ struct Numbers {
 /// A fit of the law to observations of one kind.
 struct Fit {
     numbers: Numbers,
-    /// Of the logarithm of `c`, at 95 %.
-    log_interval: Interval,
-    degrees_of_freedom: f64,
+    /// Of the scaled numbers: systematic error, offset, logarithms of `c` and of `L`.
+    scaled: least_squares::Fit,
 }
 
 impl Fit {
@@ -174,23 +204,26 @@ impl Fit {
         let fit = least_squares::nonlinear(&start, all).ok()?;
         // The wheels' quantised travel is an input of the law, so the residual is not white.
         let lag = least_squares::newey_west_lag(fit.residuals.len());
-        let fit = fit.autocorrelated(lag);
-        let log_interval = *fit.intervals(CONFIDENCE).ok()?.get(2)?;
-        Some(Self {
-            numbers: scaled(fit.parameters.as_slice()),
-            log_interval,
-            degrees_of_freedom: fit.degrees_of_freedom as f64,
-        })
+        Some(Self { numbers: scaled(fit.parameters.as_slice()), scaled: fit.autocorrelated(lag) })
     }
 
     /// The compliance, with an interval that counts `taken` observations less.
     fn estimate(&self, taken: usize) -> Estimate {
-        let free = self.degrees_of_freedom;
-        let widened = (free / (free - taken as f64).max(1.0)).sqrt();
         let c_per_n = self.numbers.law.c_per_n;
-        let half = self.log_interval.width() / 2.0 * widened;
-        let interval = Interval { low: c_per_n * (-half).exp(), high: c_per_n * half.exp() };
-        Estimate { value: c_per_n, interval: Some(interval) }
+        let interval = self.interval(LOG_C, CONFIDENCE, taken).map(|log| {
+            let half = log.width() / 2.0;
+            Interval { low: c_per_n * (-half).exp(), high: c_per_n * half.exp() }
+        });
+        Estimate { value: c_per_n, interval }
+    }
+
+    /// Interval of one of the scaled numbers.
+    fn interval(&self, number: usize, level: f64, taken: usize) -> Option<Interval> {
+        let interval = *self.scaled.intervals(level).ok()?.get(number)?;
+        let free = self.scaled.degrees_of_freedom as f64;
+        let half = interval.width() / 2.0 * (free / (free - taken as f64).max(1.0)).sqrt();
+        let middle = f64::midpoint(interval.low, interval.high);
+        Some(Interval { low: middle - half, high: middle + half })
     }
 }
 

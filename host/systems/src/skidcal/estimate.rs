@@ -120,7 +120,7 @@ fn ratio_of([half_base_m, half_track_m]: [f64; 2], rim_rad_s: f64, rate_rad_s: f
 }
 
 /// Turning rates of the spin, rad/s: that of wheels that do not slip, and the robot's with its standard error.
-fn rates(recording: &Recording) -> Option<(f64, f64, f64)> {
+pub(super) fn rates(recording: &Recording) -> Option<(f64, f64, f64)> {
     let Run { wheels, tracked, .. } = &recording.spin;
     let half_track_m = recording.robot.half_m[1];
     let turned = |[left_m, right_m]: [f64; 2]| (right_m - left_m) / 2.0 / half_track_m;

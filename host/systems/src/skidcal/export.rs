@@ -5,16 +5,16 @@ use std::fmt::Write;
 use r4_boards::{Robot, SimulatedBody};
 use r4_rig::Rig;
 
-use super::{
-    bristle, estimate,
-    scene::{self, Truth},
-};
+use super::{Recorded, bristle, estimate, scene::Truth};
 use crate::{Error, ResultFile, Trial};
 
 /// The result of a trial as a body for `--body` and as `wheel_slip` for Gazebo.
 pub(super) fn files(trial: &Trial) -> Result<Vec<ResultFile>, Error> {
-    let truth = scene::sample(trial.seed);
-    let recording = super::recorded(trial, truth)?;
+    let Recorded { truth, recording, .. } = Recorded::of(trial)?;
+    if estimate::reaches_friction(&recording, truth.friction) {
+        let why = "wheels slide in the spin, which then says nothing of c_lat: repeat it on a floor with more friction";
+        return Err(super::unsuitable(trial, why));
+    }
     let found = bristle::c_long(&recording).zip(estimate::ratio(&recording));
     let (c_long, ratio) = found.ok_or_else(|| super::without_estimate(trial))?;
     let slip = Slip { c_long_per_n: c_long.value, c_lat_per_n: c_long.value * ratio.value, friction: truth.friction };

@@ -1,11 +1,11 @@
 //! The figure of a trial.
 
-use super::{bristle, estimate, scene};
+use super::{Recorded, bristle, estimate};
 use crate::{Curve, Error, Figure, Panel, Trial};
 
 /// The first straight run: speeds, and its slip as it was tracked, as ours predicts it, and with the paper's estimate.
 pub(super) fn of(trial: &Trial) -> Result<Figure, Error> {
-    let recording = super::recorded(&Trial { arm: "ours", ..trial.clone() }, scene::sample(trial.seed))?;
+    let Recorded { recording, .. } = Recorded::of(&Trial { arm: "ours", ..trial.clone() })?;
     let run = bristle::FirstRun::of(&recording).ok_or_else(|| super::without_estimate(trial))?;
     let speeds = run.speeds();
     let in_mm = |(time_s, slip_m): &(f64, f64)| (*time_s, slip_m * 1e3);

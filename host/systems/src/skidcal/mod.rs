@@ -2,7 +2,8 @@
 //!
 //! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with steps of the
 //! speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any skid-steer board;
-//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`scene`] samples the robots that the study tries them on.
+//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`missing`] finds effects that their model of a robot lacks;
+//! [`scene`] samples the robots that the study tries them on.
 //!
 //! # Repairs
 //! Newton's law for four wheels, `a = 4 (v_r - v) / (c v_r m)`, solves to `v_r = v / (1 - a c m / 4)`. Equations (1) and (2) print
@@ -14,6 +15,7 @@ pub mod estimate;
 pub mod export;
 mod figure;
 mod kinematic;
+pub mod missing;
 pub mod protocol;
 pub mod scene;
 
@@ -29,6 +31,10 @@ pub struct Skidcal;
 
 /// Name of the system.
 const NAME: &str = "skidcal";
+/// The arm in which something is hidden in the robot.
+const BLIND: &str = "blind:one-effect";
+/// Straight runs there and back in that arm.
+const BLIND_RUNS: usize = 4;
 
 /// Robot, arms and metrics.
 static ABOUT: About = About {
@@ -46,6 +52,8 @@ static ABOUT: About = About {
         "friction 10, or 0.2 for every fourth seed: the wheels then slide in the spin",
         "noise of the tracked positions, 1 mm, and headings, 0.01 rad, at 20 Hz",
         "noise of the inertial sensor, 0.05 m/s², at 100 Hz",
+        "in blind:one-effect, c_long 0.01 to 0.015 1/N, c_lat / c_long 2 to 6, friction 0.3, and a gyroscope's scale 0.5 to 1.5 % off, a wheel radius 1 to 5 % off, a centre of mass 20 to \
+         60 mm before or behind the middle, or nothing",
     ],
     arms: &[
         Arm {
@@ -60,6 +68,11 @@ static ABOUT: About = About {
             is_kinematic: false,
         },
         Arm { name: "ablation:one-run", does: "ours without repeats", is_kinematic: false },
+        Arm {
+            name: BLIND,
+            does: "names what the robot has and the model lacks, from four runs, a sliding spin and the board's gyroscope",
+            is_kinematic: false,
+        },
         Arm {
             name: "ablation:perfect-actuators",
             does: "ours on wheels that turn as they are commanded, without motors and board",
@@ -156,6 +169,34 @@ static ABOUT: About = About {
             targets: &[Target { arm: "ours", limit: Limit::AtLeast(0.95), from: "set by this project" }],
         },
         Metric {
+            name: "hidden_effect_named",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: BLIND, limit: Limit::AtLeast(0.9), from: "set by this project" }],
+        },
+        Metric {
+            name: "nothing_hidden_nothing_named",
+            unit: "1",
+            statistic: Statistic::Share,
+            source: Source::Simulated,
+            targets: &[Target { arm: BLIND, limit: Limit::AtLeast(0.9), from: "set by this project" }],
+        },
+        Metric {
+            name: "held_out_error_after_over_before",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[Target { arm: BLIND, limit: Limit::AtMost(0.5), from: "set by this project" }],
+        },
+        Metric {
+            name: "effect_size_error",
+            unit: "1",
+            statistic: Statistic::Quantile(0.5),
+            source: Source::Simulated,
+            targets: &[Target { arm: BLIND, limit: Limit::AtMost(0.1), from: "set by this project" }],
+        },
+        Metric {
             name: "straight_runs",
             unit: "1",
             statistic: Statistic::Quantile(0.5),
@@ -171,8 +212,11 @@ impl System for Skidcal {
     }
 
     fn run(&self, trial: &Trial) -> Result<Values, Error> {
-        let truth = scene::sample(trial.seed);
-        Ok(evaluate(trial.arm, &truth, &recorded(trial, truth)?))
+        let Recorded { truth, hidden, recording } = Recorded::of(trial)?;
+        Ok(match trial.arm {
+            BLIND => named(hidden, &missing::findings(&recording, truth.friction)),
+            arm => evaluate(arm, &truth, &recording),
+        })
     }
 
     fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
@@ -184,28 +228,64 @@ impl System for Skidcal {
     }
 }
 
-/// What a trial records.
-fn recorded(trial: &Trial, truth: scene::Truth) -> Result<protocol::Recording, Error> {
-    let noise = scene::Noise::of(trial.seed);
-    if trial.arm == "ablation:perfect-actuators" {
-        return kinematic::recorded(&truth, protocol::Repeats::UntilNarrow, noise);
+/// A trial's robot, and what was recorded of it.
+struct Recorded {
+    truth: scene::Truth,
+    hidden: Option<scene::Hidden>,
+    recording: protocol::Recording,
+}
+
+impl Recorded {
+    fn of(trial: &Trial) -> Result<Self, Error> {
+        let (truth, hidden) = match trial.arm {
+            BLIND => scene::hidden(trial.seed),
+            _ => (scene::sample(trial.seed), None),
+        };
+        let noise = scene::Noise::of(trial.seed);
+        if trial.arm == "ablation:perfect-actuators" {
+            let recording = kinematic::recorded(&truth, protocol::Repeats::UntilNarrow, noise)?;
+            return Ok(Self { truth, hidden, recording });
+        }
+        let mut rig = Rig::new(trial.board.clone());
+        rig.seed = trial.seed;
+        rig.alter = Some(scene::altered(truth, hidden));
+        let simulated = rig.robot()?;
+        let robot = protocol::SkidRobot::of(&simulated, truth.mass_kg);
+        let (robot, repeats) = match trial.arm {
+            "ours" => (robot, protocol::Repeats::UntilNarrow),
+            BLIND => (robot.and_then(|robot| robot.with_gyroscope(&simulated)), protocol::Repeats::Times(BLIND_RUNS)),
+            _ => (robot, protocol::Repeats::Once),
+        };
+        let robot = robot.map_err(|why| unsuitable(trial, why))?;
+        let work = async |session: &Session<'_>| protocol::drive(session, &robot, repeats, noise).await;
+        let (recording, _) = rig.run(None, work)?;
+        Ok(Self { truth, hidden, recording })
     }
-    let mut rig = Rig::new(trial.board.clone());
-    rig.seed = trial.seed;
-    rig.alter = Some(scene::altered(truth));
-    let robot = protocol::SkidRobot::of(&rig.robot()?, truth.mass_kg).map_err(|why| Error::Unsuitable {
-        system: NAME,
-        board: trial.board.to_string(),
-        why,
-    })?;
-    let repeats = if trial.arm == "ours" { protocol::Repeats::UntilNarrow } else { protocol::Repeats::Once };
-    let work = async |session: &Session<'_>| protocol::drive(session, &robot, repeats, noise).await;
-    Ok(rig.run(None, work)?.0)
+}
+
+/// Metrics of what was found in a robot in which something is hidden.
+fn named(hidden: Option<scene::Hidden>, found: &[missing::Finding]) -> Values {
+    let share = |is: bool| f64::from(u8::from(is));
+    let Some(hidden) = hidden else {
+        return Values::from([("nothing_hidden_nothing_named".to_owned(), share(found.is_empty()))]);
+    };
+    let is_named = matches!(found, [only] if only.effect == hidden.effect);
+    let mut values = Values::from([("hidden_effect_named".to_owned(), share(is_named))]);
+    if let Some(finding) = found.iter().find(|finding| finding.effect == hidden.effect) {
+        values.insert("held_out_error_after_over_before".to_owned(), finding.after / finding.before);
+        let none = if hidden.effect == missing::Effect::CentreOfMass { 0.0 } else { 1.0 };
+        let error = (finding.size - hidden.size) / (hidden.size - none);
+        values.insert("effect_size_error".to_owned(), error.abs());
+    }
+    values
+}
+
+fn unsuitable(trial: &Trial, why: impl Into<String>) -> Error {
+    Error::Unsuitable { system: NAME, board: trial.board.to_string(), why: why.into() }
 }
 
 fn without_estimate(trial: &Trial) -> Error {
-    let why = "its runs give no estimate: is it a skid-steer robot that moves?".to_owned();
-    Error::Unsuitable { system: NAME, board: trial.board.to_string(), why }
+    unsuitable(trial, "its runs give no estimate: is it a skid-steer robot that moves?")
 }
 
 /// Metrics of one recording.

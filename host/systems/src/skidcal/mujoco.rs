@@ -40,7 +40,7 @@ impl Seen {
         let (wheels, tracked) = (wheels.collect(), tracked.collect());
         let felt =
             self.felt.iter().map(|&[time_s, forward_m_s2]| Felt::new(time_s, forward_m_s2, noise.inertial_m_s2()));
-        Run { wheels, tracked, felt: felt.collect() }
+        Run { wheels, tracked, felt: felt.collect(), ..Run::default() }
     }
 }
 

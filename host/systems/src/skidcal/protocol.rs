@@ -3,7 +3,7 @@
 use futures::future::try_join_all;
 use r4_boards::{Drive, Robot, SimulatedBody, SkidSteer};
 use r4_driver::TelemetryStream;
-use r4_protocol::{Mode, Setpoint};
+use r4_protocol::{ChannelId, ChannelKind, Mode, Quality, Sample, Setpoint};
 use r4_rig::{Error, Session, sides_rad};
 
 use super::{bristle, scene::Noise};
@@ -28,6 +28,10 @@ pub(super) const SPIN_RAD_S: f64 = 1.0;
 /// How long the robot spins before it is measured, and while, s: at least two rotations.
 pub(super) const SPIN_SETTLES_S: f64 = 3.0;
 pub(super) const SPIN_S: f64 = 20.0;
+/// How long the robot stands still where a gyroscope is recorded, s: its bias is then known to 0.1 mrad/s, with half of it to 0.14 mrad/s.
+const REST_S: f64 = 4.0;
+/// Place of the rate of yaw among the quantities of an inertial sensor.
+const RATE_Z: usize = 5;
 /// Straight runs are repeated until the 95 % interval is this share of the estimate to both sides, or so many times. Half the share
 /// takes four times the runs.
 const NARROW: f64 = 0.04;
@@ -42,6 +46,8 @@ pub struct SkidRobot {
     pub half_m: [f64; 2],
     /// Mass, kg.
     pub mass_kg: f64,
+    /// Inertial sensor whose rate of yaw is recorded.
+    pub gyroscope: Option<ChannelId>,
 }
 
 /// How often straight runs are repeated.
@@ -49,6 +55,8 @@ pub struct SkidRobot {
 pub enum Repeats {
     /// One run.
     Once,
+    /// As many runs there and back.
+    Times(usize),
     /// Until the interval of `c_long` is narrow.
     UntilNarrow,
 }
@@ -84,6 +92,15 @@ pub struct Felt {
     noise_m_s2: f64,
 }
 
+/// A reading of the board's gyroscope.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turned {
+    /// On the host's clock, s.
+    pub time_s: f64,
+    /// Rate of yaw, rad/s.
+    pub rate_rad_s: f64,
+}
+
 /// What was seen of a stretch of time.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
@@ -93,6 +110,8 @@ pub struct Run {
     pub tracked: Vec<Tracked>,
     /// Samples of the inertial sensor.
     pub felt: Vec<Felt>,
+    /// Readings of the gyroscope, if one is recorded.
+    pub turned: Vec<Turned>,
 }
 
 /// Both tests.
@@ -104,6 +123,8 @@ pub struct Recording {
     pub straight: Vec<Run>,
     /// How often the robot went there and back.
     pub runs: usize,
+    /// Standing still before the first run, if a gyroscope is recorded.
+    pub rest: Run,
     /// The spin, once it has settled.
     pub spin: Run,
     /// How far the clocks of wheels and tracking may be apart, s: a standard deviation.
@@ -130,7 +151,17 @@ impl SkidRobot {
         if wheels.len() != 4 {
             return Err(format!("it has {} wheels, and the protocol is for four", wheels.len()));
         }
-        Ok(Self { drive: drive.clone(), half_m: [mean(0), mean(1)], mass_kg })
+        Ok(Self { drive: drive.clone(), half_m: [mean(0), mean(1)], mass_kg, gyroscope: None })
+    }
+
+    /// The same with the readings of the robot's first inertial sensor.
+    ///
+    /// # Errors
+    /// When it has none.
+    pub fn with_gyroscope(self, robot: &Robot) -> Result<Self, String> {
+        let imu = robot.config.sensors.iter().find(|sensor| sensor.id.kind == ChannelKind::Imu);
+        let gyroscope = Some(imu.ok_or("it has no [[imu]]")?.id);
+        Ok(Self { gyroscope, ..self })
     }
 
     /// Straight runs there and back: rim speeds, left and right, m/s, and how long each is held, s. The first
@@ -183,14 +214,14 @@ impl Run {
     pub(super) fn without_noise(&self) -> Self {
         let tracked = self.tracked.iter().map(|tracked| Tracked { noise: [0.0; 3], ..*tracked });
         let felt = self.felt.iter().map(|felt| Felt { noise_m_s2: 0.0, ..*felt });
-        Self { wheels: self.wheels.clone(), tracked: tracked.collect(), felt: felt.collect() }
+        Self { tracked: tracked.collect(), felt: felt.collect(), ..self.clone() }
     }
 }
 
 impl Recording {
     /// An empty recording of a robot.
     pub(super) fn new(robot: SkidRobot, clock_s: f64) -> Self {
-        Self { robot, straight: Vec::new(), runs: 0, spin: Run::default(), clock_s }
+        Self { robot, straight: Vec::new(), runs: 0, rest: Run::default(), spin: Run::default(), clock_s }
     }
 
     /// The same as a tracker without noise would have seen it.
@@ -205,8 +236,11 @@ impl Recording {
         if self.runs == 0 {
             return 1;
         }
-        if repeats == Repeats::Once || self.runs >= MOST_RUNS {
-            return 0;
+        match repeats {
+            Repeats::Once => return 0,
+            Repeats::Times(runs) => return runs.saturating_sub(self.runs),
+            Repeats::UntilNarrow if self.runs >= MOST_RUNS => return 0,
+            Repeats::UntilNarrow => {}
         }
         let width = bristle::c_long(self).and_then(|found| Some((found.value, found.interval?)));
         let wide = match width {
@@ -236,6 +270,9 @@ pub async fn drive(
     session
         .armed(async || {
             let mut rider = Rider::new(session, robot, &mut noise).await?;
+            if robot.gyroscope.is_some() {
+                rider.hold([0.0; 2], REST_S, Some(&mut recording.rest)).await?;
+            }
             loop {
                 let more = recording.more(repeats);
                 for _ in 0..more {
@@ -273,7 +310,7 @@ struct Rider<'s> {
 impl<'s> Rider<'s> {
     async fn new(session: &'s Session<'s>, robot: &'s SkidRobot, noise: &'s mut Noise) -> Result<Self, Error> {
         let telemetry = session.board.telemetry();
-        for channel in robot.drive.left.iter().chain(&robot.drive.right) {
+        for channel in robot.drive.left.iter().chain(&robot.drive.right).chain(&robot.gyroscope) {
             session.board.subscribe(*channel, WHEELS_EVERY_MS).await?;
         }
         Ok(Self { session, robot, telemetry, noise, tracked_at_s: session.board.now_s() })
@@ -295,6 +332,10 @@ impl<'s> Rider<'s> {
             let frame = self.telemetry.next().await?;
             if frame.state == r4_protocol::SafetyState::Tripped {
                 return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+            }
+            if let Some(run) = run.as_deref_mut() {
+                let of = |sample| turned(sample, self.robot.gyroscope?, board.host_us(frame.device_us) as f64 * 1e-6);
+                run.turned.extend(frame.samples.iter().filter_map(of));
             }
             let sides = sides_rad(board, drive, &frame.samples);
             let (Some(run), Some(sides_rad)) = (run.as_deref_mut(), sides) else { continue };
@@ -321,5 +362,15 @@ impl<'s> Rider<'s> {
         let mut world = self.session.virtual_board().ok()?.world();
         world.catch_up();
         Some(world.body()?.inertial().specific_force_m_s2[0])
+    }
+}
+
+/// The rate of yaw in a sample of the gyroscope, with the time at which it was measured.
+fn turned(sample: &Sample, gyroscope: ChannelId, time_s: f64) -> Option<Turned> {
+    match *sample {
+        Sample::Sensor { channel, values, age_ms, quality: Quality::Good } if channel == gyroscope => {
+            Some(Turned { time_s: time_s - f64::from(age_ms) * 1e-3, rate_rad_s: values[RATE_Z].into() })
+        }
+        _ => None,
     }
 }

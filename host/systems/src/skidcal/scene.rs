@@ -6,13 +6,14 @@ use r4_boards::Robot;
 use r4_rig::Alter;
 use r4_world::{AnyBody, GRAVITY_M_S2, SlipLaw, Wheeled};
 
-use super::protocol::Recording;
+use super::{missing::Effect, protocol::Recording};
 use crate::sampler::Sampler;
 
 /// Purposes of random numbers.
 const OF_ROBOT: u64 = 1;
 const OF_NOISE: u64 = 2;
 const OF_INERTIAL: u64 = 3;
+const OF_HIDDEN: u64 = 4;
 
 /// A robot that the estimator does not know.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +26,20 @@ pub struct Truth {
     pub mass_kg: f64,
     /// Friction, 1; the protocol knows it, from a table.
     pub friction: f64,
+}
+
+/// Friction of a floor on which wheels slide in the spin.
+const SLIPPERY: f64 = 0.2;
+/// Friction of one on which wheels of stiff tyres slide in the spin, and not in straight runs with the centre of mass off the middle.
+const SLIPPERY_IN_TURNS: f64 = 0.3;
+
+/// Something of a robot that the estimator's base model does not have, with its size, as [`missing`](super::missing) counts it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hidden {
+    /// The effect.
+    pub effect: Effect,
+    /// rad/s shown per rad/s, true radius over the configured one, or m.
+    pub size: f64,
 }
 
 /// Noise of the sensors.
@@ -48,8 +63,48 @@ pub fn sample(seed: u64) -> Truth {
     let c_long_per_n = sampler.log_uniform(0.01, 0.03);
     let ratio = sampler.log_uniform(2.0, 12.0);
     let mass_kg = sampler.uniform(9.0, 14.0);
-    let friction = if seed % 4 == 3 { 0.2 } else { 10.0 };
+    let friction = if seed % 4 == 3 { SLIPPERY } else { 10.0 };
     Truth { c_long_per_n, c_lat_per_n: ratio * c_long_per_n, mass_kg, friction }
+}
+
+/// What a seed hides in a robot, or nothing, and the robot: with stiff tyres, on a floor on which they slide in the spin.
+#[must_use]
+pub fn hidden(seed: u64) -> (Truth, Option<Hidden>) {
+    let mut sampler = Sampler::new(seed, OF_HIDDEN);
+    let which = sampler.uniform(0.0, 4.0);
+    let sign = if sampler.uniform(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
+    let mut of = |effect, low, high, none| Some(Hidden { effect, size: none + sign * sampler.uniform(low, high) });
+    let hidden = match which {
+        ..1.0 => None,
+        // An ICM-20948 may be 1.5 % off at 25 °C.
+        ..2.0 => of(Effect::GyroScale, 0.005, 0.015, 1.0),
+        ..3.0 => of(Effect::WheelRadius, 0.01, 0.05, 1.0),
+        // OpenScout's axles are 0.12 m before and behind its middle.
+        _ => of(Effect::CentreOfMass, 0.02, 0.06, 0.0),
+    };
+    let c_long_per_n = sampler.log_uniform(0.01, 0.015);
+    let c_lat_per_n = c_long_per_n * sampler.log_uniform(2.0, 6.0);
+    (Truth { c_long_per_n, c_lat_per_n, friction: SLIPPERY_IN_TURNS, ..sample(seed) }, hidden)
+}
+
+impl Hidden {
+    /// Changes a robot's body, or its inertial sensors.
+    pub fn put_into(&self, robot: &mut Robot) {
+        let Self { effect, size } = *self;
+        if effect == Effect::GyroScale {
+            robot.simulation.imus.iter_mut().for_each(|imu| imu.rate_scale[2] = size);
+        }
+        let Some(AnyBody::Wheeled(body)) = robot.simulation.body.as_mut().map(|body| &mut body.kind) else { return };
+        let changed = body.changed(|chassis, wheels| match effect {
+            Effect::GyroScale => {}
+            Effect::WheelRadius => wheels.iter_mut().for_each(|wheel| wheel.radius_m *= size),
+            Effect::CentreOfMass => chassis.centre_m[0] += size,
+        });
+        // What is sampled lies between the axles.
+        if let Ok(changed) = changed {
+            **body = changed;
+        }
+    }
 }
 
 impl Truth {
@@ -91,9 +146,12 @@ impl Truth {
     }
 }
 
-/// What a rig does to a robot to make it this one.
-pub fn altered(truth: Truth) -> Alter {
-    Rc::new(move |robot| truth.put_into(robot))
+/// What a rig does to a robot to make it this one, with something hidden in it.
+pub fn altered(truth: Truth, hidden: Option<Hidden>) -> Alter {
+    Rc::new(move |robot| {
+        truth.put_into(robot);
+        hidden.iter().for_each(|hidden| hidden.put_into(robot));
+    })
 }
 
 impl Noise {

@@ -77,7 +77,7 @@ fn a_simulated_board_gives_both_within_five_percent() {
 fn a_released_dead_man_ends_the_protocol_with_the_robot_at_rest() {
     let truth = sample(1);
     let mut rig = Rig::new("sim:openscout".parse().expect("a board"));
-    rig.alter = Some(altered(truth));
+    rig.alter = Some(altered(truth, None));
     let robot = SkidRobot::of(&rig.robot().expect("a robot"), truth.mass_kg).expect("a skid-steer robot");
     let work = async |session: &Session<'_>| {
         let board = session.virtual_board()?;
@@ -143,4 +143,36 @@ fn slip_is_written_for_gazebo() {
     ] {
         assert!(sdf.contains(tag), "{tag} in {sdf}");
     }
+}
+
+/// One seed of each effect and one of none, by the board's own gyroscope.
+#[test]
+fn what_a_robot_has_and_the_model_lacks_is_named() {
+    for (seed, effect) in [
+        (1, Some(missing::Effect::CentreOfMass)),
+        (2, Some(missing::Effect::GyroScale)),
+        (10, Some(missing::Effect::WheelRadius)),
+        (8, None),
+    ] {
+        let (_, hidden) = scene::hidden(seed);
+        assert_eq!(hidden.map(|hidden| hidden.effect), effect, "seed {seed}");
+        let trial = Trial { arm: BLIND, seed, board: "sim:openscout".parse().expect("a board") };
+        let values = Skidcal.run(&trial).expect("a trial");
+        if effect.is_none() {
+            assert_eq!(values["nothing_hidden_nothing_named"], 1.0, "seed {seed}");
+            continue;
+        }
+        assert_eq!(values["hidden_effect_named"], 1.0, "seed {seed}");
+        // 0.51, 0.02 and 0.08: a tracked heading has 0.01 rad of noise, which the gyroscope's 0.5 to 1.5 % hardly exceed.
+        assert!(values["held_out_error_after_over_before"] < 0.6, "seed {seed}: {values:?}");
+        // 1.7, 1.2 and 1.3 %.
+        assert!(values["effect_size_error"] < 0.1, "seed {seed}: {values:?}");
+    }
+}
+
+#[test]
+fn a_spin_that_slides_gives_no_files() {
+    let trial = Trial { arm: "ablation:one-run", seed: 3, board: "sim:openscout".parse().expect("a board") };
+    let problem = Skidcal.files(&trial).expect_err("friction 0.2");
+    assert!(problem.to_string().contains("more friction"), "{problem}");
 }

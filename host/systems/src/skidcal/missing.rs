@@ -1,0 +1,244 @@
+//! Which effect the base model of a robot lacks: from the residuals of both tests, each of which one effect moves.
+//!
+//! | effect | residual that it moves | its size |
+//! | --- | --- | --- |
+//! | [`Effect::GyroScale`] | tracked heading of the spin less the integral of the gyroscope, without what it shows at rest | rad/s shown per rad/s |
+//! | [`Effect::WheelRadius`] | tracked travel of straight runs less that of the wheels and the slip of the tyres' law | true radius over the configured one |
+//! | [`Effect::CentreOfMass`] | tracked places of a spin with sliding wheels, less those of a robot that turns about its middle | m, forwards |
+//!
+//! Sizes are fitted to one half of a recording, and an effect is claimed where the interval at [`CONFIDENCE`] excludes that there is
+//! none. Its error is that of the other half.
+//!
+//! # The centre of mass
+//!
+//! A spin turns about the point at which the lateral forces of front and rear wheels balance. As long as no wheel slides these do not
+//! depend on weight, and this point is the middle. Where wheels slide it moves towards the heavier axle: [`centre_of_mass_m`] solves the
+//! balance of lateral forces and of moments for the centre of mass and the compliance across. One axle on a slippery floor does the
+//! same: only a scale under each axle can tell which of both it is.
+
+use nalgebra::DMatrix;
+use r4_maths::{
+    least_squares::{Fit, linear, newey_west_lag},
+    root::bisect,
+    statistics::{mean, rms},
+};
+use r4_world::GRAVITY_M_S2;
+
+use super::{
+    bristle, estimate,
+    protocol::{Recording, Run},
+};
+
+/// Confidence with which an effect is claimed: of a thousand recordings of a robot without effects, three claim one of the three.
+const CONFIDENCE: f64 = 0.999;
+
+/// What a robot may have and the base model lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// The gyroscope shows too much or too little.
+    GyroScale,
+    /// All wheels are larger or smaller than configured.
+    WheelRadius,
+    /// The centre of mass is before or behind the middle of the wheels.
+    CentreOfMass,
+}
+
+/// An effect that a recording shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Finding {
+    /// The effect.
+    pub effect: Effect,
+    /// Its size, as in the table above.
+    pub size: f64,
+    /// Root mean square error of the half that was not fitted to, without the effect: rad or m.
+    pub before: f64,
+    /// The same with it.
+    pub after: f64,
+}
+
+/// Effects that a recording on a floor of some `friction` shows, the one first that explains most of its residual.
+#[must_use]
+pub fn findings(recording: &Recording, friction: f64) -> Vec<Finding> {
+    let found = [gyro_scale(recording), wheel_radius(recording), centre_of_mass(recording, friction)];
+    let mut found: Vec<Finding> = found.into_iter().flatten().collect();
+    found.sort_by(|a, b| (a.after / a.before).total_cmp(&(b.after / b.before)));
+    found
+}
+
+/// Observations of one stretch, whose constant is not known: `observed = constant + regressors · numbers`.
+struct Stretch {
+    observed: Vec<f64>,
+    regressors: Vec<Vec<f64>>,
+}
+
+/// Numbers fitted to some stretches.
+fn fitted(stretches: &[Stretch]) -> Option<Fit> {
+    let numbers = stretches.first()?.regressors.first()?.len();
+    let constant =
+        |index: usize| stretches.iter().enumerate().map(move |(other, _)| f64::from(u8::from(other == index)));
+    let rows: Vec<f64> = (stretches.iter().enumerate())
+        .flat_map(|(index, stretch)| {
+            let row =
+                move |regressors: &Vec<f64>| regressors.iter().copied().chain(constant(index)).collect::<Vec<_>>();
+            stretch.regressors.iter().flat_map(row)
+        })
+        .collect();
+    let observed: Vec<f64> = stretches.iter().flat_map(|stretch| stretch.observed.iter().copied()).collect();
+    let design = DMatrix::from_row_slice(observed.len(), numbers + stretches.len(), &rows);
+    let fit = linear(&design, &observed).ok()?;
+    let lag = newey_west_lag(observed.len());
+    Some(fit.autocorrelated(lag))
+}
+
+/// Root mean square of what `numbers` do not explain of some stretches.
+fn error(stretches: &[Stretch], numbers: &[f64]) -> Option<f64> {
+    let unexplained = |stretch: &Stretch| {
+        let explained = |regressors: &Vec<f64>| regressors.iter().zip(numbers).map(|(a, b)| a * b).sum::<f64>();
+        let rest: Vec<f64> = stretch.observed.iter().zip(&stretch.regressors).map(|(y, x)| y - explained(x)).collect();
+        let mean = rest.iter().sum::<f64>() / rest.len().max(1) as f64;
+        rest.into_iter().map(|value| value - mean).collect::<Vec<_>>()
+    };
+    rms(&stretches.iter().flat_map(unexplained).collect::<Vec<_>>()).ok()
+}
+
+/// The first of the fitted numbers, if the data exclude 0, and errors of the other half: with the others alone, fitted again, and with
+/// all.
+fn claimed(fit_to: &[Stretch], held_out: &[Stretch]) -> Option<(f64, f64, f64)> {
+    let fit = fitted(fit_to)?;
+    let size = fit.parameters[0];
+    if fit.intervals(CONFIDENCE).ok()?.first()?.contains(0.0) {
+        return None;
+    }
+    let numbers = fit_to.first()?.regressors.first()?.len();
+    let without_first = |stretch: &Stretch| Stretch {
+        observed: stretch.observed.clone(),
+        regressors: stretch.regressors.iter().map(|row| row[1..].to_vec()).collect(),
+    };
+    let others = |stretches: &[Stretch]| stretches.iter().map(without_first).collect::<Vec<_>>();
+    let before = match numbers {
+        1 => error(held_out, &[0.0])?,
+        _ => error(&others(held_out), &fitted(&others(fit_to))?.parameters.as_slice()[..numbers - 1])?,
+    };
+    Some((size, before, error(held_out, &fit.parameters.as_slice()[..numbers])?))
+}
+
+/// The first and the second half of the spin.
+fn spins(recording: &Recording) -> [Run; 2] {
+    let Run { wheels, tracked, felt, turned } = &recording.spin;
+    let begin_s = tracked.first().map_or(0.0, |first| first.time_s);
+    let middle_s = f64::midpoint(begin_s, tracked.last().map_or(0.0, |last| last.time_s));
+    [true, false].map(|first| {
+        let is_in = |time_s: f64| (time_s < middle_s) == first;
+        Run {
+            wheels: wheels.iter().filter(|sample| is_in(sample.time_s)).copied().collect(),
+            tracked: tracked.iter().filter(|sample| is_in(sample.time_s)).copied().collect(),
+            felt: felt.iter().filter(|sample| is_in(sample.time_s)).copied().collect(),
+            turned: turned.iter().filter(|sample| is_in(sample.time_s)).copied().collect(),
+        }
+    })
+}
+
+/// `heading - integral = (1 / scale - 1) integral`, without the bias that was seen at rest.
+fn gyro_scale(recording: &Recording) -> Option<Finding> {
+    let rest: Vec<f64> = recording.rest.turned.iter().map(|sample| sample.rate_rad_s).collect();
+    let bias_rad_s = mean(&rest).ok()?;
+    let [fit_to, held_out] = spins(recording).map(|spin| headings(&spin, bias_rad_s));
+    let (size, before, after) = claimed(&[fit_to?], &[held_out?])?;
+    Some(Finding { effect: Effect::GyroScale, size: 1.0 / (1.0 + size), before, after })
+}
+
+fn headings(run: &Run, bias_rad_s: f64) -> Option<Stretch> {
+    let mut turned_rad = vec![0.0];
+    for pair in run.turned.windows(2) {
+        let step_s = pair[1].time_s - pair[0].time_s;
+        let before_rad = turned_rad[turned_rad.len() - 1];
+        let rate_rad_s = f64::midpoint(pair[0].rate_rad_s, pair[1].rate_rad_s) - bias_rad_s;
+        turned_rad.push(before_rad + step_s * rate_rad_s);
+    }
+    let mut stretch = Stretch { observed: Vec::new(), regressors: Vec::new() };
+    for tracked in &run.tracked {
+        let after = run.turned.partition_point(|sample| sample.time_s < tracked.time_s);
+        let (Some(before), Some(right)) = (after.checked_sub(1), run.turned.get(after)) else { continue };
+        let left = run.turned[before];
+        let share = (tracked.time_s - left.time_s) / (right.time_s - left.time_s);
+        let gyro_rad = turned_rad[before] + share * (turned_rad[after] - turned_rad[before]);
+        stretch.observed.push(tracked.measured()[2] - gyro_rad);
+        stretch.regressors.push(vec![gyro_rad]);
+    }
+    (!stretch.observed.is_empty()).then_some(stretch)
+}
+
+/// The law of the tyres with the radius beside it: slip is not alike in speeding up and slowing down, so that soft tyres would
+/// pass for wheels that are 0.3 % smaller.
+fn wheel_radius(recording: &Recording) -> Option<Finding> {
+    let pairs = recording.straight.chunks_exact(2);
+    // One run of each pair there and back, and the other.
+    let [fit_to, held_out] = [0, 1].map(|half| {
+        let straight = pairs.clone().enumerate().map(|(index, pair)| pair[(index + half) % 2].clone()).collect();
+        Recording { straight, ..Recording::new(recording.robot.clone(), recording.clock_s) }
+    });
+    let found = bristle::wheel_radius(&fit_to, &held_out, CONFIDENCE)?;
+    let bristle::Radius { scale, before_m, after_m, .. } = found;
+    found.is_another.then_some(Finding { effect: Effect::WheelRadius, size: scale, before: before_m, after: after_m })
+}
+
+fn centre_of_mass(recording: &Recording, friction: f64) -> Option<Finding> {
+    let [fit_to, held_out] = spins(recording);
+    let (ahead_m, before, after) = claimed(&[circle(&fit_to)], &[circle(&held_out)])?;
+    // The robot's middle is as far behind the point about which it turns as that is ahead.
+    let size = centre_of_mass_m(recording, friction, -ahead_m)?;
+    Some(Finding { effect: Effect::CentreOfMass, size, before, after })
+}
+
+/// Places of the robot's middle on a circle about the point of rotation: `x = x0 + a cos - b sin`, `y = y0 + a sin + b cos`. Of the
+/// two constants the stretch's own is `x0`, and a regressor is `y0 - x0`.
+fn circle(run: &Run) -> Stretch {
+    let mut stretch = Stretch { observed: Vec::new(), regressors: Vec::new() };
+    for tracked in &run.tracked {
+        let [x_m, y_m, yaw_rad] = tracked.measured();
+        let (sin, cos) = yaw_rad.sin_cos();
+        stretch.observed.extend([x_m, y_m]);
+        stretch.regressors.extend([vec![cos, -sin, 0.0], vec![sin, cos, 1.0]]);
+    }
+    stretch
+}
+
+/// Centre of mass before the middle of the wheels, m, of a robot that spins about a point `ahead_m` before it; `None` where no
+/// wheel slides, which says nothing.
+fn centre_of_mass_m(recording: &Recording, friction: f64, ahead_m: f64) -> Option<f64> {
+    let [half_base_m, half_track_m] = recording.robot.half_m;
+    let (rim_rad_s, rate_rad_s, _) = estimate::rates(recording)?;
+    let c_long_per_n = bristle::c_long(recording)?.value;
+    let weight_n = recording.robot.mass_kg * GRAVITY_M_S2;
+    // Slip along the wheels is alike, across them it is that of their axle: slip velocity over rim speed, 1.
+    let along = 1.0 - rate_rad_s / rim_rad_s;
+    let across = [1.0, -1.0].map(|axle| (axle * half_base_m - ahead_m) * rate_rad_s / (half_track_m * rim_rad_s));
+    // Forces of one wheel of each axle, front first, along and across, N.
+    let forces = |c_lat_per_n: f64, centre_m: f64| {
+        [0, 1].map(|axle| {
+            let share = 0.5 + [0.5, -0.5][axle] * centre_m / half_base_m;
+            let most_n = friction * weight_n * share / 2.0;
+            let adheres_n = [along / c_long_per_n, across[axle] / c_lat_per_n];
+            let size_n = adheres_n[0].hypot(adheres_n[1]);
+            let slides = if size_n > most_n { most_n / size_n } else { 1.0 };
+            (adheres_n.map(|force_n| force_n * slides), slides < 1.0)
+        })
+    };
+    let most_m = 0.99 * half_base_m;
+    // The heavier the front, the more its forces: monotone.
+    let balanced_m = |c_lat_per_n: f64| {
+        let lateral_n = |centre_m: f64| forces(c_lat_per_n, centre_m).iter().map(|([_, across_n], _)| across_n).sum();
+        bisect(lateral_n, -most_m, most_m, 1e-6).ok()
+    };
+    // The moment that turns the robot is that which keeps it from turning faster.
+    let moment_nm = |power: f64| {
+        let c_lat_per_n = c_long_per_n * 10f64.powf(power);
+        let centre_m = balanced_m(c_lat_per_n).unwrap_or(0.0);
+        let [front, rear] = forces(c_lat_per_n, centre_m).map(|(force_n, _)| force_n);
+        half_track_m * (front[0] + rear[0]) - half_base_m * (front[1] - rear[1])
+    };
+    let power = bisect(moment_nm, -1.0, 3.0, 1e-6).ok()?;
+    let c_lat_per_n = c_long_per_n * 10f64.powf(power);
+    let centre_m = balanced_m(c_lat_per_n)?;
+    forces(c_lat_per_n, centre_m).iter().any(|(_, slides)| *slides).then_some(centre_m)
+}
