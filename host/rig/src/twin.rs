@@ -135,7 +135,7 @@ impl Track {
     }
 
     /// Counted from the first sample.
-    fn from_start(mut self) -> Self {
+    fn relative_to_start(mut self) -> Self {
         let start = self.samples.first().map_or(0.0, |(_, value)| *value);
         self.samples.iter_mut().for_each(|(_, value)| *value -= start);
         self
@@ -156,7 +156,7 @@ fn tracks(log: &Log, observed: &Observed) -> Result<Vec<Track>, TwinError> {
                 vec![position("m"), speed("m/s")]
             } else {
                 // The zero of an angle is where power came on, which differs between the machine and a simulation.
-                vec![position("rad").from_start(), speed("rad/s")]
+                vec![position("rad").relative_to_start(), speed("rad/s")]
             })
         }
         Observed::Signal(name) => {
