@@ -110,9 +110,7 @@ pub(super) fn print_twins(twins: &Twins) -> anyhow::Result<()> {
     heads.push("stopped".to_owned());
     let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
     let mut rows = table::new(&heads, 1..heads.len() - 1);
-    let rmse: [(_, fn(&Difference) -> f64, _); 2] =
-        [("before", |of| of.rmse_before, stopped_before), ("after", |of| of.rmse_after, stopped_after)];
-    for (name, rmse, stopped) in rmse {
+    let mut add = |name: &str, stopped: &Option<String>, rmse: fn(&Difference) -> f64| {
         let mut row = vec![name.to_owned()];
         row.extend(differences.iter().zip(scales()).map(|(of, scale)| match scale {
             Some(scale) => scale.text(rmse(of)),
@@ -120,7 +118,9 @@ pub(super) fn print_twins(twins: &Twins) -> anyhow::Result<()> {
         }));
         row.push(stopped.clone().unwrap_or_default());
         rows.add_row(row);
-    }
+    };
+    add("before", stopped_before, |of| of.rmse_before);
+    add("after", stopped_after, |of| of.rmse_after);
     output::line(rows)?;
     if let Some(first) = differences.first().filter(|first| first.rmse_after > 0.0) {
         let times = significant(first.rmse_before / first.rmse_after);
