@@ -23,10 +23,10 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    Ackermann, Drive, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
-    SimulatedCurrent, SimulatedEncoder, SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor,
-    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SkidSteer, SteeringLaw, TruePoint,
-    World,
+    Ackermann, Drive, Mount, Origin, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
+    SimulatedCurrent, SimulatedEncoder, SimulatedGnss, SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange,
+    SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation,
+    SkidSteer, SteeringLaw, TruePoint, UartDevice, World,
 };
 use source::{Folder, Source};
 

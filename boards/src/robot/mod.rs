@@ -8,6 +8,7 @@ mod output;
 mod read;
 mod sensor;
 mod simulation;
+mod uart;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
 use r4_world::{AnyBody, Pose, Scene};
@@ -16,6 +17,7 @@ pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 pub use sensor::{SimulatedCurrent, SimulatedImu};
+pub use uart::{Origin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
 
@@ -59,6 +61,8 @@ pub struct Simulation {
     pub imus: Vec<SimulatedImu>,
     /// One for each current monitor.
     pub currents: Vec<SimulatedCurrent>,
+    /// Sensors at the UART connectors.
+    pub uarts: Vec<SimulatedUart>,
     /// What couples motors; `None` lets each turn alone.
     pub body: Option<SimulatedBody>,
     /// What is around the body.

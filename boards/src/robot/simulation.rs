@@ -19,6 +19,7 @@ use super::{
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
+    uart::{self, GnssTable, LidarTable},
 };
 use crate::{
     error::BoardError,
@@ -71,6 +72,10 @@ pub(super) struct Tables {
     imu: Vec<SimulatedImu>,
     #[serde(default)]
     current: Vec<SimulatedCurrent>,
+    #[serde(default)]
+    lidar: Vec<LidarTable>,
+    #[serde(default)]
+    gnss: Vec<GnssTable>,
 }
 
 #[derive(Deserialize)]
@@ -314,6 +319,7 @@ impl Tables {
             imus: check.each(&self.imu, &on_bus(ChannelKind::Imu), |imu| imu.id, Check::imu)?,
             currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
+            uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
             scene: Scene::default(),
         })

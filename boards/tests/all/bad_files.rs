@@ -376,6 +376,41 @@ const SKID_MISTAKES: &[Mistake] = &[
         "world.surface[0]",
         "45 degrees",
     ),
+    mistake(
+        "[[simulation.rail]]",
+        "[[simulation.lidar]]\nuart = 2\nmount = { place_m = [0.2, 0.0] }\n\n[[simulation.rail]]",
+        "uart = 2",
+        "simulation.lidar[0].uart",
+        "two UART connectors",
+    ),
+    mistake(
+        "[[simulation.rail]]",
+        "[[simulation.lidar]]\nuart = 0\nmount = { place_m = [0.2, 0.0] }\n[[simulation.gnss]]\nuart = 0\norigin = { latitude_deg = 53.2, longitude_deg = -0.5 }\n\n[[simulation.rail]]",
+        "uart = 0\norigin",
+        "simulation.gnss[0].uart",
+        "already used",
+    ),
+    mistake(
+        "[[simulation.rail]]",
+        "[[simulation.gnss]]\nuart = 1\norigin = { latitude_deg = 53.2, longitude_deg = -0.5 }\nrate_hz = 20\n\n[[simulation.rail]]",
+        "rate_hz = 20",
+        "simulation.gnss[0].rate_hz",
+        "must be 1 to 10",
+    ),
+    mistake(
+        "[[simulation.rail]]",
+        "[[simulation.gnss]]\nuart = 1\norigin = { latitude_deg = 89.0, longitude_deg = -0.5 }\n\n[[simulation.rail]]",
+        "latitude_deg",
+        "simulation.gnss[0].origin.latitude_deg",
+        "-85 to 85",
+    ),
+    mistake(
+        "[[simulation.rail]]",
+        "[[simulation.gnss]]\nuart = 1\norigin = { latitude_deg = 53.2, longitude_deg = -0.5 }\ndeviation_m = -1.0\n\n[[simulation.rail]]",
+        "deviation_m",
+        "simulation.gnss[0].deviation_m",
+        "must be 0 or above",
+    ),
 ];
 
 const TAIL_MISTAKES: &[Mistake] = &[

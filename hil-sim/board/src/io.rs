@@ -112,12 +112,14 @@ impl Read for UartReceiver {
         poll_fn(|context| {
             let mut world = self.world.borrow_mut();
             let clock = world.clock().clone();
+            world.send_due(self.connector);
+            let next_ns = world.next_uart_ns(self.connector);
             let port = world.uart_port(self.connector);
             let received = port.line.read(clock.now_ns(), buffer);
             if received.len > 0 || buffer.is_empty() {
                 return Poll::Ready(Ok(received.len));
             }
-            match port.line.next_arrival_ns() {
+            match next_ns {
                 Some(at_ns) => clock.wake_at(at_ns, context.waker()),
                 None => port.reader = Some(context.waker().clone()),
             }
@@ -132,7 +134,7 @@ impl Write for UartTransmitter {
         let mut world = self.world.borrow_mut();
         let now_ns = world.clock().now_ns();
         let port = world.uart_port(self.connector);
-        port.line.write(now_ns, bytes);
+        port.write(now_ns, bytes);
         if let Some(reader) = port.reader.take() {
             reader.wake();
         }

@@ -16,8 +16,9 @@
 //! resistance, pulls the reading down. Far below the clamp it changes nothing, at `u = clamp` it takes 0.69 knee, above it
 //! the pin stays at the clamp. Its inverse is `u = v - knee · ln(1 - exp((v - clamp) / knee))`.
 
-use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
+
+use super::normal;
 
 /// Nominal reference of the converter.
 const REFERENCE_V: f64 = 3.3;
@@ -102,8 +103,7 @@ impl AnalogInput {
         if self.noise_rms_codes == 0.0 {
             return exact;
         }
-        let noise: f64 = StandardNormal.sample(noise);
-        exact + noise * self.noise_rms_codes
+        exact + normal(noise) * self.noise_rms_codes
     }
 
     /// The same without noise.

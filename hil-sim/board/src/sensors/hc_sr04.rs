@@ -20,7 +20,6 @@
 
 use std::collections::VecDeque;
 
-use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::interference::{Followed, SquareWave};
@@ -295,7 +294,7 @@ impl HcSr04 {
         if self.fault == Some(HcSr04Fault::StuckHigh) {
             return STUCK_NS;
         }
-        let noise: f64 = StandardNormal.sample(&mut self.noise);
+        let noise = super::normal(&mut self.noise);
         let noise_m = noise * self.noise_rms_mm * 1e-3;
         match [self.distance_m, self.background_m].into_iter().flatten().min_by(f64::total_cmp) {
             // written so that NaN counts as nothing

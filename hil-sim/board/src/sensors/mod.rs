@@ -12,20 +12,30 @@
 //! | [`switch`] | contact bounce, normally open or closed, pull resistor, cut and shorted wire | wetting current, wear, RC filters |
 //! | [`analog_input`] | divider tolerance, bend below the clamp, reference error, offset, noise, oversampling, open and short | settling of the sampling capacitor, non-linearity of the converter, cross-talk of channels |
 //! | [`loopback`] | UART bytes at their time, bounded receive FIFO, unplugged cable, noise; 24C02 EEPROM with page writes and write time | parity errors, baud mismatch; write-protect pin, wear, loss of power during a write |
+//! | `tfmini_s` | frames of a lidar with one beam at a UART: distance in centimetres with noise, nothing within reach, checksum | commands, width of the beam, reflectivity, sunlight |
+//! | `gnss` | NMEA sentences at a UART: place on the ellipsoid, an error that changes slowly, speed and course | commands, time to the first position, satellites, multipath, loss of reception |
 //! | [`dac_output`] | code to volts with gain and offset error, swing of the output buffer | settling, load, non-linearity |
 
 pub mod analog_input;
 pub mod dac_output;
+pub(crate) mod gnss;
 pub mod hc_sr04;
 pub mod interference;
 pub mod loopback;
 pub mod quadrature;
 pub mod switch;
+pub(crate) mod tfmini_s;
 
+use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::{Pcg64, rand_core::Rng};
 
 /// A number drawn evenly from 0 up to, not including, 1.
 pub(crate) fn uniform(generator: &mut Pcg64) -> f64 {
     // the 53 bits that a double can hold
     (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// A number drawn from the normal distribution with mean 0 and standard deviation 1.
+pub(crate) fn normal(generator: &mut Pcg64) -> f64 {
+    StandardNormal.sample(generator)
 }

@@ -10,6 +10,7 @@ mod encoders;
 mod motor;
 mod pins;
 mod stepping;
+mod uarts;
 mod wires;
 
 use std::{cell::RefCell, rc::Rc};

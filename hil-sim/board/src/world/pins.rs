@@ -8,11 +8,11 @@ use r4_firmware::{
     sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
 };
 use r4_protocol::ChannelId;
-use rand_distr::{Distribution, StandardNormal};
 
 use super::{
     Processor, Rail, World,
     encoders::{US_PER_MS, ticks},
+    uarts::Sender,
 };
 use crate::{
     i2c::I2cBus,
@@ -22,6 +22,7 @@ use crate::{
         dac_output::DacOutput,
         hc_sr04::HcSr04Array,
         loopback::{Eeprom24c02, UartLoopback},
+        normal,
         quadrature::QuadratureSignal,
         switch::{BOUNCE_NS, Contact, Pull, Switch},
     },
@@ -82,7 +83,17 @@ pub struct AnalogSource {
 /// A UART connector with who waits for bytes from it.
 pub(crate) struct UartPort {
     pub(crate) line: UartLoopback,
+    pub(super) sender: Option<Sender>,
     pub(crate) reader: Option<Waker>,
+}
+
+impl UartPort {
+    /// The board sends. A sensor takes no orders.
+    pub(crate) fn write(&mut self, at_ns: u64, bytes: &[u8]) {
+        if self.sender.is_none() {
+            self.line.write(at_ns, bytes);
+        }
+    }
 }
 
 /// What the processor's capture unit has of one echo line.
@@ -143,7 +154,15 @@ impl Pins {
             analogs,
             dac: DacOutput::new(false),
             dac_v: [0.0; 2],
-            uarts: [0, 1].map(|_| UartPort { line: UartLoopback::new(UART_BAUD, UART_BUFFER), reader: None }),
+            uarts: [0, 1].map(|port| UartPort {
+                line: UartLoopback::new(UART_BAUD, UART_BUFFER),
+                sender: truth
+                    .uarts
+                    .iter()
+                    .find(|uart| uart.port == port)
+                    .map(|uart| Sender::new(uart.device, seed.wrapping_add(port.into()))),
+                reader: None,
+            }),
             external_buses,
             eeproms,
             kicked_ns: 0,
@@ -192,7 +211,7 @@ impl Pins {
         self.longest_kick_ns.max(now_ns - self.kicked_ns)
     }
 
-    /// The UART connectors, whose output is wired to their input.
+    /// The UART connectors, whose output is wired to their input where no sensor is.
     pub fn uart(&mut self, connector: usize) -> Option<&mut UartLoopback> {
         self.uarts.get_mut(connector).map(|port| &mut port.line)
     }
@@ -235,7 +254,7 @@ fn potentiometer(world: &mut World, input: usize) -> Option<f64> {
         }
         _ => None,
     })?;
-    let noise: f64 = StandardNormal.sample(&mut world.noise);
+    let noise = normal(&mut world.noise);
     Some(code + noise * noise_rms_codes)
 }
 

@@ -10,7 +10,6 @@ use super::{StepPulses, World, pins, stepping};
 use crate::{
     i2c::{I2cBus, Response},
     sensors::hc_sr04::EchoEdge,
-    uart::UartByte,
 };
 
 /// Which of the processor's I2C controllers.
@@ -239,27 +238,6 @@ impl World {
         let result = work(self.bus_of(controller));
         self.look_at_lines();
         result
-    }
-}
-
-/// UART connectors, whose output is wired to their input until somebody unplugs that: [`pins::Pins::uart`].
-impl World {
-    /// A byte has left a connector: its stop bit ended at `at_ns`.
-    pub fn uart_sent(&mut self, connector: usize, at_ns: u64, byte: u8) {
-        if let Some(line) = self.pins.uart(connector) {
-            line.sent(at_ns, byte);
-        }
-    }
-
-    /// The next byte that has arrived at a connector up to now.
-    pub fn take_uart_arrived(&mut self, connector: usize) -> Option<UartByte> {
-        let now_ns = self.clock.now_ns();
-        self.pins.uart(connector)?.take_arrived(now_ns)
-    }
-
-    /// When the next byte arrives at a connector, `u64::MAX` when none is under way; also of one that is lost.
-    pub fn next_uart_arrival_ns(&mut self, connector: usize) -> u64 {
-        self.pins.uart(connector).and_then(|line| line.next_arrival_ns()).unwrap_or(u64::MAX)
     }
 }
 

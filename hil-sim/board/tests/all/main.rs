@@ -19,5 +19,6 @@ mod screen;
 mod stop_watch;
 mod storage;
 mod storms;
+mod uart_sensors;
 mod whole_board;
 mod wires;

@@ -20,12 +20,12 @@ mod tests;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
     i2c::I2cChip,
     misuse::{Misuse, MisuseKind, MisuseLog},
+    sensors::normal,
 };
 use registers::{Bank, access};
 
@@ -191,7 +191,7 @@ impl Icm20948 {
             (COUNTS_PER_DEG_S / full_scale(self.banks[2][0x01]), RATE_NOISE_DEG_S * (FRAC_PI_2 * gyro_hz).sqrt());
         for axis in 0..6 {
             let (counts_per_unit, noise_rms) = if axis < 3 { accel } else { gyro };
-            let drawn: f64 = StandardNormal.sample(&mut self.noise);
+            let drawn = normal(&mut self.noise);
             // Rounded, and clipped where it does not fit (`as` saturates).
             let counts = ((self.filtered[axis] + noise_rms * drawn) * counts_per_unit).round() as i16;
             let at = 0x2D + 2 * axis;
