@@ -3,8 +3,8 @@
 use futures::future::try_join_all;
 use r4_boards::{Drive, Robot, SimulatedBody, SkidSteer};
 use r4_driver::TelemetryStream;
-use r4_protocol::{ChannelId, ChannelKind, Mode, Quality, Sample, Setpoint};
-use r4_rig::{Error, Session, sides_rad};
+use r4_protocol::{ChannelId, Mode, Setpoint};
+use r4_rig::{Error, Session, inertial_reading, inertial_sensor, sides_rad};
 
 use super::{bristle, scene::Noise};
 
@@ -30,8 +30,6 @@ pub(super) const SPIN_SETTLES_S: f64 = 3.0;
 pub(super) const SPIN_S: f64 = 20.0;
 /// How long the robot stands still where a gyroscope is recorded, s: its bias is then known to 0.1 mrad/s, with half of it to 0.14 mrad/s.
 const REST_S: f64 = 4.0;
-/// Place of the rate of yaw among the quantities of an inertial sensor.
-const RATE_Z: usize = 5;
 /// Straight runs are repeated until the 95 % interval is this share of the estimate to both sides, or so many times. Half the share
 /// takes four times the runs.
 const NARROW: f64 = 0.04;
@@ -159,9 +157,7 @@ impl SkidRobot {
     /// # Errors
     /// When it has none.
     pub fn with_gyroscope(self, robot: &Robot) -> Result<Self, String> {
-        let imu = robot.config.sensors.iter().find(|sensor| sensor.id.kind == ChannelKind::Imu);
-        let gyroscope = Some(imu.ok_or("it has no [[imu]]")?.id);
-        Ok(Self { gyroscope, ..self })
+        Ok(Self { gyroscope: Some(inertial_sensor(robot)?), ..self })
     }
 
     /// Straight runs there and back: rim speeds, left and right, m/s, and how long each is held, s. The first
@@ -333,9 +329,10 @@ impl<'s> Rider<'s> {
             if frame.state == r4_protocol::SafetyState::Tripped {
                 return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
             }
-            if let Some(run) = run.as_deref_mut() {
-                let of = |sample| turned(sample, self.robot.gyroscope?, board.host_us(frame.device_us) as f64 * 1e-6);
-                run.turned.extend(frame.samples.iter().filter_map(of));
+            let reading = self.robot.gyroscope.and_then(|sensor| inertial_reading(sensor, &frame.samples));
+            if let (Some(run), Some(reading)) = (run.as_deref_mut(), reading) {
+                let time_s = board.host_us(frame.device_us) as f64 * 1e-6 - reading.age_s;
+                run.turned.push(Turned { time_s, rate_rad_s: reading.rate_rad_s[2] });
             }
             let sides = sides_rad(board, drive, &frame.samples);
             let (Some(run), Some(sides_rad)) = (run.as_deref_mut(), sides) else { continue };
@@ -362,15 +359,5 @@ impl<'s> Rider<'s> {
         let mut world = self.session.virtual_board().ok()?.world();
         world.catch_up();
         Some(world.body()?.inertial().specific_force_m_s2[0])
-    }
-}
-
-/// The rate of yaw in a sample of the gyroscope, with the time at which it was measured.
-fn turned(sample: &Sample, gyroscope: ChannelId, time_s: f64) -> Option<Turned> {
-    match *sample {
-        Sample::Sensor { channel, values, age_ms, quality: Quality::Good } if channel == gyroscope => {
-            Some(Turned { time_s: time_s - f64::from(age_ms) * 1e-3, rate_rad_s: values[RATE_Z].into() })
-        }
-        _ => None,
     }
 }

@@ -31,7 +31,7 @@ use crate::{
 };
 use law::Regulator;
 use protocol::{Moment, Trace};
-use scene::{Case, Noise, Reading, Setup};
+use scene::{Case, Reading, Setup};
 
 /// The system.
 #[derive(Debug)]
@@ -71,7 +71,7 @@ static ABOUT: About = About {
         "ankle 1.6 to 2.0 times as stiff as gravity asks for, damping 150 to 250 N m s/rad, uniform",
         "10 kg lifted 0.30 to 0.40 m in front of the ankle, within 0.3 to 0.7 s, uniform",
         "pulleys that take 0.5 to 2 % per half turn, cables of 0.7 to 1.3 times the file's stiffness, uniform",
-        "noise and offset of the inertial sensor",
+        "noise of the board's inertial sensor",
     ],
     arms: &[
         board(PRINTED, "our controller on the motors as printed: motor 1, 0.625 N m, at the back"),
@@ -207,10 +207,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
         arm => {
             rig.alter = Some(case.altered(reading));
             let regulator = Some(&regulator).filter(|_| arm != HANGING);
-            let noise = Noise::of(trial.seed);
-            let work = async |session: &Session<'_>| {
-                protocol::lift(session, &setup, case.lift.at_s, regulator, noise.clone()).await
-            };
+            let work = async |session: &Session<'_>| protocol::lift(session, &setup, case.lift.at_s, regulator).await;
             rig.run(None, work)?.0
         }
     };

@@ -4,12 +4,12 @@ use std::{cell::RefCell, convert::Infallible, pin::pin};
 
 use futures::future::{Either, select};
 use r4_protocol::{Mode, SafetyState, Sample};
-use r4_rig::{Error, Session};
+use r4_rig::{Error, InertialReading, Session, inertial_reading};
 use r4_world::{AnyBody, BalanceTail};
 
 use super::{
     law::{Measured, Regulator},
-    scene::{Noise, Setup},
+    scene::Setup,
     trunk::{self, Lean},
 };
 
@@ -64,7 +64,6 @@ pub async fn lift(
     setup: &Setup,
     lift_at_s: f64,
     regulator: Option<&Regulator>,
-    noise: Noise,
 ) -> Result<Trace, Error> {
     let until_s = lift_at_s + AFTER_S;
     let moments = RefCell::new(Vec::new());
@@ -77,10 +76,13 @@ pub async fn lift(
     let mut armed_at_s = f64::INFINITY;
     let balance = async {
         if let Some(regulator) = regulator {
-            let mut trunk = TrunkSensor { session, setup, noise };
-            let still = trunk.rest().await?;
+            let period_ms = (setup.settings.period_s * 1e3).round() as u16;
+            for sensor in setup.joints.iter().map(|joint| joint.encoder).chain([setup.trunk]) {
+                session.board.subscribe(sensor, period_ms).await?;
+            }
+            let still = rest(session, setup).await?;
             armed_at_s = time_s(session)?;
-            session.armed(async || balance(session, setup, until_s, regulator, trunk, still).await).await
+            session.armed(async || balance(session, setup, until_s, regulator, still).await).await
         } else {
             session.board.sleep_s((until_s - time_s(session)?).max(0.0)).await;
             Ok(())
@@ -126,14 +128,10 @@ async fn balance(
     setup: &Setup,
     until_s: f64,
     regulator: &Regulator,
-    mut trunk: TrunkSensor<'_>,
     still: Lean,
 ) -> Result<(), Error> {
     let board = session.board;
     let mut telemetry = board.telemetry();
-    for joint in &setup.joints {
-        board.subscribe(joint.encoder, (setup.settings.period_s * 1e3).round() as u16).await?;
-    }
     let channels = setup.joints.map(|joint| (joint.channel, Mode::Duty));
     let mut commands = board.stream(&channels, COMMAND_TTL_MS).await?;
     let (mut lean, mut integral_rad_s) = (still, 0.0);
@@ -144,13 +142,14 @@ async fn balance(
             return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
         }
         let Some(motors_rad) = encoders(session, setup, &frame.samples)? else { continue };
+        let Some(sample) = trunk_sample(setup, &frame.samples) else { continue };
         let at_us = frame.device_us;
         let Some((before_us, before_rad)) = before.replace((at_us, motors_rad)) else { continue };
         let after_s = at_us.saturating_sub(before_us) as f64 * 1e-6;
         if after_s <= 0.0 {
             continue;
         }
-        let (lean_rad, lean_rad_s) = lean.next(trunk.sample()?, after_s);
+        let (lean_rad, lean_rad_s) = lean.next(sample, after_s);
         let mut measured = Measured { angle_rad: [lean_rad, 0.0, 0.0], rate_rad_s: [lean_rad_s, 0.0, 0.0] };
         for (number, joint) in setup.joints.iter().enumerate() {
             measured.angle_rad[number + 1] = motors_rad[number] / joint.ratio;
@@ -177,34 +176,19 @@ fn encoders(session: &Session<'_>, setup: &Setup, samples: &[Sample]) -> Result<
     Ok(Some(angles_rad))
 }
 
-/// The inertial sensor on the person's back. It is not on the board yet: the truth, with noise.
-struct TrunkSensor<'s> {
-    session: &'s Session<'s>,
-    setup: &'s Setup,
-    noise: Noise,
+/// Lean of the trunk from a second of its sensor's readings, before the motors are armed.
+async fn rest(session: &Session<'_>, setup: &Setup) -> Result<Lean, Error> {
+    let mut telemetry = session.board.telemetry();
+    let until_s = session.board.now_s() + RESTS_S;
+    let mut samples = Vec::new();
+    while session.board.now_s() < until_s {
+        samples.extend(trunk_sample(setup, &telemetry.next().await?.samples));
+    }
+    Ok(Lean::at_rest(&samples))
 }
 
-impl TrunkSensor<'_> {
-    fn sample(&mut self) -> Result<trunk::Sample, Error> {
-        let [forward_m, up_m] = self.setup.sensor_m;
-        let mut world = self.session.virtual_board()?.world();
-        world.catch_up();
-        let felt = world.body().map(|body| body.inertial().at([forward_m, 0.0, up_m])).unwrap_or_default();
-        let (rate_rad_s, [forward_m_s2, up_m_s2]) = self.noise.sample();
-        Ok(trunk::Sample {
-            rate_rad_s: felt.rate_rad_s[1] + rate_rad_s,
-            force_m_s2: [felt.specific_force_m_s2[0] + forward_m_s2, felt.specific_force_m_s2[2] + up_m_s2],
-        })
-    }
-
-    /// Averages the sensor at rest.
-    async fn rest(&mut self) -> Result<Lean, Error> {
-        let period_s = self.setup.settings.period_s;
-        let mut samples = Vec::new();
-        for _ in 0..(RESTS_S / period_s) as usize {
-            samples.push(self.sample()?);
-            self.session.board.sleep_s(period_s).await;
-        }
-        Ok(Lean::at_rest(&samples))
-    }
+/// The reading of the sensor on the trunk in a telemetry frame.
+fn trunk_sample(setup: &Setup, samples: &[Sample]) -> Option<trunk::Sample> {
+    let InertialReading { acceleration_m_s2, rate_rad_s, .. } = inertial_reading(setup.trunk, samples)?;
+    Some(trunk::Sample { rate_rad_s: rate_rad_s[1], force_m_s2: [acceleration_m_s2[0], acceleration_m_s2[2]] })
 }

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use r4_boards::{Robot, SimulatedBldc};
 use r4_protocol::ChannelId;
-use r4_rig::Alter;
+use r4_rig::{Alter, inertial_sensor};
 use r4_world::{Ankle, AnyBody, BalanceTail, GRAVITY_M_S2, Lift, Link, TailError, Wearer};
 
 use super::{
@@ -13,9 +13,8 @@ use super::{
 };
 use crate::sampler::Sampler;
 
-/// Purposes of random numbers.
+/// Purpose of random numbers.
 const OF_CASE: u64 = 1;
-const OF_SENSOR: u64 = 2;
 
 /// Pulleys on plain bearings take this share of the force for each half turn.
 const PLAIN_BEARINGS: f64 = 0.1;
@@ -48,36 +47,6 @@ pub struct Case {
     pub cable: f64,
     /// What the person lifts.
     pub lift: Lift,
-}
-
-/// Noise of the inertial sensor: of the class of an ICM-20948, at 50 Hz of bandwidth. Declared, not measured.
-#[derive(Clone, Debug)]
-pub struct Noise {
-    sampler: Sampler,
-    bias_rad_s: f64,
-}
-
-/// Standard deviation of a rate, rad/s: 0.015 (deg/s)/sqrt(Hz).
-const RATE_RAD_S: f64 = 1.9e-3;
-/// Standard deviation of a specific force, m/s²: 230 ug/sqrt(Hz).
-const FORCE_M_S2: f64 = 1.6e-2;
-/// Standard deviation of the rate's offset after it was calibrated at rest, rad/s: 0.05 deg/s.
-const BIAS_RAD_S: f64 = 9e-4;
-
-impl Noise {
-    /// That of a seed.
-    #[must_use]
-    pub fn of(seed: u64) -> Self {
-        let mut sampler = Sampler::new(seed, OF_SENSOR);
-        let bias_rad_s = sampler.normal(BIAS_RAD_S);
-        Self { sampler, bias_rad_s }
-    }
-
-    /// Error of the next sample's rate, rad/s, and of its specific force forwards and up, m/s².
-    pub fn sample(&mut self) -> (f64, [f64; 2]) {
-        let rate_rad_s = self.bias_rad_s + self.sampler.normal(RATE_RAD_S);
-        (rate_rad_s, [self.sampler.normal(FORCE_M_S2), self.sampler.normal(FORCE_M_S2)])
-    }
 }
 
 impl Case {
@@ -208,8 +177,8 @@ pub struct Setup {
     pub model: Model,
     /// Limits and weights.
     pub settings: law::Settings,
-    /// Where the inertial sensor sits: `[forwards, up]` from the ankle along the trunk, m.
-    pub sensor_m: [f64; 2],
+    /// The inertial sensor on the trunk.
+    pub trunk: ChannelId,
 }
 
 impl Setup {
@@ -232,7 +201,7 @@ impl Setup {
         let joints = [joint(first)?, joint(second)?];
         let wearer = tail.wearer();
         let share = mass_kg / wearer.mass_kg;
-        let trunk = Trunk {
+        let person = Trunk {
             inertia_kg_m2: wearer.inertia_kg_m2 * share,
             moment_kg_m: [0.0, mass_kg * wearer.centre_m],
             tail_m: wearer.tail_m,
@@ -247,8 +216,8 @@ impl Setup {
             rotor_kg_m2: joint.rotor_kg_m2,
             ratio: link.cable.ratio,
         };
-        let model = Model { trunk, links: [link(first, &joints[0]), link(second, &joints[1])] };
-        Ok(Self { joints, model, settings: law::Settings::default(), sensor_m: wearer.tail_m })
+        let model = Model { trunk: person, links: [link(first, &joints[0]), link(second, &joints[1])] };
+        Ok(Self { joints, model, settings: law::Settings::default(), trunk: inertial_sensor(&robot)? })
     }
 }
 

@@ -70,7 +70,7 @@ fn a_released_dead_man_leaves_the_tail_on_its_brakes() {
             board.dead_man().set(false);
             std::future::pending::<()>().await;
         };
-        let lift = protocol::lift(session, &setup, case.lift.at_s, Some(&regulator), Noise::of(2));
+        let lift = protocol::lift(session, &setup, case.lift.at_s, Some(&regulator));
         let Either::Left((ended, _)) = select(pin!(lift), pin!(release)).await else { unreachable!("it does not end") };
         let released = tail();
         // The brakes, 1 and 6 N m, stop motors of 0.1 and 1.5 g m2 at once; the person sways for a few seconds.

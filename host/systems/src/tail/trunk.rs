@@ -2,7 +2,7 @@
 
 /// Time constant of the complementary filter, s: slower than a lift, which takes about a second, so that the sensor's own acceleration
 /// does not count for a lean. Experiment: seeds 1 to 30 of `r4 system study tail --arms ours`. With half of it the median excursion is
-/// 0.407 of that without a tail, so 0.397.
+/// 0.416 of that without a tail, so 0.403.
 const TIME_CONSTANT_S: f64 = 5.0;
 
 /// One sample of the sensor, in the trunk's frame.

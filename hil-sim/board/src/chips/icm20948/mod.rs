@@ -12,7 +12,7 @@
 //! - RAW_DATA_0_RDY of INT_STATUS_1 is set by a new sample whether or not its interrupt is enabled, and is cleared by reading (8.13).
 //! - From power-up or reset the chip acknowledges nothing for 11 ms after power-up, which is typical, and 100 ms after a reset, which is
 //!   the longest (table 3).
-//! - Scale errors, cross-axis sensitivity and temperature are 0; biases come from outside.
+//! - Cross-axis sensitivity and temperature are 0; biases and scale errors come from outside.
 
 mod registers;
 #[cfg(test)]

@@ -1,0 +1,40 @@
+//! Readings of a board's inertial sensors.
+
+use r4_boards::Robot;
+use r4_protocol::{ChannelId, ChannelKind, Quality, Sample};
+
+/// A reading of an inertial sensor, in its own axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InertialReading {
+    /// Acceleration less that of free fall, m/s².
+    pub acceleration_m_s2: [f64; 3],
+    /// rad/s.
+    pub rate_rad_s: [f64; 3],
+    /// How long before the sample it was measured, s.
+    pub age_s: f64,
+}
+
+/// The first inertial sensor of a robot.
+///
+/// # Errors
+/// When it has none: what it lacks.
+pub fn inertial_sensor(robot: &Robot) -> Result<ChannelId, String> {
+    let sensor = robot.config.sensors.iter().find(|sensor| sensor.id.kind == ChannelKind::Imu);
+    Ok(sensor.ok_or("it has no [[imu]]")?.id)
+}
+
+/// The reading of an inertial sensor in a telemetry frame; `None` without a good one.
+#[must_use]
+pub fn inertial_reading(sensor: ChannelId, samples: &[Sample]) -> Option<InertialReading> {
+    samples.iter().find_map(|sample| match *sample {
+        Sample::Sensor { channel, values, age_ms, quality: Quality::Good } if channel == sensor => {
+            let [a, b, c, d, e, f] = values.map(f64::from);
+            Some(InertialReading {
+                acceleration_m_s2: [a, b, c],
+                rate_rad_s: [d, e, f],
+                age_s: f64::from(age_ms) * 1e-3,
+            })
+        }
+        _ => None,
+    })
+}
