@@ -19,6 +19,16 @@ fn robot() -> Robot {
     robot
 }
 
+/// Drives forwards for some time, and drops what has come at a connector meanwhile.
+async fn drive(bench: &Bench<'_>, port: u8, ms: u64) {
+    bench.host.arm().await.unwrap();
+    for index in 0..4 {
+        bench.set(ChannelId::new(ChannelKind::Dhb, index), Mode::Speed, 4.0).await.unwrap();
+    }
+    bench.sleep_ms(ms).await;
+    while !bench.host.uart_read(port).await.unwrap().is_empty() {}
+}
+
 /// What comes at a connector within `ms`, fetched every 5 ms: a board keeps 22 ms of it.
 async fn received(bench: &Bench<'_>, port: u8, ms: u64) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -32,13 +42,7 @@ async fn received(bench: &Bench<'_>, port: u8, ms: u64) -> Vec<u8> {
 #[test]
 fn a_lidar_sees_the_wall_that_the_robot_drives_towards() {
     bench(&robot(), async |bench| {
-        bench.host.arm().await.unwrap();
-        for index in 0..4 {
-            bench.set(ChannelId::new(ChannelKind::Dhb, index), Mode::Speed, 4.0).await.unwrap();
-        }
-        bench.sleep_ms(2000).await;
-        // What was waiting is old.
-        while !bench.host.uart_read(0).await.unwrap().is_empty() {}
+        drive(bench, 0, 2000).await;
         let begin_ns = bench.clock.now_ns();
         let bytes = received(bench, 0, 500).await;
         let periods = (bench.clock.now_ns() - begin_ns) / (10 * MS);
@@ -70,12 +74,7 @@ fn a_lidar_sees_the_wall_that_the_robot_drives_towards() {
 #[test]
 fn a_receiver_follows_the_robot_over_the_ground() {
     bench(&robot(), async |bench| {
-        bench.host.arm().await.unwrap();
-        for index in 0..4 {
-            bench.set(ChannelId::new(ChannelKind::Dhb, index), Mode::Speed, 4.0).await.unwrap();
-        }
-        bench.sleep_ms(4000).await;
-        while !bench.host.uart_read(1).await.unwrap().is_empty() {}
+        drive(bench, 1, 4000).await;
         let text = String::from_utf8(received(bench, 1, 400).await).unwrap();
         let pose = bench.board.world().pose().unwrap();
         let lines: Vec<&str> = text.lines().collect();
