@@ -59,9 +59,11 @@ fn the_balance_tail_halves_the_lean() {
     let [emulated, simulated] = ["emu:balance-tail", "sim:balance-tail"].map(|board| trial(board)["values"].clone());
     let of = |values: &Value, name: &str| values[name].as_f64().expect("a metric");
     assert!(of(&emulated, "excursion_relative") <= 0.5 && of(&emulated, "at_limit_s") == 0.0, "{emulated}");
-    // The regulator starts at another phase of its 10 ms; the person leans by up to 65 mm/s.
+    // The regulator starts at another phase of its 10 ms, while the person leans by up to 65 mm/s: 0.65 mm. Readings of the inertial
+    // sensor come at other moments, so that its noise is another: 3.6 mrad/s in each of 100 readings at rest are 0.5 mrad/s between the
+    // offsets that both boards' programs find, and 1.8 mm in the 4 s up to the lift.
     let differ_m = of(&emulated, "excursion_m") - of(&simulated, "excursion_m");
-    assert!(differ_m.abs() < 0.65e-3, "{emulated}, {simulated}");
+    assert!(differ_m.abs() < 0.65e-3 + 1.8e-3, "{emulated}, {simulated}");
 }
 
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
