@@ -12,13 +12,13 @@ use crate::{
 
 /// UART connectors of the board.
 const CONNECTORS: u8 = 2;
-/// Bytes of one second that 115 200 baud have room for, 11 520, are more than enough for this many positions of 150 bytes.
+/// Positions in a second: ten of 150 bytes take an eighth of a line of 115 200 baud.
 const RATES_HZ: std::ops::RangeInclusive<u16> = 1..=10;
-/// Nearer to a pole than this a plane is no map.
+/// Largest latitude of a world, which is flat.
 const LATITUDE_MAX_DEG: f64 = 85.0;
-/// Of a receiver without corrections: our choice.
+/// Standard deviation of a receiver without corrections, m: our choice.
 const DEVIATION_M: f64 = 1.5;
-/// How long its error stays alike: our choice.
+/// Time in which the correlation of its error falls to 1/e, s: our choice.
 const CORRELATION_S: f64 = 60.0;
 
 /// What is wired to a UART connector.

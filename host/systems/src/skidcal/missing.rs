@@ -6,13 +6,13 @@
 //! | [`Effect::WheelRadius`] | tracked travel of straight runs less that of the wheels and the slip of the tyres' law | true radius over the configured one |
 //! | [`Effect::CentreOfMass`] | tracked places of a spin with sliding wheels, less those of a robot that turns about its middle | m, forwards |
 //!
-//! Sizes are fitted to one half of a recording, and an effect is claimed where the interval at [`CONFIDENCE`] excludes that there is
+//! Sizes are fitted to one half of a recording, and an effect is claimed where the interval at `CONFIDENCE` excludes that there is
 //! none. Its error is that of the other half.
 //!
 //! # The centre of mass
 //!
 //! A spin turns about the point at which the lateral forces of front and rear wheels balance. As long as no wheel slides these do not
-//! depend on weight, and this point is the middle. Where wheels slide it moves towards the heavier axle: [`centre_of_mass_m`] solves the
+//! depend on weight, and this point is the middle. Where wheels slide it moves towards the heavier axle: `centre_of_mass_m` solves the
 //! balance of lateral forces and of moments for the centre of mass and the compliance across. One axle on a slippery floor does the
 //! same: only a scale under each axle can tell which of both it is.
 
