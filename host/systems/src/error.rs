@@ -86,6 +86,14 @@ pub enum Error {
         /// What is wrong.
         why: String,
     },
+    /// A file is no Parquet file of a study's records, or cannot be written as one.
+    #[error("{path}: {why}")]
+    Parquet {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
     /// A file cannot be read or written.
     #[error("{path}")]
     File {

@@ -13,6 +13,11 @@ mod about;
 pub mod absim;
 mod error;
 mod figure;
+#[cfg(feature = "parquet")]
+mod parquet;
+#[cfg(not(feature = "parquet"))]
+#[path = "no_parquet.rs"]
+mod parquet;
 mod row;
 mod sampler;
 pub mod skidcal;

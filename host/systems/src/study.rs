@@ -1,13 +1,14 @@
 //! Trials over seeds, on all cores or as shards, and the rows that follow from them.
 //!
 //! A study's trials are independent. Their records are lines of JSON, sorted by system, arm, board and seed, so that the records of
-//! all shards, merged, are those of one run, byte for byte; rows follow from records alone.
+//! all shards, merged, are those of one run, byte for byte; rows follow from records alone. With the feature `parquet` a file may be
+//! Parquet as well.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
     fs::File,
-    io::{BufRead, BufReader, Write},
+    io::{BufRead, BufReader, BufWriter, Write},
     path::Path,
     str::FromStr,
 };
@@ -16,7 +17,7 @@ use r4_rig::Target as Board;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::{Arm, Error, Row, Statistic, System, find};
+use crate::{Arm, Error, Row, Statistic, System, find, parquet};
 
 /// Values of a trial's metrics, by their names.
 pub type Values = BTreeMap<String, f64>;
@@ -256,11 +257,31 @@ pub fn merge(shards: impl IntoIterator<Item = Vec<Record>>) -> Result<Vec<Record
     Ok(merged.into_values().collect())
 }
 
-/// Reads the records of a file of JSON lines.
+/// Whether a file's name says that it is Parquet; JSON lines otherwise.
+fn is_parquet(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("parquet"))
+}
+
+/// Writes records into a new file: Parquet if its name ends in .parquet, JSON lines otherwise.
+///
+/// # Errors
+/// When it cannot be written, or is Parquet in a program without the feature.
+pub fn save(path: &Path, records: &[Record]) -> Result<(), Error> {
+    if is_parquet(path) {
+        return parquet::write(path, records);
+    }
+    let failed = |source| Error::File { path: path.to_owned(), source };
+    write(records, BufWriter::new(File::create(path).map_err(failed)?)).map_err(failed)
+}
+
+/// Reads the records of a file that [`save`] wrote.
 ///
 /// # Errors
 /// When it cannot be read, or a line is no record.
 pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
+    if is_parquet(path) {
+        return parquet::read(path);
+    }
     let failed = |source| Error::File { path: path.to_owned(), source };
     let lines = BufReader::new(File::open(path).map_err(failed)?).lines();
     let record = |(index, line): (usize, std::io::Result<String>)| {

@@ -84,7 +84,16 @@ const FULL: &[Step] = &[
         "lints",
         cargo(
             ".",
-            &["clippy", "--workspace", "--all-targets", "--features", "r4/dfu,r4/emu,r4/probe", "--", "-D", "warnings"],
+            &[
+                "clippy",
+                "--workspace",
+                "--all-targets",
+                "--features",
+                "r4/dfu,r4/emu,r4/parquet,r4/probe",
+                "--",
+                "-D",
+                "warnings",
+            ],
         ),
     ),
     // Only the program is another one without it.
@@ -117,9 +126,9 @@ const FULL: &[Step] = &[
     // Compiled and not linked: it needs no tools of theirs.
     step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
     step("images", Run::Images),
-    step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu", "--no-run"])),
-    step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu"])),
-    step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu", "--doc"])),
+    step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--no-run"])),
+    step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu,r4/parquet"])),
+    step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--doc"])),
     step(
         "docs",
         Run::Cargo {

@@ -2,8 +2,7 @@
 
 use std::{
     collections::BTreeSet,
-    fs::{self, File},
-    io::BufWriter,
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -80,7 +79,7 @@ pub(crate) struct StudyArgs {
     /// Run only a part of the trials, as in 3/8; `system merge` puts the parts together
     #[arg(long, default_value_t = Shard::default(), value_name = "PART/OF")]
     shard: Shard,
-    /// Write the records to this file, as JSON lines
+    /// Write the records to this file: as JSON lines, or, if it ends in .parquet, as a table [Parquet: feature `parquet`]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -287,7 +286,7 @@ fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
     let records = records(system, &study)?;
     ensure!(!records.is_empty(), "shard {} of this study is empty: it has too few trials", asked.shard);
     if let Some(path) = &asked.out {
-        write(path, &records)?;
+        study::save(path, &records)?;
     }
     if is_whole { print(args, study::rows(&records)?) } else { Ok(true) }
 }
@@ -296,14 +295,9 @@ fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<b
     let shards = files.iter().map(|file| study::read(file)).collect::<Result<Vec<_>, _>>()?;
     let records = study::merge(shards)?;
     if let Some(path) = out {
-        write(path, &records)?;
+        study::save(path, &records)?;
     }
     print(args, study::rows(&records)?)
-}
-
-fn write(path: &Path, records: &[Record]) -> anyhow::Result<()> {
-    let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-    study::write(records, BufWriter::new(file)).with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Prints rows; false where a target is not met or a trial could not be run.

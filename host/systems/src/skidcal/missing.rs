@@ -18,7 +18,7 @@
 
 use nalgebra::DMatrix;
 use r4_maths::{
-    least_squares::{Fit, linear, newey_west_lag},
+    least_squares::{linear, newey_west_lag},
     root::bisect,
     statistics::{mean, rms},
 };
@@ -65,61 +65,42 @@ pub fn findings(recording: &Recording, friction: f64) -> Vec<Finding> {
     found
 }
 
-/// Observations of one stretch, whose constant is not known: `observed = constant + regressors · numbers`.
-struct Stretch {
+/// One half of a spin: `observed = size · effect + others · numbers`, row by row. The numbers, such as where the half began, are its own.
+#[derive(Default)]
+struct Half {
     observed: Vec<f64>,
-    regressors: Vec<Vec<f64>>,
+    effect: Vec<f64>,
+    others: Vec<Vec<f64>>,
 }
 
-/// Numbers fitted to some stretches.
-fn fitted(stretches: &[Stretch]) -> Option<Fit> {
-    let numbers = stretches.first()?.regressors.first()?.len();
-    let constant =
-        |index: usize| stretches.iter().enumerate().map(move |(other, _)| f64::from(u8::from(other == index)));
-    let rows: Vec<f64> = (stretches.iter().enumerate())
-        .flat_map(|(index, stretch)| {
-            let row =
-                move |regressors: &Vec<f64>| regressors.iter().copied().chain(constant(index)).collect::<Vec<_>>();
-            stretch.regressors.iter().flat_map(row)
-        })
-        .collect();
-    let observed: Vec<f64> = stretches.iter().flat_map(|stretch| stretch.observed.iter().copied()).collect();
-    let design = DMatrix::from_row_slice(observed.len(), numbers + stretches.len(), &rows);
-    let fit = linear(&design, &observed).ok()?;
-    let lag = newey_west_lag(observed.len());
-    Some(fit.autocorrelated(lag))
-}
-
-/// Root mean square of what `numbers` do not explain of some stretches.
-fn error(stretches: &[Stretch], numbers: &[f64]) -> Option<f64> {
-    let unexplained = |stretch: &Stretch| {
-        let explained = |regressors: &Vec<f64>| regressors.iter().zip(numbers).map(|(a, b)| a * b).sum::<f64>();
-        let rest: Vec<f64> = stretch.observed.iter().zip(&stretch.regressors).map(|(y, x)| y - explained(x)).collect();
-        let mean = rest.iter().sum::<f64>() / rest.len().max(1) as f64;
-        rest.into_iter().map(|value| value - mean).collect::<Vec<_>>()
-    };
-    rms(&stretches.iter().flat_map(unexplained).collect::<Vec<_>>()).ok()
-}
-
-/// The first of the fitted numbers, if the data exclude 0, and errors of the other half: with the others alone, fitted again, and with
-/// all.
-fn claimed(fit_to: &[Stretch], held_out: &[Stretch]) -> Option<(f64, f64, f64)> {
-    let fit = fitted(fit_to)?;
-    let size = fit.parameters[0];
-    if fit.intervals(CONFIDENCE).ok()?.first()?.contains(0.0) {
-        return None;
+impl Half {
+    /// The size of the effect, if the data exclude 0.
+    fn size(&self) -> Option<f64> {
+        let columns = 1 + self.others.first()?.len();
+        let row = |row: usize, column: usize| match column {
+            0 => self.effect[row],
+            _ => self.others[row][column - 1],
+        };
+        let fit = linear(&DMatrix::from_fn(self.observed.len(), columns, row), &self.observed).ok()?;
+        // A gyroscope's noise adds up in its integral, so that the residual is not white.
+        let fit = fit.autocorrelated(newey_west_lag(self.observed.len()));
+        let is_another = !fit.intervals(CONFIDENCE).ok()?.first()?.contains(0.0);
+        is_another.then(|| fit.parameters[0])
     }
-    let numbers = fit_to.first()?.regressors.first()?.len();
-    let without_first = |stretch: &Stretch| Stretch {
-        observed: stretch.observed.clone(),
-        regressors: stretch.regressors.iter().map(|row| row[1..].to_vec()).collect(),
-    };
-    let others = |stretches: &[Stretch]| stretches.iter().map(without_first).collect::<Vec<_>>();
-    let before = match numbers {
-        1 => error(held_out, &[0.0])?,
-        _ => error(&others(held_out), &fitted(&others(fit_to))?.parameters.as_slice()[..numbers - 1])?,
-    };
-    Some((size, before, error(held_out, &fit.parameters.as_slice()[..numbers])?))
+
+    /// Root mean square of what an effect of this size does not explain.
+    fn error(&self, size: f64) -> Option<f64> {
+        let rest: Vec<f64> = self.observed.iter().zip(&self.effect).map(|(y, x)| y - size * x).collect();
+        let columns = self.others.first()?.len();
+        let fit = linear(&DMatrix::from_fn(rest.len(), columns, |row, column| self.others[row][column]), &rest).ok()?;
+        rms(fit.residuals.as_slice()).ok()
+    }
+}
+
+/// The size of an effect by one half, if its data exclude 0, and the errors of the other without and with it.
+fn claimed([fit_to, held_out]: &[Half; 2]) -> Option<(f64, f64, f64)> {
+    let size = fit_to.size()?;
+    Some((size, held_out.error(0.0)?, held_out.error(size)?))
 }
 
 /// The first and the second half of the spin.
@@ -142,12 +123,11 @@ fn spins(recording: &Recording) -> [Run; 2] {
 fn gyro_scale(recording: &Recording) -> Option<Finding> {
     let rest: Vec<f64> = recording.rest.turned.iter().map(|sample| sample.rate_rad_s).collect();
     let bias_rad_s = mean(&rest).ok()?;
-    let [fit_to, held_out] = spins(recording).map(|spin| headings(&spin, bias_rad_s));
-    let (size, before, after) = claimed(&[fit_to?], &[held_out?])?;
+    let (size, before, after) = claimed(&spins(recording).map(|spin| headings(&spin, bias_rad_s)))?;
     Some(Finding { effect: Effect::GyroScale, size: 1.0 / (1.0 + size), before, after })
 }
 
-fn headings(run: &Run, bias_rad_s: f64) -> Option<Stretch> {
+fn headings(run: &Run, bias_rad_s: f64) -> Half {
     let mut turned_rad = vec![0.0];
     for pair in run.turned.windows(2) {
         let step_s = pair[1].time_s - pair[0].time_s;
@@ -155,17 +135,18 @@ fn headings(run: &Run, bias_rad_s: f64) -> Option<Stretch> {
         let rate_rad_s = f64::midpoint(pair[0].rate_rad_s, pair[1].rate_rad_s) - bias_rad_s;
         turned_rad.push(before_rad + step_s * rate_rad_s);
     }
-    let mut stretch = Stretch { observed: Vec::new(), regressors: Vec::new() };
+    let mut half = Half::default();
     for tracked in &run.tracked {
         let after = run.turned.partition_point(|sample| sample.time_s < tracked.time_s);
         let (Some(before), Some(right)) = (after.checked_sub(1), run.turned.get(after)) else { continue };
         let left = run.turned[before];
         let share = (tracked.time_s - left.time_s) / (right.time_s - left.time_s);
         let gyro_rad = turned_rad[before] + share * (turned_rad[after] - turned_rad[before]);
-        stretch.observed.push(tracked.measured()[2] - gyro_rad);
-        stretch.regressors.push(vec![gyro_rad]);
+        half.observed.push(tracked.measured()[2] - gyro_rad);
+        half.effect.push(gyro_rad);
+        half.others.push(vec![1.0]);
     }
-    (!stretch.observed.is_empty()).then_some(stretch)
+    half
 }
 
 /// The law of the tyres with the radius beside it: slip is not alike in speeding up and slowing down, so that soft tyres would
@@ -183,24 +164,23 @@ fn wheel_radius(recording: &Recording) -> Option<Finding> {
 }
 
 fn centre_of_mass(recording: &Recording, friction: f64) -> Option<Finding> {
-    let [fit_to, held_out] = spins(recording);
-    let (ahead_m, before, after) = claimed(&[circle(&fit_to)], &[circle(&held_out)])?;
-    // The robot's middle is as far behind the point about which it turns as that is ahead.
-    let size = centre_of_mass_m(recording, friction, -ahead_m)?;
+    // Of the robot's middle, from the point about which it turns.
+    let (forward_m, before, after) = claimed(&spins(recording).map(|spin| circle(&spin)))?;
+    let size = centre_of_mass_m(recording, friction, -forward_m)?;
     Some(Finding { effect: Effect::CentreOfMass, size, before, after })
 }
 
-/// Places of the robot's middle on a circle about the point of rotation: `x = x0 + a cos - b sin`, `y = y0 + a sin + b cos`. Of the
-/// two constants the stretch's own is `x0`, and a regressor is `y0 - x0`.
-fn circle(run: &Run) -> Stretch {
-    let mut stretch = Stretch { observed: Vec::new(), regressors: Vec::new() };
+/// Places of the robot's middle on a circle about the point of rotation: `x = x0 + a cos - b sin`, `y = y0 + a sin + b cos`.
+fn circle(run: &Run) -> Half {
+    let mut half = Half::default();
     for tracked in &run.tracked {
         let [x_m, y_m, yaw_rad] = tracked.measured();
         let (sin, cos) = yaw_rad.sin_cos();
-        stretch.observed.extend([x_m, y_m]);
-        stretch.regressors.extend([vec![cos, -sin, 0.0], vec![sin, cos, 1.0]]);
+        half.observed.extend([x_m, y_m]);
+        half.effect.extend([cos, sin]);
+        half.others.extend([vec![-sin, 1.0, 0.0], vec![cos, 0.0, 1.0]]);
     }
-    stretch
+    half
 }
 
 /// Centre of mass before the middle of the wheels, m, of a robot that spins about a point `ahead_m` before it; `None` where no
