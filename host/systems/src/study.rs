@@ -246,7 +246,7 @@ fn paired(first: &[&Record], second: &[&Record], metric: &str) -> (Vec<f64>, Vec
 pub fn merge(shards: impl IntoIterator<Item = Vec<Record>>) -> Result<Vec<Record>, Error> {
     let mut merged = BTreeMap::new();
     for record in shards.into_iter().flatten() {
-        let key = (record.system.clone(), record.board.clone(), record.arm.clone(), record.seed);
+        let key = (record.system.clone(), record.arm.clone(), record.board.clone(), record.seed);
         let (system, arm, seed) = (record.system.clone(), record.arm.clone(), record.seed);
         if let Some(before) = merged.insert(key, record.clone())
             && before != record
@@ -319,7 +319,10 @@ mod tests {
 
     #[test]
     fn shards_merge_into_the_records_of_one_run() {
-        let all: Vec<_> = (0..7).map(|seed| record("ours", seed, 0.1 * seed as f64)).collect();
+        // As a study has them: arms in order, and an arm on perfect actuators between two on a board.
+        let arm = |arm, board: &str, seed| Record { board: board.into(), ..record(arm, seed, 0.1 * seed as f64) };
+        let arms = [("ablation:a", "sim"), ("baseline:b", "kinematic"), ("ours", "sim")];
+        let all: Vec<_> = arms.iter().flat_map(|(name, board)| (0..7).map(|seed| arm(name, board, seed))).collect();
         let part = |rest| all.iter().filter(|record| record.seed % 3 == rest).cloned().collect::<Vec<_>>();
         let merged = merge([part(2), part(0), part(1), part(0)]).expect("no conflict");
         let bytes = |records: &[Record]| {
