@@ -5,14 +5,6 @@ use std::path::Path;
 use crate::{Error, Record};
 
 pub(crate) fn write(path: &Path, _: &[Record]) -> Result<(), Error> {
-    absent(path)
-}
-
-pub(crate) fn read(path: &Path) -> Result<Vec<Record>, Error> {
-    absent(path)
-}
-
-fn absent<T>(path: &Path) -> Result<T, Error> {
     let why = "this program is built without Parquet: build it with `--features parquet`, or name a file that does not end in .parquet";
     Err(Error::Parquet { path: path.to_owned(), why: why.to_owned() })
 }

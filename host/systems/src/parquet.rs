@@ -14,14 +14,12 @@ use parquet::{
     errors::ParquetError,
     file::{
         properties::WriterProperties,
-        reader::{FileReader, SerializedFileReader},
         writer::{SerializedFileWriter, SerializedRowGroupWriter},
     },
-    record::{Field, Row},
     schema::parser::parse_message_type,
 };
 
-use crate::{Error, Record, Values};
+use crate::{Error, Record};
 
 const SCHEMA: &str = "message record {
     required binary system (UTF8);
@@ -85,58 +83,18 @@ fn column<T: DataType>(
     writer.close()
 }
 
-/// Reads the records of a file.
-pub(crate) fn read(path: &Path) -> Result<Vec<Record>, Error> {
-    let file = File::open(path).map_err(|source| Error::File { path: path.to_owned(), source })?;
-    let bad = |why: String| Error::Parquet { path: path.to_owned(), why };
-    let reader = SerializedFileReader::new(file).map_err(|error| bad(error.to_string()))?;
-    let rows = reader.get_row_iter(None).map_err(|error| bad(error.to_string()))?;
-    let mut records: Vec<Record> = Vec::new();
-    for row in rows {
-        let row = row.map_err(|error| bad(error.to_string()))?;
-        let (record, metric) = parsed(&row).ok_or_else(|| bad(format!("{row} is no row of a study's records")))?;
-        let is_same = |last: &Record| {
-            (&last.system, &last.arm, &last.board, last.seed)
-                == (&record.system, &record.arm, &record.board, record.seed)
-        };
-        if !records.last().is_some_and(is_same) {
-            records.push(record);
-        }
-        if let (Some(last), Some((name, value))) = (records.last_mut(), metric) {
-            last.values.insert(name, value);
-        }
-    }
-    Ok(records)
-}
-
-/// A row's record without its values, and its metric.
-fn parsed(row: &Row) -> Option<(Record, Option<(String, f64)>)> {
-    let fields: Vec<&Field> = row.get_column_iter().map(|(_, field)| field).collect();
-    let [Field::Str(system), Field::Str(arm), Field::Str(board), Field::ULong(seed), failed, metric, value] =
-        fields[..]
-    else {
-        return None;
-    };
-    let failed = match failed {
-        Field::Null => None,
-        Field::Str(why) => Some(why.clone()),
-        _ => return None,
-    };
-    let metric = match (metric, value) {
-        (Field::Null, Field::Null) => None,
-        (Field::Str(name), Field::Double(value)) => Some((name.clone(), *value)),
-        _ => return None,
-    };
-    let (system, arm, board) = (system.clone(), arm.clone(), board.clone());
-    Some((Record { system, arm, board, seed: *seed, values: Values::new(), failed }, metric))
-}
-
 #[cfg(test)]
 mod tests {
+    use parquet::{
+        file::reader::{FileReader, SerializedFileReader},
+        record::Field,
+    };
+
     use super::*;
+    use crate::Values;
 
     #[test]
-    fn records_come_back_from_parquet_to_the_bit() {
+    fn each_metric_of_each_trial_is_a_row() {
         let record = |seed: u64| Record {
             system: "skidcal".into(),
             arm: "ours".into(),
@@ -146,28 +104,23 @@ mod tests {
             failed: None,
         };
         let failed = Record { values: Values::new(), failed: Some("no [body]".into()), ..record(u64::MAX) };
-        let records = vec![record(1), record(2), failed];
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("records.parquet");
-        write(&path, &records).expect("written");
-        assert_eq!(read(&path).expect("read"), records);
-    }
-
-    #[test]
-    fn a_file_of_something_else_is_refused() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("other.parquet");
-        std::fs::write(&path, "{}").expect("written");
-        let problem = read(&path).expect_err("no Parquet").to_string();
-        assert!(problem.contains("other.parquet"), "{problem}");
-        let schema = Arc::new(parse_message_type("message other { required int64 seed; }").expect("a schema"));
-        let file = File::create(&path).expect("a file");
-        let mut writer = SerializedFileWriter::new(file, schema, Arc::default()).expect("a writer");
-        let mut group = writer.next_row_group().expect("a group");
-        column::<Int64Type>(&mut group, [Some(1)].into_iter()).expect("a column");
-        group.close().expect("closed");
-        writer.close().expect("closed");
-        let problem = read(&path).expect_err("another table").to_string();
-        assert!(problem.contains("no row of a study's records"), "{problem}");
+        write(&path, &[record(1), record(2), failed]).expect("written");
+        let reader = SerializedFileReader::new(File::open(&path).expect("a file")).expect("Parquet");
+        let rows = reader.get_row_iter(None).expect("rows").map(|row| {
+            let row = row.expect("a row");
+            row.get_column_iter().skip(3).map(|(_, field)| field.clone()).collect::<Vec<_>>()
+        });
+        let text = |text: &str| Field::Str(text.to_owned());
+        let row = |seed, name: &str, value| vec![Field::ULong(seed), Field::Null, text(name), Field::Double(value)];
+        let expected = [
+            row(1, "a", 1.1),
+            row(1, "b", f64::MIN_POSITIVE),
+            row(2, "a", 2.1),
+            row(2, "b", f64::MIN_POSITIVE),
+            vec![Field::ULong(u64::MAX), text("no [body]"), Field::Null, Field::Null],
+        ];
+        assert_eq!(rows.collect::<Vec<_>>(), expected);
     }
 }

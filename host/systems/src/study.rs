@@ -1,8 +1,8 @@
 //! Trials over seeds, on all cores or as shards, and the rows that follow from them.
 //!
 //! A study's trials are independent. Their records are lines of JSON, sorted by system, arm, board and seed, so that the records of
-//! all shards, merged, are those of one run, byte for byte; rows follow from records alone. With the feature `parquet` a file may be
-//! Parquet as well.
+//! all shards, merged, are those of one run, byte for byte; rows follow from records alone. With the feature `parquet` they can
+//! be written as Parquet for other programs.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -274,13 +274,15 @@ pub fn save(path: &Path, records: &[Record]) -> Result<(), Error> {
     write(records, BufWriter::new(File::create(path).map_err(failed)?)).map_err(failed)
 }
 
-/// Reads the records of a file that [`save`] wrote.
+/// Reads the records of a file of JSON lines.
 ///
 /// # Errors
-/// When it cannot be read, or a line is no record.
+/// When it cannot be read, a line is no record, or its name says that it is Parquet.
 pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
     if is_parquet(path) {
-        return parquet::read(path);
+        // What reads Parquet panics on damaged files.
+        let why = "records are read from JSON lines; Parquet is for other programs".to_owned();
+        return Err(Error::Parquet { path: path.to_owned(), why });
     }
     let failed = |source| Error::File { path: path.to_owned(), source };
     let lines = BufReader::new(File::open(path).map_err(failed)?).lines();
