@@ -62,6 +62,12 @@ pub enum Error {
         /// The parameter.
         parameter: Parameter,
     },
+    /// A sensor that is relied on gives no good readings.
+    #[error("{channel} gives no good readings: `r4 watch {channel}` shows its quality")]
+    NoReadings {
+        /// The sensor.
+        channel: ChannelId,
+    },
     /// An experiment with a motor ended early.
     #[error(transparent)]
     Watch(Box<WatchError>),

@@ -86,7 +86,7 @@ pub enum Error {
         /// What is wrong.
         why: String,
     },
-    /// A file is no Parquet file of a study's records, or cannot be written as one.
+    /// A Parquet file cannot be written, or was given to be read.
     #[error("{path}: {why}")]
     Parquet {
         /// The file.

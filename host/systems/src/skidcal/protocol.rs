@@ -266,8 +266,11 @@ pub async fn drive(
     session
         .armed(async || {
             let mut rider = Rider::new(session, robot, &mut noise).await?;
-            if robot.gyroscope.is_some() {
+            if let Some(channel) = robot.gyroscope {
                 rider.hold([0.0; 2], REST_S, Some(&mut recording.rest)).await?;
+                if recording.rest.turned.is_empty() {
+                    return Err(Error::NoReadings { channel });
+                }
             }
             loop {
                 let more = recording.more(repeats);

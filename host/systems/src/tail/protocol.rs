@@ -142,8 +142,14 @@ async fn balance(
             return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
         }
         let Some(motors_rad) = encoders(session, setup, &frame.samples)? else { continue };
-        let Some(sample) = trunk_sample(setup, &frame.samples) else { continue };
         let at_us = frame.device_us;
+        let Some(sample) = trunk_sample(setup, &frame.samples) else {
+            // The last command is void by now, so that the board has stopped the tail.
+            if before.is_some_and(|(before_us, _)| at_us.saturating_sub(before_us) > u64::from(COMMAND_TTL_MS) * 1000) {
+                return Err(Error::NoReadings { channel: setup.trunk });
+            }
+            continue;
+        };
         let Some((before_us, before_rad)) = before.replace((at_us, motors_rad)) else { continue };
         let after_s = at_us.saturating_sub(before_us) as f64 * 1e-6;
         if after_s <= 0.0 {
@@ -183,6 +189,9 @@ async fn rest(session: &Session<'_>, setup: &Setup) -> Result<Lean, Error> {
     let mut samples = Vec::new();
     while session.board.now_s() < until_s {
         samples.extend(trunk_sample(setup, &telemetry.next().await?.samples));
+    }
+    if samples.is_empty() {
+        return Err(Error::NoReadings { channel: setup.trunk });
     }
     Ok(Lean::at_rest(&samples))
 }

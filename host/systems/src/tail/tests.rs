@@ -99,3 +99,47 @@ fn a_robot_without_a_tail_is_refused() {
     let error = Tail.run(&trial).expect_err("wheels").to_string();
     assert!(error.contains("no [body.balance-tail]"), "{error}");
 }
+
+/// A sensor that is not there is no lean of 0: nothing is armed.
+#[test]
+fn a_tail_without_readings_of_the_lean_is_not_armed() {
+    let case = Case::of(2);
+    let mut rig = Rig::new("sim:balance-tail".parse().expect("a board"));
+    rig.alter = Some(case.altered(Reading::OuterFirst));
+    let setup = Setup::of(&rig.robot().expect("a robot"), Reading::OuterFirst, case.mass_kg).expect("a tail");
+    let regulator = Regulator::of(&setup).expect("a gain");
+    let work = async |session: &Session<'_>| {
+        let board = session.virtual_board()?;
+        board.world().imu(setup.trunk).expect("it has one").borrow_mut().set_identity(0);
+        // Until the board has found another chip there.
+        session.board.sleep_s(1.0).await;
+        let ended = protocol::lift(session, &setup, case.lift.at_s, Some(&regulator)).await;
+        Ok::<_, r4_rig::Error>((ended.map(drop), session.board.safety().0))
+    };
+    let ((ended, state), _) = rig.run(None, work).expect("a session");
+    assert!(matches!(ended, Err(r4_rig::Error::NoReadings { channel }) if channel == setup.trunk), "{ended:?}");
+    assert_eq!(state, SafetyState::Disarmed);
+}
+
+/// The sensor fails in the lift: the board stops the tail when commands grow old, and the program says why.
+#[test]
+fn a_sensor_that_fails_in_the_lift_ends_it() {
+    let case = Case::of(2);
+    let mut rig = Rig::new("sim:balance-tail".parse().expect("a board"));
+    rig.alter = Some(case.altered(Reading::OuterFirst));
+    let setup = Setup::of(&rig.robot().expect("a robot"), Reading::OuterFirst, case.mass_kg).expect("a tail");
+    let regulator = Regulator::of(&setup).expect("a gain");
+    let work = async |session: &Session<'_>| {
+        let board = session.virtual_board()?;
+        let fail = async {
+            session.board.sleep_s(case.lift.at_s + 0.6 - session.board.now_s()).await;
+            board.world().imu(setup.trunk).expect("it has one").borrow_mut().set_hung(true);
+            std::future::pending::<()>().await;
+        };
+        let lift = protocol::lift(session, &setup, case.lift.at_s, Some(&regulator));
+        let Either::Left((ended, _)) = select(pin!(lift), pin!(fail)).await else { unreachable!("it does not end") };
+        Ok::<_, r4_rig::Error>(ended.map(drop))
+    };
+    let (ended, _) = rig.run(None, work).expect("a session");
+    assert!(matches!(ended, Err(r4_rig::Error::NoReadings { channel }) if channel == setup.trunk), "{ended:?}");
+}
