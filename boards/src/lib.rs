@@ -23,7 +23,7 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    Ackermann, Drive, Mount, Origin, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
+    Ackermann, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedBldc, SimulatedBody,
     SimulatedCurrent, SimulatedEncoder, SimulatedGnss, SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange,
     SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation,
     SkidSteer, SteeringLaw, TruePoint, UartDevice, World,

@@ -17,7 +17,7 @@ pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
 pub use sensor::{SimulatedCurrent, SimulatedImu};
-pub use uart::{Origin, SimulatedGnss, SimulatedUart, UartDevice};
+pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
 

@@ -24,9 +24,9 @@ const CORRELATION_S: f64 = 60.0;
 /// What is wired to a UART connector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedUart {
-    /// The connector.
+    /// The UART connector that it is wired to, 0 or 1.
     pub port: u8,
-    /// The sensor.
+    /// What sends there.
     pub device: UartDevice,
 }
 
@@ -43,7 +43,7 @@ pub enum UartDevice {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedGnss {
     /// Place of the world's origin; its x axis points east, its y axis north.
-    pub origin: Origin,
+    pub origin: GnssOrigin,
     /// Positions in a second.
     pub rate_hz: u16,
     /// Standard deviation of its error, east and north, m.
@@ -58,7 +58,7 @@ pub struct SimulatedGnss {
 #[serde(deny_unknown_fields)]
 pub(super) struct GnssTable {
     uart: u8,
-    origin: Origin,
+    origin: GnssOrigin,
     #[serde(default = "rate_hz")]
     rate_hz: u16,
     #[serde(default = "deviation_m", deserialize_with = "not_negative")]
@@ -79,7 +79,7 @@ impl From<&GnssTable> for SimulatedGnss {
 /// A place on the ellipsoid WGS 84.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Origin {
+pub struct GnssOrigin {
     /// Positive to the north, degrees.
     #[serde(deserialize_with = "finite")]
     pub latitude_deg: f64,

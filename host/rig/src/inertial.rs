@@ -8,7 +8,7 @@ use r4_protocol::{ChannelId, ChannelKind, Quality, Sample};
 pub struct InertialReading {
     /// Acceleration less that of free fall, m/s².
     pub acceleration_m_s2: [f64; 3],
-    /// rad/s.
+    /// Rates of turn, counterclockwise positive, rad/s.
     pub rate_rad_s: [f64; 3],
     /// How long before the sample it was measured, s.
     pub age_s: f64,
@@ -17,7 +17,7 @@ pub struct InertialReading {
 /// The first inertial sensor of a robot.
 ///
 /// # Errors
-/// When it has none: what it lacks.
+/// A robot without an `[[imu]]`, in words.
 pub fn inertial_sensor(robot: &Robot) -> Result<ChannelId, String> {
     let sensor = robot.config.sensors.iter().find(|sensor| sensor.id.kind == ChannelKind::Imu);
     Ok(sensor.ok_or("it has no [[imu]]")?.id)

@@ -21,7 +21,7 @@ pub enum Observed {
 /// Physics of a virtual board other than those of its robot's file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Physics {
-    /// A motor's plant.
+    /// The plant of one motor, in place of the one in the robot's file.
     Plant(PlantFile),
     /// File of the robot's body.
     Body(PathBuf),

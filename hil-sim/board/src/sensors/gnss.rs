@@ -26,7 +26,7 @@ const SPEED_DEVIATION_M_S: f64 = 0.05;
 const NOON_S: u64 = 12 * 3600;
 const DAY_S: u64 = 24 * 3600;
 
-/// One receiver.
+/// A receiver with the state of its error.
 #[derive(Clone, Debug)]
 pub(crate) struct Gnss {
     pub(crate) spec: SimulatedGnss,
@@ -109,12 +109,12 @@ fn sentence(content: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use r4_boards::Origin;
+    use r4_boards::GnssOrigin;
 
     use super::*;
 
     fn gnss(deviation_m: f64, latitude_deg: f64, longitude_deg: f64) -> Gnss {
-        let origin = Origin { latitude_deg, longitude_deg, height_m: 40.0 };
+        let origin = GnssOrigin { latitude_deg, longitude_deg, height_m: 40.0 };
         Gnss::new(SimulatedGnss { origin, rate_hz: 5, deviation_m, correlation_s: 60.0, place_m: [0.0; 2] }, 1)
     }
 

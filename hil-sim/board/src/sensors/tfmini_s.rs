@@ -1,8 +1,9 @@
 //! Benewake TFmini-S: the distance in one direction by the time of flight of light, at a UART.
 //!
 //! # Source
-//! Benewake *TFmini-S Product Manual*, SJ-PM-TFmini-S A01: 100 frames a second, 8N1 at 115 200 baud, frames of nine bytes (5.3, table 7),
-//! 0.1 to 12 m, steps of 1 cm, accuracy 6 cm up to 6 m and 1 % beyond.
+//! Benewake *TFmini-S Product Manual*, SJ-PM-TFmini-S A01: 8N1 at 115 200 baud (5.2), frames of nine bytes with the distance in cm (5.3,
+//! table 7), -1 for a signal strength below 100, the temperature (5.4, table 8). 100 frames a second, 0.1 to 12 m and an accuracy of 6 cm up
+//! to 6 m and 1 % beyond are from memory, not checked.
 
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
@@ -10,7 +11,7 @@ use super::normal;
 
 /// Time between two frames, ns.
 pub(crate) const PERIOD_NS: u64 = 10_000_000;
-/// Farthest distance, m.
+/// Farthest distance at which it detects an obstacle, m.
 pub(crate) const FARTHEST_M: f64 = 12.0;
 const NEAREST_M: f64 = 0.1;
 /// Beginning of a frame.
@@ -26,7 +27,7 @@ const WEAK: u16 = 50;
 /// Eighths of a degree above -256 °C: 40 °C, our choice.
 const TEMPERATURE: u16 = (40 + 256) * 8;
 
-/// One sensor.
+/// A sensor with its generator of noise.
 #[derive(Clone, Debug)]
 pub(crate) struct TfminiS {
     noise: Pcg64,

@@ -64,8 +64,8 @@ impl Sensor {
 }
 
 impl World {
-    /// Lets the sensor at a connector send what is due. Whoever receives looks again at [`World::next_uart_ns`], so that it is due now and
-    /// not earlier.
+    /// Sends the due messages of the sensor at a connector. Each shows the body as it is at this call, so the receiver has to call it at
+    /// [`World::next_uart_ns`].
     pub(crate) fn send_due(&mut self, connector: usize) {
         let now_ns = self.clock.now_ns();
         let Some(mut sender) = self.pins.uarts.get_mut(connector).and_then(|port| port.sender.take()) else { return };

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use r4_boards::{Mount, Origin, Robot, SimulatedGnss, SimulatedUart, UartDevice};
+use r4_boards::{GnssOrigin, Mount, Robot, SimulatedGnss, SimulatedUart, UartDevice};
 use r4_protocol::{ChannelId, ChannelKind, Mode};
 
 use crate::harness::{Bench, MS, bench};
@@ -12,7 +12,7 @@ fn robot() -> Robot {
     let mut robot = r4_boards::load("openscout").expect("built in");
     robot.simulation.scene.add_walls(&[[3.0, -5.0], [3.0, 5.0]], false).unwrap();
     let lidar = UartDevice::Lidar(Mount { place_m: [0.2, 0.0], yaw_rad: 0.0 });
-    let origin = Origin { latitude_deg: 53.2, longitude_deg: -0.5, height_m: 40.0 };
+    let origin = GnssOrigin { latitude_deg: 53.2, longitude_deg: -0.5, height_m: 40.0 };
     let gnss = SimulatedGnss { origin, rate_hz: 10, deviation_m: 0.0, correlation_s: 60.0, place_m: [0.0; 2] };
     let uart = |port, device| SimulatedUart { port, device };
     robot.simulation.uarts = vec![uart(0, lidar), uart(1, UartDevice::Gnss(gnss))];

@@ -70,7 +70,7 @@ pub enum Action {
     },
     /// The host subscribes to a channel, so that a recording has its samples.
     Subscribe {
-        /// The channel.
+        /// The channel whose samples are sent.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
         /// Time between two samples, ms; 0 ends the subscription.

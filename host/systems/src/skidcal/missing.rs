@@ -1,4 +1,4 @@
-//! Which effect the base model of a robot lacks: from the residuals of both tests, each of which one effect moves.
+//! Missing effects of the base model, found in the residuals of both tests. Each effect moves another residual.
 //!
 //! | effect | residual that it moves | its size |
 //! | --- | --- | --- |
@@ -32,7 +32,7 @@ use super::{
 /// Confidence with which an effect is claimed: of a thousand recordings of a robot without effects, three claim one of the three.
 const CONFIDENCE: f64 = 0.999;
 
-/// What a robot may have and the base model lacks.
+/// An effect that the base model of a robot does not have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// The gyroscope shows too much or too little.

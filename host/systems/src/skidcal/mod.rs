@@ -2,7 +2,7 @@
 //!
 //! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with steps of the
 //! speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any skid-steer board;
-//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`missing`] finds effects that their model of a robot lacks;
+//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`missing`] finds unmodelled effects;
 //! [`scene`] samples the robots that the study tries them on.
 //!
 //! # Repairs
@@ -70,7 +70,7 @@ static ABOUT: About = About {
         Arm { name: "ablation:one-run", does: "ours without repeats", is_kinematic: false },
         Arm {
             name: BLIND,
-            does: "names what the robot has and the model lacks, from four runs, a sliding spin and the board's gyroscope",
+            does: "names an unmodelled effect from four runs, a spin with sliding wheels and the board's gyroscope",
             is_kinematic: false,
         },
         Arm {

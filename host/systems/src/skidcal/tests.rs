@@ -147,7 +147,7 @@ fn slip_is_written_for_gazebo() {
 
 /// One seed of each effect and one of none, by the board's own gyroscope.
 #[test]
-fn what_a_robot_has_and_the_model_lacks_is_named() {
+fn unmodelled_effects_are_named() {
     for (seed, effect) in [
         (1, Some(missing::Effect::CentreOfMass)),
         (2, Some(missing::Effect::GyroScale)),
