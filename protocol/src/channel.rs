@@ -211,6 +211,9 @@ pub enum Mode {
     Brake,
     /// Seek the home switch at this speed; the sign is the direction.
     Home,
+    /// Be at this position at the moment that the set point is dated with, on a smooth path through the points given before and
+    /// after it: see [`PathPoint`](crate::PathPoint).
+    Follow,
 }
 
 impl fmt::Display for Mode {
@@ -223,6 +226,7 @@ impl fmt::Display for Mode {
             Self::Voltage => "voltage",
             Self::Brake => "brake",
             Self::Home => "home",
+            Self::Follow => "follow",
         })
     }
 }
@@ -285,7 +289,7 @@ pub struct ChannelInfo {
 }
 
 /// Most ways to command one channel.
-pub const MAX_MODES: usize = 4;
+pub const MAX_MODES: usize = 5;
 
 impl ChannelInfo {
     /// The range of set points in `mode`, or `None` when the channel does not have that mode.

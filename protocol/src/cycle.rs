@@ -12,7 +12,7 @@
 //!
 //! | mode | scale of a set point |
 //! | --- | --- |
-//! | position | [`CycleChannel::position_scale`], rad or m |
+//! | position, follow | [`CycleChannel::position_scale`], rad or m |
 //! | speed | [`CycleChannel::speed_scale`], rad/s or m/s |
 //! | duty | [`DUTY_SCALE`], share of the supply |
 //!
@@ -53,7 +53,7 @@ pub const NOTHING: i16 = i16::MIN;
 pub struct CycleChannel {
     /// Which: a motor, a stepper or a brushless drive.
     pub channel: ChannelId,
-    /// What its set points are, in a cycle that says nothing else: position, speed or duty.
+    /// What its set points are, in a cycle that says nothing else: position, follow, speed or duty.
     pub mode: Mode,
     /// One step of a position that is set, rad or m; finite and above 0.
     pub position_scale: f32,
@@ -66,7 +66,7 @@ impl CycleChannel {
     #[must_use]
     pub fn scale(&self, mode: Mode) -> Option<f32> {
         match mode {
-            Mode::Position => Some(self.position_scale),
+            Mode::Position | Mode::Follow => Some(self.position_scale),
             Mode::Speed => Some(self.speed_scale),
             Mode::Duty => Some(DUTY_SCALE),
             Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => None,
@@ -112,19 +112,20 @@ pub fn steps(value: f32, scale: f32) -> Option<i16> {
 pub struct Cycle {
     /// Chosen by the host, echoed by the board.
     pub seq: u8,
-    /// Mode in bits 0 to 2, its position among [`Mode`]'s variants or 7 for what was bound; bit 3 for one without a date;
-    /// bits 4 to 7 are 0.
+    /// Mode in bits 0 to 3, its position among [`Mode`]'s variants or 15 for what was bound; bit 4 for one without a date;
+    /// bits 5 to 7 are 0.
     how: u8,
-    /// When the host decided this, on the board's clock: the low 32 bits.
+    /// When the host decided this, on the board's clock: the low 32 bits. For a point of a path ([`Mode::Follow`]), when the channel
+    /// is to be there.
     sent_us: [u8; 4],
     /// `i16` for each channel, in the order in which they were bound.
     set: [u8; 2 * CYCLE_CHANNELS],
 }
 
-const AS_BOUND: u8 = 7;
-const UNDATED: u8 = 1 << 3;
-const MODES: [Mode; 7] =
-    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+const AS_BOUND: u8 = 15;
+const UNDATED: u8 = 1 << 4;
+const MODES: [Mode; 8] =
+    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
 
 impl Cycle {
     /// Set points decided at `sent_us` on the board's clock; without that, age counts from when the board decodes them.
@@ -148,7 +149,10 @@ impl Cycle {
         if self.how & !(AS_BOUND | UNDATED) != 0 {
             return Err(NotThisVersion);
         }
-        Ok(MODES.get(usize::from(self.how & AS_BOUND)).copied())
+        match self.how & AS_BOUND {
+            AS_BOUND => Ok(None),
+            mode => MODES.get(usize::from(mode)).copied().map(Some).ok_or(NotThisVersion),
+        }
     }
 
     /// How long ago the host decided this, µs, when the board's clock is `now_us`; negative for one that is dated ahead, and
@@ -341,8 +345,9 @@ mod tests {
             assert_eq!(Cycle::new(0, Some(mode), None, SET).mode(), Ok(Some(mode)));
         }
         assert_eq!(Cycle::new(0, None, Some(1), SET).mode(), Ok(None));
-        for spare in 4..8 {
-            assert_eq!(Cycle { how: 1 << spare, ..Cycle::new(0, None, None, SET) }.mode(), Err(NotThisVersion));
+        let no_mode = MODES.len() as u8..AS_BOUND;
+        for how in (5..8).map(|spare| 1 << spare).chain(no_mode) {
+            assert_eq!(Cycle { how, ..Cycle::new(0, None, None, SET) }.mode(), Err(NotThisVersion));
         }
     }
 
@@ -433,7 +438,7 @@ mod tests {
         };
         for mode in MODES {
             let scale = match mode {
-                Mode::Position => Some(0.001),
+                Mode::Position | Mode::Follow => Some(0.001),
                 Mode::Speed => Some(0.25),
                 Mode::Duty => Some(DUTY_SCALE),
                 Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => None,

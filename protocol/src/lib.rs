@@ -35,14 +35,14 @@ pub use frame::{FrameDecoder, FrameError, encode_frame};
 pub use image::ImageInfo;
 pub use log::{LogChunk, LogInfo};
 pub use message::{
-    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, MotorSnapshot, ParameterInfo, Quality, Refusal,
-    Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost, Winding,
+    DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, MotorSnapshot, ParameterInfo, PathPoint, Quality,
+    Refusal, Reply, Request, Sample, Setpoint, Telemetry, ToDevice, ToHost, Winding,
 };
 pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 8;
+pub const VERSION: u16 = 9;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
@@ -65,6 +65,7 @@ pub const SCHEMA_HASH: u64 = {
         Cause::ALL.len(),
         cycle::CYCLE_CHANNELS,
         log::MAX_LOG,
+        message::MAX_POINTS,
     ];
     let mut place = 0;
     while place < capacities.len() {

@@ -203,6 +203,34 @@ pub enum Request {
     /// Restarts the board into the bootloader that started it, which takes another image over USB. Refused while the board is
     /// armed, and by an image without a bootloader.
     Bootloader,
+    /// Gives a channel points of a path, in place of those it has from the first of these on. All are taken or none; refused ones
+    /// stop the channel as in [`Request::Set`]. A path that ends at a speed is left along the channel's profile, to rest.
+    Follow {
+        /// Which.
+        channel: ChannelId,
+        /// When the host decided this, on the board's clock.
+        sent_us: u64,
+        /// In the order of their dates.
+        points: Vec<PathPoint, MAX_POINTS>,
+    },
+}
+
+/// Most points in one [`Request::Follow`].
+pub const MAX_POINTS: usize = 4;
+/// Points that a board keeps for each channel, the ones it has passed not counted.
+pub const PATH_POINTS: usize = 32;
+
+/// Where a channel is to be at one moment. Between two points it follows the cubic with their positions and speeds (Hermite).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct PathPoint {
+    /// When, on the board's clock.
+    pub at_us: u64,
+    /// rad or m
+    pub position: f32,
+    /// rad/s or m/s; `None` for the slope at this point of the parabola through it and its neighbours.
+    pub speed: Option<f32>,
+    /// Duty that is added to the loops' own from the point before to this one, as a share of the supply; 0 for none.
+    pub feed_forward: f32,
 }
 
 /// Most bytes in one raw transfer.
@@ -481,6 +509,30 @@ pub enum Refusal {
     NoImage,
     /// No bootloader has started this firmware: it is a bare image, or a simulated board's.
     NoBootloader,
+    /// The first point of a path was dated no later than it arrived.
+    Late {
+        /// How much earlier.
+        late_us: u32,
+    },
+    /// The board has no room for so many points of a path.
+    PathFull {
+        /// How many it could take.
+        room: u8,
+    },
+    /// A path without points, with two at one moment or in the wrong order.
+    BadPath {
+        /// As asked.
+        channel: ChannelId,
+    },
+    /// Between two points of a path, or from where the channel is to the first, or at a point, it would be faster than it may.
+    TooFast {
+        /// As asked.
+        channel: ChannelId,
+        /// rad/s or m/s
+        asked: f32,
+        /// rad/s or m/s
+        limit: f32,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -559,6 +611,18 @@ impl fmt::Display for Refusal {
                 "no bootloader has started this firmware: press the reset button twice if the Arduino bootloader is there, else \
                  flash by a debug probe",
             ),
+            Self::Late { late_us } => {
+                write!(f, "the path's first point was {late_us} us late on arrival: send points further ahead of their dates")
+            }
+            Self::PathFull { room } => {
+                write!(f, "the board has room for {room} more points of this path: send them when it has passed earlier ones")
+            }
+            Self::BadPath { channel } => {
+                write!(f, "the points of a path for {channel} must be in the order of their dates, each later than the one before")
+            }
+            Self::TooFast { channel, asked, limit } => {
+                write!(f, "the path asks {channel} for a speed of {asked}, and it takes {limit} at most: give it more time")
+            }
             Self::TooManySubscriptions => f.write_str("the board has no room for another subscription: end one first"),
         }
     }

@@ -83,7 +83,8 @@ impl Bound {
         let (age_us, ttl_us) = (i64::from(cycle.age_us(now.as_micros())), self.ttl.as_micros() as i64);
         let sent_us = now.as_micros().saturating_add_signed(-age_us);
         let follow = || {
-            if age_us.abs() > ttl_us {
+            // A point of a path is dated with its own moment, and one of the past is no use.
+            if age_us.abs() > ttl_us || age_us >= 0 && self.has_points(cycle) {
                 return Err(CycleOutcome::Stale);
             }
             let until = now + Duration::from_micros((ttl_us - age_us) as u64);
@@ -94,6 +95,13 @@ impl Bound {
         let asked = self.channels.iter().zip(cycle.set()).filter(|(_, steps)| *steps != NOTHING);
         asked.for_each(|((_, place), _)| shared.withdraw(*place, sent_us, outcome == CycleOutcome::Stale));
         outcome
+    }
+
+    /// Whether some channel follows a path by this cycle.
+    fn has_points(&self, cycle: Cycle) -> bool {
+        let given = self.channels.iter().zip(cycle.set()).filter(|(_, steps)| *steps != NOTHING);
+        let all_in = cycle.mode().ok().flatten();
+        given.into_iter().any(|((channel, _), _)| all_in.unwrap_or(channel.mode) == Mode::Follow)
     }
 
     fn setpoints<M: RawMutex>(
@@ -118,7 +126,7 @@ struct Refused;
 /// Set point of a motor that stops, by the mode it followed.
 pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
     match mode {
-        Mode::Position | Mode::Speed | Mode::Home => Setpoint { mode: Mode::Speed, value: 0.0 },
+        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow => Setpoint { mode: Mode::Speed, value: 0.0 },
         _ => Setpoint::NONE,
     }
 }

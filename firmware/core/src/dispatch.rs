@@ -4,8 +4,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
-    ChannelId, ChannelInfo, DeviceInfo, LogInfo, Mode, ModeInfo, ParameterInfo, Range, Refusal, Reply, Request,
-    SCHEMA_HASH, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
+    ChannelId, ChannelInfo, DeviceInfo, LogInfo, Mode, ModeInfo, ParameterInfo, PathPoint, Range, Refusal, Reply,
+    Request, SCHEMA_HASH, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
@@ -20,7 +20,7 @@ use crate::{
     log::Feed,
     ranging,
     safety::Event,
-    shared::{Restart, Shared},
+    shared::{Restart, Shared, at},
     storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
@@ -167,10 +167,23 @@ fn answer<M: RawMutex>(
             let place = place(shared, channel)?;
             let taken = check_age(sent_us, ttl_ms, now)
                 .and_then(|()| check_setpoint(channel, &modes_of(shared.config(), place), setpoint))
-                .and_then(|()| shared.command(place, setpoint, sent_us));
+                .and_then(|()| match setpoint.mode {
+                    Mode::Follow => shared.follow(place, &[at(sent_us, setpoint.value)], sent_us),
+                    _ => shared.command(place, setpoint, sent_us),
+                });
             if let Err(refusal) = taken {
                 // The host wants something else by now, whatever it is: what it wanted before ends.
-                shared.withdraw(place, sent_us, matches!(refusal, Refusal::Expired { .. }));
+                let late = matches!(refusal, Refusal::Expired { .. } | Refusal::Late { .. });
+                shared.withdraw(place, sent_us, late);
+                return Err(refusal);
+            }
+        }
+        Request::Follow { channel, sent_us, points } => {
+            let place = place(shared, channel)?;
+            let taken = check_points(shared.config(), channel, place, &points)
+                .and_then(|()| shared.follow(place, &points, sent_us));
+            if let Err(refusal) = taken {
+                shared.withdraw(place, sent_us, matches!(refusal, Refusal::Late { .. }));
                 return Err(refusal);
             }
         }
@@ -251,6 +264,25 @@ pub(crate) fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: S
     } else {
         Err(Refusal::OutOfRange { channel, asked, range: info.range })
     }
+}
+
+/// Whether the numbers of a path's points are such that the channel takes; when and how fast is checked with the points it has.
+fn check_points(config: &BoardConfig, channel: ChannelId, place: Place, points: &[PathPoint]) -> Result<(), Refusal> {
+    let modes = modes_of(config, place);
+    let limit = |mode| modes.iter().find(|info| info.mode == mode).map(|info| info.range);
+    let (Some(_), Some(duties)) = (limit(Mode::Follow), limit(Mode::Duty)) else {
+        return Err(Refusal::WrongMode { channel, mode: Mode::Follow });
+    };
+    for PathPoint { position, speed, feed_forward, .. } in points {
+        check_setpoint(channel, &modes, Setpoint { mode: Mode::Follow, value: *position })?;
+        if !feed_forward.is_finite() || speed.is_some_and(|speed| !speed.is_finite()) {
+            return Err(Refusal::NotFinite { channel });
+        }
+        if !duties.contains(*feed_forward) {
+            return Err(Refusal::OutOfRange { channel, asked: *feed_forward, range: duties });
+        }
+    }
+    Ok(())
 }
 
 fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> DeviceInfo {
@@ -368,7 +400,8 @@ fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
     };
     let position = ModeInfo { mode: Mode::Position, unit: position_unit, range: position };
     let speed = ModeInfo { mode: Mode::Speed, unit: speed_unit, range: Range::symmetric(speed_max) };
-    [position, speed, duty].into_iter().chain(home_mode(homing)).collect()
+    let follow = ModeInfo { mode: Mode::Follow, ..position };
+    [position, speed, duty, follow].into_iter().chain(home_mode(homing)).collect()
 }
 
 fn home_mode(homing: Option<HomingConfig>) -> Option<ModeInfo> {

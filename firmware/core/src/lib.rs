@@ -29,6 +29,7 @@ pub mod log;
 pub mod motion;
 pub mod outputs;
 pub mod passthrough;
+mod path;
 pub mod platform;
 pub mod ranging;
 pub mod safety;

@@ -9,18 +9,21 @@ use embassy_sync::{
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
-    Cause, Causes, DeviceStats, HotWinding, ImageInfo, Mode, Quality, Refusal, SafetyState, Setpoint, Winding,
+    Cause, Causes, DeviceStats, HotWinding, ImageInfo, Mode, PathPoint, Quality, Refusal, SafetyState, Setpoint,
+    Winding,
     channel::MAX_QUANTITIES,
     config::{
         ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SENSORS, MAX_SERVOS,
-        MAX_SUPPLIES, PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
+        MAX_SUPPLIES, MotorConfig, PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
     },
 };
 
 use crate::{
+    control::motor::resolution,
     cycle::at_rest,
     log::Log,
     passthrough::Passthrough,
+    path::{Leg, Limits, Path},
     ranging,
     safety::{Event, Safety, stop::BrakingStop},
     sensing::range::RangeReading,
@@ -212,8 +215,11 @@ struct Session {
 #[derive(Clone, Copy, Debug)]
 struct Given {
     setpoint: Setpoint,
-    /// When the host decided it, on the board's clock; never later than its arrival.
+    /// When the host decided it, on the board's clock; never later than its arrival, because one dated ahead must not make all that
+    /// follow look older.
     sent_us: u64,
+    /// The date it came with.
+    dated_us: u64,
 }
 
 /// A set point of a cycle: followed for so long, unless another comes.
@@ -251,6 +257,8 @@ struct State {
     given: [Option<Given>; OUTPUTS],
     /// One for each channel at most.
     leases: Vec<Lease, LEASES>,
+    /// Of each motor.
+    paths: [Path; MAX_MOTORS],
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     started: bool,
@@ -335,6 +343,7 @@ impl<M: RawMutex> Shared<M> {
                 commanded: Commanded::default(),
                 given: [None; OUTPUTS],
                 leases: Vec::new(),
+                paths: Default::default(),
                 gains: [[None; 2]; MAX_MOTORS],
                 started: false,
                 held: reset.holds(),
@@ -547,6 +556,11 @@ impl<M: RawMutex> Shared<M> {
         });
     }
 
+    /// Where the path of a motor leads at `now_us`.
+    pub(crate) fn leg(&self, motor: usize, now_us: u64) -> Leg {
+        self.with(|s| s.paths[motor].leg(now_us))
+    }
+
     /// The next new gains of some motor's loop, if there are any.
     pub(crate) fn take_gains(&self) -> Option<(usize, Mode, PidGains)> {
         self.with(|s| {
@@ -678,7 +692,7 @@ impl<M: RawMutex> Shared<M> {
 
     /// Stores a command, decided at `sent_us`, for the control loop's next period; a later one replaces it.
     pub(crate) fn command(&self, output: Place, setpoint: Setpoint, sent_us: u64) -> Result<(), Refusal> {
-        self.with(|s| s.command(output, setpoint, not_ahead(sent_us)))
+        self.with(|s| s.command(output, setpoint, sent_us))
     }
 
     /// Stops `output` because a set point for it, decided at `sent_us`, was refused: the one it follows is not what the host
@@ -690,13 +704,13 @@ impl<M: RawMutex> Shared<M> {
     pub(crate) fn withdraw(&self, output: Place, sent_us: u64, expired: bool) {
         self.with(|s| {
             let Some(given) = s.given(output) else { return };
-            let superseded = if expired { sent_us <= given.sent_us } else { sent_us < given.sent_us };
+            let superseded = if expired { sent_us <= given.dated_us } else { sent_us < given.sent_us };
             if superseded {
                 return;
             }
             if let Some(stop) = self.stop_of(output, given.setpoint, s.statuses[slot(output)]) {
                 // Nothing is in force unless the board is armed.
-                let _ = s.command(output, stop, not_ahead(sent_us));
+                let _ = s.command(output, stop, sent_us);
             }
         });
     }
@@ -719,16 +733,48 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// Stores the commands of a cycle, each as [`Shared::command`] does, to be followed until then if no other comes.
+    /// Stores the commands of a cycle, each as [`Shared::command`] does, to be followed until then if no other comes. Points of
+    /// paths, dated `sent_us`, need no such end: a path ends by itself.
     pub(crate) fn lease(&self, setpoints: &[(Place, Setpoint)], sent_us: u64, until: Instant) -> Result<(), Refusal> {
+        let is_point = |setpoint: &Setpoint| setpoint.mode == Mode::Follow;
+        let point = |setpoint: &Setpoint| at(sent_us, setpoint.value);
         self.with(|s| {
+            // All of them, or none.
+            for (place, setpoint) in setpoints.iter().filter(|(_, setpoint)| is_point(setpoint)) {
+                self.check_path(s, *place, &[point(setpoint)])?;
+            }
             for (place, setpoint) in setpoints {
-                s.command(*place, *setpoint, not_ahead(sent_us))?;
+                if is_point(setpoint) {
+                    s.follow(*place, &[point(setpoint)], sent_us)?;
+                    continue;
+                }
+                s.command(*place, *setpoint, sent_us)?;
                 // There is room for every channel, and the command has ended the lease it had.
                 let _ = s.leases.push(Lease { place: *place, mode: setpoint.mode, until });
             }
             Ok(())
         })
+    }
+
+    /// Gives a motor points of a path, decided at `sent_us`, whose numbers were checked: all of them, or none.
+    pub(crate) fn follow(&self, output: Place, points: &[PathPoint], sent_us: u64) -> Result<(), Refusal> {
+        self.with(|s| {
+            self.check_path(s, output, points)?;
+            s.follow(output, points, sent_us)
+        })
+    }
+
+    /// Whether the motor's path could take `points` now.
+    fn check_path(&self, state: &State, output: Place, points: &[PathPoint]) -> Result<(), Refusal> {
+        let Place::Motor(index) = output else { return Ok(()) };
+        let MotorConfig { id: channel, control, .. } = self.config.motors[index];
+        let (Some(control), Status::Motor(MotorStatus { position, .. })) = (control, state.statuses[slot(output)])
+        else {
+            return Err(Refusal::WrongMode { channel, mode: Mode::Follow });
+        };
+        let position = position as f32 * resolution(control.feedback);
+        let now_us = Instant::now().as_micros();
+        state.paths[index].check(points, &Limits { channel, position, speed_max: control.speed_max, now_us })
     }
 
     /// Stores gains for the control loop's next period, armed or not. Open duty has none.
@@ -814,9 +860,9 @@ fn since(then: Instant, now: Instant) -> Duration {
     now.saturating_duration_since(then)
 }
 
-/// The date of a set point that arrives now: one dated ahead must not make all that follow look older.
-fn not_ahead(sent_us: u64) -> u64 {
-    sent_us.min(Instant::now().as_micros())
+/// The point of a path that a single set point is.
+pub(crate) const fn at(at_us: u64, position: f32) -> PathPoint {
+    PathPoint { at_us, position, speed: None, feed_forward: 0.0 }
 }
 
 /// Number of the first session since the board started.
@@ -826,15 +872,27 @@ const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
 impl State {
     /// Ends the lease of the channel, too: the newest command counts.
-    fn command(&mut self, output: Place, setpoint: Setpoint, sent_us: u64) -> Result<(), Refusal> {
+    fn command(&mut self, output: Place, setpoint: Setpoint, dated_us: u64) -> Result<(), Refusal> {
         if self.safety != Safety::Armed {
             return Err(Refusal::NotArmed { state: self.safety.state() });
         }
         self.leases.retain(|lease| lease.place != output);
+        if let (Place::Motor(index), true) = (output, setpoint.mode != Mode::Follow) {
+            self.paths[index].clear();
+        }
         let slot = command_slot(output, setpoint.mode);
         self.commands[slot] = Some((self.epoch, setpoint));
         self.commanded.0 |= 1 << slot;
-        self.given[slot] = Some(Given { setpoint, sent_us });
+        let sent_us = dated_us.min(Instant::now().as_micros());
+        self.given[slot] = Some(Given { setpoint, sent_us, dated_us });
+        Ok(())
+    }
+
+    /// Lets a motor follow its path with `points` from here on, which were checked.
+    fn follow(&mut self, output: Place, points: &[PathPoint], dated_us: u64) -> Result<(), Refusal> {
+        let (Place::Motor(index), Some(last)) = (output, points.last()) else { return Ok(()) };
+        self.command(output, Setpoint { mode: Mode::Follow, value: last.position }, dated_us)?;
+        self.paths[index].splice(points, Instant::now().as_micros());
         Ok(())
     }
 
@@ -864,6 +922,7 @@ impl State {
             self.commanded = Commanded::default();
             self.given = [None; OUTPUTS];
             self.leases.clear();
+            self.paths.iter_mut().for_each(Path::clear);
         }
         if next.state() == SafetyState::Tripped {
             self.trip_causes = next.causes();

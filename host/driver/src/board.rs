@@ -15,10 +15,10 @@ use futures::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogInfo,
-    Mode, ParameterInfo, ParameterKey, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
-    ToDevice, VERSION,
+    Mode, ParameterInfo, ParameterKey, PathPoint, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint,
+    Telemetry, ToDevice, VERSION,
     config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains},
-    message::MAX_RAW,
+    message::{MAX_POINTS, MAX_RAW},
 };
 
 use crate::{
@@ -251,6 +251,24 @@ impl<C: Clock> Board<C> {
         self.wire.done("set", self.wire.set(channel, setpoint)).await
     }
 
+    /// Gives a motor points of a path, dated on the board's clock, in place of those it has from the first of these on. The board
+    /// keeps [`PATH_POINTS`](r4_protocol::message::PATH_POINTS) of them and goes along the cubic between two; without more it comes to rest along its profile. Paths of
+    /// several channels, and of several boards by [`Board::device_us`], begin together because their dates do.
+    ///
+    /// # Errors
+    /// [`Refusal::Late`], [`Refusal::PathFull`], [`Refusal::BadPath`], [`Refusal::TooFast`] and those of any set point, besides
+    /// the errors of any request. Refused points stop the channel.
+    pub async fn follow(&self, channel: ChannelId, points: &[PathPoint]) -> Result<(), Error> {
+        // A path without points is refused by the board.
+        let none: &[PathPoint] = &[];
+        for points in points.chunks(MAX_POINTS).chain(points.is_empty().then_some(none)) {
+            let sent_us = lock(&self.wire.state).date_us(self.wire.clock.now_us());
+            let points = points.iter().copied().collect();
+            self.wire.done("follow", Request::Follow { channel, sent_us, points }).await?;
+        }
+        Ok(())
+    }
+
     /// Changes the gains of one loop until power-down.
     ///
     /// # Errors
@@ -360,7 +378,7 @@ impl<C: Clock> Board<C> {
         | Until::Homed { timeout_s: limit_s }) = until;
         let (mut followed_once, mut searched) = (false, false);
         let mut speeds: VecDeque<(f64, f64)> = VecDeque::new();
-        self.follow(channel, setpoint, limit_s, |sample, after_s| {
+        self.drive_until(channel, setpoint, limit_s, |sample, after_s| {
             let Sample::Motor { setpoint: followed, position, speed, duty, settled, homed, .. } = *sample else {
                 return Ok(None);
             };
@@ -402,7 +420,7 @@ impl<C: Clock> Board<C> {
     /// [`Error::Stopped`] when the board trips or is disarmed, besides what befalls any request.
     pub async fn hold(&self, channel: ChannelId, setpoint: Setpoint, seconds: f64) -> Result<f64, Error> {
         self.channel(channel)?;
-        self.follow(channel, setpoint, seconds, |sample, after_s| match *sample {
+        self.drive_until(channel, setpoint, seconds, |sample, after_s| match *sample {
             Sample::Scalar { value, .. } if after_s >= seconds => Ok(Some(value.into())),
             _ => Ok(None),
         })
@@ -410,7 +428,7 @@ impl<C: Clock> Board<C> {
     }
 
     /// Commands `channel` and shows `look` its samples, with the seconds since the command, until that returns something.
-    async fn follow<T>(
+    async fn drive_until<T>(
         &self,
         channel: ChannelId,
         setpoint: Setpoint,

@@ -21,8 +21,8 @@ pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 const UNITS: [Unit; 9] =
     [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A];
 /// Every mode there is.
-pub(crate) const MODES: [Mode; 7] =
-    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+pub(crate) const MODES: [Mode; 8] =
+    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
 
 /// Which board was recorded, and what its channels are.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,6 +145,7 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
         Mode::Voltage => "voltage",
         Mode::Brake => "brake",
         Mode::Home => "home",
+        Mode::Follow => "follow",
     }
 }
 

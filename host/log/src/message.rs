@@ -71,8 +71,8 @@ macro_rules! with_setpoint {
             /// The same with this set point, of a channel that moves in a line or turns.
             pub(crate) fn with_setpoint(mut self, setpoint: Setpoint, linear: bool) -> Self {
                 let field = match (setpoint.mode, linear) {
-                    (Mode::Position, false) => &mut self.setpoint_position_rad,
-                    (Mode::Position, true) => &mut self.setpoint_position_m,
+                    (Mode::Position | Mode::Follow, false) => &mut self.setpoint_position_rad,
+                    (Mode::Position | Mode::Follow, true) => &mut self.setpoint_position_m,
                     (Mode::Speed, false) => &mut self.setpoint_speed_rad_s,
                     (Mode::Speed, true) => &mut self.setpoint_speed_m_s,
                     (Mode::Home, false) => &mut self.setpoint_home_rad_s,
@@ -90,7 +90,7 @@ macro_rules! with_setpoint {
             /// The set point's number, which was finite.
             pub(crate) fn setpoint(&self) -> Option<f32> {
                 let by_mode = match mode_from(self.setpoint_mode)? {
-                    Mode::Position => self.setpoint_position_rad.or(self.setpoint_position_m),
+                    Mode::Position | Mode::Follow => self.setpoint_position_rad.or(self.setpoint_position_m),
                     Mode::Speed => self.setpoint_speed_rad_s.or(self.setpoint_speed_m_s),
                     Mode::Home => self.setpoint_home_rad_s.or(self.setpoint_home_m_s),
                     Mode::Duty => self.setpoint_duty,

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display};
 
-use r4_protocol::{Refusal, Request, config::PidGains};
+use r4_protocol::{PathPoint, Refusal, Request, config::PidGains};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -43,7 +43,38 @@ pub(crate) struct RequestMessage {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     read: Option<u8>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    points: Option<Vec<PointMessage>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) sent_us: Option<u64>,
+}
+
+/// A point of a path.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct PointMessage {
+    /// After the request was sent.
+    after_us: u64,
+    position: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    speed: Option<f32>,
+    feed_forward: Option<f32>,
+}
+
+impl PointMessage {
+    fn new(point: &PathPoint, sent_us: u64) -> Self {
+        Self {
+            after_us: point.at_us.saturating_sub(sent_us),
+            position: finite(point.position),
+            speed: point.speed.and_then(finite),
+            feed_forward: finite(point.feed_forward),
+        }
+    }
+
+    fn point(self) -> PathPoint {
+        let Self { after_us, position, speed, feed_forward } = self;
+        // A number that was not finite is left out of its message.
+        let number = |value: Option<f32>| value.unwrap_or(f32::NAN);
+        PathPoint { at_us: after_us, position: number(position), speed, feed_forward: number(feed_forward) }
+    }
 }
 
 /// A request that was refused.
@@ -83,6 +114,7 @@ pub fn request_name(request: &Request) -> &'static str {
         Request::Log { .. } => "log",
         Request::Image => "image",
         Request::Bootloader => "bootloader",
+        Request::Follow { .. } => "follow",
     }
 }
 
@@ -137,6 +169,10 @@ impl RequestMessage {
                 (message.parameter, message.value) = (Some(key.to_string()), finite(*value));
             }
             Request::SetName { robot } => message.name = Some(robot.to_string()),
+            Request::Follow { channel, sent_us, points } => {
+                message.channel = Some(channel.to_string());
+                message.points = Some(points.iter().map(|point| PointMessage::new(point, *sent_us)).collect());
+            }
             Request::I2cTransfer { bus, address, write, read } => {
                 (message.port, message.address) = (Some(*bus), Some(*address));
                 (message.write, message.read) = (Some(hex(write)), Some(*read));
@@ -147,7 +183,7 @@ impl RequestMessage {
         Some(message)
     }
 
-    /// The request, if this version knows it and all its fields are there.
+    /// The request, if this version knows it and all its fields are there. The points of a path are dated from when it was sent.
     pub(crate) fn request(&self) -> Option<Request> {
         if let Some(plain) = PLAIN.iter().find(|plain| request_name(plain) == self.request) {
             return Some(plain.clone());
@@ -166,6 +202,19 @@ impl RequestMessage {
             "set-parameter" => {
                 Request::SetParameter { key: self.parameter.as_ref()?.parse().ok()?, value: number(self.value) }
             }
+            "follow" => Request::Follow {
+                channel: channel()?,
+                sent_us: 0,
+                points: self
+                    .points
+                    .as_ref()?
+                    .iter()
+                    .map(|point| point.point())
+                    .collect::<Vec<_>>()
+                    .as_slice()
+                    .try_into()
+                    .ok()?,
+            },
             "set-name" => Request::SetName { robot: self.name.as_ref()?.parse().ok()? },
             "i2c" => Request::I2cTransfer {
                 bus: self.port?,
@@ -193,6 +242,7 @@ impl Display for Described<'_> {
                 write!(f, " {channel} {mode} kp {kp} ki {ki} kd {kd}")
             }
             Request::SetParameter { key, value } => write!(f, " {key} {value}"),
+            Request::Follow { channel, points, .. } => write!(f, " {channel} {} points", points.len()),
             Request::SetName { robot } => write!(f, " {robot}"),
             Request::I2cTransfer { bus, address, write, read } => {
                 write!(f, " {bus} {address:#04x} write {} read {read}", hex(write))
@@ -238,6 +288,7 @@ pub(crate) fn request_schema() -> Schema {
             ("address", "integer", "7-bit address on the I2C bus"),
             ("write", "string", "Bytes written, in hex"),
             ("read", "integer", "Bytes asked for"),
+            ("points", "array", "Points of a path: after_us of sending, position, speed, feed_forward as a duty"),
             SENT_US,
         ],
     )
@@ -267,6 +318,14 @@ mod tests {
             Request::I2cTransfer { bus: 1, address: 0x50, write: bytes(), read: 64 },
             Request::UartWrite { port: 1, bytes: bytes() },
             Request::UartRead { port: 0 },
+            Request::Follow {
+                channel,
+                sent_us: 0,
+                points: [(20_000, None), (u64::MAX, Some(-0.5))]
+                    .map(|(at_us, speed)| PathPoint { at_us, position: 0.1, speed, feed_forward: -0.25 })
+                    .into_iter()
+                    .collect(),
+            },
         ]);
         for request in all {
             let message = RequestMessage::new(&request).expect("recorded");
@@ -285,6 +344,8 @@ mod tests {
             r#"{"request":"set-gains","channel":"osmc0","mode":"fast"}"#,
             r#"{"request":"uart-write","port":0,"write":"0"}"#,
             r#"{"request":"uart-write","port":0,"write":"+1"}"#,
+            r#"{"request":"follow","channel":"osmc0"}"#,
+            r#"{"request":"follow","channel":"osmc","points":[]}"#,
             r#"{"request":"set-name","name":"far too long a name for what a board can hold, by all means"}"#,
         ] {
             let read: RequestMessage = serde_json::from_str(json).expect("JSON");

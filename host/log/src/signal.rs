@@ -79,8 +79,8 @@ pub struct Signal {
 /// Name of the set point's signal in `mode`, by whether the channel moves in a line.
 fn setpoint_field(what: &str, mode: Mode, linear: bool) -> String {
     let unit = match (mode, linear) {
-        (Mode::Position, false) => "_rad",
-        (Mode::Position, true) => "_m",
+        (Mode::Position | Mode::Follow, false) => "_rad",
+        (Mode::Position | Mode::Follow, true) => "_m",
         (Mode::Speed | Mode::Home, false) => "_rad_s",
         (Mode::Speed | Mode::Home, true) => "_m_s",
         (Mode::Voltage, _) => "_v",

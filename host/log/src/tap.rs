@@ -3,7 +3,8 @@
 use std::{collections::BTreeMap, io::Write};
 
 use r4_protocol::{
-    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Reply, Request, ToDevice, ToHost, VERSION,
+    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Mode, PathPoint, Reply, Request, Setpoint, ToDevice,
+    ToHost, VERSION,
 };
 
 use crate::{Gap, Header, RecordError, Recorded, Recorder};
@@ -209,12 +210,18 @@ impl<W: Write> Tap<W> {
         }
         let begin_us = *self.begin_us.get_or_insert(now_us);
         let device_us = match request {
+            // The date of a point of a path is when the channel is to be there.
+            Request::Set { setpoint: Setpoint { mode: Mode::Follow, .. }, .. } => self.device_us(now_us),
             // What the board compares with its clock.
-            Request::Set { sent_us, .. } => sent_us,
+            Request::Set { sent_us, .. } | Request::Follow { sent_us, .. } => sent_us,
             _ => self.device_us(now_us),
         };
+        let as_recorded = as_path(&request, device_us);
         let recorded = match self.recorder() {
-            Some(recorder) => recorder.request(device_us, Some(now_us.saturating_sub(begin_us)), &request),
+            Some(recorder) => {
+                let request = as_recorded.as_ref().unwrap_or(&request);
+                recorder.request(device_us, Some(now_us.saturating_sub(begin_us)), request)
+            }
             None => Ok(()),
         };
         if self.waiting.len() >= MOST_WAITING
@@ -233,7 +240,11 @@ impl<W: Write> Tap<W> {
         let (channels, ttl_ms) = self.bound.clone();
         for (channel, steps) in channels.iter().zip(cycle.set()) {
             if let (Ok(Some(setpoint)), Some(recorder)) = (channel.setpoint(mode, steps), self.recorder()) {
-                let request = Request::Set { channel: channel.channel, setpoint, sent_us, ttl_ms };
+                let point_us = (setpoint.mode == Mode::Follow)
+                    .then(|| sent_us.saturating_add_signed(-i64::from(cycle.age_us(sent_us))));
+                let request =
+                    Request::Set { channel: channel.channel, setpoint, sent_us: point_us.unwrap_or(sent_us), ttl_ms };
+                let request = as_path(&request, sent_us).unwrap_or(request);
                 recorder.request(sent_us, Some(now_us.saturating_sub(begin_us)), &request)?;
             }
         }
@@ -381,4 +392,12 @@ impl Offset {
     fn uncertainty_us(&self, now_us: u64) -> f64 {
         self.round_trip_us as f64 / 2.0 + now_us.saturating_sub(self.seen_us) as f64 * DRIFT
     }
+}
+/// A single point of a path, sent at `device_us`, as the path that it is.
+fn as_path(request: &Request, device_us: u64) -> Option<Request> {
+    let Request::Set { channel, setpoint: Setpoint { mode: Mode::Follow, value }, sent_us, .. } = *request else {
+        return None;
+    };
+    let point = PathPoint { at_us: sent_us, position: value, speed: None, feed_forward: 0.0 };
+    Some(Request::Follow { channel, sent_us: device_us, points: [point].into_iter().collect() })
 }

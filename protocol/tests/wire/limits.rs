@@ -13,8 +13,8 @@ use r4_protocol::{
 
 use crate::{frame, payload, receive, samples, strategies};
 
-/// Bytes of the longest message to a board: an `I2cTransfer`.
-const LONGEST_TO_DEVICE: usize = 73;
+/// Bytes of the longest message to a board: a `Follow` of as many points as it takes.
+const LONGEST_TO_DEVICE: usize = 110;
 /// Bytes of the longest message to a host: a full `Telemetry`.
 const LONGEST_TO_HOST: usize = 246;
 
@@ -27,13 +27,14 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
     let reply = |reply| ToHost::Response { seq: u16::MAX, result: Ok(reply) };
     let telemetry = ToHost::Telemetry(samples::largest_telemetry());
     for (what, len, expected) in [
-        ("i2c", payload(&request(samples::largest_request())).len(), LONGEST_TO_DEVICE),
+        ("follow", payload(&request(samples::largest_request())).len(), LONGEST_TO_DEVICE),
+        ("i2c", payload(&request(samples::largest_transfer())).len(), 73),
         ("uart", payload(&request(uart)).len(), 71),
         ("set", payload(&request(samples::largest_set())).len(), 25),
         ("bind", payload(&request(samples::largest_bind())).len(), 53),
         ("heartbeat", payload(&heartbeat).len(), 14),
         ("hello", payload(&reply(samples::largest_welcome())).len(), 79),
-        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 66),
+        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 76),
         ("fault snapshot", payload(&reply(samples::largest_reply())).len(), 131),
         ("bytes", payload(&reply(Reply::Bytes(samples::largest_raw()))).len(), 71),
         ("log", payload(&ToHost::Log(samples::largest_log())).len(), 71),

@@ -3,12 +3,12 @@
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
     DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo,
-    MotorSnapshot, Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState,
-    Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
+    MotorSnapshot, Parameter, ParameterInfo, ParameterKey, PathPoint, Quality, Range, Refusal, Reply, Request,
+    SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_QUANTITIES,
     config::{MAX_MOTORS, MAX_SENSORS, MAX_SUPPLIES, PidGains},
     cycle::{CYCLE_CHANNELS, NOTHING},
-    message::{MAX_RAW, MAX_SAMPLES},
+    message::{MAX_POINTS, MAX_RAW, MAX_SAMPLES},
 };
 
 const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
@@ -60,6 +60,11 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
             ("image-largest", Ok(Reply::Image(ImageInfo { hosted: true, bytes: u32::MAX, crc: u32::MAX }))),
             ("refused-no-image", Err(Refusal::NoImage)),
             ("refused-no-bootloader", Err(Refusal::NoBootloader)),
+            // Since version 9.
+            ("refused-late", Err(Refusal::Late { late_us: 1500 })),
+            ("refused-path-full", Err(Refusal::PathFull { room: 3 })),
+            ("refused-bad-path", Err(Refusal::BadPath { channel: OSMC0 })),
+            ("refused-too-fast", Err(Refusal::TooFast { channel: OSMC0, asked: 8.5, limit: 6.5 })),
         ])
         .zip(1..)
         .map(|((name, result), seq)| (name, ToHost::Response { seq, result }))
@@ -77,12 +82,13 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
 }
 
 /// Set points of cycles.
-pub(crate) fn cycles() -> [(&'static str, Cycle); 5] {
+pub(crate) fn cycles() -> [(&'static str, Cycle); 6] {
     [
         ("cycle", Cycle::new(1, None, Some(1_000_000), [100, -100, 0, NOTHING])),
         ("cycle-zero", Cycle::new(0, Some(Mode::Position), Some(0), [0; CYCLE_CHANNELS])),
         ("cycle-undated", Cycle::new(7, None, None, [1, 2, 3, 4])),
         ("cycle-speed", Cycle::new(128, Some(Mode::Speed), Some(1 << 32), [i16::MAX; CYCLE_CHANNELS])),
+        ("cycle-follow", Cycle::new(9, Some(Mode::Follow), Some(1_000_000), [5, -5, NOTHING, NOTHING])),
         ("cycle-largest", Cycle::new(u8::MAX, None, Some(u64::MAX), [-1; CYCLE_CHANNELS])),
     ]
 }
@@ -114,6 +120,13 @@ pub(crate) fn largest_bind() -> Request {
 
 /// The request with the most bytes.
 pub(crate) fn largest_request() -> Request {
+    let point =
+        PathPoint { at_us: u64::MAX, position: f32::MIN, speed: Some(f32::MAX), feed_forward: f32::MIN_POSITIVE };
+    Request::Follow { channel: LAST, sent_us: u64::MAX, points: [point; MAX_POINTS].into_iter().collect() }
+}
+
+/// The raw transfer with the most bytes.
+pub(crate) fn largest_transfer() -> Request {
     Request::I2cTransfer { bus: u8::MAX, address: u8::MAX, write: largest_raw(), read: u8::MAX }
 }
 
@@ -279,6 +292,15 @@ fn requests() -> Vec<(&'static str, Request)> {
     // Since version 5.
     requests.extend([("log", Request::Log { on: true }), ("log-end", Request::Log { on: false })]);
     requests.extend([("image", Request::Image), ("bootloader", Request::Bootloader)]);
+    // Since version 9.
+    let point = |at_us, position, speed| PathPoint { at_us, position, speed, feed_forward: 0.0625 };
+    let points = [point(1_010_000, 0.5, None), point(1_020_000, 0.75, Some(-2.0))];
+    requests.extend([
+        ("set-follow", set(OSMC0, Mode::Follow, 1.5)),
+        ("follow", Request::Follow { channel: OSMC0, sent_us: 1_000_000, points: points.into_iter().collect() }),
+        ("follow-none", Request::Follow { channel: OSMC0, sent_us: 0, points: heapless::Vec::new() }),
+        ("transfer-largest", largest_transfer()),
+    ]);
     requests
 }
 

@@ -13,12 +13,12 @@ use proptest::{
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, DeviceInfo,
     DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogChunk, LogInfo, Mode, ModeInfo, MotorSnapshot,
-    Parameter, ParameterInfo, ParameterKey, Quality, Range, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
-    Telemetry, ToDevice, ToHost, Unit, Winding,
+    Parameter, ParameterInfo, ParameterKey, PathPoint, Quality, Range, Refusal, Reply, Request, SafetyState, Sample,
+    Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_MODES,
     config::{MAX_MOTORS, MAX_NAME, MAX_SENSORS, MAX_SUPPLIES, PidGains},
     cycle::CYCLE_CHANNELS,
-    message::{MAX_FIRMWARE, MAX_RAW, MAX_SAMPLES},
+    message::{MAX_FIRMWARE, MAX_POINTS, MAX_RAW, MAX_SAMPLES},
 };
 
 use crate::coverage;
@@ -125,8 +125,22 @@ fn service_request() -> BoxedStrategy<Request> {
         any::<bool>().prop_map(|on| Request::Log { on }),
         (vec(cycle_channel(), 0..=CYCLE_CHANNELS), u16s())
             .prop_map(|(channels, ttl_ms)| Request::Bind { channels: channels.into_iter().collect(), ttl_ms }),
+        (channel(), u64s(), vec(path_point(), 0..=MAX_POINTS)).prop_map(|(channel, sent_us, points)| Request::Follow {
+            channel,
+            sent_us,
+            points: points.into_iter().collect()
+        }),
     ]
     .boxed()
+}
+
+fn path_point() -> impl Strategy<Value = PathPoint> {
+    (u64s(), f32s(), option::of(f32s()), f32s()).prop_map(|(at_us, position, speed, feed_forward)| PathPoint {
+        at_us,
+        position,
+        speed,
+        feed_forward,
+    })
 }
 
 fn cycle_channel() -> impl Strategy<Value = CycleChannel> {
@@ -184,6 +198,10 @@ fn refusal() -> BoxedStrategy<Refusal> {
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
         channel().prop_map(|channel| Refusal::BadBinding { channel }),
+        channel().prop_map(|channel| Refusal::BadPath { channel }),
+        u32s().prop_map(|late_us| Refusal::Late { late_us }),
+        any::<u8>().prop_map(|room| Refusal::PathFull { room }),
+        (channel(), f32s(), f32s()).prop_map(|(channel, asked, limit)| Refusal::TooFast { channel, asked, limit }),
     ]
     .boxed()
 }
@@ -355,7 +373,16 @@ fn unit() -> impl Strategy<Value = Unit> {
 }
 
 fn mode() -> impl Strategy<Value = Mode> {
-    select(vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home])
+    select(vec![
+        Mode::Position,
+        Mode::Speed,
+        Mode::Duty,
+        Mode::Switch,
+        Mode::Voltage,
+        Mode::Brake,
+        Mode::Home,
+        Mode::Follow,
+    ])
 }
 
 fn state() -> impl Strategy<Value = SafetyState> {

@@ -50,6 +50,14 @@ impl Axis {
         }
     }
 
+    /// The motor, where it follows a path.
+    pub(super) fn following(&mut self) -> Option<&mut Motor> {
+        match self {
+            Self::Measured(motor) => Some(motor).filter(|motor| motor.follows()),
+            Self::Open(_) => None,
+        }
+    }
+
     pub(super) fn stop(&mut self) {
         match self {
             Self::Measured(motor) => motor.stop(),

@@ -1,6 +1,7 @@
 //! The control loop: each period sense, close the loops, write the outputs.
 
 mod axis;
+mod follower;
 mod inputs;
 pub mod motor;
 pub mod overload;

@@ -6,11 +6,13 @@ use r4_protocol::{
 };
 
 use super::{
+    follower::{Follower, Reference},
     pid::{BadPeriod, OutputLimits, Pid},
     profile::Profile,
     watch::{Seen, Watch},
 };
 use crate::{
+    path::Leg,
     sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
     shared::MotorStatus,
     within::Within,
@@ -45,6 +47,8 @@ pub struct Motor {
     /// The position that is followed, rad or m.
     target: f32,
     following: Following,
+    /// The path it follows, also while it rests on the way; `None` without one.
+    path: Option<Follower>,
     /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
     position: f64,
     position_counts: i32,
@@ -74,6 +78,8 @@ enum Following {
     Speed { reference: f32, hold: Option<Hold> },
     /// A position.
     Position(Approach),
+    /// A path: where it is to be now.
+    Path(Reference),
     /// The search for the zero.
     Home(Homing),
 }
@@ -151,6 +157,7 @@ impl Motor {
             setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
             target: 0.0,
             following: Following::Duty,
+            path: None,
             position: 0.0,
             position_counts: 0,
             zero_counts: 0,
@@ -200,7 +207,15 @@ impl Motor {
     }
 
     /// Takes a command, which dispatch has checked.
+    // Not each period: it stays in flash.
+    #[inline(never)]
     pub fn command(&mut self, setpoint: Setpoint) {
+        if setpoint.mode == Mode::Follow {
+            // From here on by its points: see `follow`.
+            self.begin_path();
+            return;
+        }
+        self.path = None;
         let last = core::mem::replace(&mut self.setpoint, setpoint);
         let repeated = setpoint == last;
         let shift = setpoint.value - self.target;
@@ -214,6 +229,10 @@ impl Motor {
             (Following::Position(Approach { towards, .. }), Mode::Position) => {
                 self.profile.shift_target(shift);
                 Following::Position(Approach { towards, ..Approach::default() })
+            }
+            (Following::Path(reference), Mode::Position) => {
+                self.profile.start(self.distance_from(reference.position), reference.speed);
+                Following::Position(Approach::default())
             }
             (_, Mode::Position) => {
                 self.position_loop.reset(self.duty);
@@ -237,15 +256,83 @@ impl Motor {
                     start,
                 })
             }
-            // Dispatch lets no motor be switched.
-            (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake) => Following::Duty,
+            // Dispatch lets no motor be switched; a path was begun above.
+            (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Follow) => Following::Duty,
         };
+    }
+
+    /// Begins to follow a path from where the motor is to be now, or where it is.
+    fn begin_path(&mut self) {
+        if self.path.is_some() {
+            return;
+        }
+        let (position, speed) = match self.following {
+            Following::Position(_) => {
+                let (to_go, speed) = self.profile.now();
+                (f64::from(self.target) - f64::from(to_go), speed)
+            }
+            _ => {
+                self.position_loop.reset(self.duty);
+                (self.position, self.speed)
+            }
+        };
+        self.path = Some(Follower::new(position, speed));
+        if !matches!(self.following, Following::Position(_)) {
+            self.following = Following::Path(Reference { position, speed, ..Reference::default() });
+        }
+    }
+
+    /// Whether it follows a path, and [`Motor::follow`] is to come before [`Motor::step`].
+    pub(super) fn follows(&self) -> bool {
+        self.path.is_some()
+    }
+
+    /// Takes where its path leads at `now_us`.
+    pub(super) fn follow(&mut self, leg: Leg, now_us: u64) {
+        let Some(path) = &mut self.path else { return };
+        let reference = match path.step(leg, now_us) {
+            Ok(reference) => reference,
+            Err(end) => {
+                self.end_path(end);
+                return;
+            }
+        };
+        let pause = path.pauses(self.control.settle.error);
+        self.setpoint = Setpoint { mode: Mode::Follow, value: reference.position as f32 };
+        match (self.following, pause) {
+            // It is held there as at any other position.
+            (Following::Position(_), Some(_)) => {}
+            (_, Some(target)) => self.come_to_rest(target, reference),
+            _ => self.following = Following::Path(reference),
+        }
+    }
+
+    /// The path has no more points: on from there to rest, along the profile.
+    #[inline(never)]
+    fn end_path(&mut self, end: Reference) {
+        let Reference { position, speed, .. } = end;
+        let stopping = f64::from(speed * speed.abs() / (2.0 * self.control.profile.acceleration));
+        let range = self.control.position;
+        let target = ((position + stopping) as f32).within(range.min, range.max);
+        self.path = None;
+        if !matches!(self.following, Following::Position(_)) {
+            self.come_to_rest(target, end);
+        }
+        self.setpoint = Setpoint { mode: Mode::Position, value: self.target };
+    }
+
+    /// Goes on to `target` from where a path has come.
+    fn come_to_rest(&mut self, target: f32, reference: Reference) {
+        self.target = target;
+        self.profile.join(self.distance_from(reference.position), reference.speed);
+        self.following = Following::Position(Approach::default());
     }
 
     /// Forgets the command and the state of the loops: the outputs are being made safe.
     pub fn stop(&mut self) {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
         self.following = Following::Duty;
+        self.path = None;
         self.duty = 0.0;
         self.applied = 0.0;
         self.watch = Watch::default();
@@ -256,7 +343,7 @@ impl Motor {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
-            Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => {}
+            Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Follow => {}
         }
     }
 
@@ -266,6 +353,7 @@ impl Motor {
         let mut causes = Causes::NONE;
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
+            Following::Path(reference) => self.step_path(reference, limits),
             Following::Speed { reference, hold } => self.step_speed(reference, hold, limits),
             Following::Home(homing) => {
                 let (duty, following, missed) = self.step_home(homing, limits);
@@ -288,11 +376,15 @@ impl Motor {
             match &mut self.following {
                 Following::Speed { reference, hold } => (*reference, *hold) = (0.0, None),
                 Following::Position(approach) => approach.hold = None,
-                Following::Duty | Following::Home(_) => {}
+                Following::Duty | Following::Path(_) | Following::Home(_) => {}
             }
         }
         let (path_error, wants_motion) = match self.following {
             Following::Position(approach) => (approach.path_error, !approach.near),
+            Following::Path(reference) => {
+                let error = self.path_error(reference);
+                (error, reference.speed != 0.0 || error.abs() > self.control.settle.error)
+            }
             Following::Speed { reference, hold } => (0.0, reference != 0.0 && hold.is_none()),
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
@@ -354,6 +446,19 @@ impl Motor {
         let rate = self.speed - path_speed;
         let duty = self.position_loop.step(path_error, rate, self.feed_forward(towards, path_speed), limits);
         (duty, Following::Position(approach))
+    }
+
+    fn step_path(&mut self, reference: Reference, limits: OutputLimits) -> (f32, Following) {
+        let Reference { speed, feed_forward, .. } = reference;
+        let towards = if speed == 0.0 { 0.0 } else { speed.signum() };
+        let duty = self.feed_forward(towards, speed) + feed_forward;
+        let error = self.path_error(reference);
+        (self.position_loop.step(error, self.speed - speed, duty, limits), Following::Path(reference))
+    }
+
+    /// From the measured position to where the path has it now, rad or m.
+    fn path_error(&self, reference: Reference) -> f32 {
+        (reference.position - self.position) as f32
     }
 
     /// A motor that has just come to rest.
@@ -453,7 +558,11 @@ impl Motor {
 
     /// From the measured position to the target, rad or m.
     fn distance(&self) -> f32 {
-        (f64::from(self.target) - self.position) as f32
+        self.distance_from(self.position)
+    }
+
+    fn distance_from(&self, position: f64) -> f32 {
+        (f64::from(self.target) - position) as f32
     }
 
     /// The end of its range the motor stands at. A position at the very end may be held from both sides; without one, the
@@ -462,7 +571,7 @@ impl Motor {
         let range = self.control.position;
         let error = self.control.settle.error;
         let room = |end: f32| match self.following {
-            Following::Position(_) => -error,
+            Following::Position(_) | Following::Path(_) => -error,
             Following::Speed { .. } | Following::Duty if self.at_end == end => error,
             Following::Speed { .. } | Following::Duty | Following::Home(_) => 0.0,
         };

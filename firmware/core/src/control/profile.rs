@@ -28,6 +28,17 @@ impl Profile {
         self.speed = speed.within(-self.limits.speed, self.limits.speed);
     }
 
+    /// Goes on at `speed`, `distance` away from the target: slows down by the limit from a speed that is above it.
+    pub fn join(&mut self, distance: f32, speed: f32) {
+        (self.to_go, self.speed) = (distance, speed);
+    }
+
+    /// The distance still to go, and the speed.
+    #[must_use]
+    pub fn now(&self) -> (f32, f32) {
+        (self.to_go, self.speed)
+    }
+
     /// Moves the target by `distance` while under way.
     pub fn shift_target(&mut self, distance: f32) {
         self.to_go += distance;

@@ -132,8 +132,9 @@ struct Control<B, P> {
     bad_configuration: bool,
     /// Sensors on the I2C bus.
     bus_sensors: Sensors,
-    /// What the inputs show.
+    /// What the inputs show, and when they were read last, on the board's clock.
     sensors: Causes,
+    sensed_us: u64,
     /// How many trips have been seen, and when one was that is still to be handed over.
     trips: u32,
     tripped_us: Option<u64>,
@@ -173,6 +174,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             braked: None,
             bus_sensors: Sensors::new(config.sensors.iter().filter(|_| valid)),
             sensors: Causes::NONE,
+            sensed_us: 0,
             trips: 0,
             tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
@@ -250,6 +252,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        self.sensed_us = Instant::now().as_micros();
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
@@ -378,6 +381,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             }
             if !powered {
                 continue;
+            }
+            if let Some(motor) = motor.following() {
+                motor.follow(shared.leg(index, self.sensed_us), self.sensed_us);
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));

@@ -92,7 +92,9 @@ fn outputs(board: Board) -> List<(ChannelId, Place, ModeInfo)> {
 fn stop(board: Board, place: Place, follows: Setpoint) -> Option<Setpoint> {
     let setpoint = |mode, value| Some(Setpoint { mode, value });
     match (place, follows.mode) {
-        (Place::Motor(_) | Place::Stepper(_), Mode::Position | Mode::Speed | Mode::Home) => setpoint(Mode::Speed, 0.0),
+        (Place::Motor(_) | Place::Stepper(_), Mode::Position | Mode::Speed | Mode::Home | Mode::Follow) => {
+            setpoint(Mode::Speed, 0.0)
+        }
         (Place::Motor(_), Mode::Duty) => setpoint(Mode::Duty, 0.0),
         (Place::Bldc(_), Mode::Duty) => setpoint(Mode::Duty, 0.0),
         (Place::Bldc(_), Mode::Brake) if follows.value == 1.0 => None,
@@ -104,6 +106,14 @@ fn stop(board: Board, place: Place, follows: Setpoint) -> Option<Setpoint> {
     }
 }
 
+/// A set point that is taken now, and its date: a point of a path is in the future, and no further away than the motor comes.
+fn good(mode: &ModeInfo) -> (Setpoint, u64) {
+    match mode.mode {
+        Mode::Follow => (Setpoint { mode: mode.mode, value: 0.0 }, now_us() + 500),
+        other => (Setpoint { mode: other, value: mode.range.max }, now_us()),
+    }
+}
+
 /// Set points that a channel refuses, with the time between their decision and their arrival, µs.
 fn refused(board: Board, place: Place, mode: &ModeInfo) -> List<(Setpoint, i64)> {
     let Range { min, max } = mode.range;
@@ -112,7 +122,8 @@ fn refused(board: Board, place: Place, mode: &ModeInfo) -> List<(Setpoint, i64)>
     let mut all: List<_> = wrong.into_iter().map(|value| (setpoint(value), 0)).collect();
     // Just beyond what may be late or early, and far beyond.
     all.extend([51_000, 10_000_000, -51_000, -10_000_000].map(|late_us| (setpoint(max), late_us)));
-    let modes = [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
+    let modes =
+        [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
     let known = modes_of(board.config(), place);
     let others = modes.into_iter().filter(|mode| known.iter().all(|info| info.mode != *mode));
     all.extend(others.map(|mode| (Setpoint { mode, value: 0.0 }, 0)));
@@ -134,7 +145,7 @@ fn a_refused_set_point_never_leaves_an_older_one_in_force() {
         if !kinds.contains(&(channel.kind, follows.mode)) {
             kinds.push((channel.kind, follows.mode));
         }
-        let in_force = Setpoint { mode: follows.mode, value: follows.range.max };
+        let in_force = good(&follows).0;
         for mode in modes_of(bench.board.config(), place) {
             for (wrong, late_us) in refused(bench.board, place, &mode) {
                 for newer in [true, false] {
@@ -145,16 +156,16 @@ fn a_refused_set_point_never_leaves_an_older_one_in_force() {
                     let sent_us = match (newer, late_us > 0) {
                         (true, true) => {
                             // The clock goes only forwards: the later one comes later.
-                            assert_eq!(bench.set(LINK, channel, in_force, now_us()), Ok(Reply::Done));
+                            assert_eq!(bench.set(LINK, channel, in_force, good(&follows).1), Ok(Reply::Done));
                             bench.pass_ms(late_us as u64 / 1000 + 1);
                             now_us() - late_us as u64
                         }
                         (true, false) => {
-                            assert_eq!(bench.set(LINK, channel, in_force, now_us()), Ok(Reply::Done));
+                            assert_eq!(bench.set(LINK, channel, in_force, good(&follows).1), Ok(Reply::Done));
                             now_us() + ahead_us
                         }
                         (false, _) => {
-                            assert_eq!(bench.set(LINK, channel, in_force, now_us()), Ok(Reply::Done));
+                            assert_eq!(bench.set(LINK, channel, in_force, good(&follows).1), Ok(Reply::Done));
                             now_us() - 1 - late_us.unsigned_abs()
                         }
                     };
@@ -170,7 +181,7 @@ fn a_refused_set_point_never_leaves_an_older_one_in_force() {
         }
     }
     // Two modes of a DHB without feedback, of a DAC, ...: every kind of output is there in every mode.
-    assert_eq!(kinds.len(), 4 + 1 + 2 + 1 + 3 + 1 + 1, "{kinds:?}");
+    assert_eq!(kinds.len(), 5 + 1 + 2 + 1 + 3 + 1 + 1, "{kinds:?}");
 }
 
 /// The same set point once more, after its time, is no newer one.
@@ -179,12 +190,13 @@ fn a_duplicate_stops_nothing() {
     let mut bench = Bench::armed();
     for (channel, place, mode) in outputs(bench.board) {
         bench.again();
-        let (setpoint, sent_us) = (Setpoint { mode: mode.mode, value: mode.range.max }, now_us());
+        let (setpoint, sent_us) = good(&mode);
         assert_eq!(bench.set(LINK, channel, setpoint, sent_us), Ok(Reply::Done));
-        bench.pass_ms(60);
+        bench.pass_ms(61);
         assert_eq!(bench.taken(place), Some(setpoint));
         let late = bench.set(LINK, channel, setpoint, sent_us);
-        assert_eq!(late, Err(Refusal::Expired { age_ms: 60, ttl_ms: TTL_MS }));
+        let age_ms = if mode.mode == Mode::Follow { 60 } else { 61 };
+        assert_eq!(late, Err(Refusal::Expired { age_ms, ttl_ms: TTL_MS }));
         assert_eq!(bench.taken(place), None, "{channel}");
     }
 }
@@ -208,8 +220,8 @@ fn a_date_ahead_of_the_clock_counts_as_now() {
 fn without_a_session_no_channel_is_stopped() {
     let mut bench = Bench::armed();
     for (channel, place, mode) in outputs(bench.board) {
-        let setpoint = Setpoint { mode: mode.mode, value: mode.range.max };
-        assert_eq!(bench.set(LINK, channel, setpoint, now_us()), Ok(Reply::Done));
+        let (setpoint, sent_us) = good(&mode);
+        assert_eq!(bench.set(LINK, channel, setpoint, sent_us), Ok(Reply::Done));
         bench.taken(place);
         for value in [f32::NAN, f32::MAX, mode.range.max] {
             let wrong = Setpoint { mode: mode.mode, value };
@@ -291,6 +303,7 @@ fn every_kind_of_channel_is_described() {
     };
     let home = of(Mode::Home, Unit::RadPerS, -2.0, 2.0);
     let motor = moves(62.83186, 5.0);
+    let follow = ModeInfo { mode: Mode::Follow, ..motor[0] };
     let stepper = moves(20.0, 12.0);
     let servo = |angle: f32| List::from([of(Mode::Position, Unit::Rad, -angle, angle)]);
     let analog = board(robot("every-interface"), ResetCause::Normal).config().analogs[0];
@@ -299,8 +312,8 @@ fn every_kind_of_channel_is_described() {
     let bool = (Unit::Bool, Range::new(0.0, 1.0));
     let own = |modes: &List<ModeInfo>| (modes[0].unit, modes[0].range);
     let outputs = [
-        ("osmc0", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902), home])),
-        ("osmc1", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902)])),
+        ("osmc0", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902), follow, home])),
+        ("osmc1", 1000.0, TURN / 2400.0, List::from([motor[0], motor[1], duty(0.902), follow])),
         ("dhb0", 1000.0, 0.0, List::from([duty(0.95)])),
         ("stepper1", 1000.0, TURN / 1600.0, List::from([stepper[0], stepper[1], home])),
         ("stepper2", 1000.0, TURN / 1600.0, stepper.to_vec()),
@@ -365,14 +378,18 @@ fn what_an_output_cannot_do_is_not_described() {
     let bench = robot("osmc-bench");
     let rod = modes_of(&bench, bench.place(id("actuator1")).expect("it has one"));
     let units: List<_> = rod.iter().map(|info| (info.mode, info.unit)).collect();
-    assert_eq!(units, [(Mode::Position, Unit::M), (Mode::Speed, Unit::MPerS), (Mode::Duty, Unit::Duty)]);
+    assert_eq!(
+        units,
+        [(Mode::Position, Unit::M), (Mode::Speed, Unit::MPerS), (Mode::Duty, Unit::Duty), (Mode::Follow, Unit::M)]
+    );
 }
 
 /// Both ends of each range, and both ends of the time: 50 ms late or early to the ms are taken, 51 are not.
 #[test]
 fn set_points_are_taken_up_to_every_limit() {
     let mut bench = Bench::armed();
-    for (channel, place, ModeInfo { mode, range, .. }) in outputs(bench.board) {
+    let outputs = outputs(bench.board).into_iter().filter(|(_, _, info)| info.mode != Mode::Follow);
+    for (channel, place, ModeInfo { mode, range, .. }) in outputs {
         for value in [range.min, range.max] {
             for late_us in [0, 50_999, -50_999] {
                 bench.again();
@@ -389,6 +406,101 @@ fn set_points_are_taken_up_to_every_limit() {
     let home = Setpoint { mode: Mode::Home, value: 0.0 };
     let nowhere = Refusal::OutOfRange { channel: id("osmc0"), asked: 0.0, range: Range::symmetric(2.0) };
     assert_eq!(bench.set(LINK, id("osmc0"), home, now_us()), Err(nowhere));
+}
+
+/// In each way of giving it: in a set point, in a cycle, in a message of points.
+#[test]
+fn points_of_a_path_are_taken_up_to_every_limit() {
+    let mut bench = Bench::armed();
+    let channel = id("osmc0");
+    let Range { max, .. } = modes_of(bench.board.config(), Place::Motor(0))[3].range;
+    let mut single = |value, after_us: i64| {
+        bench.again();
+        let sent_us = now_us().saturating_add_signed(after_us);
+        bench.set(LINK, channel, Setpoint { mode: Mode::Follow, value }, sent_us)
+    };
+    assert_eq!(single(0.0, 1), Ok(Reply::Done));
+    assert_eq!(single(0.0, 50_999), Ok(Reply::Done));
+    assert_eq!(single(0.0, 51_000), Err(Refusal::ClockAhead { ahead_ms: 51 }));
+    assert_eq!(single(0.0, 0), Err(Refusal::Late { late_us: 0 }));
+    assert_eq!(single(0.0, -1500), Err(Refusal::Late { late_us: 1500 }));
+    // 5 rad/s at most, from where it stands.
+    assert_eq!(single(0.2, 40_000), Ok(Reply::Done));
+    let fast = Refusal::TooFast { channel, asked: 6.25, limit: 5.0 };
+    assert_eq!(single(0.25, 40_000), Err(fast));
+    let point = |after_us, position| PathPoint { at_us: now_us() + after_us, position, speed: None, feed_forward: 0.0 };
+    let mut follow = |channel: &str, points: &[PathPoint]| {
+        let points = points.iter().copied().collect();
+        bench.ask(LINK, Request::Follow { channel: id(channel), sent_us: now_us(), points })
+    };
+    assert_eq!(follow("osmc0", &[point(1, 0.0), point(20_000_000, max)]), Ok(Reply::Done));
+    let range = Range::symmetric(max);
+    let beyond = max.next_up();
+    let refused = Refusal::OutOfRange { channel, asked: beyond, range };
+    assert_eq!(follow("osmc0", &[point(20_000_000, beyond)]), Err(refused));
+    for bad in [f32::NAN, f32::INFINITY] {
+        let not_finite = Err(Refusal::NotFinite { channel });
+        assert_eq!(follow("osmc0", &[PathPoint { position: bad, ..point(1, 0.0) }]), not_finite);
+        assert_eq!(follow("osmc0", &[PathPoint { speed: Some(bad), ..point(1, 0.0) }]), not_finite);
+        assert_eq!(follow("osmc0", &[PathPoint { feed_forward: bad, ..point(1, 0.0) }]), not_finite);
+    }
+    let duties = Range::symmetric(0.902);
+    let hard = |feed_forward| [PathPoint { feed_forward, ..point(1, 0.0) }];
+    assert_eq!(follow("osmc0", &hard(-0.902)), Ok(Reply::Done));
+    let refused = Refusal::OutOfRange { channel, asked: 0.91, range: duties };
+    assert_eq!(follow("osmc0", &hard(0.91)), Err(refused));
+    assert_eq!(follow("osmc0", &[]), Err(Refusal::BadPath { channel }));
+    for channel in ["dhb0", "stepper0", "servo0", "relay1"] {
+        let wrong = Refusal::WrongMode { channel: id(channel), mode: Mode::Follow };
+        assert_eq!(follow(channel, &[point(1, 0.0)]), Err(wrong));
+    }
+    bench.ask(LINK, Request::Disarm).expect("taken");
+    let points = [point(1, 0.0)].into_iter().collect();
+    let refused = bench.ask(LINK, Request::Follow { channel, sent_us: now_us(), points });
+    assert_eq!(refused, Err(Refusal::NotArmed { state: r4_protocol::SafetyState::Disarmed }));
+}
+
+/// Points of a cycle are dated with it, all of them or none; they need no lease.
+#[test]
+fn a_cycle_carries_points_of_paths() {
+    let mut bench = Bench::armed();
+    let places = [Place::Motor(0), Place::Motor(1)];
+    let channels = ["osmc0", "osmc1"].map(|name| CycleChannel {
+        channel: id(name),
+        mode: Mode::Follow,
+        position_scale: 1e-3,
+        speed_scale: 1e-3,
+    });
+    let bind = Request::Bind { channels: channels.into_iter().collect(), ttl_ms: TTL_MS };
+    assert_eq!(bench.ask(LINK, bind), Ok(Reply::Done));
+    let stopped = [Some(Setpoint { mode: Mode::Speed, value: 0.0 }); 2];
+    for (outcome, steps, after_us) in [
+        (CycleOutcome::Taken, [100, -100], Some(40_000)),
+        // One of them too fast, late, too far ahead, without a date.
+        (CycleOutcome::Refused, [100, 5000], Some(40_000)),
+        (CycleOutcome::Stale, [0, 0], Some(0)),
+        (CycleOutcome::Stale, [0, 0], Some(51_000)),
+        (CycleOutcome::Stale, [0, 0], None),
+    ] {
+        bench.again();
+        let sent_us = after_us.map(|after_us| now_us() + after_us);
+        let good = Cycle::new(1, None, Some(now_us() + 1000), [0, 0, NOTHING, NOTHING]);
+        assert_eq!(bench.cycle(good).outcome(), CycleOutcome::Taken);
+        let _ = places.map(|place| bench.taken(place));
+        bench.pass_ms(2);
+        let sent_us = sent_us.map(|sent_us| sent_us + 2000);
+        let cycle = Cycle::new(2, None, sent_us, [steps[0], steps[1], NOTHING, NOTHING]);
+        assert_eq!(bench.cycle(cycle).outcome(), outcome, "{steps:?} {after_us:?}");
+        let taken = places.map(|place| bench.taken(place));
+        if outcome == CycleOutcome::Taken {
+            assert_eq!(taken, [0.1, -0.1].map(|value| Some(Setpoint { mode: Mode::Follow, value })));
+            bench.pass_ms(500);
+            bench.board.end_leases(Instant::now());
+            assert_eq!(places.map(|place| bench.taken(place)), [None; 2], "a path ends by itself");
+        } else {
+            assert_eq!(taken, stopped, "{steps:?} {after_us:?}");
+        }
+    }
 }
 
 /// Before a greeting a board says what it speaks, ends nothing, and stops; it answers nothing else, also not later.

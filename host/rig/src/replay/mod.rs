@@ -13,7 +13,7 @@ use futures::{
 };
 use r4_driver::{Board, Clock as _, Error as DriverError};
 use r4_log::Log;
-use r4_protocol::Request;
+use r4_protocol::{PathPoint, Request};
 
 pub use error::ReplayError;
 pub use plan::{Plan, Step};
@@ -101,6 +101,12 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::Stats => board.stats().await.map(|_| ()),
             Request::SetParameter { key, value } => board.set_parameter(*key, *value).await,
             Request::SetName { robot } => board.set_name(robot).await,
+            Request::Follow { channel, points, .. } => {
+                // Recorded from when it was sent.
+                let now_us = board.device_us();
+                let dated = |point: &PathPoint| PathPoint { at_us: point.at_us.saturating_add(now_us), ..*point };
+                board.follow(*channel, &points.iter().map(dated).collect::<Vec<_>>()).await
+            }
             Request::SaveParameters => board.save_parameters().await,
             Request::ResetParameters => board.reset_parameters().await,
             Request::Restart => board.restart().await,
