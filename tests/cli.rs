@@ -246,6 +246,45 @@ fn info_describes_every_channel() {
     }
 }
 
+// r4 follow
+
+#[test]
+fn motors_follow_a_table_together() {
+    let table = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/paths/bench.csv");
+    let followed = good_json(&["follow", path(&table), "--json"]);
+    assert_eq!((followed["held"].as_bool(), followed["duration_s"].as_f64()), (Some(true), Some(4.0)));
+    let rows = followed["rows"].as_array().expect("rows");
+    // Of the table's last line, within what the bench settles to; the gains of osmc0 leave it up to 5 degrees behind on the way.
+    for (row, (channel, end, settle, worst)) in
+        rows.iter().zip([("osmc0", 0.0, 0.004, 0.09), ("actuator1", 0.012, 0.000_1, 0.000_5)])
+    {
+        assert_eq!((row["channel"].as_str(), row["points"].as_u64()), (Some(channel), Some(81)));
+        assert!((row["end"].as_f64().expect("a place") - end).abs() < 2.0 * settle, "{row}");
+        assert!(row["worst"].as_f64().expect("a distance") < worst, "{row}");
+    }
+    assert!(good(&["follow", path(&table)]).contains("over 4.00 s, on sim:osmc-bench (simulated)"));
+}
+
+#[test]
+fn a_table_that_cannot_be_followed_moves_nothing() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let file = folder.path().join("path.csv");
+    for (text, exit, said) in [
+        ("time_s,osmc0.position_deg\n0,0\n1,1\n", 1, "`osmc0.position_deg` is none of them"),
+        ("time_s,osmc0.position_rad\n0,0\n1,x\n", 1, "line 3: `x` is not a number"),
+        ("time_s,servo0.position_rad\n0,0\n1,1\n", 3, "the board has no channel servo0"),
+        ("time_s,relay1.position_rad\n0,0\n1,1\n", 3, "relay1 follows no path"),
+        ("time_s,osmc0.position_rad\n0,0\n0.1,1\n", 3, "give it more time"),
+        ("time_s,osmc0.position_rad\n0,0\n20,70\n", 3, "osmc0 takes"),
+    ] {
+        fs::write(&file, text).unwrap_or_else(|why| panic!("{why}"));
+        let refused = r4(&["follow", path(&file)]);
+        assert!(refused.code == Some(exit) && refused.err.contains(said), "{text}: {refused:?}");
+    }
+    let missing = r4(&["follow", "nowhere.csv"]);
+    assert!(missing.code == Some(1) && missing.err.contains("nowhere.csv"), "{missing:?}");
+}
+
 // r4 move, speed, duty
 
 #[test]

@@ -633,7 +633,7 @@ impl core::error::Error for Refusal {}
 /// Samples taken at one moment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Telemetry {
-    /// The board's clock.
+    /// The board's clock when the motors' positions in it were measured: at the beginning of the last control period that is over.
     pub device_us: u64,
     /// Where the supervisor stands.
     pub state: SafetyState,

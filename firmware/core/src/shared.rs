@@ -273,6 +273,8 @@ struct State {
     /// The configuration as hosts have changed it; it holds from the next start on, if it is saved.
     pending: BoardConfig,
     statuses: [Status; CHANNELS],
+    /// When the positions in them were measured.
+    measured: Instant,
     stats: DeviceStats,
 }
 
@@ -354,6 +356,7 @@ impl<M: RawMutex> Shared<M> {
                 arming_held: 0,
                 pending: config.clone(),
                 statuses,
+                measured: Instant::MIN,
                 stats: DeviceStats::default(),
             })),
             config,
@@ -605,6 +608,18 @@ impl<M: RawMutex> Shared<M> {
             let mut slots = s.statuses.iter_mut().skip(slot(first));
             statuses.for_each(|status| slots.next().into_iter().for_each(|slot| *slot = status));
         });
+    }
+
+    /// The motors' statuses that are being published are of a look at their sensors at `measured`.
+    pub(crate) fn set_measured(&self, measured: Instant) {
+        self.with(|s| s.measured = measured);
+    }
+
+    /// When what [`Shared::status`] shows was measured; `now`, where nobody measures any more.
+    pub(crate) fn measured(&self, now: Instant) -> Instant {
+        let longest = Duration::from_micros(u64::from(self.config.control_period_us) * CONTROL_OVERRUN_PERIODS);
+        let measured = self.with(|s| s.measured);
+        if since(measured, now) > longest { now } else { measured }
     }
 
     pub(crate) fn status(&self, place: Place) -> Status {

@@ -64,7 +64,7 @@ impl Subscriptions {
         }
         let view = shared.safety();
         (!samples.is_empty()).then(|| Telemetry {
-            device_us: now.as_micros(),
+            device_us: shared.measured(now).as_micros(),
             state: view.state,
             causes: view.causes,
             samples,

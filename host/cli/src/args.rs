@@ -206,6 +206,8 @@ pub(crate) enum Bench {
     Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
+    /// How closely motors follow paths, together and on two boards, beside set points without dates, on simulated boards
+    Motion,
     /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
     Identify(BenchIdentify),
     /// Every robot system's study: metrics with intervals and targets

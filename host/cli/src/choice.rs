@@ -56,6 +56,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Disarm
         | Command::Clear
         | Command::Move(_)
+        | Command::Follow { .. }
         | Command::Step(_)
         | Command::Home(_)
         | Command::Speed(_)

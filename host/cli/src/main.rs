@@ -81,6 +81,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::Clear => commands::state::clear(args),
         Command::Step(step) => commands::motion::step(args, step),
         Command::Home(home) => commands::motion::home(args, home),
+        Command::Follow { file } => commands::follow::run(args, file),
         Command::Move(motion) => commands::motion::run(args, motion, Mode::Position),
         Command::Speed(motion) => commands::motion::run(args, motion, Mode::Speed),
         Command::Duty(motion) => commands::motion::run(args, motion, Mode::Duty),

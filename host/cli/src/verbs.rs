@@ -54,6 +54,12 @@ pub(crate) enum Command {
     Clear,
     /// Arm, send a motor or stepper to a position, wait until it rests there, disarm
     Move(Motion),
+    /// Arm, let motors follow paths from a table, all beginning at once, wait until they rest, disarm
+    Follow {
+        /// CSV: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; for an actuator in m
+        #[arg(value_name = "FILE")]
+        file: std::path::PathBuf,
+    },
     /// Arm, move a stepper by whole steps, wait until it rests, disarm
     Step(Step),
     /// Arm, seek the home switch of a motor or stepper, wait until it rests there, disarm

@@ -132,9 +132,9 @@ struct Control<B, P> {
     bad_configuration: bool,
     /// Sensors on the I2C bus.
     bus_sensors: Sensors,
-    /// What the inputs show, and when they were read last, on the board's clock.
+    /// What the inputs show, and when they were read last.
     sensors: Causes,
-    sensed_us: u64,
+    sensed: Instant,
     /// How many trips have been seen, and when one was that is still to be handed over.
     trips: u32,
     tripped_us: Option<u64>,
@@ -174,7 +174,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             braked: None,
             bus_sensors: Sensors::new(config.sensors.iter().filter(|_| valid)),
             sensors: Causes::NONE,
-            sensed_us: 0,
+            sensed: Instant::MIN,
             trips: 0,
             tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
@@ -230,6 +230,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let motors = self.motors.iter().zip(windings);
         let motors = motors.map(|(motor, winding)| Status::Motor(MotorStatus { winding, ..motor.status() }));
         shared.publish_each(Place::Motor(0), motors);
+        shared.set_measured(self.sensed);
         shared.publish_each(Place::Bldc(0), self.outputs.drive_shares().map(Status::Scalar));
         shared.publish_each(Place::Servo(0), self.outputs.servo_angles().map(Status::Scalar));
         let relays = self.outputs.closed_relays().map(|closed| Status::Scalar(closed.into()));
@@ -252,7 +253,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
-        self.sensed_us = Instant::now().as_micros();
+        self.sensed = Instant::now();
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
@@ -383,7 +384,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 continue;
             }
             if let Some(motor) = motor.following() {
-                motor.follow(shared.leg(index, self.sensed_us), self.sensed_us);
+                let now_us = self.sensed.as_micros();
+                motor.follow(shared.leg(index, now_us), now_us);
             }
             let (duty, causes) = motor.step();
             causes.iter().for_each(|cause| shared.trip(cause));

@@ -10,6 +10,7 @@ pub(crate) mod demo;
 pub(crate) mod drive;
 pub(crate) mod faults;
 pub(crate) mod flash;
+pub(crate) mod follow;
 pub(crate) mod hold;
 pub(crate) mod identify;
 pub(crate) mod info;

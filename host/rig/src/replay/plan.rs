@@ -25,6 +25,8 @@ pub struct Step {
     pub request: Request,
 }
 
+/// A frame of samples leaves the board so long after its date at most, µs: a control period of 1 ms, and its time on the link.
+const FRAME_AFTER_US: u64 = 2_000;
 /// Time of an inferred arming before the set point that needs it, s.
 const ARM_BEFORE_S: f64 = 0.001;
 
@@ -46,7 +48,7 @@ impl Plan {
         // The host's clock and the board's go alike, as far as it matters for the end of a run that was cut off.
         let first = log.requests.first();
         let offset_us = first.map_or(0, |first| first.sent_us.unwrap_or_default().saturating_sub(us(first.time_s)));
-        let end_us = bye.unwrap_or_else(|| us(end_s) + offset_us);
+        let end_us = bye.unwrap_or_else(|| us(end_s) + offset_us + FRAME_AFTER_US);
         let steps = timed.iter().take_while(|(_, request)| **request != Request::Bye);
         let steps = steps.map(|(at_us, request)| Step { at_us: *at_us, request: (*request).clone() }).collect();
         Ok(Self { steps, end_us, inferred: false })

@@ -43,6 +43,19 @@ pub struct Step {
     pub action: Action,
 }
 
+/// A point of a path.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Point {
+    /// Time after the step, s.
+    #[serde(deserialize_with = "seconds")]
+    pub after_s: f64,
+    /// rad or m
+    pub position: f32,
+    /// rad/s or m/s; without it the board takes it from the neighbours.
+    pub speed: Option<f32>,
+}
+
 /// A request of the host, or a change around the board.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
@@ -67,6 +80,14 @@ pub enum Action {
         mode: Mode,
         /// The set point, in SI units.
         value: f32,
+    },
+    /// The host gives a motor points of a path.
+    Follow {
+        /// The motor.
+        #[serde(deserialize_with = "channel")]
+        channel: ChannelId,
+        /// Where it is to be when, counted from the step.
+        points: Vec<Point>,
     },
     /// The host subscribes to a channel, so that a recording has its samples.
     Subscribe {
@@ -174,6 +195,7 @@ impl Action {
             Self::Stop => "stop".into(),
             Self::Clear => "clear".into(),
             Self::Set { channel, mode, value } => format!("set {channel} {mode} {value}"),
+            Self::Follow { channel, .. } => format!("follow {channel}"),
             Self::Subscribe { channel, .. } => format!("subscribe {channel}"),
             // Changes around the board, which refuses nothing.
             _ => "step".into(),

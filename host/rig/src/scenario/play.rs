@@ -2,7 +2,7 @@
 
 use r4_driver::{Board, Error as DriverError};
 use r4_protocol::{
-    Setpoint,
+    PathPoint, Setpoint,
     config::{BoardConfig, Feedback, Place},
 };
 use r4_sim::{
@@ -11,7 +11,7 @@ use r4_sim::{
 };
 use serde::Serialize;
 
-use super::{Action, Scenario, ScenarioError, Step};
+use super::{Action, Scenario, ScenarioError, Step, file::Point};
 use crate::{Error, HostClock, Session, cable::CableState};
 
 /// Result of a scenario on one board.
@@ -97,6 +97,16 @@ async fn act(
         Action::Stop => board.stop().await?,
         Action::Clear => board.clear().await?,
         Action::Set { channel, mode, value } => board.set(channel, Setpoint { mode, value }).await?,
+        Action::Follow { channel, ref points } => {
+            let now_us = board.device_us();
+            let dated = |point: &Point| PathPoint {
+                at_us: now_us + (point.after_s * 1e6) as u64,
+                position: point.position,
+                speed: point.speed,
+                feed_forward: 0.0,
+            };
+            board.follow(channel, &points.iter().map(dated).collect::<Vec<_>>()).await?;
+        }
         Action::Subscribe { channel, period_ms } => board.subscribe(channel, period_ms).await?,
         Action::DeadMan { held } => around.dead_man().set(held),
         Action::AuxiliaryStop { pressed } => around.auxiliary_stop().set(!pressed),

@@ -1,0 +1,175 @@
+//! `r4 bench motion`: what motion on a board promises a planner, measured on simulated boards in virtual time.
+
+use std::cell::Cell;
+
+use r4_protocol::{ChannelId, ChannelKind, Mode, PathPoint, Sample, Setpoint};
+use r4_rig::{Error, Fleet, Rig, Session};
+use serde::Serialize;
+
+use crate::{args::Args, output, table};
+
+/// The robot whose wheels are streamed, and one whose motors stand alone.
+const WHEELS: &str = "sim:openscout";
+const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
+/// Speeds of the streamed paths, rad/s.
+const SPEEDS_RAD_S: [f64; 3] = [2.0, 4.0, 6.0];
+/// A set point every so often, and a point so far ahead, s.
+const EVERY_S: f64 = 0.02;
+const AHEAD_S: f64 = 0.1;
+/// The paths: speeding up, and then at constant speed; the lag is that of the last second.
+const SPEED_UP_S: f64 = 1.0;
+const LASTS_S: f64 = 5.0;
+const MEASURED_S: f64 = 1.0;
+/// Of a motor at constant speed, counts.
+const LAG_COUNTS: f64 = 2.0;
+/// Channels, and boards, begin in one period of 1 ms.
+const TOGETHER_S: f64 = 0.001;
+
+#[derive(Serialize)]
+struct Row {
+    what: String,
+    unit: &'static str,
+    /// With what there was before: null where there was nothing.
+    before: Option<f64>,
+    after: f64,
+    at_least: Option<f64>,
+    at_most: Option<f64>,
+    met: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    rows: Vec<Row>,
+    held: bool,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
+    let mut rows = Vec::new();
+    for speed in SPEEDS_RAD_S {
+        let rig = Rig { seed: args.seed, ..Rig::new(WHEELS.parse()?) };
+        let before = rig.run(None, async |session| lag_counts(session, speed, false).await)?.0;
+        let after = rig.run(None, async |session| lag_counts(session, speed, true).await)?.0;
+        rows.push(at_most(format!("lag of {WHEEL} at {speed} rad/s"), "counts", Some(before), after, LAG_COUNTS));
+    }
+    let rig = Rig { seed: args.seed, ..Rig::new(WHEELS.parse()?) };
+    let began = rig.run(None, async |session| begins_s(session, 0.0).await)?.0;
+    rows.push(at_most("four wheels begin within".to_owned(), "s", None, spread(&began), TOGETHER_S));
+    let fleet = Fleet::new(vec![rig.clone(), Rig { seed: args.seed.wrapping_add(1), ..rig }]);
+    // The boards are connected at moments of their own.
+    let member = async |number: usize, session: &Session<'_>| begins_s(session, 0.037 * number as f64).await;
+    let (_, began, _) = fleet.run(member, async |_| Ok::<_, Error>(()))?;
+    rows.push(at_most("wheels of two boards begin within".to_owned(), "s", None, spread(&began.concat()), TOGETHER_S));
+    let held = rows.iter().all(|row| row.met);
+    let report = Report { rows, held };
+    if args.json {
+        output::json(&report)?;
+        return Ok(held);
+    }
+    let mut table = table::new(&["simulated", "unit", "before", "after", "promised", "held"], 2..5);
+    for Row { what, unit, before, after, at_most, met, .. } in &report.rows {
+        table.add_row([
+            what.clone(),
+            (*unit).to_owned(),
+            before.map_or("-".to_owned(), |before| format!("{before:.4}")),
+            format!("{after:.4}"),
+            at_most.map_or(String::new(), |limit| format!("at most {limit}")),
+            if *met { "yes" } else { "no" }.to_owned(),
+        ]);
+    }
+    output::line(format_args!("{table}"))?;
+    Ok(held)
+}
+
+fn at_most(what: String, unit: &'static str, before: Option<f64>, after: f64, limit: f64) -> Row {
+    Row { what, unit, before, after, at_least: None, at_most: Some(limit), met: after <= limit }
+}
+
+fn spread(of: &[f64]) -> f64 {
+    let least = of.iter().copied().fold(f64::INFINITY, f64::min);
+    of.iter().copied().fold(f64::NEG_INFINITY, f64::max) - least
+}
+
+/// Where a motor is to be `after_s` the beginning, rad.
+fn law(speed: f64, after_s: f64) -> f64 {
+    if after_s < SPEED_UP_S {
+        speed * after_s.max(0.0).powi(2) / (2.0 * SPEED_UP_S)
+    } else {
+        speed * (after_s - SPEED_UP_S / 2.0)
+    }
+}
+
+/// The largest distance from the path at constant speed, counts; with points of a path, or with a position as set point each time.
+async fn lag_counts(session: &Session<'_>, speed: f64, dated: bool) -> Result<f64, Error> {
+    let board = session.board;
+    let resolution = f64::from(board.channel(WHEEL)?.resolution);
+    let mut samples = board.samples(WHEEL, 1).await?;
+    let worst = Cell::new(0.0f64);
+    session
+        .armed(async || {
+            board.sleep_s(0.1).await;
+            let begin_us = board.device_us() + (AHEAD_S * 1e6) as u64;
+            let after_s = |device_us: u64| (device_us as f64 - begin_us as f64) * 1e-6;
+            for number in 0..=(LASTS_S / EVERY_S) as u64 {
+                let at_us = begin_us + number * (EVERY_S * 1e6) as u64;
+                let value = law(speed, after_s(at_us)) as f32;
+                if dated {
+                    let point = PathPoint { at_us, position: value, speed: None, feed_forward: 0.0 };
+                    board.follow(WHEEL, &[point]).await?;
+                } else {
+                    let wait_us = at_us.saturating_sub(board.device_us());
+                    board.sleep_s(wait_us as f64 * 1e-6).await;
+                    board.set(WHEEL, Setpoint { mode: Mode::Position, value }).await?;
+                }
+                let next_us = at_us + (EVERY_S * 1e6) as u64 - if dated { (AHEAD_S * 1e6) as u64 } else { 0 };
+                board.sleep_s(next_us.saturating_sub(board.device_us()) as f64 * 1e-6).await;
+                while let Some(sample) = samples.try_next() {
+                    let Sample::Motor { position, .. } = sample.sample else { continue };
+                    let after_s = after_s(sample.device_us);
+                    if (LASTS_S - MEASURED_S..LASTS_S).contains(&after_s) {
+                        let distance = law(speed, after_s) / resolution - f64::from(position);
+                        worst.set(worst.get().max(distance.abs()));
+                    }
+                }
+            }
+            Ok::<_, Error>(())
+        })
+        .await?;
+    Ok(worst.get())
+}
+
+/// When the set points of all wheels leave their places, on the host's clock, s. They are told at different moments to begin at the same
+/// one.
+async fn begins_s(session: &Session<'_>, later_s: f64) -> Result<Vec<f64>, Error> {
+    const BEGIN_S: f64 = 2.0;
+    let board = session.board;
+    board.sleep_s(later_s).await;
+    let wheels: Vec<ChannelId> = (0..4).map(|index| ChannelId::new(ChannelKind::Dhb, index)).collect();
+    let mut left: Vec<Option<f64>> = vec![None; wheels.len()];
+    for wheel in &wheels {
+        board.subscribe(*wheel, 1).await?;
+    }
+    session
+        .armed(async || {
+            let mut telemetry = board.telemetry();
+            let ahead_us = ((BEGIN_S - board.now_s()) * 1e6).round() as u64;
+            let begin_us = board.device_us() + ahead_us;
+            for wheel in &wheels {
+                let rest = |at_us, position| PathPoint { at_us, position, speed: Some(0.0), feed_forward: 0.0 };
+                board.follow(*wheel, &[rest(begin_us, 0.0), rest(begin_us + 1_000_000, 1.0)]).await?;
+                board.sleep_s(0.05).await;
+            }
+            board.sleep_s(BEGIN_S + 0.1 - board.now_s()).await;
+            while let Some(frame) = telemetry.try_next() {
+                for sample in frame.samples {
+                    let Sample::Motor { channel, setpoint, .. } = sample else { continue };
+                    let Some(place) = wheels.iter().position(|wheel| *wheel == channel) else { continue };
+                    if setpoint.mode == Mode::Follow && setpoint.value > 0.0 && left[place].is_none() {
+                        left[place] = Some(board.host_us(frame.device_us) as f64 * 1e-6);
+                    }
+                }
+            }
+            Ok::<_, Error>(())
+        })
+        .await?;
+    Ok(left.into_iter().map(|left| left.unwrap_or(f64::INFINITY)).collect())
+}

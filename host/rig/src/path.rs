@@ -1,0 +1,406 @@
+//! Paths of motors over time: read from a table, sent in time, followed together, judged by how far the motors were from them.
+
+use std::collections::BTreeMap;
+
+use r4_driver::Error as DriverError;
+use r4_protocol::{ChannelId, ChannelInfo, Mode, PathPoint, SafetyState, Sample, Unit, message::PATH_POINTS};
+
+use crate::{Error, Session, Unsuitable};
+
+/// A point of a path from a table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Waypoint {
+    /// From the beginning of the table's time, s.
+    pub time_s: f64,
+    /// rad or m
+    pub position: f64,
+    /// rad/s or m/s; `None` where the board takes it from the neighbours.
+    pub speed: Option<f64>,
+    /// Duty on the way to it, added to the board's own.
+    pub feed_forward: f64,
+}
+
+/// Paths of several channels, in one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Paths {
+    /// Of each channel, its points in the order of time; at least two.
+    pub channels: Vec<(ChannelId, Vec<Waypoint>)>,
+}
+
+/// Why a table is no path.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PathError {
+    /// The first line does not name columns.
+    #[error(
+        "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; {0}"
+    )]
+    Header(String),
+    /// A line cannot be read.
+    #[error("line {line}: {why}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A path has no way.
+    #[error("a path has two points at least")]
+    Short,
+}
+
+/// What a column of a table is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Column {
+    Time,
+    Position(ChannelId, Unit),
+    Speed(ChannelId, Unit),
+    Duty(ChannelId),
+}
+
+impl Column {
+    fn parse(name: &str) -> Result<Self, String> {
+        if name == "time_s" {
+            return Ok(Self::Time);
+        }
+        let unknown = || format!("`{name}` is none of them");
+        let (channel, field) = name.split_once('.').ok_or_else(unknown)?;
+        let channel = channel.parse().map_err(|_| unknown())?;
+        Ok(match field {
+            "position_rad" => Self::Position(channel, Unit::Rad),
+            "position_m" => Self::Position(channel, Unit::M),
+            "speed_rad_s" => Self::Speed(channel, Unit::Rad),
+            "speed_m_s" => Self::Speed(channel, Unit::M),
+            "duty" => Self::Duty(channel),
+            _ => return Err(unknown()),
+        })
+    }
+}
+
+/// Points closer together than this are left out, s: the board keeps 32, which are to last longer than a link takes.
+pub const THIN_S: f64 = 0.008;
+/// Of times in s with three decimals, and more.
+const ROUNDING_S: f64 = 1e-9;
+/// The first point is so far ahead of the board's clock, s, and further where the motor has a way to it.
+const LEAD_S: f64 = 0.3;
+/// Points are sent again so often, s.
+const SEND_EVERY_S: f64 = 0.02;
+/// A point that passed less than this ago may still take room on the board, µs.
+const STILL_KEPT_US: u64 = 5_000;
+/// How often the motors are looked at, ms.
+const LOOK_EVERY_MS: u16 = 5;
+/// After its last point a motor is given so long to rest, s.
+const SETTLE_S: f64 = 5.0;
+
+impl Paths {
+    /// Reads a table with a line of names: `time_s`, and for each channel `osmc0.position_rad` (`actuator1.position_m`), and, where
+    /// wanted, `osmc0.speed_rad_s` and `osmc0.duty`, as recordings call them. Values are separated by commas.
+    ///
+    /// # Errors
+    /// [`PathError`].
+    pub fn parse(text: &str) -> Result<Self, PathError> {
+        let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        let header = lines.next().map_or("", |(_, line)| line);
+        let columns: Result<Vec<_>, _> = header.split(',').map(|name| Column::parse(name.trim())).collect();
+        let columns = columns.map_err(PathError::Header)?;
+        let header = |why: &str| PathError::Header(why.to_owned());
+        let twice = columns.iter().enumerate().any(|(place, column)| columns[..place].contains(column));
+        let time = columns.iter().position(|column| *column == Column::Time);
+        let time = time.filter(|_| !twice).ok_or_else(|| header("time_s must be there, and each only once"))?;
+        let positions = columns.iter().filter_map(|column| match column {
+            Column::Position(channel, unit) => Some((*channel, *unit)),
+            _ => None,
+        });
+        let units: BTreeMap<ChannelId, Unit> = positions.collect();
+        let alone = columns.iter().any(|column| match column {
+            Column::Speed(channel, unit) => units.get(channel) != Some(unit),
+            Column::Duty(channel) => !units.contains_key(channel),
+            Column::Time | Column::Position(..) => false,
+        });
+        if alone || units.is_empty() {
+            return Err(header("each channel has a position, and its speed in the same unit"));
+        }
+        let mut paths: BTreeMap<ChannelId, Vec<Waypoint>> = BTreeMap::new();
+        let mut last_s = f64::NEG_INFINITY;
+        for (number, line) in lines {
+            let wrong = |why: String| PathError::Line { line: number + 1, why };
+            let values: Result<Vec<f64>, _> = line.split(',').map(|value| number_of(value.trim())).collect();
+            let values = values.map_err(wrong)?;
+            if values.len() != columns.len() {
+                return Err(wrong(format!("it has {} values, and there are {} columns", values.len(), columns.len())));
+            }
+            let time_s = values[time];
+            if time_s <= last_s {
+                return Err(wrong("each time is later than the one before".to_owned()));
+            }
+            last_s = time_s;
+            for channel in units.keys() {
+                let mut point = Waypoint { time_s, position: 0.0, speed: None, feed_forward: 0.0 };
+                for (column, value) in columns.iter().zip(&values) {
+                    match column {
+                        Column::Position(of, _) if of == channel => point.position = *value,
+                        Column::Speed(of, _) if of == channel => point.speed = Some(*value),
+                        Column::Duty(of) if of == channel => point.feed_forward = *value,
+                        _ => {}
+                    }
+                }
+                paths.entry(*channel).or_default().push(point);
+            }
+        }
+        if paths.values().any(|points| points.len() < 2) || paths.is_empty() {
+            return Err(PathError::Short);
+        }
+        Ok(Self { channels: paths.into_iter().map(|(channel, points)| (channel, thinned(points))).collect() })
+    }
+
+    /// From the first point to the last, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        let ends = self.channels.iter().filter_map(|(_, points)| Some((points.first()?.time_s, points.last()?.time_s)));
+        ends.map(|(first, last)| last - first).fold(0.0, f64::max)
+    }
+}
+
+fn number_of(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| format!("`{text}` is not a number"))
+}
+
+/// The points without those closer than [`THIN_S`] to the one before; the last is kept.
+fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
+    let mut kept: Vec<Waypoint> = Vec::new();
+    let last = points.last().copied();
+    for point in points {
+        if kept.last().is_none_or(|before| point.time_s - before.time_s > THIN_S - ROUNDING_S) {
+            kept.push(point);
+        }
+    }
+    if kept.last() != last.as_ref()
+        && let Some(last) = last
+    {
+        // Two points at least, and the last not too close to the one before it.
+        if kept.len() > 1 && kept.last().is_some_and(|before| last.time_s - before.time_s < THIN_S) {
+            kept.pop();
+        }
+        kept.push(last);
+    }
+    kept
+}
+
+/// How a motor has followed its path.
+#[derive(Clone, Debug)]
+pub struct Followed {
+    /// The channel, as the board describes it.
+    pub info: ChannelInfo,
+    /// Points sent.
+    pub points: usize,
+    /// Largest distance from the path while it lasted, rad or m, by the motor's own sensor.
+    pub worst: f64,
+    /// RMS of that distance, rad or m.
+    pub rms: f64,
+    /// By how much the motion came later than the path, s, by least squares; 0 for a motor that was not to move.
+    pub lag_s: f64,
+    /// Where it was at the end, rad or m.
+    pub end: f64,
+    /// Whether it came to rest at the path's last point.
+    pub settled: bool,
+}
+
+/// A path on its way to the board.
+struct Sending<'p> {
+    info: ChannelInfo,
+    points: &'p [Waypoint],
+    sent: usize,
+    /// Of each point, on the board's clock.
+    dates_us: Vec<u64>,
+    /// Reference and position at each look.
+    seen: Vec<(f64, f64, u64)>,
+    end: Option<(f64, bool, Mode)>,
+}
+
+impl Session<'_> {
+    /// Arms, lets motors follow their paths, all beginning in the same period, waits until they rest, and disarms. A motor that is
+    /// not at the first point goes there first, at a third of the speed it may have at most. The paths begin at `begin_s` on the
+    /// driver's clock, so that several boards follow theirs together, or as soon as they can.
+    ///
+    /// # Errors
+    /// [`Unsuitable`], before anything is sent, for a channel that follows no path; when the board refuses points, which stops the
+    /// channel, does not arm or disarm, or the link fails.
+    pub async fn follow(&self, paths: &Paths, begin_s: Option<f64>) -> Result<Vec<Followed>, Error> {
+        let mut sending = Vec::new();
+        for (channel, points) in &paths.channels {
+            let info = self.board.channel(*channel)?.clone();
+            if info.mode(Mode::Follow).is_none() {
+                let why = "follows no path: only motors with feedback do".to_owned();
+                return Err(Unsuitable { channel: *channel, why }.into());
+            }
+            sending.push(Sending { info, points, sent: 0, dates_us: Vec::new(), seen: Vec::new(), end: None });
+        }
+        for path in &sending {
+            self.board.subscribe(path.info.id, LOOK_EVERY_MS).await?;
+        }
+        self.armed(async || self.send(&mut sending, begin_s).await).await?;
+        Ok(sending.into_iter().map(Sending::judged).collect())
+    }
+
+    async fn send(&self, sending: &mut [Sending<'_>], begin_s: Option<f64>) -> Result<(), Error> {
+        let board = self.board;
+        let mut telemetry = board.telemetry();
+        let mut look = |sending: &mut [Sending<'_>]| {
+            while let Some(frame) = telemetry.try_next() {
+                for sample in &frame.samples {
+                    let Sample::Motor { channel, setpoint, position, settled, .. } = *sample else { continue };
+                    let Some(path) = sending.iter_mut().find(|path| path.info.id == channel) else { continue };
+                    let position = f64::from(position) * f64::from(path.info.resolution);
+                    path.end = Some((position, settled, setpoint.mode));
+                    if setpoint.mode == Mode::Follow {
+                        path.seen.push((setpoint.value.into(), position, frame.device_us));
+                    }
+                }
+            }
+        };
+        // The motors' supply has been closed by then, and each has been looked at.
+        board.sleep_s(0.1).await;
+        look(sending);
+        let ways_s = sending.iter().map(|path| path.way_s());
+        let lead_s = begin_s.map_or_else(|| ways_s.fold(LEAD_S, f64::max), |begin_s| begin_s - board.now_s());
+        let begin_us = board.device_us() + (lead_s * 1e6) as u64;
+        let first_s = sending.iter().map(|path| path.points[0].time_s).fold(f64::INFINITY, f64::min);
+        for path in sending.iter_mut() {
+            let date = |point: &Waypoint| begin_us + ((point.time_s - first_s) * 1e6).round() as u64;
+            path.dates_us = path.points.iter().map(date).collect();
+        }
+        loop {
+            for path in sending.iter_mut() {
+                let (channel, points) = (path.info.id, path.next(board.device_us()));
+                if !points.is_empty() {
+                    board.follow(channel, &points).await?;
+                }
+            }
+            look(sending);
+            if sending.iter().all(|path| path.sent == path.points.len()) {
+                break;
+            }
+            board.sleep_s(SEND_EVERY_S).await;
+        }
+        let end_us = sending.iter().filter_map(|path| path.dates_us.last()).max().copied().unwrap_or_default();
+        let give_up_us = end_us + (SETTLE_S * 1e6) as u64;
+        while board.device_us() < give_up_us {
+            board.sleep_s(SEND_EVERY_S).await;
+            if let (SafetyState::Tripped | SafetyState::Disarmed, causes) = board.safety() {
+                return Err(DriverError::Stopped { causes }.into());
+            }
+            look(sending);
+            let rests = |path: &Sending<'_>| matches!(path.end, Some((_, true, Mode::Position)));
+            if board.device_us() > end_us && sending.iter().all(rests) {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Sending<'_> {
+    /// How long it takes to go to the first point, s.
+    fn way_s(&self) -> f64 {
+        let Some((position, ..)) = self.end else { return 0.0 };
+        let fastest = self.info.mode(Mode::Speed).map_or(f64::INFINITY, |mode| mode.range.max.into());
+        // The cubic from rest to rest has at most one and a half times the mean speed.
+        4.5 * (self.points[0].position - position).abs() / fastest
+    }
+
+    /// The points that the board has room for now.
+    fn next(&mut self, now_us: u64) -> Vec<PathPoint> {
+        let kept = self.dates_us[..self.sent].iter().filter(|date_us| **date_us + STILL_KEPT_US > now_us).count();
+        let count = (PATH_POINTS - kept).min(self.points.len() - self.sent);
+        let range = self.sent..self.sent + count;
+        self.sent += count;
+        let points = self.points[range.clone()].iter().zip(&self.dates_us[range]);
+        let point = |(point, at_us): (&Waypoint, &u64)| PathPoint {
+            at_us: *at_us,
+            position: point.position as f32,
+            speed: point.speed.map(|speed| speed as f32),
+            feed_forward: point.feed_forward as f32,
+        };
+        points.map(point).collect()
+    }
+
+    fn judged(self) -> Followed {
+        let begin_us = self.dates_us.first().copied().unwrap_or_default();
+        let on_path: Vec<_> = self.seen.iter().filter(|(.., at_us)| *at_us >= begin_us).collect();
+        let errors = on_path.iter().map(|(reference, position, _)| reference - position);
+        let worst = errors.clone().fold(0.0, |worst: f64, error| worst.max(error.abs()));
+        let rms = (errors.map(|error| error * error).sum::<f64>() / on_path.len().max(1) as f64).sqrt();
+        // The distance that a lag makes is speed times lag.
+        let (mut product, mut square) = (0.0, 0.0);
+        for pair in on_path.windows(2) {
+            let [(before, _, before_us), (reference, position, at_us)] = pair else { continue };
+            let speed = (reference - before) / ((at_us - before_us).max(1) as f64 * 1e-6);
+            product += speed * (reference - position);
+            square += speed * speed;
+        }
+        let (end, settled) =
+            self.end.map_or((f64::NAN, false), |(end, settled, mode)| (end, settled && mode == Mode::Position));
+        let lag_s = if square > 0.0 { product / square } else { 0.0 };
+        Followed { info: self.info, points: self.sent, worst, rms, lag_s, end, settled }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::ChannelKind;
+
+    use super::*;
+
+    const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
+
+    #[test]
+    fn a_table_is_read_by_its_names() {
+        let text = "actuator1.position_m, time_s,osmc0.position_rad,osmc0.speed_rad_s,osmc0.duty\n\
+                    0.05,0,0,0,0\n\n0.06,0.5,1.5,-2,0.25\n";
+        let paths = Paths::parse(text).expect("a table");
+        let rod = ChannelId::new(ChannelKind::Actuator, 1);
+        let point = |time_s, position, speed, feed_forward| Waypoint { time_s, position, speed, feed_forward };
+        let motor = vec![point(0.0, 0.0, Some(0.0), 0.0), point(0.5, 1.5, Some(-2.0), 0.25)];
+        let actuator = vec![point(0.0, 0.05, None, 0.0), point(0.5, 0.06, None, 0.0)];
+        assert_eq!(paths.channels, [(OSMC0, motor), (rod, actuator)]);
+        assert_eq!(paths.duration_s(), 0.5);
+    }
+
+    #[test]
+    fn what_is_no_table_says_where_it_is_wrong() {
+        for (text, says) in [
+            (
+                "",
+                "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; `` is none of them",
+            ),
+            ("time_s\n0\n1\n", "each channel has a position, and its speed in the same unit"),
+            ("osmc0.position_rad\n0\n1\n", "time_s must be there, and each only once"),
+            ("time_s,time_s,osmc0.position_rad\n", "time_s must be there, and each only once"),
+            ("time_s,osmc0.position_deg\n", "`osmc0.position_deg` is none of them"),
+            ("time_s,wheel0.position_rad\n", "`wheel0.position_rad` is none of them"),
+            (
+                "time_s,osmc0.position_rad,osmc0.speed_m_s\n",
+                "each channel has a position, and its speed in the same unit",
+            ),
+            ("time_s,osmc0.position_rad\n0,0\n", "a path has two points at least"),
+            ("time_s,osmc0.position_rad\n0,0\n1,x\n", "line 3: `x` is not a number"),
+            ("time_s,osmc0.position_rad\n0,0\n1,nan\n", "line 3: `nan` is not a number"),
+            ("time_s,osmc0.position_rad\n0,0\n1\n", "line 3: it has 1 values, and there are 2 columns"),
+            ("time_s,osmc0.position_rad\n1,0\n1,0\n", "line 3: each time is later than the one before"),
+        ] {
+            let error = Paths::parse(text).expect_err(text).to_string();
+            assert!(error.ends_with(says), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn points_close_together_are_thinned_and_the_ends_kept() {
+        let lines: Vec<String> = (0..=100).map(|ms| format!("{},{ms}", f64::from(ms) * 1e-3)).collect();
+        let text = format!("time_s,osmc0.position_rad\n{}\n", lines.join("\n"));
+        let paths = Paths::parse(&text).expect("a table");
+        let times: Vec<_> = paths.channels[0].1.iter().map(|point| (point.time_s * 1e3).round() as u32).collect();
+        assert_eq!(times, [0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 100]);
+        let two = Paths::parse("time_s,osmc0.position_rad\n0,0\n0.001,0\n").expect("a table");
+        assert_eq!(two.channels[0].1.len(), 2);
+    }
+}
