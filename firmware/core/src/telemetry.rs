@@ -16,14 +16,18 @@ struct Subscription {
 
 /// What the host of one link wants to be told, and when.
 #[derive(Default)]
-pub(crate) struct Subscriptions(Vec<Subscription, MAX_SUBSCRIPTIONS>);
+pub(crate) struct Subscriptions {
+    all: Vec<Subscription, MAX_SUBSCRIPTIONS>,
+    /// The date of the last frame, ticks: none after it is dated earlier.
+    dated: u64,
+}
 
 /// Every channel of a full board can be subscribed to.
 const MAX_SUBSCRIPTIONS: usize = 80;
 
 impl Subscriptions {
     pub(crate) fn clear(&mut self) {
-        self.0.clear();
+        self.all.clear();
     }
 
     /// Sets the period of `channel`; 0 ends it.
@@ -31,28 +35,29 @@ impl Subscriptions {
     /// # Errors
     /// `()` when there is no room for another.
     pub(crate) fn set(&mut self, channel: ChannelId, period_ms: u16, now: Instant) -> Result<(), ()> {
-        self.0.retain(|subscription| subscription.channel != channel);
+        self.all.retain(|subscription| subscription.channel != channel);
         if period_ms == 0 {
             return Ok(());
         }
         let period = Duration::from_millis(period_ms.into());
         // All periods start on the same grid, so that channels of one rate share their frames.
         let due = Instant::from_ticks(now.as_ticks().next_multiple_of(period.as_ticks()));
-        self.0.push(Subscription { channel, period, due }).map_err(|_| ())
+        self.all.push(Subscription { channel, period, due }).map_err(|_| ())
     }
 
     /// When the next samples are due. A new subscription is answered, which makes the transmitter look again.
     pub(crate) fn next_due(&self) -> Instant {
-        self.0.iter().map(|subscription| subscription.due).min().unwrap_or(Instant::MAX)
+        self.all.iter().map(|subscription| subscription.due).min().unwrap_or(Instant::MAX)
     }
 
     /// The samples that are due now, if any; as many as a frame holds, and the rest with the next call.
     pub(crate) fn telemetry<M: RawMutex>(&mut self, shared: &Shared<M>) -> Option<Telemetry> {
         let now = Instant::now();
+        let dated = Instant::from_ticks(shared.measured(now).as_ticks().max(self.dated));
         let mut samples = Vec::new();
         let mut skipped = 0;
-        for subscription in self.0.iter_mut().filter(|subscription| subscription.due <= now) {
-            if samples.push(sample(shared, subscription.channel, now)?).is_err() {
+        for subscription in self.all.iter_mut().filter(|subscription| subscription.due <= now) {
+            if samples.push(sample(shared, subscription.channel, dated)?).is_err() {
                 break;
             }
             let behind = (now - subscription.due).as_ticks() / subscription.period.as_ticks();
@@ -63,8 +68,11 @@ impl Subscriptions {
             shared.count(|stats| stats.telemetry_dropped = stats.telemetry_dropped.wrapping_add(skipped));
         }
         let view = shared.safety();
+        if !samples.is_empty() {
+            self.dated = dated.as_ticks();
+        }
         (!samples.is_empty()).then(|| Telemetry {
-            device_us: shared.measured(now).as_micros(),
+            device_us: dated.as_micros(),
             state: view.state,
             causes: view.causes,
             samples,
