@@ -144,10 +144,14 @@ pub enum Parameter {
     CanNode,
     /// Of the board, kbit/s: [`crate::config::CanConfig::data_kbit_per_s`].
     CanDataRate,
+    /// Of a motor's feed-forward.
+    DutyPerAcceleration,
+    /// Of a motor with feedback, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
+    Cascade,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 65] = [
+    const NAMES: [(Self, &'static str); 67] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -213,6 +217,8 @@ impl Parameter {
         (Self::CanRate, "can_rate"),
         (Self::CanNode, "can_node"),
         (Self::CanDataRate, "can_data_rate"),
+        (Self::DutyPerAcceleration, "duty_per_acceleration"),
+        (Self::Cascade, "cascade"),
     ];
 
     /// Every parameter, in the order of the variants.

@@ -191,7 +191,7 @@ macro_rules! controlled {
         position_pid: [$kp:ident, $ki:ident, $kd:ident],
         speed_pid: [$speed_kp:ident, $speed_ki:ident, $speed_kd:ident],
         profile: [$profile_speed:ident, $acceleration:ident],
-        feed_forward: $duty_per_speed:ident,
+        feed_forward: [$duty_per_speed:ident, $duty_per_acceleration:ident],
         settle: [$settle_error:ident, $settle_speed:ident],
         stall: $travel:ident,
         follow: $follow_error:ident,
@@ -221,6 +221,8 @@ macro_rules! controlled {
                 pub(in super::super) $feedback: $Feedback,
                 position_pid: PositionGains,
                 speed_pid: SpeedGains,
+                #[serde(default, deserialize_with = "not_negative")]
+                cascade_per_s: f32,
                 profile: Profile,
                 feed_forward: StaticAndSpeed,
                 settle: Settle,
@@ -268,6 +270,8 @@ macro_rules! controlled {
                 static_duty: f32,
                 #[serde(deserialize_with = "not_negative")]
                 $duty_per_speed: f32,
+                #[serde(default, deserialize_with = "not_negative")]
+                $duty_per_acceleration: f32,
             }
 
             #[derive(Deserialize)]
@@ -318,6 +322,7 @@ macro_rules! controlled {
                             speed_max: self.$speed_max,
                             position_pid: PidGains { kp: position.$kp, ki: position.$ki, kd: position.$kd },
                             speed_pid: PidGains { kp: speed.$speed_kp, ki: speed.$speed_ki, kd: speed.$speed_kd },
+                            cascade_per_s: self.cascade_per_s,
                             speed_filter_s: self.speed_filter_s,
                             profile: ProfileLimits {
                                 speed: profile.$profile_speed,
@@ -326,6 +331,7 @@ macro_rules! controlled {
                             feed_forward: FeedForward {
                                 static_duty: feed_forward.static_duty,
                                 duty_per_speed: feed_forward.$duty_per_speed,
+                                duty_per_acceleration: feed_forward.$duty_per_acceleration,
                             },
                             settle: SettleConfig {
                                 error: settle.$settle_error,
@@ -352,7 +358,7 @@ controlled! {
     position_pid: [kp_duty_per_rad, ki_duty_per_rad_s, kd_duty_s_per_rad],
     speed_pid: [kp_duty_s_per_rad, ki_duty_per_rad, kd_duty_s2_per_rad],
     profile: [speed_rad_s, acceleration_rad_s2],
-    feed_forward: duty_s_per_rad,
+    feed_forward: [duty_s_per_rad, duty_s2_per_rad],
     settle: [error_rad, speed_rad_s],
     stall: travel_rad,
     follow: error_rad,
@@ -366,7 +372,7 @@ controlled! {
     position_pid: [kp_duty_per_m, ki_duty_per_m_s, kd_duty_s_per_m],
     speed_pid: [kp_duty_s_per_m, ki_duty_per_m, kd_duty_s2_per_m],
     profile: [speed_m_s, acceleration_m_s2],
-    feed_forward: duty_s_per_m,
+    feed_forward: [duty_s_per_m, duty_s2_per_m],
     settle: [error_m, speed_m_s],
     stall: travel_m,
     follow: error_m,

@@ -63,7 +63,12 @@ const ROBOT_MISTAKES: &[Mistake] = &[
     there("link_timeout_ms = 200", "link_timeout_ms = \"200\"", "link_timeout_ms", "expected"),
     there("control_period_us = 1000", "control_period_us = -1", "control_period_us", "expected u32"),
     there("speed_filter_s = 0.010", "speed_filter_ms = 10", "osmc[0].speed_filter_ms", "unknown field"),
-    there("static_duty = 0.38", "static_duti = 0.38", "osmc[0].feed_forward.static_duti", "expected `static_duty`"),
+    there(
+        "static_duty = 0.38",
+        "static_duti = 0.38",
+        "osmc[0].feed_forward.static_duti",
+        "expected one of `static_duty`, `duty_s_per_rad`",
+    ),
     there("emf_v = 24.0", "emf = 24.0", "simulation.rail[0].emf", "unknown field `emf`"),
     mistake("speed_max_rad_s = 5.0\n", "", "[[osmc]]", "osmc[0]", "missing field `speed_max_rad_s`"),
     mistake("travel_rad = 0.02\n", "", "[osmc.stall]", "osmc[0].stall", "missing field `travel_rad`"),

@@ -150,6 +150,9 @@ pub struct ControlConfig {
     pub position_pid: PidGains,
     /// Speed loop; its output is a duty.
     pub speed_pid: PidGains,
+    /// Above 0, positions and paths are held by the speed loop: its speed is that of the path and so much for each rad or m of
+    /// distance from it, 1/s. At 0 they are held by the position loop.
+    pub cascade_per_s: f32,
     /// Time constant of the low-pass on the measured speed, s.
     pub speed_filter_s: f32,
     /// Path to a new position.
@@ -258,13 +261,15 @@ pub struct ProfileLimits {
     pub acceleration: f32,
 }
 
-/// Feed-forward duty `static_duty sign(v) + duty_per_speed v`.
+/// Feed-forward duty `static_duty sign(v) + duty_per_speed v + duty_per_acceleration a`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FeedForward {
     /// Duty that just does not move the motor.
     pub static_duty: f32,
     /// duty s / rad, or duty s / m
     pub duty_per_speed: f32,
+    /// duty s² / rad, or duty s² / m
+    pub duty_per_acceleration: f32,
 }
 
 /// When a position counts as reached: error and speed within these for `time_ms`.
@@ -364,6 +369,9 @@ const INTERRUPT_ENCODER: u8 = 3;
 /// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
 pub const ENCODER_3_COUNTS_PER_MS: u32 = 50;
 
+/// A cascade that is faster than the control loop makes no sense.
+const CASCADE_MAX_PER_S: f32 = 1000.0;
+
 impl ControlConfig {
     fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
@@ -406,6 +414,10 @@ impl ControlConfig {
         rule(positive(self.speed_max), "speed_max must be positive")?;
         rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;
         rule(
+            not_negative(self.cascade_per_s) && self.cascade_per_s <= CASCADE_MAX_PER_S,
+            "cascade must be 0 to 1000, in 1/s",
+        )?;
+        rule(
             not_negative(self.speed_filter_s) && self.speed_filter_s <= 1.0,
             "speed_filter_s must be 0 to 1, or the speed is known too late",
         )?;
@@ -417,7 +429,8 @@ impl ControlConfig {
         rule(
             not_negative(self.feed_forward.static_duty)
                 && self.feed_forward.static_duty < motor.duty_max
-                && not_negative(self.feed_forward.duty_per_speed),
+                && not_negative(self.feed_forward.duty_per_speed)
+                && not_negative(self.feed_forward.duty_per_acceleration),
             "feed-forward must not be negative, and static_duty must stay below duty_max",
         )?;
         rule(positive(self.settle.error) && positive(self.settle.speed), "settle error and speed must be positive")?;

@@ -145,7 +145,7 @@ mod tests {
     fn gains_are_those_of_a_motor_that_is_measured() {
         let mut config = robot("osmc-bench").motors[0];
         let control = config.control.as_mut().expect("it has an encoder");
-        control.feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0 };
+        control.feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
         let speed_duty = |gains: Option<PidGains>| {
             let mut axis = axis(config);
             gains.into_iter().for_each(|gains| axis.set_gains(Mode::Speed, gains));

@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, Feedback, PidGains, ProfileLimits},
+    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
 };
 
 use super::{
@@ -235,7 +235,8 @@ impl Motor {
                 Following::Position(Approach::default())
             }
             (_, Mode::Position) => {
-                self.position_loop.reset(self.duty);
+                let duty = self.duty;
+                self.position_holder().reset(duty);
                 self.profile.start(self.distance(), self.speed);
                 Following::Position(Approach::default())
             }
@@ -272,7 +273,8 @@ impl Motor {
                 (f64::from(self.target) - f64::from(to_go), speed)
             }
             _ => {
-                self.position_loop.reset(self.duty);
+                let duty = self.duty;
+                self.position_holder().reset(duty);
                 (self.position, self.speed)
             }
         };
@@ -405,7 +407,9 @@ impl Motor {
 
     fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
+        let (_, before) = self.profile.now();
         let (to_go, path_speed) = self.profile.step();
+        let path_acceleration = (path_speed - before) / self.period_s;
         // Left only at twice the error that enters it: noise at the edge must not start the motor again.
         let band = self.control.settle.error * if last.near { 2.0 } else { 1.0 };
         let near = to_go == 0.0 && distance.abs() <= band;
@@ -428,32 +432,49 @@ impl Motor {
             let hold = self.let_go(last.hold.unwrap_or(self.new_hold()));
             // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the
             // rest is what the load takes.
-            let friction = self.feed_forward(towards, 0.0);
+            let friction = self.feed_forward(towards, 0.0, 0.0);
             let overcame =
                 if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
-            self.position_loop.hold(hold.duty, hold.duty - overcame);
+            self.position_holder().hold(hold.duty, hold.duty - overcame);
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
         if path_speed == 0.0 {
             // What moved the motor along its path does not serve the way back from beyond the target.
-            self.position_loop.unload_against(distance, self.period_s / UNLOAD_S);
+            let share = self.period_s / UNLOAD_S;
+            self.position_holder().unload_against(distance, share);
             if !near && self.speed.abs() <= self.control.settle.speed {
                 // Short of its target and standing: an integral of a small error would take long to overcome friction.
-                self.position_loop.push((BREAK_AWAY_PER_S * self.period_s).copysign(distance), limits);
+                let push = (BREAK_AWAY_PER_S * self.period_s).copysign(distance);
+                self.position_holder().push(push, limits);
             }
         }
-        // The derivative damps motion relative to the path, not the path itself.
+        let duty = self.feed_forward(towards, path_speed, path_acceleration);
+        (self.hold_to_path(path_error, path_speed, duty, limits), Following::Position(approach))
+    }
+
+    /// The duty of whichever loop holds positions, `error` away from a path of `path_speed`.
+    fn hold_to_path(&mut self, error: f32, path_speed: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
+        // Relative to the path: its own motion is not damped.
         let rate = self.speed - path_speed;
-        let duty = self.position_loop.step(path_error, rate, self.feed_forward(towards, path_speed), limits);
-        (duty, Following::Position(approach))
+        if self.control.cascade_per_s == 0.0 {
+            return self.position_loop.step(error, rate, feed_forward, limits);
+        }
+        let fastest = self.control.speed_max;
+        let wanted = (path_speed + self.control.cascade_per_s * error).within(-fastest, fastest);
+        self.speed_loop.step(wanted - self.speed, self.acceleration_now, feed_forward, limits)
+    }
+
+    /// The loop that holds positions.
+    fn position_holder(&mut self) -> &mut Pid {
+        if self.control.cascade_per_s == 0.0 { &mut self.position_loop } else { &mut self.speed_loop }
     }
 
     fn step_path(&mut self, reference: Reference, limits: OutputLimits) -> (f32, Following) {
-        let Reference { speed, feed_forward, .. } = reference;
+        let Reference { speed, acceleration, feed_forward, .. } = reference;
         let towards = if speed == 0.0 { 0.0 } else { speed.signum() };
-        let duty = self.feed_forward(towards, speed) + feed_forward;
+        let duty = self.feed_forward(towards, speed, acceleration) + feed_forward;
         let error = self.path_error(reference);
-        (self.position_loop.step(error, self.speed - speed, duty, limits), Following::Path(reference))
+        (self.hold_to_path(error, speed, duty, limits), Following::Path(reference))
     }
 
     /// From the measured position to where the path has it now, rad or m.
@@ -509,7 +530,7 @@ impl Motor {
         }
         let following = Following::Speed { reference, hold: slipped };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
-        let path_duty = self.feed_forward(towards, reference);
+        let path_duty = self.feed_forward(towards, reference, (reference - last) / self.period_s);
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
     }
 
@@ -522,7 +543,8 @@ impl Motor {
             (true, Some(true)) => homing.seen_again |= goes_back,
             (true, Some(false)) if homing.seen_again => {
                 self.set_zero();
-                self.position_loop.reset(self.duty);
+                let duty = self.duty;
+                self.position_holder().reset(duty);
                 self.profile.start(self.distance(), self.speed);
                 return (self.duty, Following::Position(Approach::default()), false);
             }
@@ -531,7 +553,7 @@ impl Motor {
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
         let change = self.control.profile.acceleration * self.period_s;
         homing.reference = wanted.within(homing.reference - change, homing.reference + change);
-        let path_duty = self.feed_forward(homing.reference.signum(), homing.reference);
+        let path_duty = self.feed_forward(homing.reference.signum(), homing.reference, 0.0);
         let error = homing.reference - self.speed;
         let duty = self.speed_loop.step(error, self.acceleration_now, path_duty, limits);
         let range = self.control.position.max - self.control.position.min;
@@ -552,8 +574,9 @@ impl Motor {
         self.watch = Watch::default();
     }
 
-    fn feed_forward(&self, towards: f32, speed: f32) -> f32 {
-        self.control.feed_forward.static_duty * towards + self.control.feed_forward.duty_per_speed * speed
+    fn feed_forward(&self, towards: f32, speed: f32, acceleration: f32) -> f32 {
+        let FeedForward { static_duty, duty_per_speed, duty_per_acceleration } = self.control.feed_forward;
+        static_duty * towards + duty_per_speed * speed + duty_per_acceleration * acceleration
     }
 
     /// From the measured position to the target, rad or m.

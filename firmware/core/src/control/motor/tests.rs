@@ -1,12 +1,15 @@
 //! [`Motor`] on counts that the tests choose: what its loops, path, limits and searches make of them, in numbers that are exact
 //! in binary.
 
+extern crate std;
+
 use r4_protocol::{
     Range,
     config::{FeedForward, FollowConfig, HomingConfig, PotPoint, SettleConfig, StallConfig},
 };
 
 use super::*;
+use crate::path::Knot;
 
 /// Periods of a second.
 const HZ: u32 = 1024;
@@ -30,9 +33,10 @@ fn config() -> ControlConfig {
         speed_max: 1e6,
         position_pid: NO_GAINS,
         speed_pid: NO_GAINS,
+        cascade_per_s: 0.0,
         speed_filter_s: 0.0,
         profile: ProfileLimits { speed: 4.0, acceleration: 8.0 },
-        feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 0.0 },
+        feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
         settle: SettleConfig { error: 0.0625, speed: 0.0625, time_ms: 250 },
         stall: StallConfig { duty: 2.0, travel: 0.02, time_ms: u16::MAX },
         follow: FollowConfig { error: 1e6, time_ms: u16::MAX },
@@ -45,7 +49,10 @@ const NEVER_AT_REST: SettleConfig = SettleConfig { error: 0.0625, speed: -1.0, t
 
 /// Duties are a sixteenth of the speed on the path, whatever the motor does.
 fn shows_the_path(config: ControlConfig) -> ControlConfig {
-    ControlConfig { feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 1.0 / 16.0 }, ..config }
+    ControlConfig {
+        feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 1.0 / 16.0, duty_per_acceleration: 0.0 },
+        ..config
+    }
 }
 
 /// A motor whose counter is where the test puts it.
@@ -172,7 +179,7 @@ fn a_speed_is_come_to_along_a_ramp() {
 #[test]
 fn a_speed_loop_adds_its_parts() {
     let gains = PidGains { kp: 0.125, ki: 0.0, kd: 0.0 };
-    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     for sign in [1.0, -1.0] {
         let mut bench = Bench::new(ControlConfig { speed_pid: gains, feed_forward, ..config() });
         bench.command(Mode::Speed, sign * 2.0);
@@ -249,7 +256,7 @@ const LOAD: f32 = 0.5;
 
 /// At rest at speed 0, with the duty that holds a load.
 fn at_speed_zero(sign: f32) -> Bench {
-    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     // With a proportional part: without one, what the slew limit takes away would be unloaded in a period.
     let speed_pid = PidGains { kp: 0.0625, ..KEEPS };
     let mut bench = Bench::with(ControlConfig { speed_pid, feed_forward, ..config() }, LIMITS);
@@ -261,7 +268,7 @@ fn at_speed_zero(sign: f32) -> Bench {
 
 /// Settled at position 0, with the duty that holds a load.
 fn at_position_zero(sign: f32) -> Bench {
-    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     let position_pid = PidGains { kp: 0.0, ki: 1.0, kd: 0.0 };
     let mut bench = Bench::with(ControlConfig { position_pid, feed_forward, ..config() }, LIMITS);
     bench.rest_at(-sign * 0.5);
@@ -336,7 +343,7 @@ fn a_load_that_goes_on_slipping_is_driven_against() {
 /// What friction alone takes holds no load: it is let go, slip or not.
 #[test]
 fn friction_is_no_load() {
-    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     for (duty, held) in [(0.125, false), (0.126, true)] {
         let mut bench = Bench::new(ControlConfig { speed_pid: KEEPS, feed_forward, ..config() });
         bench.command(Mode::Duty, duty);
@@ -410,7 +417,7 @@ fn a_position_loop_adds_its_parts() {
     for sign in [1.0, -1.0] {
         let part = |kp, kd, static_duty| {
             let position_pid = PidGains { kp, ki: 0.0, kd };
-            let feed_forward = FeedForward { static_duty, duty_per_speed: 0.0 };
+            let feed_forward = FeedForward { static_duty, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
             let mut bench = Bench::new(ControlConfig { position_pid, feed_forward, ..config() });
             bench.command(Mode::Position, sign * 4.0);
             bench.steps(512)
@@ -435,7 +442,7 @@ fn a_position_loop_adds_its_parts() {
 /// After the path the friction's share pushes towards the target, until the motor is within the band; there it stays as it was.
 #[test]
 fn friction_is_overcome_towards_the_target() {
-    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0 };
+    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     for sign in [1.0, -1.0] {
         let mut bench = Bench::new(ControlConfig { feed_forward, ..config() });
         bench.command(Mode::Position, sign * 1.0);
@@ -791,4 +798,130 @@ fn a_dead_sensor_is_seen_in_every_mode_that_wants_motion() {
     });
     assert!(periods.is_some_and(|periods| periods.abs_diff(256 + 102) <= 3), "{periods:?}");
     assert_eq!(bench.causes, Causes::only(Cause::Stalled));
+}
+
+// Paths.
+
+/// 8 rad/s² for half a second up to 4 rad/s, that speed, and the same down again.
+#[test]
+fn a_duty_for_the_acceleration_of_the_path_is_added() {
+    let feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 1.0 / 64.0 };
+    for (mode, value, ends) in [(Mode::Position, 6.0, true), (Mode::Speed, 4.0, false)] {
+        let mut bench = Bench::new(ControlConfig { feed_forward, settle: NEVER_AT_REST, ..config() });
+        bench.command(mode, value);
+        let duties: std::vec::Vec<f32> = (0..3 * HZ).map(|_| bench.step()).collect();
+        let [up, steady, down] = [HZ / 4, HZ, 3 * HZ / 2 + HZ / 4].map(|period| duties[period as usize]);
+        // A speed of a few rad/s is rounded to 2e-7 rad/s, and a period is 1e-3 s: 2e-4 rad/s².
+        near(up, 0.125, 1e-5);
+        near(steady, 0.0, 1e-5);
+        near(down, if ends { -0.125 } else { 0.0 }, 1e-5);
+    }
+}
+
+/// 4 rad/s for each rad of distance, up to the highest speed; the duty is that of the speed loop.
+#[test]
+fn in_a_cascade_the_speed_loop_holds_the_position() {
+    let speed_pid = PidGains { kp: 1.0 / 16.0, ki: 0.0, kd: 0.0 };
+    let position_pid = PidGains { kp: 1.0, ki: 1.0, kd: 1.0 };
+    for (speed_max, duty) in [(8.0, 0.125), (1.0, 0.0625)] {
+        let cascade = ControlConfig { cascade_per_s: 4.0, speed_max, speed_pid, position_pid, ..config() };
+        let mut bench = Bench::new(ControlConfig { settle: NEVER_AT_REST, ..cascade });
+        bench.command(Mode::Position, 0.5);
+        // The path is over after 0.5 s.
+        near(bench.steps(HZ), duty, 1e-6);
+        bench.command(Mode::Position, -0.5);
+        near(bench.steps(HZ), -duty, 1e-6);
+    }
+}
+
+fn knot(at_us: u64, position: f32, speed: f32) -> Knot {
+    Knot { at_us, position, speed, feed_forward: 0.0 }
+}
+
+impl Bench {
+    /// One period at `now_us` on the way to `next`.
+    fn go(&mut self, passed: Option<Knot>, next: Option<Knot>, now_us: u64) -> f32 {
+        self.motor.follow(Leg { passed, next }, now_us);
+        self.step()
+    }
+}
+
+/// Duties are a sixteenth of the cubic's speed, and what the point adds; the loop sees the distance from where the path is.
+#[test]
+fn a_path_gives_its_speed_and_its_duty_and_the_loop_its_distance() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.command(Mode::Follow, 1.0);
+    assert!(bench.motor.follows());
+    let next = Knot { feed_forward: 0.25, ..knot(1_000_000, 1.0, 0.0) };
+    // 6 s (1 - s) rad/s: 0, 1.5 in the middle, 1.125 at three quarters.
+    for (now_us, speed) in [(0, 0.0), (500_000, 1.5), (750_000, 1.125)] {
+        near(bench.go(None, Some(next), now_us), 0.25 + speed / 16.0, 1e-6);
+    }
+    let status = bench.motor.status();
+    assert_eq!((status.setpoint.mode, status.settled), (Mode::Follow, false));
+    near(status.setpoint.value, 0.84375, 1e-6);
+    let mut bench = Bench::new(ControlConfig { position_pid: PidGains { kp: 0.5, ki: 0.0, kd: 0.0 }, ..config() });
+    bench.command(Mode::Follow, 1.0);
+    bench.go(None, Some(next), 0);
+    near(bench.go(None, Some(next), 500_000), 0.25 + 0.5 * 0.5, 1e-6);
+}
+
+/// At 2 rad/s, which 8 rad/s² end 0.25 rad further on, or at the end of the range.
+#[test]
+fn a_path_that_ends_at_a_speed_is_left_along_the_profile() {
+    for (place, target) in [(1.0, 1.25), (7.9, 8.0), (-7.9, -8.0)] {
+        let speed = 2.0f32.copysign(place);
+        let mut bench = Bench::new(shows_the_path(config()));
+        bench.rest_at(place);
+        bench.command(Mode::Follow, place);
+        let last = knot(10_000, place, speed);
+        bench.go(None, Some(last), 0);
+        let first = bench.go(Some(last), None, 10_000);
+        assert!(!bench.motor.follows());
+        let Setpoint { mode, value } = bench.motor.status().setpoint;
+        assert_eq!(mode, Mode::Position);
+        near(value, target, 1e-5);
+        // Half a period's deceleration slower, as the profile is that ends at the target; more by what it ends short of the range.
+        near(first.abs(), (2.0 - 4.0 * PERIOD_S) / 16.0, 5e-4);
+        let second = bench.step();
+        assert!(second.abs() < first.abs() && second * first > 0.0, "{first} {second}");
+        // Another set point ends it as any other movement.
+        bench.command(Mode::Duty, 0.0);
+        near(bench.step(), 0.0, 1e-6);
+    }
+}
+
+/// Between two points at one place the motor settles there as at any position, and leaves with the next way.
+#[test]
+fn a_pause_of_a_path_is_held_like_a_position() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.rest_at(1.0);
+    bench.command(Mode::Follow, 1.0);
+    let [pause, next] = [knot(2_000_000, 1.0, 0.0), knot(3_000_000, 2.0, 0.0)];
+    for period in 0..HZ {
+        bench.go(None, Some(pause), u64::from(period) * 976);
+    }
+    assert!(bench.settled() && bench.motor.follows());
+    assert_eq!(bench.motor.status().setpoint.mode, Mode::Follow);
+    near(bench.go(Some(pause), Some(next), 2_500_000), 1.5 / 16.0, 1e-6);
+    assert!(!bench.settled());
+    // A path given meanwhile is the same one; a stop ends it.
+    bench.command(Mode::Follow, 2.0);
+    near(bench.go(Some(pause), Some(next), 2_500_000), 1.5 / 16.0, 1e-6);
+    bench.motor.stop();
+    assert!(!bench.motor.follows());
+}
+
+/// From a movement to a position under way, the path begins where that one has come, at its speed.
+#[test]
+fn a_path_begins_where_a_movement_is() {
+    let mut bench = Bench::new(shows_the_path(config()));
+    bench.command(Mode::Position, 8.0);
+    let before = bench.steps(HZ / 4);
+    bench.command(Mode::Follow, 8.0);
+    near(bench.go(None, Some(knot(1_000_000, 3.0, 2.0)), 0), before, 1e-6);
+    // And a movement where a path is.
+    let before = bench.go(None, Some(knot(1_000_000, 3.0, 2.0)), 500_000);
+    bench.command(Mode::Position, 8.0);
+    near(bench.step(), before + 8.0 * PERIOD_S / 16.0, 1e-5);
 }

@@ -36,7 +36,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::ServoOscillatorHz => "Hz",
         Parameter::DutyMax | Parameter::StaticDuty | Parameter::StallDuty | Parameter::DeadDuty => "duty",
         Parameter::DutySlew => "duty/s",
-        Parameter::SpeedSlew => "1/s",
+        Parameter::SpeedSlew | Parameter::Cascade => "1/s",
         Parameter::PositionMin
         | Parameter::PositionMax
         | Parameter::SettleError
@@ -55,7 +55,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::PositionKp | Parameter::SpeedKi => "duty/rad",
         Parameter::PositionKi => "duty/(rad s)",
         Parameter::PositionKd | Parameter::SpeedKp | Parameter::DutyPerSpeed => "duty s/rad",
-        Parameter::SpeedKd => "duty s²/rad",
+        Parameter::SpeedKd | Parameter::DutyPerAcceleration => "duty s²/rad",
         Parameter::SpeedFilter | Parameter::PulseLow | Parameter::PulseHigh | Parameter::ThermalS => "s",
         Parameter::CanRate | Parameter::CanDataRate => "kbit/s",
         Parameter::CountsPerTurn | Parameter::StepsPerTurn | Parameter::CanNode => "",
