@@ -46,7 +46,7 @@ mod session;
 mod target;
 pub mod tune;
 pub mod twin;
-mod watch;
+pub mod watch;
 
 pub use clock::HostClock;
 pub use error::Error;

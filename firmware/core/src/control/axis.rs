@@ -50,6 +50,13 @@ impl Axis {
         }
     }
 
+    /// Takes the volts of its supply as a share of the nominal ones.
+    pub(super) fn set_supply(&mut self, share: f32) {
+        if let Self::Measured(motor) = self {
+            motor.set_supply(share);
+        }
+    }
+
     /// The motor, where it follows a path.
     pub(super) fn following(&mut self) -> Option<&mut Motor> {
         match self {

@@ -1,8 +1,11 @@
 //! The control loop: each period sense, close the loops, write the outputs.
 
 mod axis;
+mod drive_curve;
 mod follower;
 mod inputs;
+mod landing;
+mod model;
 pub mod motor;
 pub mod overload;
 pub mod pid;

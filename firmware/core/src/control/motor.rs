@@ -7,6 +7,8 @@ use r4_protocol::{
 
 use super::{
     follower::{Follower, Reference},
+    landing::{Aim, Landing},
+    model::Model,
     pid::{BadPeriod, OutputLimits, Pid},
     profile::Profile,
     watch::{Seen, Watch},
@@ -40,6 +42,8 @@ pub struct Motor {
     limits: OutputLimits,
     period_s: f32,
     sensor: Sensor,
+    /// `None` where the configuration says too little of the motor.
+    model: Option<Model>,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
@@ -66,6 +70,8 @@ pub struct Motor {
     /// What the loops want, and what the bridge makes of it.
     duty: f32,
     applied: f32,
+    /// Nominal volts over those of the supply: duties of the loops are shares of the nominal supply.
+    supply_gain: f32,
     watch: Watch,
 }
 
@@ -110,6 +116,8 @@ struct Approach {
     /// Where friction was last overcome to.
     towards: f32,
     at_rest_s: f32,
+    /// Of a motor with a model.
+    landing: Landing,
     /// While settled.
     hold: Option<Hold>,
 }
@@ -128,8 +136,18 @@ struct Hold {
 const LET_GO_S: f32 = 1.0;
 /// What an integral holds against the way to the target is let go with this time constant, s.
 const UNLOAD_S: f32 = 1.0;
+/// What a motor with a model integrates along a path is let go with this time constant, s: that with which its curve is learned.
+const LEAK_S: f32 = 0.1;
 /// A motor that stands short of its target is driven harder at this rate until it moves, 1/s.
 const BREAK_AWAY_PER_S: f32 = 0.1;
+/// The path waits for a motor at the limit of its duty that is so far behind it, as a share of the distance at which it counts as
+/// not following.
+const WAIT_SHARE: f32 = 0.25;
+/// At the limit but for rounding.
+const AT_LIMIT: f32 = 0.999;
+/// A supply outside these shares of its nominal volts is not made up for further: a sensor that fails must not drive a motor harder
+/// than twice.
+const SUPPLY_SHARES: (f32, f32) = (0.5, 2.0);
 /// A switch that has been found is left at this share of the speed at which it was sought: where it opens is the zero.
 const BACK_OFF: f32 = 0.2;
 /// A search that has gone this many times the whole range has missed the switch.
@@ -145,6 +163,8 @@ impl Motor {
     pub fn new(control: ControlConfig, limits: OutputLimits, period_s: f32) -> Result<Self, BadPeriod> {
         let filter_s = control.speed_filter_s;
         Ok(Self {
+            model: Model::new(&control, limits.magnitude, resolution(control.feedback), period_s),
+            supply_gain: 1.0,
             sensor: match control.feedback {
                 Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
                 Feedback::Potentiometer { low, high, .. } => {
@@ -184,19 +204,26 @@ impl Motor {
         self.switch_closed = switch_closed;
         let resolution = resolution(self.control.feedback);
         let last_speed = self.speed;
+        let duty = self.applied / self.supply_gain;
         let causes = match &mut self.sensor {
             Sensor::Encoder(encoder) => {
                 let (counts, counts_per_s) = encoder.update(raw);
                 self.position_counts = counts.wrapping_add(self.zero_counts);
                 self.position = f64::from(self.position_counts) * f64::from(resolution);
-                self.speed = counts_per_s * resolution;
+                self.speed = match &mut self.model {
+                    Some(model) => model.count(encoder, duty, resolution),
+                    None => counts_per_s * resolution,
+                };
                 Causes::NONE
             }
             Sensor::Potentiometer(pot) => match pot.update(raw) {
                 Ok((position_m, speed_m_s)) => {
                     self.position = position_m.into();
                     self.position_counts = (position_m / resolution) as i32;
-                    self.speed = speed_m_s;
+                    self.speed = match &mut self.model {
+                        Some(model) => model.measure(position_m, duty),
+                        None => speed_m_s,
+                    };
                     Causes::NONE
                 }
                 Err(_) => Causes::only(Cause::EncoderImplausible),
@@ -351,7 +378,10 @@ impl Motor {
 
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
-        let limits = self.limits;
+        // Of the nominal supply.
+        let OutputLimits { magnitude, slew_per_s } = self.limits;
+        let limits =
+            OutputLimits { magnitude: magnitude / self.supply_gain, slew_per_s: slew_per_s / self.supply_gain };
         let mut causes = Causes::NONE;
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
@@ -364,7 +394,8 @@ impl Motor {
             }
             Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
-                let duty = self.setpoint.value.within(self.duty - step, self.duty + step);
+                let wanted = self.setpoint.value / self.supply_gain;
+                let duty = wanted.within(self.duty - step, self.duty + step);
                 (duty.within(-limits.magnitude, limits.magnitude), Following::Duty)
             }
         };
@@ -391,10 +422,18 @@ impl Motor {
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
         };
-        let seen = Seen { duty: self.duty, position: self.position, path_error, wants_motion };
+        let duty = self.duty * self.supply_gain;
+        let friction = self.friction() * self.supply_gain;
+        let seen = Seen { duty, position: self.position, path_error, wants_motion, friction };
         let watched = self.watch.step(seen, resolution(self.control.feedback), self.period_s, &self.control);
-        (self.duty, causes.union(watched))
+        (duty, causes.union(watched))
     }
+
+    /// Takes the volts of the motor's supply as a share of its nominal ones: loops are tuned for those.
+    pub(super) fn set_supply(&mut self, share: f32) {
+        self.supply_gain = 1.0 / share.within(SUPPLY_SHARES.0, SUPPLY_SHARES.1);
+    }
+
     /// Takes what the bridge made of the last duty: nothing, while it rests between directions.
     pub fn set_applied(&mut self, duty: f32) {
         self.applied = duty;
@@ -408,11 +447,15 @@ impl Motor {
     fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
         let (_, before) = self.profile.now();
-        let (to_go, path_speed) = self.profile.step();
+        // A motor that does all it can is waited for: it goes the whole way of its path, only later.
+        let waits = self.model.is_some()
+            && before * last.path_error > 0.0
+            && last.path_error.abs() > WAIT_SHARE * self.control.follow.error
+            && self.duty.abs() >= AT_LIMIT * limits.magnitude
+            && self.duty * before > 0.0;
+        let (to_go, path_speed) = if waits { (self.profile.now().0, before) } else { self.profile.step() };
         let path_acceleration = (path_speed - before) / self.period_s;
-        // Left only at twice the error that enters it: noise at the edge must not start the motor again.
-        let band = self.control.settle.error * if last.near { 2.0 } else { 1.0 };
-        let near = to_go == 0.0 && distance.abs() <= band;
+        let near = to_go == 0.0 && distance.abs() <= self.band(last.near);
         if self.is_settled() && !near {
             // Pushed away: the way back is a path like any other.
             self.profile.start(distance, self.speed);
@@ -425,9 +468,17 @@ impl Motor {
         let towards = match (path_speed != 0.0, near) {
             (true, _) => path_speed.signum(),
             (false, false) => distance.signum(),
+            // A load that is known is held without what overcomes friction, and a motor that still moves is braked.
+            (false, true) if self.model.is_some() => {
+                if at_rest {
+                    0.0
+                } else {
+                    self.speed.signum()
+                }
+            }
             (false, true) => last.towards,
         };
-        let approach = Approach { path_error, near, towards, at_rest_s, hold: None };
+        let mut approach = Approach { path_error, near, towards, at_rest_s, landing: last.landing, hold: None };
         if self.rests_long_enough(at_rest_s) {
             let hold = self.let_go(last.hold.unwrap_or(self.new_hold()));
             // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the
@@ -442,26 +493,65 @@ impl Motor {
             // What moved the motor along its path does not serve the way back from beyond the target.
             let share = self.period_s / UNLOAD_S;
             self.position_holder().unload_against(distance, share);
-            if !near && self.speed.abs() <= self.control.settle.speed {
+            let least = self.least_motion();
+            if let Some(model) = &mut self.model {
+                approach.landing.step(self.position, distance, near, least, self.period_s, model);
+            } else if !near && self.speed.abs() <= self.control.settle.speed {
                 // Short of its target and standing: an integral of a small error would take long to overcome friction.
                 let push = (BREAK_AWAY_PER_S * self.period_s).copysign(distance);
                 self.position_holder().push(push, limits);
             }
+        } else {
+            approach.landing.begin(self.position);
         }
         let duty = self.feed_forward(towards, path_speed, path_acceleration);
-        (self.hold_to_path(path_error, path_speed, duty, limits), Following::Position(approach))
+        let aim = if path_speed == 0.0 { approach.landing.aim(towards, near) } else { Aim::along(towards) };
+        (self.hold_to_path(path_error, path_speed, aim, duty, limits), Following::Position(approach))
+    }
+
+    /// The distance from the target within which it counts as reached, and was reached before if `near`.
+    fn band(&self, near: bool) -> f32 {
+        let error = self.control.settle.error;
+        match self.control.feedback {
+            _ if !near => error,
+            // The learned curve brings a motor back without hunting: the noise of an encoder is none within a count.
+            Feedback::Encoder { .. } if self.model.is_some() => error + 0.25 * resolution(self.control.feedback),
+            // Left only at twice the error that enters it: noise at the edge must not start the motor again.
+            _ => 2.0 * error,
+        }
     }
 
     /// The duty of whichever loop holds positions, `error` away from a path of `path_speed`.
-    fn hold_to_path(&mut self, error: f32, path_speed: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
+    fn hold_to_path(&mut self, error: f32, path_speed: f32, aim: Aim, feed_forward: f32, limits: OutputLimits) -> f32 {
+        let bounds = self.loop_limits(limits, aim.sign);
+        if self.model.is_some() && path_speed != 0.0 {
+            // What the path takes is learned; what is integrated on the way would be an overshoot at its end.
+            let share = self.period_s / LEAK_S;
+            self.position_holder().leak(share);
+        }
         // Relative to the path: its own motion is not damped.
         let rate = self.speed - path_speed;
-        if self.control.cascade_per_s == 0.0 {
-            return self.position_loop.step(error, rate, feed_forward, limits);
-        }
-        let fastest = self.control.speed_max;
-        let wanted = (path_speed + self.control.cascade_per_s * error).within(-fastest, fastest);
-        self.speed_loop.step(wanted - self.speed, self.acceleration_now, feed_forward, limits)
+        let output = if self.control.cascade_per_s == 0.0 {
+            self.position_loop.step(error, rate, feed_forward, bounds)
+        } else {
+            let fastest = self.control.speed_max;
+            let wanted = (path_speed + self.control.cascade_per_s * error).within(-fastest, fastest);
+            self.speed_loop.step(wanted - self.speed, self.acceleration_now, feed_forward, bounds)
+        };
+        self.driven(output, aim, limits)
+    }
+
+    /// Limits of a loop's output for those of the duty.
+    fn loop_limits(&self, limits: OutputLimits, towards: f32) -> OutputLimits {
+        self.model.as_ref().map_or(limits, |model| model.limits(limits, towards))
+    }
+
+    /// The duty for a loop's output.
+    fn driven(&self, output: f32, aim: Aim, limits: OutputLimits) -> f32 {
+        let Some(model) = &self.model else { return output };
+        let step = limits.slew_per_s * self.period_s;
+        let duty = model.drive(output, aim).within(self.duty - step, self.duty + step);
+        duty.within(-limits.magnitude, limits.magnitude)
     }
 
     /// The loop that holds positions.
@@ -474,7 +564,7 @@ impl Motor {
         let towards = if speed == 0.0 { 0.0 } else { speed.signum() };
         let duty = self.feed_forward(towards, speed, acceleration) + feed_forward;
         let error = self.path_error(reference);
-        (self.hold_to_path(error, speed, duty, limits), Following::Path(reference))
+        (self.hold_to_path(error, speed, Aim::along(towards), duty, limits), Following::Path(reference))
     }
 
     /// From the measured position to where the path has it now, rad or m.
@@ -494,7 +584,7 @@ impl Motor {
         // Against its duty, that is: one that still creeps along with it is let go all the more.
         let slip = (position_at_rest - self.position) as f32 * duty_at_rest.signum();
         // A duty that friction alone would take holds no load.
-        let holds = duty_at_rest.abs() > self.control.feed_forward.static_duty;
+        let holds = duty_at_rest.abs() > self.friction();
         hold.slipped |= holds && slip > self.control.settle.error / 2.0;
         if hold.slipped {
             let step = self.limits.slew_per_s * self.period_s;
@@ -531,7 +621,9 @@ impl Motor {
         let following = Following::Speed { reference, hold: slipped };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
         let path_duty = self.feed_forward(towards, reference, (reference - last) / self.period_s);
-        (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
+        let bounds = self.loop_limits(limits, towards);
+        let output = self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, bounds);
+        (self.driven(output, Aim::along(towards), limits), following)
     }
 
     /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
@@ -555,7 +647,10 @@ impl Motor {
         homing.reference = wanted.within(homing.reference - change, homing.reference + change);
         let path_duty = self.feed_forward(homing.reference.signum(), homing.reference, 0.0);
         let error = homing.reference - self.speed;
-        let duty = self.speed_loop.step(error, self.acceleration_now, path_duty, limits);
+        let towards = homing.reference;
+        let bounds = self.loop_limits(limits, towards);
+        let output = self.speed_loop.step(error, self.acceleration_now, path_duty, bounds);
+        let duty = self.driven(output, Aim::along(towards), limits);
         let range = self.control.position.max - self.control.position.min;
         let missed = (self.position - homing.start).abs() as f32 > SEARCH_RANGES * range;
         (duty, Following::Home(homing), missed)
@@ -575,8 +670,25 @@ impl Motor {
     }
 
     fn feed_forward(&self, towards: f32, speed: f32, acceleration: f32) -> f32 {
+        if let Some(model) = &self.model {
+            return model.feed_forward(speed, acceleration);
+        }
         let FeedForward { static_duty, duty_per_speed, duty_per_acceleration } = self.control.feed_forward;
         static_duty * towards + duty_per_speed * speed + duty_per_acceleration * acceleration
+    }
+
+    /// What shows that it has moved, rad or m: a count, or more than the noise of a potentiometer.
+    fn least_motion(&self) -> f32 {
+        match self.control.feedback {
+            Feedback::Encoder { .. } => 0.5 * resolution(self.control.feedback),
+            Feedback::Potentiometer { .. } => 0.5 * self.control.settle.error,
+        }
+    }
+
+    /// Duty that friction takes.
+    fn friction(&self) -> f32 {
+        let configured = self.control.feed_forward.static_duty;
+        self.model.as_ref().map_or(configured, |model| model.threshold().max(configured))
     }
 
     /// From the measured position to the target, rad or m.

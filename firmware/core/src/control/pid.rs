@@ -102,6 +102,11 @@ impl Pid {
         self.integral = limits.bound(self.integral + duty);
     }
 
+    /// Lets go a share of the integral.
+    pub fn leak(&mut self, share: f32) {
+        self.integral -= self.integral * share;
+    }
+
     /// Lets go a share of an integral that works against `error`.
     pub fn unload_against(&mut self, error: f32, share: f32) {
         if self.integral * error < 0.0 {

@@ -383,6 +383,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             if !powered {
                 continue;
             }
+            if let Some(share) = self.supply_share(index) {
+                self.motors[index].set_supply(share);
+            }
+            let motor = &mut self.motors[index];
             if let Some(motor) = motor.following() {
                 let now_us = self.sensed.as_micros();
                 motor.follow(shared.leg(index, now_us), now_us);
@@ -393,6 +397,12 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let applied = self.outputs.drive(index, duty);
             self.motors[index].set_applied(applied);
         }
+    }
+
+    /// Volts of a motor's supply as a share of its nominal ones; `None` where nothing measures them.
+    fn supply_share(&self, index: usize) -> Option<f32> {
+        let (overload, supply) = self.windings.get(index)?.as_ref()?;
+        Some(self.inputs.supply((*supply)?)?.volts() / overload.winding().nominal_v)
     }
 
     /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.

@@ -13,6 +13,8 @@ pub(super) struct Seen {
     pub(super) path_error: f32,
     /// Whether a loop wants the motor to move.
     pub(super) wants_motion: bool,
+    /// Duty that friction takes.
+    pub(super) friction: f32,
 }
 
 /// Memory of a motor's watch.
@@ -69,7 +71,7 @@ impl Watch {
             (self.effort, self.rest) = (0.0, seen.position);
             return false;
         }
-        let friction = config.feed_forward.static_duty;
+        let friction = seen.friction;
         self.effort += (seen.duty.abs() - friction).max(0.0) * period_s;
         let beyond = (config.stall.duty - friction).max(LEAST_BEYOND_FRICTION);
         self.effort > EFFORT_STALLS * beyond * f32::from(config.stall.time_ms) * 1e-3
@@ -116,12 +118,11 @@ mod tests {
         assert!(matches!(config.feedback, Feedback::Encoder { .. }));
         config.stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 300 };
         config.follow = FollowConfig { error: 1.0, time_ms: 100 };
-        config.feed_forward.static_duty = 0.25;
         config.speed_max = 5.0;
         config
     }
 
-    const AT_REST: Seen = Seen { duty: 0.0, position: 0.0, path_error: 0.0, wants_motion: false };
+    const AT_REST: Seen = Seen { duty: 0.0, position: 0.0, path_error: 0.0, wants_motion: false, friction: 0.25 };
 
     /// Periods until a cause shows, and which, of a motor that looks like `seen` says in each.
     fn until(at_most: u32, seen: impl Fn(u32) -> Seen) -> Option<(u32, Causes)> {
@@ -257,8 +258,8 @@ mod tests {
     fn a_stall_close_to_friction_leaves_time() {
         let mut watch = Watch::default();
         let mut config = config();
-        (config.feed_forward.static_duty, config.stall.duty) = (0.7, 0.75);
-        let seen = Seen { duty: 0.74, wants_motion: true, ..AT_REST };
+        config.stall.duty = 0.75;
+        let seen = Seen { duty: 0.74, wants_motion: true, friction: 0.7, ..AT_REST };
         let mut step = || watch.step(seen, RESOLUTION, PERIOD_S, &config);
         at((0..5000).map(|period| (period, step())).find(|(_, causes)| !causes.is_empty()), 3000, Cause::Stalled);
     }

@@ -18,6 +18,10 @@ pub struct Encoder {
     still_after_periods: u32,
     period_s: f32,
     filter: LowPass,
+    /// Counts of the last update.
+    delta: i32,
+    /// Periods over which they were made: since the last count, up to then.
+    delta_periods: u32,
 }
 
 /// A shaft that has not moved a count for this long stands still.
@@ -36,7 +40,21 @@ impl Encoder {
             still_after_periods,
             period_s,
             filter: LowPass::new(filter_s, period_s),
+            delta: 0,
+            delta_periods: still_after_periods,
         }
+    }
+
+    /// Counts of the last update, and for how many periods up to it the shaft had not counted, itself included.
+    #[must_use]
+    pub fn last(&self) -> (i32, u32) {
+        (self.delta, self.delta_periods)
+    }
+
+    /// Whether it has not counted for so long that the shaft is taken to stand still.
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        self.periods_since_count == self.still_after_periods
     }
 
     /// Takes the counter as read this period and returns position (counts) and speed (counts/s).
@@ -48,6 +66,7 @@ impl Encoder {
         let delta = if self.inverted { -up } else { up };
         self.position = self.position.wrapping_add(delta);
         self.periods_since_count = (self.periods_since_count + 1).min(self.still_after_periods);
+        (self.delta, self.delta_periods) = (delta, self.periods_since_count);
         let periods = self.periods_since_count as f32;
         if delta != 0 {
             // Each interval counts for as long as it lasted: held into the next one, the mean would come out too high.

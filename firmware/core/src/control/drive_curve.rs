@@ -1,0 +1,172 @@
+//! Steady duty over speed of a motor, learned while it moves.
+
+use crate::within::Within;
+
+/// Knots of a curve in each direction, at these shares of the highest speed.
+const KNOTS: usize = 4;
+const SHARES: [f32; KNOTS] = [0.0, 1.0 / 16.0, 0.25, 1.0];
+/// The curve rises by at least this share of the largest duty from rest to the highest speed: no motor reaches it by less.
+const LEAST_RISE: f32 = 0.2;
+/// A motor that comes to hold less than this share of its highest speed says of the duty at rest only that it is not less.
+const NEARLY_AT_REST: f32 = 1.0 / 64.0;
+/// What resists is taken to be friction in at least this share: with less, a motor that brakes would get all of the duty at once.
+const LEAST_FRICTION: f32 = 0.03;
+
+/// Duty that holds a motor's speed: piecewise linear over the speed, for each direction by itself.
+///
+/// It contains what friction, a dead band, a convex speed curve and a load cost together, whatever they are. A knot or a direction that
+/// has not been seen moves with those that have. A steady load makes the two directions differ, and may make one of them negative.
+///
+/// Which share of the duty at rest is friction shows when a moving motor gets less than that: friction brakes it, a dead band
+/// does nothing.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DriveCurve {
+    /// Speed of the last knot, rad/s or m/s.
+    speed_max: f32,
+    /// Largest duty of a knot.
+    duty_max: f32,
+    /// Duty at the knots, forwards and backwards, each in its direction.
+    duty: [[f32; KNOTS]; 2],
+    /// Bits of knots that have been seen.
+    seen: [u8; 2],
+    /// Share of the duty at rest that friction takes; a dead band takes the rest.
+    friction_share: f32,
+}
+
+impl DriveCurve {
+    /// The curve `static_duty + duty_per_speed v`, of which nothing has been seen.
+    pub(super) fn new(static_duty: f32, duty_per_speed: f32, speed_max: f32, duty_max: f32) -> Self {
+        let duty = SHARES.map(|share| static_duty + duty_per_speed * speed_max * share);
+        Self { speed_max, duty_max, duty: [duty; 2], seen: [0; 2], friction_share: 0.5 }
+    }
+
+    /// The segment of a speed in 0.., and the share of the way along it; beyond the last knot it goes on straight.
+    fn place(&self, speed: f32) -> (usize, f32) {
+        let share = speed / self.speed_max;
+        let knot = usize::from(share > SHARES[1]) + usize::from(share > SHARES[2]);
+        (knot, (share - SHARES[knot]) / (SHARES[knot + 1] - SHARES[knot]))
+    }
+
+    /// Duty that holds a speed in 0.. in a direction, along that direction.
+    fn along(&self, side: usize, speed: f32) -> f32 {
+        let (knot, share) = self.place(speed);
+        let duty = &self.duty[side];
+        duty[knot] + (duty[knot + 1] - duty[knot]) * share
+    }
+
+    /// Speed that a duty along a direction holds, at or above what it takes at rest.
+    fn speed_along(&self, side: usize, along: f32) -> f32 {
+        let duty = &self.duty[side];
+        let knot = usize::from(along > duty[1]) + usize::from(along > duty[2]);
+        let share = (along - duty[knot]) / (duty[knot + 1] - duty[knot]);
+        self.speed_max * (SHARES[knot] + (SHARES[knot + 1] - SHARES[knot]) * share)
+    }
+
+    /// Duty to brake with per speed: that of the whole curve.
+    fn slope(&self, side: usize) -> f32 {
+        (self.duty[side][KNOTS - 1] - self.duty[side][0]) / self.speed_max
+    }
+
+    /// From what friction and dead band take on one side to what they take on the other, as duty and as a steady speed.
+    fn braking(&self, side: usize) -> (f32, f32) {
+        let span = (self.duty[0][0] + self.duty[1][0]).max(0.0);
+        (span, span * self.friction_share.max(LEAST_FRICTION) / self.slope(side))
+    }
+
+    /// Duty with which a motor comes to hold `steady`, while it moves towards the sign of `towards`, or is to; 0 is a motor at rest
+    /// that takes what the load takes.
+    pub(super) fn duty(&self, steady: f32, towards: f32) -> f32 {
+        if towards == 0.0 {
+            return self.load();
+        }
+        let (sign, side) = if towards < 0.0 { (-1.0, 1) } else { (1.0, 0) };
+        let speed = steady * sign;
+        if speed >= 0.0 {
+            return sign * self.along(side, speed);
+        }
+        let (span, span_speed) = self.braking(side);
+        if -speed < span_speed {
+            return sign * (self.duty[side][0] + speed / span_speed * span);
+        }
+        -sign * self.along(1 - side, -speed - span_speed)
+    }
+
+    /// Speed that a motor that moves at `speed` comes to hold with `duty`.
+    pub(super) fn steady(&self, duty: f32, speed: f32) -> f32 {
+        if speed == 0.0 {
+            return match (duty > self.duty[0][0], -duty > self.duty[1][0]) {
+                (true, _) => self.speed_along(0, duty),
+                (_, true) => -self.speed_along(1, -duty),
+                _ => 0.0,
+            };
+        }
+        let (sign, side) = if speed < 0.0 { (-1.0, 1) } else { (1.0, 0) };
+        let along = duty * sign;
+        let short = self.duty[side][0] - along;
+        if short <= 0.0 {
+            return sign * self.speed_along(side, along);
+        }
+        let (span, span_speed) = self.braking(side);
+        if short < span {
+            return -sign * short / span * span_speed;
+        }
+        -sign * (span_speed + self.speed_along(1 - side, -along))
+    }
+
+    /// Duty that friction or a dead band takes at rest, without a load.
+    pub(super) fn threshold(&self) -> f32 {
+        0.5 * (self.duty[0][0] + self.duty[1][0])
+    }
+
+    /// Duty that a load takes at rest.
+    fn load(&self) -> f32 {
+        0.5 * (self.duty[0][0] - self.duty[1][0])
+    }
+
+    /// Learns that a motor that moves at `speed` comes to hold `steady` with `duty`, with the weight `share` in 0..=1.
+    pub(super) fn learn(&mut self, steady: f32, duty: f32, speed: f32, share: f32) {
+        let (sign, side) = if speed < 0.0 { (-1.0, 1) } else { (1.0, 0) };
+        let (along, steady) = (duty * sign, steady * sign);
+        let short = self.duty[side][0] - along;
+        if short <= 0.0 || steady > NEARLY_AT_REST * self.speed_max {
+            self.learn_knots(side, steady.max(0.0), along, share);
+        } else {
+            let (span, _) = self.braking(side);
+            if short < span {
+                // s = -friction_share short / slope
+                let found = -steady * self.slope(side) / short;
+                // What little is short says little.
+                let weight = (20.0 * share * short / span).min(1.0);
+                self.friction_share += weight * (found.within(0.0, 1.0) - self.friction_share);
+            }
+        }
+    }
+
+    fn learn_knots(&mut self, side: usize, steady: f32, along: f32, share: f32) {
+        let (knot, way) = self.place(steady);
+        let way = way.min(1.0);
+        let error = share * (along - self.along(side, steady.min(self.speed_max)));
+        let changes = [(1.0 - way) * error, way * error];
+        let seen = [knot, knot + 1];
+        if way < 0.5 {
+            self.seen[side] |= 1 << knot;
+        } else {
+            self.seen[side] |= 1 << (knot + 1);
+        }
+        for of in 0..2 {
+            for at in 0..KNOTS {
+                let change = match (of == side, seen.iter().position(|seen| *seen == at)) {
+                    (true, Some(end)) => changes[end],
+                    // What has not been seen moves along.
+                    _ if self.seen[of] & (1 << at) == 0 => changes[usize::from(at > knot)],
+                    _ => continue,
+                };
+                self.duty[of][at] = (self.duty[of][at] + change).within(-self.duty_max, 2.0 * self.duty_max);
+            }
+            for at in 1..KNOTS {
+                let rise = LEAST_RISE * self.duty_max * (SHARES[at] - SHARES[at - 1]);
+                self.duty[of][at] = self.duty[of][at].max(self.duty[of][at - 1] + rise);
+            }
+        }
+    }
+}

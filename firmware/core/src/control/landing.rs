@@ -1,0 +1,103 @@
+//! The last counts: how a motor whose path has ended comes to its target against friction and backlash.
+
+use super::model::Model;
+
+/// A motor that has not moved for so long stands, s. Half of it pushes a motor that creeps by a count in 40 ms; twice of it makes each
+/// step of one that sticks 50 ms longer.
+const STANDS_S: f32 = 0.05;
+/// One that stands is driven harder at a rate that itself rises at this rate, 1/s²: 0.1 of duty after 0.45 s, and 0.4 after 0.9 s.
+const PUSH_PER_S2: f32 = 1.0;
+/// One that has gone past its target before is driven harder at this rate, 1/s: behind a backlash it moves long before it shows. At
+/// twice the rate the simulated bench hits the far side of a backlash of 2 deg so fast that it goes past the target again.
+const PUSH_AGAIN_PER_S: f32 = 0.2;
+/// The rate is halved at most so often.
+const MOST_TURNS: u8 = 5;
+/// A motor that comes back gets at least this share of the duty that overcomes friction at once.
+const LEAST_THRESHOLD: f32 = 0.75;
+
+/// What a motor near its target has done since its path ended.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Landing {
+    /// Where it last moved to, rad or m, and for how long it has stood there, s.
+    stood_at: f64,
+    stood_s: f32,
+    /// How often it has gone past its target, and the sign of the distance to it before.
+    turns: u8,
+    side: f32,
+    /// Duty added to break away.
+    pushed: f32,
+}
+
+/// Where a motor is to move, and how.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aim {
+    /// Sign of the direction; 0 is nowhere.
+    pub(super) sign: f32,
+    /// Whether it is at its target: then it is only braked.
+    pub(super) rests: bool,
+    /// Duty added to break away.
+    pub(super) pushed: f32,
+    /// Shares of the loop's output, and of what overcomes friction, that it gets towards its target.
+    pub(super) share: f32,
+    pub(super) threshold: f32,
+}
+
+impl Aim {
+    /// Along a path that moves to the sign of `sign`, or rests where it is 0.
+    pub(super) fn along(sign: f32) -> Self {
+        Self { sign, rests: false, pushed: 0.0, share: 1.0, threshold: 1.0 }
+    }
+}
+
+impl Landing {
+    /// Begins anew, at `position`.
+    pub(super) fn begin(&mut self, position: f64) {
+        *self = Self { stood_at: position, ..Self::default() };
+    }
+
+    /// A period at `position`, `distance` from the target, which is reached where `near`; `least` shows a motion.
+    pub(super) fn step(
+        &mut self,
+        position: f64,
+        distance: f32,
+        near: bool,
+        least: f32,
+        period_s: f32,
+        model: &mut Model,
+    ) {
+        if (position - self.stood_at).abs() >= f64::from(least) {
+            if self.pushed > 0.0 && self.turns == 0 {
+                model.broke_away(self.pushed);
+            }
+            (self.stood_at, self.stood_s) = (position, 0.0);
+        } else {
+            self.stood_s += period_s;
+        }
+        if !near && distance * self.side <= 0.0 {
+            if self.side != 0.0 {
+                self.turns = (self.turns + 1).min(MOST_TURNS);
+            }
+            self.side = distance.signum();
+        }
+        let since_s = self.stood_s - STANDS_S;
+        self.pushed = if near || since_s < 0.0 {
+            0.0
+        } else if self.turns == 0 {
+            model.stiction() + 0.5 * PUSH_PER_S2 * since_s * since_s
+        } else {
+            self.share() * (model.stiction() + PUSH_AGAIN_PER_S * since_s)
+        };
+    }
+
+    /// Each time that it has gone past its target it comes back half as fast.
+    fn share(&self) -> f32 {
+        1.0 / f32::from(1u8 << self.turns)
+    }
+
+    /// How it is driven, towards the sign of `sign`.
+    pub(super) fn aim(&self, sign: f32, near: bool) -> Aim {
+        let share = self.share();
+        let threshold = LEAST_THRESHOLD + (1.0 - LEAST_THRESHOLD) * share;
+        Aim { sign, rests: near, pushed: self.pushed, share, threshold }
+    }
+}

@@ -1,0 +1,139 @@
+//! What a motor is known to do: its speed by a model, and the duty that this takes, learned while it moves.
+
+use r4_protocol::config::ControlConfig;
+
+use super::{drive_curve::DriveCurve, landing::Aim, pid::OutputLimits};
+use crate::sensing::{encoder::Encoder, observer::Observer};
+
+/// A motor of the first order behind a steady curve: `T v' = w(u) - v`, where `w` is the speed that the duty `u` comes to hold.
+///
+/// An [`Observer`] with this model gives the speed. Its disturbance says how far the curve is off at the present duty, and the curve
+/// follows: friction, dead bands, convex curves and loads are learned without a value for any of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Model {
+    observer: Observer,
+    curve: DriveCurve,
+    /// `T`, s.
+    time_constant_s: f32,
+    /// Duty per speed of the straight line that the loops are tuned for.
+    duty_per_speed: f32,
+    /// Share of what the curve is off that is learned in a period.
+    learn: f32,
+    /// Slower than this, nothing is learned: rad/s or m/s.
+    slowest: f32,
+    /// Duty beyond the threshold that it took to break away last.
+    stiction: f32,
+    period_s: f32,
+}
+
+/// A motor that stands gets this share of the duty that it took to break away last time at once, and then more by and by.
+const STICTION_SHARE: f32 = 0.8;
+/// The curve follows with this time constant, s.
+const LEARN_S: f32 = 0.1;
+
+impl Model {
+    /// `None` where the configuration says nothing of the motor's time constant.
+    pub(super) fn new(control: &ControlConfig, duty_max: f32, resolution: f32, period_s: f32) -> Option<Self> {
+        let feed_forward = control.feed_forward;
+        let known = feed_forward.duty_per_speed > 0.0 && feed_forward.duty_per_acceleration > 0.0;
+        let time_constant_s = feed_forward.duty_per_acceleration / feed_forward.duty_per_speed;
+        known.then(|| Self {
+            observer: Observer::new(control.speed_filter_s, period_s),
+            curve: DriveCurve::new(feed_forward.static_duty, feed_forward.duty_per_speed, control.speed_max, duty_max),
+            time_constant_s,
+            duty_per_speed: feed_forward.duty_per_speed,
+            learn: period_s / LEARN_S,
+            slowest: 0.1 * resolution / control.speed_filter_s.max(period_s),
+            stiction: 0.0,
+            period_s,
+        })
+    }
+
+    /// Lets a period pass in which `duty` was applied, and takes what an encoder counted in it. Returns the speed.
+    pub(super) fn count(&mut self, encoder: &Encoder, duty: f32, resolution: f32) -> f32 {
+        self.predict(duty);
+        let (counts, periods) = encoder.last();
+        if encoder.is_still() && counts == 0 {
+            self.observer.rest(0.5 * resolution);
+        } else if self.observer.count(counts, periods, resolution) {
+            self.learn(duty);
+        }
+        self.observer.speed()
+    }
+
+    /// The same, for a position that is measured each period.
+    pub(super) fn measure(&mut self, position: f32, duty: f32) -> f32 {
+        self.predict(duty);
+        self.observer.measure(position);
+        self.learn(duty);
+        self.observer.speed()
+    }
+
+    /// The observer's speed, 0 where it is too low to tell its direction.
+    fn direction(&self) -> f32 {
+        let speed = self.observer.speed();
+        if speed.abs() < self.slowest { 0.0 } else { speed }
+    }
+
+    fn predict(&mut self, duty: f32) {
+        let steady = self.curve.steady(duty, self.direction());
+        // Backward Euler: stable with a time constant shorter than a period too.
+        self.observer.predict((steady - self.observer.speed()) / (self.time_constant_s + self.period_s));
+    }
+
+    fn learn(&mut self, duty: f32) {
+        let moves = self.direction();
+        if moves != 0.0 {
+            let steady = self.curve.steady(duty, moves) + self.time_constant_s * self.observer.disturbance();
+            self.curve.learn(steady, duty, moves, self.learn);
+        }
+    }
+
+    /// What a loop adds to its output for a path of `speed` and `acceleration`: duty of the straight line, which
+    /// [`Model::drive`] makes the motor's.
+    pub(super) fn feed_forward(&self, speed: f32, acceleration: f32) -> f32 {
+        self.duty_per_speed * (speed + self.time_constant_s * acceleration)
+    }
+
+    /// The motor's duty for a loop's output, which is one of the straight line.
+    pub(super) fn drive(&self, straight: f32, aim: Aim) -> f32 {
+        let Aim { sign, rests, pushed, share, threshold } = aim;
+        let load = self.curve.duty(0.0, 0.0);
+        if sign == 0.0 {
+            return load + straight;
+        }
+        let steady = straight / self.duty_per_speed;
+        let duty = if steady * sign < 0.0 && pushed == 0.0 {
+            self.curve.duty(steady, sign)
+        } else if rests {
+            load
+        } else {
+            // A motor that stands is not braked.
+            let along = if steady * sign < 0.0 { 0.0 } else { steady };
+            load + (self.curve.duty(along * share, sign) - load) * threshold
+        };
+        duty + pushed.copysign(sign)
+    }
+
+    /// Limits of a loop's output: where the motor's duty is at its own.
+    pub(super) fn limits(&self, limits: OutputLimits, towards: f32) -> OutputLimits {
+        let most = limits.magnitude;
+        let reach = self.curve.steady(most.copysign(towards), towards).abs();
+        OutputLimits { magnitude: self.duty_per_speed * reach, slew_per_s: f32::MAX }
+    }
+
+    /// Duty beyond the threshold that is likely to be needed to break away.
+    pub(super) fn stiction(&self) -> f32 {
+        STICTION_SHARE * self.stiction
+    }
+
+    /// Notes that it took `pushed` beyond the threshold to break away.
+    pub(super) fn broke_away(&mut self, pushed: f32) {
+        self.stiction = pushed;
+    }
+
+    /// Duty that it may take to break away.
+    pub(super) fn threshold(&self) -> f32 {
+        self.curve.threshold().max(0.0) + self.stiction
+    }
+}
