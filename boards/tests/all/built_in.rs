@@ -155,6 +155,23 @@ fn a_copy_elsewhere_uses_what_is_beside_it_and_else_what_is_built_in() {
     assert_eq!(changed.simulation.motors[1], built_in.simulation.motors[1]);
 }
 
+/// Left out it is 0, a trapezoid.
+#[test]
+fn a_profile_may_limit_its_jerk() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("mine.toml");
+    let limited = include_str!("../../osmc-bench.toml")
+        .replace("acceleration_rad_s2 = 10.0", "acceleration_rad_s2 = 10.0\njerk_rad_s3 = 200.0")
+        .replace("acceleration_m_s2 = 0.05", "acceleration_m_s2 = 0.05\njerk_m_s3 = 0.5");
+    fs::write(&path, limited).unwrap();
+    let jerks = |robot: &str| {
+        let motors = load(robot).unwrap().config.motors;
+        motors.iter().map(|motor| motor.control.unwrap().profile.jerk).collect::<Vec<_>>()
+    };
+    assert_eq!(jerks("osmc-bench"), [0.0, 0.0]);
+    assert_eq!(jerks(path.to_str().unwrap()), [200.0, 0.5]);
+}
+
 #[test]
 fn the_carrier_uses_every_pin_and_every_exti_line_once() {
     let carrier = load_carrier("r4-carrier").unwrap();

@@ -252,13 +252,15 @@ impl PidGains {
     }
 }
 
-/// Limits of a trapezoidal path.
+/// Limits of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ProfileLimits {
     /// rad/s or m/s
     pub speed: f32,
     /// rad/s² or m/s²
     pub acceleration: f32,
+    /// rad/s³ or m/s³; 0 for trapezoids, whose acceleration jumps.
+    pub jerk: f32,
 }
 
 /// Feed-forward duty `static_duty sign(v) + duty_per_speed v + duty_per_acceleration a`.
@@ -422,8 +424,8 @@ impl ControlConfig {
             "speed_filter_s must be 0 to 1, or the speed is known too late",
         )?;
         rule(
-            positive(self.profile.speed) && positive(self.profile.acceleration),
-            "profile speed and acceleration must be positive",
+            positive(self.profile.speed) && positive(self.profile.acceleration) && not_negative(self.profile.jerk),
+            "profile speed and acceleration must be positive, jerk not negative",
         )?;
         rule(self.profile.speed <= self.speed_max, "profile speed must be at most speed_max")?;
         rule(

@@ -113,7 +113,7 @@ fn motors() -> [MotorConfig; 4] {
         speed_pid: PidGains { kp: 0.05, ki: 0.5, kd: 0.0 },
         cascade_per_s: 8.0,
         speed_filter_s: 0.002,
-        profile: ProfileLimits { speed: 10.0, acceleration: 50.0 },
+        profile: ProfileLimits { speed: 10.0, acceleration: 50.0, jerk: 500.0 },
         feed_forward: FeedForward { static_duty: 0.03, duty_per_speed: 0.04, duty_per_acceleration: 0.0 },
         settle: SettleConfig { error: 0.01, speed: 0.05, time_ms: 50 },
         stall: StallConfig { duty: 0.5, travel: 0.05, time_ms: 500 },

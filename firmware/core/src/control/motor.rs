@@ -2,13 +2,13 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
+    config::{ControlConfig, FeedForward, Feedback, PidGains},
 };
 
 use super::{
     follower::{Follower, Reference},
     pid::{BadPeriod, OutputLimits, Pid},
-    profile::Profile,
+    profile::{Moment, Profile, Ramp},
     watch::{Seen, Watch},
 };
 use crate::{
@@ -75,7 +75,7 @@ enum Following {
     /// An open duty: nothing.
     Duty,
     /// A speed: how far the ramp to it has come.
-    Speed { reference: f32, hold: Option<Hold> },
+    Speed { reference: Ramp, hold: Option<Hold> },
     /// A position.
     Position(Approach),
     /// A path: where it is to be now.
@@ -90,7 +90,7 @@ struct Homing {
     /// At which the switch is sought, rad/s.
     speed: f32,
     /// How far the ramp has come.
-    reference: f32,
+    reference: Ramp,
     /// Whether the switch has been found and is being left again.
     backing_off: bool,
     /// Whether it has been closed while the motor was on its way back: one that overshoots a short cam finds it open on the
@@ -231,19 +231,19 @@ impl Motor {
                 Following::Position(Approach { towards, ..Approach::default() })
             }
             (Following::Path(reference), Mode::Position) => {
-                self.profile.start(self.distance_from(reference.position), reference.speed);
+                self.profile.join(self.distance_from(reference.position), self.motion());
                 Following::Position(Approach::default())
             }
             (_, Mode::Position) => {
                 let duty = self.duty;
                 self.position_holder().reset(duty);
-                self.profile.start(self.distance(), self.speed);
+                self.profile.join(self.distance(), self.motion());
                 Following::Position(Approach::default())
             }
             (Following::Speed { reference, hold }, Mode::Speed) => Following::Speed { reference, hold },
             (_, Mode::Speed) => {
                 self.speed_loop.reset(self.duty);
-                Following::Speed { reference: self.speed, hold: None }
+                Following::Speed { reference: self.motion(), hold: None }
             }
             (_, Mode::Home) => {
                 self.speed_loop.reset(self.duty);
@@ -251,7 +251,7 @@ impl Motor {
                 let start = self.position;
                 Following::Home(Homing {
                     speed: setpoint.value,
-                    reference: self.speed,
+                    reference: self.motion(),
                     backing_off: false,
                     seen_again: false,
                     start,
@@ -262,6 +262,19 @@ impl Motor {
         };
     }
 
+    /// How it is to move now, or moves where nothing says how.
+    fn motion(&self) -> Ramp {
+        match self.following {
+            Following::Position(_) => {
+                let Moment { speed, acceleration, .. } = self.profile.now();
+                Ramp { speed, acceleration }
+            }
+            Following::Path(Reference { speed, acceleration, .. }) => Ramp { speed, acceleration },
+            Following::Speed { reference, .. } | Following::Home(Homing { reference, .. }) => reference,
+            Following::Duty => Ramp { speed: self.speed, acceleration: 0.0 },
+        }
+    }
+
     /// Begins to follow a path from where the motor is to be now, or where it is.
     fn begin_path(&mut self) {
         if self.path.is_some() {
@@ -269,7 +282,7 @@ impl Motor {
         }
         let (position, speed) = match self.following {
             Following::Position(_) => {
-                let (to_go, speed) = self.profile.now();
+                let Moment { to_go, speed, .. } = self.profile.now();
                 (f64::from(self.target) - f64::from(to_go), speed)
             }
             _ => {
@@ -312,8 +325,8 @@ impl Motor {
     /// The path has no more points: on from there to rest, along the profile.
     #[inline(never)]
     fn end_path(&mut self, end: Reference) {
-        let Reference { position, speed, .. } = end;
-        let stopping = f64::from(speed * speed.abs() / (2.0 * self.control.profile.acceleration));
+        let Reference { position, speed, acceleration, .. } = end;
+        let stopping = f64::from(self.profile.stopping(Ramp { speed, acceleration }));
         let range = self.control.position;
         let target = ((position + stopping) as f32).within(range.min, range.max);
         self.path = None;
@@ -326,7 +339,8 @@ impl Motor {
     /// Goes on to `target` from where a path has come.
     fn come_to_rest(&mut self, target: f32, reference: Reference) {
         self.target = target;
-        self.profile.join(self.distance_from(reference.position), reference.speed);
+        let Reference { position, speed, acceleration, .. } = reference;
+        self.profile.join(self.distance_from(position), Ramp { speed, acceleration });
         self.following = Following::Position(Approach::default());
     }
 
@@ -376,7 +390,7 @@ impl Motor {
             self.position_loop.reset(0.0);
             self.speed_loop.reset(0.0);
             match &mut self.following {
-                Following::Speed { reference, hold } => (*reference, *hold) = (0.0, None),
+                Following::Speed { reference, hold } => (*reference, *hold) = (Ramp::default(), None),
                 Following::Position(approach) => approach.hold = None,
                 Following::Duty | Following::Path(_) | Following::Home(_) => {}
             }
@@ -387,7 +401,7 @@ impl Motor {
                 let error = self.path_error(reference);
                 (error, reference.speed != 0.0 || error.abs() > self.control.settle.error)
             }
-            Following::Speed { reference, hold } => (0.0, reference != 0.0 && hold.is_none()),
+            Following::Speed { reference, hold } => (0.0, reference.speed != 0.0 && hold.is_none()),
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
         };
@@ -407,9 +421,7 @@ impl Motor {
 
     fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
-        let (_, before) = self.profile.now();
-        let (to_go, path_speed) = self.profile.step();
-        let path_acceleration = (path_speed - before) / self.period_s;
+        let Moment { to_go, speed: path_speed, acceleration: path_acceleration } = self.profile.step();
         // Left only at twice the error that enters it: noise at the edge must not start the motor again.
         let band = self.control.settle.error * if last.near { 2.0 } else { 1.0 };
         let near = to_go == 0.0 && distance.abs() <= band;
@@ -508,16 +520,13 @@ impl Motor {
         hold
     }
 
-    fn step_speed(&mut self, last: f32, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
-        let ProfileLimits { acceleration, .. } = self.control.profile;
+    fn step_speed(&mut self, mut ramp: Ramp, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
         // Slow enough to stop before the end of the range.
         let range = self.control.position;
-        let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
-        let down = stoppable(self.position - f64::from(range.min));
-        let up = stoppable(f64::from(range.max) - self.position);
-        let wanted = self.setpoint.value.within(-down, up);
-        let change = acceleration * self.period_s;
-        let reference = wanted.within(last - change, last + change);
+        let rooms = [self.position - f64::from(range.min), f64::from(range.max) - self.position];
+        let rooms = rooms.map(|room| room as f32);
+        let wanted = ramp.step(self.setpoint.value, rooms, &self.control.profile, self.period_s);
+        let Ramp { speed: reference, acceleration } = ramp;
         // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
         let stands = self.speed.abs() <= self.control.settle.speed;
         // A load that slips once is left to the loop, which starts from what held it.
@@ -526,18 +535,18 @@ impl Motor {
             let hold = self.let_go(hold.unwrap_or(self.new_hold()));
             let duty = if hold.slipped { hold.at_rest.0 } else { hold.duty };
             self.speed_loop.hold(self.duty, duty);
-            return (hold.duty, Following::Speed { reference, hold: Some(hold) });
+            return (hold.duty, Following::Speed { reference: ramp, hold: Some(hold) });
         }
-        let following = Following::Speed { reference, hold: slipped };
+        let following = Following::Speed { reference: ramp, hold: slipped };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
-        let path_duty = self.feed_forward(towards, reference, (reference - last) / self.period_s);
+        let path_duty = self.feed_forward(towards, reference, acceleration);
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
     }
 
     /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
     /// gone too far.
     fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
-        let goes_back = homing.reference * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
+        let goes_back = homing.reference.speed * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
         match (homing.backing_off, self.switch_closed) {
             (false, Some(true)) => homing.backing_off = true,
             (true, Some(true)) => homing.seen_again |= goes_back,
@@ -545,16 +554,17 @@ impl Motor {
                 self.set_zero();
                 let duty = self.duty;
                 self.position_holder().reset(duty);
-                self.profile.start(self.distance(), self.speed);
+                self.profile.join(self.distance(), homing.reference);
                 return (self.duty, Following::Position(Approach::default()), false);
             }
             _ => {}
         }
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
-        let change = self.control.profile.acceleration * self.period_s;
-        homing.reference = wanted.within(homing.reference - change, homing.reference + change);
-        let path_duty = self.feed_forward(homing.reference.signum(), homing.reference, 0.0);
-        let error = homing.reference - self.speed;
+        // Where the ends are is not known yet.
+        homing.reference.step(wanted, [f32::INFINITY; 2], &self.control.profile, self.period_s);
+        let Ramp { speed: reference, acceleration } = homing.reference;
+        let path_duty = self.feed_forward(reference.signum(), reference, acceleration);
+        let error = reference - self.speed;
         let duty = self.speed_loop.step(error, self.acceleration_now, path_duty, limits);
         let range = self.control.position.max - self.control.position.min;
         let missed = (self.position - homing.start).abs() as f32 > SEARCH_RANGES * range;

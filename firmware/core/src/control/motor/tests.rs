@@ -5,7 +5,7 @@ extern crate std;
 
 use r4_protocol::{
     Range,
-    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, SettleConfig, StallConfig},
+    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, ProfileLimits, SettleConfig, StallConfig},
 };
 
 use super::*;
@@ -35,7 +35,7 @@ fn config() -> ControlConfig {
         speed_pid: NO_GAINS,
         cascade_per_s: 0.0,
         speed_filter_s: 0.0,
-        profile: ProfileLimits { speed: 4.0, acceleration: 8.0 },
+        profile: ProfileLimits { speed: 4.0, acceleration: 8.0, jerk: 0.0 },
         feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
         settle: SettleConfig { error: 0.0625, speed: 0.0625, time_ms: 250 },
         stall: StallConfig { duty: 2.0, travel: 0.02, time_ms: u16::MAX },
@@ -924,4 +924,69 @@ fn a_path_begins_where_a_movement_is() {
     let before = bench.go(None, Some(knot(1_000_000, 3.0, 2.0)), 500_000);
     bench.command(Mode::Position, 8.0);
     near(bench.step(), before + 8.0 * PERIOD_S / 16.0, 1e-5);
+}
+
+/// 4 rad/s, 8 rad/s² and 64 rad/s³, and duties that show the path's speed and acceleration by these factors.
+fn with_jerk(duty_per_speed: f32, duty_per_acceleration: f32) -> Bench {
+    let feed_forward = FeedForward { static_duty: 0.0, duty_per_speed, duty_per_acceleration };
+    let profile = ProfileLimits { speed: 4.0, acceleration: 8.0, jerk: 64.0 };
+    Bench::new(ControlConfig { feed_forward, profile, settle: NEVER_AT_REST, ..config() })
+}
+
+/// From one movement to any other, speed and acceleration go on.
+#[test]
+fn with_limited_jerk_nothing_jumps_between_movements() {
+    let commands = [
+        (Mode::Position, 6.0, 200),
+        (Mode::Position, -3.0, 100),
+        (Mode::Speed, -4.0, 300),
+        (Mode::Speed, 4.0, 200),
+        (Mode::Position, 2.0, 250),
+        (Mode::Home, 3.0, 200),
+        (Mode::Speed, 0.0, 100),
+        (Mode::Position, 7.0, 300),
+    ];
+    // The last step of a ramp takes what is left of two.
+    let [speed, acceleration] = [(1.0 / 16.0, 8.0 * PERIOD_S), (1.0 / 64.0, 2.0 * 64.0 * PERIOD_S)];
+    for (mut bench, (factor, most)) in
+        [(with_jerk(speed.0, 0.0), speed), (with_jerk(0.0, acceleration.0), acceleration)]
+    {
+        let mut last = 0.0f32;
+        let mut reached = 0.0f32;
+        for (mode, value, periods) in commands {
+            bench.command(mode, value);
+            for period in 0..periods {
+                let now = bench.step() / factor;
+                // Roundings of numbers up to 8 in an f32.
+                assert!(
+                    (now - last).abs() <= most * 1.001,
+                    "{last}, then {now} in period {period} of {mode:?} {value}"
+                );
+                reached = reached.max(now.abs());
+                last = now;
+            }
+        }
+        // They come near 4 rad/s, and to 8 rad/s².
+        assert!(reached > 3.5, "{reached}");
+    }
+}
+
+/// 4 rad/s² from rest to 2 rad/s, where the path has no more points: 64 rad/s³ take the acceleration back.
+#[test]
+fn with_limited_jerk_a_path_is_left_without_a_jump() {
+    let last = knot(500_000, 0.5, 2.0);
+    for (factor, mut bench, on_the_path, then) in [
+        (16.0, with_jerk(1.0 / 16.0, 0.0), 2.0 - 4e-3, 2.0 + 4.0 * PERIOD_S),
+        (64.0, with_jerk(0.0, 1.0 / 64.0), 4.0, 4.0 - 64.0 * PERIOD_S),
+    ] {
+        bench.command(Mode::Follow, 0.0);
+        bench.go(None, Some(last), 0);
+        near(bench.go(None, Some(last), 499_000) * factor, on_the_path, 1e-3);
+        // Half of what the jerk does to a speed in a period, 3e-5 rad/s, is within the rounding of the path's cubic.
+        near(bench.go(Some(last), None, 500_000) * factor, then, 1e-3);
+        assert!(!bench.motor.follows());
+        // On to rest, further on than without a limit of jerk.
+        assert!(bench.motor.status().setpoint.value > 0.5 + 2.0 * 2.0 / (2.0 * 8.0));
+        near(bench.steps(2 * HZ) * factor, 0.0, 1e-6);
+    }
 }
