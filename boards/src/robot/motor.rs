@@ -114,6 +114,8 @@ pub(super) struct Encoder {
     counts_per_turn: u32,
     #[serde(default)]
     inverted: bool,
+    #[serde(default)]
+    counts_per_index: u32,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -144,8 +146,8 @@ pub(super) struct Homing {
 }
 
 impl From<Encoder> for Feedback {
-    fn from(Encoder { input, counts_per_turn, inverted }: Encoder) -> Self {
-        Self::Encoder { index: input, counts_per_turn, inverted }
+    fn from(Encoder { input, counts_per_turn, inverted, counts_per_index }: Encoder) -> Self {
+        Self::Encoder { index: input, counts_per_turn, inverted, counts_per_index }
     }
 }
 

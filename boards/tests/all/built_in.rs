@@ -110,7 +110,7 @@ fn the_bench_has_the_published_numbers() {
         high: PotPoint { code: code_16bit(989.0), position_m: 0.1 },
     };
     assert_eq!(actuator.control.unwrap().feedback, expected);
-    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false };
+    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false, counts_per_index: 0 };
     assert_eq!(rotary.control.unwrap().feedback, encoder);
     assert_eq!(robot.config.osmc_pwm, Some(PwmConfig { address: 0x40, frequency_hz: 1526.0 }));
     for supply in &robot.config.supplies {

@@ -411,6 +411,7 @@ pub(crate) struct Peripherals(Rc<PeripheralsState>);
 pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
     pub(crate) illegal: [Cell<u32>; 4],
+    pub(crate) at_index: [Cell<Option<u16>>; 4],
     pub(crate) storm: Cell<bool>,
     /// Of the switches: all are high at first.
     pub(crate) low: [Cell<bool>; SWITCHES],
@@ -446,6 +447,10 @@ impl Encoders for Peripherals {
 
     fn illegal(&mut self, index: u8) -> u32 {
         self.illegal[usize::from(index)].get()
+    }
+
+    fn at_index(&mut self, index: u8) -> Option<u16> {
+        self.at_index[usize::from(index)].take()
     }
 }
 

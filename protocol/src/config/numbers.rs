@@ -262,7 +262,7 @@ macro_rules! lend {
 
             fn feedback(config: &$($mut)? Feedback, parameter: Parameter) -> Lent<'_> {
                 match config {
-                    Feedback::Encoder { index: _, counts_per_turn, inverted: _ } => match parameter {
+                    Feedback::Encoder { index: _, counts_per_turn, inverted: _, counts_per_index: _ } => match parameter {
                         P::CountsPerTurn => Some(counts_per_turn),
                         _ => None,
                     },

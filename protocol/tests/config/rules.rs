@@ -43,6 +43,11 @@ fn encoder(config: &mut BoardConfig, change: fn(&mut u8, &mut u32)) {
     change(index, counts_per_turn);
 }
 
+fn index_pulse(config: &mut BoardConfig) -> &mut u32 {
+    let Feedback::Encoder { counts_per_index, .. } = &mut wheel(config).feedback else { panic!("the wheel's") };
+    counts_per_index
+}
+
 fn winding(config: &mut BoardConfig) -> &mut WindingConfig {
     config.motors[0].winding.as_mut().expect("the wheel's")
 }
@@ -193,6 +198,7 @@ const MOTORS: &[Case] = {
 };
 
 const LOOPS: &[Case] = {
+    const INDEX: &str = "counts_per_index must be 16 to 16777216, or 0 without an index pulse";
     const ENCODER: &str = "the encoder must exist and be used by one motor";
     const COUNTS: &str = "counts_per_turn must be 1 to 16777216";
     const ANALOG: &str = "the analog input must exist and be used once";
@@ -217,6 +223,8 @@ const LOOPS: &[Case] = {
     const SWITCH: &str = "the homing switch must be in the list of switches, and belong to one axis";
     &[
         (WHEEL, ENCODER, |c| encoder(c, |index, _| *index = 4)),
+        (WHEEL, INDEX, |c| *index_pulse(c) = 15),
+        (WHEEL, INDEX, |c| *index_pulse(c) = MAX_EXACT + 1),
         (ARM, ENCODER, |c| encoder(c, |index, _| *index = 1)),
         (WHEEL, COUNTS, |c| encoder(c, |_, counts| *counts = 0)),
         (WHEEL, COUNTS, |c| encoder(c, |_, counts| *counts = MAX_EXACT + 1)),
@@ -578,6 +586,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| wheel(c).speed_filter_s = 1.0,
         |c| wheel(c).profile.speed = 20.0,
         |c| wheel(c).profile.jerk = 0.0,
+        |c| *index_pulse(c) = 0,
+        |c| *index_pulse(c) = 16,
         |c| wheel(c).position_pid = PidGains { kp: 0.0, ki: 0.0, kd: PidGains::MAX },
         |c| wheel(c).feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
         |c| wheel(c).cascade_per_s = 0.0,

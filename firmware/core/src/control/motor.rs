@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     path::Leg,
-    sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
+    sensing::{encoder::Encoder, filter::LowPass, index::Index, potentiometer::Potentiometer},
     shared::MotorStatus,
     within::Within,
 };
@@ -55,6 +55,9 @@ pub struct Motor {
     /// Added to an encoder's counts since its zero was found.
     zero_counts: i32,
     homed: bool,
+    /// The encoder's index pulses, where it has them, and the position of one that came since the last step, counts.
+    index: Option<Index>,
+    index_at: Option<i32>,
     /// The home switch, where there is one.
     switch_closed: Option<bool>,
     speed: f32,
@@ -96,6 +99,8 @@ struct Homing {
     /// Whether it has been closed while the motor was on its way back: one that overshoots a short cam finds it open on the
     /// far side, which is no zero.
     seen_again: bool,
+    /// Whether the next index pulse is the zero.
+    awaits_index: bool,
     /// Where the search began.
     start: f64,
 }
@@ -163,6 +168,11 @@ impl Motor {
             zero_counts: 0,
             // A potentiometer always knows.
             homed: matches!(control.feedback, Feedback::Potentiometer { .. }),
+            index: match control.feedback {
+                Feedback::Encoder { counts_per_index, .. } => Index::new(counts_per_index),
+                Feedback::Potentiometer { .. } => None,
+            },
+            index_at: None,
             switch_closed: None,
             speed: 0.0,
             acceleration: LowPass::new(filter_s, period_s),
@@ -204,6 +214,28 @@ impl Motor {
         };
         self.acceleration_now = self.acceleration.step((self.speed - last_speed) / self.period_s);
         causes
+    }
+
+    /// Takes the counter at an index pulse since the last period, after [`Motor::sense`].
+    ///
+    /// Returns [`Cause::EncoderImplausible`] when counts were lost since the pulse before; the motor is then not homed any more.
+    // Once a turn: it stays in flash.
+    #[inline(never)]
+    pub fn sense_index(&mut self, raw: u16) -> Causes {
+        let (Sensor::Encoder(encoder), Some(index)) = (&self.sensor, &mut self.index) else { return Causes::NONE };
+        let at = encoder.position_at(raw);
+        self.index_at = Some(at.wrapping_add(self.zero_counts));
+        if !index.update(at, self.speed / resolution(self.control.feedback)) {
+            return Causes::NONE;
+        }
+        self.homed = false;
+        Causes::only(Cause::EncoderImplausible)
+    }
+
+    /// Whether the zero is an index pulse and no switch is to be found before.
+    fn homes_by_index(&self) -> bool {
+        let Feedback::Encoder { index, counts_per_index: 1.., .. } = self.control.feedback else { return false };
+        self.control.homing.is_some_and(|homing| homing.switch == index)
     }
 
     /// Takes a command, which dispatch has checked.
@@ -248,12 +280,14 @@ impl Motor {
             (_, Mode::Home) => {
                 self.speed_loop.reset(self.duty);
                 self.homed = false;
+                self.index_at = None;
                 let start = self.position;
                 Following::Home(Homing {
                     speed: setpoint.value,
                     reference: self.motion(),
                     backing_off: false,
                     seen_again: false,
+                    awaits_index: self.homes_by_index(),
                     start,
                 })
             }
@@ -543,20 +577,19 @@ impl Motor {
         (self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, limits), following)
     }
 
-    /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
-    /// gone too far.
+    /// Seeks the switch, leaves it again slowly, and takes where it opens, or the next index pulse, for the known place. Also whether the
+    /// search has gone too far.
     fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
         let goes_back = homing.reference.speed * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
+        if let (Some(at), true) = (self.index_at.take(), homing.awaits_index) {
+            return self.find_zero(at, homing);
+        }
         match (homing.backing_off, self.switch_closed) {
+            _ if homing.awaits_index => {}
             (false, Some(true)) => homing.backing_off = true,
             (true, Some(true)) => homing.seen_again |= goes_back,
-            (true, Some(false)) if homing.seen_again => {
-                self.set_zero();
-                let duty = self.duty;
-                self.position_holder().reset(duty);
-                self.profile.join(self.distance(), homing.reference);
-                return (self.duty, Following::Position(Approach::default()), false);
-            }
+            (true, Some(false)) if homing.seen_again && self.index.is_some() => homing.awaits_index = true,
+            (true, Some(false)) if homing.seen_again => return self.find_zero(self.position_counts, homing),
             _ => {}
         }
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
@@ -571,14 +604,24 @@ impl Motor {
         (duty, Following::Home(homing), missed)
     }
 
-    /// The switch has just opened: this is its place, and the position to rest at.
-    fn set_zero(&mut self) {
+    /// The search ends at the place that has the number `at` so far.
+    #[inline(never)]
+    fn find_zero(&mut self, at: i32, homing: Homing) -> (f32, Following, bool) {
+        self.set_zero(at);
+        let duty = self.duty;
+        self.position_holder().reset(duty);
+        self.profile.join(self.distance(), homing.reference);
+        (self.duty, Following::Position(Approach::default()), false)
+    }
+
+    /// The place that has the number `at` so far is the known one, and the position to rest at.
+    fn set_zero(&mut self, at: i32) {
         let Some(homing) = self.control.homing else { return };
         let resolution = resolution(self.control.feedback);
-        let counts = libm::roundf(homing.position / resolution) as i32;
-        self.zero_counts = self.zero_counts.wrapping_add(counts.wrapping_sub(self.position_counts));
-        self.position_counts = counts;
-        self.position = f64::from(counts) * f64::from(resolution);
+        let shift = (libm::roundf(homing.position / resolution) as i32).wrapping_sub(at);
+        self.zero_counts = self.zero_counts.wrapping_add(shift);
+        self.position_counts = self.position_counts.wrapping_add(shift);
+        self.position = f64::from(self.position_counts) * f64::from(resolution);
         self.target = homing.position;
         self.homed = true;
         self.watch = Watch::default();

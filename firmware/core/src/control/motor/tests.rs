@@ -28,7 +28,12 @@ const KEEPS: PidGains = PidGains { kp: 0.0, ki: 1e-12, kd: 0.0 };
 /// that could see anything.
 fn config() -> ControlConfig {
     ControlConfig {
-        feedback: Feedback::Encoder { index: 0, counts_per_turn: COUNTS_PER_TURN, inverted: false },
+        feedback: Feedback::Encoder {
+            index: 0,
+            counts_per_turn: COUNTS_PER_TURN,
+            inverted: false,
+            counts_per_index: 0,
+        },
         position: Range::new(-8.0, 8.0),
         speed_max: 1e6,
         position_pid: NO_GAINS,
@@ -639,6 +644,96 @@ fn a_search_takes_the_place_where_its_switch_opens() {
         assert!(!bench.motor.status().homed);
         assert_eq!(bench.causes, Causes::NONE);
     }
+}
+
+/// Turns by `per_period` counts in each of so many periods; pulses come at multiples of 256 counts from 100.
+fn turn(bench: &mut Bench, periods: u32, per_period: i32) {
+    for _ in 0..periods {
+        let before = bench.counts;
+        bench.counts += per_period;
+        let sensed = bench.motor.sense(bench.counts as u16, bench.switch);
+        bench.causes = bench.causes.union(sensed);
+        let (least, most) = ((before + 1).min(bench.counts), (before - 1).max(bench.counts));
+        for count in (least..=most).filter(|count| (count - 100).rem_euclid(256) == 0) {
+            bench.causes = bench.causes.union(bench.motor.sense_index(count as u16));
+        }
+        bench.causes = bench.causes.union(bench.motor.step().1);
+    }
+}
+
+fn with_index(switch: u8) -> Bench {
+    let feedback =
+        Feedback::Encoder { index: 0, counts_per_turn: COUNTS_PER_TURN, inverted: false, counts_per_index: 256 };
+    let homing = Some(HomingConfig { switch, position: 1.5, speed_max: 4.0 });
+    Bench::new(ControlConfig { feedback, homing, ..config() })
+}
+
+/// From any place, either way and at any speed: the zero is the pulse itself, not where the motor was when it was told of it.
+#[test]
+fn a_search_takes_the_first_index_pulse() {
+    for (start, per_period, pulse) in [(0, 7, 100), (99, 1, 100), (101, 9, 356), (0, -7, -156), (356, -9, 100)] {
+        let mut bench = with_index(0);
+        bench.counts = start;
+        bench.motor.sense(start as u16, None);
+        bench.command(Mode::Home, (per_period as f32).signum());
+        // What a debounced switch would make of the pulse does not matter.
+        bench.switch = Some(true);
+        turn(&mut bench, 64, per_period);
+        assert!(bench.motor.status().homed, "{start} {per_period}");
+        // 1.5 rad are 489 counts.
+        assert_eq!(bench.motor.status().position - 489, bench.counts - pulse, "{start} {per_period}");
+        let target = bench.motor.target;
+        assert_eq!((target, bench.causes), (1.5, Causes::NONE));
+    }
+}
+
+/// With a switch on another input, the pulses before the switch has opened do not count.
+#[test]
+fn a_search_by_switch_and_index_takes_the_pulse_after_the_switch() {
+    let mut bench = with_index(1);
+    bench.switch = Some(false);
+    bench.command(Mode::Home, 2.0);
+    turn(&mut bench, 100, 5);
+    bench.switch = Some(true);
+    turn(&mut bench, 300, 1);
+    turn(&mut bench, 300, -1);
+    bench.switch = Some(false);
+    turn(&mut bench, 1, -1);
+    assert!(!bench.motor.status().homed);
+    // At 499 the switch has opened: down to 356.
+    assert_eq!(bench.counts, 499);
+    turn(&mut bench, 142, -1);
+    assert!(!bench.motor.status().homed);
+    turn(&mut bench, 1, -1);
+    assert!(bench.motor.status().homed);
+    assert_eq!(bench.motor.status().position, 489);
+}
+
+/// Counts that the counter did not see: the next pulse tells, once, and the motor is no longer homed.
+#[test]
+fn lost_counts_are_seen_at_the_next_index_pulse() {
+    let mut bench = with_index(0);
+    bench.command(Mode::Home, 1.0);
+    turn(&mut bench, 100, 8);
+    assert!(bench.motor.status().homed);
+    bench.causes = Causes::NONE;
+    for lost in [0, 8] {
+        // Pulses are where they are, and the counter is behind.
+        let at = (100 + 256 * 8 - lost) as u16;
+        bench.motor.sense(at, None);
+        let causes = bench.motor.sense_index(at);
+        assert_eq!(causes.contains(Cause::EncoderImplausible), lost > 0);
+        assert_eq!(bench.motor.status().homed, lost == 0);
+    }
+    let at = (100 + 256 * 9 - 8) as u16;
+    bench.motor.sense(at, None);
+    assert_eq!(bench.motor.sense_index(at), Causes::NONE, "told once");
+    // A new search finds the zero again.
+    bench.command(Mode::Home, 1.0);
+    bench.motor.sense(at, None);
+    assert_eq!(bench.motor.sense_index(at), Causes::NONE);
+    bench.motor.step();
+    assert!(bench.motor.status().homed);
 }
 
 /// The motor overshoots a short cam: the switch opens on the far side while the ramp turns, and that is no zero.
