@@ -102,7 +102,7 @@ pub enum Parameter {
     StepsPerTurn,
     /// Of a stepper, rad/s².
     Acceleration,
-    /// Of a stepper, rad/s³.
+    /// Of a motor's path or of a stepper, rad/s³ or m/s³.
     Jerk,
     /// Of a stepper, rad/s.
     StartSpeed,

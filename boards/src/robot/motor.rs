@@ -114,6 +114,8 @@ pub(super) struct Encoder {
     counts_per_turn: u32,
     #[serde(default)]
     inverted: bool,
+    #[serde(default)]
+    counts_per_index: u32,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -144,8 +146,8 @@ pub(super) struct Homing {
 }
 
 impl From<Encoder> for Feedback {
-    fn from(Encoder { input, counts_per_turn, inverted }: Encoder) -> Self {
-        Self::Encoder { index: input, counts_per_turn, inverted }
+    fn from(Encoder { input, counts_per_turn, inverted, counts_per_index }: Encoder) -> Self {
+        Self::Encoder { index: input, counts_per_turn, inverted, counts_per_index }
     }
 }
 
@@ -190,7 +192,7 @@ macro_rules! controlled {
         speed_max: $speed_max:ident,
         position_pid: [$kp:ident, $ki:ident, $kd:ident],
         speed_pid: [$speed_kp:ident, $speed_ki:ident, $speed_kd:ident],
-        profile: [$profile_speed:ident, $acceleration:ident],
+        profile: [$profile_speed:ident, $acceleration:ident, $jerk:ident],
         feed_forward: [$duty_per_speed:ident, $duty_per_acceleration:ident],
         settle: [$settle_error:ident, $settle_speed:ident],
         stall: $travel:ident,
@@ -261,6 +263,8 @@ macro_rules! controlled {
                 $profile_speed: f32,
                 #[serde(deserialize_with = "positive")]
                 $acceleration: f32,
+                #[serde(default, deserialize_with = "not_negative")]
+                $jerk: f32,
             }
 
             #[derive(Deserialize)]
@@ -327,6 +331,7 @@ macro_rules! controlled {
                             profile: ProfileLimits {
                                 speed: profile.$profile_speed,
                                 acceleration: profile.$acceleration,
+                                jerk: profile.$jerk,
                             },
                             feed_forward: FeedForward {
                                 static_duty: feed_forward.static_duty,
@@ -357,7 +362,7 @@ controlled! {
     speed_max: speed_max_rad_s,
     position_pid: [kp_duty_per_rad, ki_duty_per_rad_s, kd_duty_s_per_rad],
     speed_pid: [kp_duty_s_per_rad, ki_duty_per_rad, kd_duty_s2_per_rad],
-    profile: [speed_rad_s, acceleration_rad_s2],
+    profile: [speed_rad_s, acceleration_rad_s2, jerk_rad_s3],
     feed_forward: [duty_s_per_rad, duty_s2_per_rad],
     settle: [error_rad, speed_rad_s],
     stall: travel_rad,
@@ -371,7 +376,7 @@ controlled! {
     speed_max: speed_max_m_s,
     position_pid: [kp_duty_per_m, ki_duty_per_m_s, kd_duty_s_per_m],
     speed_pid: [kp_duty_s_per_m, ki_duty_per_m, kd_duty_s2_per_m],
-    profile: [speed_m_s, acceleration_m_s2],
+    profile: [speed_m_s, acceleration_m_s2, jerk_m_s3],
     feed_forward: [duty_s_per_m, duty_s2_per_m],
     settle: [error_m, speed_m_s],
     stall: travel_m,

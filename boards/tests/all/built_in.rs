@@ -110,7 +110,7 @@ fn the_bench_has_the_published_numbers() {
         high: PotPoint { code: code_16bit(989.0), position_m: 0.1 },
     };
     assert_eq!(actuator.control.unwrap().feedback, expected);
-    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false };
+    let encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false, counts_per_index: 0 };
     assert_eq!(rotary.control.unwrap().feedback, encoder);
     assert_eq!(robot.config.osmc_pwm, Some(PwmConfig { address: 0x40, frequency_hz: 1526.0 }));
     for supply in &robot.config.supplies {
@@ -153,6 +153,23 @@ fn a_copy_elsewhere_uses_what_is_beside_it_and_else_what_is_built_in() {
     let changed = load(path.to_str().unwrap()).unwrap();
     assert_eq!(changed.simulation.motors[0].plant.text, "model = \"mine\"");
     assert_eq!(changed.simulation.motors[1], built_in.simulation.motors[1]);
+}
+
+/// Left out it is 0, a trapezoid.
+#[test]
+fn a_profile_may_limit_its_jerk() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("mine.toml");
+    let limited = include_str!("../../osmc-bench.toml")
+        .replace("acceleration_rad_s2 = 10.0", "acceleration_rad_s2 = 10.0\njerk_rad_s3 = 200.0")
+        .replace("acceleration_m_s2 = 0.05", "acceleration_m_s2 = 0.05\njerk_m_s3 = 0.5");
+    fs::write(&path, limited).unwrap();
+    let jerks = |robot: &str| {
+        let motors = load(robot).unwrap().config.motors;
+        motors.iter().map(|motor| motor.control.unwrap().profile.jerk).collect::<Vec<_>>()
+    };
+    assert_eq!(jerks("osmc-bench"), [0.0, 0.0]);
+    assert_eq!(jerks(path.to_str().unwrap()), [200.0, 0.5]);
 }
 
 #[test]

@@ -106,6 +106,12 @@ pub trait Encoders {
     /// Transitions of encoder `index` since power-up in which both tracks changed, which no shaft does; 0 where a timer
     /// counts, for it cannot tell.
     fn illegal(&mut self, index: u8) -> u32;
+
+    /// The count of encoder `index` at its last index pulse since this was asked before: latched when the level of the switch input
+    /// of the same number becomes that of a closed switch. Always `None` where nothing latches.
+    fn at_index(&mut self, _index: u8) -> Option<u16> {
+        None
+    }
 }
 
 /// Inputs whose edges come by interrupts above the supervisor, which a storm of them would starve.

@@ -411,6 +411,7 @@ pub(crate) struct Peripherals(Rc<PeripheralsState>);
 pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
     pub(crate) illegal: [Cell<u32>; 4],
+    pub(crate) at_index: [Cell<Option<u16>>; 4],
     pub(crate) storm: Cell<bool>,
     /// Of the switches: all are high at first.
     pub(crate) low: [Cell<bool>; SWITCHES],
@@ -446,6 +447,10 @@ impl Encoders for Peripherals {
 
     fn illegal(&mut self, index: u8) -> u32 {
         self.illegal[usize::from(index)].get()
+    }
+
+    fn at_index(&mut self, index: u8) -> Option<u16> {
+        self.at_index[usize::from(index)].take()
     }
 }
 
@@ -532,4 +537,54 @@ impl Steppers for Peripherals {
     }
 
     fn stop(&mut self, _: u8) {}
+}
+
+/// A path by Ruckig (Berscheid and Kröger, Robotics: Science and Systems 2021), of one axis to rest: another's answer to the same problem,
+/// from any state within the limits that stays there when its acceleration is taken back. Outside them Ruckig first brakes by rules of its
+/// own.
+pub(crate) struct Ruckig {
+    path: rsruckig::trajectory::Trajectory<1>,
+    from: f64,
+    /// Of distance and time, in which Ruckig planned.
+    unit: f64,
+    unit_s: f64,
+    /// s
+    pub(crate) duration_s: f64,
+}
+
+impl Ruckig {
+    /// From position, speed and acceleration.
+    pub(crate) fn to_rest(from: [f64; 3], target: f64, limits: &crate::motion::scurve::Limits) -> Self {
+        use rsruckig::{
+            error::ThrowErrorHandler, input_parameter::InputParameter, ruckig::Ruckig as Planner,
+            trajectory::Trajectory,
+        };
+        // Its tolerances are absolute: highest speed and acceleration shall be 1.
+        let unit_s = limits.speed / limits.acceleration;
+        let unit = limits.speed * unit_s;
+        let [position, speed, acceleration] = from;
+        let mut input = InputParameter::<1>::new(None);
+        (input.current_position[0], input.target_position[0]) = (0.0, (target - position) / unit);
+        input.current_velocity[0] = speed / limits.speed;
+        input.current_acceleration[0] = acceleration / limits.acceleration;
+        (input.max_velocity[0], input.max_acceleration[0]) = (1.0, 1.0);
+        input.max_jerk[0] = limits.jerk * unit_s / limits.acceleration;
+        let mut path = Trajectory::new(None);
+        // The period of its own steps, which are not taken.
+        let mut planner = Planner::<1, ThrowErrorHandler>::new(None, 1e-3);
+        planner.calculate(&input, &mut path).expect("a path within the limits");
+        let duration_s = path.get_duration() * unit_s;
+        Self { path, from: position, unit, unit_s, duration_s }
+    }
+
+    /// Position, speed and acceleration at a time.
+    pub(crate) fn at(&self, time_s: f64) -> [f64; 3] {
+        let zero = || rsruckig::util::DataArrayOrVec::<f64, 1>::new(None, 0.0);
+        let mut state = [zero(), zero(), zero()];
+        let [position, speed, acceleration] = &mut state;
+        let time = time_s / self.unit_s;
+        self.path.at_time(time, &mut Some(position), &mut Some(speed), &mut Some(acceleration), &mut None, &mut None);
+        let [position, speed, acceleration] = state.map(|value| value[0] * self.unit);
+        [self.from + position, speed / self.unit_s, acceleration / (self.unit_s * self.unit_s)]
+    }
 }

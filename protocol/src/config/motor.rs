@@ -180,6 +180,8 @@ pub enum Feedback {
         counts_per_turn: u32,
         /// Whether positive duty counts down.
         inverted: bool,
+        /// Counts from one index pulse to the next, where it comes in at the switch input of the same number; 0 without.
+        counts_per_index: u32,
     },
     /// Potentiometer on an analog input, calibrated at two points.
     Potentiometer {
@@ -252,13 +254,15 @@ impl PidGains {
     }
 }
 
-/// Limits of a trapezoidal path.
+/// Limits of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ProfileLimits {
     /// rad/s or m/s
     pub speed: f32,
     /// rad/s² or m/s²
     pub acceleration: f32,
+    /// rad/s³ or m/s³; 0 for trapezoids, whose acceleration jumps.
+    pub jerk: f32,
 }
 
 /// Feed-forward duty `static_duty sign(v) + duty_per_speed v + duty_per_acceleration a`.
@@ -369,6 +373,9 @@ const INTERRUPT_ENCODER: u8 = 3;
 /// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
 pub const ENCODER_3_COUNTS_PER_MS: u32 = 50;
 
+/// An encoder of fewer lines than 4 in a turn has no use for an index pulse, which tells whole lines.
+const INDEX_LEAST: u32 = 16;
+
 /// A cascade that is faster than the control loop makes no sense.
 const CASCADE_MAX_PER_S: f32 = 1000.0;
 
@@ -378,9 +385,13 @@ impl ControlConfig {
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
         let Range { min, max } = self.position;
         match self.feedback {
-            Feedback::Encoder { index, counts_per_turn, .. } => {
+            Feedback::Encoder { index, counts_per_turn, counts_per_index, .. } => {
                 rule(usize::from(index) < ENCODERS, "the encoder must exist and be used by one motor")?;
                 rule((1..=MAX_EXACT).contains(&counts_per_turn), "counts_per_turn must be 1 to 16777216")?;
+                rule(
+                    counts_per_index == 0 || (INDEX_LEAST..=MAX_EXACT).contains(&counts_per_index),
+                    "counts_per_index must be 16 to 16777216, or 0 without an index pulse",
+                )?;
                 // So that a count is an i32, with room for what an axis may turn beyond its range.
                 let counts_per_ms = self.speed_max / core::f32::consts::TAU * counts_per_turn as f32 * 1e-3;
                 rule(
@@ -422,8 +433,8 @@ impl ControlConfig {
             "speed_filter_s must be 0 to 1, or the speed is known too late",
         )?;
         rule(
-            positive(self.profile.speed) && positive(self.profile.acceleration),
-            "profile speed and acceleration must be positive",
+            positive(self.profile.speed) && positive(self.profile.acceleration) && not_negative(self.profile.jerk),
+            "profile speed and acceleration must be positive, jerk not negative",
         )?;
         rule(self.profile.speed <= self.speed_max, "profile speed must be at most speed_max")?;
         rule(

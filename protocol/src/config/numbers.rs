@@ -221,7 +221,7 @@ macro_rules! lend {
                     position_pid: PidGains { kp: position_kp, ki: position_ki, kd: position_kd },
                     speed_pid: PidGains { kp: speed_kp, ki: speed_ki, kd: speed_kd },
                     speed_filter_s,
-                    profile: ProfileLimits { speed: profile_speed, acceleration: profile_acceleration },
+                    profile: ProfileLimits { speed: profile_speed, acceleration: profile_acceleration, jerk: profile_jerk },
                     cascade_per_s,
                     feed_forward: FeedForward { static_duty, duty_per_speed, duty_per_acceleration },
                     settle: SettleConfig { error: settle_error, speed: settle_speed, time_ms: settle_time_ms },
@@ -242,6 +242,7 @@ macro_rules! lend {
                     P::SpeedFilter => speed_filter_s,
                     P::ProfileSpeed => profile_speed,
                     P::ProfileAcceleration => profile_acceleration,
+                    P::Jerk => profile_jerk,
                     P::StaticDuty => static_duty,
                     P::DutyPerSpeed => duty_per_speed,
                     P::DutyPerAcceleration => duty_per_acceleration,
@@ -261,7 +262,7 @@ macro_rules! lend {
 
             fn feedback(config: &$($mut)? Feedback, parameter: Parameter) -> Lent<'_> {
                 match config {
-                    Feedback::Encoder { index: _, counts_per_turn, inverted: _ } => match parameter {
+                    Feedback::Encoder { index: _, counts_per_turn, inverted: _, counts_per_index: _ } => match parameter {
                         P::CountsPerTurn => Some(counts_per_turn),
                         _ => None,
                     },

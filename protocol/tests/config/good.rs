@@ -106,14 +106,14 @@ pub(crate) fn good() -> BoardConfig {
 
 fn motors() -> [MotorConfig; 4] {
     let control = ControlConfig {
-        feedback: Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false },
+        feedback: Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false, counts_per_index: 2400 },
         position: Range::symmetric(8.0),
         speed_max: 20.0,
         position_pid: PidGains { kp: 1.0, ki: 0.5, kd: 0.01 },
         speed_pid: PidGains { kp: 0.05, ki: 0.5, kd: 0.0 },
         cascade_per_s: 8.0,
         speed_filter_s: 0.002,
-        profile: ProfileLimits { speed: 10.0, acceleration: 50.0 },
+        profile: ProfileLimits { speed: 10.0, acceleration: 50.0, jerk: 500.0 },
         feed_forward: FeedForward { static_duty: 0.03, duty_per_speed: 0.04, duty_per_acceleration: 0.0 },
         settle: SettleConfig { error: 0.01, speed: 0.05, time_ms: 50 },
         stall: StallConfig { duty: 0.5, travel: 0.05, time_ms: 500 },
@@ -164,7 +164,7 @@ fn motors() -> [MotorConfig; 4] {
         id: id(ChannelKind::Dhb, 0),
         bridge: BridgeConfig::Dhb(DhbLines { in1: 0, in2: 1, en: 2 }),
         control: Some(ControlConfig {
-            feedback: Feedback::Encoder { index: 1, counts_per_turn: 4000, inverted: true },
+            feedback: Feedback::Encoder { index: 1, counts_per_turn: 4000, inverted: true, counts_per_index: 0 },
             homing: Some(HomingConfig { switch: 1, position: -1.5, speed_max: 0.5 }),
             ..control
         }),

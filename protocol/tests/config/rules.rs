@@ -43,6 +43,11 @@ fn encoder(config: &mut BoardConfig, change: fn(&mut u8, &mut u32)) {
     change(index, counts_per_turn);
 }
 
+fn index_pulse(config: &mut BoardConfig) -> &mut u32 {
+    let Feedback::Encoder { counts_per_index, .. } = &mut wheel(config).feedback else { panic!("the wheel's") };
+    counts_per_index
+}
+
 fn winding(config: &mut BoardConfig) -> &mut WindingConfig {
     config.motors[0].winding.as_mut().expect("the wheel's")
 }
@@ -193,6 +198,7 @@ const MOTORS: &[Case] = {
 };
 
 const LOOPS: &[Case] = {
+    const INDEX: &str = "counts_per_index must be 16 to 16777216, or 0 without an index pulse";
     const ENCODER: &str = "the encoder must exist and be used by one motor";
     const COUNTS: &str = "counts_per_turn must be 1 to 16777216";
     const ANALOG: &str = "the analog input must exist and be used once";
@@ -205,7 +211,7 @@ const LOOPS: &[Case] = {
     const SPEED: &str = "speed_max must be positive";
     const GAINS: &str = "gains must be 0 to 1000000";
     const FILTER: &str = "speed_filter_s must be 0 to 1, or the speed is known too late";
-    const PROFILE: &str = "profile speed and acceleration must be positive";
+    const PROFILE: &str = "profile speed and acceleration must be positive, jerk not negative";
     const CASCADE: &str = "cascade must be 0 to 1000, in 1/s";
     const FORWARD: &str = "feed-forward must not be negative, and static_duty must stay below duty_max";
     const SETTLE: &str = "settle error and speed must be positive";
@@ -217,6 +223,8 @@ const LOOPS: &[Case] = {
     const SWITCH: &str = "the homing switch must be in the list of switches, and belong to one axis";
     &[
         (WHEEL, ENCODER, |c| encoder(c, |index, _| *index = 4)),
+        (WHEEL, INDEX, |c| *index_pulse(c) = 15),
+        (WHEEL, INDEX, |c| *index_pulse(c) = MAX_EXACT + 1),
         (ARM, ENCODER, |c| encoder(c, |index, _| *index = 1)),
         (WHEEL, COUNTS, |c| encoder(c, |_, counts| *counts = 0)),
         (WHEEL, COUNTS, |c| encoder(c, |_, counts| *counts = MAX_EXACT + 1)),
@@ -258,6 +266,9 @@ const LOOPS: &[Case] = {
         (WHEEL, FILTER, |c| wheel(c).speed_filter_s = f32::NAN),
         (WHEEL, PROFILE, |c| wheel(c).profile.speed = 0.0),
         (WHEEL, PROFILE, |c| wheel(c).profile.acceleration = f32::NAN),
+        (WHEEL, PROFILE, |c| wheel(c).profile.jerk = -1.0),
+        (WHEEL, PROFILE, |c| wheel(c).profile.jerk = f32::MIN_POSITIVE),
+        (WHEEL, PROFILE, |c| wheel(c).profile.jerk = f32::NAN),
         (WHEEL, "profile speed must be at most speed_max", |c| wheel(c).profile.speed = 20.0f32.next_up()),
         (WHEEL, FORWARD, |c| wheel(c).feed_forward.static_duty = -0.01),
         (WHEEL, FORWARD, |c| wheel(c).feed_forward.static_duty = 0.9),
@@ -574,6 +585,9 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| wheel(c).speed_filter_s = 0.0,
         |c| wheel(c).speed_filter_s = 1.0,
         |c| wheel(c).profile.speed = 20.0,
+        |c| wheel(c).profile.jerk = 0.0,
+        |c| *index_pulse(c) = 0,
+        |c| *index_pulse(c) = 16,
         |c| wheel(c).position_pid = PidGains { kp: 0.0, ki: 0.0, kd: PidGains::MAX },
         |c| wheel(c).feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
         |c| wheel(c).cascade_per_s = 0.0,

@@ -49,7 +49,8 @@ impl Follower {
         let Some(to) = leg.next else {
             let since_s = now_us.saturating_sub(from_us) as f32 * 1e-6;
             let position = from + f64::from(from_speed * since_s);
-            return Err(Reference { position, speed: from_speed, ..Reference::default() });
+            // The acceleration is that of a period ago.
+            return Err(Reference { position, speed: from_speed, feed_forward: 0.0, ..self.last });
         };
         if self.to.is_some_and(|planned| planned != to) {
             (from_us, self.from) = (self.last_us, (self.last.position, self.last.speed));

@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
+    config::{ControlConfig, FeedForward, Feedback, PidGains},
 };
 
 use super::{
@@ -10,12 +10,12 @@ use super::{
     landing::{Aim, Landing},
     model::Model,
     pid::{BadPeriod, OutputLimits, Pid},
-    profile::Profile,
+    profile::{Moment, Profile, Ramp},
     watch::{Seen, Watch},
 };
 use crate::{
     path::Leg,
-    sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
+    sensing::{encoder::Encoder, filter::LowPass, index::Index, potentiometer::Potentiometer},
     shared::MotorStatus,
     within::Within,
 };
@@ -59,6 +59,9 @@ pub struct Motor {
     /// Added to an encoder's counts since its zero was found.
     zero_counts: i32,
     homed: bool,
+    /// The encoder's index pulses, where it has them, and the position of one that came since the last step, counts.
+    index: Option<Index>,
+    index_at: Option<i32>,
     /// The home switch, where there is one.
     switch_closed: Option<bool>,
     speed: f32,
@@ -81,7 +84,7 @@ enum Following {
     /// An open duty: nothing.
     Duty,
     /// A speed: how far the ramp to it has come.
-    Speed { reference: f32, hold: Option<Hold> },
+    Speed { reference: Ramp, hold: Option<Hold> },
     /// A position.
     Position(Approach),
     /// A path: where it is to be now.
@@ -96,12 +99,14 @@ struct Homing {
     /// At which the switch is sought, rad/s.
     speed: f32,
     /// How far the ramp has come.
-    reference: f32,
+    reference: Ramp,
     /// Whether the switch has been found and is being left again.
     backing_off: bool,
     /// Whether it has been closed while the motor was on its way back: one that overshoots a short cam finds it open on the
     /// far side, which is no zero.
     seen_again: bool,
+    /// Whether the next index pulse is the zero.
+    awaits_index: bool,
     /// Where the search began.
     start: f64,
 }
@@ -183,6 +188,11 @@ impl Motor {
             zero_counts: 0,
             // A potentiometer always knows.
             homed: matches!(control.feedback, Feedback::Potentiometer { .. }),
+            index: match control.feedback {
+                Feedback::Encoder { counts_per_index, .. } => Index::new(counts_per_index),
+                Feedback::Potentiometer { .. } => None,
+            },
+            index_at: None,
             switch_closed: None,
             speed: 0.0,
             acceleration: LowPass::new(filter_s, period_s),
@@ -233,6 +243,28 @@ impl Motor {
         causes
     }
 
+    /// Takes the counter at an index pulse since the last period, after [`Motor::sense`].
+    ///
+    /// Returns [`Cause::EncoderImplausible`] when counts were lost since the pulse before; the motor is then not homed any more.
+    // Once a turn: it stays in flash.
+    #[inline(never)]
+    pub fn sense_index(&mut self, raw: u16) -> Causes {
+        let (Sensor::Encoder(encoder), Some(index)) = (&self.sensor, &mut self.index) else { return Causes::NONE };
+        let at = encoder.position_at(raw);
+        self.index_at = Some(at.wrapping_add(self.zero_counts));
+        if !index.update(at, self.speed / resolution(self.control.feedback)) {
+            return Causes::NONE;
+        }
+        self.homed = false;
+        Causes::only(Cause::EncoderImplausible)
+    }
+
+    /// Whether the zero is an index pulse and no switch is to be found before.
+    fn homes_by_index(&self) -> bool {
+        let Feedback::Encoder { index, counts_per_index: 1.., .. } = self.control.feedback else { return false };
+        self.control.homing.is_some_and(|homing| homing.switch == index)
+    }
+
     /// Takes a command, which dispatch has checked.
     // Not each period: it stays in flash.
     #[inline(never)]
@@ -258,35 +290,50 @@ impl Motor {
                 Following::Position(Approach { towards, ..Approach::default() })
             }
             (Following::Path(reference), Mode::Position) => {
-                self.profile.start(self.distance_from(reference.position), reference.speed);
+                self.profile.join(self.distance_from(reference.position), self.motion());
                 Following::Position(Approach::default())
             }
             (_, Mode::Position) => {
                 let duty = self.duty;
                 self.position_holder().reset(duty);
-                self.profile.start(self.distance(), self.speed);
+                self.profile.join(self.distance(), self.motion());
                 Following::Position(Approach::default())
             }
             (Following::Speed { reference, hold }, Mode::Speed) => Following::Speed { reference, hold },
             (_, Mode::Speed) => {
                 self.speed_loop.reset(self.duty);
-                Following::Speed { reference: self.speed, hold: None }
+                Following::Speed { reference: self.motion(), hold: None }
             }
             (_, Mode::Home) => {
                 self.speed_loop.reset(self.duty);
                 self.homed = false;
+                self.index_at = None;
                 let start = self.position;
                 Following::Home(Homing {
                     speed: setpoint.value,
-                    reference: self.speed,
+                    reference: self.motion(),
                     backing_off: false,
                     seen_again: false,
+                    awaits_index: self.homes_by_index(),
                     start,
                 })
             }
             // Dispatch lets no motor be switched; a path was begun above.
             (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Follow) => Following::Duty,
         };
+    }
+
+    /// How it is to move now, or moves where nothing says how.
+    fn motion(&self) -> Ramp {
+        match self.following {
+            Following::Position(_) => {
+                let Moment { speed, acceleration, .. } = self.profile.now();
+                Ramp { speed, acceleration }
+            }
+            Following::Path(Reference { speed, acceleration, .. }) => Ramp { speed, acceleration },
+            Following::Speed { reference, .. } | Following::Home(Homing { reference, .. }) => reference,
+            Following::Duty => Ramp { speed: self.speed, acceleration: 0.0 },
+        }
     }
 
     /// Begins to follow a path from where the motor is to be now, or where it is.
@@ -296,7 +343,7 @@ impl Motor {
         }
         let (position, speed) = match self.following {
             Following::Position(_) => {
-                let (to_go, speed) = self.profile.now();
+                let Moment { to_go, speed, .. } = self.profile.now();
                 (f64::from(self.target) - f64::from(to_go), speed)
             }
             _ => {
@@ -339,8 +386,8 @@ impl Motor {
     /// The path has no more points: on from there to rest, along the profile.
     #[inline(never)]
     fn end_path(&mut self, end: Reference) {
-        let Reference { position, speed, .. } = end;
-        let stopping = f64::from(speed * speed.abs() / (2.0 * self.control.profile.acceleration));
+        let Reference { position, speed, acceleration, .. } = end;
+        let stopping = f64::from(self.profile.stopping(Ramp { speed, acceleration }));
         let range = self.control.position;
         let target = ((position + stopping) as f32).within(range.min, range.max);
         self.path = None;
@@ -353,7 +400,8 @@ impl Motor {
     /// Goes on to `target` from where a path has come.
     fn come_to_rest(&mut self, target: f32, reference: Reference) {
         self.target = target;
-        self.profile.join(self.distance_from(reference.position), reference.speed);
+        let Reference { position, speed, acceleration, .. } = reference;
+        self.profile.join(self.distance_from(position), Ramp { speed, acceleration });
         self.following = Following::Position(Approach::default());
     }
 
@@ -407,7 +455,7 @@ impl Motor {
             self.position_loop.reset(0.0);
             self.speed_loop.reset(0.0);
             match &mut self.following {
-                Following::Speed { reference, hold } => (*reference, *hold) = (0.0, None),
+                Following::Speed { reference, hold } => (*reference, *hold) = (Ramp::default(), None),
                 Following::Position(approach) => approach.hold = None,
                 Following::Duty | Following::Path(_) | Following::Home(_) => {}
             }
@@ -418,7 +466,7 @@ impl Motor {
                 let error = self.path_error(reference);
                 (error, reference.speed != 0.0 || error.abs() > self.control.settle.error)
             }
-            Following::Speed { reference, hold } => (0.0, reference != 0.0 && hold.is_none()),
+            Following::Speed { reference, hold } => (0.0, reference.speed != 0.0 && hold.is_none()),
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
         };
@@ -446,15 +494,15 @@ impl Motor {
 
     fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
-        let (_, before) = self.profile.now();
+        let before = self.profile.now();
         // A motor that does all it can is waited for: it goes the whole way of its path, only later.
         let waits = self.model.is_some()
-            && before * last.path_error > 0.0
+            && before.speed * last.path_error > 0.0
             && last.path_error.abs() > WAIT_SHARE * self.control.follow.error
             && self.duty.abs() >= AT_LIMIT * limits.magnitude
-            && self.duty * before > 0.0;
-        let (to_go, path_speed) = if waits { (self.profile.now().0, before) } else { self.profile.step() };
-        let path_acceleration = (path_speed - before) / self.period_s;
+            && self.duty * before.speed > 0.0;
+        let moment = if waits { Moment { acceleration: 0.0, ..before } } else { self.profile.step() };
+        let Moment { to_go, speed: path_speed, acceleration: path_acceleration } = moment;
         let near = to_go == 0.0 && distance.abs() <= self.band(last.near);
         if self.is_settled() && !near {
             // Pushed away: the way back is a path like any other.
@@ -598,16 +646,13 @@ impl Motor {
         hold
     }
 
-    fn step_speed(&mut self, last: f32, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
-        let ProfileLimits { acceleration, .. } = self.control.profile;
+    fn step_speed(&mut self, mut ramp: Ramp, hold: Option<Hold>, limits: OutputLimits) -> (f32, Following) {
         // Slow enough to stop before the end of the range.
         let range = self.control.position;
-        let stoppable = |room: f64| libm::sqrtf(2.0 * acceleration * (room as f32).max(0.0));
-        let down = stoppable(self.position - f64::from(range.min));
-        let up = stoppable(f64::from(range.max) - self.position);
-        let wanted = self.setpoint.value.within(-down, up);
-        let change = acceleration * self.period_s;
-        let reference = wanted.within(last - change, last + change);
+        let rooms = [self.position - f64::from(range.min), f64::from(range.max) - self.position];
+        let rooms = rooms.map(|room| room as f32);
+        let wanted = ramp.step(self.setpoint.value, rooms, &self.control.profile, self.period_s);
+        let Ramp { speed: reference, acceleration } = ramp;
         // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
         let stands = self.speed.abs() <= self.control.settle.speed;
         // A load that slips once is left to the loop, which starts from what held it.
@@ -616,54 +661,63 @@ impl Motor {
             let hold = self.let_go(hold.unwrap_or(self.new_hold()));
             let duty = if hold.slipped { hold.at_rest.0 } else { hold.duty };
             self.speed_loop.hold(self.duty, duty);
-            return (hold.duty, Following::Speed { reference, hold: Some(hold) });
+            return (hold.duty, Following::Speed { reference: ramp, hold: Some(hold) });
         }
-        let following = Following::Speed { reference, hold: slipped };
+        let following = Following::Speed { reference: ramp, hold: slipped };
         let towards = if reference == 0.0 { 0.0 } else { reference.signum() };
-        let path_duty = self.feed_forward(towards, reference, (reference - last) / self.period_s);
+        let path_duty = self.feed_forward(towards, reference, acceleration);
         let bounds = self.loop_limits(limits, towards);
         let output = self.speed_loop.step(reference - self.speed, self.acceleration_now, path_duty, bounds);
         (self.driven(output, Aim::along(towards), limits), following)
     }
 
-    /// Seeks the switch, leaves it again slowly, and takes where it opens for the known place. Also whether the search has
-    /// gone too far.
+    /// Seeks the switch, leaves it again slowly, and takes where it opens, or the next index pulse, for the known place. Also whether the
+    /// search has gone too far.
     fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
-        let goes_back = homing.reference * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
+        let goes_back = homing.reference.speed * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
+        if let (Some(at), true) = (self.index_at.take(), homing.awaits_index) {
+            return self.find_zero(at, homing);
+        }
         match (homing.backing_off, self.switch_closed) {
+            _ if homing.awaits_index => {}
             (false, Some(true)) => homing.backing_off = true,
             (true, Some(true)) => homing.seen_again |= goes_back,
-            (true, Some(false)) if homing.seen_again => {
-                self.set_zero();
-                let duty = self.duty;
-                self.position_holder().reset(duty);
-                self.profile.start(self.distance(), self.speed);
-                return (self.duty, Following::Position(Approach::default()), false);
-            }
+            (true, Some(false)) if homing.seen_again && self.index.is_some() => homing.awaits_index = true,
+            (true, Some(false)) if homing.seen_again => return self.find_zero(self.position_counts, homing),
             _ => {}
         }
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
-        let change = self.control.profile.acceleration * self.period_s;
-        homing.reference = wanted.within(homing.reference - change, homing.reference + change);
-        let path_duty = self.feed_forward(homing.reference.signum(), homing.reference, 0.0);
-        let error = homing.reference - self.speed;
-        let towards = homing.reference;
-        let bounds = self.loop_limits(limits, towards);
+        // Where the ends are is not known yet.
+        homing.reference.step(wanted, [f32::INFINITY; 2], &self.control.profile, self.period_s);
+        let Ramp { speed: reference, acceleration } = homing.reference;
+        let path_duty = self.feed_forward(reference.signum(), reference, acceleration);
+        let error = reference - self.speed;
+        let bounds = self.loop_limits(limits, reference);
         let output = self.speed_loop.step(error, self.acceleration_now, path_duty, bounds);
-        let duty = self.driven(output, Aim::along(towards), limits);
+        let duty = self.driven(output, Aim::along(reference), limits);
         let range = self.control.position.max - self.control.position.min;
         let missed = (self.position - homing.start).abs() as f32 > SEARCH_RANGES * range;
         (duty, Following::Home(homing), missed)
     }
 
-    /// The switch has just opened: this is its place, and the position to rest at.
-    fn set_zero(&mut self) {
+    /// The search ends at the place that has the number `at` so far.
+    #[inline(never)]
+    fn find_zero(&mut self, at: i32, homing: Homing) -> (f32, Following, bool) {
+        self.set_zero(at);
+        let duty = self.duty;
+        self.position_holder().reset(duty);
+        self.profile.join(self.distance(), homing.reference);
+        (self.duty, Following::Position(Approach::default()), false)
+    }
+
+    /// The place that has the number `at` so far is the known one, and the position to rest at.
+    fn set_zero(&mut self, at: i32) {
         let Some(homing) = self.control.homing else { return };
         let resolution = resolution(self.control.feedback);
-        let counts = libm::roundf(homing.position / resolution) as i32;
-        self.zero_counts = self.zero_counts.wrapping_add(counts.wrapping_sub(self.position_counts));
-        self.position_counts = counts;
-        self.position = f64::from(counts) * f64::from(resolution);
+        let shift = (libm::roundf(homing.position / resolution) as i32).wrapping_sub(at);
+        self.zero_counts = self.zero_counts.wrapping_add(shift);
+        self.position_counts = self.position_counts.wrapping_add(shift);
+        self.position = f64::from(self.position_counts) * f64::from(resolution);
         self.target = homing.position;
         self.homed = true;
         self.watch = Watch::default();

@@ -1,9 +1,26 @@
-//! Trapezoidal path to a position, told as the distance still to go.
+//! Path of a motor to a position, told as the distance still to go, and the ramp of a motor's speed.
+//!
+//! Without a limit of jerk a path is a trapezoid, whose next speed follows from the distance to go alone. With one it is planned when it
+//! begins, by the steppers' [`scurve`], and kept as what is left of its stretches of constant jerk: each period takes a cubic.
 
-use crate::within::Within;
+use crate::{
+    motion::scurve::{Limits, Motion, Path, Position},
+    within::Within,
+};
 use r4_protocol::config::ProfileLimits;
 
-/// A path with limited speed and acceleration.
+/// Where a path has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moment {
+    /// Distance to the target, rad or m.
+    pub to_go: f32,
+    /// rad/s or m/s
+    pub speed: f32,
+    /// rad/s² or m/s², which led to that speed.
+    pub acceleration: f32,
+}
+
+/// A path with limited speed, acceleration and, where the limits have one, jerk.
 ///
 /// It is kept as the distance to go and not as a position, so that its resolution is best where it matters, near the
 /// target, however far from zero that is.
@@ -11,97 +28,206 @@ use r4_protocol::config::ProfileLimits;
 pub struct Profile {
     limits: ProfileLimits,
     period_s: f32,
-    to_go: f32,
-    speed: f32,
+    now: Moment,
+    /// How it goes on where jerk is limited.
+    arcs: Arcs,
 }
 
 impl Profile {
     /// A path that has arrived.
     #[must_use]
     pub fn new(limits: ProfileLimits, period_s: f32) -> Self {
-        Self { limits, period_s, to_go: 0.0, speed: 0.0 }
+        Self { limits, period_s, now: Moment::default(), arcs: Arcs::NONE }
     }
 
     /// Starts anew: `distance` away from the target, moving at `speed` (clipped to the limit).
     pub fn start(&mut self, distance: f32, speed: f32) {
-        self.to_go = distance;
-        self.speed = speed.within(-self.limits.speed, self.limits.speed);
+        let speed = speed.within(-self.limits.speed, self.limits.speed);
+        self.join(distance, Ramp { speed, acceleration: 0.0 });
     }
 
-    /// Goes on at `speed`, `distance` away from the target: slows down by the limit from a speed that is above it.
-    pub fn join(&mut self, distance: f32, speed: f32) {
-        (self.to_go, self.speed) = (distance, speed);
+    /// Goes on from a motion that is under way, `distance` away from the target: a speed or acceleration above the limits is brought
+    /// inside by them.
+    pub fn join(&mut self, distance: f32, Ramp { speed, acceleration }: Ramp) {
+        self.now = Moment { to_go: distance, speed, acceleration };
+        self.plan();
     }
 
-    /// The distance still to go, and the speed.
+    /// Where it has come.
     #[must_use]
-    pub fn now(&self) -> (f32, f32) {
-        (self.to_go, self.speed)
+    pub fn now(&self) -> Moment {
+        self.now
     }
 
     /// Moves the target by `distance` while under way.
     pub fn shift_target(&mut self, distance: f32) {
-        self.to_go += distance;
+        self.now.to_go += distance;
+        self.plan();
     }
 
-    /// One period along the path; returns the distance still to go and the speed.
-    pub fn step(&mut self) -> (f32, f32) {
-        let (dt, acceleration) = (self.period_s, self.limits.acceleration);
-        let distance = self.to_go.abs();
-        let towards = if self.to_go < 0.0 { -1.0 } else { 1.0 };
-        // The highest speed from which stopping in steps of `dt` ends exactly at the target: v²/2a + v dt/2 = distance.
-        let half = acceleration * dt / 2.0;
-        let stoppable = libm::sqrtf(half * half + 2.0 * acceleration * distance) - half;
-        let wanted = towards * stoppable.min(self.limits.speed);
-        let change = acceleration * dt;
-        self.speed = wanted.within(self.speed - change, self.speed + change);
-        let moved = self.speed * dt;
-        if distance <= change * dt && moved.abs() <= change * dt {
-            self.to_go = 0.0;
-            self.speed = 0.0;
-        } else {
-            self.to_go -= moved;
+    // At commands, not each period: it stays in flash.
+    #[inline(never)]
+    fn plan(&mut self) {
+        if self.limits.jerk != 0.0 {
+            self.arcs = Arcs::plan(self.now, &self.limits);
         }
-        (self.to_go, self.speed)
+    }
+
+    /// One period along the path; returns where it has come.
+    pub fn step(&mut self) -> Moment {
+        let ProfileLimits { speed, acceleration, jerk } = self.limits;
+        let Moment { to_go, speed: before, .. } = self.now;
+        self.now = if jerk == 0.0 {
+            let (to_go, speed) = towards(to_go, before, speed, acceleration, self.period_s);
+            Moment { to_go, speed, acceleration: (speed - before) / self.period_s }
+        } else {
+            self.arcs.step(jerk.into(), self.period_s.into())
+        };
+        self.now
+    }
+
+    /// How far this motion goes on at least until it rests, rad or m.
+    #[must_use]
+    pub fn stopping(&self, motion: Ramp) -> f32 {
+        motion.stopping(&self.limits)
+    }
+}
+
+/// One period of a trapezoid of `rate` towards a target `to_go` away: what is left to go, and the rate.
+fn towards(to_go: f32, rate: f32, most: f32, change_per_s: f32, dt: f32) -> (f32, f32) {
+    let distance = to_go.abs();
+    let side = if to_go < 0.0 { -1.0 } else { 1.0 };
+    // The highest rate from which stopping in steps of `dt` ends exactly at the target: v²/2a + v dt/2 = distance.
+    let half = change_per_s * dt / 2.0;
+    let stoppable = libm::sqrtf(half * half + 2.0 * change_per_s * distance) - half;
+    let wanted = side * stoppable.min(most);
+    let change = change_per_s * dt;
+    let rate = wanted.within(rate - change, rate + change);
+    let moved = rate * dt;
+    if distance <= change * dt && moved.abs() <= change * dt { (0.0, 0.0) } else { (to_go - moved, rate) }
+}
+
+/// Full speed, cruise, braking: more stretches of constant jerk no path has.
+const MAX_ARCS: usize = 7;
+
+/// What is left of a path with limited jerk.
+#[derive(Clone, Copy, Debug)]
+struct Arcs {
+    /// s; 0 where there are fewer.
+    durations_s: [f64; MAX_ARCS],
+    /// Their jerks, in units of the limit.
+    jerks: [i8; MAX_ARCS],
+    /// The first that is not over.
+    first: u8,
+    /// The state at its start: distance to go, rad or m, and its first two derivatives in time, with the sign of the motion.
+    from: [f64; 3],
+    /// Since then, s.
+    time_s: f64,
+}
+
+impl Arcs {
+    const NONE: Self =
+        Self { durations_s: [0.0; MAX_ARCS], jerks: [0; MAX_ARCS], first: 0, from: [0.0; 3], time_s: 0.0 };
+
+    fn plan(Moment { to_go, speed, acceleration }: Moment, limits: &ProfileLimits) -> Self {
+        let from = [to_go, speed, acceleration].map(f64::from);
+        let [to_go, speed, acceleration] = from;
+        let start = Motion { position: Position::near_zero(-to_go), speed, acceleration };
+        let [speed, acceleration, jerk] = [limits.speed, limits.acceleration, limits.jerk].map(f64::from);
+        let path = Path::to_position(start, 0, &Limits { speed, acceleration, jerk });
+        let mut arcs = Self { from, ..Self::NONE };
+        let pieces = path.pieces();
+        let slots = arcs.durations_s.iter_mut().zip(&mut arcs.jerks);
+        for ((duration_s, jerk), (piece, next)) in slots.zip(pieces.iter().zip(pieces.iter().skip(1))) {
+            *duration_s = next.start_s - piece.start_s;
+            *jerk = i8::from(piece.jerk > 0.0) - i8::from(piece.jerk < 0.0);
+        }
+        arcs
+    }
+
+    /// One period on.
+    fn step(&mut self, jerk: f64, period_s: f64) -> Moment {
+        self.time_s += period_s;
+        let first = usize::from(self.first);
+        for (duration_s, sign) in self.durations_s.iter().zip(&self.jerks).skip(first) {
+            let [to_go, speed, acceleration] = self.from;
+            let (t, j) = (self.time_s.min(*duration_s), jerk * f64::from(*sign));
+            let state = [
+                to_go - t * (speed + t * (acceleration / 2.0 + t * j / 6.0)),
+                speed + t * (acceleration + t * j / 2.0),
+                acceleration + t * j,
+            ];
+            if self.time_s < *duration_s {
+                let [to_go, speed, acceleration] = state.map(|value| value as f32);
+                return Moment { to_go, speed, acceleration };
+            }
+            self.from = state;
+            self.time_s -= duration_s;
+            self.first += 1;
+        }
+        // Arrived, but for rounding.
+        Moment::default()
+    }
+}
+
+/// A speed on its way to another.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ramp {
+    /// rad/s or m/s
+    pub speed: f32,
+    /// rad/s² or m/s², which led to that speed.
+    pub acceleration: f32,
+}
+
+impl Ramp {
+    /// One period on the way to the speed `wanted`, or to one at which it can stop within the room that there is behind and ahead, rad or
+    /// m: that speed.
+    pub fn step(&mut self, wanted: f32, [behind, ahead]: [f32; 2], limits: &ProfileLimits, dt: f32) -> f32 {
+        let before = self.speed;
+        if limits.jerk == 0.0 {
+            let stoppable = |room: f32| libm::sqrtf(2.0 * limits.acceleration * room.max(0.0));
+            let wanted = wanted.within(-stoppable(behind), stoppable(ahead));
+            let change = limits.acceleration * dt;
+            self.speed = wanted.within(before - change, before + change);
+            self.acceleration = (self.speed - before) / dt;
+            wanted
+        } else {
+            let towards = |wanted: f32| {
+                let (to_go, acceleration) =
+                    towards(wanted - before, self.acceleration, limits.acceleration, limits.jerk, dt);
+                Self { speed: wanted - to_go, acceleration }
+            };
+            let next = towards(wanted);
+            // This period, and as much again for ramps that change their jerk in whole periods.
+            let stopping = next.stopping(limits) + 2.0 * next.speed * dt;
+            let passes = wanted > 0.0 && stopping > ahead || wanted < 0.0 && -stopping > behind;
+            let wanted = if passes { 0.0 } else { wanted };
+            *self = if passes { towards(0.0) } else { next };
+            wanted
+        }
+    }
+
+    /// How far it goes on at least until it rests, by these limits; negative where that is behind. An acceleration above its limit counts
+    /// as one at it.
+    fn stopping(self, limits: &ProfileLimits) -> f32 {
+        let most = f64::from(limits.acceleration);
+        let per_jerk = if limits.jerk == 0.0 { 0.0 } else { 1.0 / f64::from(limits.jerk) };
+        let (speed, acceleration) = (f64::from(self.speed), f64::from(self.acceleration).within(-most, most));
+        // Which way it still moves when its acceleration has been taken back.
+        let side = (speed + acceleration * acceleration.abs() * per_jerk / 2.0).signum();
+        let (speed, acceleration) = (side * speed, side * acceleration);
+        // From `whole` and no acceleration, braking begins or has begun so much later or earlier.
+        let later_s = acceleration * per_jerk;
+        let whole = (speed + acceleration * later_s / 2.0).max(0.0);
+        let onset_s = most * per_jerk;
+        let braking = if whole >= most * onset_s {
+            (whole * whole / most + whole * onset_s) / 2.0
+        } else {
+            whole * libm::sqrt(whole * per_jerk)
+        };
+        (side * (braking + later_s * (speed + acceleration * later_s / 3.0))) as f32
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    proptest! {
-        #[test]
-        fn arrives_without_overshoot_in_the_time_of_a_trapezoid(
-            distance in prop_oneof![-50.0f32..50.0, -0.05f32..0.05], speed in 0.1f32..10.0, acceleration in 1.0f32..50.0,
-        ) {
-            let dt = 1e-3;
-            let mut profile = Profile::new(ProfileLimits { speed, acceleration }, dt);
-            profile.start(distance, 0.0);
-            let mut last_speed = 0.0f32;
-            let mut periods = 0u32;
-            loop {
-                let (to_go, now) = profile.step();
-                prop_assert!(now.abs() <= speed * 1.000_01);
-                // One rounding of speed ± a dt; the last step takes what is left of two.
-                let steps = if now == 0.0 { 2.0 } else { 1.0 };
-                prop_assert!((now - last_speed).abs() <= steps * acceleration * dt * 1.001 + 1e-6);
-                last_speed = now;
-                periods += 1;
-                // Past the target by no more than the last step, and half an ulp of the distance for each step.
-                let roundings = distance.abs() * f32::EPSILON / 2.0 * periods as f32;
-                prop_assert!(to_go * distance.signum() >= -acceleration * dt * dt * 2.0 - roundings, "{}", to_go);
-                if to_go == 0.0 && now == 0.0 {
-                    break;
-                }
-                prop_assert!(periods < 2_000_000, "never arrived: {} to go", to_go);
-            }
-            let (d, v, a) = (distance.abs(), speed, acceleration);
-            let ideal_s = if d * a > v * v { d / v + v / a } else { 2.0 * (d / a).sqrt() };
-            // A few periods for discretisation, a share for f32 sums of thousands of steps.
-            prop_assert!((periods as f32 * dt - ideal_s).abs() < 0.02 + 0.02 * ideal_s, "{} periods, ideal {} s", periods, ideal_s);
-        }
-    }
-}
+mod tests;

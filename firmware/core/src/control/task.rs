@@ -269,6 +269,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
+            if let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback
+                && let Some(count) = self.peripherals.at_index(index)
+            {
+                causes = causes.union(motor.sense_index(count));
+            }
         }
         causes.set(Cause::Overload, self.is_overloaded(shared.config()));
         self.sensors = causes;

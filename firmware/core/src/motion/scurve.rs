@@ -38,6 +38,12 @@ impl Position {
         Self { steps, fraction: 0.0 }
     }
 
+    /// This far from 0.
+    #[must_use]
+    pub fn near_zero(distance: f64) -> Self {
+        Self::at_step(0).moved(distance)
+    }
+
     /// From here to a step.
     #[must_use]
     pub fn distance_to(self, steps: i64) -> f64 {
@@ -426,6 +432,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::testing::Ruckig;
 
     /// Limits of a micro-stepped motor, from slow to 100 kHz, with times to full acceleration of 1 ms to 1 s or none.
     fn limits() -> impl Strategy<Value = Limits> {
@@ -561,6 +568,40 @@ mod tests {
             // The root is found to 1e-9 steps, of one at least; time grows at most with the distance.
             prop_assert!((path.duration_s() / ideal_s - 1.0).abs() < 1e-8, "{} s, ideal {ideal_s} s", path.duration_s());
             prop_assert_eq!(path.at(path.duration_s()), Motion::rest(target));
+        }
+
+        /// From any state within the limits, once its acceleration has been taken back too: where Ruckig has it, at every moment.
+        #[test]
+        fn paths_to_rest_are_ruckigs(
+            speed_exponent in 1.0..5.0f64, acceleration_s in 0.01..2.0f64, jerk_s in 1e-3..1.0f64, exponent in 0.0..7.0f64,
+            up: bool, start in prop_oneof![Just((0.0, 0.0)), (-1.0..1.0f64, -1.0..1.0f64)],
+        ) {
+            let speed = 10f64.powf(speed_exponent);
+            let acceleration = speed / acceleration_s;
+            let limits = Limits { speed, acceleration, jerk: acceleration / jerk_s };
+            // At most a thousand seconds.
+            let distance = 10f64.powf(exponent).min(speed * 1e3).round();
+            let target = if up { distance } else { -distance };
+            let most = (acceleration * acceleration).min(limits.jerk * speed).sqrt();
+            let acceleration = start.1 * most;
+            let speed = start.0 * (speed - acceleration * acceleration / (2.0 * limits.jerk));
+            let from = Motion { position: Position::at_step(0), speed, acceleration };
+            let path = Path::to_position(from, target as i64, &limits);
+            let ruckig = Ruckig::to_rest([0.0, speed, acceleration], target, &limits);
+            let far = distance + limits.speed * (acceleration_s + jerk_s);
+            // Ruckig takes paths that end within 1e-8 of the target's position, speed and acceleration, in any unit, for right.
+            let tolerance_s = 1e-8 * ruckig.duration_s + 1e-8 / limits.speed + 1e-8 / limits.acceleration;
+            let duration_s = path.duration_s();
+            prop_assert!((duration_s - ruckig.duration_s).abs() <= tolerance_s, "{duration_s} s, Ruckig {} s", ruckig.duration_s);
+            prop_assert_eq!(path.at(duration_s), Motion::rest(target as i64));
+            for share in 0..=20 {
+                let time_s = f64::from(share) / 20.0 * duration_s;
+                let [position, speed, acceleration] = ruckig.at(time_s);
+                let at = path.at(time_s);
+                prop_assert!((-at.position.distance_to(0) - position).abs() <= 1e-7 * far, "{at:?} {position}");
+                prop_assert!((at.speed - speed).abs() <= 1e-6 * limits.speed, "{at:?} {speed}");
+                prop_assert!((at.acceleration - acceleration).abs() <= 1e-4 * limits.acceleration, "{at:?} {acceleration}");
+            }
         }
 
         #[test]

@@ -84,6 +84,13 @@ impl Encoder {
         }
         (self.position, self.filter.value())
     }
+
+    /// The position at which the counter was `raw`, less than 32768 counts from its last reading.
+    #[must_use]
+    pub fn position_at(&self, raw: u16) -> i32 {
+        let up = i32::from(raw.wrapping_sub(self.last_raw.unwrap_or(raw)).cast_signed());
+        self.position.wrapping_add(if self.inverted { -up } else { up })
+    }
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ pub mod analog;
 pub mod echo;
 pub mod encoder;
 pub mod filter;
+pub mod index;
 pub mod observer;
 pub mod on_bus;
 pub mod potentiometer;

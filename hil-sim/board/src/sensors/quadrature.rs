@@ -11,6 +11,8 @@
 //!
 //! Between two looks the shaft is taken to turn evenly, which gives every edge its time.
 
+use std::num::NonZeroU32;
+
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use super::{
@@ -56,6 +58,8 @@ pub struct Transition {
     pub at_ns: u64,
     /// The levels after it. They differ from those before in one line; in both after a lost edge.
     pub levels: Levels,
+    /// Whether the index track is on from then on.
+    pub index: bool,
 }
 
 /// One of the lines.
@@ -107,6 +111,8 @@ pub struct QuadratureSignal {
     edges_to_lose: u32,
     noise: EdgeNoise,
     generator: Pcg64,
+    /// Counts from one index pulse to the next.
+    index_every: Option<NonZeroU32>,
 }
 
 impl QuadratureSignal {
@@ -125,7 +131,25 @@ impl QuadratureSignal {
             edges_to_lose: 0,
             noise: EdgeNoise::default(),
             generator: Pcg64::seed_from_u64(seed),
+            index_every: None,
         }
+    }
+
+    /// Gives the encoder an index track, on for one count of every so many, beginning with 0: a pulse as wide as a quarter of a line.
+    pub fn set_index(&mut self, every: NonZeroU32) {
+        self.index_every = Some(every);
+    }
+
+    /// Counts from one index pulse to the next, where the encoder has them.
+    #[must_use]
+    pub const fn index_every(&self) -> Option<NonZeroU32> {
+        self.index_every
+    }
+
+    /// Whether the index track is on, as of the last [`advance`](Self::advance).
+    #[must_use]
+    pub fn index(&self) -> bool {
+        self.index_every.is_some_and(|every| self.count.rem_euclid(every.get().into()) == 0)
     }
 
     /// The levels, as of the last [`advance`](Self::advance).
@@ -248,7 +272,7 @@ impl QuadratureSignal {
         let levels = Levels { a: a ^ glitching(Channel::A), b: b ^ glitching(Channel::B) };
         if levels != self.levels {
             self.levels = levels;
-            sink(Transition { at_ns, levels });
+            sink(Transition { at_ns, levels, index: self.index() });
         }
     }
 }
@@ -304,7 +328,7 @@ impl HardwareCounter {
 
     /// The lines change. Times must not go back.
     pub fn take(&mut self, transition: Transition) {
-        let Transition { at_ns, levels } = transition;
+        let Transition { at_ns, levels, .. } = transition;
         self.settle(at_ns);
         self.a.set(at_ns, levels.a);
         self.b.set(at_ns, levels.b);
@@ -404,6 +428,26 @@ mod tests {
         // not a position
         assert_eq!(shown(&advance(&mut signal, 1_000, f64::NAN)), []);
         assert_eq!(signal.count(), 2);
+    }
+
+    /// For one count of every 12, whichever way the shaft comes.
+    #[test]
+    fn an_index_pulse_is_one_count_wide() {
+        let mut signal = QuadratureSignal::new(0.5, 1);
+        assert!(!signal.index());
+        signal.set_index(NonZeroU32::new(12).unwrap());
+        assert!(signal.index());
+        for (to, pulses) in [(25.5, vec![12, 24]), (-13.5, vec![24, 12, 0, -12])] {
+            let side = if to > 0.0 { 1 } else { -1 };
+            let mut count = signal.count();
+            let mut seen = Vec::new();
+            let at_ns = signal.now_ns + 1_000;
+            for Transition { index, .. } in advance(&mut signal, at_ns, to) {
+                count += side;
+                seen.extend(index.then_some(count));
+            }
+            assert_eq!(seen, pulses);
+        }
     }
 
     #[test]
@@ -550,14 +594,14 @@ mod tests {
             assert_eq!(counter.count(21_000), counted, "{filter_ns}");
         }
         let mut counter = HardwareCounter::new(100, Levels::default());
-        counter.take(Transition { at_ns: 1_000, levels: Levels { a: true, b: false } });
+        counter.take(Transition { at_ns: 1_000, levels: Levels { a: true, b: false }, index: false });
         assert_eq!((counter.count(1_099), counter.count(1_100)), (0, 1));
     }
 
     #[test]
     fn the_counter_wraps_at_16_bits() {
         let mut counter = HardwareCounter::new(0, Levels::default());
-        counter.take(Transition { at_ns: 0, levels: Levels { a: false, b: true } });
+        counter.take(Transition { at_ns: 0, levels: Levels { a: false, b: true }, index: false });
         assert_eq!(counter.count(0), u16::MAX);
         counter.add(65_537);
         assert_eq!(counter.count(0), 0);

@@ -73,6 +73,7 @@ pub struct World {
     pins: Pins,
     /// The processor's counters of encoder edges; each is taken out while it is fed.
     counters: [Option<encoders::Counter>; 4],
+    index_latches: [encoders::IndexLatch; 4],
     /// Whether the robot uses the encoder that interrupts count.
     encoder_3: bool,
     /// Words of the processor's that outlive its resets, and nothing else: zeros after power-on.
@@ -153,6 +154,7 @@ impl World {
             mounts: body::mounts(robot),
             pins,
             counters,
+            index_latches: Default::default(),
             encoder_3,
             kept_words: [0; MAX_MOTORS],
             noise: Pcg64::seed_from_u64(seed),

@@ -1,13 +1,13 @@
 //! What hangs on the processor's own pins: range sensors, encoder tracks, switches, analog inputs and outputs, connectors.
 
-use std::{cell::RefCell, rc::Rc, task::Waker};
+use std::{cell::RefCell, num::NonZeroU32, rc::Rc, task::Waker};
 
-use r4_boards::{RangeView, Robot, SimulatedSensor, SimulatedSwitch};
+use r4_boards::{RangeView, Robot, SimulatedMotor, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
     platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, Ranging, SwitchInputs},
     sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
 };
-use r4_protocol::ChannelId;
+use r4_protocol::{ChannelId, config::Feedback};
 
 use super::{
     Processor, Rail, World,
@@ -52,6 +52,8 @@ pub struct Pins {
     pub encoders: [QuadratureSignal; 4],
     /// Switches, by connector.
     pub switches: Vec<SwitchInput>,
+    /// Whether an index track is on at a low level, by connector; `None` where there is none.
+    index_lines: [Option<bool>; 4],
     /// Divided inputs with what is at each, by input.
     pub analogs: [Option<AnalogSource>; 6],
     dac: DacOutput,
@@ -134,7 +136,16 @@ impl Pins {
         }
         let budget = EdgeBudget::new(ECHO_EDGES_PER_MS, US_PER_MS);
         let echo_budgets = [0, 1, 2, 3].map(|index| robot.config.uses_range(index).then_some(budget));
-        let encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
+        let mut encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
+        for (input, every) in truth.motors.iter().filter_map(|motor| index_of(robot, motor)) {
+            if let Some(signal) = encoders.get_mut(usize::from(input)) {
+                signal.set_index(every);
+            }
+        }
+        let index_lines = [0, 1, 2, 3].map(|index| {
+            let switch = robot.config.switches.iter().find(|switch| switch.id.index == index)?;
+            encoders[usize::from(index)].index_every().map(|_| switch.active_low)
+        });
         let switch = |spec: &SimulatedSwitch| {
             let seed = seed.wrapping_add(u64::from(spec.channel.index));
             SwitchInput { switch: Switch::new(Contact::NormallyOpen, Pull::Up, BOUNCE_NS, seed), spec: *spec }
@@ -150,6 +161,7 @@ impl Pins {
             echoes: [Echo::default(); HcSr04Array::MODULES],
             echo_budgets,
             encoders,
+            index_lines,
             switches: truth.switches.iter().map(switch).collect(),
             analogs,
             dac: DacOutput::new(false),
@@ -234,6 +246,9 @@ impl SwitchInput {
 
 /// Lets a switch follow what actuates it, and reads it.
 pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
+    if let Some(Some(active_low)) = world.pins.index_lines.get(connector) {
+        return world.pins.encoders[connector].index() != *active_low;
+    }
     let now_ns = world.clock.now_ns();
     let place = world.pins.switches.iter().position(|input| usize::from(input.spec.channel.index) == connector);
     let Some(place) = place else { return true };
@@ -242,6 +257,16 @@ pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
         world.pins.switches[place].switch.set_actuated(now_ns, position < closed_below);
     }
     world.pins.switches[place].switch.is_high(now_ns)
+}
+
+/// Input of a motor's encoder and the true counts between its index pulses, where its board is told that it has them.
+fn index_of(robot: &Robot, motor: &SimulatedMotor) -> Option<(u8, NonZeroU32)> {
+    let Some(SimulatedSensor::Encoder { input, lines_per_turn }) = motor.sensor else { return None };
+    let config = robot.config.motors.iter().find(|config| config.id == motor.channel)?;
+    let Feedback::Encoder { counts_per_turn, counts_per_index, .. } = config.control?.feedback else { return None };
+    // A file that is wrong about the lines of the encoder is as wrong about those of its disc's turn.
+    let true_counts = f64::from(lines_per_turn) * 4.0 * f64::from(counts_per_index) / f64::from(counts_per_turn);
+    Some((input, NonZeroU32::new(true_counts.round() as u32)?))
 }
 
 /// The converter's code without rounding for the potentiometer at `input`, if there is one: a sample.

@@ -16,7 +16,7 @@ use r4_plants::{
     effect::{backlash::Backlash, friction::CoulombFriction, load::ConstantLoad},
 };
 use r4_protocol::{
-    Cause, Causes, ChannelId, Mode, Range, SafetyState, Sample, Setpoint,
+    Cause, Causes, ChannelId, ChannelKind, Mode, Range, SafetyState, Sample, Setpoint,
     config::{Feedback, PidGains},
 };
 use rand_pcg::{
@@ -275,7 +275,7 @@ fn gains_change_without_a_bump_while_moving() {
             let mut path = Profile::new(config.profile, 1e-3);
             path.start(12.0, 0.0);
             let moving = recorder.seen.iter().skip_while(|seen| seen.setpoint.mode != Mode::Position);
-            let seen = moving.map(|seen| (seen.duty, 12.0 - f64::from(path.step().0) - seen.position));
+            let seen = moving.map(|seen| (seen.duty, 12.0 - f64::from(path.step().to_go) - seen.position));
             // The path takes 6.2 s.
             seen.take(6000).collect::<Vec<_>>()
         })
@@ -301,6 +301,45 @@ fn gains_change_without_a_bump_while_moving() {
     // once would be 0.12 of duty here. The path suffers by some counts, where kd is more and damps or is none.
     let good = |(_, bump, worse): &(_, f32, f64)| *bump < 0.04 && *worse < 0.03;
     assert!(report.iter().all(good), "bump of the duty, and rad farther from the path: {report:?}");
+}
+
+/// A radian at up to 17.9 rad/s², the full acceleration after 0, 50 and 100 ms, of one wheel whose robot the other three hold: the wheel
+/// slips, and what moves it is friction more than inertia. So its largest distance from its path is much the same with each, but where the
+/// acceleration jumps the duty does, too.
+#[test]
+fn a_wheel_with_limited_jerk_is_driven_more_smoothly() {
+    const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
+    let run = |jerk: f32, duty_per_acceleration: f32| {
+        let mut robot = r4_boards::load("openscout").unwrap();
+        let config = control_of(&mut robot.config, 0);
+        (config.profile.jerk, config.feed_forward.duty_per_acceleration) = (jerk, duty_per_acceleration);
+        let profile = config.profile;
+        let seen = bench(&robot, async |bench| {
+            bench.host.arm().await.unwrap();
+            bench.sleep_ms(500).await;
+            let mut recorder = Recorder::start(bench, WHEEL).await;
+            bench.set(WHEEL, Mode::Position, 1.0).await.unwrap();
+            recorder.run(bench, 1500).await;
+            recorder.seen
+        });
+        let start = seen.iter().position(|seen| seen.setpoint.mode == Mode::Position).unwrap();
+        let mut path = Profile::new(profile, 1e-3);
+        path.start((1.0 - seen[start].position) as f32, 0.0);
+        let errors = seen[start..].iter().map(|seen| 1.0 - f64::from(path.step().to_go) - seen.position);
+        let worst = errors.fold(0.0, |worst: f64, error| worst.max(error.abs()));
+        assert_eq!(path.now().to_go, 0.0, "arrived");
+        // Of 10 ms: after the first of them, in which friction is overcome at once.
+        let moving = &seen[start + 20..];
+        let steps = moving.iter().zip(&moving[10..]).map(|(before, after)| (after.duty - before.duty).abs());
+        let step = steps.fold(0.0f32, f32::max);
+        println!("{jerk} rad/s³, {duty_per_acceleration} duty s²/rad: {worst:.4} rad, {step:.3} of duty in 10 ms");
+        (worst, step)
+    };
+    for duty_per_acceleration in [0.0, 0.002] {
+        let [jump, soft, softer] = [0.0, 358.0, 179.0].map(|jerk| run(jerk, duty_per_acceleration));
+        assert!((softer.0 / jump.0 - 1.0).abs() < 0.1, "{jump:?} {soft:?} {softer:?}");
+        assert!(soft.1 < 0.9 * jump.1 && softer.1 < 0.9 * jump.1, "{jump:?} {soft:?} {softer:?}");
+    }
 }
 
 #[test]

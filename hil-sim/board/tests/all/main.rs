@@ -8,6 +8,7 @@ mod control;
 mod dac_and_servo;
 mod follow;
 mod harness;
+mod index;
 mod link;
 mod outputs;
 mod overload;

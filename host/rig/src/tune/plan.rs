@@ -53,6 +53,8 @@ pub struct Motor {
     stall_duty: f64,
     speed: f64,
     acceleration: f64,
+    /// How long the jerk takes to full acceleration, s.
+    onset_s: f64,
     range: (f64, f64),
 }
 
@@ -101,18 +103,24 @@ impl Motor {
             stall_duty: number(Parameter::StallDuty)?.into(),
             speed: number(Parameter::ProfileSpeed)?.into(),
             acceleration: number(Parameter::ProfileAcceleration)?.into(),
+            onset_s: match f64::from(number(Parameter::Jerk)?) {
+                0.0 => 0.0,
+                jerk => f64::from(number(Parameter::ProfileAcceleration)?) / jerk,
+            },
             range: (number(Parameter::PositionMin)?.into(), number(Parameter::PositionMax)?.into()),
         })
     }
 
-    /// How long a path takes, s.
+    /// How long a path takes at most, s.
     fn path_s(&self, distance: f64) -> f64 {
         let ramps = self.speed * self.speed / self.acceleration;
-        if distance > ramps {
+        let trapezoid_s = if distance > ramps {
             distance / self.speed + self.speed / self.acceleration
         } else {
             2.0 * (distance / self.acceleration).sqrt()
-        }
+        };
+        // Where jerk is limited, from 1 to 1.2 times the onset longer.
+        trapezoid_s + 1.2 * self.onset_s
     }
 
     fn position(&self, given: Quantity, option: &'static str) -> Result<f64, Error> {
@@ -283,6 +291,7 @@ mod tests {
             (Parameter::StallDuty, 0.6),
             (Parameter::ProfileSpeed, 0.008),
             (Parameter::ProfileAcceleration, 0.05),
+            (Parameter::Jerk, 0.0),
             (Parameter::PositionMin, 0.0),
             (Parameter::PositionMax, 0.1),
         ];

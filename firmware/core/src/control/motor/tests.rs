@@ -5,7 +5,7 @@ extern crate std;
 
 use r4_protocol::{
     Range,
-    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, SettleConfig, StallConfig},
+    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, ProfileLimits, SettleConfig, StallConfig},
 };
 
 use super::*;
@@ -28,14 +28,19 @@ const KEEPS: PidGains = PidGains { kp: 0.0, ki: 1e-12, kd: 0.0 };
 /// that could see anything.
 fn config() -> ControlConfig {
     ControlConfig {
-        feedback: Feedback::Encoder { index: 0, counts_per_turn: COUNTS_PER_TURN, inverted: false },
+        feedback: Feedback::Encoder {
+            index: 0,
+            counts_per_turn: COUNTS_PER_TURN,
+            inverted: false,
+            counts_per_index: 0,
+        },
         position: Range::new(-8.0, 8.0),
         speed_max: 1e6,
         position_pid: NO_GAINS,
         speed_pid: NO_GAINS,
         cascade_per_s: 0.0,
         speed_filter_s: 0.0,
-        profile: ProfileLimits { speed: 4.0, acceleration: 8.0 },
+        profile: ProfileLimits { speed: 4.0, acceleration: 8.0, jerk: 0.0 },
         feed_forward: FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
         settle: SettleConfig { error: 0.0625, speed: 0.0625, time_ms: 250 },
         stall: StallConfig { duty: 2.0, travel: 0.02, time_ms: u16::MAX },
@@ -641,6 +646,96 @@ fn a_search_takes_the_place_where_its_switch_opens() {
     }
 }
 
+/// Turns by `per_period` counts in each of so many periods; pulses come at multiples of 256 counts from 100.
+fn turn(bench: &mut Bench, periods: u32, per_period: i32) {
+    for _ in 0..periods {
+        let before = bench.counts;
+        bench.counts += per_period;
+        let sensed = bench.motor.sense(bench.counts as u16, bench.switch);
+        bench.causes = bench.causes.union(sensed);
+        let (least, most) = ((before + 1).min(bench.counts), (before - 1).max(bench.counts));
+        for count in (least..=most).filter(|count| (count - 100).rem_euclid(256) == 0) {
+            bench.causes = bench.causes.union(bench.motor.sense_index(count as u16));
+        }
+        bench.causes = bench.causes.union(bench.motor.step().1);
+    }
+}
+
+fn with_index(switch: u8) -> Bench {
+    let feedback =
+        Feedback::Encoder { index: 0, counts_per_turn: COUNTS_PER_TURN, inverted: false, counts_per_index: 256 };
+    let homing = Some(HomingConfig { switch, position: 1.5, speed_max: 4.0 });
+    Bench::new(ControlConfig { feedback, homing, ..config() })
+}
+
+/// From any place, either way and at any speed: the zero is the pulse itself, not where the motor was when it was told of it.
+#[test]
+fn a_search_takes_the_first_index_pulse() {
+    for (start, per_period, pulse) in [(0, 7, 100), (99, 1, 100), (101, 9, 356), (0, -7, -156), (356, -9, 100)] {
+        let mut bench = with_index(0);
+        bench.counts = start;
+        bench.motor.sense(start as u16, None);
+        bench.command(Mode::Home, (per_period as f32).signum());
+        // What a debounced switch would make of the pulse does not matter.
+        bench.switch = Some(true);
+        turn(&mut bench, 64, per_period);
+        assert!(bench.motor.status().homed, "{start} {per_period}");
+        // 1.5 rad are 489 counts.
+        assert_eq!(bench.motor.status().position - 489, bench.counts - pulse, "{start} {per_period}");
+        let target = bench.motor.target;
+        assert_eq!((target, bench.causes), (1.5, Causes::NONE));
+    }
+}
+
+/// With a switch on another input, the pulses before the switch has opened do not count.
+#[test]
+fn a_search_by_switch_and_index_takes_the_pulse_after_the_switch() {
+    let mut bench = with_index(1);
+    bench.switch = Some(false);
+    bench.command(Mode::Home, 2.0);
+    turn(&mut bench, 100, 5);
+    bench.switch = Some(true);
+    turn(&mut bench, 300, 1);
+    turn(&mut bench, 300, -1);
+    bench.switch = Some(false);
+    turn(&mut bench, 1, -1);
+    assert!(!bench.motor.status().homed);
+    // At 499 the switch has opened: down to 356.
+    assert_eq!(bench.counts, 499);
+    turn(&mut bench, 142, -1);
+    assert!(!bench.motor.status().homed);
+    turn(&mut bench, 1, -1);
+    assert!(bench.motor.status().homed);
+    assert_eq!(bench.motor.status().position, 489);
+}
+
+/// Counts that the counter did not see: the next pulse tells, once, and the motor is no longer homed.
+#[test]
+fn lost_counts_are_seen_at_the_next_index_pulse() {
+    let mut bench = with_index(0);
+    bench.command(Mode::Home, 1.0);
+    turn(&mut bench, 100, 8);
+    assert!(bench.motor.status().homed);
+    bench.causes = Causes::NONE;
+    for lost in [0, 8] {
+        // Pulses are where they are, and the counter is behind.
+        let at = (100 + 256 * 8 - lost) as u16;
+        bench.motor.sense(at, None);
+        let causes = bench.motor.sense_index(at);
+        assert_eq!(causes.contains(Cause::EncoderImplausible), lost > 0);
+        assert_eq!(bench.motor.status().homed, lost == 0);
+    }
+    let at = (100 + 256 * 9 - 8) as u16;
+    bench.motor.sense(at, None);
+    assert_eq!(bench.motor.sense_index(at), Causes::NONE, "told once");
+    // A new search finds the zero again.
+    bench.command(Mode::Home, 1.0);
+    bench.motor.sense(at, None);
+    assert_eq!(bench.motor.sense_index(at), Causes::NONE);
+    bench.motor.step();
+    assert!(bench.motor.status().homed);
+}
+
 /// The motor overshoots a short cam: the switch opens on the far side while the ramp turns, and that is no zero.
 #[test]
 fn a_switch_that_opens_on_the_far_side_is_no_zero() {
@@ -924,4 +1019,69 @@ fn a_path_begins_where_a_movement_is() {
     let before = bench.go(None, Some(knot(1_000_000, 3.0, 2.0)), 500_000);
     bench.command(Mode::Position, 8.0);
     near(bench.step(), before + 8.0 * PERIOD_S / 16.0, 1e-5);
+}
+
+/// 4 rad/s, 8 rad/s² and 64 rad/s³, and duties that show the path's speed and acceleration by these factors.
+fn with_jerk(duty_per_speed: f32, duty_per_acceleration: f32) -> Bench {
+    let feed_forward = FeedForward { static_duty: 0.0, duty_per_speed, duty_per_acceleration };
+    let profile = ProfileLimits { speed: 4.0, acceleration: 8.0, jerk: 64.0 };
+    Bench::new(ControlConfig { feed_forward, profile, settle: NEVER_AT_REST, ..config() })
+}
+
+/// From one movement to any other, speed and acceleration go on.
+#[test]
+fn with_limited_jerk_nothing_jumps_between_movements() {
+    let commands = [
+        (Mode::Position, 6.0, 200),
+        (Mode::Position, -3.0, 100),
+        (Mode::Speed, -4.0, 300),
+        (Mode::Speed, 4.0, 200),
+        (Mode::Position, 2.0, 250),
+        (Mode::Home, 3.0, 200),
+        (Mode::Speed, 0.0, 100),
+        (Mode::Position, 7.0, 300),
+    ];
+    // The last step of a ramp takes what is left of two.
+    let [speed, acceleration] = [(1.0 / 16.0, 8.0 * PERIOD_S), (1.0 / 64.0, 2.0 * 64.0 * PERIOD_S)];
+    for (mut bench, (factor, most)) in
+        [(with_jerk(speed.0, 0.0), speed), (with_jerk(0.0, acceleration.0), acceleration)]
+    {
+        let mut last = 0.0f32;
+        let mut reached = 0.0f32;
+        for (mode, value, periods) in commands {
+            bench.command(mode, value);
+            for period in 0..periods {
+                let now = bench.step() / factor;
+                // Roundings of numbers up to 8 in an f32.
+                assert!(
+                    (now - last).abs() <= most * 1.001,
+                    "{last}, then {now} in period {period} of {mode:?} {value}"
+                );
+                reached = reached.max(now.abs());
+                last = now;
+            }
+        }
+        // They come near 4 rad/s, and to 8 rad/s².
+        assert!(reached > 3.5, "{reached}");
+    }
+}
+
+/// 4 rad/s² from rest to 2 rad/s, where the path has no more points: 64 rad/s³ take the acceleration back.
+#[test]
+fn with_limited_jerk_a_path_is_left_without_a_jump() {
+    let last = knot(500_000, 0.5, 2.0);
+    for (factor, mut bench, on_the_path, then) in [
+        (16.0, with_jerk(1.0 / 16.0, 0.0), 2.0 - 4e-3, 2.0 + 4.0 * PERIOD_S),
+        (64.0, with_jerk(0.0, 1.0 / 64.0), 4.0, 4.0 - 64.0 * PERIOD_S),
+    ] {
+        bench.command(Mode::Follow, 0.0);
+        bench.go(None, Some(last), 0);
+        near(bench.go(None, Some(last), 499_000) * factor, on_the_path, 1e-3);
+        // Half of what the jerk does to a speed in a period, 3e-5 rad/s, is within the rounding of the path's cubic.
+        near(bench.go(Some(last), None, 500_000) * factor, then, 1e-3);
+        assert!(!bench.motor.follows());
+        // On to rest, further on than without a limit of jerk.
+        assert!(bench.motor.status().setpoint.value > 0.5 + 2.0 * 2.0 / (2.0 * 8.0));
+        near(bench.steps(2 * HZ) * factor, 0.0, 1e-6);
+    }
 }
