@@ -185,7 +185,7 @@ const ALL_MISTAKES: &[Mistake] = &[
         "channel = \"dhb3\"\nposition_rad = { min = 0, max = 1 }\nspeed_max_rad_s = 1.0\nspeed_filter_s = 0.0",
         "[[dhb]]\nchannel = \"dhb3\"",
         "dhb[3]",
-        "missing field `encoder`",
+        "missing field `position_pid`",
     ),
     // Brushless drives.
     there("rest_ms = 4000 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),

@@ -4,6 +4,7 @@ mod axis;
 mod follower;
 mod inputs;
 pub mod motor;
+mod motor_side;
 pub mod overload;
 pub mod pid;
 pub mod profile;

@@ -1,19 +1,26 @@
 //! One motor channel: feedback, loops, path, limits and watching.
 
+use embassy_time::Instant;
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
+    config::{AS5600_COUNTS, ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
 };
 
 use super::{
     follower::{Follower, Reference},
+    motor_side::MotorSide,
     pid::{BadPeriod, OutputLimits, Pid},
     profile::Profile,
     watch::{Seen, Watch},
 };
 use crate::{
     path::Leg,
-    sensing::{encoder::Encoder, filter::LowPass, potentiometer::Potentiometer},
+    sensing::{
+        angle::{Angle, Mounting, Reading},
+        encoder::Encoder,
+        filter::LowPass,
+        potentiometer::Potentiometer,
+    },
     shared::MotorStatus,
     within::Within,
 };
@@ -26,12 +33,38 @@ pub(crate) fn resolution(feedback: Feedback) -> f32 {
     match feedback {
         Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
         Feedback::Potentiometer { .. } => POT_RESOLUTION_M,
+        Feedback::Angle { .. } => core::f32::consts::TAU / AS5600_COUNTS as f32,
     }
 }
 
 enum Sensor {
     Encoder(Encoder),
     Potentiometer(Potentiometer),
+    Angle(Angle),
+}
+
+/// What a motor's sensors show in one period.
+#[derive(Clone, Copy, Debug)]
+pub struct Raw {
+    /// At the output.
+    pub output: Output,
+    /// Counter of the encoder on the motor's side; any where there is none.
+    pub motor_side: u16,
+}
+
+/// What the sensor at a motor's output shows.
+#[derive(Clone, Copy, Debug)]
+pub enum Output {
+    /// An encoder's counter, or a converter's code.
+    Code(u16),
+    /// What an angle sensor read last, and the time now.
+    Angle(Option<Reading>, Instant),
+}
+
+impl From<u16> for Raw {
+    fn from(code: u16) -> Self {
+        Self { output: Output::Code(code), motor_side: 0 }
+    }
 }
 
 /// A motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
@@ -40,6 +73,7 @@ pub struct Motor {
     limits: OutputLimits,
     period_s: f32,
     sensor: Sensor,
+    motor_side: Option<MotorSide>,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
@@ -150,7 +184,15 @@ impl Motor {
                 Feedback::Potentiometer { low, high, .. } => {
                     Sensor::Potentiometer(Potentiometer::new(low, high, period_s, filter_s))
                 }
+                Feedback::Angle { zero, inverted, .. } => {
+                    let range = (control.position.min, control.position.max);
+                    let speed_max = control.speed_max;
+                    Sensor::Angle(Angle::new(Mounting { zero, inverted, range, speed_max, filter_s }))
+                }
             },
+            motor_side: control
+                .motor_side
+                .map(|side| MotorSide::new(side, control.feedback, control.settle.speed, period_s, filter_s)),
             position_loop: Pid::new(control.position_pid, period_s)?,
             speed_loop: Pid::new(control.speed_pid, period_s)?,
             profile: Profile::new(control.profile, period_s),
@@ -161,8 +203,12 @@ impl Motor {
             position: 0.0,
             position_counts: 0,
             zero_counts: 0,
-            // A potentiometer always knows.
-            homed: matches!(control.feedback, Feedback::Potentiometer { .. }),
+            // A potentiometer always knows, and an angle sensor does within one turn.
+            homed: match control.feedback {
+                Feedback::Encoder { .. } => false,
+                Feedback::Potentiometer { .. } => true,
+                Feedback::Angle { .. } => control.position.max - control.position.min <= core::f32::consts::TAU,
+            },
             switch_closed: None,
             speed: 0.0,
             acceleration: LowPass::new(filter_s, period_s),
@@ -177,22 +223,23 @@ impl Motor {
         })
     }
 
-    /// Takes the counter or converter code of this period, and whether the home switch is closed, where there is one.
+    /// Takes what the sensors show in this period, and whether the home switch is closed, where there is one.
     ///
-    /// Returns [`Cause::EncoderImplausible`] when the sensor cannot be where it says.
-    pub fn sense(&mut self, raw: u16, switch_closed: Option<bool>) -> Causes {
+    /// Returns [`Cause::EncoderImplausible`] when a sensor cannot be where it says, or says nothing.
+    pub fn sense(&mut self, raw: impl Into<Raw>, switch_closed: Option<bool>) -> Causes {
+        let raw = raw.into();
         self.switch_closed = switch_closed;
         let resolution = resolution(self.control.feedback);
         let last_speed = self.speed;
-        let causes = match &mut self.sensor {
-            Sensor::Encoder(encoder) => {
+        let mut causes = match (&mut self.sensor, raw.output) {
+            (Sensor::Encoder(encoder), Output::Code(raw)) => {
                 let (counts, counts_per_s) = encoder.update(raw);
                 self.position_counts = counts.wrapping_add(self.zero_counts);
                 self.position = f64::from(self.position_counts) * f64::from(resolution);
                 self.speed = counts_per_s * resolution;
                 Causes::NONE
             }
-            Sensor::Potentiometer(pot) => match pot.update(raw) {
+            (Sensor::Potentiometer(pot), Output::Code(raw)) => match pot.update(raw) {
                 Ok((position_m, speed_m_s)) => {
                     self.position = position_m.into();
                     self.position_counts = (position_m / resolution) as i32;
@@ -201,7 +248,28 @@ impl Motor {
                 }
                 Err(_) => Causes::only(Cause::EncoderImplausible),
             },
+            (Sensor::Angle(angle), Output::Angle(newest, now)) => match angle.update(newest, now) {
+                Some((counts, counts_per_s)) => {
+                    let counts = counts + f64::from(self.zero_counts);
+                    self.position_counts = libm::round(counts) as i32;
+                    self.position = counts * f64::from(resolution);
+                    self.speed = counts_per_s * resolution;
+                    Causes::NONE
+                }
+                None => {
+                    // How many turns it makes until it is found again, nobody knows.
+                    self.homed &= angle.is_absolute();
+                    Causes::only(Cause::EncoderImplausible)
+                }
+            },
+            // Whoever reads the sensors goes by the same configuration.
+            _ => Causes::only(Cause::EncoderImplausible),
         };
+        if let Some(side) = &mut self.motor_side {
+            let play = side.update(raw.motor_side, causes.is_empty().then_some(self.position));
+            self.speed = side.speed();
+            causes.set(Cause::EncoderImplausible, causes.contains(Cause::EncoderImplausible) || play.is_err());
+        }
         self.acceleration_now = self.acceleration.step((self.speed - last_speed) / self.period_s);
         causes
     }
@@ -438,7 +506,7 @@ impl Motor {
             self.position_holder().hold(hold.duty, hold.duty - overcame);
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
-        if path_speed == 0.0 {
+        if path_speed == 0.0 && !self.crosses_gap() {
             // What moved the motor along its path does not serve the way back from beyond the target.
             let share = self.period_s / UNLOAD_S;
             self.position_holder().unload_against(distance, share);
@@ -457,11 +525,21 @@ impl Motor {
         // Relative to the path: its own motion is not damped.
         let rate = self.speed - path_speed;
         if self.control.cascade_per_s == 0.0 {
-            return self.position_loop.step(error, rate, feed_forward, limits);
+            let integral = self.position_loop.integral();
+            let duty = self.position_loop.step(error, rate, feed_forward, limits);
+            if self.crosses_gap() {
+                self.position_loop.set_integral(integral);
+            }
+            return duty;
         }
         let fastest = self.control.speed_max;
         let wanted = (path_speed + self.control.cascade_per_s * error).within(-fastest, fastest);
         self.speed_loop.step(wanted - self.speed, self.acceleration_now, feed_forward, limits)
+    }
+
+    /// Whether the motor crosses play while the output stands: what the error is then, it is not for long.
+    fn crosses_gap(&self) -> bool {
+        self.motor_side.as_ref().is_some_and(MotorSide::crosses)
     }
 
     /// The loop that holds positions.
@@ -566,6 +644,9 @@ impl Motor {
         let Some(homing) = self.control.homing else { return };
         let resolution = resolution(self.control.feedback);
         let counts = libm::roundf(homing.position / resolution) as i32;
+        if let Some(side) = &mut self.motor_side {
+            side.shift(f64::from(homing.position) - self.position);
+        }
         self.zero_counts = self.zero_counts.wrapping_add(counts.wrapping_sub(self.position_counts));
         self.position_counts = counts;
         self.position = f64::from(counts) * f64::from(resolution);

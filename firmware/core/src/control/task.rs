@@ -13,6 +13,7 @@ use r4_protocol::{
 use super::{
     axis::Axis,
     inputs::Inputs,
+    motor::{Output, Raw},
     overload::{self, Overload},
     regeneration,
 };
@@ -31,6 +32,9 @@ use crate::{
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
 const POWER_UP: Duration = Duration::from_millis(50);
+/// A start waits so long at most for the angles of motors: 100 ms until sensors are asked, three transfers to set one up, one to read it,
+/// in a period each, and room for a bus that fails at first.
+const FIRST_ANGLES: Duration = Duration::from_millis(150);
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 4;
 /// While safe, the safe state is written again every so many periods.
@@ -51,6 +55,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
     let config = shared.config();
     let mut control = Control::new(config, io);
     control.initialise(shared).await;
+    control.find_angles(shared).await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
     shared.set_control_causes(control.causes());
@@ -172,7 +177,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             fault: None,
             safe: false,
             braked: None,
-            bus_sensors: Sensors::new(config.sensors.iter().filter(|_| valid)),
+            bus_sensors: Sensors::new(
+                config.sensors.iter().filter(|_| valid),
+                Duration::from_micros(config.control_period_us.into()),
+            ),
             sensors: Causes::NONE,
             sensed: Instant::MIN,
             trips: 0,
@@ -258,15 +266,17 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
             let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
-            let raw = match control.feedback {
-                Feedback::Encoder { index, .. } => {
-                    if illegal.update(self.peripherals.illegal(index)) {
-                        causes.set(Cause::EncoderImplausible, true);
-                    }
-                    self.peripherals.count(index)
-                }
-                Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
+            let transitions = control.encoders().map(|index| self.peripherals.illegal(index));
+            if illegal.update(transitions.fold(0, u32::wrapping_add)) {
+                causes.set(Cause::EncoderImplausible, true);
+            }
+            let output = match control.feedback {
+                Feedback::Encoder { index, .. } => Output::Code(self.peripherals.count(index)),
+                Feedback::Potentiometer { analog, .. } => Output::Code(self.peripherals.code(analog)),
+                Feedback::Angle { angle, .. } => Output::Angle(self.bus_sensors.angle(angle), self.sensed),
             };
+            let motor_side = control.motor_side.map_or(0, |side| self.peripherals.count(side.index));
+            let raw = Raw { output, motor_side };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
         }
@@ -503,6 +513,27 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.fault = self.outputs.init().await.err();
         self.safe = self.fault.is_none();
         shared.control_tick(Instant::now());
+    }
+
+    /// Waits until each motor with an angle sensor knows where it stands, or none will be told: hosts find a board that can be armed, or
+    /// that says why not.
+    async fn find_angles<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let config = shared.config();
+        let until = Instant::now() + FIRST_ANGLES;
+        let is_missing = |sensors: &Sensors| {
+            let feedback = config.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
+            let mut angles = feedback.filter_map(|feedback| match feedback {
+                Feedback::Angle { angle, .. } => Some(angle),
+                _ => None,
+            });
+            angles.any(|angle| sensors.angle(angle).is_none())
+        };
+        while !self.bad_configuration && is_missing(&self.bus_sensors) && Instant::now() < until {
+            self.outputs.begin_tick();
+            self.bus_sensors.ask(shared, self.outputs.bus(), || false).await;
+            Timer::after(Duration::from_millis(1)).await;
+            shared.control_tick(Instant::now());
+        }
     }
 
     fn rest_dacs<M: RawMutex>(&mut self, shared: &Shared<M>) {

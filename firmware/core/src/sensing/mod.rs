@@ -1,6 +1,7 @@
 //! From levels, counts, codes and echoes to positions, speeds, volts and distances.
 
 pub mod analog;
+pub mod angle;
 pub mod echo;
 pub mod encoder;
 pub mod filter;

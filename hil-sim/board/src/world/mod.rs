@@ -26,6 +26,7 @@ use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
     chips::{
+        as5600::As5600,
         icm20948::Icm20948,
         ina226::Ina226,
         mcp4728::Mcp4728,
@@ -199,6 +200,10 @@ impl World {
             }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }
+        self.chips.see_angles(until_ns, |of| {
+            let motor = self.motors.iter().find(|motor| motor.channel == of);
+            motor.map(|motor| motor.plant.sensed_position())
+        });
         self.chips.feel(until_ns, self.body.as_ref().map_or(Inertial::AT_REST, Coupling::inertial));
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
@@ -417,6 +422,12 @@ impl World {
     #[must_use]
     pub fn current_monitor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Ina226>>> {
         self.chips.currents.iter().find(|monitor| monitor.wiring.channel == channel).map(|monitor| &monitor.chip)
+    }
+
+    /// An angle sensor, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn angle_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<As5600>>> {
+        self.chips.angles.iter().find(|angle| angle.mounting.channel == channel).map(|angle| &angle.chip)
     }
 
     /// What motors draw from a rail, A; negative where they feed it.

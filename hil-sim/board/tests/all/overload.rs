@@ -97,7 +97,9 @@ fn normal_work_of_every_robot_never_trips() {
                 for motor in &robot.config.motors {
                     let Some(control) = motor.control else { continue };
                     let (mode, value) = match control.feedback {
-                        Feedback::Encoder { .. } => (Mode::Speed, sign * control.profile.speed),
+                        Feedback::Encoder { .. } | Feedback::Angle { .. } => {
+                            (Mode::Speed, sign * control.profile.speed)
+                        }
                         Feedback::Potentiometer { .. } => {
                             let Range { min, max } = control.position;
                             (Mode::Position, min + (0.5 + 0.2 * sign) * (max - min))
