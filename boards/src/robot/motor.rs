@@ -128,6 +128,18 @@ pub(super) struct Angle {
     inverted: bool,
 }
 
+/// The PWM output of an absolute angle sensor on the output shaft.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PulsedAngle {
+    pub(super) range: u8,
+    frames_hz: u16,
+    #[serde(default, deserialize_with = "finite")]
+    zero_rad: f32,
+    #[serde(default)]
+    inverted: bool,
+}
+
 /// A second encoder, on the motor's side of play.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -214,7 +226,13 @@ fn turning(motor: &rotary::Motor) -> Option<Feedback> {
         zero: zero_rad,
         inverted,
     });
-    motor.encoder.map(Into::into).or(angle)
+    let pulses = motor.pulses.map(|PulsedAngle { range, frames_hz, zero_rad, inverted }| Feedback::Pulses {
+        range,
+        frames_hz,
+        zero: zero_rad,
+        inverted,
+    });
+    motor.encoder.map(Into::into).or(angle).or(pulses)
 }
 
 fn motor_side(motor: &rotary::Motor) -> Option<MotorSideConfig> {
@@ -409,7 +427,7 @@ macro_rules! controlled {
 
 controlled! {
     rotary,
-    sensors: { encoder: Option<Encoder>, angle: Option<Angle>, motor_side: Option<MotorSide>, },
+    sensors: { encoder: Option<Encoder>, angle: Option<Angle>, pulses: Option<PulsedAngle>, motor_side: Option<MotorSide>, },
     feedback: turning,
     motor_side: motor_side,
     homing: Homing,

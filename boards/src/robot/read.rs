@@ -202,10 +202,22 @@ impl<'p> Place<'p, '_> {
         match &motor {
             Motor::Open(_) => {}
             Motor::Rotary(motor) => {
-                if motor.encoder.is_some() == motor.angle.is_some() {
-                    return Err(
-                        self.rule("channel", "a motor under control needs an encoder or an angle table, and not both")
-                    );
+                let there = [motor.encoder.is_some(), motor.angle.is_some(), motor.pulses.is_some()];
+                if there.into_iter().filter(|there| *there).count() != 1 {
+                    return Err(self.rule(
+                        "channel",
+                        "a motor under control needs one of the tables encoder, angle and pulses, and only one",
+                    ));
+                }
+                if let Some(pulses) = &motor.pulses {
+                    let path = format!("{}.pulses.range", self.path);
+                    self.reader.exists(
+                        "range sensor connector",
+                        pulses.range,
+                        self.carrier.range.connectors.len(),
+                        &path,
+                    )?;
+                    self.claims.take("range sensor connector", pulses.range, path)?;
                 }
                 if let Some(encoder) = &motor.encoder {
                     self.take_encoder(encoder.input, "encoder.input")?;
@@ -447,7 +459,13 @@ impl Reader<'_> {
         BoardError::Rule { at: self.source.at(path), channel: None, rule }
     }
 
-    fn exists(&self, what: &'static str, asked: u8, count: usize, path: impl Display) -> Result<(), BoardError> {
+    pub(super) fn exists(
+        &self,
+        what: &'static str,
+        asked: u8,
+        count: usize,
+        path: impl Display,
+    ) -> Result<(), BoardError> {
         if usize::from(asked) < count {
             return Ok(());
         }

@@ -121,6 +121,23 @@ pub struct SimulatedAngle {
     pub zero_rad: f64,
 }
 
+/// An angle sensor that sends pulses to a range connector.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedPulses {
+    /// Number of the range connector.
+    pub connector: u8,
+    /// The motor whose output shaft it is on; `None` for a magnet that stands still.
+    #[serde(default, deserialize_with = "optional_channel")]
+    pub of: Option<ChannelId>,
+    /// The angle that it shows at position 0, rad.
+    #[serde(default, deserialize_with = "finite")]
+    pub zero_rad: f64,
+    /// True frames a second.
+    #[serde(deserialize_with = "positive")]
+    pub frames_hz: f64,
+}
+
 /// Where a current monitor is.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -14,8 +14,8 @@ use serde::Deserialize;
 
 use super::{
     PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent, SimulatedEncoder,
-    SimulatedImu, SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo,
-    SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -75,6 +75,8 @@ pub(super) struct Tables {
     current: Vec<SimulatedCurrent>,
     #[serde(default)]
     angle: Vec<SimulatedAngle>,
+    #[serde(default)]
+    pulses: Vec<SimulatedPulses>,
     #[serde(default)]
     lidar: Vec<LidarTable>,
     #[serde(default)]
@@ -324,6 +326,7 @@ impl Tables {
             imus: check.each(&self.imu, &on_bus(ChannelKind::Imu), |imu| imu.id, Check::imu)?,
             currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
             angles: check.each(&self.angle, &on_bus(ChannelKind::Angle), |angle| angle.id, Check::angle)?,
+            pulses: check.pulses(&self.pulses)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
@@ -671,6 +674,36 @@ impl Check<'_> {
             self.reader.one_of("motor that turns", of, known.iter(), format!("{path}.of"))?;
         }
         Ok(*angle)
+    }
+
+    /// What sends pulses to range connectors: what tables say, and for each other motor that is controlled by pulses, what it takes
+    /// them to be.
+    fn pulses(&mut self, tables: &[SimulatedPulses]) -> Result<Vec<SimulatedPulses>, BoardError> {
+        let connectors = self.reader.carrier.range.connectors.len();
+        let mut sources = tables.to_vec();
+        for (index, table) in tables.iter().enumerate() {
+            let path = format!("simulation.pulses[{index}].connector");
+            self.reader.exists("range sensor connector", table.connector, connectors, &path)?;
+            self.claims.take("range sensor connector", table.connector, path)?;
+            if let Some(of) = table.of {
+                let known = may_turn(&self.config.motors);
+                let path = format!("simulation.pulses[{index}].of");
+                self.reader.one_of("motor that turns", of, known.iter(), path)?;
+            }
+        }
+        for motor in &self.config.motors {
+            let feedback = motor.control.map(|control| control.feedback);
+            let Some(Feedback::Pulses { range, frames_hz, zero, .. }) = feedback else { continue };
+            if !tables.iter().any(|table| table.connector == range) {
+                sources.push(SimulatedPulses {
+                    connector: range,
+                    of: Some(motor.id),
+                    zero_rad: zero.into(),
+                    frames_hz: frames_hz.into(),
+                });
+            }
+        }
+        Ok(sources)
     }
 
     /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.

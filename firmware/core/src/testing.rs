@@ -412,6 +412,7 @@ pub(crate) struct PeripheralsState {
     pub(crate) counts: [Cell<u16>; 4],
     pub(crate) illegal: [Cell<u32>; 4],
     pub(crate) storm: Cell<bool>,
+    pub(crate) pulses: [Cell<Option<Pulse>>; 2],
     /// Of the switches: all are high at first.
     pub(crate) low: [Cell<bool>; SWITCHES],
     pub(crate) cycles: Cell<u32>,
@@ -455,6 +456,12 @@ impl EdgeInputs for Peripherals {
             act();
         }
         self.storm.get()
+    }
+}
+
+impl PulseInputs for Peripherals {
+    fn pulse(&mut self, index: u8) -> Option<Pulse> {
+        self.pulses.get(usize::from(index))?.get()
     }
 }
 

@@ -255,10 +255,12 @@ impl BoardConfig {
         self.sensors.iter().find(|sensor| sensor.id == id).map(|sensor| sensor.rate_hz)
     }
 
-    /// Whether a range sensor is at connector `index`.
+    /// Whether a range sensor, or a motor's angle sensor, is at range connector `index`.
     #[must_use]
     pub fn uses_range(&self, index: u8) -> bool {
-        self.ranges.iter().any(|range| range.id.index == index)
+        let feedback = self.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
+        let of_motor = |feedback| matches!(feedback, Feedback::Pulses { range, .. } if range == index);
+        feedback.map(of_motor).chain(self.ranges.iter().map(|range| range.id.index == index)).any(|uses| uses)
     }
 
     /// How long a controlled stop of this board takes, ms: the longest of its channels' times; 0 when none brakes.
@@ -434,13 +436,27 @@ impl BoardConfig {
     /// An angle sensor that a motor is controlled by is there, is its alone, and is read often enough: no turn of the shaft may hide
     /// between two readings, also where some of them fail.
     fn validate_angle(&self, id: ChannelId, control: &ControlConfig, taken: &mut Used) -> Result<(), ConfigError> {
-        let Feedback::Angle { angle, .. } = control.feedback else { return Ok(()) };
         let rule = |holds: bool, rule| check(Some(id), holds, rule);
-        let rate_hz = self.angle_rate_hz(angle).filter(|_| angle < 128 && taken.take(angle));
-        let Some(rate_hz) = rate_hz else {
-            return rule(false, "the motor's angle sensor must be in the list of sensors, and belong to one motor");
+        let rate_hz = match control.feedback {
+            Feedback::Angle { angle, .. } => {
+                let rate_hz = self.angle_rate_hz(angle).filter(|_| angle < 64 && taken.take(angle));
+                let Some(rate_hz) = rate_hz else {
+                    return rule(
+                        false,
+                        "the motor's angle sensor must be in the list of sensors, and belong to one motor",
+                    );
+                };
+                rule(rate_hz >= ANGLE_RATE_MIN_HZ, "the rate_hz of a motor's angle sensor must be at least 250")?;
+                rate_hz
+            }
+            Feedback::Pulses { range, frames_hz, .. } => {
+                // Behind the numbers of sensors.
+                let free = taken.take(64 + range) && self.ranges.iter().all(|sensor| sensor.id.index != range);
+                rule(free, "the range connector of a motor's pulses must belong to it alone")?;
+                frames_hz
+            }
+            Feedback::Encoder { .. } | Feedback::Potentiometer { .. } => return Ok(()),
         };
-        rule(rate_hz >= ANGLE_RATE_MIN_HZ, "the rate_hz of a motor's angle sensor must be at least 250")?;
         let lost_s = f32::from(ANGLE_READINGS_LOST) / f32::from(rate_hz);
         rule(
             control.speed_max * lost_s < core::f32::consts::PI / 2.0,

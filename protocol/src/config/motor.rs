@@ -218,6 +218,18 @@ pub enum Feedback {
         /// Whether positive duty lowers the angle.
         inverted: bool,
     },
+    /// The PWM output of an AS5600 on the output shaft, at the echo input of a range sensor's connector. Its angle is absolute as
+    /// that of [`Feedback::Angle`].
+    Pulses {
+        /// Which connector: 0 or 1, whose edges a timer captures.
+        range: u8,
+        /// Frames a second that the sensor is set to: 115 or 230.
+        frames_hz: u16,
+        /// Angle that is position 0, rad, 0 to 2π.
+        zero: f32,
+        /// Whether positive duty lowers the angle.
+        inverted: bool,
+    },
 }
 
 impl Feedback {
@@ -376,7 +388,7 @@ impl MotorConfig {
             (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => {
                 rule(false, "an osmc channel has an encoder or an angle sensor")?;
             }
-            (ChannelKind::Actuator, Feedback::Encoder { .. } | Feedback::Angle { .. }) => {
+            (ChannelKind::Actuator, Feedback::Encoder { .. } | Feedback::Angle { .. } | Feedback::Pulses { .. }) => {
                 rule(false, "an actuator has a potentiometer")?;
             }
             _ => {}
@@ -409,6 +421,8 @@ impl WindingConfig {
     }
 }
 
+/// Range connectors whose echo inputs take pulses.
+const PULSE_INPUTS: u8 = 2;
 /// The encoder that interrupts count; timers count the others.
 const INTERRUPT_ENCODER: u8 = 3;
 /// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
@@ -480,7 +494,7 @@ impl ControlConfig {
                 )?;
                 rule(self.homing.is_none(), "a potentiometer needs no homing")?;
             }
-            Feedback::Angle { zero, .. } => {
+            Feedback::Angle { zero, .. } | Feedback::Pulses { zero, .. } => {
                 rule(Range::new(0.0, TURN).contains(zero), "the zero angle must be 0 to 6.2831855")?;
                 let counts = |position: f32| (position / TURN * f32::from(AS5600_COUNTS)).abs();
                 rule(counts(min) <= 1e9 && counts(max) <= 1e9, "position must be within 1e9 counts of 0")?;
@@ -488,6 +502,13 @@ impl ControlConfig {
                     self.homing.is_none() || max - min > TURN,
                     "an angle sensor with a range within one turn needs no homing",
                 )?;
+                if let Feedback::Pulses { range, frames_hz, .. } = self.feedback {
+                    rule(range < PULSE_INPUTS, "pulses need range connector 0 or 1, whose edges a timer captures")?;
+                    rule(
+                        frames_hz == 115 || frames_hz == 230,
+                        "frames_hz must be 115 or 230: shorter pulses are over before they are captured",
+                    )?;
+                }
             }
         }
         if let Some(side) = &self.motor_side {

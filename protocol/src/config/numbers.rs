@@ -278,7 +278,8 @@ macro_rules! lend {
                         P::PotHighPosition => high_position,
                         _ => return None,
                     }),
-                    Feedback::Angle { angle: _, zero, inverted: _ } => match parameter {
+                    Feedback::Angle { angle: _, zero, inverted: _ }
+                    | Feedback::Pulses { range: _, frames_hz: _, zero, inverted: _ } => match parameter {
                         P::ZeroAngle => Some(zero),
                         _ => None,
                     },

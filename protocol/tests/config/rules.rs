@@ -49,6 +49,12 @@ fn hip(config: &mut BoardConfig, change: fn(&mut u8, &mut f32)) {
     change(angle, zero);
 }
 
+/// The hip's angle by pulses; without the sensor that looks from connector 1.
+fn pulses(config: &mut BoardConfig, range: u8, frames_hz: u16) {
+    config.ranges.truncate(1);
+    loops(config, 4).feedback = Feedback::Pulses { range, frames_hz, zero: 1.0, inverted: false };
+}
+
 fn side(config: &mut BoardConfig) -> &mut MotorSideConfig {
     wheel(config).motor_side.as_mut().expect("the wheel's")
 }
@@ -226,6 +232,8 @@ const LOOPS: &[Case] = {
         "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
     const SWITCH: &str = "the homing switch must be in the list of switches, and belong to one axis";
     const ANGLE: &str = "the motor's angle sensor must be in the list of sensors, and belong to one motor";
+    const FRAMES: &str = "frames_hz must be 115 or 230: shorter pulses are over before they are captured";
+    const ALONE: &str = "the range connector of a motor's pulses must belong to it alone";
     const ZERO: &str = "the zero angle must be 0 to 6.2831855";
     const SIDE: &str = "motor_side_counts must be 1 to 16777216";
     const GAP: &str = "gap_max must be above 0 and below one turn";
@@ -313,6 +321,17 @@ const LOOPS: &[Case] = {
         (HIP, FAR, |c| loops(c, 4).position.max = 2e6),
         (HIP, "an angle sensor with a range within one turn needs no homing", |c| {
             loops(c, 4).homing = Some(HomingConfig { switch: 0, position: 0.0, speed_max: 0.5 });
+        }),
+        (HIP, "pulses need range connector 0 or 1, whose edges a timer captures", |c| pulses(c, 2, 230)),
+        (HIP, FRAMES, |c| pulses(c, 1, 460)),
+        (HIP, FRAMES, |c| pulses(c, 1, 0)),
+        (HIP, ALONE, |c| pulses(c, 0, 230)),
+        (HIP, ALONE, |c| {
+            pulses(c, 1, 230);
+            c.ranges.clear();
+            loops(c, 3).homing = None;
+            loops(c, 3).position = Range::symmetric(3.0);
+            loops(c, 3).feedback = loops(c, 4).feedback;
         }),
         (ROD, "motor_side is for motors that turn", |c| loops(c, 1).motor_side = wheel(c).motor_side),
         (WHEEL, "the motor side's encoder must exist and be used by one motor", |c| side(c).index = 4),
@@ -632,6 +651,8 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.sensors[1].rate_hz = 1000,
         |c| hip(c, |_, zero| *zero = core::f32::consts::TAU),
         |c| loops(c, 4).speed_max = 78.5,
+        |c| pulses(c, 1, 230),
+        |c| pulses(c, 1, 115),
         |c| {
             loops(c, 4).homing = Some(HomingConfig { switch: 0, position: 0.0, speed_max: 0.5 });
             loops(c, 4).position = Range::symmetric(3.2);

@@ -33,7 +33,7 @@ pub(crate) fn resolution(feedback: Feedback) -> f32 {
     match feedback {
         Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
         Feedback::Potentiometer { .. } => POT_RESOLUTION_M,
-        Feedback::Angle { .. } => core::f32::consts::TAU / AS5600_COUNTS as f32,
+        Feedback::Angle { .. } | Feedback::Pulses { .. } => core::f32::consts::TAU / AS5600_COUNTS as f32,
     }
 }
 
@@ -184,7 +184,7 @@ impl Motor {
                 Feedback::Potentiometer { low, high, .. } => {
                     Sensor::Potentiometer(Potentiometer::new(low, high, period_s, filter_s))
                 }
-                Feedback::Angle { zero, inverted, .. } => {
+                Feedback::Angle { zero, inverted, .. } | Feedback::Pulses { zero, inverted, .. } => {
                     let range = (control.position.min, control.position.max);
                     let speed_max = control.speed_max;
                     Sensor::Angle(Angle::new(Mounting { zero, inverted, range, speed_max, filter_s }))
@@ -207,7 +207,9 @@ impl Motor {
             homed: match control.feedback {
                 Feedback::Encoder { .. } => false,
                 Feedback::Potentiometer { .. } => true,
-                Feedback::Angle { .. } => control.position.max - control.position.min <= core::f32::consts::TAU,
+                Feedback::Angle { .. } | Feedback::Pulses { .. } => {
+                    control.position.max - control.position.min <= core::f32::consts::TAU
+                }
             },
             switch_closed: None,
             speed: 0.0,

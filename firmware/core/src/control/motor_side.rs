@@ -42,7 +42,8 @@ impl MotorSide {
     /// Beside an output that `feedback` measures. A motor slower than `still`, rad/s, crosses nothing.
     pub(super) fn new(config: MotorSideConfig, feedback: Feedback, still: f32, period_s: f32, filter_s: f32) -> Self {
         let MotorSideConfig { index: _, counts_per_turn, inverted, gap_max } = config;
-        let steps = if let Feedback::Angle { .. } = feedback { ANGLE_STEP } else { ENCODER_STEP };
+        let steps =
+            if let Feedback::Angle { .. } | Feedback::Pulses { .. } = feedback { ANGLE_STEP } else { ENCODER_STEP };
         Self {
             encoder: Encoder::new(inverted, period_s, filter_s),
             resolution: core::f32::consts::TAU / counts_per_turn as f32,

@@ -24,8 +24,8 @@ use crate::{
         steps::DriverTiming,
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
-    platform::{Bus, Peripherals},
-    sensing::{analog::Supply, on_bus::Sensors, storm::IllegalRate},
+    platform::{Bus, Peripherals, PulseInputs},
+    sensing::{analog::Supply, angle::Reading, on_bus::Sensors, pulse, storm::IllegalRate},
     shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
     storage::faults::SNAPSHOT_MS,
 };
@@ -273,7 +273,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let output = match control.feedback {
                 Feedback::Encoder { index, .. } => Output::Code(self.peripherals.count(index)),
                 Feedback::Potentiometer { analog, .. } => Output::Code(self.peripherals.code(analog)),
-                Feedback::Angle { angle, .. } => Output::Angle(self.bus_sensors.angle(angle), self.sensed),
+                Feedback::Angle { .. } | Feedback::Pulses { .. } => {
+                    let newest = angle(control.feedback, &self.bus_sensors, &mut self.peripherals, self.sensed);
+                    Output::Angle(newest, self.sensed)
+                }
             };
             let motor_side = control.motor_side.map_or(0, |side| self.peripherals.count(side.index));
             let raw = Raw { output, motor_side };
@@ -520,15 +523,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     async fn find_angles<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let config = shared.config();
         let until = Instant::now() + FIRST_ANGLES;
-        let is_missing = |sensors: &Sensors| {
+        let is_missing = |sensors: &Sensors, peripherals: &mut P| {
             let feedback = config.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
-            let mut angles = feedback.filter_map(|feedback| match feedback {
-                Feedback::Angle { angle, .. } => Some(angle),
-                _ => None,
-            });
-            angles.any(|angle| sensors.angle(angle).is_none())
+            let is_angle = |feedback: &Feedback| matches!(feedback, Feedback::Angle { .. } | Feedback::Pulses { .. });
+            let now = Instant::now();
+            feedback.filter(is_angle).any(|feedback| angle(feedback, sensors, peripherals, now).is_none())
         };
-        while !self.bad_configuration && is_missing(&self.bus_sensors) && Instant::now() < until {
+        while !self.bad_configuration && Instant::now() < until && is_missing(&self.bus_sensors, &mut self.peripherals)
+        {
             self.outputs.begin_tick();
             self.bus_sensors.ask(shared, self.outputs.bus(), || false).await;
             Timer::after(Duration::from_millis(1)).await;
@@ -646,6 +648,20 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::ReadBackMismatch, self.fault == Some(OutputFault::Mismatch));
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
+    }
+}
+
+/// What a motor's angle sensor told last; `None` for feedback of another kind, too.
+fn angle(feedback: Feedback, sensors: &Sensors, peripherals: &mut impl PulseInputs, now: Instant) -> Option<Reading> {
+    match feedback {
+        Feedback::Angle { angle, .. } => sensors.angle(angle),
+        Feedback::Pulses { range, frames_hz, .. } => {
+            let pulse = peripherals.pulse(range)?;
+            let taken = now.checked_sub(Duration::from_micros(pulse.age_us.into()))?;
+            let period = Duration::from_hz(u64::from(frames_hz).max(1));
+            Some(Reading { counts: pulse::counts(pulse, frames_hz)?, taken, period })
+        }
+        Feedback::Encoder { .. } | Feedback::Potentiometer { .. } => None,
     }
 }
 

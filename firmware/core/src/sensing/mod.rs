@@ -7,6 +7,7 @@ pub mod encoder;
 pub mod filter;
 pub mod on_bus;
 pub mod potentiometer;
+pub mod pulse;
 pub mod quadrature;
 pub mod range;
 pub mod storm;

@@ -36,7 +36,10 @@ use crate::{
     clock::Clock,
     i2c::I2cBus,
     misuse::Misuse,
-    sensors::hc_sr04::{HcSr04, HcSr04Array},
+    sensors::{
+        as5600_pwm::As5600Pwm,
+        hc_sr04::{HcSr04, HcSr04Array},
+    },
 };
 use body::{Coupling, Movers};
 use chips::Chips;
@@ -200,10 +203,15 @@ impl World {
             }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }
-        self.chips.see_angles(until_ns, |of| {
+        let shaft = |of: ChannelId| {
             let motor = self.motors.iter().find(|motor| motor.channel == of);
             motor.map(|motor| motor.plant.sensed_position())
-        });
+        };
+        self.chips.see_angles(until_ns, shaft);
+        for source in &mut self.pins.pulses {
+            let shaft_rad = source.mounting.of.and_then(shaft).unwrap_or_default();
+            source.sensor.feel(until_ns, source.mounting.zero_rad + shaft_rad);
+        }
         self.chips.feel(until_ns, self.body.as_ref().map_or(Inertial::AT_REST, Coupling::inertial));
         for (index, rail) in self.rails.iter_mut().enumerate() {
             let on_rail = self.motors.iter().filter(|motor| motor.rail == index);
@@ -428,6 +436,12 @@ impl World {
     #[must_use]
     pub fn angle_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<As5600>>> {
         self.chips.angles.iter().find(|angle| angle.mounting.channel == channel).map(|angle| &angle.chip)
+    }
+
+    /// The angle sensor that sends pulses to a range connector, to look at and to break; `None` where there is none.
+    pub fn pulse_sensor(&mut self, connector: u8) -> Option<&mut As5600Pwm> {
+        self.catch_up();
+        self.pins.pulses_at(connector.into()).map(|source| &mut source.sensor)
     }
 
     /// What motors draw from a rail, A; negative where they feed it.

@@ -5,7 +5,7 @@
 
 use std::f64::consts::TAU;
 
-use r4_boards::{PlantFile, Robot, SimulatedAngle, SimulatedEncoder, SimulatedSensor};
+use r4_boards::{PlantFile, Robot, SimulatedAngle, SimulatedEncoder, SimulatedPulses, SimulatedSensor};
 use r4_protocol::{
     Cause, ChannelId, ChannelKind, Mode, Quality, Range, SafetyState, Sample,
     config::{As5600Config, FeedForward, Feedback, MotorSideConfig, PidGains, ProfileLimits, SensorChip, SensorConfig},
@@ -210,13 +210,11 @@ fn an_angle_that_falls_while_the_motor_drives_up_trips() {
     });
 }
 
-/// Play of 2° between the motor and its output.
-const GAP_RAD: f64 = 2.0 * TAU / 360.0;
 /// Of the encoder at the output, 2400 counts to a turn, and of the one on the motor's side, 12 000.
 const OUTPUT_LINES: u32 = 600;
 const MOTOR_LINES: u32 = 3000;
 
-/// A geared motor with the bench's electrical numbers, whose duty is a voltage, friction and play: 32 rad/s without load and 73 ms.
+/// A geared motor with the bench's electrical numbers, whose duty is a voltage, friction, and play of 2°: 32 rad/s without load and 73 ms.
 const PLANT: &str = "model = \"dc-gear-motor\"
 source = \"the bench's motor, its driver without dead zone and curve\"
 [parameters]
@@ -342,6 +340,63 @@ fn sensors_further_apart_than_the_play_stop_the_motor() {
         bench.host.arm().await.unwrap();
         bench.set(ROTARY, Mode::Position, 1.0).await.unwrap();
         bench.sleep_ms(1500).await;
+        let (state, causes) = bench.safety().await;
+        assert!(state == SafetyState::Tripped && causes.contains(Cause::EncoderImplausible), "{causes}");
+    });
+}
+
+/// The bench with the PWM output of its angle sensor at a range connector, in place of the bus; the sensor's clock is `off` as much.
+fn pulse_bench(frames_hz: u16, off: f64) -> Robot {
+    let mut robot = angle_bench(1000);
+    robot.config.sensors.clear();
+    robot.simulation.angles.clear();
+    let control = control_of(&mut robot.config, 0);
+    control.feedback = Feedback::Pulses { range: 1, frames_hz, zero: ZERO, inverted: false };
+    // A frame that may be a count wrong at each end is noise of 0.6 counts; readings are further apart.
+    control.speed_filter_s = 0.040;
+    robot.config.validate().unwrap();
+    let frames_hz = f64::from(frames_hz) * (1.0 + off);
+    let source = SimulatedPulses { connector: 1, of: Some(ROTARY), zero_rad: ZERO.into(), frames_hz };
+    robot.simulation.pulses = vec![source];
+    robot
+}
+
+#[test]
+fn a_motor_goes_where_it_is_sent_by_the_pulses_of_its_angle_sensor() {
+    for (frames_hz, off) in [(230, 0.05), (230, -0.05), (115, 0.0)] {
+        bench(&pulse_bench(frames_hz, off), async |bench| {
+            let (position, _, homed) = told(bench).await;
+            assert!(homed && (position - START).abs() < 4.0 * COUNT_RAD, "{position}");
+            bench.host.arm().await.unwrap();
+            for target in [0.0, 3.0, -3.0] {
+                let (took_ms, beyond) = go(bench, target).await;
+                let error = bench.position(ROTARY) - f64::from(target);
+                println!("{frames_hz} frames/s to {target}: {took_ms} ms, {beyond:.4} rad beyond, {error:+.4} rad off");
+                assert!(error.abs() < 2.0 * SETTLE_RAD + 3.0 * COUNT_RAD, "{frames_hz}, {target}: {error}");
+            }
+            // Without a magnet there are no pulses: five frames may be missing, one may be under way.
+            bench.set(ROTARY, Mode::Position, 3.0).await.unwrap();
+            bench.sleep_ms(700).await;
+            let since_ns = bench.clock.now_ns();
+            bench.board.world().pulse_sensor(1).unwrap().set_magnet(false);
+            let off_ns = bench.device().wait_off(since_ns, 200 * MS).await.unwrap();
+            println!("{frames_hz} frames/s, no magnet: off after {:.1} ms", off_ns as f64 * 1e-6);
+            assert!(off_ns <= 7 * 1_000_000_000 / u64::from(frames_hz) + 3 * MS, "{off_ns} ns");
+            let (state, causes) = bench.safety().await;
+            assert!(state == SafetyState::Tripped && causes.contains(Cause::EncoderImplausible), "{causes}");
+            bench.board.world().pulse_sensor(1).unwrap().set_magnet(true);
+            bench.sleep_ms(100).await;
+            let (position, _, _) = told(bench).await;
+            assert!((position - bench.position(ROTARY)).abs() < 4.0 * COUNT_RAD, "{position}");
+            bench.host.clear().await.unwrap();
+        });
+    }
+}
+
+/// A sensor that was burnt to another rate is none.
+#[test]
+fn pulses_of_another_rate_are_no_angle() {
+    bench(&pulse_bench(115, 1.0), async |bench| {
         let (state, causes) = bench.safety().await;
         assert!(state == SafetyState::Tripped && causes.contains(Cause::EncoderImplausible), "{causes}");
     });
