@@ -658,7 +658,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
             loops(c, 4).position = Range::symmetric(3.2);
         },
         |c| side(c).counts_per_turn = MAX_EXACT,
-        |c| side(c).gap_max = 6.28,
+        |c| side(c).gap_max = 6.2,
         |c| wheel(c).speed_filter_s = 0.0,
         |c| wheel(c).speed_filter_s = 1.0,
         |c| wheel(c).profile.speed = 20.0,
