@@ -207,6 +207,10 @@ pub(crate) fn optional_supply_number<'de, D: Deserializer<'de>>(deserializer: D)
     number_of(deserializer, ChannelKind::Supply).map(Some)
 }
 
+pub(crate) fn angle_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u8, D::Error> {
+    number_of(deserializer, ChannelKind::Angle)
+}
+
 pub(crate) fn analog_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u8, D::Error> {
     number_of(deserializer, ChannelKind::Analog)
 }

@@ -42,6 +42,8 @@ pub enum ChannelKind {
     Imu,
     /// Current monitor on the I2C bus.
     Current,
+    /// Absolute angle sensor on the I2C bus.
+    Angle,
 }
 
 /// One of the numbers that a channel measures together.
@@ -57,7 +59,7 @@ pub struct Quantity {
 pub const MAX_QUANTITIES: usize = 6;
 
 impl ChannelKind {
-    const NAMES: [(Self, &'static str); 16] = [
+    const NAMES: [(Self, &'static str); 17] = [
         (Self::Osmc, "osmc"),
         (Self::Actuator, "actuator"),
         (Self::Dhb, "dhb"),
@@ -74,6 +76,7 @@ impl ChannelKind {
         (Self::DeadMan, "dead-man"),
         (Self::Imu, "imu"),
         (Self::Current, "current"),
+        (Self::Angle, "angle"),
     ];
 
     /// What a channel of this kind measures together, in the order of [`Sample::Sensor`](crate::Sample::Sensor)'s values; nothing for a
@@ -97,6 +100,7 @@ impl ChannelKind {
                 }
             }
             Self::Current => const { &[quantity("current_a", Unit::A), quantity("voltage_v", Unit::V)] },
+            Self::Angle => const { &[quantity("angle_rad", Unit::Rad)] },
             _ => &[],
         }
     }

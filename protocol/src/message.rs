@@ -751,6 +751,12 @@ pub enum Quality {
     WrongChip,
     /// One of its numbers is at the end of the sensor's range.
     Saturated,
+    /// An angle sensor finds no magnet: its angle means nothing.
+    NoMagnet,
+    /// The field at an angle sensor is weaker than its gain makes up for: its angle is noisy.
+    WeakMagnet,
+    /// The field at an angle sensor is stronger than its gain makes up for: its angle may be distorted.
+    StrongMagnet,
 }
 
 impl fmt::Display for Quality {
@@ -766,6 +772,9 @@ impl fmt::Display for Quality {
             Self::Stale => "no new measurement",
             Self::WrongChip => "not the chip that the robot's file names",
             Self::Saturated => "at the end of its range",
+            Self::NoMagnet => "no magnet at the sensor",
+            Self::WeakMagnet => "magnet too weak or too far away",
+            Self::StrongMagnet => "magnet too strong or too near",
         })
     }
 }

@@ -148,10 +148,16 @@ pub enum Parameter {
     DutyPerAcceleration,
     /// Of a motor with feedback, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
     Cascade,
+    /// Of a motor with an angle sensor, rad: the angle that is position 0.
+    ZeroAngle,
+    /// Of a motor with an encoder on the motor's side: [`crate::config::MotorSideConfig::counts_per_turn`].
+    MotorSideCounts,
+    /// Of a motor with an encoder on the motor's side, rad: [`crate::config::MotorSideConfig::gap_max`].
+    GapMax,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 67] = [
+    const NAMES: [(Self, &'static str); 70] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -219,6 +225,9 @@ impl Parameter {
         (Self::CanDataRate, "can_data_rate"),
         (Self::DutyPerAcceleration, "duty_per_acceleration"),
         (Self::Cascade, "cascade"),
+        (Self::ZeroAngle, "zero_angle"),
+        (Self::MotorSideCounts, "motor_side_counts"),
+        (Self::GapMax, "gap_max"),
     ];
 
     /// Every parameter, in the order of the variants.

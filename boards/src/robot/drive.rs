@@ -123,7 +123,7 @@ fn motors(config: &BoardConfig, wanted: fn(Option<Feedback>) -> bool) -> impl It
 }
 
 fn turns(feedback: Option<Feedback>) -> bool {
-    matches!(feedback, Some(Feedback::Encoder { .. }))
+    feedback.is_some_and(Feedback::turns)
 }
 
 fn slides(feedback: Option<Feedback>) -> bool {

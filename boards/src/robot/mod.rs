@@ -16,7 +16,7 @@ use r4_world::{AnyBody, Pose, Scene};
 pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
-pub use sensor::{SimulatedCurrent, SimulatedImu};
+pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedImu, SimulatedPulses};
 pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
@@ -61,6 +61,10 @@ pub struct Simulation {
     pub imus: Vec<SimulatedImu>,
     /// One for each current monitor.
     pub currents: Vec<SimulatedCurrent>,
+    /// One for each angle sensor.
+    pub angles: Vec<SimulatedAngle>,
+    /// Angle sensors that send pulses to range connectors.
+    pub pulses: Vec<SimulatedPulses>,
     /// Sensors at the UART connectors.
     pub uarts: Vec<SimulatedUart>,
     /// What couples motors; `None` lets each turn alone.
@@ -252,8 +256,10 @@ pub struct SimulatedMotor {
     pub rail: ChannelId,
     /// Where it stands at time 0, rad or m.
     pub start: f64,
-    /// What measures it, if anything does.
+    /// What measures it, if anything does; an angle sensor is in [`Simulation::angles`].
     pub sensor: Option<SimulatedSensor>,
+    /// A second encoder, on the motor's side of its plant's backlash and compliance.
+    pub motor_side: Option<SimulatedEncoder>,
 }
 
 /// A plant file, not looked into here.

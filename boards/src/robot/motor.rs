@@ -1,13 +1,13 @@
 //! `[[osmc]]`, `[[actuator]]`, `[[dhb]]`: motors on bridges.
 //!
-//! A motor whose table has tables inside is under control: with an encoder it is written in radians ([`rotary`]), with a
+//! A motor whose table has tables inside is under control: with an encoder or an angle sensor it is written in radians ([`rotary`]), with a
 //! potentiometer in metres ([`linear`]). One without is [`Open`].
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
         BridgeConfig, ControlConfig, CurrentSense, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig,
-        PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
+        MotorSideConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
     },
 };
 use serde::{
@@ -17,8 +17,8 @@ use serde::{
 use toml::{Spanned, de::DeValue};
 
 use crate::number::{
-    Interval, analog_number, channel, finite, not_negative, optional_duty, optional_supply_number, positive,
-    stop_brake_ms,
+    Interval, analog_number, angle_number, channel, finite, not_negative, optional_duty, optional_supply_number,
+    positive, stop_brake_ms,
 };
 
 /// A motor as it is in the file.
@@ -118,6 +118,43 @@ pub(super) struct Encoder {
     counts_per_index: u32,
 }
 
+/// An absolute angle sensor on the output shaft.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Angle {
+    #[serde(deserialize_with = "angle_number")]
+    sensor: u8,
+    #[serde(default, deserialize_with = "finite")]
+    zero_rad: f32,
+    #[serde(default)]
+    inverted: bool,
+}
+
+/// The PWM output of an absolute angle sensor on the output shaft.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PulsedAngle {
+    pub(super) range: u8,
+    frames_hz: u16,
+    #[serde(default, deserialize_with = "finite")]
+    zero_rad: f32,
+    #[serde(default)]
+    inverted: bool,
+}
+
+/// A second encoder, on the motor's side of play.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MotorSide {
+    pub(super) input: u8,
+    #[serde(deserialize_with = "positive")]
+    counts_per_turn: u32,
+    #[serde(default)]
+    inverted: bool,
+    #[serde(deserialize_with = "positive")]
+    gap_max_rad: f32,
+}
+
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Potentiometer {
@@ -184,10 +221,45 @@ impl From<NoHoming> for HomingConfig {
     }
 }
 
+/// What measures a motor that turns; `None` where nothing is said, which the reader of the file refuses.
+fn turning(motor: &rotary::Motor) -> Option<Feedback> {
+    let angle = motor.angle.map(|Angle { sensor, zero_rad, inverted }| Feedback::Angle {
+        angle: sensor,
+        zero: zero_rad,
+        inverted,
+    });
+    let pulses = motor.pulses.map(|PulsedAngle { range, frames_hz, zero_rad, inverted }| Feedback::Pulses {
+        range,
+        frames_hz,
+        zero: zero_rad,
+        inverted,
+    });
+    motor.encoder.map(Into::into).or(angle).or(pulses)
+}
+
+fn motor_side(motor: &rotary::Motor) -> Option<MotorSideConfig> {
+    motor.motor_side.map(|MotorSide { input, counts_per_turn, inverted, gap_max_rad }| MotorSideConfig {
+        index: input,
+        counts_per_turn,
+        inverted,
+        gap_max: gap_max_rad,
+    })
+}
+
+#[allow(clippy::unnecessary_wraps, reason = "as for a motor that turns")]
+fn sliding(motor: &linear::Motor) -> Option<Feedback> {
+    Some(motor.potentiometer.into())
+}
+
+fn no_motor_side(_: &linear::Motor) -> Option<MotorSideConfig> {
+    None
+}
+
 /// The table of a motor under control. The fields are named after the unit of its position.
 macro_rules! controlled {
     (
-        $unit:ident, $feedback:ident: $Feedback:ident, homing: $Homing:ident,
+        $unit:ident, sensors: { $($sensor:ident: $Sensor:ty,)+ }, feedback: $feedback:path, motor_side: $motor_side:path,
+        homing: $Homing:ident,
         position: $position:ident,
         speed_max: $speed_max:ident,
         position_pid: [$kp:ident, $ki:ident, $kd:ident],
@@ -220,7 +292,7 @@ macro_rules! controlled {
                 duty_slew_per_s: f32,
                 #[serde(default, deserialize_with = "stop_brake_ms")]
                 stop_brake_ms: u16,
-                pub(in super::super) $feedback: $Feedback,
+                $(pub(in super::super) $sensor: $Sensor,)+
                 position_pid: PositionGains,
                 speed_pid: SpeedGains,
                 #[serde(default, deserialize_with = "not_negative")]
@@ -312,6 +384,7 @@ macro_rules! controlled {
 
             impl Motor {
                 pub(super) fn config(self, bridge: BridgeConfig, duty_max: f32) -> MotorConfig {
+                    let (feedback, motor_side) = ($feedback(&self), $motor_side(&self));
                     let (position, speed) = (self.position_pid, self.speed_pid);
                     let Self { profile, feed_forward, settle, stall, follow, .. } = self;
                     MotorConfig {
@@ -320,8 +393,8 @@ macro_rules! controlled {
                         inverted: self.inverted,
                         duty_max,
                         duty_slew_per_s: self.duty_slew_per_s,
-                        control: Some(ControlConfig {
-                            feedback: self.$feedback.into(),
+                        control: feedback.map(|feedback| ControlConfig {
+                            feedback,
                             position: self.$position.into(),
                             speed_max: self.$speed_max,
                             position_pid: PidGains { kp: position.$kp, ki: position.$ki, kd: position.$kd },
@@ -346,6 +419,7 @@ macro_rules! controlled {
                             stall: StallConfig { duty: stall.duty, travel: stall.$travel, time_ms: stall.time_ms },
                             follow: FollowConfig { error: follow.$follow_error, time_ms: follow.time_ms },
                             homing: self.homing.map(Into::into),
+                            motor_side,
                         }),
                         winding: Some(self.winding.into()),
                         stop_brake_ms: self.stop_brake_ms,
@@ -357,7 +431,11 @@ macro_rules! controlled {
 }
 
 controlled! {
-    rotary, encoder: Encoder, homing: Homing,
+    rotary,
+    sensors: { encoder: Option<Encoder>, angle: Option<Angle>, pulses: Option<PulsedAngle>, motor_side: Option<MotorSide>, },
+    feedback: turning,
+    motor_side: motor_side,
+    homing: Homing,
     position: position_rad,
     speed_max: speed_max_rad_s,
     position_pid: [kp_duty_per_rad, ki_duty_per_rad_s, kd_duty_s_per_rad],
@@ -371,7 +449,7 @@ controlled! {
 }
 
 controlled! {
-    linear, potentiometer: Potentiometer, homing: NoHoming,
+    linear, sensors: { potentiometer: Potentiometer, }, feedback: sliding, motor_side: no_motor_side, homing: NoHoming,
     position: position_m,
     speed_max: speed_max_m_s,
     position_pid: [kp_duty_per_m, ki_duty_per_m_s, kd_duty_s_per_m],

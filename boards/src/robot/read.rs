@@ -5,8 +5,8 @@ use std::{fmt::Display, io::ErrorKind};
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BoardConfig, BridgeConfig, CanConfig, ConfigError, DacChipConfig, ExpanderConfig, HomingConfig, MAX_SENSORS,
-        MotorConfig, PwmConfig, SensorConfig,
+        BoardConfig, BridgeConfig, CanConfig, ConfigError, DacChipConfig, ExpanderConfig, Feedback, HomingConfig,
+        MAX_SENSORS, MotorConfig, PwmConfig, SensorConfig,
     },
 };
 use serde::Deserialize;
@@ -66,6 +66,8 @@ struct RobotFile {
     imu: Vec<sensor::Imu>,
     #[serde(default)]
     current: Vec<sensor::Current>,
+    #[serde(default)]
+    angle: Vec<sensor::Angle>,
     drive: Option<Drive>,
     body: Option<body::Body>,
     world: Option<body::WorldTable>,
@@ -199,7 +201,31 @@ impl<'p> Place<'p, '_> {
         }
         match &motor {
             Motor::Open(_) => {}
-            Motor::Rotary(motor) => self.take_encoder(motor.encoder.input, "encoder.input")?,
+            Motor::Rotary(motor) => {
+                let there = [motor.encoder.is_some(), motor.angle.is_some(), motor.pulses.is_some()];
+                if there.into_iter().filter(|there| *there).count() != 1 {
+                    return Err(self.rule(
+                        "channel",
+                        "a motor under control needs one of the tables encoder, angle and pulses, and only one",
+                    ));
+                }
+                if let Some(pulses) = &motor.pulses {
+                    let path = format!("{}.pulses.range", self.path);
+                    self.reader.exists(
+                        "range sensor connector",
+                        pulses.range,
+                        self.carrier.range.connectors.len(),
+                        &path,
+                    )?;
+                    self.claims.take("range sensor connector", pulses.range, path)?;
+                }
+                if let Some(encoder) = &motor.encoder {
+                    self.take_encoder(encoder.input, "encoder.input")?;
+                }
+                if let Some(side) = &motor.motor_side {
+                    self.take_encoder(side.input, "motor_side.input")?;
+                }
+            }
             Motor::Linear(motor) => self.take_analog(motor.potentiometer.input, "potentiometer.input")?,
         }
         Ok(motor.config(bridge, duty_max))
@@ -231,8 +257,11 @@ impl Reader<'_> {
         let (analogs, supplies) = (list!(analog), list!(supply));
         let mut sensors: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(imu);
         let currents: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(current);
-        let full = |_| self.rule("current", "the firmware has at most 4 sensors on the bus");
-        sensors.extend_from_slice(&currents).map_err(full)?;
+        let angles: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(angle);
+        for (table, more) in [("current", &currents), ("angle", &angles)] {
+            let full = |_| self.rule(table, "the firmware has at most 4 sensors on the bus");
+            sensors.extend_from_slice(more).map_err(full)?;
+        }
 
         let carrier = self.carrier;
         let on_bridge = |dhb| motors.iter().any(|motor| matches!(motor.bridge, BridgeConfig::Dhb(_)) == dhb);
@@ -284,6 +313,7 @@ impl Reader<'_> {
             sensors,
         };
         self.home_switches(&config, &paths)?;
+        self.angle_sensors(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {
             let path = channel.and_then(|id| path_of(&paths, id)).unwrap_or_default();
             BoardError::Rule { at: self.source.at(path), channel, rule }
@@ -368,7 +398,11 @@ impl Reader<'_> {
             ChannelKind::Switch => ("switch", encoder.connectors.len()),
             ChannelKind::Range => ("range sensor connector", range.connectors.len()),
             ChannelKind::Analog => ("analog input", analog.inputs.len()),
-            ChannelKind::Supply | ChannelKind::DeadMan | ChannelKind::Imu | ChannelKind::Current => return None,
+            ChannelKind::Supply
+            | ChannelKind::DeadMan
+            | ChannelKind::Imu
+            | ChannelKind::Current
+            | ChannelKind::Angle => return None,
         })
     }
 
@@ -381,6 +415,19 @@ impl Reader<'_> {
             let asked = ChannelId::new(ChannelKind::Switch, switch);
             let field = format!("{}.homing.switch", path_of(paths, id).unwrap_or_default());
             self.one_of("switch table for", asked, config.switches.iter().map(|switch| &switch.id), field)?;
+        }
+        Ok(())
+    }
+
+    /// An angle sensor that a motor is controlled by needs a table of its own.
+    fn angle_sensors(&self, config: &BoardConfig, paths: &Paths) -> Result<(), BoardError> {
+        for motor in &config.motors {
+            let Some(Feedback::Angle { angle, .. }) = motor.control.map(|control| control.feedback) else { continue };
+            let asked = ChannelId::new(ChannelKind::Angle, angle);
+            let field = format!("{}.angle.sensor", path_of(paths, motor.id).unwrap_or_default());
+            let known: Vec<_> = config.sensors.iter().map(|sensor| sensor.id).collect();
+            let known = known.iter().filter(|id| id.kind == ChannelKind::Angle);
+            self.one_of("angle table for", asked, known, field)?;
         }
         Ok(())
     }
@@ -412,7 +459,13 @@ impl Reader<'_> {
         BoardError::Rule { at: self.source.at(path), channel: None, rule }
     }
 
-    fn exists(&self, what: &'static str, asked: u8, count: usize, path: impl Display) -> Result<(), BoardError> {
+    pub(super) fn exists(
+        &self,
+        what: &'static str,
+        asked: u8,
+        count: usize,
+        path: impl Display,
+    ) -> Result<(), BoardError> {
         if usize::from(asked) < count {
             return Ok(());
         }

@@ -1,16 +1,16 @@
-//! `[[imu]]`, `[[current]]`, and `[[simulation.imu]]`, `[[simulation.current]]`: sensors on the bus with the output chips, and what they
+//! `[[imu]]`, `[[current]]`, `[[angle]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
 //! measure in simulation.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{Icm20948Config, Ina226Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, SensorChip, SensorConfig},
 };
 use serde::Deserialize;
 
 use super::read::{Place, Table};
 use crate::{
     error::BoardError,
-    number::{channel, optional_positive, positive},
+    number::{channel, finite, optional_channel, optional_positive, positive},
 };
 
 /// An inertial sensor, ICM-20948.
@@ -66,6 +66,76 @@ impl Table for Current {
         place.take_address(address)?;
         Ok(SensorConfig { id, address, rate_hz, chip: SensorChip::Ina226(Ina226Config { shunt_ohm }) })
     }
+}
+
+/// An absolute angle sensor, AS5600.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Angle {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default = "as5600_address")]
+    address: u8,
+    rate_hz: u16,
+    #[serde(default = "fewest_averages")]
+    averages: u8,
+}
+
+/// The only one that it has.
+fn as5600_address() -> u8 {
+    0x36
+}
+
+/// What lags least.
+fn fewest_averages() -> u8 {
+    2
+}
+
+impl Table for Angle {
+    type Config = SensorConfig;
+    const KIND: ChannelKind = ChannelKind::Angle;
+
+    fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<SensorConfig, BoardError> {
+        let &Self { channel: id, address, rate_hz, averages } = self;
+        place.take_address(address)?;
+        Ok(SensorConfig { id, address, rate_hz, chip: SensorChip::As5600(As5600Config { averages }) })
+    }
+}
+
+/// Where an angle sensor is.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedAngle {
+    /// Channel of the sensor.
+    #[serde(deserialize_with = "channel")]
+    pub channel: ChannelId,
+    /// The motor whose output shaft it is on; `None` for a magnet that stands still.
+    #[serde(default, deserialize_with = "optional_channel")]
+    pub of: Option<ChannelId>,
+    /// The angle that it shows at position 0, rad.
+    #[serde(default, deserialize_with = "finite")]
+    pub zero_rad: f64,
+}
+
+/// An angle sensor that sends pulses to a range connector.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedPulses {
+    /// Number of the range connector.
+    pub connector: u8,
+    /// The motor whose output shaft it is on; `None` for a magnet that stands still.
+    #[serde(default, deserialize_with = "optional_channel")]
+    pub of: Option<ChannelId>,
+    /// The angle that it shows at position 0, rad.
+    #[serde(default, deserialize_with = "finite")]
+    pub zero_rad: f64,
+    /// True frames a second.
+    #[serde(deserialize_with = "positive")]
+    pub frames_hz: f64,
 }
 
 /// Where a current monitor is.

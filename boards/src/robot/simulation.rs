@@ -13,9 +13,9 @@ use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
-    PlantFile, RangeView, SimulatedAnalog, SimulatedBldc, SimulatedCurrent, SimulatedEncoder, SimulatedImu,
-    SimulatedMotor, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper,
-    SimulatedSwitch, Simulation, TruePoint,
+    PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent, SimulatedEncoder,
+    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -42,6 +42,7 @@ const BLDC_TOP_SPEED_RAD_S: f64 = 100.0;
 const BLDC_TIME_CONSTANT_S: f64 = 0.2;
 /// A stepper starts at this many times the speed it is configured to start at: our choice.
 const START_MARGIN: f64 = 2.0;
+const WHOLE_LINES: &str = "counts_per_turn of the robot is no multiple of 4: say the encoder's lines_per_turn";
 /// Every stepper starts at this rate, Hz: our choice.
 const START_RATE_MIN_HZ: f64 = 100.0;
 
@@ -73,6 +74,10 @@ pub(super) struct Tables {
     #[serde(default)]
     current: Vec<SimulatedCurrent>,
     #[serde(default)]
+    angle: Vec<SimulatedAngle>,
+    #[serde(default)]
+    pulses: Vec<SimulatedPulses>,
+    #[serde(default)]
     lidar: Vec<LidarTable>,
     #[serde(default)]
     gnss: Vec<GnssTable>,
@@ -87,6 +92,7 @@ struct Rotary {
     #[serde(default, deserialize_with = "optional_channel")]
     rail: Option<ChannelId>,
     encoder: Option<Encoder>,
+    motor_side: Option<Encoder>,
     #[serde(default, deserialize_with = "finite")]
     start_rad: f64,
 }
@@ -242,7 +248,7 @@ struct Switch {
 
 /// Motors that may turn: without feedback nothing says that they slide.
 pub(super) fn may_turn(motors: &[MotorConfig]) -> Vec<ChannelId> {
-    let slides = |feedback| matches!(feedback, Feedback::Potentiometer { .. });
+    let slides = |feedback: Feedback| !feedback.turns();
     let motors = motors.iter().filter(|motor| !motor.control.is_some_and(|control| slides(control.feedback)));
     motors.map(|motor| motor.id).collect()
 }
@@ -256,8 +262,8 @@ pub(super) fn others_that_turn(config: &BoardConfig) -> impl Iterator<Item = Cha
 
 /// Motors that may slide: without feedback nothing says that they turn.
 pub(super) fn may_slide(motors: &[MotorConfig]) -> Vec<ChannelId> {
-    let turns = |feedback| matches!(feedback, Feedback::Encoder { .. });
-    let motors = motors.iter().filter(|motor| !motor.control.is_some_and(|control| turns(control.feedback)));
+    let turns = |motor: &MotorConfig| motor.control.is_some_and(|control| control.feedback.turns());
+    let motors = motors.iter().filter(|motor| !turns(motor));
     motors.map(|motor| motor.id).collect()
 }
 
@@ -282,6 +288,7 @@ macro_rules! about {
 
 about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
 about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu", SimulatedCurrent "current");
+about!(SimulatedAngle "angle");
 
 impl Tables {
     /// Checks the tables against the robot's configuration, and reads the plant files.
@@ -318,6 +325,8 @@ impl Tables {
             analogs: check.each(&self.analog, &config.analogs, |analog| analog.id, Check::analog)?,
             imus: check.each(&self.imu, &on_bus(ChannelKind::Imu), |imu| imu.id, Check::imu)?,
             currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
+            angles: check.each(&self.angle, &on_bus(ChannelKind::Angle), |angle| angle.id, Check::angle)?,
+            pulses: check.pulses(&self.pulses)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
@@ -397,23 +406,38 @@ impl Check<'_> {
             (None, Some(Feedback::Encoder { index, counts_per_turn, .. })) if counts_per_turn % 4 == 0 => {
                 Some((index, counts_per_turn / 4))
             }
-            (None, Some(_)) => {
-                let rule = "counts_per_turn of the robot is no multiple of 4: say the encoder's lines_per_turn";
-                return Err(self.reader.rule(path, rule));
-            }
-            (None, None) => None,
+            (None, Some(Feedback::Encoder { .. })) => return Err(self.reader.rule(path, WHOLE_LINES)),
+            (None, _) => None,
         };
         if let Some((input, _)) = sensor {
             self.reader.encoder(input, &input_path)?;
             self.claims.take("encoder", input, input_path)?;
         }
+        let motor_side = self.motor_side(rotary, path)?;
         Ok(SimulatedMotor {
             channel: rotary.channel,
             plant: self.plant(&rotary.plant, format!("{path}.plant"))?,
             rail: self.rail_of(rotary.rail, path)?,
             start: rotary.start_rad,
             sensor: sensor.map(|(input, lines_per_turn)| SimulatedSensor::Encoder { input, lines_per_turn }),
+            motor_side,
         })
+    }
+
+    /// The encoder on the motor's side of the plant's play: as configured, where nothing is said.
+    fn motor_side(&mut self, rotary: &Rotary, path: &str) -> Result<Option<SimulatedEncoder>, BoardError> {
+        let motor = self.config.motors.iter().find(|motor| motor.id == rotary.channel);
+        let configured = motor.and_then(|motor| motor.control?.motor_side);
+        let (input, lines_per_turn) = match (rotary.motor_side, configured) {
+            (Some(Encoder { input, lines_per_turn }), _) => (input, lines_per_turn),
+            (None, Some(side)) if side.counts_per_turn % 4 == 0 => (side.index, side.counts_per_turn / 4),
+            (None, Some(_)) => return Err(self.reader.rule(path, WHOLE_LINES)),
+            (None, None) => return Ok(None),
+        };
+        let input_path = format!("{path}.motor_side.input");
+        self.reader.encoder(input, &input_path)?;
+        self.claims.take("encoder", input, input_path)?;
+        Ok(Some(SimulatedEncoder { input, lines_per_turn }))
     }
 
     fn linear(&mut self, linear: &Linear, path: &str) -> Result<SimulatedMotor, BoardError> {
@@ -450,6 +474,7 @@ impl Check<'_> {
                 high,
                 noise_rms_codes,
             }),
+            motor_side: None,
         })
     }
 
@@ -626,6 +651,59 @@ impl Check<'_> {
         let known = supplies.chain(self.config.motors.iter().map(|motor| &motor.id));
         self.reader.one_of("supply or motor", current.of, known, format!("{path}.of"))?;
         Ok(*current)
+    }
+
+    /// An angle sensor that no table is about is on the shaft of the motor that it controls, as that takes it to be.
+    fn angle(
+        &mut self,
+        config: &SensorConfig,
+        angle: Option<&SimulatedAngle>,
+        path: &str,
+    ) -> Result<SimulatedAngle, BoardError> {
+        let Some(angle) = angle else {
+            let mut motors = self.config.motors.iter();
+            let controlled = motors.find_map(|motor| match motor.control?.feedback {
+                Feedback::Angle { angle, zero, .. } if angle == config.id.index => Some((motor.id, f64::from(zero))),
+                _ => None,
+            });
+            let (of, zero_rad) = controlled.unzip();
+            return Ok(SimulatedAngle { channel: config.id, of, zero_rad: zero_rad.unwrap_or_default() });
+        };
+        if let Some(of) = angle.of {
+            let known = may_turn(&self.config.motors);
+            self.reader.one_of("motor that turns", of, known.iter(), format!("{path}.of"))?;
+        }
+        Ok(*angle)
+    }
+
+    /// What sends pulses to range connectors: what tables say, and for each other motor that is controlled by pulses, what it takes
+    /// them to be.
+    fn pulses(&mut self, tables: &[SimulatedPulses]) -> Result<Vec<SimulatedPulses>, BoardError> {
+        let connectors = self.reader.carrier.range.connectors.len();
+        let mut sources = tables.to_vec();
+        for (index, table) in tables.iter().enumerate() {
+            let path = format!("simulation.pulses[{index}].connector");
+            self.reader.exists("range sensor connector", table.connector, connectors, &path)?;
+            self.claims.take("range sensor connector", table.connector, path)?;
+            if let Some(of) = table.of {
+                let known = may_turn(&self.config.motors);
+                let path = format!("simulation.pulses[{index}].of");
+                self.reader.one_of("motor that turns", of, known.iter(), path)?;
+            }
+        }
+        for motor in &self.config.motors {
+            let feedback = motor.control.map(|control| control.feedback);
+            let Some(Feedback::Pulses { range, frames_hz, zero, .. }) = feedback else { continue };
+            if !tables.iter().any(|table| table.connector == range) {
+                sources.push(SimulatedPulses {
+                    connector: range,
+                    of: Some(motor.id),
+                    zero_rad: zero.into(),
+                    frames_hz: frames_hz.into(),
+                });
+            }
+        }
+        Ok(sources)
     }
 
     /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.

@@ -3,7 +3,8 @@
 use std::{fs, path::Path};
 
 use proptest::prelude::*;
-use r4_boards::{BoardError, Robot, load, load_carrier};
+use r4_boards::{BoardError, Robot, SimulatedEncoder, SimulatedPulses, load, load_carrier};
+use r4_protocol::config::{As5600Config, Feedback, MotorSideConfig, SensorChip};
 use tempfile::TempDir;
 
 const ROBOT: &str = include_str!("../../osmc-bench.toml");
@@ -200,7 +201,32 @@ const ALL_MISTAKES: &[Mistake] = &[
         "channel = \"dhb3\"\nposition_rad = { min = 0, max = 1 }\nspeed_max_rad_s = 1.0\nspeed_filter_s = 0.0",
         "[[dhb]]\nchannel = \"dhb3\"",
         "dhb[3]",
-        "missing field `encoder`",
+        "missing field `position_pid`",
+    ),
+    there(
+        "encoder = { input = 1, counts_per_turn = 2400 }",
+        "angle = { sensor = \"imu0\" }",
+        "osmc[1].angle.sensor",
+        "`imu0` is no angle: write angle and its number, as in angle0",
+    ),
+    there(
+        "encoder = { input = 1, counts_per_turn = 2400 }",
+        "angle = { sensor = \"angle0\" }",
+        "osmc[1].angle.sensor",
+        "the robot has none",
+    ),
+    mistake(
+        "encoder = { input = 1, counts_per_turn = 2400 }",
+        "encoder = { input = 1, counts_per_turn = 2400 }\npulses = { range = 0, frames_hz = 230 }",
+        "channel = \"osmc1\"",
+        "osmc[1].channel",
+        "needs one of the tables encoder, angle and pulses",
+    ),
+    there(
+        "encoder = { input = 1, counts_per_turn = 2400 }",
+        "pulses = { range = 4, frames_hz = 230 }",
+        "osmc[1].pulses.range",
+        "0 to 3",
     ),
     // Brushless drives.
     there("rest_ms = 4000 }", "rest_s = 0.5 }", "bldc[0].direction.rest_s", "unknown field `rest_s`"),
@@ -685,4 +711,40 @@ proptest! {
             }
         }
     }
+}
+
+/// The bench's motor by an angle sensor, on the bus or by pulses, and with a second encoder: read, and simulated as it is configured.
+#[test]
+fn angle_sensors_and_second_encoders_are_read_and_simulated() {
+    let folder = TempDir::new().unwrap();
+    let with = |table: &str, more: &str| {
+        let text = ROBOT
+            .replace(
+                "[osmc.encoder] # on the output shaft (paper: \"external incremental encoder\")\ninput = 0\n",
+                table,
+            )
+            .replace("counts_per_turn = 2400 # 600 lines, each edge of both tracks counted: our choice\n", "")
+            .replace("encoder = { input = 0, lines_per_turn = 600 }\n", "");
+        load_text(folder.path(), &format!("{text}\n{more}")).unwrap()
+    };
+    let side = "[osmc.motor_side]\ninput = 2\ncounts_per_turn = 12000\ngap_max_rad = 0.06\n";
+    let angle = format!("{side}[osmc.angle]\nsensor = \"angle0\"\nzero_rad = 1.5\n");
+    let robot = with(&angle, "[[angle]]\nchannel = \"angle0\"\nrate_hz = 1000\n");
+    let control = robot.config.motors[0].control.unwrap();
+    assert_eq!(control.feedback, Feedback::Angle { angle: 0, zero: 1.5, inverted: false });
+    let expected = MotorSideConfig { index: 2, counts_per_turn: 12_000, inverted: false, gap_max: 0.06 };
+    assert_eq!(control.motor_side, Some(expected));
+    assert_eq!(robot.config.sensors[0].chip, SensorChip::As5600(As5600Config { averages: 2 }));
+    let osmc0 = Some(robot.config.motors[0].id);
+    let [simulated] = robot.simulation.angles[..] else { panic!("one sensor") };
+    assert_eq!((simulated.of, simulated.zero_rad), (osmc0, 1.5));
+    let motor = &robot.simulation.motors[0];
+    assert!(motor.sensor.is_none());
+    assert_eq!(motor.motor_side, Some(SimulatedEncoder { input: 2, lines_per_turn: 3000 }));
+
+    let robot = with("[osmc.pulses]\nrange = 1\nframes_hz = 115\ninverted = true\n", "");
+    let feedback = robot.config.motors[0].control.unwrap().feedback;
+    assert_eq!(feedback, Feedback::Pulses { range: 1, frames_hz: 115, zero: 0.0, inverted: true });
+    let expected = SimulatedPulses { connector: 1, of: osmc0, zero_rad: 0.0, frames_hz: 115.0 };
+    assert_eq!(robot.simulation.pulses, [expected]);
 }

@@ -8,7 +8,7 @@ use r4_protocol::{
     Request, SCHEMA_HASH, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
     channel::MAX_MODES,
     config::{
-        BoardConfig, ControlConfig, DAC_FULL_SCALE_V, Feedback, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
+        BoardConfig, ControlConfig, DAC_FULL_SCALE_V, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
         SensorDescription, StepperConfig,
     },
 };
@@ -394,10 +394,8 @@ fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
     let Some(ControlConfig { feedback, position, speed_max, homing, .. }) = motor.control else {
         return [duty].into_iter().collect();
     };
-    let (position_unit, speed_unit) = match feedback {
-        Feedback::Encoder { .. } => (Unit::Rad, Unit::RadPerS),
-        Feedback::Potentiometer { .. } => (Unit::M, Unit::MPerS),
-    };
+    let (position_unit, speed_unit) =
+        if feedback.turns() { (Unit::Rad, Unit::RadPerS) } else { (Unit::M, Unit::MPerS) };
     let position = ModeInfo { mode: Mode::Position, unit: position_unit, range: position };
     let speed = ModeInfo { mode: Mode::Speed, unit: speed_unit, range: Range::symmetric(speed_max) };
     let follow = ModeInfo { mode: Mode::Follow, ..position };

@@ -7,6 +7,8 @@ use core::{
 
 use embedded_hal_async::i2c::I2c;
 
+use crate::sensing::pulse::Pulse;
+
 /// Bytes for one chip, to be sent in one transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Write {
@@ -121,6 +123,12 @@ pub trait EdgeInputs {
     fn storm(&mut self) -> bool;
 }
 
+/// The echo inputs of range connectors 0 and 1, where something sends pulses of its own.
+pub trait PulseInputs {
+    /// The newest pulse at echo input `index`. Numbers the board does not have get none.
+    fn pulse(&mut self, index: u8) -> Option<Pulse>;
+}
+
 /// What the control task takes of the processor.
 pub trait ControlCycles {
     /// Cycles in a second; 0 where they are not counted.
@@ -211,12 +219,20 @@ pub trait Steppers {
 
 /// Everything of the processor that the control loop uses, in one.
 pub trait Peripherals:
-    Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
+    Encoders + EdgeInputs + PulseInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
 {
 }
 
 impl<P> Peripherals for P where
-    P: Encoders + EdgeInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
+    P: Encoders
+        + EdgeInputs
+        + PulseInputs
+        + AnalogInputs
+        + SwitchInputs
+        + AnalogOutputs
+        + Steppers
+        + KeptWords
+        + ControlCycles
 {
 }
 

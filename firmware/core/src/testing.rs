@@ -31,9 +31,10 @@ use r4_protocol::config::{BoardConfig, MAX_MOTORS, STEPPERS, SWITCHES};
 
 use crate::{
     platform::{
-        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, StepAction, StepEvent,
-        Steppers, SwitchInputs,
+        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepAction,
+        StepEvent, Steppers, SwitchInputs,
     },
+    sensing::pulse::Pulse,
     shared::{ResetCause, Shared},
 };
 
@@ -413,6 +414,7 @@ pub(crate) struct PeripheralsState {
     pub(crate) illegal: [Cell<u32>; 4],
     pub(crate) at_index: [Cell<Option<u16>>; 4],
     pub(crate) storm: Cell<bool>,
+    pub(crate) pulses: [Cell<Option<Pulse>>; 2],
     /// Of the switches: all are high at first.
     pub(crate) low: [Cell<bool>; SWITCHES],
     pub(crate) cycles: Cell<u32>,
@@ -460,6 +462,12 @@ impl EdgeInputs for Peripherals {
             act();
         }
         self.storm.get()
+    }
+}
+
+impl PulseInputs for Peripherals {
+    fn pulse(&mut self, index: u8) -> Option<Pulse> {
+        self.pulses.get(usize::from(index))?.get()
     }
 }
 

@@ -1,8 +1,10 @@
 //! Everything of the processor that the control loop uses, in one.
 
 use r4_firmware::platform::{
-    AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, StepEvent, Steppers, SwitchInputs,
+    AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepEvent, Steppers,
+    SwitchInputs,
 };
+use r4_firmware::sensing::pulse::Pulse;
 
 use crate::{
     analog::{Inputs, Outputs},
@@ -51,6 +53,12 @@ impl EdgeInputs for Processor {
             self.storms = storms;
         }
         storms.contains(&true)
+    }
+}
+
+impl PulseInputs for Processor {
+    fn pulse(&mut self, index: u8) -> Option<Pulse> {
+        ranging::pulse(index)
     }
 }
 

@@ -25,6 +25,7 @@ use r4_firmware::{
     platform::{EchoState, Ranging},
     sensing::{
         echo::Echo,
+        pulse::Pulse,
         storm::{ECHO_EDGES_PER_MS, EdgeBudget},
     },
 };
@@ -169,6 +170,11 @@ pub(crate) fn storms() -> [bool; LINES.len()] {
         STORM.store(storms.contains(&true), Ordering::Relaxed);
         storms
     })
+}
+
+/// The newest pulse at an echo input.
+pub(crate) fn pulse(index: u8) -> Option<Pulse> {
+    critical_section::with(|cs| ECHOES.borrow_ref(cs).get(usize::from(index))?.pulse(Clock::ticks(), TICKS_PER_US))
 }
 
 /// From the interrupt of the echo's line: its level is `high`.

@@ -367,6 +367,12 @@ impl Plant {
         self.speed
     }
 
+    /// Position and speed of the motor's side, before backlash and compliance, in the units of the output.
+    #[must_use]
+    pub fn motor_side(&self) -> (f64, f64) {
+        (self.train.motion.position, self.train.motion.speed)
+    }
+
     /// What an ideal sensor of the position would be coupled to, after the sensor effects; not yet counts or codes.
     #[must_use]
     pub fn sensed_position(&self) -> f64 {

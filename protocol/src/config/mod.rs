@@ -16,15 +16,18 @@ use serde::{Deserialize, Serialize};
 
 pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
 pub use motor::{
-    BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX, DhbLines, ENCODER_3_COUNTS_PER_MS,
-    FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig,
-    StallConfig, WindingConfig,
+    ANGLE_RATE_MIN_HZ, ANGLE_READINGS_LOST, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX,
+    DhbLines, ENCODER_3_COUNTS_PER_MS, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, MotorSideConfig,
+    PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
 };
 pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,
     ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
 };
-pub use sensor::{Icm20948Config, Ina226Config, MAX_SENSORS, SensorChip, SensorConfig, SensorDescription, bus_bits};
+pub use sensor::{
+    AS5600_COUNTS, As5600Config, Icm20948Config, Ina226Config, MAX_SENSORS, SensorChip, SensorConfig,
+    SensorDescription, bus_bits,
+};
 
 use crate::{
     can::{BITRATES_KBIT, DATA_RATES_KBIT, Node},
@@ -240,15 +243,24 @@ impl BoardConfig {
     /// Whether a motor or a channel counts the edges of encoder `index`.
     #[must_use]
     pub fn uses_encoder(&self, index: u8) -> bool {
-        let feedback = self.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
-        let of_motor = |feedback| matches!(feedback, Feedback::Encoder { index: of, .. } if of == index);
-        feedback.map(of_motor).chain(self.encoders.iter().map(|encoder| encoder.id.index == index)).any(|uses| uses)
+        let of_motor =
+            |motor: &MotorConfig| motor.control.is_some_and(|control| control.encoders().any(|of| of == index));
+        self.motors.iter().any(of_motor) || self.encoders.iter().any(|encoder| encoder.id.index == index)
     }
 
-    /// Whether a range sensor is at connector `index`.
+    /// Rate of the angle sensor number `angle`, Hz; `None` where there is none.
+    #[must_use]
+    pub fn angle_rate_hz(&self, angle: u8) -> Option<u16> {
+        let id = ChannelId::new(ChannelKind::Angle, angle);
+        self.sensors.iter().find(|sensor| sensor.id == id).map(|sensor| sensor.rate_hz)
+    }
+
+    /// Whether a range sensor, or a motor's angle sensor, is at range connector `index`.
     #[must_use]
     pub fn uses_range(&self, index: u8) -> bool {
-        self.ranges.iter().any(|range| range.id.index == index)
+        let feedback = self.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
+        let of_motor = |feedback| matches!(feedback, Feedback::Pulses { range, .. } if range == index);
+        feedback.map(of_motor).chain(self.ranges.iter().map(|range| range.id.index == index)).any(|uses| uses)
     }
 
     /// How long a controlled stop of this board takes, ms: the longest of its channels' times; 0 when none brakes.
@@ -391,6 +403,7 @@ impl BoardConfig {
 
     fn validate_motors(&self) -> Result<(), ConfigError> {
         let (mut osmc_lines, mut dhb_lines, mut encoders) = (Used::default(), Used::default(), Used::default());
+        let mut angles = Used::default();
         for (position, motor) in self.motors.iter().enumerate() {
             let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
             let lines_rule = "bridge lines must be 0 to 15, each used once";
@@ -405,8 +418,10 @@ impl BoardConfig {
                 }
             }
             motor.validate()?;
-            if let Some(ControlConfig { feedback: Feedback::Encoder { index, .. }, .. }) = motor.control {
-                rule(encoders.take(index), "the encoder must exist and be used by one motor")?;
+            if let Some(control) = &motor.control {
+                let once = control.encoders().all(|index| encoders.take(index));
+                rule(once, "the encoder must exist and be used by one motor")?;
+                self.validate_angle(motor.id, control, &mut angles)?;
             }
             let same_connector = |other: &MotorConfig| {
                 other.id.index == motor.id.index
@@ -416,6 +431,37 @@ impl BoardConfig {
             rule(!taken, "the bridge connector is used twice")?;
         }
         Ok(())
+    }
+
+    /// An angle sensor that a motor is controlled by is there, is its alone, and is read often enough: no turn of the shaft may hide
+    /// between two readings, also where some of them fail.
+    fn validate_angle(&self, id: ChannelId, control: &ControlConfig, taken: &mut Used) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(id), holds, rule);
+        let rate_hz = match control.feedback {
+            Feedback::Angle { angle, .. } => {
+                let rate_hz = self.angle_rate_hz(angle).filter(|_| angle < 64 && taken.take(angle));
+                let Some(rate_hz) = rate_hz else {
+                    return rule(
+                        false,
+                        "the motor's angle sensor must be in the list of sensors, and belong to one motor",
+                    );
+                };
+                rule(rate_hz >= ANGLE_RATE_MIN_HZ, "the rate_hz of a motor's angle sensor must be at least 250")?;
+                rate_hz
+            }
+            Feedback::Pulses { range, frames_hz, .. } => {
+                // Behind the numbers of sensors.
+                let free = taken.take(64 + range) && self.ranges.iter().all(|sensor| sensor.id.index != range);
+                rule(free, "the range connector of a motor's pulses must belong to it alone")?;
+                frames_hz
+            }
+            Feedback::Encoder { .. } | Feedback::Potentiometer { .. } => return Ok(()),
+        };
+        let lost_s = f32::from(ANGLE_READINGS_LOST) / f32::from(rate_hz);
+        rule(
+            control.speed_max * lost_s < core::f32::consts::PI / 2.0,
+            "speed_max must turn less than a quarter of a turn in five readings of the angle sensor",
+        )
     }
 
     fn validate_outputs(&self) -> Result<(), ConfigError> {

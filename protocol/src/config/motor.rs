@@ -4,8 +4,8 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ANALOG_INPUTS, ConfigError, ENCODERS, MAX_EXACT, STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE, SWITCHES, check, finite,
-    finite_range, not_negative, positive,
+    ANALOG_INPUTS, AS5600_COUNTS, ConfigError, ENCODERS, MAX_EXACT, STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE, SWITCHES,
+    check, finite, finite_range, not_negative, positive,
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
@@ -167,6 +167,22 @@ pub struct ControlConfig {
     pub follow: FollowConfig,
     /// How it finds its zero; `None` when it is where power came on, or the feedback is absolute.
     pub homing: Option<HomingConfig>,
+    /// A second encoder, on the motor's side of play between the motor and what `feedback` measures.
+    pub motor_side: Option<MotorSideConfig>,
+}
+
+/// An encoder on the motor's side of a gear with play: speed and damping follow it, positions follow [`ControlConfig::feedback`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct MotorSideConfig {
+    /// Which counter.
+    pub index: u8,
+    /// Its counts in one turn of the output shaft, gear included.
+    pub counts_per_turn: u32,
+    /// Whether positive duty counts down.
+    pub inverted: bool,
+    /// Most that the two sides may be apart from where they are nearest, rad: the play, what the gear twists, and room. Beyond it
+    /// one of the two sensors is not on the shaft that it is said to be on.
+    pub gap_max: f32,
 }
 
 /// What measures a motor's position.
@@ -192,7 +208,44 @@ pub enum Feedback {
         /// Second point.
         high: PotPoint,
     },
+    /// Absolute angle sensor on the output shaft, one of [`super::BoardConfig::sensors`].
+    ///
+    /// With a range of positions within one turn the position is known from the first reading on; with a larger one, power-on is
+    /// taken to be within half a turn of 0.
+    Angle {
+        /// Number of its channel.
+        angle: u8,
+        /// Angle that is position 0, rad, 0 to 2π.
+        zero: f32,
+        /// Whether positive duty lowers the angle.
+        inverted: bool,
+    },
+    /// The PWM output of an AS5600 on the output shaft, at the echo input of a range sensor's connector. Its angle is absolute as
+    /// that of [`Feedback::Angle`].
+    Pulses {
+        /// Which connector: 0 or 1, whose edges a timer captures.
+        range: u8,
+        /// Frames a second that the sensor is set to: 115 or 230.
+        frames_hz: u16,
+        /// Angle that is position 0, rad, 0 to 2π.
+        zero: f32,
+        /// Whether positive duty lowers the angle.
+        inverted: bool,
+    },
 }
+
+impl Feedback {
+    /// Whether it measures an angle, and not a length.
+    #[must_use]
+    pub const fn turns(self) -> bool {
+        !matches!(self, Self::Potentiometer { .. })
+    }
+}
+
+/// Lowest rate at which an angle sensor serves as a motor's feedback, Hz: four control periods of 1 ms between two readings.
+pub const ANGLE_RATE_MIN_HZ: u16 = 250;
+/// Readings that may fail before the motor stops.
+pub const ANGLE_READINGS_LOST: u16 = 5;
 
 /// One calibration point of a potentiometer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
@@ -336,8 +389,12 @@ impl MotorConfig {
             return rule(self.id.kind != ChannelKind::Actuator, "an actuator needs a potentiometer");
         };
         match (self.id.kind, control.feedback) {
-            (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => rule(false, "an osmc channel has an encoder")?,
-            (ChannelKind::Actuator, Feedback::Encoder { .. }) => rule(false, "an actuator has a potentiometer")?,
+            (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => {
+                rule(false, "an osmc channel has an encoder or an angle sensor")?;
+            }
+            (ChannelKind::Actuator, Feedback::Encoder { .. } | Feedback::Angle { .. } | Feedback::Pulses { .. }) => {
+                rule(false, "an actuator has a potentiometer")?;
+            }
             _ => {}
         }
         rule(self.winding.is_some(), "a motor with feedback needs a winding, for its overload protection")?;
@@ -368,6 +425,8 @@ impl WindingConfig {
     }
 }
 
+/// Range connectors whose echo inputs take pulses.
+const PULSE_INPUTS: u8 = 2;
 /// The encoder that interrupts count; timers count the others.
 const INTERRUPT_ENCODER: u8 = 3;
 /// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
@@ -375,11 +434,35 @@ pub const ENCODER_3_COUNTS_PER_MS: u32 = 50;
 
 /// An encoder of fewer lines than 4 in a turn has no use for an index pulse, which tells whole lines.
 const INDEX_LEAST: u32 = 16;
+impl MotorSideConfig {
+    fn validate(&self, motor: &MotorConfig, control: &ControlConfig) -> Result<(), ConfigError> {
+        let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
+        rule(usize::from(self.index) < ENCODERS, "the motor side's encoder must exist and be used by one motor")?;
+        rule((1..=MAX_EXACT).contains(&self.counts_per_turn), "motor_side_counts must be 1 to 16777216")?;
+        let counts = |position: f32| position / TURN * self.counts_per_turn as f32;
+        rule(
+            self.index != INTERRUPT_ENCODER || counts(control.speed_max) * 1e-3 <= ENCODER_3_COUNTS_PER_MS as f32,
+            "encoder 3 counts by interrupts, at most 50 counts a ms at speed_max: use encoders 0 to 2",
+        )?;
+        let Range { min, max } = control.position;
+        rule(counts(min).abs() <= 1e9 && counts(max).abs() <= 1e9, "position must be within 1e9 counts of 0")?;
+        rule(positive(self.gap_max) && self.gap_max < TURN, "gap_max must be above 0 and below one turn")
+    }
+}
+
+/// rad
+const TURN: f32 = core::f32::consts::TAU;
 
 /// A cascade that is faster than the control loop makes no sense.
 const CASCADE_MAX_PER_S: f32 = 1000.0;
 
 impl ControlConfig {
+    /// The encoder counters that it takes.
+    pub fn encoders(&self) -> impl Iterator<Item = u8> + use<> {
+        let output = if let Feedback::Encoder { index, .. } = self.feedback { Some(index) } else { None };
+        output.into_iter().chain(self.motor_side.map(|side| side.index))
+    }
+
     fn validate(&self, motor: &MotorConfig) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(motor.id), holds, rule);
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
@@ -421,6 +504,26 @@ impl ControlConfig {
                 )?;
                 rule(self.homing.is_none(), "a potentiometer needs no homing")?;
             }
+            Feedback::Angle { zero, .. } | Feedback::Pulses { zero, .. } => {
+                rule(Range::new(0.0, TURN).contains(zero), "the zero angle must be 0 to 6.2831855")?;
+                let counts = |position: f32| (position / TURN * f32::from(AS5600_COUNTS)).abs();
+                rule(counts(min) <= 1e9 && counts(max) <= 1e9, "position must be within 1e9 counts of 0")?;
+                rule(
+                    self.homing.is_none() || max - min > TURN,
+                    "an angle sensor with a range within one turn needs no homing",
+                )?;
+                if let Feedback::Pulses { range, frames_hz, .. } = self.feedback {
+                    rule(range < PULSE_INPUTS, "pulses need range connector 0 or 1, whose edges a timer captures")?;
+                    rule(
+                        frames_hz == 115 || frames_hz == 230,
+                        "frames_hz must be 115 or 230: shorter pulses are over before they are captured",
+                    )?;
+                }
+            }
+        }
+        if let Some(side) = &self.motor_side {
+            rule(self.feedback.turns(), "motor_side is for motors that turn")?;
+            side.validate(motor, self)?;
         }
         rule(positive(self.speed_max), "speed_max must be positive")?;
         rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;

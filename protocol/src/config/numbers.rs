@@ -2,8 +2,8 @@
 
 use super::{
     AnalogConfig, BldcConfig, BoardConfig, ConfigError, ControlConfig, CurrentSense, DacConfig, EncoderConfig,
-    FeedForward, Feedback, FollowConfig, HomingConfig, MAX_EXACT, MotorConfig, PidGains, Place, PotPoint,
-    ProfileLimits, RangeConfig, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
+    FeedForward, Feedback, FollowConfig, HomingConfig, MAX_EXACT, MotorConfig, MotorSideConfig, PidGains, Place,
+    PotPoint, ProfileLimits, RangeConfig, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
     StepperConfig, SupplyConfig, WindingConfig,
 };
 use crate::{
@@ -228,6 +228,7 @@ macro_rules! lend {
                     stall: StallConfig { duty: stall_duty, travel: stall_travel, time_ms: stall_time_ms },
                     follow: FollowConfig { error: follow_error, time_ms: follow_time_ms },
                     homing: home,
+                    motor_side: side,
                 } = config;
                 Some(match parameter {
                     P::PositionMin => position_min,
@@ -256,6 +257,7 @@ macro_rules! lend {
                     P::FollowError => follow_error,
                     P::FollowTimeMs => follow_time_ms,
                     P::HomePosition | P::HomeSpeedMax => return homing(home, parameter),
+                    P::MotorSideCounts | P::GapMax => return motor_side(side, parameter),
                     _ => return feedback(sensor, parameter),
                 })
             }
@@ -277,6 +279,19 @@ macro_rules! lend {
                         P::PotHighPosition => high_position,
                         _ => return None,
                     }),
+                    Feedback::Angle { angle: _, zero, inverted: _ }
+                    | Feedback::Pulses { range: _, frames_hz: _, zero, inverted: _ } => match parameter {
+                        P::ZeroAngle => Some(zero),
+                        _ => None,
+                    },
+                }
+            }
+
+            fn motor_side(config: &$($mut)? Option<MotorSideConfig>, parameter: Parameter) -> Lent<'_> {
+                match (parameter, config) {
+                    (P::MotorSideCounts, Some(MotorSideConfig { counts_per_turn, .. })) => Some(counts_per_turn),
+                    (P::GapMax, Some(MotorSideConfig { gap_max, .. })) => Some(gap_max),
+                    _ => None,
                 }
             }
 

@@ -3,12 +3,12 @@
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
     config::{
-        AnalogConfig, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, CanConfig, ControlConfig, CurrentSense,
-        DacChipConfig, DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward, Feedback,
-        FollowConfig, HomingConfig, Icm20948Config, MotorConfig, PidGains, PotPoint, ProfileLimits, PwmConfig,
-        RangeConfig, RelayConfig, RelayRole, Reverse, SensorChip, SensorConfig, ServoChipConfig, ServoConfig,
-        ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig, SupplyConfig, SwitchConfig,
-        WindingConfig,
+        AnalogConfig, As5600Config, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, CanConfig, ControlConfig,
+        CurrentSense, DacChipConfig, DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward,
+        Feedback, FollowConfig, HomingConfig, Icm20948Config, MotorConfig, MotorSideConfig, PidGains, PotPoint,
+        ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole, Reverse, SensorChip, SensorConfig,
+        ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig,
+        SupplyConfig, SwitchConfig, WindingConfig,
     },
 };
 
@@ -93,18 +93,26 @@ pub(crate) fn good() -> BoardConfig {
             .into_iter()
             .collect(),
         can: CanConfig::default(),
-        sensors: [SensorConfig {
-            id: id(ChannelKind::Imu, 0),
-            address: 0x68,
-            rate_hz: 25,
-            chip: SensorChip::Icm20948(Icm20948Config { acceleration_max_g: 4, rate_max_deg_s: 500 }),
-        }]
+        sensors: [
+            SensorConfig {
+                id: id(ChannelKind::Imu, 0),
+                address: 0x68,
+                rate_hz: 25,
+                chip: SensorChip::Icm20948(Icm20948Config { acceleration_max_g: 4, rate_max_deg_s: 500 }),
+            },
+            SensorConfig {
+                id: id(ChannelKind::Angle, 7),
+                address: 0x36,
+                rate_hz: 250,
+                chip: SensorChip::As5600(As5600Config { averages: 4 }),
+            },
+        ]
         .into_iter()
         .collect(),
     }
 }
 
-fn motors() -> [MotorConfig; 4] {
+fn motors() -> [MotorConfig; 5] {
     let control = ControlConfig {
         feedback: Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false, counts_per_index: 2400 },
         position: Range::symmetric(8.0),
@@ -119,6 +127,7 @@ fn motors() -> [MotorConfig; 4] {
         stall: StallConfig { duty: 0.5, travel: 0.05, time_ms: 500 },
         follow: FollowConfig { error: 0.5, time_ms: 500 },
         homing: None,
+        motor_side: Some(MotorSideConfig { index: 2, counts_per_turn: 9600, inverted: false, gap_max: 0.1 }),
     };
     let wheel = MotorConfig {
         id: id(ChannelKind::Osmc, 0),
@@ -149,6 +158,7 @@ fn motors() -> [MotorConfig; 4] {
                 high: PotPoint { code: 4_000, position_m: 0.1 },
             },
             position: Range::new(0.01, 0.09),
+            motor_side: None,
             ..control
         }),
         ..wheel
@@ -166,11 +176,23 @@ fn motors() -> [MotorConfig; 4] {
         control: Some(ControlConfig {
             feedback: Feedback::Encoder { index: 1, counts_per_turn: 4000, inverted: true, counts_per_index: 0 },
             homing: Some(HomingConfig { switch: 1, position: -1.5, speed_max: 0.5 }),
+            motor_side: None,
             ..control
         }),
         ..wheel
     };
-    [wheel, rod, fan, arm]
+    let hip = MotorConfig {
+        id: id(ChannelKind::Dhb, 1),
+        bridge: BridgeConfig::Dhb(DhbLines { in1: 3, in2: 4, en: 5 }),
+        control: Some(ControlConfig {
+            feedback: Feedback::Angle { angle: 7, zero: 1.0, inverted: false },
+            position: Range::symmetric(3.0),
+            motor_side: None,
+            ..control
+        }),
+        ..wheel
+    };
+    [wheel, rod, fan, arm, hip]
 }
 
 fn bldcs() -> [BldcConfig; 3] {

@@ -25,12 +25,15 @@ fn key(text: &str) -> ParameterKey {
 #[test]
 fn a_parameter_is_the_field_of_its_name() {
     type Field = fn(&mut BoardConfig) -> &mut f32;
-    let fields: [(&str, f32, Field); 16] = [
+    let fields: [(&str, f32, Field); 17] = [
         ("board.air_temperature_c", 30.0, |c| &mut c.air_temperature_c),
         ("board.servo_oscillator_hz", 26e6, |c| &mut c.servo_pwm.as_mut().expect("one").oscillator_hz),
         ("osmc2.duty_slew", 3.0, |c| &mut c.motors[2].duty_slew_per_s),
         ("dhb0.position_kd", 0.5, |c| &mut c.motors[3].control.as_mut().expect("one").position_pid.kd),
         ("actuator1.speed_kp", 0.5, |c| &mut c.motors[1].control.as_mut().expect("one").speed_pid.kp),
+        ("osmc0.gap_max", 0.2, |c| {
+            &mut c.motors[0].control.as_mut().expect("one").motor_side.as_mut().expect("one").gap_max
+        }),
         ("bldc2.neutral_v", 2.25, |c| &mut c.bldcs[2].neutral_v),
         ("servo15.pulse_high", 1.9e-3, |c| &mut c.servos[1].high.pulse_s),
         ("servo15.angle_low", 0.5, |c| &mut c.servos[1].low.angle_rad),

@@ -5,12 +5,12 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Current, Imu, Stepper, Supply, Switch},
+    ChannelKind::{Angle, Current, Imu, Stepper, Supply, Switch},
     Range,
     config::{
-        BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig, DhbLines,
-        DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, Ina226Config, MAX_EXACT,
-        PidGains, Place, PotPoint, Reverse, SensorChip, SensorConfig, WindingConfig,
+        As5600Config, BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig,
+        DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, Ina226Config,
+        MAX_EXACT, MotorSideConfig, PidGains, Place, PotPoint, Reverse, SensorChip, SensorConfig, WindingConfig,
     },
 };
 
@@ -23,6 +23,7 @@ const WHEEL: Option<ChannelId> = Some(id(Osmc, 0));
 const ROD: Option<ChannelId> = Some(id(Actuator, 1));
 const FAN: Option<ChannelId> = Some(id(Osmc, 2));
 const ARM: Option<ChannelId> = Some(id(Dhb, 0));
+const HIP: Option<ChannelId> = Some(id(Dhb, 1));
 
 /// The loops of motor number `index`.
 fn loops(config: &mut BoardConfig, index: usize) -> &mut ControlConfig {
@@ -46,6 +47,21 @@ fn encoder(config: &mut BoardConfig, change: fn(&mut u8, &mut u32)) {
 fn index_pulse(config: &mut BoardConfig) -> &mut u32 {
     let Feedback::Encoder { counts_per_index, .. } = &mut wheel(config).feedback else { panic!("the wheel's") };
     counts_per_index
+}
+
+fn hip(config: &mut BoardConfig, change: fn(&mut u8, &mut f32)) {
+    let Feedback::Angle { angle, zero, .. } = &mut loops(config, 4).feedback else { panic!("the hip's") };
+    change(angle, zero);
+}
+
+/// The hip's angle by pulses; without the sensor that looks from connector 1.
+fn pulses(config: &mut BoardConfig, range: u8, frames_hz: u16) {
+    config.ranges.truncate(1);
+    loops(config, 4).feedback = Feedback::Pulses { range, frames_hz, zero: 1.0, inverted: false };
+}
+
+fn side(config: &mut BoardConfig) -> &mut MotorSideConfig {
+    wheel(config).motor_side.as_mut().expect("the wheel's")
 }
 
 fn winding(config: &mut BoardConfig) -> &mut WindingConfig {
@@ -192,7 +208,7 @@ const MOTORS: &[Case] = {
             c.motors[2].stop_brake_ms = 89
         }),
         (ROD, "an actuator needs a potentiometer", |c| c.motors[1].control = None),
-        (WHEEL, "an osmc channel has an encoder", |c| wheel(c).feedback = loops(c, 1).feedback),
+        (WHEEL, "an osmc channel has an encoder or an angle sensor", |c| wheel(c).feedback = loops(c, 1).feedback),
         (ROD, "an actuator has a potentiometer", |c| loops(c, 1).feedback = wheel(c).feedback),
     ]
 };
@@ -221,6 +237,12 @@ const LOOPS: &[Case] = {
     const HOMING: &str =
         "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
     const SWITCH: &str = "the homing switch must be in the list of switches, and belong to one axis";
+    const ANGLE: &str = "the motor's angle sensor must be in the list of sensors, and belong to one motor";
+    const FRAMES: &str = "frames_hz must be 115 or 230: shorter pulses are over before they are captured";
+    const ALONE: &str = "the range connector of a motor's pulses must belong to it alone";
+    const ZERO: &str = "the zero angle must be 0 to 6.2831855";
+    const SIDE: &str = "motor_side_counts must be 1 to 16777216";
+    const GAP: &str = "gap_max must be above 0 and below one turn";
     &[
         (WHEEL, ENCODER, |c| encoder(c, |index, _| *index = 4)),
         (WHEEL, INDEX, |c| *index_pulse(c) = 15),
@@ -291,6 +313,51 @@ const LOOPS: &[Case] = {
         (ARM, HOMING, |c| home(c).speed_max = 0.0),
         (ARM, HOMING, |c| home(c).speed_max = 20.0f32.next_up()),
         (ARM, SWITCH, |c| home(c).switch = 2),
+        (HIP, ANGLE, |c| hip(c, |angle, _| *angle = 6)),
+        (HIP, ANGLE, |c| hip(c, |angle, _| *angle = u8::MAX)),
+        (HIP, ANGLE, |c| c.sensors.truncate(1)),
+        (HIP, ANGLE, |c| {
+            loops(c, 3).homing = None;
+            loops(c, 3).position = Range::symmetric(3.0);
+            loops(c, 3).feedback = loops(c, 4).feedback;
+        }),
+        (HIP, "the rate_hz of a motor's angle sensor must be at least 250", |c| c.sensors[1].rate_hz = 249),
+        // 1.5708 rad in 20 ms.
+        (HIP, "speed_max must turn less than a quarter of a turn in five readings of the angle sensor", |c| {
+            loops(c, 4).speed_max = 78.6;
+        }),
+        (HIP, ZERO, |c| hip(c, |_, zero| *zero = -0.01)),
+        (HIP, ZERO, |c| hip(c, |_, zero| *zero = 6.3)),
+        (HIP, ZERO, |c| hip(c, |_, zero| *zero = f32::NAN)),
+        (HIP, FAR, |c| loops(c, 4).position.max = 2e6),
+        (HIP, "an angle sensor with a range within one turn needs no homing", |c| {
+            loops(c, 4).homing = Some(HomingConfig { switch: 0, position: 0.0, speed_max: 0.5 });
+        }),
+        (HIP, "pulses need range connector 0 or 1, whose edges a timer captures", |c| pulses(c, 2, 230)),
+        (HIP, FRAMES, |c| pulses(c, 1, 460)),
+        (HIP, FRAMES, |c| pulses(c, 1, 0)),
+        (HIP, ALONE, |c| pulses(c, 0, 230)),
+        (HIP, ALONE, |c| {
+            pulses(c, 1, 230);
+            c.ranges.clear();
+            loops(c, 3).homing = None;
+            loops(c, 3).position = Range::symmetric(3.0);
+            loops(c, 3).feedback = loops(c, 4).feedback;
+        }),
+        (ROD, "motor_side is for motors that turn", |c| loops(c, 1).motor_side = wheel(c).motor_side),
+        (WHEEL, "the motor side's encoder must exist and be used by one motor", |c| side(c).index = 4),
+        (WHEEL, ENCODER, |c| side(c).index = 0),
+        (ARM, ENCODER, |c| side(c).index = 1),
+        (WHEEL, SIDE, |c| side(c).counts_per_turn = 0),
+        (WHEEL, SIDE, |c| side(c).counts_per_turn = MAX_EXACT + 1),
+        // 9600 counts at 32.7 rad/s are 50 in a millisecond.
+        (WHEEL, "encoder 3 counts by interrupts, at most 50 counts a ms at speed_max: use encoders 0 to 2", |c| {
+            (side(c).index, wheel(c).speed_max) = (3, 32.8);
+        }),
+        (WHEEL, FAR, |c| (side(c).counts_per_turn, wheel(c).position.max) = (MAX_EXACT, 400.0)),
+        (WHEEL, GAP, |c| side(c).gap_max = 0.0),
+        (WHEEL, GAP, |c| side(c).gap_max = 6.3),
+        (WHEEL, GAP, |c| side(c).gap_max = f32::NAN),
         (Some(id(Stepper, 3)), SWITCH, |c| slide_home(c).switch = 1),
     ]
 };
@@ -481,6 +548,10 @@ const SENSORS: &[Case] = {
             let chip = SensorChip::Ina226(Ina226Config { shunt_ohm: 0.0 });
             c.sensors[0] = SensorConfig { id: id(Current, 0), address: 0x45, rate_hz: 10, chip };
         }),
+        (Some(id(Angle, 7)), "averages must be 2, 4, 8 or 16", |c| {
+            c.sensors[1].chip = SensorChip::As5600(As5600Config { averages: 3 });
+        }),
+        (Some(id(Angle, 7)), RATE, |c| c.sensors[1].rate_hz = 1001),
         (Some(id(Imu, 1)), TAKEN, |c| second(c, 0x68)),
         (IMU0, TAKEN, |c| c.dhb_pwm.as_mut().expect("it has one").address = 0x68),
         // 2 x 250 periods of 2 ms; a period has room for 760 bits.
@@ -545,7 +616,12 @@ fn the_ends_of_what_is_allowed_are_taken() {
             c.motors.clear();
             c.control_period_us = 500;
         },
-        |c| c.control_period_us = 20_000,
+        |c| {
+            // A motor's angle sensor is read more often.
+            c.motors.pop();
+            c.sensors.truncate(1);
+            c.control_period_us = 20_000;
+        },
         |c| c.link_timeout_ms = 20,
         |c| c.link_timeout_ms = 1000,
         |c| c.can.kbit_per_s = 125,
@@ -554,6 +630,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.can.data_kbit_per_s = 2000,
         |c| {
             c.motors.clear();
+            c.sensors.truncate(1);
             (c.i2c_hz, c.control_period_us) = (10_000, 20_000);
         },
         |c| c.air_temperature_c = -40.0,
@@ -577,11 +654,22 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.bldcs[1].stop_brake_ms = 5000,
         |c| encoder(c, |_, counts| *counts = MAX_EXACT),
         |c| encoder(c, |index, _| *index = 3),
-        |c| wheel(c).position.max = 2.6e6, // 0.993e9 counts
+        |c| (wheel(c).motor_side, wheel(c).position.max) = (None, 2.6e6), // 0.993e9 counts
         |c| loops(c, 1).position = Range::new(0.0, 0.1),
         |c| pot(c, |_, low, _| low.code = 65_279),
         |c| pot(c, |_, _, high| high.code = 256),
         |c| pot(c, |_, low, high| low.code = high.code + 1024),
+        |c| c.sensors[1].rate_hz = 1000,
+        |c| hip(c, |_, zero| *zero = core::f32::consts::TAU),
+        |c| loops(c, 4).speed_max = 78.5,
+        |c| pulses(c, 1, 230),
+        |c| pulses(c, 1, 115),
+        |c| {
+            loops(c, 4).homing = Some(HomingConfig { switch: 0, position: 0.0, speed_max: 0.5 });
+            loops(c, 4).position = Range::symmetric(3.2);
+        },
+        |c| side(c).counts_per_turn = MAX_EXACT,
+        |c| side(c).gap_max = 6.2,
         |c| wheel(c).speed_filter_s = 0.0,
         |c| wheel(c).speed_filter_s = 1.0,
         |c| wheel(c).profile.speed = 20.0,
@@ -655,8 +743,8 @@ fn a_period_has_room_for_every_output() {
 fn a_board_knows_which_inputs_it_uses() {
     let mut config = good();
     let used = |config: &BoardConfig| [0, 1, 2, 3].map(|index| (config.uses_encoder(index), config.uses_range(index)));
-    // Encoder 0 is the wheel's and a channel, 1 the arm's, 3 a channel.
-    assert_eq!(used(&config), [(true, true), (true, true), (false, false), (true, false)]);
+    // Encoder 0 is the wheel's and a channel, 1 the arm's, 2 on the motor's side of the wheel's play, 3 a channel.
+    assert_eq!(used(&config), [(true, true), (true, true), (true, false), (true, false)]);
     config.motors.clear();
     assert_eq!(used(&config), [(true, true), (false, true), (false, false), (true, false)]);
     config.encoders.clear();
@@ -713,14 +801,14 @@ fn channels_are_in_the_order_of_the_lists_and_found_by_name() {
     let names: Vec<_> = config.channels().map(|(id, _)| id.to_string()).collect();
     assert_eq!(
         names.join(" "),
-        "osmc0 actuator1 osmc2 dhb0 bldc0 bldc1 bldc2 servo0 servo15 stepper0 stepper3 relay0 relay1 dac0 dac1 \
-         encoder0 encoder3 switch0 switch1 switch3 range0 range1 analog4 analog5 supply0 supply1 imu0 dead-man0 dead-man1"
+        "osmc0 actuator1 osmc2 dhb0 dhb1 bldc0 bldc1 bldc2 servo0 servo15 stepper0 stepper3 relay0 relay1 dac0 dac1 \
+         encoder0 encoder3 switch0 switch1 switch3 range0 range1 analog4 analog5 supply0 supply1 imu0 angle7 dead-man0 dead-man1"
     );
     for (id, place) in config.channels() {
         assert_eq!(config.place(id), Some(place));
     }
     assert_eq!(config.place(id(Dhb, 0)), Some(Place::Motor(3)));
-    assert_eq!(config.place(id(Dhb, 1)), None);
+    assert_eq!(config.place(id(Dhb, 2)), None);
 }
 
 #[test]

@@ -375,6 +375,7 @@ fn replies() -> Vec<(&'static str, Reply)> {
         ("channel-v", input(ChannelKind::Supply, Unit::V, 30.0, 100.0)),
         ("channel-imu", input(ChannelKind::Imu, Unit::MPerS2, 39.2266, 100.0)),
         ("channel-current", input(ChannelKind::Current, Unit::A, 40.96, 100.0)),
+        ("channel-angle", input(ChannelKind::Angle, Unit::Rad, core::f32::consts::TAU, 1000.0)),
         ("channel-bool", input(ChannelKind::DeadMan, Unit::Bool, 1.0, 1000.0)),
         ("channel-infinite", input(ChannelKind::Range, Unit::M, f32::INFINITY, NAN)),
         ("counters", Reply::Stats(stats)),
@@ -579,6 +580,14 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
                 sensor(ChannelKind::Current, [2.5, 12.0, 0.0, 0.0, 0.0, 0.0], 900, Quality::Stale),
                 sensor(ChannelKind::Imu, [0.0; MAX_QUANTITIES], 0, Quality::WrongChip),
                 sensor(ChannelKind::Imu, [39.0; MAX_QUANTITIES], 1, Quality::Saturated),
+            ]),
+        ),
+        (
+            "telemetry-angle",
+            armed(&[
+                sensor(ChannelKind::Angle, [3.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::NoMagnet),
+                sensor(ChannelKind::Angle, [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::WeakMagnet),
+                sensor(ChannelKind::Angle, [6.25, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::StrongMagnet),
             ]),
         ),
         ("telemetry-largest", largest_telemetry()),

@@ -341,8 +341,25 @@ fn sensor_sample() -> impl Strategy<Value = Sample> {
 }
 
 fn quality() -> impl Strategy<Value = Quality> {
-    use Quality::{Good, High, Low, NoAnswer, None, OutOfRange, Saturated, Stale, Stuck, WrongChip};
-    select(vec![Good, None, OutOfRange, NoAnswer, Stuck, Low, High, Stale, WrongChip, Saturated])
+    use Quality::{
+        Good, High, Low, NoAnswer, NoMagnet, None, OutOfRange, Saturated, Stale, StrongMagnet, Stuck, WeakMagnet,
+        WrongChip,
+    };
+    select(vec![
+        Good,
+        None,
+        OutOfRange,
+        NoAnswer,
+        Stuck,
+        Low,
+        High,
+        Stale,
+        WrongChip,
+        Saturated,
+        NoMagnet,
+        WeakMagnet,
+        StrongMagnet,
+    ])
 }
 
 fn key() -> impl Strategy<Value = ParameterKey> {
@@ -358,12 +375,12 @@ fn raw() -> impl Strategy<Value = heapless::Vec<u8, MAX_RAW>> {
 
 fn channel() -> impl Strategy<Value = ChannelId> {
     use ChannelKind::{
-        Actuator, Analog, Bldc, Current, Dac, DeadMan, Dhb, Encoder, Imu, Osmc, Range, Relay, Servo, Stepper, Supply,
-        Switch,
+        Actuator, Analog, Angle, Bldc, Current, Dac, DeadMan, Dhb, Encoder, Imu, Osmc, Range, Relay, Servo, Stepper,
+        Supply, Switch,
     };
     let kinds = vec![
         Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan, Imu,
-        Current,
+        Current, Angle,
     ];
     (select(kinds), any::<u8>()).prop_map(|(kind, index)| ChannelId::new(kind, index))
 }

@@ -77,6 +77,12 @@ fn states_and_readings_are_told_apart() {
         Quality::Stuck,
         Quality::Low,
         Quality::High,
+        Quality::Stale,
+        Quality::WrongChip,
+        Quality::Saturated,
+        Quality::NoMagnet,
+        Quality::WeakMagnet,
+        Quality::StrongMagnet,
     ];
     let texts: BTreeSet<_> = qualities.iter().map(ToString::to_string).collect();
     assert!(texts.len() == qualities.len() && !texts.contains(""), "{texts:?}");

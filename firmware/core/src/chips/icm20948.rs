@@ -5,7 +5,7 @@ use core::f32::consts::PI;
 use embassy_time::Duration;
 use r4_protocol::{channel::MAX_QUANTITIES, config::Icm20948Config};
 
-use super::sensor::{Driver, Exchange, Outcome};
+use super::sensor::{Driver, Exchange, Outcome, saturation};
 
 /// In every bank (7.1): bits 5 and 4 are the bank.
 const REG_BANK_SEL: u8 = 0x7F;
@@ -111,7 +111,7 @@ impl Icm20948 {
             saturated |= counts == i16::MAX || counts == i16::MIN;
             *value = f32::from(counts) * scale;
         }
-        Outcome::Reading { values, saturated }
+        Outcome::Reading { values, quality: saturation(saturated) }
     }
 }
 

@@ -3,7 +3,7 @@
 use embassy_time::Duration;
 use r4_protocol::{channel::MAX_QUANTITIES, config::Ina226Config};
 
-use super::sensor::{Driver, Exchange, Outcome};
+use super::sensor::{Driver, Exchange, Outcome, saturation};
 
 // Registers (table 2).
 const CONFIGURATION: u8 = 0x00;
@@ -108,7 +108,7 @@ impl Driver for Ina226 {
                 let measured = [f32::from(self.counts) * self.amperes_per_count, f32::from(bus) * BUS_V];
                 values.iter_mut().zip(measured).for_each(|(value, measured)| *value = measured);
                 let saturated = self.counts == i16::MAX || self.counts == i16::MIN;
-                (State::Status, Outcome::Reading { values, saturated })
+                (State::Status, Outcome::Reading { values, quality: saturation(saturated) })
             }
             _ => (State::Manufacturer, Outcome::WrongChip),
         };

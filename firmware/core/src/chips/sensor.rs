@@ -4,11 +4,12 @@
 
 use embassy_time::Duration;
 use r4_protocol::{
+    Quality,
     channel::MAX_QUANTITIES,
     config::{SensorChip, SensorConfig},
 };
 
-use super::{icm20948::Icm20948, ina226::Ina226};
+use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226};
 use crate::bus::bits;
 
 /// Most bytes written in one exchange: a register and two more.
@@ -77,8 +78,8 @@ pub enum Outcome {
     Reading {
         /// SI, in the order of the channel's quantities.
         values: [f32; MAX_QUANTITIES],
-        /// Whether one of them is at the end of its range.
-        saturated: bool,
+        /// Whether they can be relied on.
+        quality: Quality,
     },
     /// Another chip answers, or it does not keep its settings.
     WrongChip,
@@ -139,7 +140,12 @@ macro_rules! chips {
     };
 }
 
-chips!(Icm20948 Ina226);
+chips!(Icm20948 Ina226 As5600);
+
+/// Of a reading of which one number may be at the end of its range.
+pub(super) const fn saturation(saturated: bool) -> Quality {
+    if saturated { Quality::Saturated } else { Quality::Good }
+}
 
 #[cfg(test)]
 pub(super) mod tests {

@@ -7,6 +7,7 @@ mod inputs;
 mod landing;
 mod model;
 pub mod motor;
+mod motor_side;
 pub mod overload;
 pub mod pid;
 pub mod profile;

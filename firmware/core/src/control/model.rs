@@ -1,6 +1,6 @@
 //! What a motor is known to do: its speed by a model, and the duty that this takes, learned while it moves.
 
-use r4_protocol::config::ControlConfig;
+use r4_protocol::config::{ControlConfig, Feedback};
 
 use super::{drive_curve::DriveCurve, landing::Aim, pid::OutputLimits};
 use crate::sensing::{encoder::Encoder, observer::Observer};
@@ -23,6 +23,8 @@ pub(super) struct Model {
     slowest: f32,
     /// Duty beyond the threshold that it took to break away last.
     stiction: f32,
+    /// Whether a measured position was known in the last period.
+    is_placed: bool,
     period_s: f32,
 }
 
@@ -32,9 +34,15 @@ const STICTION_SHARE: f32 = 0.8;
 const LEARN_S: f32 = 0.1;
 
 impl Model {
-    /// `None` where the configuration says nothing of the motor's time constant.
-    pub(super) fn new(control: &ControlConfig, duty_max: f32, resolution: f32, period_s: f32) -> Option<Self> {
+    /// `None` where the configuration says nothing of the motor's time constant, or the only sensor is one of an angle: its filter goes by
+    /// the time of its readings.
+    pub(super) fn new(control: &ControlConfig, duty_max: f32, period_s: f32) -> Option<Self> {
         let feed_forward = control.feed_forward;
+        let resolution = match (control.motor_side, control.feedback) {
+            (Some(side), _) => core::f32::consts::TAU / side.counts_per_turn as f32,
+            (None, Feedback::Angle { .. } | Feedback::Pulses { .. }) => return None,
+            (None, feedback) => super::motor::resolution(feedback),
+        };
         let known = feed_forward.duty_per_speed > 0.0 && feed_forward.duty_per_acceleration > 0.0;
         let time_constant_s = feed_forward.duty_per_acceleration / feed_forward.duty_per_speed;
         known.then(|| Self {
@@ -45,6 +53,7 @@ impl Model {
             learn: period_s / LEARN_S,
             slowest: 0.1 * resolution / control.speed_filter_s.max(period_s),
             stiction: 0.0,
+            is_placed: false,
             period_s,
         })
     }
@@ -63,6 +72,9 @@ impl Model {
 
     /// The same, for a position that is measured each period.
     pub(super) fn measure(&mut self, position: f32, duty: f32) -> f32 {
+        if !core::mem::replace(&mut self.is_placed, true) {
+            self.observer.rest(position);
+        }
         self.predict(duty);
         self.observer.measure(position);
         self.learn(duty);
@@ -73,6 +85,11 @@ impl Model {
     fn direction(&self) -> f32 {
         let speed = self.observer.speed();
         if speed.abs() < self.slowest { 0.0 } else { speed }
+    }
+
+    /// The position is not known: where it is found again, the motor counts as at rest.
+    pub(super) fn lose(&mut self) {
+        self.is_placed = false;
     }
 
     fn predict(&mut self, duty: f32) {

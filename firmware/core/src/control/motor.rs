@@ -1,21 +1,29 @@
 //! One motor channel: feedback, loops, path, limits and watching.
 
+use embassy_time::Instant;
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, FeedForward, Feedback, PidGains},
+    config::{AS5600_COUNTS, ControlConfig, FeedForward, Feedback, PidGains},
 };
 
 use super::{
     follower::{Follower, Reference},
     landing::{Aim, Landing},
     model::Model,
+    motor_side::MotorSide,
     pid::{BadPeriod, OutputLimits, Pid},
     profile::{Moment, Profile, Ramp},
     watch::{Seen, Watch},
 };
 use crate::{
     path::Leg,
-    sensing::{encoder::Encoder, filter::LowPass, index::Index, potentiometer::Potentiometer},
+    sensing::{
+        angle::{Angle, Mounting, Reading},
+        encoder::Encoder,
+        filter::LowPass,
+        index::Index,
+        potentiometer::Potentiometer,
+    },
     shared::MotorStatus,
     within::Within,
 };
@@ -28,12 +36,38 @@ pub(crate) fn resolution(feedback: Feedback) -> f32 {
     match feedback {
         Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
         Feedback::Potentiometer { .. } => POT_RESOLUTION_M,
+        Feedback::Angle { .. } | Feedback::Pulses { .. } => core::f32::consts::TAU / AS5600_COUNTS as f32,
     }
 }
 
 enum Sensor {
     Encoder(Encoder),
     Potentiometer(Potentiometer),
+    Angle(Angle),
+}
+
+/// What a motor's sensors show in one period.
+#[derive(Clone, Copy, Debug)]
+pub struct Raw {
+    /// At the output.
+    pub output: Output,
+    /// Counter of the encoder on the motor's side; any where there is none.
+    pub motor_side: u16,
+}
+
+/// What the sensor at a motor's output shows.
+#[derive(Clone, Copy, Debug)]
+pub enum Output {
+    /// An encoder's counter, or a converter's code.
+    Code(u16),
+    /// What an angle sensor read last, and the time now.
+    Angle(Option<Reading>, Instant),
+}
+
+impl From<u16> for Raw {
+    fn from(code: u16) -> Self {
+        Self { output: Output::Code(code), motor_side: 0 }
+    }
 }
 
 /// A motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
@@ -44,6 +78,7 @@ pub struct Motor {
     sensor: Sensor,
     /// `None` where the configuration says too little of the motor.
     model: Option<Model>,
+    motor_side: Option<MotorSide>,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
@@ -168,14 +203,22 @@ impl Motor {
     pub fn new(control: ControlConfig, limits: OutputLimits, period_s: f32) -> Result<Self, BadPeriod> {
         let filter_s = control.speed_filter_s;
         Ok(Self {
-            model: Model::new(&control, limits.magnitude, resolution(control.feedback), period_s),
+            model: Model::new(&control, limits.magnitude, period_s),
             supply_gain: 1.0,
             sensor: match control.feedback {
                 Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
                 Feedback::Potentiometer { low, high, .. } => {
                     Sensor::Potentiometer(Potentiometer::new(low, high, period_s, filter_s))
                 }
+                Feedback::Angle { zero, inverted, .. } | Feedback::Pulses { zero, inverted, .. } => {
+                    let range = (control.position.min, control.position.max);
+                    let speed_max = control.speed_max;
+                    Sensor::Angle(Angle::new(Mounting { zero, inverted, range, speed_max, filter_s }))
+                }
             },
+            motor_side: control
+                .motor_side
+                .map(|side| MotorSide::new(side, control.feedback, control.settle.speed, period_s, filter_s)),
             position_loop: Pid::new(control.position_pid, period_s)?,
             speed_loop: Pid::new(control.speed_pid, period_s)?,
             profile: Profile::new(control.profile, period_s),
@@ -186,11 +229,17 @@ impl Motor {
             position: 0.0,
             position_counts: 0,
             zero_counts: 0,
-            // A potentiometer always knows.
-            homed: matches!(control.feedback, Feedback::Potentiometer { .. }),
+            // A potentiometer always knows, and an angle sensor does within one turn.
+            homed: match control.feedback {
+                Feedback::Encoder { .. } => false,
+                Feedback::Potentiometer { .. } => true,
+                Feedback::Angle { .. } | Feedback::Pulses { .. } => {
+                    control.position.max - control.position.min <= core::f32::consts::TAU
+                }
+            },
             index: match control.feedback {
                 Feedback::Encoder { counts_per_index, .. } => Index::new(counts_per_index),
-                Feedback::Potentiometer { .. } => None,
+                _ => None,
             },
             index_at: None,
             switch_closed: None,
@@ -207,26 +256,27 @@ impl Motor {
         })
     }
 
-    /// Takes the counter or converter code of this period, and whether the home switch is closed, where there is one.
+    /// Takes what the sensors show in this period, and whether the home switch is closed, where there is one.
     ///
-    /// Returns [`Cause::EncoderImplausible`] when the sensor cannot be where it says.
-    pub fn sense(&mut self, raw: u16, switch_closed: Option<bool>) -> Causes {
+    /// Returns [`Cause::EncoderImplausible`] when a sensor cannot be where it says, or says nothing.
+    pub fn sense(&mut self, raw: impl Into<Raw>, switch_closed: Option<bool>) -> Causes {
+        let raw = raw.into();
         self.switch_closed = switch_closed;
         let resolution = resolution(self.control.feedback);
         let last_speed = self.speed;
         let duty = self.applied / self.supply_gain;
-        let causes = match &mut self.sensor {
-            Sensor::Encoder(encoder) => {
+        let mut causes = match (&mut self.sensor, raw.output) {
+            (Sensor::Encoder(encoder), Output::Code(raw)) => {
                 let (counts, counts_per_s) = encoder.update(raw);
                 self.position_counts = counts.wrapping_add(self.zero_counts);
                 self.position = f64::from(self.position_counts) * f64::from(resolution);
                 self.speed = match &mut self.model {
-                    Some(model) => model.count(encoder, duty, resolution),
-                    None => counts_per_s * resolution,
+                    Some(model) if self.motor_side.is_none() => model.count(encoder, duty, resolution),
+                    _ => counts_per_s * resolution,
                 };
                 Causes::NONE
             }
-            Sensor::Potentiometer(pot) => match pot.update(raw) {
+            (Sensor::Potentiometer(pot), Output::Code(raw)) => match pot.update(raw) {
                 Ok((position_m, speed_m_s)) => {
                     self.position = position_m.into();
                     self.position_counts = (position_m / resolution) as i32;
@@ -236,9 +286,38 @@ impl Motor {
                     };
                     Causes::NONE
                 }
-                Err(_) => Causes::only(Cause::EncoderImplausible),
+                Err(_) => {
+                    if let Some(model) = &mut self.model {
+                        model.lose();
+                    }
+                    Causes::only(Cause::EncoderImplausible)
+                }
             },
+            (Sensor::Angle(angle), Output::Angle(newest, now)) => match angle.update(newest, now) {
+                Some((counts, counts_per_s)) => {
+                    let counts = counts + f64::from(self.zero_counts);
+                    self.position_counts = libm::round(counts) as i32;
+                    self.position = counts * f64::from(resolution);
+                    self.speed = counts_per_s * resolution;
+                    Causes::NONE
+                }
+                None => {
+                    // How many turns it makes until it is found again, nobody knows.
+                    self.homed &= angle.is_absolute();
+                    Causes::only(Cause::EncoderImplausible)
+                }
+            },
+            // Whoever reads the sensors goes by the same configuration.
+            _ => Causes::only(Cause::EncoderImplausible),
         };
+        if let Some(side) = &mut self.motor_side {
+            let play = side.update(raw.motor_side, causes.is_empty().then_some(self.position));
+            self.speed = match &mut self.model {
+                Some(model) => model.count(side.encoder(), duty, side.resolution()),
+                None => side.speed(),
+            };
+            causes.set(Cause::EncoderImplausible, causes.contains(Cause::EncoderImplausible) || play.is_err());
+        }
         self.acceleration_now = self.acceleration.step((self.speed - last_speed) / self.period_s);
         causes
     }
@@ -537,7 +616,7 @@ impl Motor {
             self.position_holder().hold(hold.duty, hold.duty - overcame);
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
-        if path_speed == 0.0 {
+        if path_speed == 0.0 && !self.crosses_gap() {
             // What moved the motor along its path does not serve the way back from beyond the target.
             let share = self.period_s / UNLOAD_S;
             self.position_holder().unload_against(distance, share);
@@ -580,7 +659,12 @@ impl Motor {
         // Relative to the path: its own motion is not damped.
         let rate = self.speed - path_speed;
         let output = if self.control.cascade_per_s == 0.0 {
-            self.position_loop.step(error, rate, feed_forward, bounds)
+            let integral = self.position_loop.integral();
+            let output = self.position_loop.step(error, rate, feed_forward, bounds);
+            if self.crosses_gap() {
+                self.position_loop.set_integral(integral);
+            }
+            output
         } else {
             let fastest = self.control.speed_max;
             let wanted = (path_speed + self.control.cascade_per_s * error).within(-fastest, fastest);
@@ -600,6 +684,11 @@ impl Motor {
         let step = limits.slew_per_s * self.period_s;
         let duty = model.drive(output, aim).within(self.duty - step, self.duty + step);
         duty.within(-limits.magnitude, limits.magnitude)
+    }
+
+    /// Whether the motor crosses play while the output stands: what the error is then, it is not for long.
+    fn crosses_gap(&self) -> bool {
+        self.motor_side.as_ref().is_some_and(MotorSide::crosses)
     }
 
     /// The loop that holds positions.
@@ -715,6 +804,9 @@ impl Motor {
         let Some(homing) = self.control.homing else { return };
         let resolution = resolution(self.control.feedback);
         let shift = (libm::roundf(homing.position / resolution) as i32).wrapping_sub(at);
+        if let Some(side) = &mut self.motor_side {
+            side.shift(f64::from(shift) * f64::from(resolution));
+        }
         self.zero_counts = self.zero_counts.wrapping_add(shift);
         self.position_counts = self.position_counts.wrapping_add(shift);
         self.position = f64::from(self.position_counts) * f64::from(resolution);
@@ -735,7 +827,7 @@ impl Motor {
     fn least_motion(&self) -> f32 {
         match self.control.feedback {
             Feedback::Encoder { .. } => 0.5 * resolution(self.control.feedback),
-            Feedback::Potentiometer { .. } => 0.5 * self.control.settle.error,
+            _ => 0.5 * self.control.settle.error,
         }
     }
 

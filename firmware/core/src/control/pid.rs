@@ -97,6 +97,17 @@ impl Pid {
         self.gains = gains;
     }
 
+    /// What has been integrated, a duty.
+    #[must_use]
+    pub const fn integral(&self) -> f32 {
+        self.integral
+    }
+
+    /// Takes back what was integrated since it was `integral`.
+    pub const fn set_integral(&mut self, integral: f32) {
+        self.integral = integral;
+    }
+
     /// Adds to the integral.
     pub fn push(&mut self, duty: f32, limits: OutputLimits) {
         self.integral = limits.bound(self.integral + duty);

@@ -13,6 +13,7 @@ use r4_protocol::{
 use super::{
     axis::Axis,
     inputs::Inputs,
+    motor::{Output, Raw},
     overload::{self, Overload},
     regeneration,
 };
@@ -23,14 +24,17 @@ use crate::{
         steps::DriverTiming,
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
-    platform::{Bus, Peripherals},
-    sensing::{analog::Supply, on_bus::Sensors, storm::IllegalRate},
+    platform::{Bus, Peripherals, PulseInputs},
+    sensing::{analog::Supply, angle::Reading, on_bus::Sensors, pulse, storm::IllegalRate},
     shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
     storage::faults::SNAPSHOT_MS,
 };
 
 /// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
 const POWER_UP: Duration = Duration::from_millis(50);
+/// A start waits so long at most for the angles of motors: 100 ms until sensors are asked, three transfers to set one up, one to read it,
+/// in a period each, and room for a bus that fails at first.
+const FIRST_ANGLES: Duration = Duration::from_millis(150);
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 4;
 /// While safe, the safe state is written again every so many periods.
@@ -51,6 +55,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
     let config = shared.config();
     let mut control = Control::new(config, io);
     control.initialise(shared).await;
+    control.find_angles(shared).await;
     // Sensors are read before the first host is answered: it is told of a flat battery at once.
     control.sense(shared);
     shared.set_control_causes(control.causes());
@@ -172,7 +177,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             fault: None,
             safe: false,
             braked: None,
-            bus_sensors: Sensors::new(config.sensors.iter().filter(|_| valid)),
+            bus_sensors: Sensors::new(
+                config.sensors.iter().filter(|_| valid),
+                Duration::from_micros(config.control_period_us.into()),
+            ),
             sensors: Causes::NONE,
             sensed: Instant::MIN,
             trips: 0,
@@ -258,15 +266,20 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
             let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
-            let raw = match control.feedback {
-                Feedback::Encoder { index, .. } => {
-                    if illegal.update(self.peripherals.illegal(index)) {
-                        causes.set(Cause::EncoderImplausible, true);
-                    }
-                    self.peripherals.count(index)
+            let transitions = control.encoders().map(|index| self.peripherals.illegal(index));
+            if illegal.update(transitions.fold(0, u32::wrapping_add)) {
+                causes.set(Cause::EncoderImplausible, true);
+            }
+            let output = match control.feedback {
+                Feedback::Encoder { index, .. } => Output::Code(self.peripherals.count(index)),
+                Feedback::Potentiometer { analog, .. } => Output::Code(self.peripherals.code(analog)),
+                Feedback::Angle { .. } | Feedback::Pulses { .. } => {
+                    let newest = angle(control.feedback, &self.bus_sensors, &mut self.peripherals, self.sensed);
+                    Output::Angle(newest, self.sensed)
                 }
-                Feedback::Potentiometer { analog, .. } => self.peripherals.code(analog),
             };
+            let motor_side = control.motor_side.map_or(0, |side| self.peripherals.count(side.index));
+            let raw = Raw { output, motor_side };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
             if let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback
@@ -520,6 +533,26 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         shared.control_tick(Instant::now());
     }
 
+    /// Waits until each motor with an angle sensor knows where it stands, or none will be told: hosts find a board that can be armed, or
+    /// that says why not.
+    async fn find_angles<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let config = shared.config();
+        let until = Instant::now() + FIRST_ANGLES;
+        let is_missing = |sensors: &Sensors, peripherals: &mut P| {
+            let feedback = config.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
+            let is_angle = |feedback: &Feedback| matches!(feedback, Feedback::Angle { .. } | Feedback::Pulses { .. });
+            let now = Instant::now();
+            feedback.filter(is_angle).any(|feedback| angle(feedback, sensors, peripherals, now).is_none())
+        };
+        while !self.bad_configuration && Instant::now() < until && is_missing(&self.bus_sensors, &mut self.peripherals)
+        {
+            self.outputs.begin_tick();
+            self.bus_sensors.ask(shared, self.outputs.bus(), || false).await;
+            Timer::after(Duration::from_millis(1)).await;
+            shared.control_tick(Instant::now());
+        }
+    }
+
     fn rest_dacs<M: RawMutex>(&mut self, shared: &Shared<M>) {
         rest_dacs(shared.config(), &mut self.peripherals);
         for (index, dac) in shared.config().dacs.iter().enumerate() {
@@ -630,6 +663,20 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::ReadBackMismatch, self.fault == Some(OutputFault::Mismatch));
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
+    }
+}
+
+/// What a motor's angle sensor told last; `None` for feedback of another kind, too.
+fn angle(feedback: Feedback, sensors: &Sensors, peripherals: &mut impl PulseInputs, now: Instant) -> Option<Reading> {
+    match feedback {
+        Feedback::Angle { angle, .. } => sensors.angle(angle),
+        Feedback::Pulses { range, frames_hz, .. } => {
+            let pulse = peripherals.pulse(range)?;
+            let taken = now.checked_sub(Duration::from_micros(pulse.age_us.into()))?;
+            let period = Duration::from_hz(u64::from(frames_hz).max(1));
+            Some(Reading { counts: pulse::counts(pulse, frames_hz)?, taken, period })
+        }
+        Feedback::Encoder { .. } | Feedback::Potentiometer { .. } => None,
     }
 }
 

@@ -119,6 +119,7 @@ mod tests {
         config.stall = StallConfig { duty: 0.75, travel: 0.02, time_ms: 300 };
         config.follow = FollowConfig { error: 1.0, time_ms: 100 };
         config.speed_max = 5.0;
+        config.settle.error = 0.004;
         config
     }
 
@@ -275,7 +276,7 @@ mod tests {
         }
         assert_eq!(until(10_000, |_| Seen { duty: 0.25, wants_motion: true, ..AT_REST }), None);
         assert_eq!(until(10_000, |_| Seen { duty: 0.7, wants_motion: false, ..AT_REST }), None);
-        // Motion that the sensor shows begins the sum anew: 0.004 rad, the bench's settling error.
+        // Motion that the sensor shows begins the sum anew: 0.004 rad, the settling error.
         for (rad, moves) in [(0.0041, true), (0.0039, false)] {
             let creeps = |period: u32| Seen {
                 duty: 0.7,

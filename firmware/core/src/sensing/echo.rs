@@ -1,5 +1,6 @@
 //! What a capture unit makes of an echo's edges.
 
+use super::pulse::{Pulse, Pulses};
 use crate::platform::EchoState;
 
 /// An echo line since it was cleared, from its levels and the times of their changes.
@@ -13,13 +14,14 @@ pub struct Echo {
     rose: Option<u32>,
     /// Ticks from rise to fall.
     width: Option<u32>,
+    pulses: Pulses,
 }
 
 impl Echo {
     /// Cleared at `now`, when the line was `high`.
     #[must_use]
     pub const fn new(high: bool, now: u32) -> Self {
-        Self { high, cleared: now, rose: None, width: None }
+        Self { high, cleared: now, rose: None, width: None, pulses: Pulses::new(high) }
     }
 
     /// The line is `high` since `at`, which is asked for only then: if it was before, nothing happened.
@@ -29,11 +31,18 @@ impl Echo {
         }
         let at = at();
         self.high = high;
+        self.pulses.level(high, at);
         match (high, self.rose) {
             (true, None) => self.rose = Some(at),
             (false, Some(rose)) if self.width.is_none() => self.width = Some(at.wrapping_sub(rose)),
             _ => {}
         }
+    }
+
+    /// What [`PulseInputs::pulse`](crate::platform::PulseInputs::pulse) tells at `now`, of a clock of at least 10 MHz.
+    #[must_use]
+    pub fn pulse(&self, now: u32, ticks_per_us: u32) -> Option<Pulse> {
+        self.pulses.newest(now, (ticks_per_us / 10).max(1))
     }
 
     /// What [`Ranging::echo`](crate::platform::Ranging::echo) tells at `now`.

@@ -1,6 +1,7 @@
 //! From levels, counts, codes and echoes to positions, speeds, volts and distances.
 
 pub mod analog;
+pub mod angle;
 pub mod echo;
 pub mod encoder;
 pub mod filter;
@@ -8,6 +9,7 @@ pub mod index;
 pub mod observer;
 pub mod on_bus;
 pub mod potentiometer;
+pub mod pulse;
 pub mod quadrature;
 pub mod range;
 pub mod storm;

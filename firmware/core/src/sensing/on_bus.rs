@@ -7,15 +7,16 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
-    Quality,
+    ChannelId, ChannelKind, Quality,
     channel::MAX_QUANTITIES,
-    config::{MAX_SENSORS, Place, SensorConfig},
+    config::{AS5600_COUNTS, MAX_SENSORS, Place, SensorConfig},
 };
 
 use crate::{
     bus::{ExchangeFault, Scheduler, TRIES},
     chips::sensor::{AnyDriver, Driver, MAX_READ, Outcome},
     platform::Bus,
+    sensing::angle::Reading,
     shared::{Shared, Status},
 };
 
@@ -35,8 +36,11 @@ pub(crate) struct Sensors {
 }
 
 struct Sensor {
+    id: ChannelId,
     address: u8,
     period: Duration,
+    /// How much before its time it may be read.
+    early: Duration,
     driver: AnyDriver,
     /// When its next transfer may be.
     due: Instant,
@@ -52,12 +56,17 @@ struct Sensor {
 }
 
 impl Sensors {
-    pub(crate) fn new<'c>(configs: impl Iterator<Item = &'c SensorConfig>) -> Self {
+    pub(crate) fn new<'c>(configs: impl Iterator<Item = &'c SensorConfig>, control_period: Duration) -> Self {
         let now = Instant::now();
         let due = now + POWER_UP;
+        let period = |config: &SensorConfig| Duration::from_hz(u64::from(config.rate_hz).max(1));
         let sensors = configs.map(|config| Sensor {
+            id: config.id,
             address: config.address,
-            period: Duration::from_hz(u64::from(config.rate_hz).max(1)),
+            period: period(config),
+            // Read about once in a control period, whose moment wavers by what else there is to do: one that is asked a little before its
+            // time must not wait for the next.
+            early: if period(config) < control_period * 2 { period(config) / 2 } else { Duration::MIN },
             driver: AnyDriver::new(config),
             due,
             reading_due: due,
@@ -72,6 +81,15 @@ impl Sensors {
 
     pub(crate) fn is_empty(&self) -> bool {
         self.sensors.is_empty()
+    }
+
+    /// What angle sensor number `angle` read last, if that can be relied on; `None` where there is no such sensor.
+    pub(crate) fn angle(&self, angle: u8) -> Option<Reading> {
+        let id = ChannelId::new(ChannelKind::Angle, angle);
+        let sensor = self.sensors.iter().find(|sensor| sensor.id == id)?;
+        let usable = matches!(sensor.quality, Quality::Good | Quality::WeakMagnet | Quality::StrongMagnet);
+        let counts = libm::roundf(sensor.values[0] * (f32::from(AS5600_COUNTS) / core::f32::consts::TAU)) as u16;
+        usable.then_some(Reading { counts, taken: sensor.taken, period: sensor.period })
     }
 
     /// One transfer with each sensor that is due, as far as the bus has room in this period, until `stops` says so; it is asked before
@@ -90,7 +108,7 @@ impl Sensors {
             let Some(sensor) = self.sensors.get_mut(index) else { break };
             let now = Instant::now();
             let mut changed = sensor.has_become_stale(now);
-            if now >= sensor.due {
+            if now + sensor.early >= sensor.due {
                 let exchange = sensor.driver.next();
                 if waiting.is_none() && !stops() && bus.fits(exchange.bits()) {
                     let mut read = [0; MAX_READ];
@@ -147,9 +165,8 @@ impl Sensor {
                 self.fail(Quality::WrongChip, now);
                 true
             }
-            Outcome::Reading { values, saturated } => {
-                (self.values, self.taken) = (values, now);
-                self.quality = if saturated { Quality::Saturated } else { Quality::Good };
+            Outcome::Reading { values, quality } => {
+                (self.values, self.taken, self.quality) = (values, now, quality);
                 self.stale_at = Some(now + self.period * STALE_PERIODS);
                 // On a grid, so that a wait for the bus does not lower the rate; what was missed is not made up for.
                 self.reading_due = (self.reading_due + self.period).max(now);

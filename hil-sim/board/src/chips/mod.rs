@@ -3,6 +3,7 @@
 //! A model shares no constant with the firmware's driver of the same chip: a wrong address in the driver must not
 //! cancel itself out here.
 
+pub mod as5600;
 pub mod icm20948;
 pub mod ili9488;
 pub mod ina226;

@@ -17,6 +17,7 @@
 //! | [`dac_output`] | code to volts with gain and offset error, swing of the output buffer | settling, load, non-linearity |
 
 pub mod analog_input;
+pub mod as5600_pwm;
 pub mod dac_output;
 pub(crate) mod gnss;
 pub mod hc_sr04;

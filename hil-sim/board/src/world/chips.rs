@@ -2,7 +2,7 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{Robot, SimulatedCurrent, SimulatedImu};
+use r4_boards::{Robot, SimulatedAngle, SimulatedCurrent, SimulatedImu};
 use r4_protocol::{
     ChannelId,
     config::{SensorChip, SensorConfig},
@@ -12,6 +12,7 @@ use r4_world::Inertial;
 use super::wires::BoardChip;
 use crate::{
     chips::{
+        as5600::As5600,
         icm20948::{Icm20948, Truth},
         ina226::{Ina226, Inputs},
         mcp4728::{CHANNELS, Mcp4728, Setting},
@@ -34,6 +35,7 @@ pub(super) struct Chips {
     pub(super) expander: Option<Rc<RefCell<Mcp23017>>>,
     pub(super) imus: Vec<Imu>,
     pub(super) currents: Vec<CurrentMonitor>,
+    pub(super) angles: Vec<AngleSensor>,
 }
 
 /// An IMU and how it sits on the body.
@@ -67,6 +69,19 @@ impl CurrentMonitor {
     }
 }
 
+/// An angle sensor, and the shaft it is on.
+pub(super) struct AngleSensor {
+    pub(super) chip: Rc<RefCell<As5600>>,
+    pub(super) mounting: SimulatedAngle,
+}
+
+impl AngleSensor {
+    fn new(mounting: &SimulatedAngle, seed: u64) -> Self {
+        let chip = As5600::new(seed.wrapping_add(mounting.channel.index.into()));
+        Self { chip: Rc::new(RefCell::new(chip)), mounting: *mounting }
+    }
+}
+
 impl Chips {
     pub(super) fn new(robot: &Robot, bus: &mut I2cBus, seed: u64) -> Self {
         let config = &robot.config;
@@ -79,6 +94,7 @@ impl Chips {
         let chips = Self {
             imus: imus.collect(),
             currents: currents.collect(),
+            angles: robot.simulation.angles.iter().map(|mounting| AngleSensor::new(mounting, seed)).collect(),
             osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
@@ -99,6 +115,7 @@ impl Chips {
         chips.expander.iter().for_each(|chip| bus.attach(chip.clone()));
         chips.imus.iter().for_each(|imu| bus.attach(imu.chip.clone()));
         chips.currents.iter().for_each(|current| bus.attach(current.chip.clone()));
+        chips.angles.iter().for_each(|angle| bus.attach(angle.chip.clone()));
         chips
     }
 
@@ -122,6 +139,15 @@ impl Chips {
             // The file's reader has checked that it exists.
             let [current_a, volts] = drawn(wiring.of).unwrap_or_default();
             chip.borrow_mut().feel(until_ns, Inputs { shunt_v: current_a * shunt_ohm, bus_v: volts });
+        }
+    }
+
+    /// Lets angle sensors see where the shafts of their motors are, rad, up to `until_ns`.
+    pub(super) fn see_angles(&self, until_ns: u64, position: impl Fn(ChannelId) -> Option<f64>) {
+        for AngleSensor { chip, mounting } in &self.angles {
+            // One that is on no shaft stands still.
+            let shaft_rad = mounting.of.and_then(&position).unwrap_or_default();
+            chip.borrow_mut().feel(until_ns, mounting.zero_rad + shaft_rad);
         }
     }
 
@@ -175,6 +201,7 @@ impl Chips {
         self.expander.iter().for_each(|chip| all.extend(chip.borrow().misuse().first()));
         self.imus.iter().for_each(|imu| all.extend(imu.chip.borrow().misuse().first()));
         self.currents.iter().for_each(|current| all.extend(current.chip.borrow().misuse().first()));
+        self.angles.iter().for_each(|angle| all.extend(angle.chip.borrow().misuse().first()));
         all
     }
 }

@@ -197,12 +197,21 @@ impl World {
                 || bldcs.iter().any(|bldc| bldc.coupled && !bldc.drive.is_coasting())
         };
         for motor in &self.motors {
-            let Some(SimulatedSensor::Encoder { input, lines_per_turn }) = motor.sensor else { continue };
-            if on(input) {
+            let output = match motor.sensor {
+                Some(SimulatedSensor::Encoder { input, lines_per_turn }) if on(input) => Some(lines_per_turn),
+                _ => None,
+            };
+            let motor_side = motor.motor_side.filter(|side| on(side.input)).map(|side| side.lines_per_turn);
+            if let Some(lines_per_turn) = output.or(motor_side) {
                 let counts = |rad: f64| rad / TAU * f64::from(lines_per_turn) * 4.0;
+                let (position, speed) = if output.is_some() {
+                    (motor.plant.sensed_position(), motor.plant.speed())
+                } else {
+                    motor.plant.motor_side()
+                };
                 return Some(Turning {
-                    position: counts(motor.plant.sensed_position()),
-                    speed: counts(motor.plant.speed()),
+                    position: counts(position),
+                    speed: counts(speed),
                     acceleration: counts(motor.top_acceleration(self.rails[motor.rail].spec.emf_v)),
                     driven: drives(motor) || motor.coupled && body_driven(&self.motors, &self.bldcs),
                 });

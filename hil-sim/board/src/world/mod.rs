@@ -26,6 +26,7 @@ use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
     chips::{
+        as5600::As5600,
         icm20948::Icm20948,
         ina226::Ina226,
         mcp4728::Mcp4728,
@@ -35,7 +36,10 @@ use crate::{
     clock::Clock,
     i2c::I2cBus,
     misuse::Misuse,
-    sensors::hc_sr04::{HcSr04, HcSr04Array},
+    sensors::{
+        as5600_pwm::As5600Pwm,
+        hc_sr04::{HcSr04, HcSr04Array},
+    },
 };
 use body::{Coupling, Movers};
 use chips::Chips;
@@ -200,6 +204,15 @@ impl World {
                 body.step(&self.scene, [self.now_ns, until_ns], &mut movers, advance);
             }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
+        }
+        let shaft = |of: ChannelId| {
+            let motor = self.motors.iter().find(|motor| motor.channel == of);
+            motor.map(|motor| motor.plant.sensed_position())
+        };
+        self.chips.see_angles(until_ns, shaft);
+        for source in &mut self.pins.pulses {
+            let shaft_rad = source.mounting.of.and_then(shaft).unwrap_or_default();
+            source.sensor.feel(until_ns, source.mounting.zero_rad + shaft_rad);
         }
         self.chips.feel(until_ns, self.body.as_ref().map_or(Inertial::AT_REST, Coupling::inertial));
         for (index, rail) in self.rails.iter_mut().enumerate() {
@@ -419,6 +432,18 @@ impl World {
     #[must_use]
     pub fn current_monitor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Ina226>>> {
         self.chips.currents.iter().find(|monitor| monitor.wiring.channel == channel).map(|monitor| &monitor.chip)
+    }
+
+    /// An angle sensor, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn angle_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<As5600>>> {
+        self.chips.angles.iter().find(|angle| angle.mounting.channel == channel).map(|angle| &angle.chip)
+    }
+
+    /// The angle sensor that sends pulses to a range connector, to look at and to break; `None` where there is none.
+    pub fn pulse_sensor(&mut self, connector: u8) -> Option<&mut As5600Pwm> {
+        self.catch_up();
+        self.pins.pulses_at(connector.into()).map(|source| &mut source.sensor)
     }
 
     /// What motors draw from a rail, A; negative where they feed it.

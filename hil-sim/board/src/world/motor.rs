@@ -1,6 +1,6 @@
 //! Motors: a bridge, what turns behind it, and what measures that.
 
-use r4_boards::{SimulatedMotor, SimulatedSensor};
+use r4_boards::{SimulatedEncoder, SimulatedMotor, SimulatedSensor};
 use r4_plants::{Drive, Model, Plant, PlantError, PlantSpec};
 use r4_protocol::{
     ChannelId,
@@ -27,6 +27,8 @@ pub(super) struct Motor {
     pub(super) plant: Plant,
     pub(super) drive: Drive,
     pub(super) sensor: Option<SimulatedSensor>,
+    /// Encoder before backlash and compliance.
+    pub(super) motor_side: Option<SimulatedEncoder>,
     /// Whether its shaft is one of the body's.
     pub(super) coupled: bool,
     /// Of its current at a standstill, by the supply: rad/s^2 or m/s^2 per V.
@@ -59,6 +61,7 @@ impl Motor {
             plant,
             drive: Drive::COAST,
             sensor: simulated.sensor,
+            motor_side: simulated.motor_side,
             coupled: false,
             acceleration_per_v: acceleration_per_v(spec.model()),
         })

@@ -2,10 +2,13 @@
 
 use std::{cell::RefCell, num::NonZeroU32, rc::Rc, task::Waker};
 
-use r4_boards::{RangeView, Robot, SimulatedMotor, SimulatedSensor, SimulatedSwitch};
+use r4_boards::{RangeView, Robot, SimulatedMotor, SimulatedPulses, SimulatedSensor, SimulatedSwitch};
 use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, Ranging, SwitchInputs},
-    sensing::storm::{ECHO_EDGES_PER_MS, EdgeBudget},
+    platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, PulseInputs, Ranging, SwitchInputs},
+    sensing::{
+        pulse::{Pulse, Pulses},
+        storm::{ECHO_EDGES_PER_MS, EdgeBudget},
+    },
 };
 use r4_protocol::{ChannelId, config::Feedback};
 
@@ -19,6 +22,7 @@ use crate::{
     misuse::Misuse,
     sensors::{
         analog_input::AnalogInput,
+        as5600_pwm::As5600Pwm,
         dac_output::DacOutput,
         hc_sr04::HcSr04Array,
         loopback::{Eeprom24c02, UartLoopback},
@@ -46,6 +50,8 @@ pub struct Pins {
     /// Range sensors, by connector.
     pub rangers: HcSr04Array,
     pub(super) echoes: [Echo; HcSr04Array::MODULES],
+    /// Angle sensors that send pulses, in place of range sensors.
+    pub(super) pulses: Vec<PulseSource>,
     /// Of the interrupts of the echoes; `None` where nothing uses one.
     echo_budgets: [Option<EdgeBudget>; HcSr04Array::MODULES],
     /// Encoder tracks, by connector.
@@ -98,6 +104,13 @@ impl UartPort {
     }
 }
 
+/// An angle sensor that sends pulses, and what the processor's capture unit has of them.
+pub(super) struct PulseSource {
+    pub(super) sensor: As5600Pwm,
+    pub(super) mounting: SimulatedPulses,
+    captured: Pulses,
+}
+
 /// What the processor's capture unit has of one echo line.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Echo {
@@ -136,6 +149,11 @@ impl Pins {
         }
         let budget = EdgeBudget::new(ECHO_EDGES_PER_MS, US_PER_MS);
         let echo_budgets = [0, 1, 2, 3].map(|index| robot.config.uses_range(index).then_some(budget));
+        let pulse_source = |mounting: &SimulatedPulses| PulseSource {
+            sensor: As5600Pwm::new(mounting.frames_hz, seed.wrapping_add(u64::from(mounting.connector) << 8)),
+            mounting: *mounting,
+            captured: Pulses::new(false),
+        };
         let mut encoders = [0, 1, 2, 3].map(|index| QuadratureSignal::new(0.0, seed.wrapping_add(index)));
         for (input, every) in truth.motors.iter().filter_map(|motor| index_of(robot, motor)) {
             if let Some(signal) = encoders.get_mut(usize::from(input)) {
@@ -159,6 +177,7 @@ impl Pins {
         Self {
             rangers,
             echoes: [Echo::default(); HcSr04Array::MODULES],
+            pulses: truth.pulses.iter().map(pulse_source).collect(),
             echo_budgets,
             encoders,
             index_lines,
@@ -371,6 +390,22 @@ impl Ranging for Processor {
     }
 }
 
+impl PulseInputs for Processor {
+    fn pulse(&mut self, index: u8) -> Option<Pulse> {
+        let mut world = self.0.borrow_mut();
+        world.catch_up();
+        let now_ns = world.clock.now_ns();
+        let pins = &mut world.pins;
+        pins.capture_pulses(usize::from(index));
+        pins.pulses_at(index.into())?.captured.newest(tenths(now_ns), 1)
+    }
+}
+
+/// Of the capture unit's clock for pulses, which is that of the processor: 10 MHz, 32 bits.
+const fn tenths(at_ns: u64) -> u32 {
+    (at_ns / 100) as u32
+}
+
 impl World {
     /// Whether an echo has lost edges by a storm; lets it have another try when it is time.
     pub(super) fn echo_storm(&mut self) -> bool {
@@ -378,6 +413,7 @@ impl World {
         let pins = &mut self.pins;
         (0..HcSr04Array::MODULES).fold(false, |storm, index| {
             pins.capture(index, now_ns);
+            pins.capture_pulses(index);
             let Some(budget) = &mut pins.echo_budgets[index] else { return storm };
             storm | budget.look(ticks(now_ns)).storm
         })
@@ -385,6 +421,25 @@ impl World {
 }
 
 impl Pins {
+    /// The angle sensor that sends pulses to a range connector.
+    pub(super) fn pulses_at(&mut self, connector: usize) -> Option<&mut PulseSource> {
+        self.pulses.iter_mut().find(|source| usize::from(source.mounting.connector) == connector)
+    }
+
+    /// Lets the capture unit take the edges of an angle sensor's pulses up to where the world is.
+    fn capture_pulses(&mut self, connector: usize) {
+        let Some(budget) = self.echo_budgets.get_mut(connector).and_then(Option::as_mut) else { return };
+        let source = self.pulses.iter_mut().find(|source| usize::from(source.mounting.connector) == connector);
+        let Some(source) = source else { return };
+        for edge in source.sensor.take_edges() {
+            if budget.is_masked() {
+                continue;
+            }
+            budget.edge(ticks(edge.at_ns));
+            source.captured.level(edge.high, tenths(edge.at_ns));
+        }
+    }
+
     /// Lets the capture unit take the edges of an echo up to now.
     fn capture(&mut self, index: usize, now_ns: u64) -> EchoState {
         let (Some(module), Some(echo)) = (self.rangers.modules.get_mut(index), self.echoes.get_mut(index)) else {

@@ -141,15 +141,24 @@ impl World {
         self.pins.rangers.trigger(connector, self.clock.now_ns(), high);
     }
 
-    /// The level of a range sensor's echo line.
+    /// The level of the echo line of a range connector.
     pub fn echo_is_high(&mut self, connector: usize) -> bool {
+        self.catch_up();
         let now_ns = self.clock.now_ns();
+        if let Some(source) = self.pins.pulses_at(connector) {
+            return source.sensor.is_high();
+        }
         self.pins.rangers.modules.get_mut(connector).is_some_and(|module| module.echo_is_high(now_ns))
     }
 
     /// The edges of a range sensor's echo line up to now that were not told before, in order of time.
     pub fn take_echo_edges(&mut self, connector: usize, sink: impl FnMut(EchoEdge)) {
+        self.catch_up();
         let now_ns = self.clock.now_ns();
+        if let Some(source) = self.pins.pulses_at(connector) {
+            source.sensor.take_edges().for_each(sink);
+            return;
+        }
         if let Some(module) = self.pins.rangers.modules.get_mut(connector) {
             module.take_edges(now_ns).for_each(sink);
         }
@@ -159,6 +168,10 @@ impl World {
     /// any sensor can change it: others hear its sound.
     #[must_use]
     pub fn next_echo_edge_ns(&self, connector: usize) -> u64 {
+        let pulses = self.pins.pulses.iter().find(|source| usize::from(source.mounting.connector) == connector);
+        if let Some(source) = pulses {
+            return source.sensor.next_edge_ns();
+        }
         let module = self.pins.rangers.modules.get(connector);
         module.and_then(|module| module.next_edge_ns()).unwrap_or(u64::MAX)
     }

@@ -2,17 +2,22 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::RefCell,
+    f64::consts::{PI, TAU},
+    rc::Rc,
+};
 
 use embedded_hal::i2c::Operation;
 use r4_boards::Robot;
 use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
-    config::{Icm20948Config, Ina226Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, SensorChip, SensorConfig},
 };
 use r4_sim::{
     chips::{
+        as5600::{As5600, Magnet},
         icm20948::{Icm20948, Truth},
         ina226::{Ina226, Inputs},
     },
@@ -34,7 +39,7 @@ fn openscout() -> Robot {
 const CURRENT: ChannelId = ChannelId::new(ChannelKind::Current, 0);
 
 /// Lets `driver` have the bus to itself, a transfer in each millisecond, until it has a reading.
-fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl FnMut(u64)) -> ([f32; 6], bool) {
+fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl FnMut(u64)) -> ([f32; 6], Quality) {
     let mut now_ns = 0;
     for _ in 0..1000 {
         pass(now_ns);
@@ -52,7 +57,7 @@ fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl Fn
         match driver.done(&bytes) {
             Outcome::Next | Outcome::NotReady => {}
             Outcome::Wait(duration) => now_ns += duration.as_micros() * 1000,
-            Outcome::Reading { values, saturated } => return (values, saturated),
+            Outcome::Reading { values, quality } => return (values, quality),
             Outcome::WrongChip => panic!("it is the right one"),
         }
     }
@@ -74,10 +79,10 @@ fn an_icm_20948_gives_what_it_feels_at_every_full_scale() {
             read(&mut driver, &mut bus, ADDRESS, pass);
             // The first sample is of a filter that has not settled: at 5 Hz it is one of 5.7 Hz, and 1 s is 36 time constants.
             chip.borrow_mut().feel(2000 * MS, truth);
-            let (values, saturated) = read(&mut driver, &mut bus, ADDRESS, |now_ns| {
+            let (values, quality) = read(&mut driver, &mut bus, ADDRESS, |now_ns| {
                 chip.borrow_mut().feel(2000 * MS + now_ns, truth);
             });
-            assert!(!saturated);
+            assert_eq!(quality, Quality::Good);
             // Five standard deviations behind the widest filter, 151.8 Hz or 246 Hz, and a count at the largest full scale.
             for (axis, value) in values.iter().enumerate() {
                 let (expected, tolerance) = if axis < 3 {
@@ -105,8 +110,8 @@ fn an_ina226_gives_current_and_voltage_for_every_shunt() {
             let inputs = Inputs { shunt_v: current_a * f64::from(shunt_ohm), bus_v: 12.34 };
             let mut driver = AnyDriver::new(&config);
             let pass = |now_ns| chip.borrow_mut().feel(now_ns, inputs);
-            let (values, saturated) = read(&mut driver, &mut bus, 0x45, pass);
-            assert!(!saturated);
+            let (values, quality) = read(&mut driver, &mut bus, 0x45, pass);
+            assert_eq!(quality, Quality::Good);
             // Half a count of 2.5 uV and of 1.25 mV, and the rounding of f32.
             let tolerance_a = 1.25e-6 / f64::from(shunt_ohm) + 1e-6 * current_a.abs();
             assert!((f64::from(values[0]) - current_a).abs() < tolerance_a, "{values:?}");
@@ -114,6 +119,74 @@ fn an_ina226_gives_current_and_voltage_for_every_shunt() {
             assert_eq!(chip.borrow().misuse().first(), []);
         }
     }
+}
+
+#[test]
+fn an_as5600_gives_the_angle_of_its_magnet_with_every_filter() {
+    const DEVIATION_DEG: [(u8, f64); 4] = [(2, 0.043), (4, 0.030), (8, 0.021), (16, 0.015)];
+    for (averages, deviation_deg) in DEVIATION_DEG {
+        for (magnet, expected) in [
+            (Magnet::Good, Quality::Good),
+            (Magnet::Weak, Quality::WeakMagnet),
+            (Magnet::Strong, Quality::StrongMagnet),
+            (Magnet::Absent, Quality::NoMagnet),
+        ] {
+            let chip = Rc::new(RefCell::new(As5600::new(7)));
+            let mut bus = I2cBus::new(400_000);
+            bus.attach(chip.clone());
+            let config = SensorChip::As5600(As5600Config { averages });
+            let id = ChannelId::new(ChannelKind::Angle, 0);
+            let config = SensorConfig { id, address: 0x36, rate_hz: 1000, chip: config };
+            let mut driver = AnyDriver::new(&config);
+            chip.borrow_mut().set_magnet(magnet);
+            let mut now_ns = 0;
+            for angle_rad in [0.0, 1.0, 3.2, 6.2, -0.01, 400.0] {
+                let from_ns = now_ns;
+                // It jumps there, and 20 ms are nine settling times of the slowest filter.
+                chip.borrow_mut().feel(from_ns + 1, angle_rad);
+                chip.borrow_mut().feel(from_ns + 20 * MS, angle_rad);
+                let (values, quality) = read(&mut driver, &mut bus, 0x36, |passed_ns| {
+                    now_ns = from_ns + 20 * MS + passed_ns;
+                    chip.borrow_mut().feel(now_ns, angle_rad);
+                });
+                assert_eq!(quality, expected);
+                if magnet == Magnet::Absent {
+                    continue;
+                }
+                let error = (f64::from(values[0]) - angle_rad + PI).rem_euclid(TAU) - PI;
+                // A count, for it is rounded down, and five deviations; three times as much of a weak magnet.
+                let noise = if magnet == Magnet::Weak { 15.0 } else { 5.0 };
+                let tolerance = TAU / 4096.0 + noise * deviation_deg.to_radians();
+                assert!(error.abs() < tolerance, "{averages}, {magnet:?}: {} for {angle_rad}", values[0]);
+            }
+            assert_eq!(chip.borrow().misuse().first(), []);
+        }
+    }
+}
+
+#[test]
+fn an_as5600_that_does_not_keep_its_settings_is_another_chip() {
+    let chip = Rc::new(RefCell::new(As5600::new(7)));
+    let mut bus = I2cBus::new(400_000);
+    bus.attach(chip.clone());
+    let id = ChannelId::new(ChannelKind::Angle, 0);
+    let chip_config = SensorChip::As5600(As5600Config { averages: 2 });
+    let mut driver = AnyDriver::new(&SensorConfig { id, address: 0x36, rate_hz: 1000, chip: chip_config });
+    let mut outcomes = Vec::new();
+    for transfer in 0..3 {
+        let exchange = driver.next();
+        let mut bytes = vec![0; exchange.read()];
+        let mut operations = vec![Operation::Write(exchange.written())];
+        if !bytes.is_empty() {
+            operations.push(Operation::Read(&mut bytes));
+        }
+        bus.execute(transfer * MS, 0x36, &mut operations).unwrap();
+        outcomes.push(driver.done(&bytes));
+        if transfer == 1 {
+            chip.borrow_mut().power_cycle();
+        }
+    }
+    assert_eq!(outcomes, [Outcome::Next, Outcome::Next, Outcome::WrongChip]);
 }
 
 #[test]

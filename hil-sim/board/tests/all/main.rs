@@ -6,6 +6,7 @@ mod bus_sensors;
 mod compatibility;
 mod control;
 mod dac_and_servo;
+mod feedback;
 mod follow;
 mod harness;
 mod index;

@@ -12,7 +12,7 @@ use r4_firmware::{ResetCause, control::overload::COOLED};
 use r4_plants::{Effect, Plant, effect::friction::CoulombFriction};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, HotWinding, Mode, Range, SafetyState, Sample, Setpoint, Winding,
-    config::{AnalogConfig, CurrentSense, Feedback},
+    config::{AnalogConfig, CurrentSense},
 };
 use r4_sim::Clock;
 
@@ -96,12 +96,11 @@ fn normal_work_of_every_robot_never_trips() {
                 let sign = if cycle % 2 == 0 { 1.0 } else { -1.0 };
                 for motor in &robot.config.motors {
                     let Some(control) = motor.control else { continue };
-                    let (mode, value) = match control.feedback {
-                        Feedback::Encoder { .. } => (Mode::Speed, sign * control.profile.speed),
-                        Feedback::Potentiometer { .. } => {
-                            let Range { min, max } = control.position;
-                            (Mode::Position, min + (0.5 + 0.2 * sign) * (max - min))
-                        }
+                    let (mode, value) = if control.feedback.turns() {
+                        (Mode::Speed, sign * control.profile.speed)
+                    } else {
+                        let Range { min, max } = control.position;
+                        (Mode::Position, min + (0.5 + 0.2 * sign) * (max - min))
                     };
                     bench.set(motor.id, mode, value).await.unwrap();
                 }

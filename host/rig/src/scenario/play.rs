@@ -3,7 +3,7 @@
 use r4_driver::{Board, Error as DriverError};
 use r4_protocol::{
     PathPoint, Setpoint,
-    config::{BoardConfig, Feedback, Place},
+    config::{AS5600_COUNTS, BoardConfig, Feedback, Place},
 };
 use r4_sim::{
     VirtualBoard,
@@ -171,6 +171,7 @@ fn resolution(config: &BoardConfig, place: Place) -> Option<(f64, &'static str)>
     match place {
         Place::Motor(index) => match config.motors.get(index)?.control.as_ref()?.feedback {
             Feedback::Encoder { counts_per_turn, .. } => Some((TAU / f64::from(counts_per_turn), "rad")),
+            Feedback::Angle { .. } | Feedback::Pulses { .. } => Some((TAU / f64::from(AS5600_COUNTS), "rad")),
             Feedback::Potentiometer { low, high, .. } => {
                 let m_per_code = (high.position_m - low.position_m) / (f32::from(high.code) - f32::from(low.code));
                 Some((f64::from(m_per_code.abs()) * POTENTIOMETER_CODES, "m"))

@@ -46,6 +46,7 @@ fn config() -> ControlConfig {
         stall: StallConfig { duty: 2.0, travel: 0.02, time_ms: u16::MAX },
         follow: FollowConfig { error: 1e6, time_ms: u16::MAX },
         homing: Some(HomingConfig { switch: 0, position: 1.5, speed_max: 4.0 }),
+        motor_side: None,
     }
 }
 
