@@ -20,6 +20,8 @@ pub struct Observer {
     period_s: f32,
     /// Pole of one period.
     pole: f32,
+    /// Factor of γ.
+    gamma: f32,
     /// For an encoder: above the lower edge of the count, rad.
     position: f32,
     /// rad/s or m/s
@@ -29,12 +31,17 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// An observer at rest, stepped every `period_s`, with three poles of the time constant `time_constant_s`.
+    /// An observer at rest, stepped every `period_s`, with three poles of the time constant `time_constant_s`, for a model whose own
+    /// speed settles with `motor_s`.
     #[must_use]
-    pub fn new(time_constant_s: f32, period_s: f32) -> Self {
+    pub fn new(time_constant_s: f32, motor_s: f32, period_s: f32) -> Self {
         // Shorter than two periods, noise is not filtered at all.
-        let pole = libm::expf(-period_s / time_constant_s.max(2.0 * period_s));
-        Self { period_s, pole, position: 0.0, speed: 0.0, disturbance: 0.0 }
+        let time_constant_s = time_constant_s.max(2.0 * period_s);
+        let pole = libm::expf(-period_s / time_constant_s);
+        // A quick motor's own damping holds the speed where the model has it: the slowest pole would fall to 1 / (1 + τ/T) of the
+        // others.
+        let gamma = 1.0 + time_constant_s / motor_s;
+        Self { period_s, pole, gamma, position: 0.0, speed: 0.0, disturbance: 0.0 }
     }
 
     /// Speed, rad/s or m/s.
@@ -102,7 +109,7 @@ impl Observer {
         let rate = innovation / time_s;
         self.position += (1.0 - pole * pole * pole) * innovation;
         self.speed += 1.5 * rest * rest * (1.0 + pole) * rate;
-        self.disturbance += rest * rest * rest * rate / time_s;
+        self.disturbance += self.gamma * rest * rest * rest * rate / time_s;
     }
 }
 
