@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use r4_identify::statics::table::{Ladder, Rows, TableError, osmc};
 
-use super::{Driven, bench::Bench};
+use super::{Driven, OURS, bench::Bench, driven, scene, unsuitable};
+use crate::{Error, Trial};
 
 /// Seed of the laws' fits.
 const SEED: u64 = 1;
@@ -17,6 +18,22 @@ pub fn printed() -> Result<Vec<Ladder>, TableError> {
     let tables = osmc::Printed::new()?;
     let mut ladders = vec![osmc::rotary(&tables, SEED)?, osmc::linear(&tables, SEED)?];
     ladders.extend(osmc::closed_forms(&tables, SEED)?);
+    Ok(ladders)
+}
+
+/// Laws for the printed rows, and for those of each motor of a trial's seed by our controller.
+///
+/// # Errors
+/// When a trial cannot be run, or the tables are damaged.
+pub fn all(trial: &Trial) -> Result<Vec<Ladder>, Error> {
+    let failed = |why: TableError| unsuitable(trial, why);
+    let mut ladders = printed().map_err(failed)?;
+    let scene = scene(trial)?;
+    for (index, motor) in scene.motors.iter().enumerate() {
+        let driven = driven(&scene, index, &Trial { arm: OURS, ..trial.clone() }, 0.0)?;
+        // A board that stopped has too few rows for a law.
+        ladders.extend(own(&motor.bench, &driven).ok());
+    }
     Ok(ladders)
 }
 

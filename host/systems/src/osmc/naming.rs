@@ -23,10 +23,10 @@ use super::{
 };
 use crate::{Error, Trial, Values};
 
-/// Length of each recording, s: as `r4 identify close` makes them.
-const LENGTH_S: f64 = 12.0;
+/// Length of each recording, s. Twice of it takes more than twice the time to fit.
+const LENGTH_S: f64 = 6.0;
 /// A friction that the file declares is claimed as hidden when it is found so many standard errors, and this share, from what the file
-/// says. The share is twice what 20 motors without a hidden effect show.
+/// says.
 const OTHER_DEVIATIONS: f64 = 4.0;
 const OTHER_SHARE: f64 = 0.25;
 

@@ -116,6 +116,11 @@ impl Scene {
                 let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == bench.channel);
                 for control in configured.filter_map(|motor| motor.control.as_mut()) {
                     calibration.put_into(&mut control.feedback);
+                    // No set point may lie beyond the calibrated ends.
+                    if let Feedback::Potentiometer { low, high, .. } = control.feedback {
+                        control.position.min = control.position.min.max(low.position_m);
+                        control.position.max = control.position.max.min(high.position_m);
+                    }
                 }
             }
             change(robot);
