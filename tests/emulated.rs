@@ -85,7 +85,10 @@ fn the_osmc_evaluation_runs_on_an_emulated_board() {
     let run = program::good_json(&[&arguments[..], &["--board", "emu:osmc-evaluation"]].concat());
     let of = |name: &str| run["values"][name].as_f64().expect("a metric");
     // Seed 4 hides a sagging supply and two dead bands, and nothing in the sensors.
-    assert!(of("geared_error_360_deg") <= 1.0 && of("small_error_360_deg") <= 1.0 && of("linear_error_85_mm") <= 0.2, "{run}");
+    assert!(
+        of("geared_error_360_deg") <= 1.0 && of("small_error_360_deg") <= 1.0 && of("linear_error_85_mm") <= 0.2,
+        "{run}"
+    );
     assert!(["small", "geared", "linear"].iter().all(|motor| of(&format!("{motor}_limit_cycles")) == 0.0), "{run}");
 }
 

@@ -70,7 +70,9 @@ fn the_osmc_evaluation_has_the_paper_beside_ours() {
     let told = object(&told.out);
     let rows = told["rows"].as_array().expect("rows");
     let row = |case: &str, metric: &str| {
-        rows.iter().find(|row| row["case"] == case && row["metric"] == metric).unwrap_or_else(|| panic!("{case} {metric}"))
+        rows.iter()
+            .find(|row| row["case"] == case && row["metric"] == metric)
+            .unwrap_or_else(|| panic!("{case} {metric}"))
     };
     for (case, paper) in [("geared 360 deg", 3.0), ("geared 90 deg", 1.0), ("linear 10 mm", 3.0)] {
         assert_eq!(row(case, "error")["paper"].as_f64(), Some(paper), "{case}");
@@ -78,11 +80,18 @@ fn the_osmc_evaluation_has_the_paper_beside_ours() {
     for row in rows {
         let number = |field: &str| row[field].as_f64().unwrap_or(f64::NAN);
         assert!(number("ours_median") <= number("ours_worst") && number("plants") == 2.0, "{row:#}");
-        assert!(row["plain_pid"].is_number() || row["metric"].as_str().is_some_and(|name| name.contains("uncalibrated")), "{row:#}");
+        assert!(
+            row["plain_pid"].is_number() || row["metric"].as_str().is_some_and(|name| name.contains("uncalibrated")),
+            "{row:#}"
+        );
     }
     assert_eq!(told["ladders"].as_array().map(Vec::len), Some(9));
     let met = rows.iter().all(|row| row["met"] != false);
     assert_eq!(met, told["failing"].as_array().is_some_and(Vec::is_empty), "{told:#}");
     let page = fs::read_to_string(page).expect("a page");
-    assert!(page.contains("Seed 1</h2>") && page.contains("Seed 2</h2>") && page.matches("<svg").count() == 2, "{}", page.len());
+    assert!(
+        page.contains("Seed 1</h2>") && page.contains("Seed 2</h2>") && page.matches("<svg").count() == 2,
+        "{}",
+        page.len()
+    );
 }

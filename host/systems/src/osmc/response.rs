@@ -125,7 +125,9 @@ impl Response {
                     let error = self.last(segment, |look| look.truth).map(|end| (end - asked) * bench.per_si());
                     found.true_errors.extend(error);
                     let sensed = self.last(segment, |look| look.sensed).unwrap_or(f64::INFINITY);
-                    found.counts = found.counts.max((sensed - segment.set).abs() / bench.count);
+                    // The board's resolution is a float: a count is one to a thousandth.
+                    let counts = ((sensed - segment.set).abs() / bench.count * 1e3).round() / 1e3;
+                    found.counts = found.counts.max(counts);
                 }
                 Purpose::Step => found.rise_s = self.rise_s(segment),
                 Purpose::Hold => {
