@@ -202,8 +202,8 @@ mod tests {
     #[test]
     fn swings_of_more_than_a_count_are_limit_cycles() {
         let cycles = |counts| response(Purpose::Hold, counts, 0.0).measured(&GEARED, |set| set).limit_cycles;
-        // Ten periods, of which the first swing is no reversal.
-        assert_eq!((cycles(0.5), cycles(2.0)), (Some(0.0), Some(9.0)));
+        // Ten periods, with a reversal after each of their peaks.
+        assert_eq!((cycles(0.5), cycles(2.0)), (Some(0.0), Some(10.0)));
         assert_eq!(limit_cycles(&[0.0, 1.0, 2.0, 3.0, 4.0], 1.0), 0.0, "a drift is none");
         assert_eq!(limit_cycles(&[], 1.0), 0.0);
     }
