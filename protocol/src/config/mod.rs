@@ -18,7 +18,7 @@ pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchCo
 pub use motor::{
     BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX, DhbLines, ENCODER_3_COUNTS_PER_MS,
     FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, PidGains, PotPoint, ProfileLimits, SettleConfig,
-    StallConfig, WindingConfig,
+    StallConfig, Tuning, WindingConfig,
 };
 pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,

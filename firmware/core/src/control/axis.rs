@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Causes, Mode, Setpoint,
-    config::{MotorConfig, PidGains},
+    config::{MotorConfig, PidGains, Tuning},
 };
 
 use super::{
@@ -47,6 +47,12 @@ impl Axis {
     pub(super) fn set_gains(&mut self, mode: Mode, gains: PidGains) {
         if let Self::Measured(motor) = self {
             motor.set_gains(mode, gains);
+        }
+    }
+
+    pub(super) fn set_tuning(&mut self, tuning: Tuning) {
+        if let Self::Measured(motor) = self {
+            motor.set_tuning(tuning);
         }
     }
 

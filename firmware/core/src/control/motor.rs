@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits},
+    config::{ControlConfig, FeedForward, Feedback, PidGains, ProfileLimits, Tuning},
 };
 
 use super::{
@@ -346,6 +346,17 @@ impl Motor {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
             Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Follow => {}
+        }
+    }
+
+    /// Takes another feed-forward, and another loop to hold positions, which starts from the duty that there is.
+    pub fn set_tuning(&mut self, Tuning { feed_forward, cascade_per_s }: Tuning) {
+        let is_other_loop = (cascade_per_s == 0.0) != (self.control.cascade_per_s == 0.0);
+        self.control.feed_forward = feed_forward;
+        self.control.cascade_per_s = cascade_per_s;
+        if is_other_loop && matches!(self.following, Following::Position(_) | Following::Path(_)) {
+            let duty = self.duty;
+            self.position_holder().hold(duty, duty);
         }
     }
 
