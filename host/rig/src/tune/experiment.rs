@@ -61,6 +61,9 @@ const SHORT_RUN_S: f64 = 0.08;
 const PAIRS: usize = 3;
 /// One pair does not tell friction from gain where it is short.
 const LEAST_PAIRS: usize = 2;
+/// Runs of fewer counts together leave the lag open; the fastest pair is repeated at most so often.
+const LEAST_COUNTS: f64 = 1500.0;
+const MORE_PAIRS: usize = 4;
 /// A motor that turns may be driven by this share of the largest duty.
 const OF_DUTY_MAX: f64 = 0.95;
 /// A motor is braked against its motion down to this share of its speed, and given up that needs longer than this, s.
@@ -361,7 +364,17 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
         }
         beyond *= 2.0;
     }
-    let runs = &runs[runs.len().saturating_sub(2 * PAIRS)..];
+    let mut runs = runs.split_off(runs.len().saturating_sub(2 * PAIRS));
+    for _ in 0..MORE_PAIRS {
+        let counts: f64 = runs.iter().map(|run| counts(run, plan.motor.resolution)).sum();
+        if counts >= LEAST_COUNTS {
+            break;
+        }
+        for (sign, friction) in [(1.0, up), (-1.0, down)] {
+            runs.push(run(motor, plan, sign, friction, (friction + beyond).min(most)).await?.0);
+        }
+    }
+    let runs = &runs;
     Ok(Fit::of(runs, plan.motor.resolution, RESIDUAL).map_err(TuneError::from)?)
 }
 
@@ -386,6 +399,12 @@ async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64) 
     stop(motor).await?;
     let direction = if sign > 0.0 { "up" } else { "down" };
     Err(TuneError::DoesNotMove { channel: motor.channel(), direction, duty: most }.into())
+}
+
+/// How many counts of the sensor a run went.
+fn counts(run: &Run, resolution: f64) -> f64 {
+    let ends = run.samples.first().zip(run.samples.last());
+    ends.map_or(0.0, |(first, last)| (last.output - first.output).abs() / resolution)
 }
 
 /// One run from rest, and its highest speed. Its duty alternates between `high` and one nearer to the friction.
