@@ -473,7 +473,7 @@ mod tests {
     fn every_design_keeps_its_margin_on_all_that_is_plausible() {
         for model in [
             Model { gain: 9.0, lag_s: 0.02, delay_s: 0.004 },
-            Model { gain: 0.02, lag_s: 0.1, delay_s: 0.0 },
+            Model { gain: 0.2, lag_s: 0.1, delay_s: 0.0 },
             Model { gain: 40.0, lag_s: 0.3, delay_s: 0.002 },
         ] {
             let other = Model { lag_s: 1.5 * model.lag_s, delay_s: model.delay_s + 0.004, ..model };
@@ -507,7 +507,7 @@ mod tests {
             let board = Surroundings { resolution, ..around(0.01) };
             board.design(Loop::Position, &fit, MARGIN_RAD, None, 1.0)
         };
-        let (fine, coarse) = (design(1e-4).expect("a design"), design(0.05).expect("a design"));
+        let (fine, coarse) = (design(1e-4).expect("a design"), design(0.2).expect("a design"));
         assert!(coarse.closed_s > 1.5 * fine.closed_s, "{fine:?} {coarse:?}");
         assert!(matches!(design(10.0), Err(RuleError::TooCoarse { .. })));
         let late = Fit { model: Model { delay_s: 3.0, ..fit.model }, ..fit.clone() };

@@ -845,7 +845,8 @@ fn another_loop_takes_over_a_position_without_a_jump() {
     assert!(before > 0.1, "{before}");
     let feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
     bench.motor.set_tuning(Tuning { feed_forward, cascade_per_s: 4.0 });
-    // 0.5 rad away 2 rad/s are wanted: four times as much as before is integrated in each period.
+    // 0.5 rad away 2 rad/s are wanted: four times as much as before is integrated in each period, which shows in the next.
+    near(bench.step(), before, 1e-6);
     near(bench.step(), before + 0.25 * 2.0 / HZ as f32, 1e-4);
     // And a feed-forward that is given while it moves is that of the next period.
     let mut bench = Bench::new(ControlConfig { settle: NEVER_AT_REST, ..config() });
