@@ -373,7 +373,7 @@ mod tests {
     fn recording(model: Model, world: World) -> Vec<Run> {
         const STEP_S: f64 = 1e-4;
         let levels = [(true, 0.3), (false, 0.35), (true, 0.5), (false, 0.5)];
-        let (mut speed, mut position, mut output): (f64, f64, f64) = (0.0, 0.0, 0.0);
+        let (mut position, mut output): (f64, f64) = (0.0, 0.0);
         let mut time_s = 0.0;
         let mut runs = Vec::new();
         for (up, level) in levels {
@@ -385,7 +385,7 @@ mod tests {
                 let change: f64 = if (since_s / 0.08) as i64 % 2 == 0 { 0.0 } else { -0.08 };
                 sign * (level + change).min(20.0 * since_s.max(0.0))
             };
-            speed = 0.0;
+            let mut speed = 0.0;
             let mut samples = Vec::new();
             for step in 0..6000 {
                 time_s = begin_s + f64::from(step) * STEP_S;

@@ -510,7 +510,7 @@ mod tests {
         let (fine, coarse) = (design(1e-4).expect("a design"), design(0.2).expect("a design"));
         assert!(coarse.closed_s > 1.5 * fine.closed_s, "{fine:?} {coarse:?}");
         assert!(matches!(design(10.0), Err(RuleError::TooCoarse { .. })));
-        let late = Fit { model: Model { delay_s: 3.0, ..fit.model }, ..fit.clone() };
+        let late = Fit { plausible: vec![Model { delay_s: 4.0, ..fit.model }], ..fit.clone() };
         assert!(matches!(
             around(0.01).design(Loop::Speed, &late, MARGIN_RAD, None, 1.0),
             Err(RuleError::NoMargin { .. })
