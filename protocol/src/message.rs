@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     channel::{ChannelId, ChannelInfo, MAX_QUANTITIES, Mode, Range},
-    config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains},
+    config::{MAX_MOTORS, MAX_NAME, MAX_SUPPLIES, PidGains, Tuning},
     cycle::{CYCLE_CHANNELS, Cycle, CycleChannel, CycleState},
     image::ImageInfo,
     log::{LogChunk, LogInfo},
@@ -212,6 +212,13 @@ pub enum Request {
         sent_us: u64,
         /// In the order of their dates.
         points: Vec<PathPoint, MAX_POINTS>,
+    },
+    /// Changes a motor's feed-forward, and which loop holds its positions, until the next start.
+    SetTuning {
+        /// Which.
+        channel: ChannelId,
+        /// The new numbers.
+        tuning: Tuning,
     },
 }
 

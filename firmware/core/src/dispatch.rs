@@ -198,6 +198,17 @@ fn answer<M: RawMutex>(
             }
             shared.change_gains(index, mode, gains);
         }
+        Request::SetTuning { channel, tuning } => {
+            let place = place(shared, channel)?;
+            let motor = if let Place::Motor(index) = place { shared.config().motors.get(index) } else { None };
+            let (Place::Motor(index), Some(MotorConfig { duty_max, control: Some(_), .. })) = (place, motor) else {
+                return Err(Refusal::WrongMode { channel, mode: Mode::Position });
+            };
+            if !tuning.is_valid(*duty_max) {
+                return Err(Refusal::BadGains { channel });
+            }
+            shared.change_tuning(index, tuning);
+        }
         Request::Subscribe { channel, period_ms } => {
             place(shared, channel)?;
             host.subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;

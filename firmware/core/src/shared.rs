@@ -14,7 +14,7 @@ use r4_protocol::{
     channel::MAX_QUANTITIES,
     config::{
         ANALOG_INPUTS, BoardConfig, DAC_OUTPUTS, ENCODERS, MAX_BLDCS, MAX_MOTORS, MAX_RELAYS, MAX_SENSORS, MAX_SERVOS,
-        MAX_SUPPLIES, MotorConfig, PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES,
+        MAX_SUPPLIES, MotorConfig, PidGains, Place, RANGE_SENSORS, STEPPERS, SWITCHES, Tuning,
     },
 };
 
@@ -261,6 +261,7 @@ struct State {
     paths: [Path; MAX_MOTORS],
     /// Of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
+    tunings: [Option<Tuning>; MAX_MOTORS],
     started: bool,
     /// Only links run; whoever started them holds the outputs safe.
     held: bool,
@@ -347,6 +348,7 @@ impl<M: RawMutex> Shared<M> {
                 leases: Vec::new(),
                 paths: Default::default(),
                 gains: [[None; 2]; MAX_MOTORS],
+                tunings: [None; MAX_MOTORS],
                 started: false,
                 held: reset.holds(),
                 // Silent from now on, and not from the beginning of time.
@@ -570,6 +572,14 @@ impl<M: RawMutex> Shared<M> {
             let (index, slot) = s.gains.as_flattened_mut().iter_mut().enumerate().find(|(_, gains)| gains.is_some())?;
             let mode = if index % 2 == 0 { Mode::Position } else { Mode::Speed };
             slot.take().map(|gains| (index / 2, mode, gains))
+        })
+    }
+
+    /// The next new tuning of some motor, if there is any.
+    pub(crate) fn take_tuning(&self) -> Option<(usize, Tuning)> {
+        self.with(|s| {
+            let (index, slot) = s.tunings.iter_mut().enumerate().find(|(_, tuning)| tuning.is_some())?;
+            slot.take().map(|tuning| (index, tuning))
         })
     }
 
@@ -799,6 +809,11 @@ impl<M: RawMutex> Shared<M> {
             Mode::Speed => s.gains[motor][1] = Some(gains),
             _ => {}
         });
+    }
+
+    /// Stores a tuning for the control loop's next period, armed or not.
+    pub(crate) fn change_tuning(&self, motor: usize, tuning: Tuning) {
+        self.with(|s| s.tunings[motor] = Some(tuning));
     }
 
     /// Opens a session for `link`, closing the one that link had.

@@ -207,11 +207,24 @@ pub(crate) enum Bench {
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
     /// How closely motors follow paths, together and on two boards, beside set points without dates, on simulated boards
-    Motion,
+    Motion(BenchMotion),
     /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
     Identify(BenchIdentify),
     /// Every robot system's study: metrics with intervals and targets
     Systems(BenchSystems),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct BenchMotion {
+    /// Sampled motors that are tuned, in each mode
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub(crate) motors: u64,
+    /// Seed of the first sampled motor
+    #[arg(long, default_value_t = 1001, value_name = "SEED")]
+    pub(crate) from: u64,
+    /// Say of each motor how it came out, on stderr
+    #[arg(long)]
+    pub(crate) each: bool,
 }
 
 #[derive(Clone, Debug, clap::Args)]

@@ -17,7 +17,7 @@ use r4_protocol::{
     Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogInfo,
     Mode, ParameterInfo, ParameterKey, PathPoint, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint,
     Telemetry, ToDevice, VERSION,
-    config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains},
+    config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains, Tuning},
     message::{MAX_POINTS, MAX_RAW},
 };
 
@@ -275,6 +275,14 @@ impl<C: Clock> Board<C> {
     /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides what befalls any request.
     pub async fn set_gains(&self, channel: ChannelId, mode: Mode, gains: PidGains) -> Result<(), Error> {
         self.wire.done("set gains", Request::SetGains { channel, mode, gains }).await
+    }
+
+    /// Changes a motor's feed-forward, and which loop holds its positions, until power-down.
+    ///
+    /// # Errors
+    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides what befalls any request.
+    pub async fn set_tuning(&self, channel: ChannelId, tuning: Tuning) -> Result<(), Error> {
+        self.wire.done("set tuning", Request::SetTuning { channel, tuning }).await
     }
 
     /// Asks for samples of `channel` every `period_ms`; 0 ends them. Read them from [`Board::telemetry`].

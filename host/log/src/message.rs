@@ -318,7 +318,7 @@ pub(crate) fn state_from(name: &str) -> Option<SafetyState> {
         .find(|state| state_name(*state) == name)
 }
 
-const QUALITIES: [(Quality, &str); 10] = [
+const QUALITIES: [(Quality, &str); 13] = [
     (Quality::Good, "good"),
     (Quality::None, "none"),
     (Quality::OutOfRange, "out-of-range"),
@@ -329,6 +329,9 @@ const QUALITIES: [(Quality, &str); 10] = [
     (Quality::Stale, "stale"),
     (Quality::WrongChip, "wrong-chip"),
     (Quality::Saturated, "saturated"),
+    (Quality::NoMagnet, "no-magnet"),
+    (Quality::WeakMagnet, "weak-magnet"),
+    (Quality::StrongMagnet, "strong-magnet"),
 ];
 
 /// The name of `quality` in a file.

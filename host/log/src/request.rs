@@ -2,7 +2,10 @@
 
 use std::fmt::{self, Display};
 
-use r4_protocol::{PathPoint, Refusal, Request, config::PidGains};
+use r4_protocol::{
+    PathPoint, Refusal, Request,
+    config::{FeedForward, PidGains, Tuning},
+};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -26,6 +29,14 @@ pub(crate) struct RequestMessage {
     ki: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     kd: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    static_duty: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    duty_per_speed: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    duty_per_acceleration: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cascade_per_s: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     parameter: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -115,6 +126,7 @@ pub fn request_name(request: &Request) -> &'static str {
         Request::Image => "image",
         Request::Bootloader => "bootloader",
         Request::Follow { .. } => "follow",
+        Request::SetTuning { .. } => "set-tuning",
     }
 }
 
@@ -165,6 +177,13 @@ impl RequestMessage {
                 (message.channel, message.mode) = (Some(channel.to_string()), Some(mode_name(*mode).to_owned()));
                 (message.kp, message.ki, message.kd) = (finite(gains.kp), finite(gains.ki), finite(gains.kd));
             }
+            Request::SetTuning { channel, tuning: Tuning { feed_forward, cascade_per_s } } => {
+                message.channel = Some(channel.to_string());
+                message.static_duty = finite(feed_forward.static_duty);
+                message.duty_per_speed = finite(feed_forward.duty_per_speed);
+                message.duty_per_acceleration = finite(feed_forward.duty_per_acceleration);
+                message.cascade_per_s = finite(*cascade_per_s);
+            }
             Request::SetParameter { key, value } => {
                 (message.parameter, message.value) = (Some(key.to_string()), finite(*value));
             }
@@ -198,6 +217,17 @@ impl RequestMessage {
                 channel: channel()?,
                 mode: mode_from(self.mode.as_ref()?)?,
                 gains: PidGains { kp: number(self.kp), ki: number(self.ki), kd: number(self.kd) },
+            },
+            "set-tuning" => Request::SetTuning {
+                channel: channel()?,
+                tuning: Tuning {
+                    feed_forward: FeedForward {
+                        static_duty: number(self.static_duty),
+                        duty_per_speed: number(self.duty_per_speed),
+                        duty_per_acceleration: number(self.duty_per_acceleration),
+                    },
+                    cascade_per_s: number(self.cascade_per_s),
+                },
             },
             "set-parameter" => {
                 Request::SetParameter { key: self.parameter.as_ref()?.parse().ok()?, value: number(self.value) }
@@ -240,6 +270,11 @@ impl Display for Described<'_> {
             Request::Subscribe { channel, period_ms } => write!(f, " {channel} {period_ms} ms"),
             Request::SetGains { channel, mode, gains: PidGains { kp, ki, kd } } => {
                 write!(f, " {channel} {mode} kp {kp} ki {ki} kd {kd}")
+            }
+            Request::SetTuning { channel, tuning: Tuning { feed_forward, cascade_per_s } } => {
+                let FeedForward { static_duty, duty_per_speed, duty_per_acceleration } = feed_forward;
+                write!(f, " {channel} feed-forward {static_duty} {duty_per_speed} {duty_per_acceleration}")?;
+                write!(f, " cascade {cascade_per_s}")
             }
             Request::SetParameter { key, value } => write!(f, " {key} {value}"),
             Request::Follow { channel, points, .. } => write!(f, " {channel} {} points", points.len()),
@@ -312,6 +347,13 @@ mod tests {
         all.extend([
             Request::Subscribe { channel, period_ms: 65_535 },
             Request::SetGains { channel, mode: Mode::Speed, gains: PidGains { kp: 0.1, ki: 1e6, kd: 0.0 } },
+            Request::SetTuning {
+                channel,
+                tuning: Tuning {
+                    feed_forward: FeedForward { static_duty: 0.1, duty_per_speed: 0.2, duty_per_acceleration: 1e-3 },
+                    cascade_per_s: 12.5,
+                },
+            },
             Request::SetParameter { key: "osmc2.position_kp".parse().expect("a parameter"), value: -0.1 },
             Request::SetParameter { key: "board.link_timeout_ms".parse().expect("a parameter"), value: 1e-30 },
             Request::SetName { robot: "a \"b\" é".try_into().expect("short") },

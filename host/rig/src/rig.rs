@@ -14,6 +14,7 @@ use crate::{
     emulated,
     plant_file::{InRobot, hidden, replace_body, replace_plants},
     recording::{self, Listened, Output, RecordingError, SharedTap},
+    session::AtEnd,
 };
 
 /// How often an [`Interrupt`] is looked for, µs on the session's clock.
@@ -409,8 +410,12 @@ impl Rig {
                 Err(Error::Interrupted(Interrupted).into())
             }
         };
-        let Some((channel, mode, gains)) = session.take_gains_at_end() else { return result };
-        let put_back = session.board.set_gains(channel, mode, gains).await;
+        let Some(AtEnd { channel, mode, gains, tuning }) = session.take_at_end() else { return result };
+        let put_back = async {
+            session.board.set_gains(channel, mode, gains).await?;
+            session.board.set_tuning(channel, tuning).await
+        };
+        let put_back = put_back.await;
         let value = result?;
         put_back.map_err(|source| Error::GainsLeft { channel, source })?;
         Ok(value)

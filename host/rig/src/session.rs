@@ -4,7 +4,10 @@ use std::{cell::Cell, convert::Infallible, pin::pin, rc::Rc};
 
 use futures::future::{Either, select};
 use r4_driver::Board;
-use r4_protocol::{ChannelId, Mode, config::PidGains};
+use r4_protocol::{
+    ChannelId, Mode,
+    config::{PidGains, Tuning},
+};
 use r4_sim::VirtualBoard;
 
 use crate::{
@@ -15,8 +18,18 @@ use crate::{
 /// How often hot windings are looked for, s: heartbeats report them.
 const HEAT_EVERY_S: f64 = 0.05;
 
-/// Gains that a loop of a motor gets when a session ends.
-type GainsAtEnd = (ChannelId, Mode, PidGains);
+/// What a motor gets when a session ends: the gains of a loop, and its tuning.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AtEnd {
+    /// The motor.
+    pub channel: ChannelId,
+    /// Which of its loops gets gains, [`Mode::Position`] or [`Mode::Speed`].
+    pub mode: Mode,
+    /// Gains of that loop.
+    pub gains: PidGains,
+    /// Feed-forward and cascade.
+    pub tuning: Tuning,
+}
 
 /// A connected board, and what is known about it on this side of the link.
 pub struct Session<'s> {
@@ -29,7 +42,7 @@ pub struct Session<'s> {
     target: &'s Target,
     notify: Notify,
     warned: Warned,
-    gains_at_end: Cell<Option<GainsAtEnd>>,
+    at_end: Cell<Option<AtEnd>>,
     /// `None` at the end of a link.
     environment: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
 }
@@ -43,8 +56,8 @@ impl<'s> Session<'s> {
         notify: Notify,
         environment: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
     ) -> Self {
-        let (warned, gains_at_end) = (Warned::default(), Cell::new(None));
-        Self { board, clock, tap, target, notify, warned, gains_at_end, environment }
+        let (warned, at_end) = (Warned::default(), Cell::new(None));
+        Self { board, clock, tap, target, notify, warned, at_end, environment }
     }
 }
 
@@ -84,13 +97,13 @@ impl Session<'_> {
         self.environment.as_ref().map(|(_, cable)| &**cable).ok_or_else(|| NotVirtual(self.target.clone()))
     }
 
-    /// Sets the gains that one loop gets when the session ends, also when it fails or is interrupted; `None` takes that back.
-    pub fn gains_at_end(&self, gains: Option<GainsAtEnd>) {
-        self.gains_at_end.set(gains);
+    /// Sets what a motor gets when the session ends, also when it fails or is interrupted; `None` takes that back.
+    pub fn at_end(&self, of: Option<AtEnd>) {
+        self.at_end.set(of);
     }
 
-    pub(crate) fn take_gains_at_end(&self) -> Option<GainsAtEnd> {
-        self.gains_at_end.take()
+    pub(crate) fn take_at_end(&self) -> Option<AtEnd> {
+        self.at_end.take()
     }
 
     /// Arms, runs `work`, and disarms whatever its result. Notifies meanwhile of windings that become hot.

@@ -134,6 +134,12 @@ impl<'b> MotorWatch<'b> {
         self
     }
 
+    /// The motor.
+    #[must_use]
+    pub fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
     /// Where the motor must stay from now on, rad or m; `None` is anywhere.
     pub fn stay_within(&mut self, window: Option<(f64, f64)>) {
         self.window = window;

@@ -18,7 +18,7 @@ pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchCo
 pub use motor::{
     ANGLE_RATE_MIN_HZ, ANGLE_READINGS_LOST, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX,
     DhbLines, ENCODER_3_COUNTS_PER_MS, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig, MotorSideConfig,
-    PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
+    PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, Tuning, WindingConfig,
 };
 pub use output::{
     BldcConfig, DAC_FULL_SCALE_V, DacChipConfig, DacConfig, DriveLine, ExpanderConfig, RelayConfig, RelayRole, Reverse,

@@ -296,6 +296,14 @@ pub struct PidGains {
     pub kd: f32,
 }
 
+impl ControlConfig {
+    /// What of it a host may change without a restart, besides gains.
+    #[must_use]
+    pub fn tuning(&self) -> Tuning {
+        Tuning { feed_forward: self.feed_forward, cascade_per_s: self.cascade_per_s }
+    }
+}
+
 impl PidGains {
     /// No gain is higher: with any error a sensor can have, the loop computes in finite numbers.
     pub const MAX: f32 = 1e6;
@@ -327,6 +335,36 @@ pub struct FeedForward {
     pub duty_per_speed: f32,
     /// duty s² / rad, or duty s² / m
     pub duty_per_acceleration: f32,
+}
+
+/// What a host may change of a motor's loops besides their gains, without a restart.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Tuning {
+    /// Feed-forward from the path.
+    pub feed_forward: FeedForward,
+    /// As [`ControlConfig::cascade_per_s`].
+    pub cascade_per_s: f32,
+}
+
+impl FeedForward {
+    /// Whether nothing in it is negative or not finite, and `static_duty` stays below `duty_max`.
+    #[must_use]
+    pub fn is_valid(&self, duty_max: f32) -> bool {
+        let Self { static_duty, duty_per_speed, duty_per_acceleration } = *self;
+        [static_duty, duty_per_speed, duty_per_acceleration].into_iter().all(not_negative) && static_duty < duty_max
+    }
+}
+
+impl Tuning {
+    /// Whether a motor of this `duty_max` takes it.
+    #[must_use]
+    pub fn is_valid(&self, duty_max: f32) -> bool {
+        self.feed_forward.is_valid(duty_max) && cascade_is_valid(self.cascade_per_s)
+    }
+}
+
+fn cascade_is_valid(cascade_per_s: f32) -> bool {
+    not_negative(cascade_per_s) && cascade_per_s <= CASCADE_MAX_PER_S
 }
 
 /// When a position counts as reached: error and speed within these for `time_ms`.
@@ -527,10 +565,7 @@ impl ControlConfig {
         }
         rule(positive(self.speed_max), "speed_max must be positive")?;
         rule(self.position_pid.is_valid() && self.speed_pid.is_valid(), "gains must be 0 to 1000000")?;
-        rule(
-            not_negative(self.cascade_per_s) && self.cascade_per_s <= CASCADE_MAX_PER_S,
-            "cascade must be 0 to 1000, in 1/s",
-        )?;
+        rule(cascade_is_valid(self.cascade_per_s), "cascade must be 0 to 1000, in 1/s")?;
         rule(
             not_negative(self.speed_filter_s) && self.speed_filter_s <= 1.0,
             "speed_filter_s must be 0 to 1, or the speed is known too late",
@@ -541,10 +576,7 @@ impl ControlConfig {
         )?;
         rule(self.profile.speed <= self.speed_max, "profile speed must be at most speed_max")?;
         rule(
-            not_negative(self.feed_forward.static_duty)
-                && self.feed_forward.static_duty < motor.duty_max
-                && not_negative(self.feed_forward.duty_per_speed)
-                && not_negative(self.feed_forward.duty_per_acceleration),
+            self.feed_forward.is_valid(motor.duty_max),
             "feed-forward must not be negative, and static_duty must stay below duty_max",
         )?;
         rule(positive(self.settle.error) && positive(self.settle.speed), "settle error and speed must be positive")?;

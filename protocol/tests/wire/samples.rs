@@ -6,7 +6,7 @@ use r4_protocol::{
     MotorSnapshot, Parameter, ParameterInfo, ParameterKey, PathPoint, Quality, Range, Refusal, Reply, Request,
     SafetyState, Sample, Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_QUANTITIES,
-    config::{MAX_MOTORS, MAX_SENSORS, MAX_SUPPLIES, PidGains},
+    config::{FeedForward, MAX_MOTORS, MAX_SENSORS, MAX_SUPPLIES, PidGains, Tuning},
     cycle::{CYCLE_CHANNELS, NOTHING},
     message::{MAX_POINTS, MAX_RAW, MAX_SAMPLES},
 };
@@ -301,6 +301,12 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("follow-none", Request::Follow { channel: OSMC0, sent_us: 0, points: heapless::Vec::new() }),
         ("transfer-largest", largest_transfer()),
     ]);
+    // Since version 10.
+    let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.25, duty_per_acceleration: 0.03125 };
+    requests.push((
+        "set-tuning",
+        Request::SetTuning { channel: OSMC0, tuning: Tuning { feed_forward, cascade_per_s: 8.0 } },
+    ));
     requests
 }
 

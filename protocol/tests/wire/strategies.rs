@@ -16,7 +16,7 @@ use r4_protocol::{
     Parameter, ParameterInfo, ParameterKey, PathPoint, Quality, Range, Refusal, Reply, Request, SafetyState, Sample,
     Setpoint, Telemetry, ToDevice, ToHost, Unit, Winding,
     channel::MAX_MODES,
-    config::{MAX_MOTORS, MAX_NAME, MAX_SENSORS, MAX_SUPPLIES, PidGains},
+    config::{FeedForward, MAX_MOTORS, MAX_NAME, MAX_SENSORS, MAX_SUPPLIES, PidGains, Tuning},
     cycle::CYCLE_CHANNELS,
     message::{MAX_FIRMWARE, MAX_POINTS, MAX_RAW, MAX_SAMPLES},
 };
@@ -100,6 +100,7 @@ fn control_request() -> BoxedStrategy<Request> {
         }),
         (channel(), u16s()).prop_map(|(channel, period_ms)| Request::Subscribe { channel, period_ms }),
         (channel(), mode(), gains()).prop_map(|(channel, mode, gains)| Request::SetGains { channel, mode, gains }),
+        (channel(), tuning()).prop_map(|(channel, tuning)| Request::SetTuning { channel, tuning }),
     ]
     .boxed()
 }
@@ -421,6 +422,12 @@ fn range() -> impl Strategy<Value = Range> {
 
 fn gains() -> impl Strategy<Value = PidGains> {
     (f32s(), f32s(), f32s()).prop_map(|(kp, ki, kd)| PidGains { kp, ki, kd })
+}
+
+fn tuning() -> impl Strategy<Value = Tuning> {
+    (f32s(), f32s(), f32s(), f32s()).prop_map(|(static_duty, duty_per_speed, duty_per_acceleration, cascade_per_s)| {
+        Tuning { feed_forward: FeedForward { static_duty, duty_per_speed, duty_per_acceleration }, cascade_per_s }
+    })
 }
 
 /// Every bit pattern, NaNs among them, and half the time one with many zero bytes, which COBS treats apart.

@@ -2,7 +2,7 @@
 
 use r4_protocol::{
     Causes, Mode, Setpoint,
-    config::{MotorConfig, PidGains},
+    config::{MotorConfig, PidGains, Tuning},
 };
 
 use super::{
@@ -54,6 +54,12 @@ impl Axis {
     pub(super) fn set_supply(&mut self, share: f32) {
         if let Self::Measured(motor) = self {
             motor.set_supply(share);
+        }
+    }
+
+    pub(super) fn set_tuning(&mut self, tuning: Tuning) {
+        if let Self::Measured(motor) = self {
+            motor.set_tuning(tuning);
         }
     }
 

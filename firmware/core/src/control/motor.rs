@@ -3,7 +3,7 @@
 use embassy_time::Instant;
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{AS5600_COUNTS, ControlConfig, FeedForward, Feedback, PidGains},
+    config::{AS5600_COUNTS, ControlConfig, FeedForward, Feedback, PidGains, Tuning},
 };
 
 use super::{
@@ -500,6 +500,21 @@ impl Motor {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
             Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Follow => {}
+        }
+    }
+
+    /// Takes another feed-forward, and another loop to hold positions, which starts from the duty that there is.
+    pub fn set_tuning(&mut self, Tuning { feed_forward, cascade_per_s }: Tuning) {
+        let is_other_loop = (cascade_per_s == 0.0) != (self.control.cascade_per_s == 0.0);
+        if self.control.feed_forward != feed_forward {
+            self.control.feed_forward = feed_forward;
+            // What was learned of the motor was learned by the numbers before.
+            self.model = Model::new(&self.control, self.limits.magnitude, self.period_s);
+        }
+        self.control.cascade_per_s = cascade_per_s;
+        if is_other_loop && matches!(self.following, Following::Position(_) | Following::Path(_)) {
+            let duty = self.duty;
+            self.position_holder().hold(duty, duty);
         }
     }
 

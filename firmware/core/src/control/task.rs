@@ -197,6 +197,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         while let Some((index, mode, gains)) = shared.take_gains() {
             self.motors.get_mut(index).into_iter().for_each(|motor| motor.set_gains(mode, gains));
         }
+        while let Some((index, tuning)) = shared.take_tuning() {
+            self.motors.get_mut(index).into_iter().for_each(|motor| motor.set_tuning(tuning));
+        }
         // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
         self.step_steppers(shared);
         self.outputs.bus().leave_time(Instant::now().saturating_duration_since(due));

@@ -2,7 +2,11 @@
 
 extern crate std;
 
-use r4_protocol::{Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, cycle::NOTHING};
+use r4_protocol::{
+    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
+    config::{FeedForward, Tuning},
+    cycle::NOTHING,
+};
 use std::vec::Vec as List;
 
 use super::*;
@@ -606,6 +610,31 @@ fn gains_are_taken_for_the_loops_of_motors() {
         Err(Refusal::UnknownChannel { channel: id("osmc7") })
     );
     assert_eq!(bench.board.take_gains(), None);
+}
+
+/// Of a motor with loops, within the rules of its configuration.
+#[test]
+fn a_tuning_is_taken_for_a_motor_with_loops() {
+    let mut bench = Bench::armed();
+    let feed_forward = FeedForward { static_duty: 0.25, duty_per_speed: 0.5, duty_per_acceleration: 0.0 };
+    let good = Tuning { feed_forward, cascade_per_s: 8.0 };
+    let set = |channel: &str, tuning| Request::SetTuning { channel: id(channel), tuning };
+    assert_eq!(bench.ask(LINK, set("osmc2", good)), Ok(Reply::Done));
+    assert_eq!(bench.board.take_tuning(), Some((2, good)));
+    for channel in ["dhb0", "stepper0", "servo0"] {
+        let wrong = Refusal::WrongMode { channel: id(channel), mode: Mode::Position };
+        assert_eq!(bench.ask(LINK, set(channel, good)), Err(wrong));
+    }
+    for bad in [
+        Tuning { cascade_per_s: -1.0, ..good },
+        Tuning { cascade_per_s: f32::NAN, ..good },
+        Tuning { feed_forward: FeedForward { static_duty: 1.0, ..feed_forward }, ..good },
+        Tuning { feed_forward: FeedForward { duty_per_speed: f32::INFINITY, ..feed_forward }, ..good },
+        Tuning { feed_forward: FeedForward { duty_per_acceleration: -0.1, ..feed_forward }, ..good },
+    ] {
+        assert_eq!(bench.ask(LINK, set("osmc2", bad)), Err(Refusal::BadGains { channel: id("osmc2") }));
+    }
+    assert_eq!(bench.board.take_tuning(), None);
 }
 
 /// What hosts change holds from the next start on; until then it is told beside what holds.

@@ -1,7 +1,7 @@
 //! [`State::apply`] in full, and what the tasks ask of [`Shared`] at its limits.
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
-use r4_protocol::{ChannelId, ChannelKind};
+use r4_protocol::{ChannelId, ChannelKind, config::FeedForward};
 
 use super::*;
 use crate::testing::{Board, board, robot};
@@ -400,6 +400,21 @@ fn gains_reach_the_loop_they_are_for() {
     assert_eq!(board.take_gains(), Some((1, Mode::Position, gains(3.0))));
     assert_eq!(board.take_gains(), Some((3, Mode::Speed, gains(2.0))));
     assert_eq!(board.take_gains(), None);
+}
+
+#[test]
+fn the_newest_tuning_reaches_its_motor_once() {
+    let board = every_interface();
+    let tuning = |cascade_per_s| Tuning {
+        feed_forward: FeedForward { static_duty: 0.1, duty_per_speed: 0.0, duty_per_acceleration: 0.0 },
+        cascade_per_s,
+    };
+    board.change_tuning(3, tuning(1.0));
+    board.change_tuning(1, tuning(2.0));
+    board.change_tuning(3, tuning(3.0));
+    assert_eq!(board.take_tuning(), Some((1, tuning(2.0))));
+    assert_eq!(board.take_tuning(), Some((3, tuning(3.0))));
+    assert_eq!(board.take_tuning(), None);
 }
 
 /// Hosts are answered once outputs are known and every sensor that can stop the board has been heard.

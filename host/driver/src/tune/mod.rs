@@ -8,24 +8,31 @@
 //! Two experiments and their rules:
 //!
 //! - A relay around a set point ([`Relay`], [`Oscillation`]): the motor's gain and phase at the frequency of the swing, from
-//!   the first harmonics of duty and measurement. A position loop is laid through that point ([`position_through`]); a speed
-//!   loop takes the motor for an integrator with a delay there ([`speed_through`]).
-//! - Steps of the duty ([`Fit`]): a lag with a delay by least squares, integrating for a position, and the SIMC rules
-//!   ([`position_for`], [`speed_for`]) with a time constant of choice.
+//!   the first harmonics of duty and measurement. A position loop is laid through that point ([`position_through`]); other loops
+//!   take the motor for an integrator with a delay there ([`Point::integrator`]).
+//! - Runs under changing duties ([`Fit`]): gain, lag, delay and friction by least squares, with what the recording does not exclude.
+//!   Gains are by the SIMC rules ([`Surroundings::design`]), as fast as leaves the phase margin on all of that and as the sensor's
+//!   resolution allows, with a feed-forward ([`feed_forward`]).
+//!
+//! Phase margins are those of the loop as the board closes it ([`Surroundings::phase_margin`]): with its delay and its estimate of
+//! the speed.
 //!
 //! Sources: Åström, Hägglund, *Automatic tuning of simple regulators with specifications on phase and amplitude margins*,
 //! Automatica 20 (5), 1984. Skogestad, *Simple analytic rules for model reduction and PID controller tuning*, Journal of
 //! Process Control 13, 2003.
 
+mod complex;
 mod fit;
 mod relay;
 mod response;
 mod rule;
 
-pub use fit::{Fit, FitError, Model};
+pub use fit::{Fit, FitError, Friction, Model, Run};
 pub use relay::{Oscillation, Point, Relay, RelayError};
 pub use response::Response;
-pub use rule::{RuleError, phase_margin, position_for, position_through, speed_for, speed_through};
+pub use rule::{
+    Design, Gains, RuleError, SpeedEstimate, Surroundings, feed_forward, position_for, position_through, speed_for,
+};
 
 /// One moment of an experiment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +52,8 @@ pub enum Loop {
     Position,
     /// Its output follows the duty.
     Speed,
+    /// Positions by the speed loop.
+    Cascade,
 }
 
 /// What of a duty drives a motor that stands still up to `static_duty`, as the board's feed-forward assumes.

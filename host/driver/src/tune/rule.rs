@@ -1,12 +1,14 @@
-//! Gains from what is known of a motor.
-//!
-//! A board's loop is `kp e + ki ∫e - kd v`, where `v` is the measured rate behind a low-pass of `filter_s`.
+//! Gains from what is known of a motor, and the phase margin that they leave.
 
 use std::f64::consts::PI;
 
-use r4_protocol::config::PidGains;
+use r4_protocol::config::{FeedForward, PidGains};
 
-use super::{Loop, Model, Point};
+use super::{
+    Loop, Model, Point,
+    complex::{Complex, ONE},
+    fit::Fit,
+};
 
 /// Why there are no gains by a rule.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -19,9 +21,84 @@ pub enum RuleError {
         /// Behind the duty.
         lag_deg: f64,
     },
+    /// A slow loop does not have the margin either.
+    #[error("no loop slower than {closed_s:.1} s leaves a phase margin of {margin_deg:.0} deg on what was found")]
+    NoMargin {
+        /// Time constant of the slowest that was tried, s.
+        closed_s: f64,
+        /// What it is to have.
+        margin_deg: f64,
+    },
+    /// A count of the sensor would be too much duty.
+    #[error(
+        "the sensor is too coarse for this motor: its counts alone would be {duty:.2} of duty in a loop of {closed_s:.1} s, allowed are {allowed:.2}"
+    )]
+    TooCoarse {
+        /// What counts come to, as a share of the supply.
+        duty: f64,
+        /// The most they may come to.
+        allowed: f64,
+        /// Time constant of the slowest loop that was tried, s.
+        closed_s: f64,
+    },
     /// A number is not finite, or a gain would be too high for the board.
     #[error("the rule gives no gains that a board takes: the experiment says too little of the motor")]
     NoGains,
+}
+
+/// How the board knows the speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SpeedEstimate {
+    /// Differences of the position behind a low-pass.
+    LowPass {
+        /// Its time constant, s.
+        time_s: f64,
+    },
+    /// A model of the motor that the position corrects, so that the estimate has no lag where the model is right.
+    Observer {
+        /// Time constant of the correction, s.
+        time_s: f64,
+    },
+}
+
+/// A board around a motor's loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surroundings {
+    /// Period of the loops, s.
+    pub period_s: f64,
+    /// How the speed is known.
+    pub estimate: SpeedEstimate,
+    /// A count of the sensor, rad or m.
+    pub resolution: f64,
+    /// Lowest and highest speed that the loop is for, rad/s or m/s.
+    pub speeds: (f64, f64),
+}
+
+/// Gains of the loop that a motor follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Gains {
+    /// A position, by a loop from its error to the duty.
+    Position(PidGains),
+    /// A speed.
+    Speed(PidGains),
+    /// A position, by the speed loop.
+    Cascade {
+        /// The speed loop's.
+        speed: PidGains,
+        /// Speed per distance, 1/s.
+        per_s: f64,
+    },
+}
+
+/// Gains, and what they were chosen for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Design {
+    /// The gains.
+    pub gains: Gains,
+    /// Least phase margin on the model and on all that are as plausible, rad.
+    pub margin_rad: f64,
+    /// Time constant of the closed loop, s.
+    pub closed_s: f64,
 }
 
 /// The corner of the integral is so far below the crossing: it costs there atan(1/6) = 9.5 degrees, which the rule makes up for.
@@ -30,6 +107,197 @@ const INTEGRAL_BELOW: f64 = 6.0;
 const MOST_LEAD_RAD: f64 = PI * 70.0 / 180.0;
 /// A motor with more phase than it needs is not given more lag than this.
 const MOST_LAG_RAD: f64 = PI * 60.0 / 180.0;
+/// What is computed in one period acts in the next, and is held there: half a period more.
+const DELAY_PERIODS: f64 = 1.5;
+/// A loop is not made faster than this many times the delay of all that is around the motor. Of 200 sampled motors 1 leaves
+/// overshoots where the model is a few percent wrong.
+const DELAYS: f64 = 2.0;
+/// What the counts of a sensor may come to, as a share of the supply: audible, and warm, but no motion.
+const COUNT_DUTY: f64 = 0.06;
+/// The loop is made slower by this until it keeps its limits, and given up when it is so slow, s.
+const SLOWER: f64 = 1.1;
+const SLOWEST_S: f64 = 5.0;
+/// Of the closed speed loop's time constants in a cascade: how long the distance takes.
+const CASCADE_SLOWER: f64 = 5.0;
+
+impl SpeedEstimate {
+    /// Of the estimate against the speed, at a frequency.
+    ///
+    /// The observer counts as having a tenth of its correction's lag: its model is never exact.
+    fn at(self, omega: f64) -> Complex {
+        let time_s = match self {
+            Self::LowPass { time_s } => time_s,
+            Self::Observer { time_s } => time_s / 10.0,
+        };
+        ONE / (ONE + Complex(0.0, omega * time_s))
+    }
+
+    /// What it comes to as a delay, s.
+    fn delay_s(self) -> f64 {
+        match self {
+            Self::LowPass { time_s } => time_s,
+            Self::Observer { time_s } => time_s / 10.0,
+        }
+    }
+
+    fn time_s(self) -> f64 {
+        let (Self::LowPass { time_s } | Self::Observer { time_s }) = self;
+        time_s
+    }
+}
+
+impl Surroundings {
+    /// From the position to a duty that holds it, at a frequency; the duty's sign is turned.
+    fn controller(&self, gains: Gains, omega: f64) -> Complex {
+        let s = Complex(0.0, omega);
+        let estimate = self.estimate.at(omega);
+        let low_pass = ONE / (ONE + s * self.estimate.time_s());
+        let of = |gains: PidGains| [gains.kp, gains.ki, gains.kd].map(f64::from);
+        match gains {
+            Gains::Position(gains) => {
+                let [kp, ki, kd] = of(gains);
+                Complex(kp, 0.0) + Complex(ki, 0.0) / s + s * estimate * kd
+            }
+            Gains::Speed(gains) => {
+                let [kp, ki, kd] = of(gains);
+                (Complex(kp, 0.0) + Complex(ki, 0.0) / s + s * low_pass * kd) * s * estimate
+            }
+            Gains::Cascade { speed, per_s } => {
+                let [kp, ki, kd] = of(speed);
+                let proportional = Complex(kp, 0.0) + Complex(ki, 0.0) / s;
+                proportional * (Complex(per_s, 0.0) + s * estimate) + s * s * estimate * low_pass * kd
+            }
+        }
+    }
+
+    /// Phase margin of `gains` on `model`, rad; `None` where the open loop's gain never falls through 1. The lowest, where it does
+    /// so several times. The loop acts a period and a half after what it measures.
+    #[must_use]
+    pub fn phase_margin(&self, model: &Model, gains: Gains) -> Option<f64> {
+        /// Steps of the frequency from 0.01 to 10⁴ rad/s; between two of them the crossing is interpolated.
+        const STEPS: u32 = 600;
+        let delay_s = model.delay_s + DELAY_PERIODS * self.period_s;
+        let open = |omega: f64| {
+            let s = Complex(0.0, omega);
+            let motor = Complex(model.gain, 0.0) / (s * (ONE + s * model.lag_s));
+            let open = motor * self.controller(gains, omega);
+            // Continuous from -pi on: beyond that a loop of this kind has no gain left.
+            let angle = open.angle();
+            let angle = if angle > PI / 2.0 { angle - 2.0 * PI } else { angle };
+            (open.size().ln(), angle - omega * delay_s)
+        };
+        let frequency = |step: u32| 0.01 * 10_f64.powf(6.0 * f64::from(step) / f64::from(STEPS));
+        let mut lowest: Option<f64> = None;
+        let mut before = open(frequency(0));
+        for step in 1..=STEPS {
+            let after = open(frequency(step));
+            if before.0 >= 0.0 && after.0 < 0.0 {
+                let share = before.0 / (before.0 - after.0);
+                let margin = PI + before.1 + share * (after.1 - before.1);
+                lowest = Some(lowest.map_or(margin, |known| known.min(margin)));
+            }
+            before = after;
+        }
+        lowest
+    }
+
+    /// What the counts of the sensor come to in the duty, as a share of the supply.
+    ///
+    /// Root mean square. A position is known to a count, evenly distributed; a count that is rarer than a period is dated by
+    /// periods, which is the way of one period. The speed is the difference of such positions, over the estimate's filter or
+    /// from one count to the next.
+    fn count_duty(&self, gains: Gains) -> f64 {
+        let of = |gains: PidGains| [gains.kp, gains.kd].map(f64::from);
+        let speed = self.speeds.1;
+        let between_s = (self.resolution / speed.max(f64::MIN_POSITIVE)).max(self.period_s);
+        let even = 1.0 / 12.0_f64.sqrt();
+        let wrong = even * self.resolution.min(speed * self.period_s) / self.estimate.time_s().max(between_s);
+        let place = even * self.resolution;
+        match gains {
+            Gains::Position(gains) => {
+                let [kp, kd] = of(gains);
+                kp * place + kd * wrong
+            }
+            Gains::Speed(gains) => of(gains)[0] * wrong,
+            Gains::Cascade { speed, per_s } => of(speed)[0] * (wrong + per_s * place),
+        }
+    }
+
+    /// The delay of all that is around a motor, as the loop meets it, s: of the board, its speed estimate, and for a speed half
+    /// of the time between two counts.
+    fn delay_s(&self, of: Loop) -> f64 {
+        let between_counts_s = self.resolution / self.speeds.0.max(f64::MIN_POSITIVE);
+        let of_counts_s = if of == Loop::Speed { between_counts_s / 2.0 } else { 0.0 };
+        DELAY_PERIODS * self.period_s + self.estimate.delay_s() + of_counts_s
+    }
+
+    /// Gains for a motor by SIMC: with a closed loop of `closed_s` or, without, the fastest that keeps the margin on every
+    /// plausible model and whose duty does not show the counts of the sensor; `slower` times as slow as that.
+    ///
+    /// # Errors
+    /// [`RuleError`].
+    pub fn design(
+        &self,
+        of: Loop,
+        fit: &Fit,
+        margin_rad: f64,
+        closed_s: Option<f64>,
+        slower: f64,
+    ) -> Result<Design, RuleError> {
+        let margin = |gains| {
+            let all = std::iter::once(&fit.model).chain(&fit.plausible);
+            all.map(|model| self.phase_margin(model, gains)).reduce(|a, b| a.zip(b).map(|(a, b)| a.min(b))).flatten()
+        };
+        let model = &fit.model;
+        let design = |closed_s: f64| -> Result<Design, RuleError> {
+            let gains = match of {
+                Loop::Position => Gains::Position(position_for(model, closed_s)?),
+                Loop::Speed => Gains::Speed(speed_for(model, closed_s)?),
+                Loop::Cascade => {
+                    let per_s = 1.0 / (CASCADE_SLOWER * closed_s);
+                    Gains::Cascade { speed: inner_for(model, closed_s)?, per_s }
+                }
+            };
+            Ok(Design { gains, margin_rad: margin(gains).unwrap_or(0.0), closed_s })
+        };
+        if let Some(closed_s) = closed_s {
+            return design(closed_s);
+        }
+        let delay_s = model.delay_s + self.delay_s(of);
+        let mut closed_s = (1.0 + DELAYS) * delay_s;
+        loop {
+            let found = design(closed_s)?;
+            let duty = self.count_duty(found.gains);
+            if found.margin_rad >= margin_rad && duty <= COUNT_DUTY {
+                return if slower == 1.0 { Ok(found) } else { design(closed_s * slower) };
+            }
+            closed_s *= SLOWER;
+            if closed_s > SLOWEST_S {
+                return Err(if found.margin_rad >= margin_rad {
+                    RuleError::TooCoarse { duty, allowed: COUNT_DUTY, closed_s }
+                } else {
+                    RuleError::NoMargin { closed_s, margin_deg: margin_rad.to_degrees() }
+                });
+            }
+        }
+    }
+}
+
+/// Share of the friction that was found which a feed-forward takes: with more than all of it a motor would not come to rest.
+const OF_FRICTION: f64 = 0.9;
+
+/// Feed-forward for a motor: friction, and duty for speed and acceleration of the path.
+///
+/// Of the friction it takes nine tenths, of both directions' mean; a load is what they differ by, and the integral's.
+#[must_use]
+pub fn feed_forward(fit: &Fit, duty_max: f64) -> FeedForward {
+    let Model { gain, lag_s, .. } = fit.model;
+    FeedForward {
+        static_duty: (OF_FRICTION * fit.friction.mean()).clamp(0.0, 0.9 * duty_max) as f32,
+        duty_per_speed: (1.0 / gain) as f32,
+        duty_per_acceleration: (lag_s / gain) as f32,
+    }
+}
 
 fn gains(kp: f64, ki: f64, kd: f64) -> Result<PidGains, RuleError> {
     let gains = PidGains { kp: kp as f32, ki: ki as f32, kd: kd as f32 };
@@ -38,12 +306,19 @@ fn gains(kp: f64, ki: f64, kd: f64) -> Result<PidGains, RuleError> {
 
 /// Gains of a position loop whose open loop goes through `point` with gain 1 and `phase_margin_rad` left, which is the
 /// specification of Åström and Hägglund. The integral's corner is at a sixth of that frequency; the rate's filter of
-/// `filter_s` is made up for. A motor with more phase than that gets no derivative, and has more margin.
+/// `filter_s` is made up for, and so is the period and a half after which the board acts. A motor with more phase than that gets
+/// no derivative, and has more margin.
 ///
 /// # Errors
 /// [`RuleError`].
-pub fn position_through(point: Point, phase_margin_rad: f64, filter_s: f64) -> Result<PidGains, RuleError> {
+pub fn position_through(
+    point: Point,
+    phase_margin_rad: f64,
+    filter_s: f64,
+    period_s: f64,
+) -> Result<PidGains, RuleError> {
     let Point { frequency_rad_s: omega, gain, phase_rad } = point;
+    let phase_rad = phase_rad - omega * DELAY_PERIODS * period_s;
     let lead = phase_margin_rad - PI - phase_rad;
     let filter = omega * filter_s;
     let (sin, cos) = lead.max(-MOST_LAG_RAD).sin_cos();
@@ -61,75 +336,54 @@ pub fn position_through(point: Point, phase_margin_rad: f64, filter_s: f64) -> R
     gains(kp, (kp / INTEGRAL_BELOW).min(-ultimate * sin) * omega, 0.0)
 }
 
-/// Gains of a speed loop for a motor that at `point`'s frequency is an integrator with a delay, by SIMC with a time
-/// constant of that delay: phase margin 47 degrees, and more by what the motor is slower an integrator below that frequency.
-/// The delay is taken for `least_delay_s` where the point shows less.
-///
-/// # Errors
-/// [`RuleError::NoGains`].
-pub fn speed_through(point: Point, least_delay_s: f64) -> Result<PidGains, RuleError> {
-    let Point { frequency_rad_s: omega, gain, phase_rad } = point;
-    let delay_s = ((-phase_rad - PI / 2.0) / omega).max(least_delay_s);
-    let closed_s = 2.0 * delay_s;
-    let kp = 1.0 / (gain * omega * closed_s);
-    gains(kp, kp / (4.0 * closed_s), 0.0)
+impl Point {
+    /// The motor of which this is a point of the speed, taken for an integrator with a delay there. A real one has more phase
+    /// below that frequency, so margins on this are on the safe side.
+    #[must_use]
+    pub fn integrator(&self) -> Model {
+        /// So slow that its corner is far below all that matters, s.
+        const LAG_S: f64 = 1e3;
+        let delay_s = ((-self.phase_rad - PI / 2.0) / self.frequency_rad_s).max(0.0);
+        Model { gain: self.gain * self.frequency_rad_s * LAG_S, lag_s: LAG_S, delay_s }
+    }
+
+    /// The point of the speed, where this is one of the position.
+    #[must_use]
+    pub fn of_speed(&self) -> Self {
+        Self { gain: self.gain * self.frequency_rad_s, phase_rad: self.phase_rad + PI / 2.0, ..*self }
+    }
 }
 
-/// Gains of a position loop for `model` by SIMC, the closed loop's time constant being `time_constant_s`, or as long as the
-/// delay. What filters the rate counts as delay too.
+/// Gains of a position loop for `model` by SIMC: `closed_s` is the sum of the closed loop's time constant and of the delay.
 ///
 /// # Errors
 /// [`RuleError::NoGains`].
-pub fn position_for(model: &Model, time_constant_s: Option<f64>, filter_s: f64) -> Result<PidGains, RuleError> {
-    let delay_s = model.delay_s + filter_s;
-    let closed_s = time_constant_s.unwrap_or(delay_s) + delay_s;
+pub fn position_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let (kc, integral_s) = (1.0 / (model.gain * closed_s), 4.0 * closed_s);
     // From the series form of the rule to the parallel one of the board.
     gains(kc * (1.0 + model.lag_s / integral_s), kc / integral_s, kc * model.lag_s)
 }
 
-/// Gains of a speed loop for `model` by SIMC, the closed loop's time constant being `time_constant_s`, or as long as the delay,
-/// in which the filter of the measured speed is seen already.
+/// Gains of a speed loop for `model` by SIMC: `closed_s` is the sum of the closed loop's time constant and of the delay.
 ///
 /// # Errors
 /// [`RuleError::NoGains`].
-pub fn speed_for(model: &Model, time_constant_s: Option<f64>) -> Result<PidGains, RuleError> {
-    let closed_s = time_constant_s.unwrap_or(model.delay_s) + model.delay_s;
+pub fn speed_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let kp = model.lag_s / (model.gain * closed_s);
     gains(kp, kp / model.lag_s.min(4.0 * closed_s), 0.0)
 }
 
-/// Phase margin of `gains` on `model`, rad; `None` where the open loop's gain never falls through 1. The lowest, where it does
-/// so several times.
-#[must_use]
-pub fn phase_margin(model: &Model, gains: PidGains, filter_s: f64) -> Option<f64> {
-    /// Steps of the frequency from 0.01 to 10⁴ rad/s.
-    const STEPS: u32 = 6000;
-    let [kp, ki, kd] = [gains.kp, gains.ki, gains.kd].map(f64::from);
-    let open = |omega: f64| {
-        // kp - j ki/omega + kd j omega / (1 + j omega filter)
-        let filter = omega * filter_s;
-        let derivative = kd * omega / (1.0 + filter * filter);
-        let (real, imaginary) = (kp + derivative * filter, derivative - ki / omega);
-        let lag = omega * model.lag_s;
-        let integrator = if model.of == Loop::Position { (omega, PI / 2.0) } else { (1.0, 0.0) };
-        let gain = real.hypot(imaginary) * model.gain / (lag.hypot(1.0) * integrator.0);
-        (gain, imaginary.atan2(real) - lag.atan() - integrator.1 - omega * model.delay_s)
-    };
-    let frequency = |step: u32| 0.01 * 10_f64.powf(6.0 * f64::from(step) / f64::from(STEPS));
-    let mut lowest: Option<f64> = None;
-    for step in 1..=STEPS {
-        let (before, after) = (open(frequency(step - 1)), open(frequency(step)));
-        if before.0 >= 1.0 && after.0 < 1.0 {
-            lowest = Some(lowest.map_or(f64::MAX, |known| known).min(PI + after.1));
-        }
-    }
-    lowest
+/// Gains of the speed loop in a cascade: as [`speed_for`], with an integral half as fast where that is slower than the motor's lag,
+/// since the distance is an integral already. Twice as fast, the two together overshoot where a dead zone delays the braking.
+fn inner_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
+    let kp = model.lag_s / (model.gain * closed_s);
+    gains(kp, kp / model.lag_s.min(8.0 * closed_s), 0.0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tune::Friction;
 
     const MARGIN_RAD: f64 = PI / 3.0;
 
@@ -142,54 +396,134 @@ mod tests {
         }
     }
 
+    fn around(filter_s: f64) -> Surroundings {
+        let estimate = SpeedEstimate::LowPass { time_s: filter_s };
+        Surroundings { period_s: 1e-3, estimate, resolution: 1e-4, speeds: (1.0, 2.0) }
+    }
+
+    /// Nothing but the motor and the gains.
+    const BARE: Surroundings = Surroundings {
+        period_s: 0.0,
+        estimate: SpeedEstimate::LowPass { time_s: 0.0 },
+        resolution: 0.0,
+        speeds: (1.0, 2.0),
+    };
+
+    fn fit(model: Model) -> Fit {
+        let friction = Friction { up: 0.12, down: 0.08 };
+        Fit { model, friction, residual: 0.0, residual_rms: 0.0, plausible: Vec::new() }
+    }
+
     #[test]
     fn a_loop_through_a_point_has_the_margin_it_says() {
         for (lag_s, delay_s, omega, filter_s) in
             [(0.07, 0.003, 20.0, 0.01), (0.021, 0.003, 40.0, 0.01), (0.07, 0.003, 30.0, 0.0), (0.1, 0.005, 10.0, 0.03)]
         {
-            let model = Model { of: Loop::Position, gain: 6.0, lag_s, delay_s };
-            let gains = position_through(point(&model, omega), MARGIN_RAD, filter_s).expect("gains");
-            let margin = phase_margin(&model, gains, filter_s).expect("it crosses");
-            // A step of the frequency is 0.23 %.
+            let model = Model { gain: 6.0, lag_s, delay_s };
+            let gains = position_through(point(&model, omega), MARGIN_RAD, filter_s, 1e-3).expect("gains");
+            let margin = around(filter_s).phase_margin(&model, Gains::Position(gains)).expect("it crosses");
+            // A step of the frequency is 2.3 %, between which the crossing is interpolated.
             assert!((margin - MARGIN_RAD).abs() < 0.01, "{gains:?}: {} deg", margin.to_degrees());
         }
     }
 
     #[test]
     fn a_motor_with_phase_to_spare_needs_no_derivative() {
-        let model = Model { of: Loop::Position, gain: 6.0, lag_s: 0.001, delay_s: 0.002 };
-        let gains = position_through(point(&model, 20.0), MARGIN_RAD, 0.01).expect("gains");
+        let model = Model { gain: 6.0, lag_s: 0.001, delay_s: 0.002 };
+        let gains = position_through(point(&model, 20.0), MARGIN_RAD, 0.01, 1e-3).expect("gains");
         assert_eq!(gains.kd, 0.0);
-        assert!(phase_margin(&model, gains, 0.01).expect("it crosses") > MARGIN_RAD);
+        assert!(around(0.01).phase_margin(&model, Gains::Position(gains)).expect("it crosses") > MARGIN_RAD);
         let slow = Point { frequency_rad_s: 30.0, gain: 0.01, phase_rad: -PI * 1.3 };
-        assert!(matches!(position_through(slow, MARGIN_RAD, 0.01), Err(RuleError::LagsTooMuch { .. })));
-        assert_eq!(speed_through(Point { gain: 0.0, ..slow }, 0.01), Err(RuleError::NoGains));
+        assert!(matches!(position_through(slow, MARGIN_RAD, 0.01, 1e-3), Err(RuleError::LagsTooMuch { .. })));
     }
 
     #[test]
     fn simc_has_its_known_margins() {
+        let margin_deg =
+            |model: &Model, gains| BARE.phase_margin(model, gains).expect("it crosses the gain of 1").to_degrees();
         // With the time constant of the delay: 90° - 1/2 rad = 61.4° where the integral cancels the lag.
-        let lag = Model { of: Loop::Speed, gain: 9.0, lag_s: 0.02, delay_s: 0.01 };
-        let margin = phase_margin(&lag, speed_for(&lag, None).expect("gains"), 0.0).expect("it crosses");
-        assert!((margin.to_degrees() - 61.4).abs() < 0.3, "{}", margin.to_degrees());
+        let lag = Model { gain: 9.0, lag_s: 0.02, delay_s: 0.01 };
+        let margin = margin_deg(&lag, Gains::Speed(speed_for(&lag, 0.02).expect("gains")));
+        assert!((margin - 61.4).abs() < 0.3, "{margin}");
         // 46.9° on an integrator with a delay (Skogestad 2003, table 1).
-        let integrator = Point { frequency_rad_s: 30.0, gain: 90.0 / 30.0, phase_rad: -PI / 2.0 - 0.3 };
-        let slow = Model { of: Loop::Speed, gain: 90.0 * 1e4, lag_s: 1e4, delay_s: 0.01 };
-        let margin = phase_margin(&slow, speed_through(integrator, 0.0).expect("gains"), 0.0).expect("it crosses");
-        assert!((margin.to_degrees() - 46.9).abs() < 0.3, "{}", margin.to_degrees());
-        let position = Model { of: Loop::Position, gain: 9.0, lag_s: 0.07, delay_s: 0.01 };
-        let margin = phase_margin(&position, position_for(&position, None, 0.0).expect("gains"), 0.0).expect("crosses");
-        assert!((margin.to_degrees() - 46.9).abs() < 0.3, "{}", margin.to_degrees());
+        let swing = Point { frequency_rad_s: 30.0, gain: 90.0 / 30.0, phase_rad: -PI / 2.0 - 0.3 };
+        let slow = swing.integrator();
+        assert!((slow.delay_s - 0.01).abs() < 1e-12, "{slow:?}");
+        let margin = margin_deg(&slow, Gains::Speed(speed_for(&slow, 0.02).expect("gains")));
+        assert!((margin - 46.9).abs() < 0.3, "{margin}");
+        let position = Model { gain: 9.0, lag_s: 0.07, delay_s: 0.01 };
+        let margin = margin_deg(&position, Gains::Position(position_for(&position, 0.02).expect("gains")));
+        assert!((margin - 46.9).abs() < 0.3, "{margin}");
+    }
+
+    /// A cascade whose integral cancels the lag is an integrator with the integral of SIMC, `(s + per_s) / (closed_s s²)`.
+    #[test]
+    fn a_cascade_is_the_same_loop_in_other_numbers() {
+        let model = Model { gain: 9.0, lag_s: 0.02, delay_s: 0.01 };
+        let (closed_s, per_s) = (0.04, 6.25);
+        let cascade = Gains::Cascade { speed: speed_for(&model, closed_s).expect("gains"), per_s };
+        let margin = BARE.phase_margin(&model, cascade).expect("it crosses");
+        // |L| = 1 at omega: omega² = (omega² + per_s²)^(1/2) / closed_s.
+        let omega = (0.5 * (625.0 + (625.0_f64.powi(2) + 4.0 * 625.0 * per_s * per_s).sqrt())).sqrt();
+        let expected = (omega / per_s).atan() - omega * 0.01;
+        assert!((margin - expected).abs() < 5e-3, "{margin} {expected}");
     }
 
     #[test]
-    fn a_longer_time_constant_is_more_cautious() {
-        let model = Model { of: Loop::Position, gain: 9.0, lag_s: 0.07, delay_s: 0.005 };
-        let of = |time_constant_s| {
-            let gains = position_for(&model, Some(time_constant_s), 0.01).expect("gains");
-            (gains.kp, phase_margin(&model, gains, 0.01).expect("it crosses"))
+    fn every_design_keeps_its_margin_on_all_that_is_plausible() {
+        for model in [
+            Model { gain: 9.0, lag_s: 0.02, delay_s: 0.004 },
+            Model { gain: 0.2, lag_s: 0.1, delay_s: 0.0 },
+            Model { gain: 40.0, lag_s: 0.3, delay_s: 0.002 },
+        ] {
+            let other = Model { lag_s: 1.5 * model.lag_s, delay_s: model.delay_s + 0.004, ..model };
+            let fit = Fit { plausible: vec![other], ..fit(model) };
+            let scale = model.gain / 9.0;
+            for estimate in [SpeedEstimate::LowPass { time_s: 0.01 }, SpeedEstimate::Observer { time_s: 0.01 }] {
+                let board =
+                    Surroundings { estimate, resolution: 1e-4 * scale, speeds: (scale, 2.0 * scale), ..around(0.0) };
+                for of in [Loop::Position, Loop::Speed, Loop::Cascade] {
+                    let design = board.design(of, &fit, MARGIN_RAD, None, 1.0).expect("a design");
+                    for model in [&model, &other] {
+                        let margin = board.phase_margin(model, design.gains).expect("it crosses");
+                        assert!(margin >= MARGIN_RAD && design.margin_rad >= MARGIN_RAD, "{of:?} {design:?} {margin}");
+                    }
+                    let slower = board.design(of, &fit, MARGIN_RAD, None, 2.0).expect("a design");
+                    assert!((slower.closed_s / design.closed_s - 2.0).abs() < 1e-9);
+                    // Less delay, no slower.
+                    let free = Surroundings { period_s: 1e-5, ..board };
+                    assert!(
+                        free.design(of, &fit, MARGIN_RAD, None, 1.0).expect("a design").closed_s <= design.closed_s
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_coarse_sensor_slows_the_loop_down_until_none_is_left() {
+        let fit = fit(Model { gain: 9.0, lag_s: 0.1, delay_s: 0.003 });
+        let design = |resolution| {
+            let board = Surroundings { resolution, ..around(0.01) };
+            board.design(Loop::Position, &fit, MARGIN_RAD, None, 1.0)
         };
-        let (fast, slow) = (of(0.02), of(0.1));
-        assert!(fast.0 > slow.0 && fast.1 < slow.1, "{fast:?} {slow:?}");
+        let (fine, coarse) = (design(1e-4).expect("a design"), design(0.2).expect("a design"));
+        assert!(coarse.closed_s > 1.5 * fine.closed_s, "{fine:?} {coarse:?}");
+        assert!(matches!(design(10.0), Err(RuleError::TooCoarse { .. })));
+        let late = Fit { plausible: vec![Model { delay_s: 4.0, ..fit.model }], ..fit.clone() };
+        assert!(matches!(
+            around(0.01).design(Loop::Speed, &late, MARGIN_RAD, None, 1.0),
+            Err(RuleError::NoMargin { .. })
+        ));
+        let none = Fit { model: Model { gain: f64::MIN_POSITIVE, ..fit.model }, ..fit.clone() };
+        assert_eq!(around(0.01).design(Loop::Speed, &none, MARGIN_RAD, None, 1.0), Err(RuleError::NoGains));
+    }
+
+    #[test]
+    fn a_feed_forward_holds_the_model_on_its_path() {
+        let fit = fit(Model { gain: 8.0, lag_s: 0.25, delay_s: 0.003 });
+        let FeedForward { static_duty, duty_per_speed, duty_per_acceleration } = feed_forward(&fit, 0.9);
+        assert_eq!((duty_per_speed, duty_per_acceleration), (0.125, 0.03125));
+        assert!((static_duty - 0.09).abs() < 1e-6);
     }
 }

@@ -98,6 +98,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::Set { channel, setpoint, .. } => board.set(*channel, *setpoint).await,
             Request::Subscribe { channel, period_ms } => board.subscribe(*channel, *period_ms).await,
             Request::SetGains { channel, mode, gains } => board.set_gains(*channel, *mode, *gains).await,
+            Request::SetTuning { channel, tuning } => board.set_tuning(*channel, *tuning).await,
             Request::Stats => board.stats().await.map(|_| ()),
             Request::SetParameter { key, value } => board.set_parameter(*key, *value).await,
             Request::SetName { robot } => board.set_name(robot).await,

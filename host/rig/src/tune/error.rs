@@ -107,6 +107,18 @@ pub enum TuneError {
         /// Duty that friction takes, as a share of the supply.
         static_duty: f64,
     },
+    /// Nothing moves under the most duty that is safe for a motor that stands.
+    #[error(
+        "{channel} does not move {direction} under duty {duty:.3}: free it, check its wiring, or raise stall_duty, below which this stays"
+    )]
+    DoesNotMove {
+        /// The motor.
+        channel: ChannelId,
+        /// Which way it was driven: up or down.
+        direction: &'static str,
+        /// The most duty that was tried, as a share of the supply.
+        duty: f64,
+    },
     /// The run does not fit into the time.
     #[error("{channel} may take {needs_s:.0} s: allow it with --time, or less --travel")]
     NotInTime {

@@ -1,12 +1,12 @@
 //! What is done with the motor: steps of the set point, a relay, steps of the duty.
 
-use r4_driver::tune::{Fit, Loop, Oscillation, Relay, RelayError, Response, Sample, beyond_friction};
+use r4_driver::tune::{Fit, Loop, Oscillation, Relay, RelayError, Response, Run, Sample, beyond_friction};
 use r4_protocol::Mode;
 
-use super::{Inconclusive, LOOK_EVERY_S, Plan, TuneError};
+use super::{Inconclusive, LOOK_EVERY_S, Plan, TuneError, plan::BELOW_STALL};
 use crate::{
     Error,
-    watch::{Look, MotorWatch},
+    watch::{Look, MotorWatch, WatchError},
 };
 
 /// A speed is held so long before a step from it, s.
@@ -33,12 +33,47 @@ const BIAS_BEYOND: f64 = 0.03;
 const SPEED_SHARE: f64 = 0.35;
 /// Less does not show above the noise.
 const LEAST_DUTY: f64 = 0.02;
-/// A step of the duty ends here at the latest, s.
-const STEP_LIMIT_S: f64 = 0.8;
-const SPEED_STEP_S: f64 = 0.5;
-/// What a model may leave untold of a position and, with the encoder's steps in it, of a speed.
-const UNTOLD: f64 = 0.1;
-const SPEED_UNTOLD: f64 = 0.35;
+/// The duty that overcomes friction is sought at this rate, 1/s, in steps of so many looks, until so many counts have passed.
+const RAMP_PER_S: f64 = 0.2;
+const RAMP_LOOKS: usize = 5;
+const RAMP_COUNTS: f64 = 4.0;
+/// The first runs are driven by so much duty beyond friction, each further pair by twice as much, until the motor has come to
+/// this share of its path's speed.
+const FIRST_BEYOND: f64 = 0.04;
+const OF_PATH_SPEED: f64 = 0.7;
+/// A run is given up that is faster than its path by this.
+const TOO_FAST: f64 = 1.2;
+/// The duty beyond friction of a run alternates between all of this and a part, for these times, s: they show lags of 10 to 300 ms.
+const LOW_SHARE: f64 = 0.5;
+const HALVES_S: [f64; 6] = [0.08, 0.08, 0.04, 0.04, 0.16, 0.16];
+/// A run ends at this share of the window on either side, or after so long, s. It ends sooner where the motor would not stop by
+/// itself within that other share, which it is taken to do as fast as it came to its speed, and after so long, s: two looks,
+/// the way over the host, the filter of the speed.
+const RUN_SHARE: f64 = 0.5;
+const STOP_SHARE: f64 = 0.8;
+const REACTION_S: f64 = 0.03;
+/// It still comes to its speed when that has risen by this.
+const STILL_RISING: f64 = 1.05;
+const RUN_LIMIT_S: f64 = 1.5;
+/// A run shorter than this was so fast that a faster one would say less, s.
+const SHORT_RUN_S: f64 = 0.08;
+/// The pairs of runs that the model is fitted to: the fastest, as it is wanted at the speed of paths.
+const PAIRS: usize = 3;
+/// One pair does not tell friction from gain where it is short.
+const LEAST_PAIRS: usize = 2;
+/// Runs of fewer counts together leave the lag open; the fastest pair is repeated at most so often.
+const LEAST_COUNTS: f64 = 1500.0;
+const MORE_PAIRS: usize = 4;
+/// A motor that turns may be driven by this share of the largest duty.
+const OF_DUTY_MAX: f64 = 0.95;
+/// A motor is braked against its motion down to this share of its speed, and given up that needs longer than this, s.
+const BRAKED_TO: f64 = 0.1;
+const BRAKE_LIMIT_S: f64 = 1.0;
+/// It has come to rest when it has not moved by a count for so long, and is waited for so long, s.
+const STILL_S: f64 = 0.1;
+const STILL_LIMIT_S: f64 = 2.0;
+/// What a model may leave of the motion.
+const RESIDUAL: f64 = 0.25;
 
 /// One moment of steps of the set point, in the units of the loop: rad, m, rad/s or m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,7 +115,9 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
     let (low, high) = plan.steps;
     let mode = plan.mode();
     match plan.of {
-        Loop::Position => motor.go_to(low, plan.settle_s).await?,
+        Loop::Position | Loop::Cascade => {
+            come(motor, low, plan.settle_s).await?;
+        }
         Loop::Speed => {
             motor.command(mode, low).await?;
             motor.watch(SPEED_HOLD_S).await?;
@@ -97,12 +134,19 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
         let outputs = if plan.of == Loop::Speed { smooth(&outputs) } else { outputs };
         let step: Vec<_> =
             looks.iter().zip(&outputs).map(|(look, value)| (look.time_s - first.time_s, *value)).collect();
-        let band = match plan.of {
-            Loop::Position => plan.motor.settle_error,
-            Loop::Speed => SPEED_BAND * (to - from).abs(),
+        // A measurement is known to half a count: an overshoot by that is none.
+        let (band, known) = match plan.of {
+            Loop::Position | Loop::Cascade => (plan.motor.settle_error, plan.motor.resolution / 2.0),
+            Loop::Speed => {
+                let known = plan.speed_resolution(SPEED_MEAN_S);
+                ((SPEED_BAND * (to - from).abs()).max(known), known)
+            }
         };
         let mut response = Response::of(&step, from, to, band);
-        if let (Some(response), Loop::Position) = (&mut response, plan.of) {
+        if let Some(response) = &mut response {
+            response.overshoot = (response.overshoot - known / (to - from).abs()).max(0.0);
+        }
+        if let (Some(response), Mode::Position) = (&mut response, mode) {
             // When the board says so, which is what a user waits for.
             let unsettled = looks.iter().rposition(|look| !look.settled).map_or(0, |index| index + 1);
             response.settling_s = looks.get(unsettled).map(|look| look.time_s - first.time_s);
@@ -117,7 +161,7 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
     }
     if plan.of == Loop::Speed {
         stop(motor).await?;
-        motor.go_to(plan.base, plan.settle_s).await?;
+        come(motor, plan.base, plan.settle_s).await?;
     }
     let response = responses.into_iter().reduce(Response::worse);
     let response = response.ok_or(TuneError::NoAnswer)?;
@@ -144,7 +188,7 @@ async fn followed(motor: &mut MotorWatch<'_>, mode: Mode, value: f64, seconds: f
 /// What this loop measures.
 fn output(look: &Look, of: Loop) -> f64 {
     match of {
-        Loop::Position => look.position,
+        Loop::Position | Loop::Cascade => look.position,
         Loop::Speed => look.speed,
     }
 }
@@ -166,6 +210,15 @@ fn noise(values: impl Iterator<Item = f64> + Clone) -> f64 {
     self::mean(values.map(|value| (value - mean) * (value - mean))).sqrt()
 }
 
+/// Sends the motor to a position; whether it has come to rest there in time. Gains that are no good yet may not do that.
+pub(crate) async fn come(motor: &mut MotorWatch<'_>, target: f64, timeout_s: f64) -> Result<bool, Error> {
+    match motor.go_to(target, timeout_s).await {
+        Ok(()) => Ok(true),
+        Err(Error::Watch(error)) if matches!(*error, WatchError::NotSettled { .. }) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 /// Lets a motor that was driven come to rest.
 pub(crate) async fn stop(motor: &mut MotorWatch<'_>) -> Result<(), Error> {
     motor.command(Mode::Duty, 0.0).await?;
@@ -183,7 +236,7 @@ struct Start {
 
 async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> {
     match plan.of {
-        Loop::Position => {
+        Loop::Position | Loop::Cascade => {
             motor.go_to(plan.base, plan.settle_s).await?;
             motor.command(Mode::Duty, 0.0).await?;
             let looks = motor.watch(REST_S).await?;
@@ -198,7 +251,7 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
             let steady = &looks[looks.len() / 2..];
             let duty = mean(steady.iter().map(|look| look.duty));
             let room = plan.motor.duty_max - duty.abs();
-            let wanted = plan.given_amplitude.unwrap_or(SPEED_SHARE * (duty.abs() - plan.motor.static_duty));
+            let wanted = plan.given_amplitude.unwrap_or(SPEED_SHARE * (duty.abs() - plan.motor.static_duty()));
             let height = wanted.min(0.95 * room);
             if height.is_nan() || height < LEAST_DUTY {
                 return Err(TuneError::from(Inconclusive::NoRoom { duty }).into());
@@ -212,7 +265,7 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
 /// What a look is to an experiment.
 fn sample(plan: &Plan, look: &Look) -> Sample {
     let input = match plan.of {
-        Loop::Position => beyond_friction(look.duty, plan.motor.static_duty),
+        Loop::Position | Loop::Cascade => beyond_friction(look.duty, plan.motor.static_duty()),
         Loop::Speed => look.duty,
     };
     Sample { time_s: look.time_s, input, output: output(look, plan.of) }
@@ -222,12 +275,12 @@ fn sample(plan: &Plan, look: &Look) -> Sample {
 pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swing, Error> {
     let Start { duty, output: centre, height, noise } = start(motor, plan).await?;
     let resolved = match plan.of {
-        Loop::Position => HYSTERESIS_COUNTS * plan.motor.resolution,
+        Loop::Position | Loop::Cascade => HYSTERESIS_COUNTS * plan.motor.resolution,
         Loop::Speed => 0.0,
     };
     let hysteresis = resolved.max(HYSTERESIS_NOISE * noise);
     let (limit_s, most) = match plan.of {
-        Loop::Position => (RELAY_LIMIT_S, plan.cap),
+        Loop::Position | Loop::Cascade => (RELAY_LIMIT_S, plan.cap),
         Loop::Speed => (SPEED_RELAY_LIMIT_S, plan.motor.duty_max),
     };
     let mut relay = Relay::new(centre, hysteresis);
@@ -285,40 +338,140 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
     }
 }
 
-/// Steps the duty to both sides and fits a motor to what comes.
+/// Drives the motor up and down, faster and faster, and fits a model to the runs. Friction needs no prior value: the duty that
+/// overcomes it is sought first.
 pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit, Error> {
-    let Start { duty, height, .. } = start(motor, plan).await?;
-    let mut looks = Vec::new();
-    match plan.of {
-        Loop::Position => {
-            looks.extend(motor.watch(LOOK_EVERY_S * 10.0).await?);
-            for (height, until) in [(height, plan.base + plan.travel / 3.0), (-height, plan.base)] {
-                motor.command(Mode::Duty, height).await?;
-                let begin_s = looks.last().map_or(0.0, |look| look.time_s);
-                loop {
-                    let look = motor.look().await?;
-                    looks.push(look);
-                    let there = (look.position - until) * height > 0.0;
-                    if there || look.time_s - begin_s > STEP_LIMIT_S {
-                        break;
-                    }
-                }
-            }
-            motor.command(Mode::Duty, 0.0).await?;
-            looks.extend(motor.watch(REST_S).await?);
+    come(motor, (plan.window.0 + plan.window.1) / 2.0, plan.settle_s).await?;
+    stop(motor).await?;
+    let up = overcomes_friction(motor, plan, 1.0).await?;
+    let down = overcomes_friction(motor, plan, -1.0).await?;
+    let most = plan.given_amplitude.unwrap_or(OF_DUTY_MAX * plan.motor.duty_max);
+    let mut runs: Vec<Run> = Vec::new();
+    let mut beyond = FIRST_BEYOND;
+    loop {
+        let (mut fastest, mut shortest_s) = (0.0_f64, f64::INFINITY);
+        for (sign, friction) in [(1.0, up), (-1.0, down)] {
+            let (run, speed) = run(motor, plan, sign, friction, (friction + beyond).min(most)).await?;
+            fastest = fastest.max(speed);
+            let duration_s =
+                run.samples.first().zip(run.samples.last()).map(|(first, last)| last.time_s - first.time_s);
+            shortest_s = shortest_s.min(duration_s.unwrap_or(0.0));
+            runs.push(run);
         }
-        Loop::Speed => {
-            motor.command(Mode::Duty, duty).await?;
-            let steady = motor.watch(SPEED_STEP_S).await?;
-            looks.extend_from_slice(&steady[steady.len() * 3 / 4..]);
-            for value in [duty + height, duty - height, duty] {
-                motor.command(Mode::Duty, value).await?;
-                looks.extend(motor.watch(SPEED_STEP_S).await?);
-            }
-            stop(motor).await?;
+        let is_fast = fastest >= OF_PATH_SPEED * plan.motor.speed || shortest_s < SHORT_RUN_S;
+        if is_fast && runs.len() >= 2 * LEAST_PAIRS || up.max(down) + beyond >= most {
+            break;
+        }
+        beyond *= 2.0;
+    }
+    let mut runs = runs.split_off(runs.len().saturating_sub(2 * PAIRS));
+    for _ in 0..MORE_PAIRS {
+        let counts: f64 = runs.iter().map(|run| counts(run, plan.motor.resolution)).sum();
+        if counts >= LEAST_COUNTS {
+            break;
+        }
+        for (sign, friction) in [(1.0, up), (-1.0, down)] {
+            runs.push(run(motor, plan, sign, friction, (friction + beyond).min(most)).await?.0);
         }
     }
-    let samples: Vec<Sample> = looks.iter().map(|look| sample(plan, look)).collect();
-    let untold = if plan.of == Loop::Position { UNTOLD } else { SPEED_UNTOLD };
-    Ok(Fit::of(&samples, plan.of, untold).map_err(TuneError::from)?)
+    let runs = &runs;
+    Ok(Fit::of(runs, plan.motor.resolution, RESIDUAL).map_err(TuneError::from)?)
+}
+
+/// The duty at which a motor that rests begins to move.
+async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64) -> Result<f64, Error> {
+    let most = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
+    let first = motor.look().await?;
+    for number in 1_usize.. {
+        let look = motor.look().await?;
+        if (look.position - first.position) * sign >= RAMP_COUNTS * plan.motor.resolution {
+            rest(motor, plan, sign, look.speed * sign, look.duty.abs()).await?;
+            return Ok(look.duty.abs());
+        }
+        let duty = RAMP_PER_S * (look.time_s - first.time_s);
+        if duty > most {
+            break;
+        }
+        if number % RAMP_LOOKS == 0 {
+            motor.command(Mode::Duty, sign * duty).await?;
+        }
+    }
+    stop(motor).await?;
+    let direction = if sign > 0.0 { "up" } else { "down" };
+    Err(TuneError::DoesNotMove { channel: motor.channel(), direction, duty: most }.into())
+}
+
+/// How many counts of the sensor a run went.
+fn counts(run: &Run, resolution: f64) -> f64 {
+    let ends = run.samples.first().zip(run.samples.last());
+    ends.map_or(0.0, |(first, last)| (last.output - first.output).abs() / resolution)
+}
+
+/// One run from rest, and its highest speed. Its duty alternates between `high` and one nearer to the friction.
+async fn run(
+    motor: &mut MotorWatch<'_>,
+    plan: &Plan,
+    sign: f64,
+    friction: f64,
+    high: f64,
+) -> Result<(Run, f64), Error> {
+    let (low_end, high_end) = plan.window;
+    let end_at = |share: f64| (low_end + high_end) / 2.0 + sign * share * (high_end - low_end) / 2.0;
+    let (end, stopped) = (end_at(RUN_SHARE), end_at(STOP_SHARE));
+    let low = friction + LOW_SHARE * (high - friction);
+    let first = motor.look().await?;
+    let mut samples = vec![recorded(&first)];
+    motor.command(Mode::Duty, sign * high).await?;
+    let (mut is_high, mut half, mut since_s, mut fastest) = (true, 0, first.time_s, 0.0_f64);
+    let (mut risen, mut rise_s) = (0.0, 0.0);
+    loop {
+        let look = motor.look().await?;
+        samples.push(recorded(&look));
+        fastest = fastest.max(look.speed * sign);
+        if look.speed * sign > STILL_RISING * risen {
+            (risen, rise_s) = (look.speed * sign, look.time_s - first.time_s);
+        }
+        let stops_at = look.position + look.speed * (REACTION_S + rise_s / 2.0);
+        let is_there = (look.position - end) * sign >= 0.0 || (stops_at - stopped) * sign >= 0.0;
+        if is_there || fastest > TOO_FAST * plan.motor.speed || look.time_s - first.time_s > RUN_LIMIT_S {
+            break;
+        }
+        if look.time_s - since_s >= HALVES_S[half % HALVES_S.len()] {
+            (is_high, half, since_s) = (!is_high, half + 1, look.time_s);
+            motor.command(Mode::Duty, sign * if is_high { high } else { low }).await?;
+        }
+    }
+    rest(motor, plan, sign, fastest, high).await?;
+    Ok((Run { up: sign > 0.0, samples }, fastest))
+}
+
+/// Brakes a motor that turns at up to `speed` in the direction of `sign`, with as much as `duty`, and waits until it rests.
+async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, duty: f64) -> Result<(), Error> {
+    let first = motor.look().await?;
+    let brake = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
+    if first.speed * sign > BRAKED_TO * speed {
+        motor.command(Mode::Duty, -sign * brake.min(duty)).await?;
+        loop {
+            let look = motor.look().await?;
+            if look.speed * sign <= BRAKED_TO * speed || look.time_s - first.time_s > BRAKE_LIMIT_S {
+                break;
+            }
+        }
+    }
+    motor.command(Mode::Duty, 0.0).await?;
+    let mut still = motor.look().await?;
+    let begin_s = still.time_s;
+    loop {
+        let look = motor.look().await?;
+        if (look.position - still.position).abs() >= plan.motor.resolution / 2.0 {
+            still = look;
+        }
+        if look.time_s - still.time_s >= STILL_S || look.time_s - begin_s >= STILL_LIMIT_S {
+            return Ok(());
+        }
+    }
+}
+
+fn recorded(look: &Look) -> Sample {
+    Sample { time_s: look.time_s, input: look.duty, output: look.position }
 }

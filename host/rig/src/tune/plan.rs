@@ -1,9 +1,12 @@
 //! What a run does, checked before anything moves.
 
-use r4_driver::tune::Loop;
-use r4_protocol::{ChannelInfo, ChannelKind, Mode, Parameter, Unit, config::PidGains};
+use r4_driver::tune::{Loop, SpeedEstimate, Surroundings};
+use r4_protocol::{
+    ChannelInfo, ChannelKind, Mode, Parameter, Unit,
+    config::{FeedForward, PidGains, Tuning},
+};
 
-use super::{TuneError, TuneRequest};
+use super::{Method, TuneError, TuneRequest};
 use crate::{
     Error,
     parameters::Parameters,
@@ -13,13 +16,16 @@ use crate::{
 /// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;
 const TRAVEL_SHARE: f64 = 0.1;
+/// Less travel shows a step's overshoot of 5 % as less than five counts of the sensor. Half of it leaves the lag of one in a
+/// hundred motors open by a factor of fifty.
+const TRAVEL_COUNTS: f64 = 200.0;
 /// A step of the position, as a share of the travel.
 const STEP_SHARE: f64 = 0.5;
 /// Of the path's speed: between what a speed loop steps, and for how long it runs in one go.
 const SPEEDS: (f64, f64) = (0.4, 0.8);
 const SPEED_RUN_S: f64 = 6.0;
 /// A relay stays this short of the duty that counts as a stall when nothing moves.
-const BELOW_STALL: f64 = 0.9;
+pub(super) const BELOW_STALL: f64 = 0.9;
 /// So much duty beyond friction is the least that is worth a try.
 const LEAST_BEYOND: f64 = 0.03;
 /// The steps are watched for the time of the path and so long, s.
@@ -29,7 +35,7 @@ const SPEED_ANSWER_S: f64 = 1.5;
 /// A motor that does not rest for so long beyond its path's time does not come to rest, s.
 const PATIENCE_S: f64 = 5.0;
 /// What all but going there and the steps takes at most, s.
-const EXPERIMENT_S: f64 = 12.0;
+const EXPERIMENT_S: f64 = 30.0;
 
 /// A motor as its board describes it, SI.
 #[derive(Clone, Copy, Debug)]
@@ -42,16 +48,18 @@ pub struct Motor {
     pub period_s: f64,
     /// Largest duty, as a share of the supply.
     pub duty_max: f64,
-    /// Duty that friction takes, as a share of the supply.
-    pub static_duty: f64,
     /// Error at which it counts as arrived, rad or m.
     pub settle_error: f64,
     /// Time constant of the filter of its speed, s.
     pub speed_filter_s: f64,
     /// Gains of the loop when the board started.
     pub gains: PidGains,
-    stall_duty: f64,
-    speed: f64,
+    /// Feed-forward and cascade when the board started.
+    pub tuning: Tuning,
+    /// Duty that counts as a stall when nothing moves, as a share of the supply.
+    pub stall_duty: f64,
+    /// Speed of its path, rad/s or m/s.
+    pub speed: f64,
     acceleration: f64,
     /// How long the jerk takes to full acceleration, s.
     onset_s: f64,
@@ -96,10 +104,17 @@ impl Motor {
             resolution: info.resolution.into(),
             period_s: 1.0 / f64::from(info.rate_hz),
             duty_max: number(Parameter::DutyMax)?.into(),
-            static_duty: number(Parameter::StaticDuty)?.into(),
             settle_error: number(Parameter::SettleError)?.into(),
             speed_filter_s: number(Parameter::SpeedFilter)?.into(),
             gains: PidGains { kp: number(kp)?, ki: number(ki)?, kd: number(kd)? },
+            tuning: Tuning {
+                feed_forward: FeedForward {
+                    static_duty: number(Parameter::StaticDuty)?,
+                    duty_per_speed: number(Parameter::DutyPerSpeed)?,
+                    duty_per_acceleration: number(Parameter::DutyPerAcceleration)?,
+                },
+                cascade_per_s: number(Parameter::Cascade)?,
+            },
             stall_duty: number(Parameter::StallDuty)?.into(),
             speed: number(Parameter::ProfileSpeed)?.into(),
             acceleration: number(Parameter::ProfileAcceleration)?.into(),
@@ -109,6 +124,11 @@ impl Motor {
             },
             range: (number(Parameter::PositionMin)?.into(), number(Parameter::PositionMax)?.into()),
         })
+    }
+
+    /// Duty that friction is taken for, as a share of the supply.
+    pub(crate) fn static_duty(&self) -> f64 {
+        self.tuning.feed_forward.static_duty.into()
     }
 
     /// How long a path takes at most, s.
@@ -136,7 +156,7 @@ impl Motor {
 pub(crate) fn of_gains(of: Loop) -> [Parameter; 3] {
     match of {
         Loop::Position => [Parameter::PositionKp, Parameter::PositionKi, Parameter::PositionKd],
-        Loop::Speed => [Parameter::SpeedKp, Parameter::SpeedKi, Parameter::SpeedKd],
+        Loop::Speed | Loop::Cascade => [Parameter::SpeedKp, Parameter::SpeedKi, Parameter::SpeedKd],
     }
 }
 
@@ -145,6 +165,11 @@ pub(crate) fn check_has_loops(info: &ChannelInfo) -> Result<(), Error> {
     let channel = info.id;
     let moves = matches!(channel.kind, ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb);
     if moves && info.mode(Mode::Position).is_some() { Ok(()) } else { Err(TuneError::NoLoops { channel }.into()) }
+}
+
+/// How a board with this tuning knows the speed.
+fn estimate(_: &Tuning, time_s: f64) -> SpeedEstimate {
+    SpeedEstimate::LowPass { time_s }
 }
 
 impl Plan {
@@ -158,7 +183,10 @@ impl Plan {
         parameters: &Parameters,
         position: f64,
     ) -> Result<Self, Error> {
-        let (channel, of) = (info.id, request.of);
+        let channel = info.id;
+        let present =
+            if parameters.active(channel, Parameter::Cascade)? > 0.0 { Loop::Cascade } else { Loop::Position };
+        let of = request.of.unwrap_or(present);
         let motor = Motor::new(info, parameters, of)?;
         let quantity = |value| Quantity::new(value, motor.unit);
         let room = motor.range.1 - motor.range.0;
@@ -166,8 +194,8 @@ impl Plan {
         let travel = match (request.travel, of, motor.unit) {
             (Some(given), ..) => motor.position(given, "--travel")?,
             (None, Loop::Speed, _) => run,
-            (None, Loop::Position, Unit::M) => TRAVEL_SHARE * room,
-            (None, Loop::Position, _) => TRAVEL_RAD.min(TRAVEL_SHARE * room),
+            (None, _, Unit::M) => TRAVEL_SHARE * room,
+            (None, ..) => TRAVEL_RAD.max(TRAVEL_COUNTS * motor.resolution).min(TRAVEL_SHARE * room),
         };
         let least = if of == Loop::Speed { run } else { 20.0 * motor.settle_error.max(motor.resolution) };
         if travel.is_nan() || travel < least {
@@ -192,7 +220,7 @@ impl Plan {
                 at
             }
         };
-        let (most, static_duty) = (motor.duty_max, motor.static_duty);
+        let (most, static_duty) = (motor.duty_max, motor.static_duty());
         let cap = most.min(BELOW_STALL * motor.stall_duty);
         if let Some(given) = request.amplitude
             && !(given > 0.0 && given <= most)
@@ -200,12 +228,12 @@ impl Plan {
             return Err(TuneError::Amplitude { channel, most }.into());
         }
         let amplitude = request.amplitude.unwrap_or(cap);
-        if of == Loop::Position && amplitude < static_duty + LEAST_BEYOND {
+        if of != Loop::Speed && request.method == Method::Relay && amplitude < static_duty + LEAST_BEYOND {
             return Err(TuneError::WithinFriction { channel, amplitude, static_duty }.into());
         }
         let step = STEP_SHARE * travel;
         let (steps, answer_s) = match of {
-            Loop::Position => ((base, base + step), motor.path_s(step) + SETTLE_S),
+            Loop::Position | Loop::Cascade => ((base, base + step), motor.path_s(step) + SETTLE_S),
             Loop::Speed => ((SPEEDS.0 * motor.speed, SPEEDS.1 * motor.speed), SPEED_ANSWER_S),
         };
         let settle_s = motor.path_s(travel) + PATIENCE_S;
@@ -231,20 +259,53 @@ impl Plan {
         })
     }
 
+    /// Name of the loop.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self.of {
+            Loop::Position => "position",
+            Loop::Speed => "speed",
+            Loop::Cascade => "cascade",
+        }
+    }
+
     /// How the loop is commanded.
     #[must_use]
     pub fn mode(&self) -> Mode {
         match self.of {
-            Loop::Position => Mode::Position,
+            Loop::Position | Loop::Cascade => Mode::Position,
             Loop::Speed => Mode::Speed,
         }
+    }
+
+    /// Which loop takes the gains that are tuned.
+    #[must_use]
+    pub fn gains_of(&self) -> Mode {
+        match self.of {
+            Loop::Position => Mode::Position,
+            Loop::Speed | Loop::Cascade => Mode::Speed,
+        }
+    }
+
+    /// The board around the motor's loop, where the motor has this tuning.
+    pub(crate) fn surroundings(&self, tuning: &Tuning) -> Surroundings {
+        let Motor { period_s, speed_filter_s: time_s, resolution, speed, .. } = self.motor;
+        Surroundings { period_s, estimate: estimate(tuning, time_s), resolution, speeds: (SPEEDS.0 * speed, speed) }
+    }
+
+    /// What the sensor's counts alone make of a speed, as the mean over `mean_s` shows it.
+    pub(crate) fn speed_resolution(&self, mean_s: f64) -> f64 {
+        let Motor { period_s, resolution, .. } = self.motor;
+        let speed = self.steps.1;
+        // Between rare counts lies a whole number of periods; of frequent ones there is one more or less.
+        (speed * speed * period_s / resolution).min(resolution / mean_s)
     }
 
     /// What the loop measures in.
     #[must_use]
     pub fn unit(&self) -> Unit {
         match self.of {
-            Loop::Position => self.motor.unit,
+            Loop::Position | Loop::Cascade => self.motor.unit,
             Loop::Speed => speed_unit(self.motor.unit),
         }
     }
@@ -252,7 +313,7 @@ impl Plan {
     /// Steady errors within this are as good as none.
     pub(crate) fn steady_band(&self) -> f64 {
         match self.of {
-            Loop::Position => self.motor.settle_error,
+            Loop::Position | Loop::Cascade => self.motor.settle_error,
             Loop::Speed => 0.02 * (self.steps.1 - self.steps.0).abs(),
         }
     }
@@ -280,6 +341,9 @@ mod tests {
         let parameters = [
             (Parameter::DutyMax, 0.784),
             (Parameter::StaticDuty, 0.22),
+            (Parameter::DutyPerSpeed, 54.0),
+            (Parameter::DutyPerAcceleration, 0.0),
+            (Parameter::Cascade, 0.0),
             (Parameter::SettleError, 5e-5),
             (Parameter::SpeedFilter, 0.03),
             (Parameter::PositionKp, 400.0),
@@ -313,7 +377,7 @@ mod tests {
             assert!(plan.window.0 >= -1e-8 && plan.window.1 <= 0.1 + 1e-8, "{plan:?}");
             assert!(plan.amplitude < 0.6, "{plan:?}");
         }
-        let fast = TuneRequest { of: Loop::Speed, ..TuneRequest::new(info.id) };
+        let fast = TuneRequest { of: Some(Loop::Speed), ..TuneRequest::new(info.id) };
         let plan = Plan::new(&fast, &info, &parameters, 0.1).expect("a plan");
         assert!(plan.window.1 <= 0.1 + 1e-8 && plan.window.0 >= -1e-8, "{plan:?}");
     }
@@ -321,7 +385,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused_before_anything_moves() {
         let (info, parameters) = actuator();
-        let tune = TuneRequest::new(info.id);
+        let tune = TuneRequest { method: Method::Relay, ..TuneRequest::new(info.id) };
         let mm = |value: f64| Some(Quantity::new(value * 1e-3, Unit::M));
         for (tune, says) in [
             (TuneRequest { travel: mm(60.0), ..tune.clone() }, "no room"),
@@ -332,7 +396,7 @@ mod tests {
             (TuneRequest { amplitude: Some(0.9), ..tune.clone() }, "--amplitude up to 0.784"),
             (TuneRequest { amplitude: Some(0.23), ..tune.clone() }, "friction"),
             (TuneRequest { time_s: 5.0, ..tune.clone() }, "--time"),
-            (TuneRequest { of: Loop::Speed, travel: mm(10.0), ..tune }, "needs a travel"),
+            (TuneRequest { of: Some(Loop::Speed), travel: mm(10.0), ..tune }, "needs a travel"),
         ] {
             let error = Plan::new(&tune, &info, &parameters, 0.05).expect_err(says).to_string();
             assert!(error.contains(says), "{error}");

@@ -930,6 +930,29 @@ fn in_a_cascade_the_speed_loop_holds_the_position() {
     }
 }
 
+/// A motor that rests between its loops' periods goes on with the duty it had: only the slope of what is integrated changes.
+#[test]
+fn another_loop_takes_over_a_position_without_a_jump() {
+    let position_pid = PidGains { kp: 0.0, ki: 0.25, kd: 0.0 };
+    let speed_pid = PidGains { kp: 0.0, ki: 0.25, kd: 0.0 };
+    let mut bench = Bench::new(ControlConfig { settle: NEVER_AT_REST, position_pid, speed_pid, ..config() });
+    bench.command(Mode::Position, 0.5);
+    let before = bench.steps(2 * HZ);
+    assert!(before > 0.1, "{before}");
+    let feed_forward = FeedForward { static_duty: 0.0, duty_per_speed: 0.0, duty_per_acceleration: 0.0 };
+    bench.motor.set_tuning(Tuning { feed_forward, cascade_per_s: 4.0 });
+    // 0.5 rad away 2 rad/s are wanted: four times as much as before is integrated in each period, which shows in the next.
+    near(bench.step(), before, 1e-6);
+    near(bench.step(), before + 0.25 * 2.0 / HZ as f32, 1e-4);
+    // And a feed-forward that is given while it moves is that of the next period.
+    let mut bench = Bench::new(ControlConfig { settle: NEVER_AT_REST, ..config() });
+    bench.command(Mode::Position, 6.0);
+    bench.steps(HZ / 4);
+    let feed_forward = FeedForward { static_duty: 0.125, ..feed_forward };
+    bench.motor.set_tuning(Tuning { feed_forward, cascade_per_s: 0.0 });
+    near(bench.steps(HZ / 4), 0.125, 0.02);
+}
+
 fn knot(at_us: u64, position: f32, speed: f32) -> Knot {
     Knot { at_us, position, speed, feed_forward: 0.0 }
 }

@@ -8,7 +8,10 @@ use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_driver::tune::{Fit, Loop, Response};
 use r4_log::Log;
-use r4_protocol::{ChannelId, Unit, config::PidGains};
+use r4_protocol::{
+    ChannelId, Unit,
+    config::{FeedForward, PidGains, Tuning},
+};
 use r4_rig::{
     quantity::{Quantity, human},
     tune::{Answer, Finding, Outcome, Swing, TuneRequest},
@@ -23,37 +26,37 @@ use crate::{args::Args, output, session, table};
 pub(crate) struct Tune {
     /// The motor, as in osmc0; it must be free to move
     channel: ChannelId,
-    /// Swing it with a relay, or step its duty and fit a model
-    #[arg(long, value_enum, default_value_t = Method::Relay)]
+    /// Drive it by changing duties and fit a model, or swing it with a relay
+    #[arg(long, value_enum, default_value_t = Method::Step)]
     method: Method,
-    /// Which of its loops
-    #[arg(long, value_enum, default_value_t = Which::Position)]
-    mode: Which,
-    /// Keep the gains, if they are better; holds over restarts
+    /// Which of its loops [default: the one that holds its positions]
+    #[arg(long, value_enum)]
+    mode: Option<Which>,
+    /// Keep gains and feed-forward, if they are better; holds over restarts
     #[arg(long)]
     save: bool,
     /// Write a page with the plots
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// How far it may go from where it begins, as in 60deg or 10mm [default: 1 rad, or a tenth of the range; for a speed what
-    /// the run takes]
+    /// How far it may go from where it begins, as in 60deg or 10mm [default: 1 rad, or 200 counts of its sensor if that is
+    /// more, or a tenth of the range; for a speed what the run takes]
     #[arg(long)]
     travel: Option<Quantity>,
     /// Where it begins [default: where it is, or the nearest place with room]
     #[arg(long, allow_hyphen_values = true)]
     at: Option<Quantity>,
-    /// How hard it is driven, as a share of the supply [default: for a position short of a stall; for a speed a third of what
-    /// holds it]
+    /// How hard it is driven at most, as a share of the supply [default: as hard as its path needs; by a relay a position short
+    /// of a stall, a speed a third of what holds it]
     #[arg(long)]
     amplitude: Option<f64>,
-    /// Phase margin of a position loop by relay, degrees
+    /// Least phase margin, degrees
     #[arg(long, default_value_t = 60.0, value_name = "DEGREES")]
     margin: f64,
-    /// Time constant of the loop by step, s [default: the motor's delay]
+    /// Time constant of the closed loop, s [default: the shortest with that margin that the sensor allows]
     #[arg(long, value_name = "SECONDS")]
     time_constant: Option<f64>,
     /// Give up when it has been armed for so long, s
-    #[arg(long, default_value_t = 60.0, value_name = "SECONDS")]
+    #[arg(long, default_value_t = 120.0, value_name = "SECONDS")]
     time: f64,
 }
 
@@ -62,7 +65,7 @@ pub(crate) struct Tune {
 enum Method {
     /// By a relay.
     Relay,
-    /// By steps of the duty.
+    /// By runs under changing duties.
     Step,
 }
 
@@ -73,6 +76,8 @@ enum Which {
     Position,
     /// Of the speed.
     Speed,
+    /// Of the speed, which holds positions too.
+    Cascade,
 }
 
 impl Tune {
@@ -84,10 +89,11 @@ impl Tune {
                 Method::Relay => r4_rig::tune::Method::Relay,
                 Method::Step => r4_rig::tune::Method::Step,
             },
-            of: match self.mode {
+            of: self.mode.map(|which| match which {
                 Which::Position => Loop::Position,
                 Which::Speed => Loop::Speed,
-            },
+                Which::Cascade => Loop::Cascade,
+            }),
             save: self.save,
             travel: self.travel,
             at: self.at,
@@ -106,7 +112,7 @@ struct Report {
     mode: String,
     method: &'static str,
     rule: String,
-    phase_margin_deg: Option<f64>,
+    phase_margin_deg: f64,
     experiment: Experiment,
     present: Shown,
     proposed: Shown,
@@ -136,6 +142,8 @@ enum Experiment {
         gain: f64,
         lag_s: f64,
         delay_s: f64,
+        friction_up: f64,
+        friction_down: f64,
         residual: f64,
     },
 }
@@ -145,6 +153,10 @@ struct Shown {
     kp: f32,
     ki: f32,
     kd: f32,
+    static_duty: f32,
+    duty_per_speed: f32,
+    duty_per_acceleration: f32,
+    cascade_per_s: f32,
     rise_s: Option<f64>,
     overshoot: Option<f64>,
     settling_s: Option<f64>,
@@ -152,11 +164,16 @@ struct Shown {
 }
 
 impl Shown {
-    fn new(gains: PidGains, response: Option<Response>) -> Self {
+    fn new(gains: PidGains, tuning: Tuning, response: Option<Response>) -> Self {
+        let FeedForward { static_duty, duty_per_speed, duty_per_acceleration } = tuning.feed_forward;
         Self {
             kp: gains.kp,
             ki: gains.ki,
             kd: gains.kd,
+            static_duty,
+            duty_per_speed,
+            duty_per_acceleration,
+            cascade_per_s: tuning.cascade_per_s,
             rise_s: response.and_then(|response| response.rise_s),
             overshoot: response.map(|response| response.overshoot),
             settling_s: response.and_then(|response| response.settling_s),
@@ -192,7 +209,7 @@ pub(crate) fn run(args: &Args, tune: &Tune) -> anyhow::Result<bool> {
 }
 
 fn report(args: &Args, request: &TuneRequest, outcome: &Outcome) -> Report {
-    let Outcome { plan, finding, rule, margin_deg, proposed, before, after, worse, saved, .. } = outcome;
+    let Outcome { plan, finding, rule, margin_deg, proposed, tuning, before, after, worse, saved } = outcome;
     let experiment = match finding {
         Finding::Swing(Swing { oscillation, height, bias, hysteresis, host_delay_s }) => Experiment::Swing {
             period_s: oscillation.period_s,
@@ -207,20 +224,25 @@ fn report(args: &Args, request: &TuneRequest, outcome: &Outcome) -> Report {
             frequency_rad_s: oscillation.point.frequency_rad_s,
             phase_deg: oscillation.point.phase_rad.to_degrees(),
         },
-        Finding::Fit(Fit { model, residual }) => {
-            Experiment::Fit { gain: model.gain, lag_s: model.lag_s, delay_s: model.delay_s, residual: *residual }
-        }
+        Finding::Fit(Fit { model, friction, residual, .. }) => Experiment::Fit {
+            gain: model.gain,
+            lag_s: model.lag_s,
+            delay_s: model.delay_s,
+            friction_up: friction.up,
+            friction_down: friction.down,
+            residual: *residual,
+        },
     };
     Report {
         board: args.board.to_string(),
         channel: request.channel.to_string(),
-        mode: plan.mode().to_string(),
+        mode: plan.name().to_owned(),
         method: request.method.name(),
         rule: rule.clone(),
         phase_margin_deg: *margin_deg,
         experiment,
-        present: Shown::new(plan.motor.gains, Some(before.response)),
-        proposed: Shown::new(*proposed, after.as_ref().ok().map(|after| after.response)),
+        present: Shown::new(plan.motor.gains, plan.motor.tuning, Some(before.response)),
+        proposed: Shown::new(*proposed, *tuning, after.as_ref().ok().map(|after| after.response)),
         better: worse.is_none(),
         worse: worse.clone(),
         saved: *saved,
@@ -230,7 +252,7 @@ fn report(args: &Args, request: &TuneRequest, outcome: &Outcome) -> Report {
 /// What the experiment told, in one or two sentences.
 fn finding(outcome: &Outcome) -> String {
     let unit = outcome.plan.unit();
-    match outcome.finding {
+    match &outcome.finding {
         Finding::Swing(Swing { oscillation, height, hysteresis, host_delay_s, .. }) => {
             let quantity = |value| Quantity::new(value, unit);
             format!(
@@ -238,7 +260,7 @@ fn finding(outcome: &Outcome) -> String {
                  Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not in these.",
                 oscillation.period_s * 1e3,
                 quantity(oscillation.amplitude),
-                quantity(hysteresis),
+                quantity(*hysteresis),
                 oscillation.cycles,
                 oscillation.spread * 100.0,
                 oscillation.point.ultimate_gain(),
@@ -247,13 +269,16 @@ fn finding(outcome: &Outcome) -> String {
                 host_delay_s * 1e3
             )
         }
-        Finding::Fit(Fit { model, residual }) => {
+        Finding::Fit(Fit { model, friction, residual, .. }) => {
             let speed = if unit == Unit::M || unit == Unit::MPerS { Unit::MPerS } else { Unit::RadPerS };
             format!(
-                "Model: {} per full duty, lag {:.1} ms, delay {:.1} ms; leaves {:.1} % untold.",
+                "Model: {} per full duty, lag {:.1} ms, delay {:.1} ms; friction takes duty {:.3} up and {:.3} down. \
+                 Residual {:.1} % of the motion.",
                 Quantity::new(model.gain, speed),
                 model.lag_s * 1e3,
                 model.delay_s * 1e3,
+                friction.up,
+                friction.down,
                 residual * 100.0
             )
         }
@@ -262,8 +287,7 @@ fn finding(outcome: &Outcome) -> String {
 
 /// The rule and its margin.
 fn rule(outcome: &Outcome) -> String {
-    let margin = outcome.margin_deg.filter(|_| matches!(outcome.finding, Finding::Fit(_)));
-    outcome.rule.clone() + &margin.map_or(String::new(), |deg| format!(", phase margin {deg:.0} deg on the model"))
+    format!("{}, phase margin {:.0} deg", outcome.rule, outcome.margin_deg)
 }
 
 /// What to think of it.
@@ -298,10 +322,18 @@ fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
         let unit = if plan.of == Loop::Position { position } else { speed };
         [name.into(), unit, format!("{:.4}", of(&plan.motor.gains)), format!("{:.4}", of(&outcome.proposed))]
     };
+    let of_path = |name: &str, unit: &str, of: fn(&Tuning) -> f32| {
+        let unit = unit.replace('E', of_length);
+        [name.into(), unit, format!("{:.4}", of(&plan.motor.tuning)), format!("{:.4}", of(&outcome.tuning))]
+    };
     vec![
         gains("kp", ["duty/E", "duty s/E"], |gains| gains.kp),
         gains("ki", ["duty/(E s)", "duty/E"], |gains| gains.ki),
         gains("kd", ["duty s/E", "duty s²/E"], |gains| gains.kd),
+        of_path("cascade", "1/s", |tuning| tuning.cascade_per_s),
+        of_path("static_duty", "", |tuning| tuning.feed_forward.static_duty),
+        of_path("duty_per_speed", "duty s/E", |tuning| tuning.feed_forward.duty_per_speed),
+        of_path("duty_per_acceleration", "duty s²/E", |tuning| tuning.feed_forward.duty_per_acceleration),
         row("rise, 10 to 90 %", "s", &|response| response.rise_s, 3),
         row("overshoot", "%", &|response| Some(response.overshoot * 100.0), 1),
         row("settled after", "s", &|response| response.settling_s, 3),
@@ -314,7 +346,7 @@ fn print(args: &Args, tune: &Tune, outcome: &Outcome) -> anyhow::Result<()> {
     let board = args.board.described();
     output::line(format_args!(
         "{channel}, {} loop, by {}, on {board}",
-        outcome.plan.mode(),
+        outcome.plan.name(),
         tune.request().method.name()
     ))?;
     for sentence in finding(outcome).split_inclusive(". ") {

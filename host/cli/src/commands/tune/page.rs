@@ -16,7 +16,7 @@ pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };
     let verdict = verdict(outcome, channel);
     let table = report::Table {
-        caption: format!("Gains and the response to steps, {} loop", plan.mode()),
+        caption: format!("Gains and the response to steps, {} loop", plan.name()),
         note: Some(format!("{} {}. On the board: {verdict}.", finding(outcome), rule(outcome))),
         columns: vec![
             column("", Align::Left),

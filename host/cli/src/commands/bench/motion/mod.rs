@@ -1,12 +1,20 @@
 //! `r4 bench motion`: what motion on a board promises a planner, measured on simulated boards in virtual time.
 
+mod population;
+mod tuning;
+
 use std::cell::Cell;
 
+use r4_driver::tune::Loop;
 use r4_protocol::{ChannelId, ChannelKind, Mode, PathPoint, Sample, Setpoint};
 use r4_rig::{Error, Fleet, Rig, Session};
 use serde::Serialize;
 
-use crate::{args::Args, output, table};
+use self::tuning::{MARGIN_DEG, OVERSHOOT, Tuned};
+use crate::{
+    args::{Args, BenchMotion},
+    output, table,
+};
 
 /// The robot whose wheels are streamed, and one whose motors stand alone.
 const WHEELS: &str = "sim:openscout";
@@ -22,6 +30,8 @@ const LASTS_S: f64 = 5.0;
 const MEASURED_S: f64 = 1.0;
 /// Of a motor at constant speed, counts.
 const LAG_COUNTS: f64 = 2.0;
+/// Sampled motors that `r4 tune` must tune.
+const LEAST_TUNED: f64 = 0.98;
 /// Channels, and boards, begin in one period of 1 ms.
 const TOGETHER_S: f64 = 0.001;
 
@@ -41,9 +51,23 @@ struct Row {
 struct Report {
     rows: Vec<Row>,
     held: bool,
+    /// Sampled motors that are not tuned as promised.
+    failed: Vec<Failed>,
 }
 
-pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
+#[derive(Serialize)]
+struct Failed {
+    #[serde(serialize_with = "in_words")]
+    mode: Loop,
+    seed: u64,
+    why: String,
+}
+
+fn in_words<S: serde::Serializer>(mode: &Loop, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&format_args!("{mode:?}"))
+}
+
+pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
     let mut rows = Vec::new();
     for speed in SPEEDS_RAD_S {
         let rig = Rig { seed: args.seed, ..Rig::new(WHEELS.parse()?) };
@@ -59,29 +83,87 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
     let member = async |number: usize, session: &Session<'_>| begins_s(session, 0.037 * number as f64).await;
     let (_, began, _) = fleet.run(member, async |_| Ok::<_, Error>(()))?;
     rows.push(at_most("wheels of two boards begin within".to_owned(), "s", None, spread(&began.concat()), TOGETHER_S));
+    let mut failed = Vec::new();
+    for of in [Loop::Position, Loop::Speed, Loop::Cascade] {
+        let tuned = tuning::all(asked.from, asked.motors, of, |tuned| {
+            if asked.each {
+                eprintln!("{of:?} {tuned}");
+            }
+        })?;
+        rows.extend(tuning_rows(of, &tuned));
+        failed.extend(
+            tuned.into_iter().filter_map(|tuned| Some(Failed { mode: of, seed: tuned.seed, why: tuned.fails? })),
+        );
+    }
     let held = rows.iter().all(|row| row.met);
-    let report = Report { rows, held };
+    let report = Report { rows, held, failed };
     if args.json {
         output::json(&report)?;
         return Ok(held);
     }
     let mut table = table::new(&["simulated", "unit", "before", "after", "promised", "held"], 2..5);
-    for Row { what, unit, before, after, at_most, met, .. } in &report.rows {
+    for Row { what, unit, before, after, at_most, at_least, met } in &report.rows {
+        let most = at_most.map(|limit| format!("at most {limit}"));
+        let least = at_least.map(|limit| format!("at least {limit}"));
         table.add_row([
             what.clone(),
             (*unit).to_owned(),
             before.map_or("-".to_owned(), |before| format!("{before:.4}")),
             format!("{after:.4}"),
-            at_most.map_or(String::new(), |limit| format!("at most {limit}")),
+            most.or(least).unwrap_or_default(),
             if *met { "yes" } else { "no" }.to_owned(),
         ]);
     }
     output::line(format_args!("{table}"))?;
+    for Failed { mode, seed, why } in &report.failed {
+        output::line(format_args!("{mode:?} loop of sampled motor {seed}: {why}"))?;
+    }
     Ok(held)
 }
 
 fn at_most(what: String, unit: &'static str, before: Option<f64>, after: f64, limit: f64) -> Row {
     Row { what, unit, before, after, at_least: None, at_most: Some(limit), met: after <= limit }
+}
+
+fn at_least(what: String, unit: &'static str, before: Option<f64>, after: f64, limit: f64) -> Row {
+    Row { what, unit, before, after, at_least: Some(limit), at_most: None, met: after >= limit }
+}
+
+/// How many are tuned as promised, beside how many are as good with the gains that they had; and what those that are leave.
+fn tuning_rows(of: Loop, tuned: &[Tuned]) -> Vec<Row> {
+    let share = |good: usize| good as f64 / tuned.len().max(1) as f64;
+    let good: Vec<&Tuned> = tuned.iter().filter(|tuned| tuned.fails.is_none()).collect();
+    let was_good = tuned.iter().filter(|tuned| tuned.was_good()).count();
+    let overshoots: Vec<f64> = good.iter().filter_map(|tuned| Some(tuned.after?.overshoot)).collect();
+    let margins = good.iter().filter_map(|tuned| tuned.margin_deg);
+    let name = format!("{of:?}").to_lowercase();
+    let motors = tuned.len();
+    vec![
+        at_least(
+            format!("{name} loops tuned, of {motors}"),
+            "share",
+            Some(share(was_good)),
+            share(good.len()),
+            LEAST_TUNED,
+        ),
+        at_most(format!("their median overshoot, {name}"), "share", None, quantile(&overshoots, 0.5), OVERSHOOT),
+        at_most(format!("their worst overshoot, {name}"), "share", None, quantile(&overshoots, 1.0), OVERSHOOT),
+        at_least(
+            format!("their least phase margin, {name}"),
+            "deg",
+            None,
+            margins.fold(f64::INFINITY, f64::min),
+            MARGIN_DEG,
+        ),
+    ]
+}
+
+/// NaN of none, which keeps no limit.
+fn quantile(of: &[f64], share: f64) -> f64 {
+    let mut sorted = of.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
 }
 
 fn spread(of: &[f64]) -> f64 {
