@@ -183,6 +183,8 @@ const BREAK_AWAY_PER_S: f32 = 0.1;
 /// The path waits for a motor at the limit of its duty that is so far behind it, as a share of the distance at which it counts as
 /// not following.
 const WAIT_SHARE: f32 = 0.25;
+/// A count and its rounding.
+const A_COUNT: f32 = 1.0005;
 /// At the limit but for rounding.
 const AT_LIMIT: f32 = 0.999;
 /// A supply outside these shares of its nominal volts is not made up for further: a sensor that fails must not drive a motor harder
@@ -655,9 +657,9 @@ impl Motor {
     fn band(&self, near: bool) -> f32 {
         let error = self.control.settle.error;
         match self.control.feedback {
+            // The learned curve brings a motor back without hunting, and a count has no noise; but a motor can always be a count off.
+            Feedback::Encoder { .. } if self.model.is_some() => error.max(A_COUNT * resolution(self.control.feedback)),
             _ if !near => error,
-            // The learned curve brings a motor back without hunting: the noise of an encoder is none within a count.
-            Feedback::Encoder { .. } if self.model.is_some() => error + 0.25 * resolution(self.control.feedback),
             // Left only at twice the error that enters it: noise at the edge must not start the motor again.
             _ => 2.0 * error,
         }

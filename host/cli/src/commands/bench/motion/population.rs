@@ -167,7 +167,7 @@ impl Sampled {
         let speed = PATH_SPEED * self.speed_rad_s;
         control.position = Range::new(-400.0, 400.0);
         control.speed_max = (0.8 * self.speed_rad_s) as f32;
-        control.profile = ProfileLimits { speed: speed as f32, acceleration: (speed / PATH_RAMP_S) as f32 };
+        control.profile = ProfileLimits { speed: speed as f32, acceleration: (speed / PATH_RAMP_S) as f32, jerk: 0.0 };
         control.settle = SettleConfig {
             error: SETTLE_RAD.max(SETTLE_COUNTS * count_rad) as f32,
             speed: (0.02 * self.speed_rad_s).max(2.0 * count_rad / 0.1) as f32,
