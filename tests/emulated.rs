@@ -77,6 +77,21 @@ fn a_wheel_radius_is_found_on_an_emulated_board() {
     assert!(of("hidden_effect_named") == 1.0 && of("effect_size_error") < 0.05, "{found}");
 }
 
+/// The OSMC evaluation on the real image: set points where the simulated board's are, and no limit cycle.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn the_osmc_evaluation_runs_on_an_emulated_board() {
+    let arguments = ["system", "run", "osmc", "--arm", "ablation:uncalibrated", "--seed", "4", "--json"];
+    let run = program::good_json(&[&arguments[..], &["--board", "emu:osmc-evaluation"]].concat());
+    let of = |name: &str| run["values"][name].as_f64().expect("a metric");
+    // Seed 4 hides a sagging supply and two dead bands, and nothing in the sensors.
+    assert!(
+        of("geared_error_360_deg") <= 1.0 && of("small_error_360_deg") <= 1.0 && of("linear_error_85_mm") <= 0.2,
+        "{run}"
+    );
+    assert!(["small", "geared", "linear"].iter().all(|motor| of(&format!("{motor}_limit_cycles")) == 0.0), "{run}");
+}
+
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
 #[test]
 #[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]

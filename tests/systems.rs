@@ -4,7 +4,7 @@ use std::fs;
 
 use tempfile::TempDir;
 
-use crate::program::{all_refused, good, good_json};
+use crate::program::{all_refused, good, good_json, object, r4};
 
 /// Arms that take a fraction of a second.
 const QUICK: [&str; 8] =
@@ -56,4 +56,43 @@ fn what_cannot_be_run_is_said() {
         ),
         (&["system", "merge", "none.jsonl"], &["none.jsonl"]),
     ]);
+}
+
+/// Two seeds of the evaluation: a line for each metric, the paper's numbers, and a page with every response.
+#[test]
+fn the_osmc_evaluation_has_the_paper_beside_ours() {
+    let folder = TempDir::new().expect("a folder");
+    let page = folder.path().join("report.html");
+    let arguments = ["evaluate", "osmc", "--seeds", "2", "--first-seed", "1", "--naming", "0", "--json"];
+    let board = ["--board", "sim:osmc-evaluation"];
+    let told = r4(&[&arguments[..], &board, &["--report", page.to_str().expect("text")]].concat());
+    // Whether all targets are met is for the board's loops to say.
+    assert!(matches!(told.code, Some(0 | 1)), "{told:?}");
+    let told = object(&told.out);
+    let rows = told["rows"].as_array().expect("rows");
+    let row = |case: &str, metric: &str| {
+        rows.iter()
+            .find(|row| row["case"] == case && row["metric"] == metric)
+            .unwrap_or_else(|| panic!("{case} {metric}"))
+    };
+    for (case, paper) in [("geared 360 deg", 3.0), ("geared 90 deg", 1.0), ("linear 10 mm", 3.0)] {
+        assert_eq!(row(case, "error")["paper"].as_f64(), Some(paper), "{case}");
+    }
+    for row in rows {
+        let number = |field: &str| row[field].as_f64().unwrap_or(f64::NAN);
+        assert!(number("ours_median") <= number("ours_worst") && number("plants") == 2.0, "{row:#}");
+        assert!(
+            row["plain_pid"].is_number() || row["metric"].as_str().is_some_and(|name| name.contains("uncalibrated")),
+            "{row:#}"
+        );
+    }
+    assert_eq!(told["ladders"].as_array().map(Vec::len), Some(9));
+    let met = rows.iter().all(|row| row["met"] != false);
+    assert_eq!(met, told["failing"].as_array().is_some_and(Vec::is_empty), "{told:#}");
+    let page = fs::read_to_string(page).expect("a page");
+    assert!(
+        page.contains("Seed 1</h2>") && page.contains("Seed 2</h2>") && page.matches("<svg").count() == 2,
+        "{}",
+        page.len()
+    );
 }

@@ -18,9 +18,10 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 15] = [
+const BUILT_IN: [(&str, &str); 17] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
+    ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
     ("openscout.toml", include_str!("../openscout.toml")),
     ("openpodcar.toml", include_str!("../openpodcar.toml")),
     ("openagribot.toml", include_str!("../openagribot.toml")),
@@ -30,6 +31,7 @@ const BUILT_IN: [(&str, &str); 15] = [
     ("worlds/square.toml", include_str!("../worlds/square.toml")),
     ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
     ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
+    ("plants/osmc-evaluation-small.toml", include_str!("../plants/osmc-evaluation-small.toml")),
     ("plants/openscout-wheel.toml", include_str!("../plants/openscout-wheel.toml")),
     ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
     ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),

@@ -6,11 +6,13 @@
 //! | module | subject |
 //! | --- | --- |
 //! | [`hide`], [`Hidden`], [`Truth`] | an effect in a given plant |
+//! | [`hide_one_of`], [`Among`] | one of a caller's effects, or nothing |
 //! | [`hide_in_body`] | a parameter of a robot's body |
 //! | [`experiment`] | recordings of a drawn plant, with noise, as an identifier reads them |
 //!
 //! What may be hidden is an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
 
+mod among;
 mod body;
 mod dice;
 mod excitation;
@@ -24,6 +26,7 @@ mod watch;
 
 use r4_plants::{Dependence, Effect, Fitted, InsertionPoint, Plant, PlantKind, PlantSpec};
 
+pub use among::{Among, CALIBRATIONS, NotHidden, hide_one_of};
 pub use body::{hide_in_body, is_in_body};
 use dice::Dice;
 use listed::CANDIDATES;
@@ -223,6 +226,11 @@ fn with(search: &Search<'_>, parts: &Parts, effect: Effect) -> Option<Parts> {
     if search.excluded.contains(&effect.name()) {
         return None;
     }
+    with_effect(parts, effect)
+}
+
+/// The same, for any effect.
+pub(crate) fn with_effect(parts: &Parts, effect: Effect) -> Option<Parts> {
     let mut effects = parts.spec.effects().to_vec();
     let place = if effect.info().insertion == InsertionPoint::Input { 0 } else { effects.len() };
     effects.insert(place, effect);
@@ -232,13 +240,16 @@ fn with(search: &Search<'_>, parts: &Parts, effect: Effect) -> Option<Parts> {
 }
 
 fn truth_of(index: usize, effect: Effect, kind: PlantKind) -> Truth {
+    told_of(effect, CANDIDATES[index].rivals, kind)
+}
+
+pub(crate) fn told_of(effect: Effect, rivals: &'static [&'static str], kind: PlantKind) -> Truth {
     let parameters = effect.parameters().iter().enumerate().map(|(at, parameter)| Value {
         name: parameter.name(kind),
         value: effect.value(at).unwrap_or(f64::NAN),
         unit: parameter.unit(kind),
     });
     let info = effect.info();
-    let rivals = CANDIDATES[index].rivals;
     Truth { name: info.name, parameters: parameters.collect(), depends_on: info.depends_on, listed: true, rivals }
 }
 

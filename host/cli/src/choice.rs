@@ -84,6 +84,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Log(_)
         | Command::Report(_)
         | Command::System { .. }
+        | Command::Evaluate { .. }
         | Command::Ports
         | Command::Sim { .. }
         | Command::Bench { .. }

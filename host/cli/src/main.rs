@@ -106,6 +106,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::Report(report) => commands::report::run(args, report),
         Command::Identify(identify) => commands::identify::run(args, identify),
         Command::System { what } => commands::system::run(args, what),
+        Command::Evaluate { what } => commands::evaluate::run(args, what),
         Command::Ports => commands::ports::run(args),
         Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
         Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),

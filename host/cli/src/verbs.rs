@@ -121,6 +121,11 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: commands::system::Systems,
     },
+    /// Repeat a paper's whole evaluation on blind plants, with the paper beside
+    Evaluate {
+        #[command(subcommand)]
+        what: commands::evaluate::Evaluations,
+    },
     /// Serial ports, and which of them are boards
     Ports,
     /// Make a virtual board that other programs connect to

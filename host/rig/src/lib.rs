@@ -61,7 +61,7 @@ pub use odometry::{Odometry, Place, WHEEL_VARIANCE_M};
 pub use path::{Followed, PathError, Paths};
 pub use plant_file::{InRobot, PlantFile, PlantFileError, hidden, read_plant, replace_body, replace_plants};
 pub use quantity::Quantity;
-pub use r4_sim::Pace;
+pub use r4_sim::{MotorPlant, Pace, plants as motor_plants};
 pub use rig::{Alter, Elapsed, Notify, Recorded, Rig};
 pub use route::{Follower, Limits};
 pub use session::Session;

@@ -13,6 +13,7 @@ mod about;
 pub mod absim;
 mod error;
 mod figure;
+pub mod osmc;
 #[cfg(feature = "parquet")]
 mod parquet;
 #[cfg(not(feature = "parquet"))]
@@ -95,7 +96,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &absim::Absim, &tail::Tail]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail]
 }
 
 /// The system with this name.

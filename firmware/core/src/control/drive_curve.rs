@@ -146,27 +146,127 @@ impl DriveCurve {
         let (knot, way) = self.place(steady);
         let way = way.min(1.0);
         let error = share * (along - self.along(side, steady.min(self.speed_max)));
-        let changes = [(1.0 - way) * error, way * error];
-        let seen = [knot, knot + 1];
-        if way < 0.5 {
-            self.seen[side] |= 1 << knot;
-        } else {
-            self.seen[side] |= 1 << (knot + 1);
-        }
-        for of in 0..2 {
-            for at in 0..KNOTS {
-                let change = match (of == side, seen.iter().position(|seen| *seen == at)) {
-                    (true, Some(end)) => changes[end],
-                    // What has not been seen moves along.
-                    _ if self.seen[of] & (1 << at) == 0 => changes[usize::from(at > knot)],
-                    _ => continue,
-                };
-                self.duty[of][at] = (self.duty[of][at] + change).within(-self.duty_max, 2.0 * self.duty_max);
+        self.seen[side] |= 1 << (knot + usize::from(way >= 0.5));
+        for at in 0..KNOTS {
+            let (is_end, change) = match at {
+                _ if at <= knot => (at == knot, (1.0 - way) * error),
+                _ => (at == knot + 1, way * error),
+            };
+            // What has not been seen moves along: knots beyond, and the same knot of the other direction.
+            for (of, moves) in [(side, is_end || !self.is_seen(side, at)), (1 - side, !self.is_seen(1 - side, at))] {
+                if moves && (of == side || is_end || !self.is_seen(side, at)) {
+                    let duty = &mut self.duty[of][at];
+                    *duty = (*duty + change).within(-self.duty_max, 2.0 * self.duty_max);
+                }
             }
+        }
+        for duty in &mut self.duty {
             for at in 1..KNOTS {
                 let rise = LEAST_RISE * self.duty_max * (SHARES[at] - SHARES[at - 1]);
-                self.duty[of][at] = self.duty[of][at].max(self.duty[of][at - 1] + rise);
+                duty[at] = duty[at].max(duty[at - 1] + rise);
             }
         }
+    }
+
+    fn is_seen(&self, side: usize, at: usize) -> bool {
+        self.seen[side] & (1 << at) != 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SPEED_MAX: f32 = 5.0;
+
+    /// Lets a motor of a true law be learned at speeds from `slowest` to all of `speeds`, forwards: each 2000 periods of 1 %.
+    fn learned(prior: (f32, f32), speeds: &[f32], law: impl Fn(f32) -> f32) -> DriveCurve {
+        let mut curve = DriveCurve::new(prior.0, prior.1, SPEED_MAX, 0.9);
+        for _ in 0..2000 {
+            for speed in speeds {
+                curve.learn(*speed, law(*speed), *speed, 0.01);
+            }
+        }
+        curve
+    }
+
+    proptest! {
+        /// What a duty comes to hold, and what holds it, whichever way the motor moves, with any friction and any load.
+        #[test]
+        fn duty_and_steady_speed_are_inverse(
+            static_duty in 0.0f32..0.5, duty_per_speed in 0.02f32..0.3, speed in -6.0f32..6.0, forwards: bool,
+        ) {
+            let curve = DriveCurve::new(static_duty, duty_per_speed, SPEED_MAX, 0.9);
+            let towards = if forwards { 1.0 } else { -1.0 };
+            let duty = curve.duty(speed, towards);
+            let back = curve.steady(duty, towards * 0.1);
+            // Two lines each way, of numbers up to 6 with slopes down to 0.02.
+            prop_assert!((back - speed).abs() < 1e-3, "{} by {}, not {}", back, duty, speed);
+        }
+
+        /// Whatever it is told, it rises with speed and stays finite.
+        #[test]
+        fn nothing_it_learns_breaks_it(told in prop::collection::vec((-9.0f32..9.0, -1.0f32..1.0, -9.0f32..9.0), 1..200)) {
+            let mut curve = DriveCurve::new(0.0, 0.1, SPEED_MAX, 0.9);
+            for (steady, duty, speed) in told {
+                curve.learn(steady, duty, speed, 0.5);
+            }
+            for towards in [1.0, -1.0] {
+                let duties = (0..=50u8).map(|step| curve.duty(towards * f32::from(step) / 10.0, towards) * towards);
+                let duties: Vec<f32> = duties.collect();
+                prop_assert!(duties.iter().all(|duty| duty.is_finite() && duty.abs() < 3.0), "{:?}", duties);
+                prop_assert!(duties.windows(2).all(|pair| pair[0] < pair[1]), "{:?}", duties);
+            }
+        }
+    }
+
+    /// A motor with friction 0.3 and 0.1 s/rad, of which the file knows neither, seen at four speeds.
+    #[test]
+    fn friction_is_learned_without_a_prior_value() {
+        let curve = learned((0.0, 0.05), &[0.05, 0.3, 1.2, 4.0], |speed| 0.3 + 0.1 * speed);
+        for speed in [0.05, 0.3, 1.2, 4.0] {
+            let duty = curve.duty(speed, 1.0);
+            assert!((duty - 0.3 - 0.1 * speed).abs() < 0.01, "{speed}: {duty}");
+        }
+        // The other way has not been seen, and is taken to be like it.
+        assert!((curve.duty(-1.2, -1.0) + 0.42).abs() < 0.03, "{}", curve.duty(-1.2, -1.0));
+    }
+
+    /// 0.2 of friction, and a load that takes 0.15 forwards and gives as much backwards.
+    #[test]
+    fn a_load_makes_the_directions_differ() {
+        let mut curve = learned((0.0, 0.1), &[0.05, 0.5, 2.0], |speed| 0.35 + 0.1 * speed);
+        for _ in 0..2000 {
+            for speed in [-0.05f32, -0.5, -2.0] {
+                curve.learn(speed, -0.05 + 0.1 * speed, speed, 0.01);
+            }
+        }
+        assert!((curve.threshold() - 0.2).abs() < 0.02, "{}", curve.threshold());
+        assert!((curve.duty(0.0, 0.0) - 0.15).abs() < 0.02, "{}", curve.duty(0.0, 0.0));
+    }
+
+    /// Of a motor that coasts at 0.1 of duty: with friction it would come to hold a speed far behind, with a dead band none.
+    #[test]
+    fn a_dead_band_and_friction_are_told_apart_by_how_it_coasts() {
+        let of = |steady: f32| {
+            let mut curve = DriveCurve::new(0.4, 0.1, SPEED_MAX, 0.9);
+            for _ in 0..500 {
+                curve.learn(steady, 0.1, 1.0, 0.01);
+            }
+            curve
+        };
+        // 0.3 of duty short at 0.1 s/rad.
+        let (friction, dead_band) = (of(-3.0), of(0.0));
+        assert!((friction.steady(0.1, 1.0) + 3.0).abs() < 0.1, "{}", friction.steady(0.1, 1.0));
+        assert!(dead_band.steady(0.1, 1.0) > -0.2, "{}", dead_band.steady(0.1, 1.0));
+        // To brake, it gets the whole way to the other side of its dead band for little; with friction that brakes for it.
+        assert!(dead_band.duty(-0.5, 1.0) < -0.3, "{}", dead_band.duty(-0.5, 1.0));
+        assert!(friction.duty(-0.5, 1.0) > 0.3, "{}", friction.duty(-0.5, 1.0));
     }
 }

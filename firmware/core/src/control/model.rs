@@ -41,12 +41,14 @@ impl Model {
         let resolution = match (control.motor_side, control.feedback) {
             (Some(side), _) => core::f32::consts::TAU / side.counts_per_turn as f32,
             (None, Feedback::Angle { .. } | Feedback::Pulses { .. }) => return None,
+            // Less than that is noise.
+            (None, Feedback::Potentiometer { .. }) => control.settle.error,
             (None, feedback) => super::motor::resolution(feedback),
         };
         let known = feed_forward.duty_per_speed > 0.0 && feed_forward.duty_per_acceleration > 0.0;
         let time_constant_s = feed_forward.duty_per_acceleration / feed_forward.duty_per_speed;
         known.then(|| Self {
-            observer: Observer::new(control.speed_filter_s, period_s),
+            observer: Observer::new(control.speed_filter_s, time_constant_s, period_s),
             curve: DriveCurve::new(feed_forward.static_duty, feed_forward.duty_per_speed, control.speed_max, duty_max),
             time_constant_s,
             duty_per_speed: feed_forward.duty_per_speed,

@@ -343,8 +343,8 @@ fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
     bench.drive(1, 0.5);
     let expected_s = 60.0 * ((1.96_f64 - 0.8) / (1.96 - 1.0)).ln();
     let after_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
-    // The supply's codes and the slew to the duty, 25 ms.
-    assert!((expected_s..expected_s + 0.1).contains(&after_s), "{after_s} s, not {expected_s} s");
+    // The supply's codes, the slew to the duty, 25 ms, and the 0.1 s that the observer of speed takes to find that it stands.
+    assert!((expected_s..expected_s + 0.2).contains(&after_s), "{after_s} s, not {expected_s} s");
     bench.is_tripped_by(Cause::Overload);
     // 60 s ln(1 / 0.8) are 13.4 s; being disarmed or asked changes nothing.
     bench.advance(13_000);

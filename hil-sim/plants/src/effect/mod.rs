@@ -229,6 +229,17 @@ impl Effect {
         self.info().name
     }
 
+    /// What an effect of the bridge makes of a duty, if that takes neither time nor anything but the duty; `None` for all others.
+    #[must_use]
+    pub fn at_once(&self, duty: f64) -> Option<f64> {
+        match self {
+            Self::DeadZone(zone) => Some(zone.apply(duty)),
+            Self::GainCurve(curve) => Some(curve.apply(duty)),
+            Self::Saturation(saturation) => Some(saturation.apply(duty)),
+            _ => None,
+        }
+    }
+
     /// Whether a plant of this kind can have the effect with these values.
     ///
     /// # Errors

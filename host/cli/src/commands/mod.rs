@@ -8,6 +8,7 @@ pub(crate) mod config;
 pub(crate) mod debug;
 pub(crate) mod demo;
 pub(crate) mod drive;
+pub(crate) mod evaluate;
 pub(crate) mod faults;
 pub(crate) mod flash;
 pub(crate) mod follow;

@@ -9,11 +9,13 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_systems::{
-    Limit, Row, System, Trial,
+    Figure, Limit, Row, System, Trial,
     study::{self, Record, Shard, Study},
 };
+use rayon::prelude::*;
 use serde::Serialize;
 
+use super::evaluate;
 use crate::{
     args::{Args, BenchSystems},
     output,
@@ -22,7 +24,7 @@ use crate::{
 };
 
 /// Constants are set on seeds below this one; studies report those from here on.
-const REPORTED_FROM: u64 = 1001;
+pub(crate) const REPORTED_FROM: u64 = 1001;
 /// Seeds of a benchmark, and of a quick one.
 const BENCH_SEEDS: u64 = 100;
 const QUICK_SEEDS: u64 = 8;
@@ -40,9 +42,9 @@ pub(crate) enum Systems {
     Run {
         /// As `list` prints it
         name: String,
-        /// Which of its arms
-        #[arg(long, default_value = "ours")]
-        arm: String,
+        /// Which of its arms [default: ours; of osmc, its whole evaluation, as `r4 evaluate osmc`]
+        #[arg(long)]
+        arm: Option<String>,
         /// Draw curves of this seed's arms into an SVG file
         #[arg(long, value_name = "FILE")]
         figure: Option<PathBuf>,
@@ -103,7 +105,11 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
     match what {
         Systems::List => list(args),
         Systems::Show { name } => show(args, r4_systems::find(name)?),
+        Systems::Run { name, arm: None, figure: None, files: None } if name == r4_systems::osmc::NAME => {
+            evaluate::run_osmc(args, &evaluate::OsmcArgs::default())
+        }
         Systems::Run { name, arm, figure, files } => {
+            let arm = arm.as_deref().unwrap_or("ours");
             trial(args, r4_systems::find(name)?, arm, figure.as_deref(), files.as_deref())
         }
         Systems::Study(study) => run_study(args, study),
@@ -130,7 +136,7 @@ pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
 }
 
 /// The board of `--board`, or a simulated one of the system's robot.
-fn board(args: &Args, system: &dyn System) -> Target {
+pub(super) fn board(args: &Args, system: &dyn System) -> Target {
     if args.is_board_named { args.board.clone() } else { Target::Sim(system.about().robot.to_owned()) }
 }
 
@@ -262,13 +268,22 @@ fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Res
 }
 
 /// Runs a study with a bar of its progress.
-fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<Record>> {
+pub(super) fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<Record>> {
     let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}").unwrap_or(ProgressStyle::default_bar());
     let bar = ProgressBar::new(study.trials(system)?.len() as u64).with_style(style);
     bar.set_message(system.about().name);
     let records = study.run(system, |_| bar.inc(1));
     bar.finish_and_clear();
     Ok(records?)
+}
+
+/// Figures of a study's seeds, with their headings, on all cores.
+pub(super) fn figures(system: &dyn System, study: &Study) -> anyhow::Result<Vec<(String, Figure)>> {
+    let one_arm = Study { arms: vec!["ours".to_owned()], ..study.clone() };
+    let figure = |trial: &Trial| -> anyhow::Result<Option<(String, Figure)>> {
+        Ok(system.figure(trial)?.map(|figure| (format!("Seed {}", trial.seed), figure)))
+    };
+    one_arm.trials(system)?.par_iter().filter_map(|trial| figure(trial).transpose()).collect()
 }
 
 fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {

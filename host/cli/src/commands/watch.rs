@@ -295,6 +295,9 @@ fn fault(quality: Quality) -> &'static str {
         Quality::Stale => "stale",
         Quality::WrongChip => "wrong chip",
         Quality::Saturated => "saturated",
+        Quality::NoMagnet => "no magnet",
+        Quality::WeakMagnet => "weak magnet",
+        Quality::StrongMagnet => "strong magnet",
     }
 }
 

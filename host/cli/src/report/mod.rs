@@ -3,6 +3,7 @@
 //! The same log and tables give the same bytes.
 
 mod channel;
+mod evaluation;
 mod identify;
 mod map;
 mod plot;
@@ -15,6 +16,7 @@ use std::fmt::Write as _;
 use r4_log::Log;
 use r4_protocol::Request;
 
+pub(crate) use evaluation::evaluation;
 pub(crate) use identify::{Scale, identify, significant};
 pub(crate) use map::Map;
 use plot::{Figure, number};

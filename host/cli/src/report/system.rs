@@ -12,21 +12,25 @@ const HEIGHT: i32 = 170;
 const WIDTH: u32 = 6;
 const COLORS: [plotters::style::RGBColor; 4] = [color::BLUE, color::ORANGE, color::GREEN, color::PURPLE];
 
-/// A system's figure, below its views from above, as an SVG file that stands alone.
-pub(crate) fn system(figure: &r4_systems::Figure, views: &[r4_systems::View]) -> String {
+/// A system's figure, as it is drawn.
+pub(super) fn drawn(figure: &r4_systems::Figure) -> Figure {
     let points = |axis: fn(&(f64, f64)) -> f64| {
         let curves = figure.panels.iter().flat_map(|panel| &panel.curves);
         extent(curves.flat_map(|curve| &curve.points).map(axis)).unwrap_or((0.0, 1.0))
     };
-    let drawn = Figure {
+    Figure {
         description: figure.description.clone(),
         span: points(|(x, _)| *x),
         axis: figure.axis.to_owned(),
         bands: Vec::new(),
         trips_s: Vec::new(),
         panels: figure.panels.iter().map(panel).collect(),
-    };
-    let panels = drawn.svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1);
+    }
+}
+
+/// A system's figure, below its views from above, as an SVG file that stands alone.
+pub(crate) fn system(figure: &r4_systems::Figure, views: &[r4_systems::View]) -> String {
+    let panels = drawn(figure).svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1);
     if views.is_empty() { panels } else { view::above(views, &panels, &figure.description) }
 }
 

@@ -44,7 +44,9 @@ fn rotary(key: ParameterKey) -> &'static str {
         | Parameter::FollowError
         | Parameter::HomePosition
         | Parameter::AngleLow
-        | Parameter::AngleHigh => "rad",
+        | Parameter::AngleHigh
+        | Parameter::ZeroAngle
+        | Parameter::GapMax => "rad",
         Parameter::SpeedMax
         | Parameter::ProfileSpeed
         | Parameter::SettleSpeed
@@ -58,7 +60,7 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::SpeedKd | Parameter::DutyPerAcceleration => "duty s²/rad",
         Parameter::SpeedFilter | Parameter::PulseLow | Parameter::PulseHigh | Parameter::ThermalS => "s",
         Parameter::CanRate | Parameter::CanDataRate => "kbit/s",
-        Parameter::CountsPerTurn | Parameter::StepsPerTurn | Parameter::CanNode => "",
+        Parameter::CountsPerTurn | Parameter::MotorSideCounts | Parameter::StepsPerTurn | Parameter::CanNode => "",
         Parameter::PotLowCode | Parameter::PotHighCode => "code",
         Parameter::PotLowPosition | Parameter::PotHighPosition | Parameter::StopBelow => "m",
         Parameter::NeutralV

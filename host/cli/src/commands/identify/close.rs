@@ -226,7 +226,8 @@ fn found(
     let read = |files: &[PathBuf]| -> anyhow::Result<Recorded> { Ok(data::read(files, &options)?) };
     let (mut train, mut holdout) = (read(fitted)?, read(fresh)?);
     let mut notes: Vec<String> = train.notes.iter().chain(&holdout.notes).map(ToString::to_string).collect();
-    let known: Vec<Effect> = declared.effects().iter().map_while(|effect| at_once(effect).map(|_| *effect)).collect();
+    let known: Vec<Effect> =
+        declared.effects().iter().copied().take_while(|effect| effect.at_once(0.0).is_some()).collect();
     if !known.is_empty() {
         let names: Vec<_> = known.iter().map(|effect| effect.name()).collect();
         notes.push(format!("the input is the duty behind what the plant file has of the bridge: {}", names.join(", ")));
@@ -234,7 +235,7 @@ fn found(
     for run in train.runs.iter_mut().chain(&mut holdout.runs) {
         let duties = run.signals.get_mut("input").into_iter().flat_map(|signal| &mut signal.values);
         duties.for_each(|duty| {
-            *duty = known.iter().fold(*duty, |duty, effect| at_once(effect).map_or(duty, |of| of(duty)))
+            *duty = known.iter().fold(*duty, |duty, effect| effect.at_once(duty).unwrap_or(duty));
         });
     }
     let parameters = [("supply_v".to_owned(), supply_v)].into_iter().filter(|(_, volts)| *volts > 0.0).collect();
@@ -247,16 +248,6 @@ fn found(
         found.loadable = Loadable::Plant(behind(known, found.loadable.plant().unwrap_or_default())?);
     }
     Ok(found)
-}
-
-/// What an effect of the bridge makes of a duty, if that takes neither time nor anything but the duty.
-fn at_once(effect: &Effect) -> Option<Box<dyn Fn(f64) -> f64 + '_>> {
-    match effect {
-        Effect::DeadZone(zone) => Some(Box::new(|duty| zone.apply(duty))),
-        Effect::GainCurve(curve) => Some(Box::new(|duty| curve.apply(duty))),
-        Effect::Saturation(saturation) => Some(Box::new(|duty| saturation.apply(duty))),
-        _ => None,
-    }
 }
 
 /// The plant file of what was found behind effects that were known.
