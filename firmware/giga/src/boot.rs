@@ -42,7 +42,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::{
     analog, clocks, cycles,
     encoders::{
-        self, Counters,
+        self, Counters, index,
         lines::{self, Lines},
     },
     executors::{self, Executors},
@@ -115,8 +115,11 @@ fn bounce() -> &'static mut Bounce {
 }
 
 bind_interrupts!(struct Irqs {
-    // In this order: the second undoes what the first does to lines that are not its own.
-    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, lines::Restore;
+    EXTI0 => index::Pulse;
+    EXTI1 => index::Pulse;
+    EXTI2 => index::Pulse;
+    // In this order: the others undo what the first does to lines that are not its own.
+    EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, lines::Restore, index::Restore;
     EXTI15_10 => lines::Edges;
     TIM2 => steppers::OnClock;
     I2C1_EV => EventInterruptHandler<stm32::I2C1>;
@@ -451,6 +454,12 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
         executors::STEPS,
     );
     let config = shared.config();
+    let switches = Switches::new(switches::Pins {
+        switch0: pin!(p, enc0_sw),
+        switch1: pin!(p, enc1_sw),
+        switch2: pin!(p, enc2_sw),
+        switch3: pin!(p, enc3_sw),
+    });
     let lines = Lines::new(
         lines::Pins {
             track_a: pin!(p, enc3_a as EXTI10),
@@ -471,6 +480,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
             tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
         },
         lines,
+        core::array::from_fn(|encoder| config.index_active_low(encoder as u8)),
     );
     let rangers = Rangers::new(
         ranging::Pins {
@@ -502,19 +512,8 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     if let Err(error) = &inputs {
         defmt::error!("the analog inputs do not work: {}", error);
     }
-    let processor = Processor {
-        storms: Default::default(),
-        encoders,
-        switches: Switches::new(switches::Pins {
-            switch0: pin!(p, enc0_sw),
-            switch1: pin!(p, enc1_sw),
-            switch2: pin!(p, enc2_sw),
-            switch3: pin!(p, enc3_sw),
-        }),
-        steppers,
-        inputs: inputs.ok(),
-        outputs: dacs,
-    };
+    let processor =
+        Processor { storms: Default::default(), encoders, switches, steppers, inputs: inputs.ok(), outputs: dacs };
 
     let mut spi_config = spi::Config::default();
     spi_config.frequency = SCREEN_SPI;

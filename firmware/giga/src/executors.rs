@@ -5,7 +5,7 @@
 //! | level | runs | why there |
 //! | --- | --- | --- |
 //! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
-//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle | edges are 20 us apart, and more than 100 in a ms are masked; a wait must end, and a released handle be seen, whatever task runs |
+//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle; index pulses | edges are 20 us apart, and more than 100 in a ms are masked, of index pulses one in a period; a wait must end, and a released handle be seen, whatever task runs |
 //! | 2 | supervisor | must run when all else is late |
 //! | 3 | I2C2: the next transfer of the control loop, and the end of the last; DMA; CAN: three frames fill its memory, in 0.2 ms | only begins, wakes and copies |
 //! | 4 | control, ranging | 1 kHz |
@@ -24,7 +24,7 @@ use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 
 /// Of step pulses.
 pub(crate) const STEPS: Priority = Priority::P0;
-/// Interrupts of edges and of time. EXTI9_5 and EXTI15_10 must not interrupt each other: both change the lines' masks.
+/// Interrupts of edges and of time. Those of lines must not interrupt each other: all change the lines' masks.
 pub(crate) const EDGES: Priority = Priority::P1;
 const SUPERVISOR: Priority = Priority::P2;
 /// Interrupts that end what control waits for. embassy sets those of DMA itself.
@@ -56,7 +56,17 @@ pub(crate) struct Executors {
 pub(crate) fn prioritise() {
     for (priority, interrupts) in [
         (STEPS, &[interrupt::TIM2][..]),
-        (EDGES, &[interrupt::TIM5, interrupt::EXTI9_5, interrupt::EXTI15_10]),
+        (
+            EDGES,
+            &[
+                interrupt::TIM5,
+                interrupt::EXTI0,
+                interrupt::EXTI1,
+                interrupt::EXTI2,
+                interrupt::EXTI9_5,
+                interrupt::EXTI15_10,
+            ],
+        ),
         (SUPERVISOR, &[interrupt::SAI1]),
         (
             TRANSFERS,

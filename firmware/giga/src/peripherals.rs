@@ -39,6 +39,10 @@ impl Encoders for Processor {
     fn illegal(&mut self, index: u8) -> u32 {
         self.encoders.illegal(index)
     }
+
+    fn at_index(&mut self, index: u8) -> Option<u16> {
+        self.encoders.at_index(index)
+    }
 }
 
 impl EdgeInputs for Processor {

@@ -227,6 +227,7 @@ mod tests {
                 tracks2: (pin!(p, enc2_a as TIM1_CH1), pin!(p, enc2_b as TIM1_CH2)),
             },
             lines,
+            [None; 4],
         );
         info!("turn encoder {} by a quarter of a turn or more, then back past where it began", index);
         let start = counters.count(index);

@@ -14,7 +14,7 @@ use r4_sim::{
     lines::Line,
     link::Sender,
     sensors::quadrature::Channel,
-    world::{Controller, World},
+    world::{Controller, EncoderLine, World},
 };
 
 use crate::roles::{Role, Roles};
@@ -52,8 +52,8 @@ pub struct Wiring {
     world: Rc<RefCell<World>>,
     clock: Clock,
     roles: Roles,
-    /// Pins of each encoder's tracks.
-    encoders: Vec<[Option<Pin>; 2]>,
+    /// Pins of each encoder's tracks, and of the switch beside it.
+    encoders: Vec<[Option<Pin>; 3]>,
     /// Echo pins of the range sensors.
     rangers: Vec<Option<Pin>>,
     dead_man: Watched,
@@ -80,12 +80,15 @@ impl Wiring {
         let light = |light| -> Box<dyn FnMut(bool)> { Box::new(around.light_line(light)) };
         let roles = Roles::new(carrier);
         let encoders = 0..carrier.encoder.connectors.len() as u8;
-        let tracks = |encoder| [false, true].map(|b| roles.pin(Role::Track { encoder, b }));
+        let lines = |encoder| {
+            let [a, b] = [false, true].map(|b| roles.pin(Role::Track { encoder, b }));
+            [a, b, roles.pin(Role::Switch(encoder))]
+        };
         let rangers = 0..carrier.range.connectors.len() as u8;
         Self {
             world: around.shared_world(),
             clock: around.clock().clone(),
-            encoders: encoders.map(tracks).collect(),
+            encoders: encoders.map(lines).collect(),
             rangers: rangers.map(|sensor| roles.pin(Role::Echo(sensor))).collect(),
             roles,
             dead_man: Watched::new(around.dead_man_line()),
@@ -220,10 +223,14 @@ impl Outside for Wiring {
         self.follow(now_ns);
         let first = edges.len();
         let mut world = self.world.borrow_mut();
-        for (encoder, [a, b]) in self.encoders.iter().enumerate() {
+        for (encoder, [a, b, switch]) in self.encoders.iter().enumerate() {
             // Edges that are left out are those of a shaft too fast to be counted at all.
             world.take_encoder_edges(encoder, |edge| {
-                let pin = if edge.track == Channel::A { *a } else { *b };
+                let pin = match edge.line {
+                    EncoderLine::Track(Channel::A) => a,
+                    EncoderLine::Track(Channel::B) => b,
+                    EncoderLine::Index => switch,
+                };
                 edges.extend(pin.map(|pin| Edge { at_ns: edge.at_ns, pin, high: edge.high }));
             });
         }
@@ -244,7 +251,8 @@ impl Outside for Wiring {
     fn next_poll_ns(&mut self, _now_ns: u64, watched: &[Pin]) -> u64 {
         let mut world = self.world.borrow_mut();
         let next = watched.iter().map(|pin| match self.roles.of(*pin) {
-            Some(Role::Track { encoder, .. }) => world.next_encoder_change_ns(encoder.into()),
+            // A switch line is watched for the index track of the encoder.
+            Some(Role::Track { encoder, .. } | Role::Switch(encoder)) => world.next_encoder_change_ns(encoder.into()),
             Some(Role::Echo(sensor)) => world.next_echo_edge_ns(sensor.into()),
             // Who drives the other lines lets the board look at them afterwards.
             _ => u64::MAX,

@@ -248,6 +248,18 @@ impl BoardConfig {
         self.motors.iter().any(of_motor) || self.encoders.iter().any(|encoder| encoder.id.index == index)
     }
 
+    /// Whether the index pulse of encoder `index` is on while the line of the switch beside it is low; `None` where it has none.
+    #[must_use]
+    pub fn index_active_low(&self, index: u8) -> Option<bool> {
+        let of_motor = |motor: &MotorConfig| {
+            motor.control.is_some_and(|control| {
+                matches!(control.feedback, Feedback::Encoder { index: of, counts_per_index: 1.., .. } if of == index)
+            })
+        };
+        let switch = self.switches.iter().find(|switch| switch.id.index == index)?;
+        self.motors.iter().any(of_motor).then_some(switch.active_low)
+    }
+
     /// Rate of the angle sensor number `angle`, Hz; `None` where there is none.
     #[must_use]
     pub fn angle_rate_hz(&self, angle: u8) -> Option<u16> {
@@ -548,6 +560,15 @@ impl BoardConfig {
             let known = self.switches.iter().any(|config| config.id.index == switch);
             let rule = "the homing switch must be in the list of switches, and belong to one axis";
             check(Some(id), known && switches.take(switch), rule)?;
+        }
+        for motor in &self.motors {
+            let Some(control) = motor.control else { continue };
+            let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback else { continue };
+            let known = self.index_active_low(index).is_some();
+            let own = control.homing.is_some_and(|homing| homing.switch == index);
+            let rule =
+                "an index pulse needs the switch with its encoder's number in the list, which no other axis may seek";
+            check(Some(motor.id), known && (own || switches.take(index)), rule)?;
         }
         Ok(())
     }

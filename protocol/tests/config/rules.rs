@@ -237,6 +237,8 @@ const LOOPS: &[Case] = {
     const HOMING: &str =
         "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
     const SWITCH: &str = "the homing switch must be in the list of switches, and belong to one axis";
+    const PULSE: &str =
+        "an index pulse needs the switch with its encoder's number in the list, which no other axis may seek";
     const ANGLE: &str = "the motor's angle sensor must be in the list of sensors, and belong to one motor";
     const FRAMES: &str = "frames_hz must be 115 or 230: shorter pulses are over before they are captured";
     const ALONE: &str = "the range connector of a motor's pulses must belong to it alone";
@@ -313,6 +315,9 @@ const LOOPS: &[Case] = {
         (ARM, HOMING, |c| home(c).speed_max = 0.0),
         (ARM, HOMING, |c| home(c).speed_max = 20.0f32.next_up()),
         (ARM, SWITCH, |c| home(c).switch = 2),
+        (WHEEL, PULSE, |c| home(c).switch = 0),
+        (WHEEL, PULSE, |c| slide_home(c).switch = 0),
+        (WHEEL, PULSE, |c| drop(c.switches.remove(0))),
         (HIP, ANGLE, |c| hip(c, |angle, _| *angle = 6)),
         (HIP, ANGLE, |c| hip(c, |angle, _| *angle = u8::MAX)),
         (HIP, ANGLE, |c| c.sensors.truncate(1)),
@@ -515,7 +520,10 @@ const TWICE: &[Case] = {
         (Some(id(Relay, 0)), RULE, |c| c.relays[1].id.index = 0),
         (Some(id(Dac, 0)), RULE, |c| c.dacs[1].id.index = 0),
         (Some(id(Encoder, 0)), RULE, |c| c.encoders[1].id.index = 0),
-        (Some(id(Switch, 1)), RULE, |c| c.switches[0].id.index = 1),
+        (Some(id(Switch, 1)), RULE, |c| {
+            *index_pulse(c) = 0;
+            c.switches[0].id.index = 1;
+        }),
         (Some(id(RangeSensor, 0)), RULE, |c| c.ranges[1].id.index = 0),
         (Some(id(Supply, 0)), RULE, |c| c.supplies[1].id.index = 0),
     ]
@@ -653,7 +661,10 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| c.motors[3].bridge = dhb(13, 15, 14),
         |c| c.bldcs[1].stop_brake_ms = 5000,
         |c| encoder(c, |_, counts| *counts = MAX_EXACT),
-        |c| encoder(c, |index, _| *index = 3),
+        |c| {
+            *index_pulse(c) = 0;
+            encoder(c, |index, _| *index = 3);
+        },
         |c| (wheel(c).motor_side, wheel(c).position.max) = (None, 2.6e6), // 0.993e9 counts
         |c| loops(c, 1).position = Range::new(0.0, 0.1),
         |c| pot(c, |_, low, _| low.code = 65_279),
@@ -665,6 +676,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
         |c| pulses(c, 1, 230),
         |c| pulses(c, 1, 115),
         |c| {
+            *index_pulse(c) = 0;
             loops(c, 4).homing = Some(HomingConfig { switch: 0, position: 0.0, speed_max: 0.5 });
             loops(c, 4).position = Range::symmetric(3.2);
         },

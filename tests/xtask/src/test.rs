@@ -61,12 +61,13 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 }
 
 /// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 6] = [
+const IMAGES: [(&str, &str); 7] = [
     ("osmc-bench", "bare"),
     ("osmc-bench", "hosted"),
     ("openscout", "bare"),
     ("every-interface", "bare"),
     ("balance-tail", "bare"),
+    ("hil-sim/emu/tests/robots/feedback-bench.toml", "bare"),
     ("osmc-evaluation", "bare"),
 ];
 

@@ -71,6 +71,8 @@ impl Axis {
         }
     }
 
+    // Not while it is driven: it stays in flash.
+    #[inline(never)]
     pub(super) fn stop(&mut self) {
         match self {
             Self::Measured(motor) => motor.stop(),

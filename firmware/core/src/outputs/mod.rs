@@ -13,7 +13,9 @@ use core::task::Context;
 
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
-use r4_protocol::config::{BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MotorConfig, PwmConfig};
+use r4_protocol::config::{
+    BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MAX_SERVOS, MotorConfig, PwmConfig,
+};
 
 use crate::{
     bus::{Scheduler, bits},
@@ -82,7 +84,11 @@ struct Queue {
     writes: Vec<Write, QUEUE>,
     /// What each of the writes changes.
     changes: Vec<Change, QUEUE>,
+    /// A bit for each servo that has a write here.
+    servos: u32,
 }
+
+const _: () = assert!(MAX_SERVOS <= u32::BITS as usize, "a bit for each servo");
 
 impl Queue {
     /// Adds a write; the caller has asked [`Queue::has_room`].
@@ -96,10 +102,21 @@ impl Queue {
         !self.writes.is_full()
     }
 
+    /// Adds the write of a servo's pulse; the caller has asked [`Queue::has_room`].
+    fn push_servo(&mut self, write: Write, pulse: Pulse) {
+        self.servos |= 1 << pulse.index();
+        self.push(write, Change::Servo(pulse));
+    }
+
     /// Whether the servo of this pulse has a write here.
-    fn has_servo(&self, pulse: &Pulse) -> bool {
-        let same = |change: &Change| matches!(change, Change::Servo(queued) if queued.index() == pulse.index());
-        self.changes.iter().any(same)
+    const fn has_servo(&self, pulse: &Pulse) -> bool {
+        self.servos >> pulse.index() & 1 != 0
+    }
+
+    fn forget(&mut self) {
+        self.writes.clear();
+        self.changes.clear();
+        self.servos = 0;
     }
 }
 
@@ -412,8 +429,7 @@ impl<B: Bus> Outputs<B> {
     }
 
     fn forget_queue(&mut self) {
-        self.queue.writes.clear();
-        self.queue.changes.clear();
+        self.queue.forget();
     }
 
     /// Whether the motors' supply goes over a relay.
@@ -536,7 +552,7 @@ impl<B: Bus> Outputs<B> {
             };
             self.servos_due -= 1;
             self.bus.fits(bits(Servos::WRITE_BYTES));
-            self.queue.push(write, Change::Servo(pulse));
+            self.queue.push_servo(write, pulse);
         }
     }
 

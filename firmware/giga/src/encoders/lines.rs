@@ -110,6 +110,11 @@ impl Lines {
     }
 }
 
+/// The count of encoder 3.
+pub(super) fn count(cs: CriticalSection<'_>) -> u16 {
+    DECODER.borrow_ref(cs).count()
+}
+
 /// Which of encoder 3, echo 2 and echo 3 have lost edges by a storm, at `now` of the steppers' clock. Lets them have another try
 /// when it is time. The control loop asks every period in which there may be a storm.
 pub(crate) fn storms(cs: CriticalSection<'_>, now: u32) -> [bool; 3] {

@@ -6,7 +6,7 @@
 //! of one track must be at least so far apart: well beyond the 1000 counts in a millisecond that a control period copes with.
 //! embassy's driver for encoder mode has no filter, so the registers are written here.
 //!
-//! Encoder 3 has no timer: [`lines`] decodes it on both edges of both tracks.
+//! Encoder 3 has no timer: [`lines`] decodes it on both edges of both tracks. Index pulses of all four latch the counters: [`index`].
 
 use embassy_stm32::{
     Peri,
@@ -19,6 +19,7 @@ use embassy_stm32::{
 };
 use r4_firmware::platform::Encoders;
 
+pub mod index;
 pub mod lines;
 
 /// 8 samples at f_DTS/8.
@@ -51,9 +52,10 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Starts the timers at 0. [`lines::Lines`] must be there already.
+    /// Starts the timers at 0. [`lines::Lines`] must be there already, and the switch pins must be inputs. `index_low` says of each
+    /// encoder with an index pulse whether its line is low while one is on.
     #[must_use]
-    pub fn new(parts: Parts, lines: lines::Lines) -> Self {
+    pub fn new(parts: Parts, lines: lines::Lines, index_low: [Option<bool>; 4]) -> Self {
         rcc::enable_and_reset::<peripherals::TIM8>();
         rcc::enable_and_reset::<peripherals::TIM3>();
         rcc::enable_and_reset::<peripherals::TIM1>();
@@ -65,12 +67,19 @@ impl Counters {
             track(parts.tracks2.0, 1),
             track(parts.tracks2.1, 1),
         ];
-        #[allow(unsafe_code, reason = "TIM1 and TIM8 have the registers of a general-purpose timer, and more")]
-        // SAFETY: addresses of timers that this value owns; registers used here are laid out alike (RM0399).
-        let timers =
-            unsafe { [TimGp16::from_ptr(pac::TIM8.as_ptr()), pac::TIM3, TimGp16::from_ptr(pac::TIM1.as_ptr())] };
+        let timers = timers();
         timers.into_iter().for_each(start);
+        index::start(index_low);
         Self { timers, lines, _pins: pins }
+    }
+}
+
+/// The timers of encoders 0 to 2.
+fn timers() -> [TimGp16; 3] {
+    #[allow(unsafe_code, reason = "TIM1 and TIM8 have the registers of a general-purpose timer, and more")]
+    // SAFETY: addresses of timers that only this module uses; registers used here are laid out alike (RM0399).
+    unsafe {
+        [TimGp16::from_ptr(pac::TIM8.as_ptr()), pac::TIM3, TimGp16::from_ptr(pac::TIM1.as_ptr())]
     }
 }
 
@@ -107,5 +116,9 @@ impl Encoders for Counters {
 
     fn illegal(&mut self, index: u8) -> u32 {
         if index == 3 { self.lines.encoder().illegal() } else { 0 }
+    }
+
+    fn at_index(&mut self, index: u8) -> Option<u16> {
+        index::take(index.into())
     }
 }

@@ -40,13 +40,22 @@ pub(super) const fn ticks(at_ns: u64) -> u32 {
     (at_ns / 1000) as u32
 }
 
-/// A change of one track.
+/// A line of an encoder's connector.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EncoderLine {
+    /// A track.
+    Track(Channel),
+    /// The switch's, where the index track is on it.
+    Index,
+}
+
+/// A change of one line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncoderEdge {
     /// When.
     pub at_ns: u64,
-    /// Which track.
-    pub track: Channel,
+    /// Which line.
+    pub line: EncoderLine,
     /// The level from then on.
     pub high: bool,
 }
@@ -137,20 +146,25 @@ impl World {
         self.pins.encoders.get(index).map_or(Levels::default(), QuadratureSignal::levels)
     }
 
-    /// Every edge of an encoder's tracks up to now that was not told before, in order of time.
+    /// Every edge of an encoder's tracks, and of its index on a switch line, up to now that was not told before, in order of time.
     ///
     /// Between two calls a shaft is taken to turn evenly. Of more than 4096 counts the first are left out, in whole turns
     /// of four, so that levels stay right: returned is how many, with their sign. A counter is exact that adds them, an
     /// interrupt would have been lost anyway; 0 for whoever looks once a ms. After a lost edge both tracks change at once.
     pub fn take_encoder_edges(&mut self, index: usize, mut sink: impl FnMut(EncoderEdge)) -> i64 {
         let mut levels = self.encoder_levels(index);
-        self.turn(index, |Transition { at_ns, levels: now, .. }| {
+        let index_low = self.pins.index_low(index);
+        let mut is_on = self.pins.encoders.get(index).is_some_and(QuadratureSignal::index);
+        self.turn(index, |Transition { at_ns, levels: now, index: on }| {
             for (track, was, high) in [(Channel::A, levels.a, now.a), (Channel::B, levels.b, now.b)] {
                 if was != high {
-                    sink(EncoderEdge { at_ns, track, high });
+                    sink(EncoderEdge { at_ns, line: EncoderLine::Track(track), high });
                 }
             }
-            levels = now;
+            if let (Some(active_low), true) = (index_low, on != is_on) {
+                sink(EncoderEdge { at_ns, line: EncoderLine::Index, high: on != active_low });
+            }
+            (levels, is_on) = (now, on);
         })
     }
 

@@ -44,7 +44,7 @@ use crate::{
 use body::{Coupling, Movers};
 use chips::Chips;
 use drives::{Bldc, Servo};
-pub use encoders::EncoderEdge;
+pub use encoders::{EncoderEdge, EncoderLine};
 use motor::Motor;
 pub use pins::{AnalogSource, Pins, SwitchInput};
 pub use stepping::StepPulses;

@@ -265,8 +265,8 @@ impl SwitchInput {
 
 /// Lets a switch follow what actuates it, and reads it.
 pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
-    if let Some(Some(active_low)) = world.pins.index_lines.get(connector) {
-        return world.pins.encoders[connector].index() != *active_low;
+    if let Some(active_low) = world.pins.index_low(connector) {
+        return world.pins.encoders[connector].index() != active_low;
     }
     let now_ns = world.clock.now_ns();
     let place = world.pins.switches.iter().position(|input| usize::from(input.spec.channel.index) == connector);
@@ -421,6 +421,11 @@ impl World {
 }
 
 impl Pins {
+    /// Whether the index track on a switch line pulls it low while it is on; `None` for a line without.
+    pub(super) fn index_low(&self, connector: usize) -> Option<bool> {
+        self.index_lines.get(connector).copied().flatten()
+    }
+
     /// The angle sensor that sends pulses to a range connector.
     pub(super) fn pulses_at(&mut self, connector: usize) -> Option<&mut PulseSource> {
         self.pulses.iter_mut().find(|source| usize::from(source.mounting.connector) == connector)

@@ -12,7 +12,7 @@ use r4_sim::{
     i2c::Response,
     sensors::quadrature::Channel,
     uart::{LineNoise, UartByte},
-    world::{BoardChip, Controller, StepPulses, World},
+    world::{BoardChip, Controller, EncoderLine, StepPulses, World},
 };
 
 const US: u64 = 1_000;
@@ -96,16 +96,14 @@ struct Decoder {
 }
 
 impl Decoder {
-    fn take(&mut self, track: Channel, high: bool) {
-        let up = match track {
-            Channel::A => high != self.b,
-            Channel::B => high == self.a,
+    fn take(&mut self, line: EncoderLine, high: bool) {
+        let (up, level) = match line {
+            EncoderLine::Track(Channel::A) => (high != self.b, &mut self.a),
+            EncoderLine::Track(Channel::B) => (high == self.a, &mut self.b),
+            EncoderLine::Index => panic!("it has none"),
         };
+        *level = high;
         self.count += if up { 1 } else { -1 };
-        match track {
-            Channel::A => self.a = high,
-            Channel::B => self.b = high,
-        }
     }
 }
 
@@ -129,7 +127,7 @@ fn encoder_edges_are_told_when_they_happen() {
         let left_out = world.take_encoder_edges(0, |edge| {
             assert!(edge.at_ns >= last_ns && edge.at_ns <= now_ns);
             last_ns = edge.at_ns;
-            decoder.take(edge.track, edge.high);
+            decoder.take(edge.line, edge.high);
             late.push(now_ns - edge.at_ns);
         });
         assert_eq!(left_out, 0);
@@ -169,9 +167,10 @@ fn a_glitch_on_a_track_is_told_at_its_time() {
     while clock.now_ns() < 20 * US {
         clock.run_ahead(world.next_encoder_change_ns(0).min(20 * US));
         let now_ns = clock.now_ns();
-        assert_eq!(world.take_encoder_edges(0, |edge| edges.push((now_ns, edge.at_ns, edge.track, edge.high))), 0);
+        assert_eq!(world.take_encoder_edges(0, |edge| edges.push((now_ns, edge.at_ns, edge.line, edge.high))), 0);
     }
-    assert_eq!(edges, [(10_300, 10_300, Channel::B, true), (10_550, 10_550, Channel::B, false)]);
+    let b = EncoderLine::Track(Channel::B);
+    assert_eq!(edges, [(10_300, 10_300, b, true), (10_550, 10_550, b, false)]);
 }
 
 /// Steps at 200 Hz, up and back, told late and lines one after the other, as timers are that nobody looked at.

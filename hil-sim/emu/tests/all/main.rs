@@ -9,6 +9,7 @@ mod debugging;
 mod determinism;
 mod emulated;
 mod faults;
+mod feedback;
 mod flash;
 mod gdb;
 mod hung;
