@@ -186,7 +186,7 @@ fn a_run_that_leaves_its_travel_or_time_ends_disarmed() {
     let flash = kept.file("flash");
     let with = ["--board", "sim:openscout", "--world", "stand", "--flash", &flash, "tune", "dhb0"];
     // The swing of this motor is wider than that.
-    let said = complaint(&[&with[..], &["--travel", "6deg"]].concat());
+    let said = complaint(&[&with[..], &["--method", "relay", "--travel", "6deg"]].concat());
     assert!(said.contains("left the travel"), "{said}");
     assert_eq!(kept.trips("sim:openscout"), 0, "an orderly end is no trip");
     for (more, says) in [
@@ -213,7 +213,7 @@ fn the_page_stands_alone() {
     assert!(text(&out.stdout).lines().all(|line| line.chars().count() <= 200), "{}", text(&out.stdout));
     let page = fs::read_to_string(Path::new(&page)).expect("it is written");
     for expected in
-        ["present gains", "proposed gains", "set point", "Ultimate gain", "overshoot", "Time since the step"]
+        ["present gains", "proposed gains", "set point", "friction takes", "overshoot", "Time since the step"]
     {
         assert!(page.contains(expected), "{expected}");
     }

@@ -1,6 +1,6 @@
 //! What is done with the motor: steps of the set point, a relay, steps of the duty.
 
-use r4_driver::tune::{Fit, Loop, Oscillation, Relay, RelayError, Response, Run, Sample, beyond_friction};
+use r4_driver::tune::{Fit, FitError, Loop, Oscillation, Relay, RelayError, Response, Run, Sample, beyond_friction};
 use r4_protocol::Mode;
 
 use super::{Inconclusive, LOOK_EVERY_S, Plan, TuneError, plan::BELOW_STALL};
@@ -37,6 +37,8 @@ const LEAST_DUTY: f64 = 0.02;
 const RAMP_PER_S: f64 = 0.2;
 const RAMP_LOOKS: usize = 5;
 const RAMP_COUNTS: f64 = 4.0;
+/// A sensor with noise has counts of this many times its root mean square, as a count that is evenly distributed has.
+const NOISE_AS_COUNT: f64 = 3.5;
 /// The first runs are driven by so much duty beyond friction, each further pair by twice as much, until the motor has come to
 /// this share of its path's speed.
 const FIRST_BEYOND: f64 = 0.04;
@@ -343,8 +345,10 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
 pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit, Error> {
     come(motor, (plan.window.0 + plan.window.1) / 2.0, plan.settle_s).await?;
     stop(motor).await?;
-    let up = overcomes_friction(motor, plan, 1.0).await?;
-    let down = overcomes_friction(motor, plan, -1.0).await?;
+    let still = motor.watch(REST_S).await?;
+    let count = plan.motor.resolution.max(NOISE_AS_COUNT * noise(still.iter().map(|look| look.position)));
+    let up = overcomes_friction(motor, plan, 1.0, count).await?;
+    let down = overcomes_friction(motor, plan, -1.0, count).await?;
     let most = plan.given_amplitude.unwrap_or(OF_DUTY_MAX * plan.motor.duty_max);
     let mut runs: Vec<Run> = Vec::new();
     let mut beyond = FIRST_BEYOND;
@@ -366,7 +370,7 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
     }
     let mut runs = runs.split_off(runs.len().saturating_sub(2 * PAIRS));
     for _ in 0..MORE_PAIRS {
-        let counts: f64 = runs.iter().map(|run| counts(run, plan.motor.resolution)).sum();
+        let counts: f64 = runs.iter().map(|run| counts(run, count)).sum();
         if counts >= LEAST_COUNTS {
             break;
         }
@@ -374,17 +378,21 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
             runs.push(run(motor, plan, sign, friction, (friction + beyond).min(most)).await?.0);
         }
     }
-    let runs = &runs;
-    Ok(Fit::of(runs, plan.motor.resolution, RESIDUAL).map_err(TuneError::from)?)
+    let fit = match Fit::of(&runs, count, RESIDUAL) {
+        // A motor whose gain grows with its duty is linear at one level of it at most: that of its path.
+        Err(FitError::Poor { .. }) => Fit::of(&runs[runs.len() - 2..], count, RESIDUAL),
+        fit => fit,
+    };
+    Ok(fit.map_err(TuneError::from)?)
 }
 
 /// The duty at which a motor that rests begins to move.
-async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64) -> Result<f64, Error> {
+async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, count: f64) -> Result<f64, Error> {
     let most = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
     let first = motor.look().await?;
     for number in 1_usize.. {
         let look = motor.look().await?;
-        if (look.position - first.position) * sign >= RAMP_COUNTS * plan.motor.resolution {
+        if (look.position - first.position) * sign >= RAMP_COUNTS * count {
             rest(motor, plan, sign, look.speed * sign, look.duty.abs()).await?;
             return Ok(look.duty.abs());
         }
@@ -463,7 +471,7 @@ async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, du
     let begin_s = still.time_s;
     loop {
         let look = motor.look().await?;
-        if (look.position - still.position).abs() >= plan.motor.resolution / 2.0 {
+        if (look.position - still.position).abs() >= plan.motor.settle_error.max(plan.motor.resolution) / 2.0 {
             still = look;
         }
         if look.time_s - still.time_s >= STILL_S || look.time_s - begin_s >= STILL_LIMIT_S {
