@@ -159,9 +159,12 @@ mod tests {
         let share = 0.4;
         let now_m = f64::from(low.position_m) + share * f64::from(high.position_m - low.position_m);
         assert!((now_m - (0.04 - 0.5e-3) / 1.02).abs() < 1e-8, "{now_m}");
-        let mut encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false };
+        let mut encoder = Feedback::Encoder { index: 0, counts_per_turn: 2400, inverted: false, counts_per_index: 0 };
         sensor.put_into(&mut encoder);
-        assert_eq!(encoder, Feedback::Encoder { index: 0, counts_per_turn: 2448, inverted: false });
+        assert_eq!(
+            encoder,
+            Feedback::Encoder { index: 0, counts_per_turn: 2448, inverted: false, counts_per_index: 0 }
+        );
         let back = sensor.asked(&GEARED, sensor.command(&GEARED, 1.0));
         assert!((back - 1.0).abs() < 1e-12);
     }

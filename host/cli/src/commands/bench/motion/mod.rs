@@ -1,6 +1,7 @@
 //! `r4 bench motion`: what motion on a board promises a planner, measured on simulated boards in virtual time.
 
 mod population;
+mod speed;
 mod tuning;
 
 use std::cell::Cell;
@@ -32,6 +33,10 @@ const MEASURED_S: f64 = 1.0;
 const LAG_COUNTS: f64 = 2.0;
 /// Sampled motors that `r4 tune` must tune.
 const LEAST_TUNED: f64 = 0.98;
+/// Swings of a motor whose speed is estimated, and what the estimate must be: within 10 %, and a control period and a half late.
+const SWINGS_HZ: [f64; 3] = [2.0, 5.0, 10.0];
+const SPEED_GAIN: f64 = 0.9;
+const SPEED_DELAY_S: f64 = 0.0015;
 /// Channels, and boards, begin in one period of 1 ms.
 const TOGETHER_S: f64 = 0.001;
 
@@ -74,6 +79,14 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
         let before = rig.run(None, async |session| lag_counts(session, speed, false).await)?.0;
         let after = rig.run(None, async |session| lag_counts(session, speed, true).await)?.0;
         rows.push(at_most(format!("lag of {WHEEL} at {speed} rad/s"), "counts", Some(before), after, LAG_COUNTS));
+    }
+    for hz in SWINGS_HZ {
+        let [before, after] = [false, true].map(|has_model| speed::seen(args, hz, has_model));
+        let (before, after) = (before?, after?);
+        let (what, least) = (format!("gain of the estimated speed at {hz} Hz"), SPEED_GAIN);
+        rows.push(at_least(what, "1", Some(before.gain), after.gain, least));
+        let (what, most) = (format!("delay of the estimated speed at {hz} Hz"), SPEED_DELAY_S);
+        rows.push(at_most(what, "s", Some(before.delay_s.abs()), after.delay_s.abs(), most));
     }
     let rig = Rig { seed: args.seed, ..Rig::new(WHEELS.parse()?) };
     let began = rig.run(None, async |session| begins_s(session, 0.0).await)?.0;
