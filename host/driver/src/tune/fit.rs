@@ -97,7 +97,8 @@ const CLOSER: f64 = 3.0;
 /// No lag and no delay is longer, s.
 const LONGEST_LAG_S: f64 = 3.0;
 const LONGEST_DELAY_S: f64 = 0.08;
-/// Neighbouring samples of a position that is counted have the same error: so many of them say as much as one of their own.
+/// Neighbouring samples of a position that is counted have the same error: so many of them say as much as one of their own. An
+/// assumption, not measured.
 const ALIKE: f64 = 10.0;
 /// 95 % of a chi-squared distribution with two degrees of freedom (lag and delay).
 const CHI_SQUARED: f64 = 5.99;

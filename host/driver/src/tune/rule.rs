@@ -109,10 +109,12 @@ const MOST_LEAD_RAD: f64 = PI * 70.0 / 180.0;
 const MOST_LAG_RAD: f64 = PI * 60.0 / 180.0;
 /// What is computed in one period acts in the next, and is held there: half a period more.
 const DELAY_PERIODS: f64 = 1.5;
-/// A loop is not made faster than this many times the delay of all that is around the motor. Of 200 sampled motors 1 leaves
-/// overshoots where the model is a few percent wrong.
+/// The closed loop's time constant is at least this many times the delay of all that is around the motor. Our choice: other values
+/// have not been tried.
 const DELAYS: f64 = 2.0;
-/// What the counts of a sensor may come to, as a share of the supply: audible, and warm, but no motion.
+/// What the counts of a sensor may come to, root mean square, as a share of the supply. Our choice. With an estimate of the noise several
+/// times too high, so as if this were that much lower, 182 of 200 sampled position loops were good instead of 195: slow loops stop
+/// badly over a dead zone.
 const COUNT_DUTY: f64 = 0.06;
 /// The loop is made slower by this until it keeps its limits, and given up when it is so slow, s.
 const SLOWER: f64 = 1.1;
@@ -123,7 +125,7 @@ const CASCADE_SLOWER: f64 = 5.0;
 impl SpeedEstimate {
     /// Of the estimate against the speed, at a frequency.
     ///
-    /// The observer counts as having a tenth of its correction's lag: its model is never exact.
+    /// The observer counts as having a tenth of its correction's lag, an assumption: its model is never exact.
     fn at(self, omega: f64) -> Complex {
         let time_s = match self {
             Self::LowPass { time_s } => time_s,
@@ -374,7 +376,7 @@ pub fn speed_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
 }
 
 /// Gains of the speed loop in a cascade: as [`speed_for`], with an integral half as fast where that is slower than the motor's lag,
-/// since the distance is an integral already. Twice as fast, the two together overshoot where a dead zone delays the braking.
+/// since the distance is an integral already. On sampled motors 1 to 200 as many cascades are good with either.
 fn inner_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let kp = model.lag_s / (model.gain * closed_s);
     gains(kp, kp / model.lag_s.min(8.0 * closed_s), 0.0)

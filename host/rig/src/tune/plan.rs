@@ -16,8 +16,8 @@ use crate::{
 /// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;
 const TRAVEL_SHARE: f64 = 0.1;
-/// Less travel shows a step's overshoot of 5 % as less than five counts of the sensor. Half of it leaves the lag of one in a
-/// hundred motors open by a factor of fifty.
+/// Less travel shows a step's overshoot of 5 % as less than five counts of the sensor. With 80, 3 of 200 sampled position loops found
+/// no gains: the lag of one of them was open from 63 ms to 3 s.
 const TRAVEL_COUNTS: f64 = 200.0;
 /// A step of the position, as a share of the travel.
 const STEP_SHARE: f64 = 0.5;

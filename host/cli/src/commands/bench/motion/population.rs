@@ -133,7 +133,7 @@ impl Sampled {
     /// Gives the robot's first motor this physics, and the rest of its configuration what a data sheet says of it.
     pub(super) fn put_into(&self, robot: &mut Robot, cascade_per_s: f64) -> anyhow::Result<()> {
         let source = "a sampled motor";
-        let spec = PlantSpec::new(Model::DcGearMotor(self.motor.clone()), source, self.effects.clone())?;
+        let spec = PlantSpec::new(Model::DcGearMotor(self.motor), source, self.effects.clone())?;
         let simulation = &mut robot.simulation;
         simulation.motors.retain(|motor| motor.channel == CHANNEL);
         let simulated = simulation.motors.first_mut().ok_or_else(|| anyhow!("{ROBOT} has no {CHANNEL}"))?;
