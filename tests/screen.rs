@@ -546,8 +546,8 @@ fn bash_completes() {
         ("r4 --board sim:openscout speed ", "dhb0 dhb1 dhb2 dhb3"),
         ("r4 speed --board=sim:openscout ", "dhb0 dhb1 dhb2 dhb3"),
         // Without what stands before the last colon, which bash leaves there.
-        ("r4 --board sim:osmc", "osmc-bench"),
-        ("r4 --board=sim:osmc", "osmc-bench"),
+        ("r4 --board sim:osmc", "osmc-bench osmc-evaluation"),
+        ("r4 --board=sim:osmc-b", "osmc-bench"),
         ("r4 watch --board sim:min", "mine.toml"),
         ("r4 --board can:can0 relay rel", ""),
         ("r4 --board sim:openscout watch --ra", "--rate"),

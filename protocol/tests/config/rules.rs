@@ -317,7 +317,7 @@ const LOOPS: &[Case] = {
         (ARM, SWITCH, |c| home(c).switch = 2),
         (WHEEL, PULSE, |c| home(c).switch = 0),
         (WHEEL, PULSE, |c| slide_home(c).switch = 0),
-        (WHEEL, PULSE, |c| drop(c.switches.remove(0))),
+        (WHEEL, PULSE, |c| _ = c.switches.remove(0)),
         (HIP, ANGLE, |c| hip(c, |angle, _| *angle = 6)),
         (HIP, ANGLE, |c| hip(c, |angle, _| *angle = u8::MAX)),
         (HIP, ANGLE, |c| c.sensors.truncate(1)),

@@ -125,7 +125,8 @@ impl Model {
         let duty = if steady * sign < 0.0 && pushed == 0.0 {
             self.curve.duty(steady, sign)
         } else if rests {
-            load
+            // What the loop has integrated may be a load that nobody has learned.
+            load + straight
         } else {
             // A motor that stands is not braked.
             let along = if steady * sign < 0.0 { 0.0 } else { steady };

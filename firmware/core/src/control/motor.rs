@@ -108,6 +108,8 @@ pub struct Motor {
     /// What the loops want, and what the bridge makes of it.
     duty: f32,
     applied: f32,
+    /// The duty of the supply that there is: what the bridge was given last.
+    output: f32,
     /// Nominal volts over those of the supply: duties of the loops are shares of the nominal supply.
     supply_gain: f32,
     watch: Watch,
@@ -207,6 +209,7 @@ impl Motor {
         Ok(Self {
             model: Model::new(&control, limits.magnitude, period_s),
             supply_gain: 1.0,
+            output: 0.0,
             sensor: match control.feedback {
                 Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
                 Feedback::Potentiometer { low, high, .. } => {
@@ -493,6 +496,7 @@ impl Motor {
         self.path = None;
         self.duty = 0.0;
         self.applied = 0.0;
+        self.output = 0.0;
         self.watch = Watch::default();
     }
 
@@ -566,7 +570,12 @@ impl Motor {
             Following::Home(_) => (0.0, true),
             Following::Duty => (0.0, false),
         };
-        let duty = self.duty * self.supply_gain;
+        // A supply that changes does not make the duty change faster than it may.
+        let step = self.limits.slew_per_s * self.period_s;
+        let most = self.limits.magnitude;
+        let duty = (self.duty * self.supply_gain).within(self.output - step, self.output + step).within(-most, most);
+        self.output = if wanted * self.at_end > 0.0 { 0.0 } else { duty };
+        let duty = self.output;
         let friction = self.friction() * self.supply_gain;
         let seen = Seen { duty, position: self.position, path_error, wants_motion, friction };
         let watched = self.watch.step(seen, resolution(self.control.feedback), self.period_s, &self.control);

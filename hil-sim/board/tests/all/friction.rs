@@ -43,6 +43,8 @@ fn robot(hidden: &str) -> Robot {
     control.feed_forward.static_duty = 0.0;
     control.feed_forward.duty_per_speed = 0.115;
     control.feed_forward.duty_per_acceleration = 0.115 * 0.064;
+    control.profile.jerk = 50.0;
+    control.settle.error = 0.0027;
     robot.simulation.motors[0].plant = PlantFile { name: "hidden".to_owned(), text: format!("{MOTOR}\n{hidden}\n") };
     robot
 }

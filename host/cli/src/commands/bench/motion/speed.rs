@@ -50,7 +50,13 @@ pub(super) fn seen(args: &Args, hz: f64, has_model: bool) -> anyhow::Result<Seen
             motor.plant = r4_boards::PlantFile { name: "motor of r4 bench motion".to_owned(), text: plant.to_toml() };
         }
         let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == CHANNEL);
-        for control in configured.filter_map(|motor| motor.control.as_mut()) {
+        for motor in configured {
+            // Of this motor, so that its swings do not count as an overload.
+            for winding in &mut motor.winding {
+                (winding.dead_duty, winding.resistance_ohm, winding.back_emf) = (0.0, 2.4, 25.0 * 0.11);
+                winding.rated_a = 5.0;
+            }
+            let Some(control) = &mut motor.control else { continue };
             control.feed_forward.static_duty = 0.0;
             control.feed_forward.duty_per_speed = DUTY_PER_SPEED;
             control.feed_forward.duty_per_acceleration = if has_model { TIME_CONSTANT_S * DUTY_PER_SPEED } else { 0.0 };
