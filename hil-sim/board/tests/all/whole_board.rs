@@ -89,7 +89,8 @@ fn a_rotary_motor_finds_its_zero_by_its_switch() {
         assert!((truth - -1.0).abs() < 0.02, "{truth} rad");
         // A position now means the same for host and world.
         bench.set(osmc0, Mode::Position, 0.5).await.unwrap();
-        bench.sleep_ms(2000).await;
+        // Two of the 2 s in which its integral takes over what the supply, above nominal, no longer adds.
+        bench.sleep_ms(4000).await;
         assert!((bench.position(osmc0) - 0.5).abs() < 0.02, "{} rad", bench.position(osmc0));
     });
 }
