@@ -10,6 +10,8 @@ use embedded_hal_async::i2c::I2c;
 use crate::sensing::pulse::Pulse;
 
 /// Bytes for one chip, to be sent in one transfer.
+// Of whole words, which are copied without a call: a period copies up to 25.
+#[repr(align(4))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Write {
     address: u8,

@@ -536,6 +536,9 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     executors.control.spawn(control_task(shared, BoardIo { bus: board_bus, peripherals: processor }).expect("one"));
     if has_ranges {
         executors.control.spawn(ranging_task(shared, rangers).expect("one"));
+    } else {
+        // Dropped, they would disconnect the echo pins at which a motor's angle sensor may send its pulses.
+        core::mem::forget(rangers);
     }
     spawn_links(&executors);
     executors.links.spawn(passthrough_task(shared, raw).expect("one"));

@@ -107,6 +107,8 @@ impl Axis {
         }
     }
 
+    // By itself: as a part of loops over motors it makes them carry a pointer to each field.
+    #[inline(never)]
     pub(super) fn status(&self) -> MotorStatus {
         match self {
             Self::Measured(motor) => motor.status(),

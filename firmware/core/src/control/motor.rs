@@ -86,6 +86,8 @@ pub struct Motor {
     /// The position that is followed, rad or m.
     target: f32,
     following: Following,
+    /// Of one with a model that goes to a position.
+    landing: Landing,
     /// The path it follows, also while it rests on the way; `None` without one.
     path: Option<Follower>,
     /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
@@ -158,8 +160,6 @@ struct Approach {
     /// Where friction was last overcome to.
     towards: f32,
     at_rest_s: f32,
-    /// Of a motor with a model.
-    landing: Landing,
     /// While settled.
     hold: Option<Hold>,
 }
@@ -230,6 +230,7 @@ impl Motor {
             setpoint: Setpoint { mode: Mode::Duty, value: 0.0 },
             target: 0.0,
             following: Following::Duty,
+            landing: Landing::default(),
             path: None,
             position: 0.0,
             position_counts: 0,
@@ -265,7 +266,12 @@ impl Motor {
     ///
     /// Returns [`Cause::EncoderImplausible`] when a sensor cannot be where it says, or says nothing.
     pub fn sense(&mut self, raw: impl Into<Raw>, switch_closed: Option<bool>) -> Causes {
-        let raw = raw.into();
+        self.sense_raw(raw.into(), switch_closed)
+    }
+
+    // By itself: as a part of a loop over motors it makes that carry a pointer to each field.
+    #[inline(never)]
+    fn sense_raw(&mut self, raw: Raw, switch_closed: Option<bool>) -> Causes {
         self.switch_closed = switch_closed;
         let resolution = resolution(self.control.feedback);
         let last_speed = self.speed;
@@ -361,6 +367,9 @@ impl Motor {
         self.path = None;
         let last = core::mem::replace(&mut self.setpoint, setpoint);
         let repeated = setpoint == last;
+        if !repeated {
+            self.landing = Landing::default();
+        }
         let shift = setpoint.value - self.target;
         if setpoint.mode == Mode::Position {
             self.target = setpoint.value;
@@ -484,6 +493,7 @@ impl Motor {
     /// Goes on to `target` from where a path has come.
     fn come_to_rest(&mut self, target: f32, reference: Reference) {
         self.target = target;
+        self.landing = Landing::default();
         let Reference { position, speed, acceleration, .. } = reference;
         self.profile.join(self.distance_from(position), Ramp { speed, acceleration });
         self.following = Following::Position(Approach::default());
@@ -631,7 +641,7 @@ impl Motor {
             }
             (false, true) => last.towards,
         };
-        let mut approach = Approach { path_error, near, towards, at_rest_s, landing: last.landing, hold: None };
+        let approach = Approach { path_error, near, towards, at_rest_s, hold: None };
         if self.rests_long_enough(at_rest_s) {
             let hold = self.let_go(last.hold.unwrap_or(self.new_hold()));
             // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the
@@ -648,17 +658,17 @@ impl Motor {
             self.position_holder().unload_against(distance, share);
             let least = self.least_motion();
             if let Some(model) = &mut self.model {
-                approach.landing.step(self.position, distance, near, least, self.period_s, model);
+                self.landing.step(self.position, distance, near, least, self.period_s, model);
             } else if !near && self.speed.abs() <= self.control.settle.speed {
                 // Short of its target and standing: an integral of a small error would take long to overcome friction.
                 let push = (BREAK_AWAY_PER_S * self.period_s).copysign(distance);
                 self.position_holder().push(push, limits);
             }
-        } else {
-            approach.landing.begin(self.position);
+        } else if self.model.is_some() {
+            self.landing.begin(self.position);
         }
         let duty = self.feed_forward(towards, path_speed, path_acceleration);
-        let aim = if path_speed == 0.0 { approach.landing.aim(towards, near) } else { Aim::along(towards) };
+        let aim = if path_speed == 0.0 { self.landing.aim(towards, near) } else { Aim::along(towards) };
         (self.hold_to_path(path_error, path_speed, aim, duty, limits), Following::Position(approach))
     }
 
@@ -819,6 +829,7 @@ impl Motor {
     #[inline(never)]
     fn find_zero(&mut self, at: i32, homing: Homing) -> (f32, Following, bool) {
         self.set_zero(at);
+        self.landing = Landing::default();
         let duty = self.duty;
         self.position_holder().reset(duty);
         self.profile.join(self.distance(), homing.reference);

@@ -278,20 +278,28 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
-            let (Axis::Measured(motor), Some(control)) = (motor, config.control) else { continue };
-            let transitions = control.encoders().map(|index| self.peripherals.illegal(index));
-            if illegal.update(transitions.fold(0, u32::wrapping_add)) {
-                causes.set(Cause::EncoderImplausible, true);
-            }
+            // By reference: it is large.
+            let (Axis::Measured(motor), Some(control)) = (motor, &config.control) else { continue };
+            let mut transitions = 0;
             let output = match control.feedback {
-                Feedback::Encoder { index, .. } => Output::Code(self.peripherals.count(index)),
+                Feedback::Encoder { index, .. } => {
+                    transitions = self.peripherals.illegal(index);
+                    Output::Code(self.peripherals.count(index))
+                }
                 Feedback::Potentiometer { analog, .. } => Output::Code(self.peripherals.code(analog)),
                 Feedback::Angle { .. } | Feedback::Pulses { .. } => {
                     let newest = angle(control.feedback, &self.bus_sensors, &mut self.peripherals, self.sensed);
                     Output::Angle(newest, self.sensed)
                 }
             };
-            let motor_side = control.motor_side.map_or(0, |side| self.peripherals.count(side.index));
+            let mut motor_side = 0;
+            if let Some(side) = &control.motor_side {
+                transitions = transitions.wrapping_add(self.peripherals.illegal(side.index));
+                motor_side = self.peripherals.count(side.index);
+            }
+            if illegal.update(transitions) {
+                causes.set(Cause::EncoderImplausible, true);
+            }
             let raw = Raw { output, motor_side };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
@@ -305,13 +313,17 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.sensors = causes;
     }
 
-    /// Lets every winding warm by the current of the last period, and cool; its heat is kept over a reset from now on.
+    /// Lets every winding warm by the current of the last period, and cool; its heat is kept over a reset from now on. Its motor learns
+    /// the volts of its supply, where they are measured.
     fn is_overloaded(&mut self, config: &BoardConfig) -> bool {
         let mut overloaded = false;
-        for (index, (motor, winding)) in self.motors.iter().zip(&mut self.windings).enumerate() {
+        for (index, (motor, winding)) in self.motors.iter_mut().zip(&mut self.windings).enumerate() {
             let Some((overload, supply)) = winding else { continue };
             let winding = overload.winding();
-            let supply = supply.and_then(|index| self.inputs.supply(index));
+            let supply_v = supply.and_then(|index| self.inputs.supply(index)).map(Supply::volts);
+            if let Some(supply_v) = supply_v {
+                motor.set_supply(supply_v / winding.nominal_v);
+            }
             let sensed = winding
                 .current_sense
                 .and_then(|sense| Some((self.inputs.analog_v(sense.analog)? - sense.zero_v) / sense.volts_per_a));
@@ -320,7 +332,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 Some(current_a) => current_a,
                 // All transistors are off.
                 None if self.safe => 0.0,
-                None => overload::current_a(winding, duty, speed, supply.map_or(winding.nominal_v, Supply::volts)),
+                None => overload::current_a(winding, duty, speed, supply_v.unwrap_or(winding.nominal_v)),
             };
             overloaded |= overload.step(current_a);
             if let Some(word) = overload.word(config.motors[index].id) {
@@ -414,10 +426,6 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             if !powered {
                 continue;
             }
-            if let Some(share) = self.supply_share(index) {
-                self.motors[index].set_supply(share);
-            }
-            let motor = &mut self.motors[index];
             if let Some(motor) = motor.following() {
                 let now_us = self.sensed.as_micros();
                 motor.follow(shared.leg(index, now_us), now_us);
@@ -428,12 +436,6 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let applied = self.outputs.drive(index, duty);
             self.motors[index].set_applied(applied);
         }
-    }
-
-    /// Volts of a motor's supply as a share of its nominal ones; `None` where nothing measures them.
-    fn supply_share(&self, index: usize) -> Option<f32> {
-        let (overload, supply) = self.windings.get(index)?.as_ref()?;
-        Some(self.inputs.supply((*supply)?)?.volts() / overload.winding().nominal_v)
     }
 
     /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.
