@@ -52,7 +52,7 @@ pub(super) fn seen(args: &Args, hz: f64, has_model: bool) -> anyhow::Result<Seen
         let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == CHANNEL);
         for motor in configured {
             // Of this motor, so that its swings do not count as an overload.
-            for winding in &mut motor.winding {
+            if let Some(winding) = &mut motor.winding {
                 (winding.dead_duty, winding.resistance_ohm, winding.back_emf) = (0.0, 2.4, 25.0 * 0.11);
                 winding.rated_a = 5.0;
             }
