@@ -17,8 +17,10 @@ pub(super) struct Model {
     time_constant_s: f32,
     /// Duty per speed of the straight line that the loops are tuned for.
     duty_per_speed: f32,
-    /// Share of what the curve is off that is learned in a period.
+    /// Share of what the curve is off that is learned at once.
     learn: f32,
+    /// Periods since something was learned.
+    turn: u8,
     /// Slower than this, nothing is learned: rad/s or m/s.
     slowest: f32,
     /// Duty beyond the threshold that it took to break away last.
@@ -32,6 +34,9 @@ pub(super) struct Model {
 const STICTION_SHARE: f32 = 0.8;
 /// The curve follows with this time constant, s.
 const LEARN_S: f32 = 0.1;
+/// Only every so many periods something is learned, and by motors with neighbouring sensors in different ones: that is most of what a
+/// model takes of the processor.
+const LEARN_TURNS: u8 = 4;
 
 impl Model {
     /// `None` where the configuration says nothing of the motor's time constant, or the only sensor is one of an angle: its filter goes by
@@ -45,6 +50,12 @@ impl Model {
             (None, Feedback::Potentiometer { .. }) => control.settle.error,
             (None, feedback) => super::motor::resolution(feedback),
         };
+        let turn = match (control.motor_side, control.feedback) {
+            (Some(side), _) => side.index,
+            (None, Feedback::Encoder { index, .. }) => index,
+            (None, Feedback::Potentiometer { analog, .. }) => analog,
+            (None, Feedback::Angle { .. } | Feedback::Pulses { .. }) => 0,
+        };
         let known = feed_forward.duty_per_speed > 0.0 && feed_forward.duty_per_acceleration > 0.0;
         let time_constant_s = feed_forward.duty_per_acceleration / feed_forward.duty_per_speed;
         known.then(|| Self {
@@ -52,7 +63,8 @@ impl Model {
             curve: DriveCurve::new(feed_forward.static_duty, feed_forward.duty_per_speed, control.speed_max, duty_max),
             time_constant_s,
             duty_per_speed: feed_forward.duty_per_speed,
-            learn: period_s / LEARN_S,
+            learn: f32::from(LEARN_TURNS) * period_s / LEARN_S,
+            turn: turn % LEARN_TURNS,
             slowest: 0.1 * resolution / control.speed_filter_s.max(period_s),
             stiction: 0.0,
             is_placed: false,
@@ -101,6 +113,10 @@ impl Model {
     }
 
     fn learn(&mut self, duty: f32) {
+        self.turn = (self.turn + 1) % LEARN_TURNS;
+        if self.turn != 0 {
+            return;
+        }
         let moves = self.direction();
         if moves != 0.0 {
             let steady = self.curve.steady(duty, moves) + self.time_constant_s * self.observer.disturbance();

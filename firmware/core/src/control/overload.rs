@@ -32,7 +32,7 @@ const VALUE_SHIFT: u32 = 12;
 /// Of the mantissa of an `f32`, these bits are not kept.
 const DROPPED: u32 = 12;
 
-/// The heat in one motor's winding, stepped each control period, whether or not the board is armed.
+/// The heat in one motor's winding, stepped whether or not the board is armed.
 #[derive(Clone, Debug)]
 pub struct Overload {
     winding: WindingConfig,
@@ -102,7 +102,13 @@ impl Overload {
         self.heat
     }
 
-    /// Takes the current of one period, A, of either sign, and returns whether the motor is overloaded.
+    /// Whether the motor is overloaded.
+    #[must_use]
+    pub fn is_present(&self) -> bool {
+        self.present
+    }
+
+    /// Takes the current of one step, A, of either sign, and returns whether the motor is overloaded.
     pub fn step(&mut self, current_a: f32) -> bool {
         let ratio = f64::from(current_a / self.winding.rated_a);
         self.heat += (ratio * ratio - self.heat) * self.share;

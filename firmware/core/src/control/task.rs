@@ -42,6 +42,9 @@ const POWER_UP: Duration = Duration::from_millis(50);
 const FIRST_ANGLES: Duration = Duration::from_millis(150);
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 4;
+/// Each winding warms every so many periods, and neighbouring motors' in different ones: it takes seconds to heat, and a duty that
+/// swings faster than that swings by hundredths.
+const WINDING_TURNS: usize = 4;
 /// While safe, the safe state is written again every so many periods.
 const REASSERT_EVERY: u32 = 16;
 /// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
@@ -165,10 +168,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let valid = config.validate().is_ok();
         let motors = config.motors.iter().filter(|_| valid);
         let steppers = steppers(config, &mut peripherals);
+        let winding_s = period_s * WINDING_TURNS as f32;
         let windings = config.motors.iter().filter(|_| valid).enumerate().map(|(index, motor)| {
             let winding = motor.winding?;
             let supply = config.supplies.iter().position(|supply| Some(supply.id.index) == winding.supply);
-            Some((Overload::new(winding, period_s).resume(motor.id, peripherals.kept(index)), supply))
+            Some((Overload::new(winding, winding_s).resume(motor.id, peripherals.kept(index)), supply))
         });
         let windings = windings.collect();
         Self {
@@ -313,12 +317,16 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.sensors = causes;
     }
 
-    /// Lets every winding warm by the current of the last period, and cool; its heat is kept over a reset from now on. Its motor learns
-    /// the volts of its supply, where they are measured.
+    /// Lets the windings whose turn it is warm by the current of the last period, and cool; their heat is kept over a reset from now on.
+    /// Their motors learn the volts of their supply, where they are measured. Returns whether any motor is overloaded.
     fn is_overloaded(&mut self, config: &BoardConfig) -> bool {
         let mut overloaded = false;
         for (index, (motor, winding)) in self.motors.iter_mut().zip(&mut self.windings).enumerate() {
             let Some((overload, supply)) = winding else { continue };
+            if !(self.tick as usize + index).is_multiple_of(WINDING_TURNS) {
+                overloaded |= overload.is_present();
+                continue;
+            }
             let winding = overload.winding();
             let supply_v = supply.and_then(|index| self.inputs.supply(index)).map(Supply::volts);
             if let Some(supply_v) = supply_v {

@@ -33,10 +33,10 @@ const MEASURED_S: f64 = 1.0;
 const LAG_COUNTS: f64 = 2.0;
 /// Sampled motors that `r4 tune` must tune.
 const LEAST_TUNED: f64 = 0.98;
-/// Swings of a motor whose speed is estimated, and what the estimate must be: within 10 %, and a control period and a half late.
+/// Swings of a motor whose speed is estimated, and what the estimate must be: within 10 %, and at most half as late as the 10 ms low-pass.
 const SWINGS_HZ: [f64; 3] = [2.0, 5.0, 10.0];
 const SPEED_GAIN: f64 = 0.9;
-const SPEED_DELAY_S: f64 = 0.0015;
+const SPEED_DELAY_S: f64 = 0.005;
 /// Channels, and boards, begin in one period of 1 ms.
 const TOGETHER_S: f64 = 0.001;
 
