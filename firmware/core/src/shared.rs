@@ -615,8 +615,12 @@ impl<M: RawMutex> Shared<M> {
     /// The same for all of a kind, from the `first` on, in one critical section: what is short to compute.
     pub(crate) fn publish_each(&self, first: Place, statuses: impl Iterator<Item = Status>) {
         self.with(|s| {
-            let mut slots = s.statuses.iter_mut().skip(slot(first));
-            statuses.for_each(|status| slots.next().into_iter().for_each(|slot| *slot = status));
+            let mut slots = s.statuses[slot(first)..].iter_mut();
+            statuses.for_each(|status| {
+                if let Some(slot) = slots.next() {
+                    *slot = status;
+                }
+            });
         });
     }
 

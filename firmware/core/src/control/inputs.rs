@@ -66,9 +66,11 @@ impl Inputs {
         let now = Instant::now();
         let analogs = self.analogs.iter_mut().map(|(input, analog)| {
             let reading = analog.update(peripherals.code(*input));
-            let age = Duration::from_millis(reading.age_ms.into());
-            // One that has never been good is older than the board.
-            let taken = now.checked_sub(age).unwrap_or(Instant::MIN);
+            let taken = match reading.age_ms {
+                0 => now,
+                // One that has never been good is older than the board.
+                age_ms => now.checked_sub(Duration::from_millis(age_ms.into())).unwrap_or(Instant::MIN),
+            };
             Status::Reading { value: reading.volts, quality: reading.quality, taken }
         });
         shared.publish_each(Place::Analog(0), analogs);

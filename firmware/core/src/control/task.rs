@@ -44,7 +44,9 @@ const FIRST_ANGLES: Duration = Duration::from_millis(150);
 const CHECK_EVERY: u32 = 4;
 /// Each winding warms every so many periods, and neighbouring motors' in different ones: it takes seconds to heat, and a duty that
 /// swings faster than that swings by hundredths.
-const WINDING_TURNS: usize = 4;
+const WINDING_TURNS: usize = 8;
+/// What outputs without feedback are told is published one kind after the other: telemetry shows it up to so many periods late.
+const PUBLISH_TURNS: u32 = 3;
 /// While safe, the safe state is written again every so many periods.
 const REASSERT_EVERY: u32 = 16;
 /// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
@@ -162,24 +164,18 @@ struct Control<B, P> {
 
 impl<B: Bus, P: Peripherals> Control<B, P> {
     /// With a configuration that is not valid there is nothing to drive, only outputs to hold safe.
+    // By itself: its temporaries would stay on the stack for as long as the task runs.
+    #[inline(never)]
     fn new(config: &BoardConfig, io: BoardIo<B, P>) -> Self {
         let period_s = config.control_period_us as f32 * 1e-6;
         let mut peripherals = io.peripherals;
         let valid = config.validate().is_ok();
-        let motors = config.motors.iter().filter(|_| valid);
         let steppers = steppers(config, &mut peripherals);
-        let winding_s = period_s * WINDING_TURNS as f32;
-        let windings = config.motors.iter().filter(|_| valid).enumerate().map(|(index, motor)| {
-            let winding = motor.winding?;
-            let supply = config.supplies.iter().position(|supply| Some(supply.id.index) == winding.supply);
-            Some((Overload::new(winding, winding_s).resume(motor.id, peripherals.kept(index)), supply))
-        });
-        let windings = windings.collect();
-        Self {
-            windings,
+        let mut control = Self {
+            windings: Vec::new(),
             illegal: [IllegalRate::new(period_s); MAX_MOTORS],
             outputs: Outputs::new(io.bus, config),
-            motors: motors.map_while(|motor| Axis::new(motor, period_s).ok()).collect(),
+            motors: Vec::new(),
             bad_configuration: !valid || steppers.is_err(),
             steppers: steppers.unwrap_or_default(),
             stepper_setpoints: [Setpoint::NONE; STEPPERS],
@@ -200,7 +196,18 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             trips: 0,
             tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
-        }
+        };
+        // In place: motors are half of it, and a copy of them would be that much more of the stack.
+        let motors = config.motors.iter().filter(|_| valid);
+        control.motors.extend(motors.clone().map_while(|motor| Axis::new(motor, period_s).ok()));
+        let winding_s = period_s * WINDING_TURNS as f32;
+        control.windings.extend(motors.enumerate().map(|(index, motor)| {
+            let winding = motor.winding?;
+            let supply = config.supplies.iter().position(|supply| Some(supply.id.index) == winding.supply);
+            let kept = control.peripherals.kept(index);
+            Some((Overload::new(winding, winding_s).resume(motor.id, kept), supply))
+        }));
+        control
     }
 
     /// The period that was to begin at `due`.
@@ -256,10 +263,14 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let motors = motors.map(|(motor, winding)| Status::Motor(MotorStatus { winding, ..motor.status() }));
         shared.publish_each(Place::Motor(0), motors);
         shared.set_measured(self.sensed);
-        shared.publish_each(Place::Bldc(0), self.outputs.drive_shares().map(Status::Scalar));
-        shared.publish_each(Place::Servo(0), self.outputs.servo_angles().map(Status::Scalar));
-        let relays = self.outputs.closed_relays().map(|closed| Status::Scalar(closed.into()));
-        shared.publish_each(Place::Relay(0), relays);
+        match self.tick % PUBLISH_TURNS {
+            0 => shared.publish_each(Place::Bldc(0), self.outputs.drive_shares().map(Status::Scalar)),
+            1 => shared.publish_each(Place::Servo(0), self.outputs.servo_angles().map(Status::Scalar)),
+            _ => {
+                let relays = self.outputs.closed_relays().map(|closed| Status::Scalar(closed.into()));
+                shared.publish_each(Place::Relay(0), relays);
+            }
+        }
         let steppers = self.steppers.iter().flat_map(Bank::status).zip(self.stepper_setpoints);
         let steppers = steppers.map(|(status, setpoint)| {
             // A search ends at rest where it found its place.
