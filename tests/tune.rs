@@ -148,7 +148,7 @@ fn badly_tuned_gains_become_better_and_are_kept_only_on_request() {
 /// Motors that nobody has tuned by hand, in every mode; the numbers are those of `r4 bench motion`.
 #[test]
 fn sampled_motors_are_tuned() {
-    let report = json(&["bench", "motion", "--motors", "4", "--from", "1"]);
+    let report = json(&["bench", "motion", "--motors", "4", "--from", "1", "--no-ticks"]);
     let rows = report["rows"].as_array().expect("rows");
     for mode in ["position", "speed", "cascade"] {
         let what = format!("{mode} loops tuned, of 4");

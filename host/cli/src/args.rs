@@ -222,6 +222,9 @@ pub(crate) struct BenchMotion {
     /// Seed of the first sampled motor
     #[arg(long, default_value_t = 1001, value_name = "SEED")]
     pub(crate) from: u64,
+    /// Do not count the instructions of control ticks on emulated boards
+    #[arg(long)]
+    pub(crate) no_ticks: bool,
     /// Say of each motor how it came out, on stderr
     #[arg(long)]
     pub(crate) each: bool,

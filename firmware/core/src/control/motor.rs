@@ -112,10 +112,9 @@ pub struct Motor {
     applied: f32,
     /// The duty of the supply that there is: what the bridge was given last.
     output: f32,
-    /// Nominal volts over those of the supply: duties of the loops are shares of the nominal supply.
+    /// Volts of the supply over its nominal ones, and the inverse: duties of the loops are shares of the nominal supply.
+    supply_share: f32,
     supply_gain: f32,
-    /// Limits of the duty as shares of the nominal supply.
-    nominal_limits: OutputLimits,
     watch: Watch,
 }
 
@@ -210,8 +209,8 @@ impl Motor {
         let filter_s = control.speed_filter_s;
         Ok(Self {
             model: Model::new(&control, limits.magnitude, period_s),
+            supply_share: 1.0,
             supply_gain: 1.0,
-            nominal_limits: limits,
             output: 0.0,
             sensor: match control.feedback {
                 Feedback::Encoder { inverted, .. } => Sensor::Encoder(Encoder::new(inverted, period_s, filter_s)),
@@ -539,7 +538,10 @@ impl Motor {
 
     /// One period: the duty for the bridge, and the causes seen in how the motor answers.
     pub fn step(&mut self) -> (f32, Causes) {
-        let limits = self.nominal_limits;
+        // Of the nominal supply.
+        let OutputLimits { magnitude, slew_per_s } = self.limits;
+        let limits =
+            OutputLimits { magnitude: magnitude * self.supply_share, slew_per_s: slew_per_s * self.supply_share };
         let mut causes = Causes::NONE;
         let (wanted, following) = match self.following {
             Following::Position(approach) => self.step_position(approach, limits),
@@ -594,10 +596,8 @@ impl Motor {
 
     /// Takes the volts of the motor's supply as a share of its nominal ones: loops are tuned for those.
     pub(super) fn set_supply(&mut self, share: f32) {
-        let share = share.within(SUPPLY_SHARES.0, SUPPLY_SHARES.1);
-        self.supply_gain = 1.0 / share;
-        let OutputLimits { magnitude, slew_per_s } = self.limits;
-        self.nominal_limits = OutputLimits { magnitude: magnitude * share, slew_per_s: slew_per_s * share };
+        self.supply_share = share.within(SUPPLY_SHARES.0, SUPPLY_SHARES.1);
+        self.supply_gain = 1.0 / self.supply_share;
     }
 
     /// Takes what the bridge made of the last duty: nothing, while it rests between directions.

@@ -36,6 +36,10 @@ pub(crate) fn bench(_: &Args, _: f64) -> anyhow::Result<bool> {
     Err(NotBuilt.into())
 }
 
+pub(crate) fn tick(_: u64, _: &str, _: f64) -> anyhow::Result<(f64, f64)> {
+    Err(NotBuilt.into())
+}
+
 pub(crate) fn bench_safety(_: &Args, _: &Safety) -> anyhow::Result<bool> {
     Err(NotBuilt.into())
 }

@@ -8,11 +8,11 @@ mod board;
 mod link_log;
 
 #[cfg(not(feature = "emu"))]
-pub(crate) use absent::{LinkLog, bench, bench_safety, debug, debugged, image, log, start_image};
+pub(crate) use absent::{LinkLog, bench, bench_safety, debug, debugged, image, log, start_image, tick};
 #[cfg(feature = "emu")]
 pub(crate) use board::{debug, debugged, image, log, start_image};
 #[cfg(feature = "emu")]
 pub(crate) use {
-    crate::commands::bench::{firmware::run as bench, safety::processor::run as bench_safety},
+    crate::commands::bench::{firmware::run as bench, firmware::tick, safety::processor::run as bench_safety},
     link_log::LinkLog,
 };

@@ -167,11 +167,6 @@ pub(crate) fn check_has_loops(info: &ChannelInfo) -> Result<(), Error> {
     if moves && info.mode(Mode::Position).is_some() { Ok(()) } else { Err(TuneError::NoLoops { channel }.into()) }
 }
 
-/// How a board with this tuning knows the speed.
-fn estimate(_: &Tuning, time_s: f64) -> SpeedEstimate {
-    SpeedEstimate::LowPass { time_s }
-}
-
 impl Plan {
     /// The run that `request` asks for with a motor that stands at `position`, rad or m.
     ///
@@ -287,10 +282,14 @@ impl Plan {
         }
     }
 
-    /// The board around the motor's loop, where the motor has this tuning.
-    pub(crate) fn surroundings(&self, tuning: &Tuning) -> Surroundings {
+    /// The board around the motor's loop.
+    ///
+    /// The speed counts as behind the low-pass, also where the board has a model of the motor and knows it sooner: an angle sensor has no
+    /// model, and a board does not tell which sensor a motor has. Such loops are slower than they could be.
+    pub(crate) fn surroundings(&self) -> Surroundings {
         let Motor { period_s, speed_filter_s: time_s, resolution, speed, .. } = self.motor;
-        Surroundings { period_s, estimate: estimate(tuning, time_s), resolution, speeds: (SPEEDS.0 * speed, speed) }
+        let estimate = SpeedEstimate::LowPass { time_s };
+        Surroundings { period_s, estimate, resolution, speeds: (SPEEDS.0 * speed, speed) }
     }
 
     /// What the sensor's counts alone make of a speed, as the mean over `mean_s` shows it.

@@ -148,6 +148,17 @@ pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
     Ok(report.held)
 }
 
+/// Instructions that 99.9 % of a robot's control ticks take at most, as the whole command measures them, and how many they may take.
+pub(crate) fn tick(seed: u64, robot: &str, seconds: f64) -> anyhow::Result<(f64, f64)> {
+    let measured = measure(seed, robot, &Image::find(robot)?, seconds)?;
+    Ok((measured.instructions.p999, tick_limit(measured.period_us)))
+}
+
+/// Instructions that a control tick may take.
+fn tick_limit(period_us: u32) -> f64 {
+    (f64::from(CONTROL_SHARE) * f64::from(period_us) * 1e-6 * CORE_HZ).round()
+}
+
 fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Result<Measured> {
     let robot = r4_boards::load(robot)?;
     let mut simulation = Simulation::new(Pace::Free);
@@ -236,7 +247,7 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
     let limits = Limits {
         stack_share: STACK_SHARE,
         stack_bound: STACK_BOUND,
-        tick_p999: (f64::from(CONTROL_SHARE) * f64::from(period_us) * 1e-6 * CORE_HZ).round(),
+        tick_p999: tick_limit(period_us),
         jitter_p999_us: JITTER_P999_US,
     };
     let tick_held = instructions.p999 <= limits.tick_p999;

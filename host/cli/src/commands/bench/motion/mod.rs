@@ -14,7 +14,7 @@ use serde::Serialize;
 use self::tuning::{MARGIN_DEG, OVERSHOOT, Tuned};
 use crate::{
     args::{Args, BenchMotion},
-    output, table,
+    emulated, output, table,
 };
 
 /// The robot whose wheels are streamed, and one whose motors stand alone.
@@ -37,6 +37,11 @@ const LEAST_TUNED: f64 = 0.98;
 const SWINGS_HZ: [f64; 3] = [2.0, 5.0, 10.0];
 const SPEED_GAIN: f64 = 0.9;
 const SPEED_DELAY_S: f64 = 0.005;
+/// Emulated robots whose control ticks are counted, and what 99.9 % of them took at most before boards followed paths, limited jerk and
+/// learned friction (docs/performance.md).
+const TICKS: [(&str, f64); 2] = [("osmc-bench", 6544.0), ("every-interface", 18_872.0)];
+/// As long as `r4 bench firmware` counts them unless told otherwise, s.
+const TICKS_S: f64 = 10.0;
 /// Channels, and boards, begin in one period of 1 ms.
 const TOGETHER_S: f64 = 0.001;
 
@@ -58,6 +63,8 @@ struct Report {
     held: bool,
     /// Sampled motors that are not tuned as promised.
     failed: Vec<Failed>,
+    /// Why something was not measured.
+    left_out: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -108,8 +115,18 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
             tuned.into_iter().filter_map(|tuned| Some(Failed { mode: of, seed: tuned.seed, why: tuned.fails? })),
         );
     }
+    let mut left_out = Vec::new();
+    for (robot, before) in TICKS.into_iter().filter(|_| !asked.no_ticks) {
+        match emulated::tick(args.seed, robot, TICKS_S) {
+            Ok((p999, most)) => {
+                let what = format!("99.9 % of emu:{robot}'s control ticks");
+                rows.push(at_most(what, "instructions", Some(before), p999, most));
+            }
+            Err(error) => left_out.push(format!("control ticks of emu:{robot} are not counted: {error:#}")),
+        }
+    }
     let held = rows.iter().all(|row| row.met);
-    let report = Report { rows, held, failed };
+    let report = Report { rows, held, failed, left_out };
     if args.json {
         output::json(&report)?;
         return Ok(held);
@@ -130,6 +147,9 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
     output::line(format_args!("{table}"))?;
     for Failed { mode, seed, why } in &report.failed {
         output::line(format_args!("{mode:?} loop of sampled motor {seed}: {why}"))?;
+    }
+    for why in &report.left_out {
+        output::line(format_args!("{why}"))?;
     }
     Ok(held)
 }
