@@ -11,7 +11,7 @@
 //! | [`pid`] | the paper's controller, without the defects of the released code |
 //! | [`protocol`] | the experiments on a board |
 //! | [`response`] | every metric, with its definition |
-//! | [`scene`] | what a seed hides in the motors |
+//! | [`mod@scene`] | what a seed hides in the motors |
 //! | [`calibration`] | scale and offset of a sensor, by an instrument beside the board |
 //! | [`naming`] | which effect is hidden, from recordings of the board |
 //! | [`comparison`] | the paper, its controller and ours beside each other |
