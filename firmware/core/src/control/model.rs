@@ -17,9 +17,9 @@ pub(super) struct Model {
     time_constant_s: f32,
     /// Duty per speed of the straight line that the loops are tuned for.
     duty_per_speed: f32,
-    /// Share of what the curve is off that is learned at once.
+    /// Share of the curve's error that one update corrects, 0..=1.
     learn: f32,
-    /// Periods since something was learned.
+    /// Control periods since the last update of the curve, 0..[`LEARN_TURNS`].
     turn: u8,
     /// Slower than this, nothing is learned: rad/s or m/s.
     slowest: f32,
@@ -34,8 +34,9 @@ pub(super) struct Model {
 const STICTION_SHARE: f32 = 0.8;
 /// The curve follows with this time constant, s.
 const LEARN_S: f32 = 0.1;
-/// Only every so many periods something is learned, and by motors with neighbouring sensors in different ones: that is most of what a
-/// model takes of the processor.
+/// Control periods between two updates of a motor's curve. Motors with neighbouring sensor inputs update in different periods, so that
+/// the updates, the costliest part of the model, do not add up in one tick. The gain of an update grows in proportion: learning is as fast as
+/// with one in each period. Our choice: other values have not been measured.
 const LEARN_TURNS: u8 = 4;
 
 impl Model {

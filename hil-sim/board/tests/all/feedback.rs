@@ -243,14 +243,14 @@ enum Sensors {
     AngleAndMotor,
 }
 
-/// The bench with a motor that has play. Gains put both poles of the position loop at 42 rad/s, damped to 0.7, without play.
+/// The bench with a motor that has play. Gains put both poles of the position loop at 42 rad/s, damped to 0.9, without play.
 fn play_bench(sensors: Sensors) -> Robot {
     let mut robot = if sensors == Sensors::AngleAndMotor { angle_bench(1000) } else { osmc_bench() };
     robot.config.motors[0].winding.as_mut().unwrap().dead_duty = 0.0;
     let control = control_of(&mut robot.config, 0);
     control.speed_max = 20.0;
-    control.position_pid = PidGains { kp: 4.0, ki: 10.0, kd: 0.1 };
-    control.profile = ProfileLimits { speed: 5.0, acceleration: 30.0, jerk: 0.0 };
+    control.position_pid = PidGains { kp: 4.0, ki: 10.0, kd: 0.14 };
+    control.profile = ProfileLimits { speed: 5.0, acceleration: 20.0, jerk: 0.0 };
     // Without a model: an observer at the output alone lands as well as two sensors do (friction.rs), and this is about those.
     control.feed_forward = FeedForward { static_duty: 0.03, duty_per_speed: 0.031, duty_per_acceleration: 0.0 };
     control.settle.speed = 0.05;
@@ -320,12 +320,12 @@ fn play(sensors: Sensors) -> Played {
 /// The one at the output alone crosses the play without damping and comes to rest beyond it; with the same gains and one on either side
 /// the motor's side is damped, and its integral waits while it crosses. The noise of the angle sensor, 0.5 mrad, moves nothing.
 ///
-/// Measured: overshoot 39 mrad, not settled in 3 s; two encoders 12 mrad, 0.72 s; angle sensor and encoder 16 mrad, 0.55 s.
+/// Measured: overshoot 38 mrad, not settled in 3 s; two encoders 6.8 mrad, 0.85 s; angle sensor and encoder 9.8 mrad, 0.64 s.
 #[test]
 fn an_encoder_on_either_side_of_play_holds_better_than_one_behind_it() {
     let [single, dual, angle] = [Sensors::Output, Sensors::Both, Sensors::AngleAndMotor].map(play);
     println!("one at the output: {single:?}\none on either side: {dual:?}\nangle and encoder: {angle:?}");
-    assert!(dual.overshoot < 0.4 * single.overshoot, "{dual:?}, {single:?}");
+    assert!(dual.overshoot < 0.25 * single.overshoot && dual.overshoot < 2.0 * SETTLE_RAD, "{dual:?}, {single:?}");
     assert!(dual.settled_s < 0.5 * single.settled_s && dual.settled_s < 1.0, "{dual:?}, {single:?}");
     assert!(angle.overshoot < 0.5 * single.overshoot && angle.settled_s < 1.0, "{angle:?}, {single:?}");
     for two in [dual, angle] {

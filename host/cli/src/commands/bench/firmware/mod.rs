@@ -148,13 +148,13 @@ pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
     Ok(report.held)
 }
 
-/// Instructions that 99.9 % of a robot's control ticks take at most, as the whole command measures them, and how many they may take.
+/// The 99.9 % quantile of the instructions of a robot's control ticks on the emulated board, and its limit.
 pub(crate) fn tick(seed: u64, robot: &str, seconds: f64) -> anyhow::Result<(f64, f64)> {
     let measured = measure(seed, robot, &Image::find(robot)?, seconds)?;
     Ok((measured.instructions.p999, tick_limit(measured.period_us)))
 }
 
-/// Instructions that a control tick may take.
+/// Limit of the instructions of a control tick: [`CONTROL_SHARE`] of a period at one instruction a cycle.
 fn tick_limit(period_us: u32) -> f64 {
     (f64::from(CONTROL_SHARE) * f64::from(period_us) * 1e-6 * CORE_HZ).round()
 }

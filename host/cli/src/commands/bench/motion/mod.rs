@@ -37,8 +37,8 @@ const LEAST_TUNED: f64 = 0.98;
 const SWINGS_HZ: [f64; 3] = [2.0, 5.0, 10.0];
 const SPEED_GAIN: f64 = 0.9;
 const SPEED_DELAY_S: f64 = 0.005;
-/// Emulated robots whose control ticks are counted, and what 99.9 % of them took at most before boards followed paths, limited jerk and
-/// learned friction (docs/performance.md).
+/// Emulated robots whose control ticks are counted, and the 99.9 % quantile of their instructions (docs/performance.md) in the firmware
+/// that had no paths, jerk limits and learned friction.
 const TICKS: [(&str, f64); 2] = [("osmc-bench", 6544.0), ("every-interface", 18_872.0)];
 /// As long as `r4 bench firmware` counts them unless told otherwise, s.
 const TICKS_S: f64 = 10.0;
@@ -63,7 +63,7 @@ struct Report {
     held: bool,
     /// Sampled motors that are not tuned as promised.
     failed: Vec<Failed>,
-    /// Why something was not measured.
+    /// Measurements that are missing, each with its reason.
     left_out: Vec<String>,
 }
 
