@@ -32,6 +32,7 @@ pub mod passthrough;
 mod path;
 pub mod platform;
 pub mod ranging;
+mod root;
 pub mod safety;
 pub mod screen;
 pub mod sensing;

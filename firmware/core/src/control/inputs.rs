@@ -74,13 +74,14 @@ impl Inputs {
             Status::Reading { value: reading.volts, quality: reading.quality, taken }
         });
         shared.publish_each(Place::Analog(0), analogs);
-        for (index, supply) in self.supplies.iter_mut().enumerate() {
+        let supplies = self.supplies.iter_mut().map(|supply| {
             let (volts, in_range) = supply.update(peripherals.code(supply.analog()));
-            shared.publish(Place::Supply(index), Status::Scalar(volts));
             if !in_range {
                 causes.set(Cause::SupplyOutOfRange, true);
             }
-        }
+            Status::Scalar(volts)
+        });
+        shared.publish_each(Place::Supply(0), supplies);
         causes
     }
 

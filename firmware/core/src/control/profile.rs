@@ -6,6 +6,7 @@
 
 use crate::{
     motion::scurve::{Limits, Motion, Path, Position},
+    root::{sqrt, sqrtf},
     within::Within,
 };
 use r4_protocol::config::ProfileLimits;
@@ -100,7 +101,7 @@ fn towards(to_go: f32, rate: f32, most: f32, change_per_s: f32, dt: f32) -> (f32
     let side = if to_go < 0.0 { -1.0 } else { 1.0 };
     // The highest rate from which stopping in steps of `dt` ends exactly at the target: v²/2a + v dt/2 = distance.
     let half = change_per_s * dt / 2.0;
-    let stoppable = libm::sqrtf(half * half + 2.0 * change_per_s * distance) - half;
+    let stoppable = sqrtf(half * half + 2.0 * change_per_s * distance) - half;
     let wanted = side * stoppable.min(most);
     let change = change_per_s * dt;
     let rate = wanted.within(rate - change, rate + change);
@@ -186,7 +187,7 @@ impl Ramp {
     pub fn step(&mut self, wanted: f32, [behind, ahead]: [f32; 2], limits: &ProfileLimits, dt: f32) -> f32 {
         let before = self.speed;
         if limits.jerk == 0.0 {
-            let stoppable = |room: f32| libm::sqrtf(2.0 * limits.acceleration * room.max(0.0));
+            let stoppable = |room: f32| sqrtf(2.0 * limits.acceleration * room.max(0.0));
             let wanted = wanted.within(-stoppable(behind), stoppable(ahead));
             let change = limits.acceleration * dt;
             self.speed = wanted.within(before - change, before + change);
@@ -224,7 +225,7 @@ impl Ramp {
         let braking = if whole >= most * onset_s {
             (whole * whole / most + whole * onset_s) / 2.0
         } else {
-            whole * libm::sqrt(whole * per_jerk)
+            whole * sqrt(whole * per_jerk)
         };
         (side * (braking + later_s * (speed + acceleration * later_s / 3.0))) as f32
     }

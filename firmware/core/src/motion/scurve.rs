@@ -8,7 +8,7 @@
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
 use super::{rounded, to_f64};
-use crate::within::Within;
+use crate::{root::sqrt, within::Within};
 use heapless::Vec;
 
 /// Limits of a path. All positive; speed and acceleration finite.
@@ -129,7 +129,7 @@ fn ramp(speed: f64, acceleration: f64, to: f64, limits: &Limits) -> [Arc; 3] {
     let free_peak_squared = (jerk * change + start * start / 2.0).max(0.0);
     let holds = free_peak_squared > most * most;
     // A root takes as long as all else here, and often it is not needed.
-    let peak = if holds { most } else { libm::sqrt(free_peak_squared) };
+    let peak = if holds { most } else { sqrt(free_peak_squared) };
     let first_s = (peak - start).abs() / jerk;
     let last_s = peak / jerk;
     let hold_s =
@@ -254,7 +254,7 @@ impl Path {
                 path.arc(Arc { duration_s: short / limits.speed, ..Arc::NONE });
             } else if limits.jerk.is_infinite() {
                 // Up to a peak and down again, each with full acceleration: 2 peak² - speed² = 2 acceleration way.
-                let peak = libm::sqrt(side * way * limits.acceleration + from.speed * from.speed / 2.0);
+                let peak = sqrt(side * way * limits.acceleration + from.speed * from.speed / 2.0);
                 path.ramp(&out, (peak - side * from.speed) / limits.acceleration);
             } else {
                 path.ramp(&out, root((0.0, -excess.abs()), (out_s, -short), beyond));

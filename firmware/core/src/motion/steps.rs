@@ -7,7 +7,10 @@ use super::{
     scurve::{Path, Piece},
     to_f64,
 };
-use crate::platform::{StepAction, StepEvent, Steppers};
+use crate::{
+    platform::{StepAction, StepEvent, Steppers},
+    root::sqrt,
+};
 
 /// What a driver needs from its lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -188,7 +191,7 @@ fn turns(piece: &Piece) -> [f64; 2] {
     if jerk == 0.0 {
         return [-speed / acceleration, f64::NAN];
     }
-    let root = libm::sqrt(acceleration * acceleration - 2.0 * jerk * speed);
+    let root = sqrt(acceleration * acceleration - 2.0 * jerk * speed);
     let sum = -(acceleration + root.copysign(acceleration));
     let (one, other) = (sum / jerk, 2.0 * speed / sum);
     if one < other { [one, other] } else { [other, one] }

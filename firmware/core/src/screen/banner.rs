@@ -4,7 +4,7 @@ use embedded_graphics::{pixelcolor::Rgb888, prelude::*, primitives::Rectangle};
 use r4_protocol::SafetyState;
 
 use super::glyph::mixed;
-use crate::within::Within;
+use crate::{root::sqrtf, within::Within};
 
 /// The middles of a letter's strokes, in pixels from its upper left corner.
 struct Letter {
@@ -121,5 +121,5 @@ fn distance_to_segment((x, y): (f32, f32), from: (u8, u8), to: (u8, u8)) -> f32 
     let (x, y) = (x - from_x, y - from_y);
     let along = ((x * along_x + y * along_y) / (along_x * along_x + along_y * along_y)).within(0.0, 1.0);
     let (x, y) = (x - along * along_x, y - along * along_y);
-    libm::sqrtf(x * x + y * y)
+    sqrtf(x * x + y * y)
 }
