@@ -34,6 +34,20 @@ impl Calibration {
     /// A sensor that reads what is true.
     pub const NONE: Self = Self { gain: 1.0, offset: 0.0 };
 
+    /// Counts of a turn of an encoder with this calibration, of one with `counts_per_turn` without: a configuration holds a whole number.
+    #[must_use]
+    pub fn counts_per_turn(&self, counts_per_turn: f64) -> u32 {
+        (counts_per_turn * self.gain).round() as u32
+    }
+
+    /// rad or m in a count as the board has it that was told this calibration.
+    #[must_use]
+    pub fn count(&self, bench: &Bench) -> f64 {
+        use std::f64::consts::TAU;
+        // A potentiometer's count is one of the paper's converter.
+        if bench.step.is_some() { TAU / f64::from(self.counts_per_turn(TAU / bench.count)) } else { bench.count }
+    }
+
     /// What to send a board to that has this calibration in its configuration, for a true position. A rotary sensor's zero is where
     /// power came on, which no configuration holds: the host adds it.
     #[must_use]
@@ -165,6 +179,9 @@ mod tests {
             encoder,
             Feedback::Encoder { index: 0, counts_per_turn: 2448, inverted: false, counts_per_index: 0 }
         );
+        // The board's count, to the last bit but one.
+        let count = sensor.count(&GEARED);
+        assert!((count * 2448.0 / std::f64::consts::TAU - 1.0).abs() < 1e-15, "{count} rad");
         let back = sensor.asked(&GEARED, sensor.command(&GEARED, 1.0));
         assert!((back - 1.0).abs() < 1e-12);
     }

@@ -30,7 +30,6 @@ pub mod response;
 pub mod scene;
 
 use r4_boards::Robot;
-use r4_protocol::ChannelKind;
 use r4_rig::{Rig, Session};
 
 use crate::{
@@ -221,9 +220,7 @@ impl Driven {
     /// Its metrics.
     #[must_use]
     pub fn measured(&self, bench: &Bench) -> Measured {
-        // A count is one of the encoder that there is, of which a turn has more or fewer than the robot's file says.
-        let is_encoder = bench.channel.kind != ChannelKind::Actuator;
-        let count = if is_encoder { bench.count / self.calibration.gain } else { bench.count };
+        let count = self.calibration.count(bench);
         self.response.measured(&Bench { count, ..*bench }, |set| self.calibration.asked(bench, set))
     }
 }

@@ -158,7 +158,7 @@ impl Calibration {
     pub(super) fn put_into(&self, feedback: &mut Feedback) {
         match feedback {
             Feedback::Encoder { counts_per_turn, .. } => {
-                *counts_per_turn = (f64::from(*counts_per_turn) * self.gain).round() as u32;
+                *counts_per_turn = self.counts_per_turn((*counts_per_turn).into());
             }
             Feedback::Potentiometer { low, high, .. } => {
                 for point in [low, high] {

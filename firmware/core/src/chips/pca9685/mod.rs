@@ -71,13 +71,15 @@ impl Output {
         self.0[3] & reg::FULL != 0
     }
 
-    /// The registers that differ from `before`: the first of the two or four, counted from `ON_L`, and how many.
-    fn change_from(self, before: Self) -> (u8, usize) {
+    /// What differs from `before`: the first of the two or four registers, counted from `ON_L`, their bytes, and how many.
+    // Four bytes in any case: as many as there are would be copied by a call.
+    fn change_from(self, before: Self) -> (u8, [u8; 4], usize) {
+        let [on_low, on_high, off_low, off_high] = self.0;
         let same = |at: usize| self.0[at] == before.0[at];
         match (same(0) && same(1), same(2) && same(3)) {
-            (true, _) => (2, 2),
-            (false, true) => (0, 2),
-            (false, false) => (0, 4),
+            (true, _) => (2, [off_low, off_high, 0, 0], 2),
+            (false, true) => (0, [on_low, on_high, 0, 0], 2),
+            (false, false) => (0, self.0, 4),
         }
     }
 
@@ -199,10 +201,10 @@ impl Pca9685 {
     /// The write that changes `output` from what it was written to, `before`, by the registers that differ.
     #[must_use]
     pub fn change(&self, output: u8, before: Output, to: Output) -> Write {
-        let (first, count) = to.change_from(before);
+        let (first, changed, count) = to.change_from(before);
         let mut bytes = [0; Write::MAX];
         bytes[0] = on_register(output) + first;
-        bytes[1..=count].copy_from_slice(&to.registers()[usize::from(first)..][..count]);
+        bytes[1..5].copy_from_slice(&changed);
         Write::new(self.address, bytes, 1 + count)
     }
 
@@ -343,10 +345,15 @@ mod tests {
     #[test]
     fn a_change_writes_the_registers_that_differ() {
         let [short, longer, longest] = [0.2, 0.4, 0.9].map(|share| Output::high_from(2048, share));
-        assert_eq!([short.change_from(longer), longer.change_from(longest)], [(2, 2), (0, 4)]);
+        let change = |to: Output, before| {
+            let (first, bytes, count) = to.change_from(before);
+            assert_eq!(bytes[..count], to.registers()[usize::from(first)..][..count]);
+            (first, count)
+        };
+        assert_eq!([change(short, longer), change(longer, longest)], [(2, 2), (0, 4)]);
         // Both at the end of the period: only where they begin differs.
-        assert_eq!(longest.change_from(Output::high_from(2048, 0.95)), (0, 2));
-        assert_eq!((longest.low().change_from(longest), longest.low().is_low()), ((2, 2), true));
+        assert_eq!(change(longest, Output::high_from(2048, 0.95)), (0, 2));
+        assert_eq!((change(longest.low(), longest), longest.low().is_low()), ((2, 2), true));
         let chip = Pca9685::new(0x40, 1526.0);
         let [_, _, low, high] = short.registers();
         assert_eq!(chip.change(3, longer, short).bytes(), [0x14, low, high]);
