@@ -161,14 +161,14 @@ fn a_profile_may_limit_its_jerk() {
     let folder = tempfile::TempDir::new().unwrap();
     let path = folder.path().join("mine.toml");
     let limited = include_str!("../../osmc-bench.toml")
-        .replace("acceleration_rad_s2 = 10.0", "acceleration_rad_s2 = 10.0\njerk_rad_s3 = 200.0")
+        .replace("jerk_rad_s3 = 50.0", "jerk_rad_s3 = 200.0")
         .replace("acceleration_m_s2 = 0.05", "acceleration_m_s2 = 0.05\njerk_m_s3 = 0.5");
     fs::write(&path, limited).unwrap();
     let jerks = |robot: &str| {
         let motors = load(robot).unwrap().config.motors;
         motors.iter().map(|motor| motor.control.unwrap().profile.jerk).collect::<Vec<_>>()
     };
-    assert_eq!(jerks("osmc-bench"), [0.0, 0.0]);
+    assert_eq!(jerks("osmc-bench"), [50.0, 0.0]);
     assert_eq!(jerks(path.to_str().unwrap()), [200.0, 0.5]);
 }
 

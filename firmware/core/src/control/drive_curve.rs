@@ -9,6 +9,9 @@ const SHARES: [f32; KNOTS] = [0.0, 1.0 / 16.0, 0.25, 1.0];
 const LEAST_RISE: f32 = 0.2;
 /// A motor that comes to hold less than this share of its highest speed says of the duty at rest only that it is not less.
 const NEARLY_AT_REST: f32 = 1.0 / 64.0;
+/// A motor that moves against this share of its largest duty teaches nothing: no load that it could hold does that, but a sensor that
+/// counts the wrong way does, and what is learned from that would hide it.
+const OVERPOWERED: f32 = 0.99;
 /// What resists is taken to be friction in at least this share: with less, a motor that brakes would get all of the duty at once.
 const LEAST_FRICTION: f32 = 0.03;
 
@@ -127,6 +130,9 @@ impl DriveCurve {
     pub(super) fn learn(&mut self, steady: f32, duty: f32, speed: f32, share: f32) {
         let (sign, side) = if speed < 0.0 { (-1.0, 1) } else { (1.0, 0) };
         let (along, steady) = (duty * sign, steady * sign);
+        if along <= -OVERPOWERED * self.duty_max {
+            return;
+        }
         let short = self.duty[side][0] - along;
         if short <= 0.0 || steady > NEARLY_AT_REST * self.speed_max {
             self.learn_knots(side, steady.max(0.0), along, share);
@@ -139,6 +145,14 @@ impl DriveCurve {
                 let weight = (20.0 * share * short / span).min(1.0);
                 self.friction_share += weight * (found.within(0.0, 1.0) - self.friction_share);
             }
+        }
+    }
+
+    /// Learns that a motor at rest began to move towards `sign` with the duty `along` in that direction.
+    pub(super) fn gave_way(&mut self, sign: f32, along: f32) {
+        let side = usize::from(sign < 0.0);
+        if along < self.duty[side][0] {
+            self.learn_knots(side, 0.0, along, 1.0);
         }
     }
 
@@ -194,6 +208,32 @@ mod tests {
             }
         }
         curve
+    }
+
+    /// Prior 0.4 on both sides. Lifting took 0.6, and then the load fell although it got 0.2: it takes 0.4 of load and 0.2 of friction.
+    #[test]
+    fn a_load_shows_where_it_falls() {
+        let mut curve = DriveCurve::new(0.4, 0.1, SPEED_MAX, 0.9);
+        curve.learn_knots(0, 0.0, 0.6, 1.0);
+        assert!(curve.load().abs() < 1e-6, "the side that nobody has seen is taken to be alike: {curve:?}");
+        curve.gave_way(-1.0, -0.2);
+        assert!((curve.load() - 0.4).abs() < 1e-6 && (curve.threshold() - 0.2).abs() < 1e-6, "{curve:?}");
+        // More in favour of the fall says nothing new.
+        let before = curve.duty;
+        curve.gave_way(-1.0, 0.1);
+        assert_eq!(curve.duty, before);
+    }
+
+    /// What a sensor that counts the wrong way shows of a motor at the limit.
+    #[test]
+    fn a_motor_that_moves_against_all_of_its_duty_teaches_nothing() {
+        let mut curve = DriveCurve::new(0.4, 0.1, SPEED_MAX, 0.9);
+        let before = curve.duty;
+        curve.learn(2.0, -0.9, 2.0, 0.1);
+        curve.learn(-2.0, 0.9, -2.0, 0.1);
+        assert_eq!(curve.duty, before);
+        curve.learn(2.0, -0.5, 2.0, 0.1);
+        assert_ne!(curve.duty, before, "a heavy load does that");
     }
 
     proptest! {

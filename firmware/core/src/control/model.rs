@@ -27,6 +27,9 @@ pub(super) struct Model {
     stiction: f32,
     /// Whether a measured position was known in the last period.
     is_placed: bool,
+    /// Sign of the last count, and the least and the most duty since, in 127ths.
+    counted: i8,
+    given: [i8; 2],
     period_s: f32,
 }
 
@@ -69,6 +72,8 @@ impl Model {
             slowest: 0.1 * resolution / control.speed_filter_s.max(period_s),
             stiction: 0.0,
             is_placed: false,
+            counted: 0,
+            given: [0; 2],
             period_s,
         })
     }
@@ -77,6 +82,7 @@ impl Model {
     pub(super) fn count(&mut self, encoder: &Encoder, duty: f32, resolution: f32) -> f32 {
         self.predict(duty);
         let (counts, periods) = encoder.last();
+        self.turn_round(counts, duty);
         if encoder.is_still() && counts == 0 {
             self.observer.rest(0.5 * resolution);
         } else if self.observer.count(counts, periods, resolution) {
@@ -94,6 +100,23 @@ impl Model {
         self.observer.measure(position);
         self.learn(duty);
         self.observer.speed()
+    }
+
+    /// A motor that counts the other way than before was at rest between, and then gave way to a load although no duty sent it there.
+    fn turn_round(&mut self, counts: i32, duty: f32) {
+        // Away from 0: what it is said to give way to is not more than it was.
+        let rounded = (duty * 127.0 + 0.5f32.copysign(duty)) as i8;
+        self.given = [self.given[0].min(rounded), self.given[1].max(rounded)];
+        if counts == 0 {
+            return;
+        }
+        let sign = counts.signum() as i8;
+        // The duty most in favour of the way it went.
+        let favour = if sign < 0 { -self.given[0] } else { self.given[1] };
+        if sign == -self.counted && favour < 0 {
+            self.curve.gave_way(f32::from(sign), f32::from(favour) / 127.0);
+        }
+        (self.counted, self.given) = (sign, [rounded; 2]);
     }
 
     /// The observer's speed, 0 where it is too low to tell its direction.
@@ -150,6 +173,11 @@ impl Model {
             load + (self.curve.duty(along * share, sign) - load) * threshold
         };
         duty + pushed.copysign(sign)
+    }
+
+    /// The loop's output that leaves a motor at rest with a duty: what of it is not the load that is known.
+    pub(super) fn straight(&self, duty: f32) -> f32 {
+        duty - self.curve.duty(0.0, 0.0)
     }
 
     /// Limits of a loop's output: where the motor's duty is at its own.

@@ -17,6 +17,7 @@ use super::{
 };
 use crate::{
     path::Leg,
+    root::sqrtf,
     sensing::{
         angle::{Angle, Mounting, Reading},
         encoder::Encoder,
@@ -481,6 +482,9 @@ impl Motor {
     /// The path has no more points: on from there to rest, along the profile.
     #[inline(never)]
     fn end_path(&mut self, end: Reference) {
+        // A path that brakes until its last point does not go on braking: with more than this, limited jerk would turn the motor round.
+        let most = sqrtf(2.0 * self.control.profile.jerk * end.speed.abs());
+        let end = Reference { acceleration: end.acceleration.within(-most, most), ..end };
         let Reference { position, speed, acceleration, .. } = end;
         let stopping = f64::from(self.profile.stopping(Ramp { speed, acceleration }));
         let range = self.control.position;
@@ -531,8 +535,8 @@ impl Motor {
         }
         self.control.cascade_per_s = cascade_per_s;
         if is_other_loop && matches!(self.following, Following::Position(_) | Following::Path(_)) {
-            let duty = self.duty;
-            self.position_holder().hold(duty, duty);
+            let held = self.straight(self.duty);
+            self.position_holder().hold(held, held);
         }
     }
 
@@ -652,7 +656,8 @@ impl Motor {
             let friction = self.feed_forward(towards, 0.0, 0.0);
             let overcame =
                 if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
-            self.position_holder().hold(hold.duty, hold.duty - overcame);
+            let held = self.straight(hold.duty);
+            self.position_holder().hold(held, held - overcame);
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
         if path_speed == 0.0 && !self.crosses_gap() {
@@ -725,6 +730,11 @@ impl Motor {
         duty.within(-limits.magnitude, limits.magnitude)
     }
 
+    /// The loop's output for a duty at rest.
+    fn straight(&self, duty: f32) -> f32 {
+        self.model.as_ref().map_or(duty, |model| model.straight(duty))
+    }
+
     /// Whether the motor crosses play while the output stands: what the error is then, it is not for long.
     fn crosses_gap(&self) -> bool {
         self.motor_side.as_ref().is_some_and(MotorSide::crosses)
@@ -788,7 +798,8 @@ impl Motor {
         if wanted == 0.0 && reference == 0.0 && stands && slipped.is_none() {
             let hold = self.let_go(hold.unwrap_or(self.new_hold()));
             let duty = if hold.slipped { hold.at_rest.0 } else { hold.duty };
-            self.speed_loop.hold(self.duty, duty);
+            let (before, held) = (self.straight(self.duty), self.straight(duty));
+            self.speed_loop.hold(before, held);
             return (hold.duty, Following::Speed { reference: ramp, hold: Some(hold) });
         }
         let following = Following::Speed { reference: ramp, hold: slipped };
