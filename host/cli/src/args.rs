@@ -220,7 +220,7 @@ pub(crate) struct BenchMotion {
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub(crate) motors: u64,
     /// Seed of the first sampled motor
-    #[arg(long, default_value_t = 3001, value_name = "SEED")]
+    #[arg(long, default_value_t = 4001, value_name = "SEED")]
     pub(crate) from: u64,
     /// Do not count the instructions of control ticks on emulated boards
     #[arg(long)]
