@@ -22,6 +22,7 @@ use clap::CommandFactory;
 use r4_protocol::Mode;
 
 use args::Args;
+use commands::identify::NotExplained;
 use output::OutputError;
 use verbs::{Command, Sim, Typed};
 
@@ -58,9 +59,16 @@ fn main() -> ExitCode {
         {
             ExitCode::SUCCESS
         }
+        Err(error) if error.is::<NotExplained>() => {
+            eprintln!("r4: {error}");
+            ExitCode::from(NOT_EXPLAINED)
+        }
         Err(error) => failure::report(&args, &error),
     }
 }
+
+/// Exit code of an identification that explains nothing, which is a result and no failure.
+const NOT_EXPLAINED: u8 = 6;
 
 /// Refuses other physics where they cannot be had.
 fn check_physics(args: &Args, command: &Command) -> anyhow::Result<()> {

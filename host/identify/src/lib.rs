@@ -25,6 +25,7 @@ mod residual;
 pub mod select;
 pub mod skid;
 pub mod statics;
+mod suspect;
 pub mod task;
 
 pub use error::IdentifyError;

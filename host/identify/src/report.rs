@@ -28,6 +28,42 @@ pub struct Report {
     pub notes: Vec<String>,
     /// One plain sentence.
     pub verdict: String,
+    /// How far the recordings are explained.
+    pub explained: Explained,
+    /// Where they are not: mistakes in the recordings without which the model would do better.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub suspicions: Vec<String>,
+}
+
+/// How far a model explains recordings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Explained {
+    /// What is left is noise.
+    ToTheNoise,
+    /// What is left is not only noise.
+    InPart,
+    /// Not: see [`Report::suspicions`].
+    Not,
+}
+
+/// Without an effect, what a model leaves of held-out recordings and is not noise may be so large, as a share of their deviation: a base
+/// model that misses more lacks something, and its name was not found. Our choice, an order of magnitude below what a constant leaves.
+const NAMELESS: f64 = 0.1;
+
+impl Explained {
+    /// Of a model that leaves `left` of the held-out recordings, over their standard deviation.
+    #[must_use]
+    pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
+        // A constant leaves 1; NaN of recordings that are constant.
+        if !(left < 1.0) || !has_effects && !is_white && left > NAMELESS {
+            Self::Not
+        } else if is_white {
+            Self::ToTheNoise
+        } else {
+            Self::InPart
+        }
+    }
 }
 
 /// How well a model does on both kinds of data.

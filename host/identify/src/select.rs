@@ -179,6 +179,12 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     search.told(path, &base, train, &blocks)
 }
 
+/// The base model alone, fitted to whole recordings.
+pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
+    let whole: Vec<&F::Run> = train.iter().collect();
+    Search { family, whole: whole.clone(), runs: whole, halves: &[], progress: &|_| () }.base()
+}
+
 impl<F: Family> Search<'_, F> {
     /// A path with its numbers as they are told.
     fn told(&self, path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {

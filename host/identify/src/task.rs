@@ -12,10 +12,11 @@ use crate::{
     family::{Acts, Family, Loadable, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
-    report::{EffectReport, Evidence, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
+    report::{EffectReport, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{Found, WORTH, depends_on, search},
+    select::{Found, WORTH, base, depends_on, search},
     skid::{Declared, Output, SkidSteer},
+    suspect::suspicions,
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
 };
 
@@ -135,28 +136,66 @@ pub fn identify(
     if holdout.is_empty() {
         return Err(IdentifyError::NoHoldout);
     }
+    let mut found = with_family(task, train, holdout, Assemble { task, notes, progress })??;
+    if found.report.explained == Explained::Not {
+        found.report.suspicions = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
+        found.report.verdict = not_explained(&found.report);
+    }
+    Ok(found)
+}
+
+/// What is done with a model and its runs, whichever model it is.
+pub(crate) trait Work {
+    /// What comes of it.
+    type Done;
+
+    /// Does it.
+    fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> Self::Done;
+}
+
+/// Makes the model of a task and its runs, for `work`.
+pub(crate) fn with_family<W: Work>(
+    task: &Task,
+    train: &[Run],
+    holdout: &[Run],
+    work: W,
+) -> Result<W::Done, IdentifyError> {
     if let Some(kind) = Kind::ALL.into_iter().find(|kind| kind.name() == task.model) {
         let known = Known::from_parameters(kind, &task.parameters, task.plant.clone())?;
         let (model, train, holdout) = Motion::new(kind, &known, train, holdout)?;
-        return assemble(task, &model, &train, &holdout, notes, progress);
+        return Ok(work.with(&model, &train, &holdout));
     }
     if task.model == StaticMap::NAME {
         let (model, train, holdout) = StaticMap::prepare(train, holdout)?;
-        return assemble(task, &model, &train, &holdout, notes, progress);
+        return Ok(work.with(&model, &train, &holdout));
     }
     if task.model == HeldShaft::NAME {
         let (model, train, holdout) = HeldShaft::prepare(train, holdout)?;
-        return assemble(task, &model, &train, &holdout, notes, progress);
+        return Ok(work.with(&model, &train, &holdout));
     }
     if let Some(output) = Output::ALL.into_iter().find(|output| output.model() == task.model) {
         let declared = Declared::from_parameters(&task.parameters)?;
         let (model, train) = SkidSteer::new(declared, output, train)?;
         let model = model.with_body(task.body.clone());
         let holdout = holdout.iter().map(|run| model.run(declared, run)).collect::<Result<Vec<_>, _>>()?;
-        return assemble(task, &model, &train, &holdout, notes, progress);
+        return Ok(work.with(&model, &train, &holdout));
     }
     let known = models().iter().map(|model| model.name).collect::<Vec<_>>().join(", ");
     Err(IdentifyError::UnknownModel { name: task.model.clone(), known })
+}
+
+struct Assemble<'t> {
+    task: &'t Task,
+    notes: Vec<String>,
+    progress: &'t (dyn Fn(Progress) + Sync),
+}
+
+impl Work for Assemble<'_> {
+    type Done = Result<Identified, IdentifyError>;
+
+    fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> Self::Done {
+        assemble(self.task, family, train, holdout, self.notes, self.progress)
+    }
 }
 
 /// Every base model there is.
@@ -186,6 +225,13 @@ fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> V
             predicted
         })
         .collect()
+}
+
+/// Error of the base model alone on the held-out runs, over their standard deviation.
+pub(crate) fn base_nrmse<F: Family>(family: &F, train: &[F::Run], holdout: &[F::Run]) -> f64 {
+    let fit = base(family, train);
+    let held_out: Vec<&F::Run> = holdout.iter().collect();
+    score(family, &held_out, &free_runs(family, &fit.structure, holdout)).nrmse
 }
 
 fn score<F: Family>(family: &F, runs: &[&F::Run], predicted: &[Vec<f64>]) -> Score {
@@ -307,8 +353,11 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
+    let explained = Explained::of(last.holdout.nrmse, !effects.is_empty(), residual.white);
     let report = Report {
         model: task.model.clone(),
+        explained,
+        suspicions: Vec::new(),
         unit,
         baseline,
         effects,
@@ -457,6 +506,17 @@ fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores,
              {after:.3e} {unit}): do not use it; record runs that move through more of what is held out."
         )
     }
+}
+
+/// The verdict where recordings are not explained.
+fn not_explained(report: &Report) -> String {
+    let left = report.last.holdout.nrmse;
+    let compared = if left < 1.0 { "" } else { ", no less than a constant does" };
+    let likely = match report.suspicions.as_slice() {
+        [] => "no likely mistake in the recordings was found: look whether model, columns and units are those of the machine".to_owned(),
+        [likeliest, ..] => format!("likely {likeliest}"),
+    };
+    format!("Not explained: the {} model leaves {:.1} % of the held-out data{compared}; {likely}.", report.model, 100.0 * left)
 }
 
 #[cfg(test)]

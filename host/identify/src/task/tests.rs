@@ -170,3 +170,31 @@ fn every_model_writes_what_a_simulated_board_loads() {
         }
     }
 }
+
+/// The recordings of a motor, each made wrong in one way.
+#[test]
+fn mistakes_in_recordings_are_told() {
+    fn reversed(run: &mut Run) {
+        run.signals.values_mut().for_each(|signal| signal.values.reverse());
+    }
+    fn exchanged(run: &mut Run) {
+        let [input, output] = ["input", "output"].map(|role| run.signals.remove(role).unwrap());
+        run.signals.insert("input".into(), output);
+        run.signals.insert("output".into(), input);
+    }
+    let task = Task { model: "dc-motor".into(), ..Task::default() };
+    let told = |spoil: fn(&mut Run)| {
+        let [train, holdout] = [1, 3].map(|seed| {
+            let mut run = recorded("dc-motor", seed);
+            spoil(&mut run);
+            run
+        });
+        identify(&task, &[train], &[holdout], Vec::new(), &|_| ()).unwrap().report
+    };
+    assert_ne!(told(|_| ()).explained, Explained::Not);
+    for (spoil, says) in [(reversed as fn(&mut Run), "backwards"), (exchanged, "exchanged")] {
+        let report = told(spoil);
+        assert_eq!(report.explained, Explained::Not, "{}", report.verdict);
+        assert!(report.suspicions[0].contains(says) && report.verdict.contains(says), "{says}: {}", report.verdict);
+    }
+}

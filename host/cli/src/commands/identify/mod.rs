@@ -19,7 +19,7 @@ use r4_identify::{
     Identified, ModelInfo, Progress, Task,
     data::{self, Holdout, Mapping, Options, Recorded},
     family::{FittedBody, Loadable},
-    report::Report,
+    report::{Explained, Report},
     statics::hold_out,
     task::FileKind,
 };
@@ -176,8 +176,23 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
     } else {
         print::print(&found.report, &files)?;
     }
+    if found.report.explained == Explained::Not {
+        return Err(NotExplained.into());
+    }
     Ok(true)
 }
+
+/// The recordings are not explained; the report has been printed, and says so.
+#[derive(Debug)]
+pub(crate) struct NotExplained;
+
+impl std::fmt::Display for NotExplained {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str("the recordings are not explained")
+    }
+}
+
+impl std::error::Error for NotExplained {}
 
 fn bar() -> ProgressBar {
     ProgressBar::new(1_000).with_style(

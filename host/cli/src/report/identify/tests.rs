@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use r4_identify::report::{Evidence, Rejected, ResidualReport, Rival, Scores, Unexplained};
+use r4_identify::report::{Evidence, Explained, Rejected, ResidualReport, Rival, Scores, Unexplained};
 
 use super::*;
 
@@ -84,6 +84,8 @@ fn found() -> Report {
             reason: "better on 11 of 20 blocks only, which chance does as well".into(),
         }],
         notes: vec!["train_trajectory.csv: 2 gaps, about 5 samples missing, the longest 0.050 s; nothing was put there".into()],
+        explained: Explained::InPart,
+        suspicions: Vec::new(),
         verdict: "Coulomb friction of 20.3 N is missing from the model, and a force over the position that has no name; with \
                   both the error on held-out data falls from 5.51 mm to 2.64 mm."
             .into(),

@@ -9,7 +9,7 @@ use super::{About, Ladder, Law, Step, TableError, climb, general, squares};
 use crate::data::Run;
 use crate::family::Loadable;
 use crate::report::{
-    EffectReport, Estimate, Evidence, Figures, Rejected, Report, ResidualReport, Rival, Score, Scores, Traces,
+    EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, ResidualReport, Rival, Score, Scores, Traces,
 };
 use crate::task::{FileKind, Identified, ModelInfo, RoleInfo};
 
@@ -203,12 +203,16 @@ fn report(
             .collect(),
     };
     let loadable = Loadable::Plant(map.plant_file());
+    let last = scores(chosen);
     let report = Report {
         model: NAME.to_owned(),
+        // Laws are all that there is: one that is enough has no effects.
+        explained: Explained::of(last.holdout.nrmse, true, ladder.unexplained.is_empty()),
+        suspicions: Vec::new(),
         unit: ladder.unit.clone(),
         baseline: scores(base),
         effects,
-        last: scores(chosen),
+        last,
         parameters: estimates,
         residual: ResidualReport { white: ladder.unexplained.is_empty(), unexplained: ladder.unexplained.clone() },
         rejected: rejected.collect(),

@@ -1,0 +1,113 @@
+//! Mistakes in recordings that make every model fail: each is undone and tried.
+
+use std::f64::consts::PI;
+
+use crate::{
+    data::{Quantity, Run},
+    family::Family,
+    task::{Task, Work, base_nrmse, models, with_family},
+};
+
+/// A mistake is suspected where the base model alone, without it, leaves at most this share of what the model left with it: chance
+/// does not halve an error.
+const LESS: f64 = 0.5;
+
+/// A mistake that can be undone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Mistake {
+    /// Rows in the wrong order.
+    Reversed,
+    /// What drives the model and what it is compared with.
+    Swapped,
+    /// Angles in degrees under a name with rad.
+    Degrees,
+    /// The other way round.
+    Radians,
+    /// What is compared has the other sign.
+    Inverted,
+}
+
+impl Mistake {
+    const ALL: [Self; 5] = [Self::Reversed, Self::Swapped, Self::Degrees, Self::Radians, Self::Inverted];
+
+    const fn told(self) -> &'static str {
+        match self {
+            Self::Reversed => "time runs backwards in the recordings: with the rows turned round",
+            Self::Swapped => "input and output are exchanged: with each in the other's place (--map)",
+            Self::Degrees => "what is called rad is in degrees: multiplied by pi/180",
+            Self::Radians => "what is called degrees is in rad: multiplied by 180/pi",
+            Self::Inverted => "the output has the wrong sign: with the other",
+        }
+    }
+
+    /// A recording without it; `None` where it cannot be there.
+    fn undone(self, run: &Run, driving: &[&str]) -> Option<Run> {
+        let mut run = run.clone();
+        let outputs: Vec<String> =
+            run.signals.keys().filter(|role| !driving.contains(&role.as_str())).cloned().collect();
+        let mut scale = |factor: f64, is_meant: fn(Quantity) -> bool| {
+            let mut any = false;
+            for signal in outputs.iter().filter_map(|role| run.signals.get_mut(role)) {
+                if is_meant(signal.quantity) {
+                    signal.values.iter_mut().for_each(|value| *value *= factor);
+                    any = true;
+                }
+            }
+            any
+        };
+        let is_angular = |quantity| matches!(quantity, Quantity::Angle | Quantity::AngularSpeed);
+        let is_done = match self {
+            Self::Reversed => {
+                let end_s = run.time_s.last().copied()?;
+                run.time_s.reverse();
+                run.time_s.iter_mut().for_each(|time_s| *time_s = end_s - *time_s);
+                run.signals.values_mut().for_each(|signal| signal.values.reverse());
+                true
+            }
+            Self::Swapped => {
+                let inputs: Vec<&&str> = driving.iter().filter(|role| run.signals.contains_key(**role)).collect();
+                let ([input], [output]) = (inputs.as_slice(), outputs.as_slice()) else { return None };
+                let (was_input, was_output) = (run.signals.remove(**input)?, run.signals.remove(output)?);
+                run.signals.insert((**input).to_owned(), was_output);
+                run.signals.insert(output.clone(), was_input);
+                true
+            }
+            Self::Degrees => scale(PI / 180.0, is_angular),
+            Self::Radians => scale(180.0 / PI, is_angular),
+            Self::Inverted => scale(-1.0, |_| true),
+        };
+        is_done.then_some(run)
+    }
+}
+
+struct Base;
+
+impl Work for Base {
+    type Done = f64;
+
+    fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> f64 {
+        base_nrmse(family, train, holdout)
+    }
+}
+
+/// What may be wrong with recordings of which a model leaves `left`, over the standard deviation of the held-out ones, likeliest first.
+pub(crate) fn suspicions(task: &Task, train: &[Run], holdout: &[Run], left: f64) -> Vec<String> {
+    let roles = models().into_iter().find(|model| model.name == task.model).map(|model| model.roles).unwrap_or_default();
+    let driving: Vec<&str> = roles.iter().filter(|role| role.driving).map(|role| role.name).collect();
+    let mut found: Vec<(f64, String)> = Mistake::ALL
+        .into_iter()
+        .filter_map(|mistake| {
+            let undone = |runs: &[Run]| runs.iter().map(|run| mistake.undone(run, &driving)).collect::<Option<Vec<_>>>();
+            let without = with_family(task, &undone(train)?, &undone(holdout)?, Base).ok()?;
+            let told = format!(
+                "{}, the base model alone leaves {:.1} % instead of {:.1} %",
+                mistake.told(),
+                100.0 * without,
+                100.0 * left
+            );
+            (without <= LESS * left).then_some((without, told))
+        })
+        .collect();
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.into_iter().map(|(_, told)| told).collect()
+}
