@@ -88,6 +88,32 @@ fn what_cannot_be_answered_is_told_and_nothing_is_written() {
     }
 }
 
+/// The rows of a table from the last to the first, under the times as they were.
+fn turn_round(folder: &TempDir, name: &str) {
+    let path = folder.path().join(name);
+    let table = fs::read_to_string(&path).expect("it was written");
+    let (head, rows) = table.split_once('\n').expect("a header");
+    let parts: Vec<(&str, &str)> = rows.lines().filter_map(|row| row.split_once(',')).collect();
+    let turned = parts.iter().zip(parts.iter().rev()).map(|((time, _), (_, values))| format!("{time},{values}\n"));
+    fs::write(path, format!("{head}\n{}", turned.collect::<String>())).expect("a file");
+}
+
+#[test]
+fn recordings_that_nothing_explains_end_with_a_code_of_their_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (kind, name) in ["a.csv", "b.csv"].into_iter().enumerate() {
+        recording(&folder, name, kind as u32);
+        turn_round(&folder, name);
+    }
+    let question = "--model dc-motor --input duty --output speed_rad_s --out out";
+    let told = r4(&folder, &format!("--json identify a.csv --holdout b.csv {question}"));
+    let report = json(&told.stdout);
+    assert_eq!((told.status.code(), report["explained"].as_str()), (Some(6), Some("not")), "{report}");
+    let verdict = report["verdict"].as_str().expect("a sentence");
+    assert!(verdict.starts_with("Not explained: ") && verdict.contains("time runs backwards"), "{verdict}");
+    assert!(stderr(&told).contains("the recordings are not explained"), "{}", stderr(&told));
+}
+
 /// A robot that turns by three quarters of what its wheels say, every 20 ms for 8 s.
 fn drive(folder: &TempDir, name: &str, kind: u32) {
     let mut table = String::from("t_s,left_rad_s,right_rad_s,yaw_rate_rad_s\n");

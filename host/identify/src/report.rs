@@ -50,13 +50,16 @@ pub enum Explained {
 /// Without an effect, what a model leaves of held-out recordings and is not noise may be so large, as a share of their deviation: a base
 /// model that misses more lacks something, and its name was not found. Our choice, an order of magnitude below what a constant leaves.
 const NAMELESS: f64 = 0.1;
+/// The same with effects. Our choice: a quarter of the variance.
+const NAMED: f64 = 0.5;
 
 impl Explained {
     /// Of a model that leaves `left` of the held-out recordings, over their standard deviation.
     #[must_use]
     pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
-        // A constant leaves 1; NaN of recordings that are constant.
-        if !(left < 1.0) || !has_effects && !is_white && left > NAMELESS {
+        // A constant leaves 1, and recordings that are constant NaN. What noise hides is not explained by calling it noise.
+        let most = if has_effects || is_white { NAMED } else { NAMELESS };
+        if left.is_nan() || left > most {
             Self::Not
         } else if is_white {
             Self::ToTheNoise

@@ -182,7 +182,7 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
 /// The base model alone, fitted to whole recordings.
 pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
     let whole: Vec<&F::Run> = train.iter().collect();
-    Search { family, whole: whole.clone(), runs: whole, halves: &[], progress: &|_| () }.base()
+    Search { family, whole: whole.clone(), runs: whole, halves: &[Vec::new(), Vec::new()], progress: &|_| () }.base()
 }
 
 impl<F: Family> Search<'_, F> {

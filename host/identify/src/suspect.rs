@@ -45,16 +45,6 @@ impl Mistake {
         let mut run = run.clone();
         let outputs: Vec<String> =
             run.signals.keys().filter(|role| !driving.contains(&role.as_str())).cloned().collect();
-        let mut scale = |factor: f64, is_meant: fn(Quantity) -> bool| {
-            let mut any = false;
-            for signal in outputs.iter().filter_map(|role| run.signals.get_mut(role)) {
-                if is_meant(signal.quantity) {
-                    signal.values.iter_mut().for_each(|value| *value *= factor);
-                    any = true;
-                }
-            }
-            any
-        };
         let is_angular = |quantity| matches!(quantity, Quantity::Angle | Quantity::AngularSpeed);
         let is_done = match self {
             Self::Reversed => {
@@ -72,12 +62,24 @@ impl Mistake {
                 run.signals.insert(output.clone(), was_input);
                 true
             }
-            Self::Degrees => scale(PI / 180.0, is_angular),
-            Self::Radians => scale(180.0 / PI, is_angular),
-            Self::Inverted => scale(-1.0, |_| true),
+            Self::Degrees => scale(&mut run, &outputs, PI / 180.0, is_angular),
+            Self::Radians => scale(&mut run, &outputs, 180.0 / PI, is_angular),
+            Self::Inverted => scale(&mut run, &outputs, -1.0, |_| true),
         };
         is_done.then_some(run)
     }
+}
+
+/// Multiplies those of the signals that are meant; whether there are any.
+fn scale(run: &mut Run, roles: &[String], factor: f64, is_meant: fn(Quantity) -> bool) -> bool {
+    let mut any = false;
+    for role in roles {
+        let signal = run.signals.get_mut(role).filter(|signal| is_meant(signal.quantity));
+        let Some(signal) = signal else { continue };
+        signal.values.iter_mut().for_each(|value| *value *= factor);
+        any = true;
+    }
+    any
 }
 
 struct Base;
@@ -92,12 +94,14 @@ impl Work for Base {
 
 /// What may be wrong with recordings of which a model leaves `left`, over the standard deviation of the held-out ones, likeliest first.
 pub(crate) fn suspicions(task: &Task, train: &[Run], holdout: &[Run], left: f64) -> Vec<String> {
-    let roles = models().into_iter().find(|model| model.name == task.model).map(|model| model.roles).unwrap_or_default();
+    let roles =
+        models().into_iter().find(|model| model.name == task.model).map(|model| model.roles).unwrap_or_default();
     let driving: Vec<&str> = roles.iter().filter(|role| role.driving).map(|role| role.name).collect();
     let mut found: Vec<(f64, String)> = Mistake::ALL
         .into_iter()
         .filter_map(|mistake| {
-            let undone = |runs: &[Run]| runs.iter().map(|run| mistake.undone(run, &driving)).collect::<Option<Vec<_>>>();
+            let undone =
+                |runs: &[Run]| runs.iter().map(|run| mistake.undone(run, &driving)).collect::<Option<Vec<_>>>();
             let without = with_family(task, &undone(train)?, &undone(holdout)?, Base).ok()?;
             let told = format!(
                 "{}, the base model alone leaves {:.1} % instead of {:.1} %",

@@ -16,8 +16,8 @@ use crate::{
     residual::{Left, left},
     select::{Found, WORTH, base, depends_on, search},
     skid::{Declared, Output, SkidSteer},
-    suspect::suspicions,
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
+    suspect::suspicions,
 };
 
 /// What to do.
@@ -516,7 +516,11 @@ fn not_explained(report: &Report) -> String {
         [] => "no likely mistake in the recordings was found: look whether model, columns and units are those of the machine".to_owned(),
         [likeliest, ..] => format!("likely {likeliest}"),
     };
-    format!("Not explained: the {} model leaves {:.1} % of the held-out data{compared}; {likely}.", report.model, 100.0 * left)
+    format!(
+        "Not explained: the {} model leaves {:.1} % of the held-out data{compared}; {likely}.",
+        report.model,
+        100.0 * left
+    )
 }
 
 #[cfg(test)]

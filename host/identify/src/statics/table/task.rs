@@ -9,7 +9,8 @@ use super::{About, Ladder, Law, Step, TableError, climb, general, squares};
 use crate::data::Run;
 use crate::family::Loadable;
 use crate::report::{
-    EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, ResidualReport, Rival, Score, Scores, Traces,
+    EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, ResidualReport, Rival, Score, Scores,
+    Traces,
 };
 use crate::task::{FileKind, Identified, ModelInfo, RoleInfo};
 
