@@ -17,8 +17,6 @@ pub(super) struct Model {
     time_constant_s: f32,
     /// Duty per speed of the straight line that the loops are tuned for.
     duty_per_speed: f32,
-    /// Share of the curve's error that one update corrects, 0..=1.
-    learn: f32,
     /// Control periods since the last update of the curve, 0..[`LEARN_TURNS`].
     turn: u8,
     /// Slower than this, nothing is learned: rad/s or m/s.
@@ -67,7 +65,6 @@ impl Model {
             curve: DriveCurve::new(feed_forward.static_duty, feed_forward.duty_per_speed, control.speed_max, duty_max),
             time_constant_s,
             duty_per_speed: feed_forward.duty_per_speed,
-            learn: f32::from(LEARN_TURNS) * period_s / LEARN_S,
             turn: turn % LEARN_TURNS,
             slowest: 0.1 * resolution / control.speed_filter_s.max(period_s),
             stiction: 0.0,
@@ -144,7 +141,8 @@ impl Model {
         let moves = self.direction();
         if moves != 0.0 {
             let steady = self.curve.steady(duty, moves) + self.time_constant_s * self.observer.disturbance();
-            self.curve.learn(steady, duty, moves, self.learn);
+            let share = f32::from(LEARN_TURNS) * self.period_s / LEARN_S;
+            self.curve.learn(steady, duty, moves, share);
         }
     }
 
