@@ -211,8 +211,6 @@ fn a_name_belongs_to_one_server() {
 /// What happens to bytes on their way.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// Nothing does.
-    Nothing,
     /// Every write is of one byte.
     SingleBytes,
     /// Random bytes now and then.
@@ -345,17 +343,18 @@ impl Line {
 
 #[test]
 fn a_bad_line_costs_frames_and_nothing_else() {
-    use Fault::{Cut, Dropped, Garbage, Nothing, Repeated, SingleBytes, Stalls};
-    let faults = [Nothing, SingleBytes, Garbage, Dropped, Repeated, Cut, Stalls];
-    let lines = thread::scope(|scope| {
-        let running = faults.map(|fault| {
+    let faults = [Fault::SingleBytes, Fault::Garbage, Fault::Dropped, Fault::Repeated, Fault::Cut, Fault::Stalls];
+    thread::scope(|scope| {
+        for fault in faults {
             scope.spawn(move || {
                 let served = Served::new("osmc-bench", "--pty");
                 let proxy = Proxy::new(&served.path, fault);
                 let on = |arguments: &[&str]| r4(&[&["--board", &proxy.board], arguments].concat());
                 let seen = on(&["watch", "osmc0", "--rate", "50", "--for", "3", "--json"]);
                 assert_eq!(seen.code, Some(0), "{fault:?}: {seen:?}");
+                // Of 150: a damaged byte costs a frame, a stall none.
                 let lines = seen.out.lines().map(object).filter(|line| line["time_s"].is_number()).count();
+                assert!(lines >= 90, "{fault:?}: {lines} lines");
                 // Whatever is lost, a motor is where the program says it is, or the program says why not.
                 let seen = on(&["move", "osmc0", "20deg", "--json"]);
                 match seen.code {
@@ -363,16 +362,9 @@ fn a_bad_line_costs_frames_and_nothing_else() {
                     _ => assert!(seen.err.starts_with("r4: ") && !seen.err.contains("panicked"), "{fault:?}: {seen:?}"),
                 }
                 drop(proxy);
-                lines
-            })
-        });
-        running.map(|running| running.join().expect("its checks hold"))
+            });
+        }
     });
-    // A damaged byte costs a frame, a stall none: three of five come through at least. A machine that is busy shows fewer of the 150 on a
-    // good line, too.
-    for (fault, lines_seen) in faults.iter().zip(lines) {
-        assert!(5 * lines_seen >= 3 * lines[0], "{fault:?}: {lines_seen} lines of {}", lines[0]);
-    }
 }
 
 // Another program on the CAN bus.
