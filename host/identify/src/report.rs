@@ -54,7 +54,7 @@ const NAMELESS: f64 = 0.1;
 const NAMED: f64 = 0.5;
 
 impl Explained {
-    /// Of a model that leaves `left` of the held-out recordings, over their standard deviation.
+    /// Of a model that leaves `left` of the held-out recordings, over their standard deviation, and has effects whose size is known.
     #[must_use]
     pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
         // A constant leaves 1, and recordings that are constant NaN. What noise hides is not explained by calling it noise.
@@ -125,6 +125,15 @@ pub struct EffectReport {
     /// The shape of an effect that has no name.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub table: Option<Table>,
+}
+
+impl EffectReport {
+    /// Whether any of its numbers is two standard deviations from 0, or it is a curve: others may be anything, nothing too.
+    #[must_use]
+    pub fn has_size(&self) -> bool {
+        let is_sure = |estimate: &Estimate| estimate.std.is_some_and(|std| estimate.value.abs() >= 2.0 * std);
+        self.table.is_some() || self.parameters.values().any(is_sure)
+    }
 }
 
 /// Why an effect was taken.
@@ -250,4 +259,51 @@ pub struct Cause {
     pub after: Vec<f64>,
     /// Two standard errors of `before`.
     pub error: Vec<f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_explains_is_told_from_what_does_not() {
+        use Explained::{InPart, Not, ToTheNoise};
+        for (left, has_effects, is_white, expected) in [
+            (0.04, true, false, InPart),
+            (0.04, false, false, InPart),
+            (0.04, false, true, ToTheNoise),
+            (0.3, true, false, InPart),
+            (0.3, false, true, ToTheNoise),
+            (0.3, false, false, Not),
+            (0.6, true, true, Not),
+            (1.5, true, false, Not),
+            (f64::NAN, true, true, Not),
+        ] {
+            assert_eq!(Explained::of(left, has_effects, is_white), expected, "{left} {has_effects} {is_white}");
+        }
+    }
+
+    #[test]
+    fn an_effect_that_may_be_anything_has_no_size() {
+        let estimate = |value, std| Estimate { value, std, unit: "N".to_owned(), interval: None, assumed: None };
+        let effect = |values: &[Estimate]| EffectReport {
+            name: "cogging".to_owned(),
+            depends_on: Vec::new(),
+            parameters: values.iter().enumerate().map(|(at, value)| (at.to_string(), value.clone())).collect(),
+            holdout_rmse_before: 1.0,
+            holdout_rmse_after: 0.5,
+            evidence: Evidence {
+                blocked_rmse_before: 1.0,
+                blocked_rmse_after: 0.5,
+                p_value: 0.0,
+                blocks_better: [9, 9],
+                z: 10.0,
+            },
+            rivals: Vec::new(),
+            table: None,
+        };
+        let [open, wide, sure] = [estimate(1.0, None), estimate(176e3, Some(3.4e6)), estimate(-2.0, Some(0.1))];
+        assert!(!effect(&[open.clone(), wide.clone()]).has_size());
+        assert!(effect(&[open, wide, sure]).has_size());
+    }
 }

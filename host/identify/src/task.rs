@@ -353,7 +353,7 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
-    let explained = Explained::of(last.holdout.nrmse, !effects.is_empty(), residual.white);
+    let explained = Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white);
     let report = Report {
         model: task.model.clone(),
         explained,
