@@ -1,12 +1,13 @@
-//! Square roots.
+//! Square roots by the processor's instruction where it has one, else by `libm`.
 //!
-//! Rounded once, as the standard says, whoever computes them: the board's processor has an instruction, which no stable function of
-//! `core` reaches, and `libm` takes 60 instructions for an `f32` and 110 for an `f64`. A new path of a stepper takes a dozen.
+//! Both round correctly (IEEE 754), so results are the same to the bit on a board and on a host. No stable function of `core` reaches
+//! the Cortex-M7's `vsqrt`; `libm` computes roots in software, in 220 bytes of code for an `f32` and 376 for an `f64`. Planning one
+//! stepper path takes a root for each evaluation of the root search in `motion/scurve.rs`.
 
 #[cfg(not(target_arch = "arm"))]
 pub(crate) use libm::{sqrt, sqrtf};
 
-/// Of a number that is not negative; NaN of others.
+/// Square root in `f64`; NaN for negative numbers.
 #[cfg(target_arch = "arm")]
 #[inline(always)]
 #[allow(unsafe_code, reason = "one instruction between two registers, which touches nothing else")]
@@ -19,7 +20,7 @@ pub(crate) fn sqrt(number: f64) -> f64 {
     root
 }
 
-/// Of a number that is not negative; NaN of others.
+/// Square root in `f32`; NaN for negative numbers.
 #[cfg(target_arch = "arm")]
 #[inline(always)]
 #[allow(unsafe_code, reason = "one instruction between two registers, which touches nothing else")]

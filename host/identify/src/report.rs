@@ -28,9 +28,9 @@ pub struct Report {
     pub notes: Vec<String>,
     /// One plain sentence.
     pub verdict: String,
-    /// How far the recordings are explained.
+    /// How far the model explains the held-out recordings.
     pub explained: Explained,
-    /// Where they are not: mistakes in the recordings without which the model would do better.
+    /// If it does not: likely mistakes in the recordings, each with the base model's error once it is corrected, smallest error first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<String>,
 }
@@ -39,25 +39,27 @@ pub struct Report {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Explained {
-    /// What is left is noise.
+    /// The residual is white noise.
     ToTheNoise,
-    /// What is left is not only noise.
+    /// The model explains most of the signal, but the residual is not white.
     InPart,
-    /// Not: see [`Report::suspicions`].
+    /// The residual is too large; [`Report::suspicions`] lists likely causes.
     Not,
 }
 
-/// Without an effect, what a model leaves of held-out recordings and is not noise may be so large, as a share of their deviation: a base
-/// model that misses more lacks something, and its name was not found. Our choice, an order of magnitude below what a constant leaves.
+/// Largest NRMSE on held-out data of a base model without effects whose residual is not white: above it an effect is missing and was not
+/// found. Our choice, a tenth of the NRMSE of a constant; other values have not been compared.
 const NAMELESS: f64 = 0.1;
-/// The same with effects. Our choice: a quarter of the variance.
+/// Largest NRMSE on held-out data with effects, or with a white residual. Our choice: a quarter of the variance; other values have not
+/// been compared.
 const NAMED: f64 = 0.5;
 
 impl Explained {
-    /// Of a model that leaves `left` of the held-out recordings, over their standard deviation, and has effects whose size is known.
+    /// Grades a model by its NRMSE on held-out data, `left`, whether it has an effect with a size (see [`EffectReport::has_size`]), and
+    /// whether its residual is white.
     #[must_use]
     pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
-        // A constant leaves 1, and recordings that are constant NaN. What noise hides is not explained by calling it noise.
+        // The NRMSE of a constant is 1, and NaN where the recordings are constant.
         let most = if has_effects || is_white { NAMED } else { NAMELESS };
         if left.is_nan() || left > most {
             Self::Not
@@ -128,7 +130,7 @@ pub struct EffectReport {
 }
 
 impl EffectReport {
-    /// Whether any of its numbers is two standard deviations from 0, or it is a curve: others may be anything, nothing too.
+    /// Whether any of its parameters is at least two standard errors from 0, or the effect is a fitted curve.
     #[must_use]
     pub fn has_size(&self) -> bool {
         let is_sure = |estimate: &Estimate| estimate.std.is_some_and(|std| estimate.value.abs() >= 2.0 * std);

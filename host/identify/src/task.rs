@@ -144,16 +144,16 @@ pub fn identify(
     Ok(found)
 }
 
-/// What is done with a model and its runs, whichever model it is.
+/// A computation over a model and its runs, generic over the model.
 pub(crate) trait Work {
-    /// What comes of it.
+    /// Result of the computation.
     type Done;
 
-    /// Does it.
+    /// Runs it on the fitted-to and the held-out runs of `family`.
     fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> Self::Done;
 }
 
-/// Makes the model of a task and its runs, for `work`.
+/// Builds the model that a task names, prepares its runs, and hands both to `work`.
 pub(crate) fn with_family<W: Work>(
     task: &Task,
     train: &[Run],
@@ -227,7 +227,7 @@ fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> V
         .collect()
 }
 
-/// Error of the base model alone on the held-out runs, over their standard deviation.
+/// NRMSE of the base model alone on the held-out runs.
 pub(crate) fn base_nrmse<F: Family>(family: &F, train: &[F::Run], holdout: &[F::Run]) -> f64 {
     let fit = base(family, train);
     let held_out: Vec<&F::Run> = holdout.iter().collect();

@@ -99,9 +99,10 @@ impl Model {
         self.observer.speed()
     }
 
-    /// A motor that counts the other way than before was at rest between, and then gave way to a load although no duty sent it there.
+    /// Detects a load: a motor whose counts reverse was at rest in between; if every duty since the last count opposed the new direction,
+    /// the load overcame the most favourable of them.
     fn turn_round(&mut self, counts: i32, duty: f32) {
-        // Away from 0: what it is said to give way to is not more than it was.
+        // Rounded away from 0: the load is estimated at most 1/127 of duty too high.
         let rounded = (duty * 127.0 + 0.5f32.copysign(duty)) as i8;
         self.given = [self.given[0].min(rounded), self.given[1].max(rounded)];
         if counts == 0 {

@@ -1,8 +1,8 @@
 //! Path of a motor to a position, told as the distance still to go, and the ramp of a motor's speed.
 //!
 //! Without a limit of jerk a path is a trapezoid, whose next speed follows from the distance to go alone. With one it is planned when it
-//! begins, by the steppers' [`scurve`](crate::motion::scurve), and stored as its remaining segments of constant jerk: each period evaluates
-//! one cubic.
+//! begins, by the steppers' [`scurve`](crate::motion::scurve), and stored as its remaining segments of constant jerk; each control period
+//! evaluates one cubic of them.
 
 use crate::{
     motion::scurve::{Limits, Motion, Path, Position},

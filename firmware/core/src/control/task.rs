@@ -43,9 +43,9 @@ const FIRST_ANGLES: Duration = Duration::from_millis(150);
 /// While armed, one thing is read back from the chips every so many periods; while safe, every period.
 const CHECK_EVERY: u32 = 4;
 /// Control periods between two updates of a winding's heat and of its motor's supply voltage; neighbouring motors update in different
-/// periods. Windings take seconds to heat. The current is that of the last period alone: the duty's slew limit, 10 to 20 1/s on the robots that
-/// come with it, keeps it within 0.16 of duty of those between. With an update in each period the 99.9 % tick of every-interface takes 20 327 instructions, with one in four 19 720
-/// (`r4 bench firmware`).
+/// periods. Windings take seconds to heat. Only the current of the last period counts: at a duty slew limit of 20 1/s and periods of 1 ms it
+/// differs from those in between by at most 0.16 of duty. When this was set, the 99.9 % tick of every-interface took 20 327 instructions with
+/// an update in each period, and 19 720 with one in four (`r4 bench firmware`).
 const WINDING_TURNS: usize = 8;
 /// Statuses of brushless drives, servos and relays, which have no feedback, are published in rotation, one kind in each period: telemetry
 /// shows them up to this many periods late. All in each period take 230 instructions more in the median tick of every-interface.

@@ -128,7 +128,7 @@ fn a_late_point_is_refused_and_stops_the_motor() {
         bench.sleep_ms(2500).await;
         assert!(
             (bench.position(ROTARY) - further).abs() < SETTLE_RAD + COUNT_RAD,
-            "{} {further}",
+            "at {} rad, not at {further} rad",
             bench.position(ROTARY)
         );
     });
