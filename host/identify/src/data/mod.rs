@@ -11,6 +11,7 @@
 //! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
 //! | `clean` | what is wrong with the samples of a run |
 //! | [`mod@check`] | whether there is enough to identify something |
+//! | [`redundant`] | two sensors of one quantity: sign, scale, offset, lag |
 //!
 //! ```
 //! use r4_identify::data::{Mapping, Options, read_bytes};
@@ -30,9 +31,12 @@ use std::collections::BTreeMap;
 pub mod check;
 mod clean;
 mod error;
+#[cfg(test)]
+mod generated;
 mod log;
 mod note;
 mod read;
+pub mod redundant;
 mod runs;
 mod table;
 #[cfg(test)]
@@ -67,6 +71,25 @@ pub enum Quantity {
     Temperature,
     /// A share, a count, a flag, or a column whose name has no unit.
     Number,
+}
+
+impl Quantity {
+    /// Its SI unit; `1` for a plain number.
+    #[must_use]
+    pub const fn si(self) -> &'static str {
+        match self {
+            Self::Angle => "rad",
+            Self::AngularSpeed => "rad/s",
+            Self::Length => "m",
+            Self::Speed => "m/s",
+            Self::Voltage => "V",
+            Self::Force => "N",
+            Self::Torque => "N m",
+            Self::Current => "A",
+            Self::Temperature => "°C",
+            Self::Number => "1",
+        }
+    }
 }
 
 /// One column of a run in SI units.
