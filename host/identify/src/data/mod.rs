@@ -12,6 +12,7 @@
 //! | `clean` | what is wrong with the samples of a run |
 //! | [`mod@check`] | whether there is enough to identify something |
 //! | [`redundant`] | two sensors of one quantity: sign, scale, offset, lag |
+//! | [`fault`] | faults that a series shows without a model: saturation, missing rows, wrong order |
 //!
 //! ```
 //! use r4_identify::data::{Mapping, Options, read_bytes};
@@ -31,6 +32,7 @@ use std::collections::BTreeMap;
 pub mod check;
 mod clean;
 mod error;
+pub mod fault;
 #[cfg(test)]
 mod generated;
 mod log;
