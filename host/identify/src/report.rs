@@ -30,7 +30,8 @@ pub struct Report {
     pub verdict: String,
     /// How far the model explains the held-out recordings.
     pub explained: Explained,
-    /// If it does not: likely mistakes in the recordings, each with the base model's error once it is corrected, smallest error first.
+    /// Faults that the recordings show without a model; then, if it explains nothing, likely mistakes, each with the base model's error once
+    /// it is corrected, smallest error first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<String>,
 }

@@ -1,16 +1,76 @@
-//! Common mistakes in recordings: each is corrected and the base model fitted again.
+//! Faults of recordings that show before a fit, and common mistakes: each is corrected and the base model fitted again.
 
 use std::f64::consts::PI;
 
 use crate::{
-    data::{Quantity, Run},
+    data::{
+        Quantity, Run,
+        fault::{Fault, faults},
+        redundant::{Relation, compare},
+    },
     family::Family,
+    motion::Kind,
+    skid::Output,
     task::{Task, Work, base_nrmse, models, with_family},
 };
 
 /// A mistake is reported if correcting it brings the base model's NRMSE down to at most this share of that of the model found before. Our
 /// choice; other values have not been compared.
 const LESS: f64 = 0.5;
+
+/// Role of a second sensor of an axis; nothing is fitted to it.
+const SPEED: &str = "speed";
+/// Roles that measure one quantity, or the second the rate of the first.
+const REDUNDANT: [(&str, &str); 2] = [("output", SPEED), ("yaw", "gyro")];
+
+/// Result of the checks of recordings that need no model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Checked {
+    /// What is wrong, worst first; each says what to do next.
+    pub(crate) suspicions: Vec<String>,
+    /// How sensors of one quantity compare.
+    pub(crate) notes: Vec<String>,
+}
+
+/// Looks for faults in the columns of recordings, and compares sensors of one quantity. Only for models of motion over time: rows of a map or
+/// a table need no order.
+pub(crate) fn check_recordings(model: &str, train: &[Run], holdout: &[Run]) -> Checked {
+    let mut checked = Checked::default();
+    let is_motion = Kind::ALL.iter().any(|kind| kind.name() == model);
+    if !is_motion && !Output::ALL.iter().any(|output| output.model() == model) {
+        return checked;
+    }
+    let roles = models().into_iter().find(|known| known.name == model).map(|known| known.roles).unwrap_or_default();
+    let named = |is_wanted: fn(bool, bool) -> bool| -> Vec<&str> {
+        roles.iter().filter(|role| is_wanted(role.driving, role.required)).map(|role| role.name).collect()
+    };
+    let (inputs, outputs) = (named(|driving, required| driving && required), named(|driving, _| !driving));
+    let all: Vec<&Run> = train.iter().chain(holdout).collect();
+    let mut found = faults(&all, &inputs, &outputs);
+    if found.is_empty() {
+        // A fault of some recordings may not stand out among all.
+        let parts = [train, holdout].map(|runs| faults(&runs.iter().collect::<Vec<_>>(), &inputs, &outputs));
+        found = parts.into_iter().find(|found| !found.is_empty()).unwrap_or_default();
+    }
+    checked.suspicions = found.iter().map(Fault::to_string).collect();
+    for (first, second) in REDUNDANT {
+        let quantity = |role: &str| all.iter().find_map(|run| run.signals.get(role)).map(|signal| signal.quantity);
+        let (Some(one), Some(other)) = (quantity(first), quantity(second)) else { continue };
+        let Some(relation) = Relation::of(one, other) else {
+            let units = format!("`{first}` is in {}, `{second}` in {}", one.si(), other.si());
+            checked.notes.push(format!("{units}: neither is the rate of the other, they are not compared"));
+            continue;
+        };
+        match compare(&all, first, second, relation) {
+            Some(compared) => {
+                checked.suspicions.extend(compared.finding());
+                checked.notes.push(compared.to_string());
+            }
+            None => checked.notes.push(format!("`{first}` and `{second}` have too little motion to be compared")),
+        }
+    }
+    checked
+}
 
 /// A mistake that can be undone.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,8 +103,8 @@ impl Mistake {
     /// A recording without it; `None` where it cannot be there.
     fn undone(self, run: &Run, driving: &[&str]) -> Option<Run> {
         let mut run = run.clone();
-        let outputs: Vec<String> =
-            run.signals.keys().filter(|role| !driving.contains(&role.as_str())).cloned().collect();
+        let is_output = |role: &&String| !driving.contains(&role.as_str()) && *role != SPEED;
+        let outputs: Vec<String> = run.signals.keys().filter(is_output).cloned().collect();
         let is_angular = |quantity| matches!(quantity, Quantity::Angle | Quantity::AngularSpeed);
         let is_done = match self {
             Self::Reversed => {

@@ -17,7 +17,7 @@ use crate::{
     select::{Found, WORTH, base, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
-    suspect::suspicions,
+    suspect::{Checked, check_recordings, suspicions},
 };
 
 /// What to do.
@@ -136,10 +136,17 @@ pub fn identify(
     if holdout.is_empty() {
         return Err(IdentifyError::NoHoldout);
     }
+    let Checked { suspicions: faults, notes: compared } = check_recordings(&task.model, train, holdout);
+    let notes = notes.into_iter().chain(compared).collect();
     let mut found = with_family(task, train, holdout, Assemble { task, notes, progress })??;
     if found.report.explained == Explained::Not {
         found.report.suspicions = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
         found.report.verdict = not_explained(&found.report);
+    }
+    if let Some(first) = faults.first() {
+        let verdict = found.report.verdict.trim_end_matches('.');
+        found.report.verdict = format!("{verdict}; check the recordings: {first}.");
+        found.report.suspicions.splice(0..0, faults);
     }
     Ok(found)
 }

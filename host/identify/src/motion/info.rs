@@ -34,20 +34,22 @@ impl Motion {
         let input = role("input", true, true, "duty -1..1, V, or N");
         let output = role("output", true, false, "position or speed; the unit in the column's name tells");
         let supply = role("supply", false, true, "voltage of the supply");
+        let speed =
+            role("speed", false, false, "of the output by another sensor; compared with it, nothing is fitted to it");
         let (summary, roles, parameters) = match kind {
             Kind::DcMotor => (
                 "duty or volts to the position or speed of a brushed motor",
-                vec![input, output, supply],
+                vec![input, output, supply, speed],
                 vec![SUPPLY, RESISTANCE],
             ),
             Kind::Axis => (
                 "force, or the volts of a drive of known gain, to the position or speed of a mass",
-                vec![input, output],
+                vec![input, output, speed],
                 vec![parameter("gain_per_unit", "N or N m", "of force for each unit of the input")],
             ),
             Kind::LinearActuator => (
                 "duty or volts to the position or speed of a rod",
-                vec![input, output, supply],
+                vec![input, output, supply, speed],
                 vec![SUPPLY, RESISTANCE, parameter("stroke_m", "m", "between the end stops at 0 and here")],
             ),
             Kind::Servo => (
@@ -56,6 +58,7 @@ impl Motion {
                     role("input", true, true, "goal"),
                     output,
                     supply,
+                    speed,
                     role("enabled", false, true, "1 while it is driven, 0 while its terminals are open"),
                     role("gain", false, true, "of the position loop, in any unit"),
                 ],

@@ -198,3 +198,46 @@ fn mistakes_in_recordings_are_told() {
         assert!(report.suspicions[0].contains(says) && report.verdict.contains(says), "{says}: {}", report.verdict);
     }
 }
+
+/// A second sensor in the wrong unit changes no fit, and is told.
+#[test]
+fn a_second_sensor_is_compared_and_not_fitted_to() {
+    let task = Task { model: "dc-motor".into(), ..Task::default() };
+    let found = |with_speed: bool| {
+        let [train, holdout] = [1, 3].map(|seed| {
+            let mut run = recorded("dc-motor", seed);
+            if with_speed {
+                let angle = run.values("output").unwrap();
+                let slope =
+                    |at: usize| (angle[(at + 1).min(SAMPLES - 1)] - angle[at.saturating_sub(1)]) / (2.0 * PERIOD_S);
+                let degrees = (0..SAMPLES).map(|at| slope(at).to_degrees()).collect();
+                let speed = Signal { column: "speed_rad_s".into(), quantity: Quantity::AngularSpeed, values: degrees };
+                run.signals.insert("speed".into(), speed);
+            }
+            run
+        });
+        identify(&task, &[train], &[holdout], Vec::new(), &|_| ()).unwrap().report
+    };
+    let (alone, compared) = (found(false), found(true));
+    assert!(alone.suspicions.is_empty() && alone.notes.is_empty(), "{:?}", alone.suspicions);
+    assert_eq!(compared.parameters, alone.parameters);
+    let told = "degrees for radians";
+    assert!(compared.suspicions[0].contains(told) && compared.notes[0].contains(told), "{:?}", compared.notes);
+    assert!(compared.verdict.contains("; check the recordings: `speed_rad_s` is 57."), "{}", compared.verdict);
+}
+
+/// Rows out of order are told whatever else is.
+#[test]
+fn rows_out_of_order_are_told_first() {
+    let task = Task { model: "dc-motor".into(), ..Task::default() };
+    let [train, holdout] = [1, 3].map(|seed| {
+        let mut run = recorded("dc-motor", seed);
+        // 67 and 150 have no common divisor: each row once.
+        let shuffle = |values: &[f64]| (0..SAMPLES).map(|at| values[at * 67 % SAMPLES]).collect();
+        run.signals.values_mut().for_each(|signal| signal.values = shuffle(&signal.values));
+        run
+    });
+    let report = identify(&task, &[train], &[holdout], Vec::new(), &|_| ()).unwrap().report;
+    assert!(report.suspicions[0].contains("out of order"), "{:?}", report.suspicions);
+    assert!(report.verdict.contains("; check the recordings: successive samples"), "{}", report.verdict);
+}
