@@ -21,11 +21,15 @@ const LARGEST: f64 = 60.0;
 const COUNTS: f64 = 4.0;
 /// Fewer jumps may be what they seem.
 const LEAST: usize = 4;
+/// Fewer jumps among steps that differ may be chance: of 3000 good recordings one has four.
+const LEAST_BLOCKS: usize = 6;
 /// Of the places that can be judged, at least this share.
 const LEAST_SHARE: f64 = 0.002;
 /// Intervals between jumps that vary less than this, over their mean, are a beat of two clocks: a source slower or faster than the file.
 /// Missing rows at random have 1.
 const BEAT: f64 = 0.5;
+/// Of fewer intervals, chance makes some alike.
+const FEWEST_APART: usize = 12;
 /// Share of missing samples that makes gaps a fault.
 const GAPS: f64 = 0.01;
 
@@ -33,7 +37,7 @@ const GAPS: f64 = 0.01;
 pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) -> Option<Fault> {
     let is_input = column_input.is_none();
     let least = COUNTS * column.grain();
-    let (mut judged, mut jumps, mut first_s, mut apart) = (0_usize, 0, None, Vec::new());
+    let (mut judged, mut jumps, mut blocks, mut first_s, mut apart) = (0_usize, 0, 0, None, Vec::new());
     for (place, series) in column.series.iter().enumerate() {
         let moved: Vec<f64> = series.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let steps_s: Vec<f64> = series.time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -47,7 +51,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
             let is_one_way = near.iter().all(|slope| slope * usual > 0.0);
             let is_block = !is_input && is_one_way && slopes[at] * usual > 0.0 && slopes[at].abs() > BLOCK * most;
             if is_block && !changes(column_input, place, at) {
-                jumps += 1;
+                blocks += 1;
                 first_s = first_s.or(Some(series.time_s[at]));
                 apart.extend(last.map(|last| (at - last) as f64));
                 last = Some(at);
@@ -81,7 +85,9 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
             }
         }
     }
-    let is_fault = jumps >= LEAST && jumps as f64 >= LEAST_SHARE * judged as f64 && !is_beat(&apart);
+    let is_enough = jumps * LEAST_BLOCKS + blocks * LEAST >= LEAST * LEAST_BLOCKS;
+    let jumps = jumps + blocks;
+    let is_fault = is_enough && jumps as f64 >= LEAST_SHARE * judged as f64 && !is_beat(&apart);
     let first_s = first_s.filter(|_| is_fault)?;
     Some(Fault::Dropped { column: column.name.to_owned(), jumps, first_s })
 }
@@ -90,7 +96,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
 fn is_beat(apart: &[f64]) -> bool {
     let mean = apart.iter().sum::<f64>() / apart.len().max(1) as f64;
     let spread = (apart.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / apart.len().max(1) as f64).sqrt();
-    apart.len() >= 3 && spread <= BEAT * mean
+    apart.len() >= FEWEST_APART && spread <= BEAT * mean
 }
 
 /// Whether the input has a step about a sample.
@@ -123,7 +129,7 @@ pub(super) fn gaps(runs: &[&Run]) -> Option<Fault> {
     let missing = gaps.iter().map(|step| (step / median_s).round() - 1.0).sum::<f64>() as usize;
     let samples = missing + finite.len();
     let longest_s = gaps.iter().copied().fold(0.0, f64::max);
-    (gaps.len() >= 3 && missing as f64 >= GAPS * samples as f64).then_some(Fault::Gaps {
+    (gaps.len() >= 2 && missing as f64 >= GAPS * samples as f64).then_some(Fault::Gaps {
         missing,
         samples,
         gaps: gaps.len(),

@@ -25,6 +25,8 @@ const AT_SPEED: f64 = 0.1;
 const COUNTS: f64 = 6.0;
 /// A step of the input by this share of its range is a change that the output may follow at once.
 const CHANGE: f64 = 0.1;
+/// So many samples before the output leaves. Static friction holds an actuator at its stop for some of them after a sine reverses.
+const JUST_BEFORE: usize = 8;
 
 /// Samples `from..to` at the limit.
 struct Stretch {
@@ -147,7 +149,7 @@ fn follows(input: Option<&Column<'_>>, stretch: &Stretch) -> bool {
     let Some(input) = input else { return false };
     let [low, high] = input.ends();
     let Some(values) = input.series.get(stretch.series).map(|series| series.values) else { return false };
-    let around = stretch.to.saturating_sub(4)..(stretch.to + 1).min(values.len());
+    let around = stretch.to.saturating_sub(JUST_BEFORE)..(stretch.to + 1).min(values.len());
     let is_change = |pair: &[f64]| {
         (pair[1] - pair[0]).abs() > CHANGE * (high - low) || (pair[0] * pair[1] <= 0.0 && pair[0] != pair[1])
     };
