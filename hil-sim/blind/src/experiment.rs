@@ -86,7 +86,12 @@ impl Setup {
         NEVER.iter().chain(own).copied().collect()
     }
 
-    fn output_kind(self) -> Output {
+    /// What the plant's position is less in the recorded output of a run that begins at `start`.
+    pub(crate) fn zero(self, start: f64) -> f64 {
+        if self == Self::AxisPosition { start } else { 0.0 }
+    }
+
+    pub(crate) fn output_kind(self) -> Output {
         match self {
             Self::MotorPosition | Self::AxisPosition => Output::Position,
             Self::MotorSpeed => Output::Speed,
@@ -105,6 +110,8 @@ pub struct Recording {
     pub supply_v: Vec<f64>,
     /// As measured, with noise; see [`Setup::output`].
     pub output: Vec<f64>,
+    /// Of the output, rad/s or m/s, from a second sensor with noise of its own; empty where there is none.
+    pub speed: Vec<f64>,
     /// Where the plant stood when the run began, rad or m of the plant itself.
     pub start: f64,
     /// What the output is without noise: what whoever knows the truth to the last digit would predict.
@@ -174,10 +181,12 @@ pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experi
     let place = Search { spec: &base, scale: &scale, plans: watched, output, excluded: &excluded };
     let hidden = search(&place, draw, &mut dice);
 
-    let zero = if setup == Setup::AxisPosition { scale.centre } else { 0.0 };
     let clean: Vec<Vec<f64>> = plans
         .iter()
-        .map(|plan| hidden.parts.outputs(plan, supply_v, output).into_iter().map(|value| value - zero).collect())
+        .map(|plan| {
+            let zero = setup.zero(plan.start);
+            hidden.parts.outputs(plan, supply_v, output).into_iter().map(|value| value - zero).collect()
+        })
         .collect();
     let noise = noise(&clean[..length.train]);
     let mut recordings = plans.into_iter().zip(clean).map(|(plan, clean)| Recording {
@@ -185,6 +194,7 @@ pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experi
         input: plan.duty.iter().map(|duty| duty * input_per_duty).collect(),
         supply_v: if setup == Setup::AxisPosition { Vec::new() } else { vec![supply_v; clean.len()] },
         output: clean.iter().map(|value| value + noise * dice.normal()).collect(),
+        speed: Vec::new(),
         start: plan.start,
         clean,
     });
@@ -247,13 +257,22 @@ impl Recording {
     /// Of `out`.
     pub fn write_csv(&self, setup: Setup, out: &mut impl Write) -> io::Result<()> {
         let supply = if self.supply_v.is_empty() { "" } else { ",supply_v" };
-        writeln!(out, "time_s,{}{supply},{}", setup.input(), setup.output())?;
+        let speed = match setup {
+            _ if self.speed.is_empty() => "",
+            Setup::MotorPosition | Setup::MotorSpeed => ",speed_rad_s",
+            Setup::AxisPosition => ",speed_m_s",
+        };
+        writeln!(out, "time_s,{}{supply},{}{speed}", setup.input(), setup.output())?;
         for (index, time_s) in self.time_s.iter().enumerate() {
             write!(out, "{time_s},{}", self.input[index])?;
             if let Some(volts) = self.supply_v.get(index) {
                 write!(out, ",{volts}")?;
             }
-            writeln!(out, ",{}", self.output[index])?;
+            write!(out, ",{}", self.output[index])?;
+            if let Some(speed) = self.speed.get(index) {
+                write!(out, ",{speed}")?;
+            }
+            writeln!(out)?;
         }
         Ok(())
     }

@@ -9,6 +9,7 @@
 //! | [`hide_one_of`], [`Among`] | one of a caller's effects, or nothing |
 //! | [`hide_in_body`] | a parameter of a robot's body |
 //! | [`experiment`] | recordings of a drawn plant, with noise, as an identifier reads them |
+//! | [`fault`] | faults of such recordings: wrong stamps, wrong columns, lost rows |
 //!
 //! What may be hidden is an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
 
@@ -17,6 +18,7 @@ mod body;
 mod dice;
 mod excitation;
 pub mod experiment;
+pub mod fault;
 mod listed;
 mod scale;
 #[cfg(test)]

@@ -35,17 +35,34 @@ impl Parts {
 
     /// Output at each sample of a run; a duty holds from its sample to the next.
     pub(crate) fn outputs(&self, plan: &Plan, supply_v: f64, output: Output) -> Vec<f64> {
+        self.outputs_at(plan, supply_v, output, (0..plan.duty.len()).map(|sample| sample as f64))
+    }
+
+    /// Output at ascending times of the same run, in sample periods from its start. Before the start the plant stands where it begins,
+    /// after the end the last duty stays.
+    pub(crate) fn outputs_at(
+        &self,
+        plan: &Plan,
+        supply_v: f64,
+        output: Output,
+        periods: impl Iterator<Item = f64>,
+    ) -> Vec<f64> {
         let mut plant = self.plant(0);
         plant.set_position(plan.start);
-        let mut outputs = Vec::with_capacity(plan.duty.len());
-        for &duty in &plan.duty {
-            outputs.push(match output {
+        let mut now = 0.0;
+        let at = |at: f64| {
+            while now < at {
+                let next = (libm::floor(now) + 1.0).min(at);
+                let duty = plan.duty.get(now as usize).or(plan.duty.last()).copied().unwrap_or_default();
+                plant.advance(Drive::with_brake(duty), supply_v, (next - now) / RATE_HZ);
+                now = next;
+            }
+            match output {
                 Output::Position => plant.sensed_position(),
                 Output::Speed => plant.speed(),
-            });
-            plant.advance(Drive::with_brake(duty), supply_v, 1.0 / RATE_HZ);
-        }
-        outputs
+            }
+        };
+        periods.map(at).collect()
     }
 }
 
