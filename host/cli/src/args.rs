@@ -26,6 +26,9 @@ pub(crate) struct Args {
     /// Seed of a simulated board's noise
     #[arg(long, global = true, default_value_t = 1)]
     pub(crate) seed: u64,
+    /// Whether `--seed` gave it
+    #[arg(skip)]
+    pub(crate) is_seed_given: bool,
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
     #[arg(long, global = true, env = "R4_FLASH", value_name = "FILE")]
     pub(crate) flash: Option<PathBuf>,
@@ -235,10 +238,12 @@ pub(crate) struct BenchIdentify {
     /// Folder of the recordings
     #[arg(long, default_value = "data", value_name = "DIR")]
     pub(crate) data: PathBuf,
-    /// Simulated plants with effects of the catalogue; half as many with nothing hidden, and with what is in no catalogue
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    /// Simulated plants with one effect of the catalogue; a third as many with two, two thirds with nothing hidden, half with what is in
+    /// no catalogue, a third with broken recordings
+    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) seeds: u32,
-    /// The first simulated plant's number: a seed of 1 and `--from 7 --seeds 1` is one plant alone
+    /// The first simulated plant's number: a seed of 1 and `--from 7 --seeds 1` is one plant alone. Without --seed the plants are the
+    /// report's, which nothing is tuned on; seeds below 1000000 are for tuning
     #[arg(long, default_value_t = 0, value_name = "NUMBER")]
     pub(crate) from: u32,
     /// Say of each simulated plant what was hidden and what was found, on stderr
@@ -266,12 +271,16 @@ pub(crate) enum IdentifyRows {
     Osmc,
     /// Time that it takes
     Speed,
-    /// Simulated plants with effects of the catalogue
+    /// Simulated plants with one effect of the catalogue
     Blind,
-    /// Simulated plants with nothing hidden
+    /// Simulated plants with two effects of the catalogue
+    Pairs,
+    /// Simulated plants with nothing hidden, every second one with stamps that are off
     Clean,
     /// Simulated plants with an effect that is in no catalogue
     Unlisted,
+    /// Simulated plants whose recordings are broken
+    Broken,
 }
 
 #[derive(Clone, Copy, Debug, clap::Args)]

@@ -29,9 +29,11 @@ impl Typed {
     /// What clap says of it; also the text of `--help` and `--version`.
     pub(crate) fn from_command_line() -> Result<Self, clap::Error> {
         let matches = Self::command().try_get_matches()?;
-        let is_board_named = matches.value_source("board").is_some_and(|source| source != ValueSource::DefaultValue);
+        let is_given = |name| matches.value_source(name).is_some_and(|source| source != ValueSource::DefaultValue);
+        let (is_board_named, is_seed_given) = (is_given("board"), is_given("seed"));
         let mut typed = Self::from_arg_matches(&matches)?;
         typed.args.is_board_named = is_board_named;
+        typed.args.is_seed_given = is_seed_given;
         Ok(typed)
     }
 }

@@ -2,6 +2,7 @@
 //! simulated plants that hide something. Errors are those of free runs over data that was not fitted to.
 
 mod blind;
+mod coverage;
 mod recorded;
 mod tables;
 
@@ -32,6 +33,8 @@ use crate::{
 enum Bound {
     AtMost,
     AtLeast,
+    /// From `at_least` to `at_most`.
+    Between,
 }
 
 #[derive(Debug, Serialize)]
@@ -45,6 +48,9 @@ struct Row {
     after: f64,
     /// What is promised; `bound` tells the side.
     at_least: f64,
+    /// The upper limit where there are two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    at_most: Option<f64>,
     bound: Bound,
     met: bool,
     /// Nothing of it was measured on a machine.
@@ -66,6 +72,7 @@ impl Row {
             baseline: baseline.is_finite().then_some(baseline),
             after,
             at_least: at_most,
+            at_most: None,
             bound: Bound::AtMost,
             met: after <= at_most,
             simulated: false,
@@ -96,6 +103,18 @@ impl Row {
         }
     }
 
+    /// How often something is so, which is to be rare.
+    fn rare(data: &str, metric: &str, [bad, all]: [usize; 2], at_most: f64) -> Self {
+        let share = bad as f64 / all as f64;
+        Self { interval: Some(wilson(bad, all)), ..Self::error(data, metric, "1", [f64::NAN, share, at_most]) }
+    }
+
+    /// How often something is so, which is to be neither more nor less often than expected.
+    fn between(data: &str, metric: &str, [good, all]: [usize; 2], [at_least, at_most]: [f64; 2]) -> Self {
+        let row = Self::share(data, metric, [good, all], at_least);
+        Self { bound: Bound::Between, at_most: Some(at_most), met: row.met && row.after <= at_most, ..row }
+    }
+
     fn with(self, detail: impl Into<String>) -> Self {
         Self { detail: detail.into(), ..self }
     }
@@ -110,10 +129,31 @@ fn wilson(good: usize, all: usize) -> [f64; 2] {
     statistics::wilson(good as u64, all as u64, 0.95).map_or([0.0, 1.0], |interval| [interval.low, interval.high])
 }
 
+/// First seed of the simulated plants that a release is measured on, new with each release and never used to tune anything: the day
+/// it was chosen, and two digits.
+const REPORT_BASE: u64 = 2_026_112_600;
+/// First seeds below are for tuning.
+const TUNING_END: u64 = 1_000_000;
+/// Between the first seeds of two kinds of simulated plants: more than there are plants of a kind.
+const APART: u64 = 10_000_000;
+
+/// What the simulated plants that begin with a seed may be used for.
+const fn purpose(base: u64) -> &'static str {
+    match base {
+        REPORT_BASE => "report",
+        0..TUNING_END => "tuning",
+        _ => "neither report nor tuning",
+    }
+}
+
 #[derive(Serialize)]
 struct Report {
     seed: u64,
     seeds: u32,
+    /// First seed of the simulated plants.
+    base: u64,
+    /// [`purpose`] of the base.
+    seeds_are_for: &'static str,
     rows: Vec<Row>,
     met: bool,
     seconds: f64,
@@ -130,7 +170,7 @@ impl IdentifyRows {
             Self::Micromouse => Some("micromouse_drv8833"),
             Self::Backlash => Some("sts_servo_backlash"),
             Self::Osmc => Some("osmc_tables"),
-            Self::Speed | Self::Blind | Self::Clean | Self::Unlisted => None,
+            Self::Speed | Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken => None,
         }
     }
 
@@ -144,16 +184,41 @@ impl IdentifyRows {
             Self::Osmc => tables::osmc(bench),
             Self::Speed => blind::speed(bench),
             Self::Blind => blind::listed(bench),
+            Self::Pairs => blind::pairs(bench),
             Self::Clean => blind::clean(bench),
             Self::Unlisted => blind::unlisted(bench),
+            Self::Broken => blind::broken(bench),
         }
     }
 
-    /// For the progress bar: a plant with something hidden is 1.
+    /// Simulated plants, for one of its own for each of so many with one effect.
+    const fn plants(self, seeds: u32) -> u32 {
+        match self {
+            Self::Blind => seeds,
+            Self::Clean => (2 * seeds).div_ceil(3),
+            Self::Unlisted => seeds.div_ceil(2),
+            Self::Pairs | Self::Broken => seeds.div_ceil(3),
+            _ => 0,
+        }
+    }
+
+    /// First seed of its simulated plants: no two kinds have one in common.
+    const fn first_seed(self, base: u64) -> u64 {
+        let place = match self {
+            Self::Pairs => 1,
+            Self::Clean => 2,
+            Self::Unlisted => 3,
+            Self::Broken => 4,
+            Self::Speed => 5,
+            _ => 0,
+        };
+        base.wrapping_add(place * APART)
+    }
+
+    /// For the progress bar: a simulated plant is 1.
     const fn weight(self, seeds: u32) -> u64 {
         match self {
-            Self::Blind => seeds as u64,
-            Self::Clean | Self::Unlisted => blind::half(seeds) as u64,
+            Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken => self.plants(seeds) as u64,
             Self::Speed => blind::TIMED_WEIGHT,
             _ => 2,
         }
@@ -168,6 +233,8 @@ impl IdentifyRows {
 struct Bench<'b> {
     data: &'b Path,
     seed: u64,
+    /// First seed of the simulated plants.
+    base: u64,
     seeds: u32,
     from: u32,
     /// Each simulated plant is told of.
@@ -219,9 +286,11 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let all = wanted.iter().map(|rows| rows.weight(question.seeds)).sum();
     let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {prefix}: {msg}");
     let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    let base = if args.is_seed_given { args.seed } else { REPORT_BASE };
     let bench = Bench {
         data: &question.data,
         seed: args.seed,
+        base,
         seeds: question.seeds,
         from: question.from,
         each: question.each,
@@ -241,7 +310,15 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     }
     progress.finish_and_clear();
     let met = rows.iter().all(|row| row.met);
-    let report = Report { seed: args.seed, seeds: question.seeds, rows, met, seconds: started.elapsed().as_secs_f64() };
+    let report = Report {
+        seed: args.seed,
+        seeds: question.seeds,
+        base,
+        seeds_are_for: purpose(base),
+        rows,
+        met,
+        seconds: started.elapsed().as_secs_f64(),
+    };
     if args.json {
         output::json(&report)?;
     } else {
@@ -272,19 +349,24 @@ fn print(report: &Report) -> anyhow::Result<()> {
         let promised = match (row.unit, row.bound) {
             ("yes", _) => String::new(),
             (_, Bound::AtMost) => "at most ".to_owned(),
-            (_, Bound::AtLeast) => "at least ".to_owned(),
+            (_, Bound::AtLeast | Bound::Between) => "at least ".to_owned(),
         };
+        let most = row.at_most.map_or_else(String::new, |at_most| format!(", at most {}", said(at_most)));
         table.add_row([
             if row.simulated { format!("{} (simulated)", row.data) } else { row.data.clone() },
             row.metric.clone(),
             row.baseline.map_or_else(String::new, said),
             said(row.after) + &between.unwrap_or_default(),
-            promised + &said(row.at_least),
+            promised + &said(row.at_least) + &most,
             if row.met { "ok" } else { "not met" }.to_owned(),
             row.detail.clone(),
         ]);
     }
     output::line("Free runs over data that was not fitted to; before: the base model alone")?;
+    output::line(format_args!(
+        "Simulated plants: {} with one effect, from seed {} (seeds for: {})",
+        report.seeds, report.base, report.seeds_are_for
+    ))?;
     output::line(table)?;
     let met = report.rows.iter().filter(|row| row.met).count();
     Ok(output::line(format_args!(
@@ -308,6 +390,33 @@ mod tests {
         }
         assert_eq!(wilson(0, 0), [0.0, 1.0]);
         assert!(!Row::share("", "", [0, 0], 0.9).met);
+    }
+
+    #[test]
+    fn rare_and_between_have_upper_limits() {
+        assert!(Row::rare("", "", [5, 100], 0.05).met && !Row::rare("", "", [6, 100], 0.05).met);
+        assert!(!Row::rare("", "", [0, 0], 0.05).met);
+        for (inside, met) in [(92, false), (93, true), (97, true), (98, false)] {
+            let row = Row::between("", "", [inside, 100], [0.93, 0.97]);
+            assert_eq!((row.met, row.at_least, row.at_most), (met, 0.93, Some(0.97)), "{inside}");
+        }
+        assert!(!Row::between("", "", [0, 0], [0.93, 0.97]).met);
+    }
+
+    #[test]
+    fn seeds_of_two_kinds_and_of_two_purposes_are_apart() {
+        use IdentifyRows::{Blind, Broken, Clean, Pairs, Speed, Unlisted};
+        let mut ranges: Vec<[u64; 2]> = Vec::new();
+        for base in [0, TUNING_END - 1, REPORT_BASE] {
+            for rows in [Blind, Pairs, Clean, Unlisted, Broken, Speed] {
+                let first = rows.first_seed(base);
+                ranges.push([first, first + u64::from(rows.plants(100_000))]);
+            }
+        }
+        ranges.sort_unstable();
+        assert!(ranges.windows(2).all(|pair| pair[0][1] < pair[1][0]), "{ranges:?}");
+        assert_eq!([0, TUNING_END - 1, REPORT_BASE].map(purpose), ["tuning", "tuning", "report"]);
+        assert_eq!([Blind, Pairs, Clean, Unlisted, Broken].map(|rows| rows.plants(300)), [300, 100, 200, 150, 100]);
     }
 
     #[test]
