@@ -12,12 +12,19 @@ use crate::{
     report::Estimate,
 };
 
-use super::{ASSUMED_V, Kind, Motion, MotionRun, effect::Effect, smooth::Parabola};
+use super::{
+    ASSUMED_V, Kind, Motion, MotionRun,
+    effect::{Effect, VISCOUS_SHARE},
+    smooth::Parabola,
+};
 
 /// A winding whose resistance nobody told, ohm.
 const ASSUMED_OHM: f64 = 1.0;
-/// A resistance that hides the back-EMF: of the drive of an axis, which is a source of force, ohm. 1e4 is the largest there may be.
-const FORCE_SOURCE_OHM: f64 = 1e4;
+/// The drive of an axis is a source of force: a winding whose back-EMF damps by this share of what the axis is damped by, which is taken
+/// off its viscous friction.
+const BACK_EMF_SHARE: f64 = 1e-3;
+/// Of that winding, least and most, ohm: well within what plant files may have.
+const FORCE_SOURCE_OHM: [f64; 2] = [1e-3, 1e2];
 
 /// Smallest inertia and mass of a plant file. A recording in which the output follows the voltage at once fits any smaller one as well;
 /// forces do not change with it.
@@ -43,20 +50,39 @@ impl Motion {
         let dynamics = self.dynamics(&structure.base);
         if self.kind == Kind::Axis {
             let inertia = structure.base[0];
-            let constant = FORCE_SOURCE_OHM * self.known.gain.unwrap_or(1.0);
-            return Physical { inertia, constant, resistance_ohm: FORCE_SOURCE_OHM, viscous: structure.base[1] };
+            let (gain, viscous) = (self.known.gain.unwrap_or(1.0), structure.base[1]);
+            let [least_ohm, most_ohm] = FORCE_SOURCE_OHM;
+            // The force of 1 V at rest is constant / resistance, the damping by back-EMF constant² / resistance.
+            let resistance_ohm = (BACK_EMF_SHARE * viscous / (gain * gain)).clamp(least_ohm, most_ohm);
+            let constant = gain * resistance_ohm;
+            let viscous = (viscous - gain * constant).max(0.0);
+            return Physical { inertia, constant, resistance_ohm, viscous };
         }
         let (resistance_ohm, viscous) = match self.known.plant.as_ref().map(PlantSpec::model) {
             Some(Model::DcGearMotor(motor)) => (motor.resistance_ohm, motor.viscous_nm_s_per_rad),
             Some(Model::LinearActuator(actuator)) => (actuator.resistance_ohm, actuator.viscous_n_s_per_m),
             None => (self.known.resistance_ohm.unwrap_or(ASSUMED_OHM), 0.0),
         };
-        // Steady speed per volt: c / (c² + B R); the viscous part of the file is kept where it leaves a motor.
+        // Steady speed per volt: c / (c² + B R). The viscous part is what an effect that tells it came to; else that of the file,
+        // where it leaves a motor.
         let gain = dynamics.k / dynamics.b;
+        if let Some(share) = self.viscous_share(structure) {
+            let constant = (1.0 - share) / gain;
+            let inertia = constant / (resistance_ohm * dynamics.k);
+            return Physical { inertia, constant, resistance_ohm, viscous: share * dynamics.b * inertia };
+        }
         let root = 1.0 - 4.0 * gain * gain * viscous * resistance_ohm;
         let (constant, viscous) =
             if root >= 0.0 { ((1.0 + root.sqrt()) / (2.0 * gain), viscous) } else { (1.0 / gain, 0.0) };
         Physical { inertia: constant / (resistance_ohm * dynamics.k), constant, resistance_ohm, viscous }
+    }
+
+    /// Share of the damping that is not back-EMF, of an effect that tells it.
+    fn viscous_share(&self, structure: &Structure) -> Option<f64> {
+        const TELLING: [Effect; 3] = [Effect::LoadFriction, Effect::SupplySag, Effect::WindingHeating];
+        let values = TELLING.iter().find_map(|&effect| structure.of(self.index(effect)?))?;
+        // A motor that is all friction would have no constant.
+        values.last().map(|share| share.min(0.99))
     }
 
     /// What the size of torques and forces hangs on without anybody having told it.
@@ -79,10 +105,11 @@ impl Motion {
         self.supply_assumed.then(|| format!("supply_v = {ASSUMED_V}"))
     }
 
-    /// Whether the mechanics has such a number divided by its inertia.
-    fn is_per_inertia(&self, unit: &str) -> bool {
+    /// Whether the mechanics has such a number divided by its inertia; what is compared with the command, which may be a force
+    /// too, is as it is commanded.
+    fn is_per_inertia(&self, name: &str, unit: &str) -> bool {
         let units = &self.scales.units;
-        [units.force, units.drag, units.viscous].contains(&unit)
+        name != units.input_name && [units.force, units.drag, units.viscous].contains(&unit)
     }
 
     #[allow(clippy::type_complexity)]
@@ -97,7 +124,7 @@ impl Motion {
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
         let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
         let mut told = |name: &str, unit: &str, value: f64, inertia: f64| {
-            let is_force = self.is_per_inertia(unit);
+            let is_force = self.is_per_inertia(name, unit);
             let scale = if is_force { inertia } else { 1.0 };
             let estimate = Estimate {
                 value: value * scale,
@@ -273,12 +300,13 @@ impl Motion {
             set("backward_gain", values[0])?;
         } else {
             for (parameter, &value) in candidate.parameters.iter().zip(values) {
-                let is_force = self.is_per_inertia(parameter.unit);
-                // A constant load pulls backwards when positive, a push forwards.
-                let sign = if effect == Effect::ConstantLoad { -1.0 } else { 1.0 };
+                if parameter.name == VISCOUS_SHARE {
+                    continue;
+                }
+                let is_force = self.is_per_inertia(parameter.name, parameter.unit);
                 let value = match parameter.name {
                     "phase_rad" => value.rem_euclid(TAU),
-                    _ if is_force => sign * value * physical.inertia,
+                    _ if is_force => value * physical.inertia,
                     _ => value,
                 };
                 let name = if parameter.name == self.scales.units.input_name { "duty" } else { parameter.name };
