@@ -7,7 +7,7 @@ use r4_plants::Dependence;
 use r4_world::Wheeled;
 
 use crate::{
-    fit::{Fit, white_noise},
+    fit::{Effort, Fit, white_noise},
     report::Estimate,
 };
 
@@ -29,6 +29,8 @@ pub enum Range {
     },
     /// Strictly between.
     Between(f64, f64),
+    /// Between these, both included: a step that would leave the range comes back from its end as far.
+    Reflected(f64, f64),
     /// Any number; `scale` is a size that would be noticed.
     Any {
         /// In the parameter's unit.
@@ -45,8 +47,20 @@ pub struct Parameter {
     pub unit: &'static str,
     /// What it may be.
     pub range: Range,
-    /// The value at which the effect is not there; `None` where it only shapes the effect.
+    /// The value at which the effect is not there, which may be infinite; `None` where it only shapes the effect.
     pub absent: Option<f64>,
+}
+
+impl Parameter {
+    /// By how many standard deviations a value is off from the effect's absence; `None` where it only shapes the effect.
+    #[must_use]
+    pub fn deviations_off(&self, value: f64, deviation: Option<f64>) -> Option<f64> {
+        let absent = self.absent?;
+        let Some(deviation) = deviation else { return Some(0.0) };
+        // To first order, the inverse of a value is as many of its own deviations from 0.
+        let off = if absent.is_infinite() { value } else { value - absent };
+        Some(off.abs() / deviation.max(f64::MIN_POSITIVE))
+    }
 }
 
 /// An effect the base model lacks and the data may show.
@@ -64,6 +78,9 @@ pub struct Candidate {
     pub experiment: &'static str,
     /// Effects that would make this one superfluous or impossible when they are in already.
     pub excludes: &'static [&'static str],
+    /// An effect that explains a part of what this one does, and is much easier to find: where it explains nothing, this one is not
+    /// looked for.
+    pub led_by: Option<&'static str>,
 }
 
 /// What the values of a [`Curve`] do.
@@ -297,6 +314,21 @@ pub trait Family: Model {
         None
     }
 
+    /// The same model where a fit can begin: no value at an end of its range from which no slope leads back.
+    fn movable(&self, structure: Structure) -> Structure {
+        structure
+    }
+
+    /// Whether a model is as late as its base may be: an effect that delays is likely missing.
+    fn is_late(&self, _structure: &Structure) -> bool {
+        false
+    }
+
+    /// Simpler terms that may stand for one of a model's, with values that come near it.
+    fn simpler(&self, _structure: &Structure, _place: usize) -> Vec<(Term, Vec<f64>)> {
+        vec![]
+    }
+
     /// Initial states from which that of a run is to be sought under a model, if one is not enough.
     fn beginnings(&self, _structure: &Structure, run: &Self::Run) -> Vec<Vec<f64>> {
         vec![self.initial(run).0]
@@ -305,7 +337,13 @@ pub trait Family: Model {
     /// The most promising of some structures that add to a model as it is, with values from which a fit has less far to go,
     /// and what they leave (a sum of squares, to be compared with other guesses for the same runs): found without free runs.
     /// `None` where there is no such way.
-    fn guess(&self, _starts: Vec<Structure>, _current: &Fit, _runs: &[&Self::Run]) -> Option<(Structure, f64)> {
+    fn guess(
+        &self,
+        _starts: Vec<Structure>,
+        _current: &Fit,
+        _runs: &[&Self::Run],
+        _effort: Effort,
+    ) -> Option<(Structure, f64)> {
         None
     }
 
@@ -353,6 +391,12 @@ pub trait Family: Model {
             })
             .collect();
         (base, terms)
+    }
+
+    /// Whether a parameter of the base model, or an effect, is of the recording's stamps and not of the machine; its name in
+    /// [`Report::timing`](crate::report::Report::timing).
+    fn timing(&self, _name: &str) -> Option<&'static str> {
+        None
     }
 
     /// By how much a curve's values are multiplied to be in its unit.

@@ -46,6 +46,7 @@ impl Range {
                 let share = ((value - lower) / (upper - lower)).clamp(1e-6, 1.0 - 1e-6);
                 (share / (1.0 - share)).ln()
             }
+            Self::Reflected(lower, upper) => (value - lower) / (upper - lower),
             Self::Any { scale } => value / scale,
         }
     }
@@ -58,6 +59,11 @@ impl Range {
                 scale * if variable > 30.0 { variable } else { variable.max(-40.0).exp().ln_1p() }
             }
             Self::Between(lower, upper) => lower + (upper - lower) / (1.0 + (-variable.clamp(-40.0, 40.0)).exp()),
+            Self::Reflected(lower, upper) => {
+                // Once there and back is 2.
+                let way = variable.rem_euclid(2.0);
+                lower + (upper - lower) * way.min(2.0 - way)
+            }
             Self::Any { scale } => scale * variable,
         }
     }
@@ -73,7 +79,7 @@ impl Range {
             Self::Positive => value * 1e-4,
             Self::Coarse { step } => value * step,
             Self::NotNegative { scale } => 1e-4 * value.max(scale),
-            Self::Between(lower, upper) => {
+            Self::Between(lower, upper) | Self::Reflected(lower, upper) => {
                 let step = 1e-4 * (upper - lower);
                 if value + step < upper { step } else { -step }
             }

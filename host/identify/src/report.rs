@@ -20,6 +20,9 @@ pub struct Report {
     pub last: Scores,
     /// The base model's parameters in the end.
     pub parameters: BTreeMap<String, Estimate>,
+    /// How the output's stamps differ from the input's: of the recording, not of the machine. Empty for models without time.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub timing: BTreeMap<String, Estimate>,
     /// What is left.
     pub residual: ResidualReport,
     /// What was looked for and not taken, strongest first.
@@ -35,6 +38,28 @@ pub struct Report {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<String>,
 }
+
+impl Report {
+    /// What is wrong with the output's stamps, beyond four standard deviations; `None` if nothing is.
+    #[must_use]
+    pub fn timing_fault(&self) -> Option<String> {
+        let sure = |name: &str| self.timing.get(name).filter(|estimate| estimate.is_off(0.0, SURE));
+        let late = sure(STAMPS_LATE).map(|estimate| {
+            let side = if estimate.value < 0.0 { "early" } else { "late" };
+            format!("{:.2} ms {side}", 1e3 * estimate.value.abs())
+        });
+        let drift = sure(CLOCK_DRIFT).map(|estimate| format!("later by {:.3} ms each second", 1e3 * estimate.value));
+        let faults: Vec<String> = late.into_iter().chain(drift).collect();
+        (!faults.is_empty()).then(|| format!("the output's stamps are {}", faults.join(", and ")))
+    }
+}
+
+/// In [`Report::timing`]: by how much the output's stamps are late, s.
+pub const STAMPS_LATE: &str = "stamps_late_s";
+/// In [`Report::timing`]: by how much later they become each second.
+pub const CLOCK_DRIFT: &str = "clock_drift";
+/// Standard deviations beyond which stamps are said to be off.
+const SURE: f64 = 4.0;
 
 /// How far a model explains recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -108,6 +133,14 @@ pub struct Estimate {
     pub assumed: Option<String>,
 }
 
+impl Estimate {
+    /// Whether it is so many standard deviations from a value.
+    #[must_use]
+    pub fn is_off(&self, from: f64, deviations: f64) -> bool {
+        self.std.is_some_and(|std| (self.value - from).abs() >= deviations * std)
+    }
+}
+
 /// An effect that was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EffectReport {
@@ -134,8 +167,7 @@ impl EffectReport {
     /// Whether any of its parameters is at least two standard errors from 0, or the effect is a fitted curve.
     #[must_use]
     pub fn has_size(&self) -> bool {
-        let is_sure = |estimate: &Estimate| estimate.std.is_some_and(|std| estimate.value.abs() >= 2.0 * std);
-        self.table.is_some() || self.parameters.values().any(is_sure)
+        self.table.is_some() || self.parameters.values().any(|estimate| estimate.is_off(0.0, 2.0))
     }
 }
 

@@ -12,9 +12,11 @@ use crate::{
     family::{Acts, Family, Loadable, Structure, Term},
     fit::{self, Fit},
     motion::{Kind, Known, Motion},
-    report::{EffectReport, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces},
+    report::{
+        EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
+    },
     residual::{Left, left},
-    select::{Found, WORTH, base, depends_on, search},
+    select::{Found, base, depends_on, search},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
     suspect::{Checked, check_recordings, suspicions},
@@ -294,19 +296,31 @@ fn assemble<F: Family>(
     let fitted: Vec<&F::Run> = train.iter().collect();
     let held_out: Vec<&F::Run> = holdout.iter().collect();
     let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
-    let found = better_named(family, found, train, held_out_rmse);
     let baseline = scores(family, &found.base, train, holdout);
     let last = scores(family, &found.last, train, holdout);
     tell("intervals");
     let intervals = found.fitted.0.intervals(family, &found.fitted.1.iter().collect::<Vec<_>>());
-    let (parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
+    let (mut parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
+    // What is of the stamps is no claim about the machine.
+    let of_stamps = |parameters: &mut BTreeMap<String, Estimate>| -> Vec<(String, Estimate)> {
+        let names: Vec<String> = parameters.keys().filter(|name| family.timing(name).is_some()).cloned().collect();
+        names.into_iter().filter_map(|name| parameters.remove_entry(&name)).collect()
+    };
+    let mut timing: BTreeMap<String, Estimate> = of_stamps(&mut parameters).into_iter().collect();
     for (place, step) in found.steps.iter().enumerate() {
         let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
+        if let Some(stamps) = family.timing(&name) {
+            timing.extend(
+                terms.get(place).and_then(|values| values.values().next()).map(|one| (stamps.to_owned(), one.clone())),
+            );
+            before = after;
+            continue;
+        }
         effects.push(EffectReport {
             depends_on: depends_on(family, &step.term).iter().map(|over| over.name().to_owned()).collect(),
             parameters: terms.get(place).cloned().unwrap_or_default(),
@@ -361,7 +375,7 @@ fn assemble<F: Family>(
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
     let explained = Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white);
-    let report = Report {
+    let mut report = Report {
         model: task.model.clone(),
         explained,
         suspicions: Vec::new(),
@@ -370,68 +384,16 @@ fn assemble<F: Family>(
         effects,
         last,
         parameters,
+        timing,
         residual,
         rejected,
         notes,
         verdict,
     };
+    if let Some(fault) = report.timing_fault() {
+        report.verdict = format!("{}; {fault}.", report.verdict.trim_end_matches('.'));
+    }
     Ok(Identified { report, figures, loadable })
-}
-
-/// Named effects may leave so many times what a model with curves leaves of held-out recordings: a choice of what their
-/// meaning is worth.
-const AS_GOOD: f64 = 1.15;
-
-/// What was found, or what named effects alone came to: that stays where the held-out recordings are as well off, because it
-/// has a meaning, and fewer numbers.
-fn better_named<F: Family>(
-    family: &F,
-    mut found: Found<F::Run>,
-    train: &[F::Run],
-    held_out_rmse: impl Fn(&Fit) -> f64,
-) -> Found<F::Run> {
-    let named = found.named.take().map(|named| veto(family, *named, train, &held_out_rmse));
-    let found = veto(family, found, train, &held_out_rmse);
-    match named {
-        Some(named)
-            if !named.steps.is_empty() && held_out_rmse(&named.last) <= AS_GOOD * held_out_rmse(&found.last) =>
-        {
-            let mut named = named;
-            for step in found.steps.iter().filter(|step| matches!(step.term, Term::Curve(_))) {
-                let reason = "explains what it was fitted to, but the held-out recordings are not clearly better off than \
-                              with named effects alone";
-                named.rejected.insert(0, (name(family, &step.term), step.blocked_rmse[1], reason.to_owned()));
-            }
-            named
-        }
-        _ => found,
-    }
-}
-
-/// Takes back the last terms where the held-out recordings are better off without: nothing is fitted to these, but what makes
-/// them worse is not worth having, whatever it explains of the others.
-fn veto<F: Family>(
-    family: &F,
-    mut found: Found<F::Run>,
-    train: &[F::Run],
-    held_out_rmse: impl Fn(&Fit) -> f64,
-) -> Found<F::Run> {
-    let errors: Vec<f64> =
-        std::iter::once(&found.base).chain(found.steps.iter().map(|step| &step.fit)).map(held_out_rmse).collect();
-    let least = (0..errors.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).unwrap_or(0);
-    if errors[found.steps.len()] <= errors[least] * (1.0 + WORTH) {
-        return found;
-    }
-    for (place, step) in found.steps.iter().enumerate().skip(least) {
-        let reason = format!(
-            "explains what it was fitted to, but changes the error on held-out recordings by {:+.0} %: they differ by more \
-             than noise",
-            100.0 * (errors[place + 1] / errors[least] - 1.0)
-        );
-        found.rejected.push((name(family, &step.term), step.blocked_rmse[1], reason));
-    }
-    found.rejected.sort_by(|a, b| a.1.total_cmp(&b.1));
-    found.truncated(family, least, train)
 }
 
 fn name<F: Family>(family: &F, term: &Term) -> String {

@@ -21,8 +21,8 @@ impl Range {
         match (self, upwards) {
             (Self::Positive | Self::Coarse { .. }, false) => Some((0.0, NOTHING * value)),
             (Self::NotNegative { .. }, false) => Some((0.0, 0.0)),
-            (Self::Between(lower, _), false) => Some((lower, lower)),
-            (Self::Between(_, upper), true) => Some((upper, upper)),
+            (Self::Between(lower, _) | Self::Reflected(lower, _), false) => Some((lower, lower)),
+            (Self::Between(_, upper) | Self::Reflected(_, upper), true) => Some((upper, upper)),
             _ => None,
         }
     }
@@ -32,7 +32,7 @@ impl Range {
         match self {
             Self::Positive | Self::Coarse { .. } => value * (by / value).clamp(-3.0, 3.0).exp(),
             Self::NotNegative { .. } => (value + by).max(0.1 * value),
-            Self::Between(lower, upper) => {
+            Self::Between(lower, upper) | Self::Reflected(lower, upper) => {
                 (value + by).clamp(0.9 * lower + 0.1 * value.min(upper), 0.9 * upper + 0.1 * value.max(lower))
             }
             Self::Any { .. } => value + by,

@@ -190,3 +190,14 @@ fn what_is_held_stays_while_the_rest_is_fitted() {
         shape.iter().zip(&points.measured).map(|(s, m)| s * m).sum::<f64>() / shape.iter().map(|s| s * s).sum::<f64>();
     assert!((solved.structure.base[0] / gain - 1.0).abs() < 1e-5 && solved.cost < at_first);
 }
+
+#[test]
+fn a_step_beyond_a_reflecting_end_comes_back() {
+    let range = Range::Reflected(-3.0, 1.5);
+    let at = |value: f64, step: f64| range.value(range.variable(value) + step / 4.5);
+    for (value, step, expected) in
+        [(0.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.5, 0.25, 1.25), (-3.0, -0.5, -2.5), (0.0, 9.0, 0.0), (-1.0, -13.0, -1.0)]
+    {
+        assert!((at(value, step) - expected).abs() < 1e-12, "{value} {step}: {}", at(value, step));
+    }
+}

@@ -6,9 +6,15 @@ use crate::family::{Candidate, Parameter, Range};
 
 use super::Scales;
 
+/// Share of a motor's damping that is friction, not back-EMF.
+pub(super) const VISCOUS_SHARE: &str = "viscous_share_of_damping";
+/// Of which fits begin.
+const LITTLE_VISCOUS: f64 = 0.1;
+
 /// Every effect, in the order of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
+    ClockDrift,
     InputSign,
     InputDelay,
     InputHold,
@@ -41,7 +47,8 @@ pub(super) enum Effect {
 }
 
 impl Effect {
-    pub(super) const ALL: [Self; 29] = [
+    pub(super) const ALL: [Self; 30] = [
+        Self::ClockDrift,
         Self::InputSign,
         Self::InputDelay,
         Self::InputHold,
@@ -76,6 +83,7 @@ impl Effect {
     /// Name in reports and plant files.
     pub(super) const fn name(self) -> &'static str {
         match self {
+            Self::ClockDrift => "clock-drift",
             Self::InputSign => "input-sign",
             Self::InputDelay => "input-delay",
             Self::InputHold => "input-hold",
@@ -121,7 +129,7 @@ impl Effect {
             Self::PositionFriction => &[Position, Direction],
             Self::WarmUp => &[Time, Direction],
             Self::Drag => &[Speed],
-            Self::ConstantLoad => &[Time],
+            Self::ConstantLoad | Self::ClockDrift => &[Time],
             Self::Gravity | Self::Cogging | Self::Eccentricity | Self::EncoderScale | Self::EncoderOffset => {
                 &[Position]
             }
@@ -134,6 +142,7 @@ impl Effect {
     /// The recording that shows it apart from what looks alike.
     const fn experiment(self) -> &'static str {
         match self {
+            Self::ClockDrift => "input and output stamped by one clock",
             Self::InputSign => "one step each way with the sensor's direction checked by eye",
             Self::InputDelay => {
                 "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them"
@@ -189,22 +198,38 @@ impl Effect {
         let (distance, speed, force) = (s.units.distance, s.units.speed, s.units.force);
         // What a push of a tenth of the command's size gives.
         let push = 0.1 * s.acceleration;
+        // There is nothing of it beyond all that is recorded.
+        let below = |most: f64, name, unit, range| Parameter { name, unit, range, absent: Some(most) };
         let shaped = |name, unit, range| Parameter { name, unit, range, absent: None };
         let sized = |name, unit, range| Parameter { name, unit, range, absent: Some(0.0) };
         let whole = |name, unit, range| Parameter { name, unit, range, absent: Some(1.0) };
         let level = |scale| Range::NotNegative { scale };
+        // A motor's damping is in part its back-EMF, in part friction: what acts on the current tells them apart.
+        let damping = s.damps_by_emf.then(|| shaped(VISCOUS_SHARE, "1", Range::Between(0.0, 1.0)));
+        let with_viscous = |mut parameters: Vec<Parameter>| {
+            parameters.extend(damping.clone());
+            parameters
+        };
+        let from = |starts: Vec<Vec<f64>>| -> Vec<Vec<f64>> {
+            let share = damping.is_some().then_some(LITTLE_VISCOUS);
+            starts.into_iter().map(|start| start.into_iter().chain(share).collect()).collect()
+        };
         let (parameters, starts): (Vec<Parameter>, Vec<Vec<f64>>) = match self {
+            Self::ClockDrift => (
+                vec![sized("drift", "1", Range::Any { scale: s.period_s / s.duration_s })],
+                vec![vec![s.period_s / s.duration_s], vec![-s.period_s / s.duration_s]],
+            ),
             Self::InputSign => (vec![], vec![vec![]]),
             Self::InputDelay => (
                 vec![sized("delay_s", "s", level(s.period_s))],
                 vec![vec![1.5 * s.period_s], vec![5.0 * s.period_s], vec![0.05], vec![0.15]],
             ),
             Self::SensorHold => (
-                vec![shaped("period_s", "s", Range::Coarse { step: 2e-4 })],
+                vec![sized("period_s", "s", Range::Coarse { step: 2e-4 })],
                 s.stairs_s.iter().map(|&hold_s| vec![hold_s]).collect(),
             ),
             Self::InputHold => (
-                vec![shaped("period_s", "s", Range::Coarse { step: 2e-4 })],
+                vec![sized("period_s", "s", Range::Coarse { step: 2e-4 })],
                 // All of them are only tried where no period is found without free runs.
                 (0..)
                     .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
@@ -221,24 +246,26 @@ impl Effect {
                 (vec![whole("backward_gain", "1", Range::Positive)], vec![vec![0.85], vec![1.15]])
             }
             Self::Saturation => (
-                vec![shaped(s.units.input_name, s.units.input, Range::Positive)],
+                vec![below(s.input, s.units.input_name, s.units.input, Range::Positive)],
                 [0.95, 0.8, 0.6, 0.4].iter().map(|share| vec![share * s.input]).collect(),
             ),
             Self::SlewLimit => (
-                vec![shaped("rate_per_s", "1/s", Range::Positive)],
+                vec![below(f64::INFINITY, "rate_per_s", "1/s", Range::Positive)],
                 [0.02, 0.1, 0.3, 1.0].iter().map(|time_s| vec![s.input / time_s]).collect(),
             ),
             Self::DriveLag | Self::SensorLag => (
                 vec![sized("time_constant_s", "s", level(s.period_s))],
                 vec![vec![2.0 * s.period_s], vec![0.03], vec![0.15]],
             ),
-            Self::SupplySag => (vec![sized("source_share", "1", level(0.05))], vec![vec![0.1], vec![0.4]]),
+            Self::SupplySag => {
+                (with_viscous(vec![sized("source_share", "1", level(0.05))]), from(vec![vec![0.1], vec![0.4]]))
+            }
             Self::WindingHeating => (
-                vec![
+                with_viscous(vec![
                     sized("rise_at_full", "1", level(0.05)),
                     shaped("time_constant_s", "s", Range::Between(0.02 * s.duration_s, 50.0 * s.duration_s)),
-                ],
-                vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]],
+                ]),
+                from(vec![vec![0.2, 0.3 * s.duration_s], vec![0.4, s.duration_s], vec![0.8, 3.0 * s.duration_s]]),
             ),
             Self::Coulomb => (
                 vec![sized(s.units.force_name, force, level(0.2 * push))],
@@ -266,12 +293,14 @@ impl Effect {
                     [-2.0, -0.3, 0.3, 2.0].iter().map(|share| vec![share * size]).collect(),
                 )
             }
-            Self::LoadFriction => (vec![sized("share", "1", Range::Between(0.0, 0.95))], vec![vec![0.1], vec![0.3]]),
+            Self::LoadFriction => {
+                (with_viscous(vec![sized("share", "1", Range::Between(0.0, 0.95))]), from(vec![vec![0.1], vec![0.3]]))
+            }
             Self::PositionFriction => (
                 vec![
                     sized(s.units.force_name, force, level(0.2 * push)),
                     shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
-                    shaped(s.units.periods_name, s.units.periods, Range::Positive),
+                    shaped(s.units.periods_name, s.units.periods, s.waves()),
                 ],
                 s.periods.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
@@ -298,7 +327,7 @@ impl Effect {
                 vec![
                     sized(s.units.force_name, force, level(push)),
                     shaped("phase_rad", "rad", Range::Any { scale: 0.5 }),
-                    shaped(s.units.periods_name, s.units.periods, Range::Positive),
+                    shaped(s.units.periods_name, s.units.periods, s.waves()),
                 ],
                 s.cogging.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
@@ -312,7 +341,10 @@ impl Effect {
                 [0.003, 0.02, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Compliance => (
-                vec![shaped("frequency_hz", "Hz", Range::Positive), shaped("damping", "1", Range::Between(0.001, 3.0))],
+                vec![
+                    below(f64::INFINITY, "frequency_hz", "Hz", Range::Positive),
+                    shaped("damping", "1", Range::Between(0.001, 3.0)),
+                ],
                 [1.5, 4.0, 10.0, 25.0].iter().map(|&hz| vec![hz, 0.1]).collect(),
             ),
             Self::Eccentricity => (
@@ -332,6 +364,7 @@ impl Effect {
             starts,
             experiment: self.experiment(),
             excludes: self.excludes(),
+            led_by: (self == Self::InputHold).then_some(Self::InputDelay.name()),
         }
     }
 }

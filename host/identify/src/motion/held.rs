@@ -102,7 +102,7 @@ impl Motion {
         };
         let fits =
             search.best(|period_s, stretch_s| lacking.stands_out(period_s, stretch_s)).into_iter().map(|period_s| {
-                let structure = self.with_damping(lacking.with(period_s));
+                let structure = self.movable(lacking.with(period_s));
                 fit_but_last(weak, &all, structure, fit.initial.clone(), Effort::SCREEN)
             });
         let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;

@@ -17,9 +17,13 @@ mod stairs;
 mod start;
 #[cfg(test)]
 mod tests;
+mod waves;
 mod weak;
 
-use std::{collections::BTreeMap, f64::consts::TAU};
+use std::{
+    collections::BTreeMap,
+    f64::consts::{PI, TAU},
+};
 
 use r4_plants::{Dependence, PlantSpec};
 
@@ -27,9 +31,9 @@ pub use run::MotionRun;
 
 use crate::{
     data::Quantity,
-    family::{Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Simulated, Structure},
-    fit::Fit,
-    report::Estimate,
+    family::{Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Simulated, Structure, Term},
+    fit::{Effort, Fit},
+    report::{CLOCK_DRIFT, Estimate, STAMPS_LATE},
 };
 use effect::Effect;
 use simulate::{Observed, is_placed, simulate, simulate_each};
@@ -152,10 +156,22 @@ struct Scales {
     duration_s: f64,
     /// How often per turn (or per m) something slow over position may repeat.
     periods: Vec<f64>,
+    /// Fewest and most of these that may be.
+    periods_within: [f64; 2],
     /// The same for teeth and slots.
     cogging: Vec<f64>,
+    /// A motor whose back-EMF damps it.
+    damps_by_emf: bool,
     /// At which the output looks most like stairs, s.
     stairs_s: Vec<f64>,
+}
+
+impl Scales {
+    /// How often a wave over position may repeat: from a half over all of the way, which is hardly more than a slope.
+    fn waves(&self) -> Range {
+        let [fewest, most] = self.periods_within;
+        Range::Reflected(fewest, most)
+    }
 }
 
 /// What the base parameters mean for the mechanics.
@@ -214,6 +230,7 @@ struct Places {
     loop_gain: Option<usize>,
     pendulum: Option<usize>,
     offset: Option<usize>,
+    stamps: Option<usize>,
 }
 
 /// A position that is not recorded is first sought at so many places of a turn.
@@ -222,6 +239,12 @@ const PLACES: u8 = 16;
 const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
 const GRAVITY_M_S2: f64 = 9.806_65;
+/// Periods of sampling by which the output's stamps may be early or late, as part of every base model: what a logger does that
+/// stamps before or after it samples, and with the value of the period before. More than that late is an effect, a delay.
+const EARLY: f64 = 3.0;
+const LATE: f64 = 1.5;
+/// Share of a range within which a fit begins; beyond it, it is at the end.
+const INSIDE: f64 = 0.8;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
 const NO_ARMATURE: f64 = 1.0;
 
@@ -259,6 +282,24 @@ impl Motion {
         }
     }
 
+    /// A structure with a push per volt and a damping; nothing else of [`Self::dynamics`] changes.
+    fn with_dynamics(&self, mut structure: Structure, k: f64, b: f64) -> Structure {
+        let base = &mut structure.base;
+        (base[0], base[1]) = match self.kind {
+            Kind::DcMotor | Kind::LinearActuator | Kind::Servo => (k / b, 1.0 / b),
+            Kind::Axis => {
+                let inertia = self.known.gain.unwrap_or(1.0) / k;
+                (inertia, b * inertia)
+            }
+        };
+        structure
+    }
+
+    /// By how much the output's stamps are late; below 0, early.
+    fn stamps_late_s(&self, base: &[f64]) -> f64 {
+        self.places.stamps.and_then(|place| base.get(place)).copied().unwrap_or(0.0)
+    }
+
     fn pendulum_offset(&self, base: &[f64]) -> f64 {
         self.places.offset.map_or(0.0, |place| base[place])
     }
@@ -268,7 +309,7 @@ impl Motion {
     }
 
     /// The base parameters of a kind of model, before anything is known of the data.
-    fn base_of(kind: Kind, rotary: bool, known: &Known, coasts: bool) -> (Vec<Parameter>, Places) {
+    fn base_of(kind: Kind, rotary: bool, known: &Known, coasts: bool, period_s: f64) -> (Vec<Parameter>, Places) {
         let plain = |name, unit, range| Parameter { name, unit, range, absent: None };
         let mut base = match (kind, rotary) {
             (Kind::Axis, true) => vec![
@@ -302,6 +343,7 @@ impl Motion {
             places.pendulum = push(plain("pendulum_share_of_inertia", "1", Range::Between(0.05, NO_ARMATURE)));
             places.offset = push(plain("hanging_at_rad", "rad", Range::Any { scale: 0.05 }));
         }
+        places.stamps = push(plain(STAMPS_LATE, "s", Range::Reflected(-EARLY * period_s, LATE * period_s)));
         (base, places)
     }
 }
@@ -353,6 +395,30 @@ impl Family for Motion {
         self.starting_values(runs)
     }
 
+    fn movable(&self, structure: Structure) -> Structure {
+        self.movable(structure)
+    }
+
+    fn is_late(&self, structure: &Structure) -> bool {
+        self.stamps_late_s(&structure.base) > INSIDE * LATE * self.scales.period_s
+    }
+
+    fn simpler(&self, structure: &Structure, place: usize) -> Vec<(Term, Vec<f64>)> {
+        let Term::Known(index) = structure.terms[place] else { return vec![] };
+        let values = &structure.added[place];
+        let term = |effect, values: Vec<f64>| {
+            let index = self.index(effect)?;
+            structure.of(index).is_none().then_some((Term::Known(index), values))
+        };
+        let simpler = match self.effects[index] {
+            Effect::DirectionFriction => term(Effect::Coulomb, vec![0.5 * (values[0] + values[1])]),
+            Effect::Static | Effect::WarmUp => term(Effect::Coulomb, vec![values[0]]),
+            Effect::Cogging if self.rotary => term(Effect::Gravity, vec![values[0], values[1] + PI]),
+            _ => None,
+        };
+        simpler.into_iter().collect()
+    }
+
     fn beginnings(&self, structure: &Structure, run: &MotionRun) -> Vec<Vec<f64>> {
         let (guess, _) = self.initial(run);
         if !self.of_speed || !is_placed(self, structure) {
@@ -361,8 +427,14 @@ impl Family for Motion {
         self.places().map(|place| vec![place, guess[1]]).collect()
     }
 
-    fn guess(&self, starts: Vec<Structure>, current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        self.weakly(starts, current, runs)
+    fn guess(
+        &self,
+        starts: Vec<Structure>,
+        current: &Fit,
+        runs: &[&MotionRun],
+        effort: Effort,
+    ) -> Option<(Structure, f64)> {
+        self.weakly(starts, current, runs, effort)
     }
 
     fn time_s<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
@@ -423,6 +495,14 @@ impl Family for Motion {
         intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
         self.in_units(structure, deviations, intervals)
+    }
+
+    fn timing(&self, name: &str) -> Option<&'static str> {
+        match name {
+            STAMPS_LATE => Some(STAMPS_LATE),
+            _ if name == Effect::ClockDrift.name() => Some(CLOCK_DRIFT),
+            _ => None,
+        }
     }
 
     fn force_per_push(&self, structure: &Structure) -> f64 {

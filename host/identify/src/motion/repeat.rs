@@ -196,7 +196,7 @@ mod tests {
             let runs = [1, 2].map(|seed| rippled(seed, rate));
             let (model, runs, _) = Motion::new(Kind::Axis, &Known::default(), &runs, &[]).expect("a model");
             let runs: Vec<&MotionRun> = runs.iter().collect();
-            let structure = Structure { base: vec![2.0, 3.0], ..Structure::default() };
+            let structure = Structure { base: vec![2.0, 3.0, 0.0], ..Structure::default() };
             let current = Fit::at(&model, &runs, structure, guessed(&model, &runs));
             let found = model.repeats(&current, &[Acts::Gain], &runs)[0].expect("a period");
             // A wave of this rate is off by less than a tenth of its length at the end of 5 m.

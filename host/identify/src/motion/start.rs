@@ -9,7 +9,7 @@ use crate::{
     family::{Family, Model},
 };
 
-use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs};
+use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs, waves};
 
 /// Fewer tell nothing.
 const LEAST_SAMPLES: usize = 50;
@@ -58,8 +58,8 @@ impl Motion {
         };
         let (train, holdout) = (prepare(train)?, prepare(holdout)?);
         let coasts = train.iter().chain(&holdout).any(MotionRun::coasts);
-        let scales = scales(&train, rotary, of_speed, input.quantity)?;
-        let (base, places) = Self::base_of(kind, rotary, known, coasts);
+        let scales = Scales { damps_by_emf: kind != Kind::Axis, ..scales(&train, rotary, of_speed, input.quantity)? };
+        let (base, places) = Self::base_of(kind, rotary, known, coasts, scales.period_s);
         let mut model = Self {
             kind,
             known: known.clone(),
@@ -307,7 +307,9 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
         period_s,
         duration_s: duration_s / runs.len() as f64,
         periods: slow,
+        periods_within: waves::within(rotary, distance),
         cogging: teeth,
+        damps_by_emf: true,
         stairs_s: stairs::periods(runs, period_s),
     })
 }

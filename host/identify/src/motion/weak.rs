@@ -16,6 +16,7 @@
 
 use std::{ops::Range, sync::Arc};
 
+use nalgebra::{DMatrix, DVector};
 use r4_maths::statistics::{QuantileRule, quantile};
 
 use crate::{
@@ -24,7 +25,7 @@ use crate::{
 };
 
 use super::{
-    Kind, Motion, MotionRun,
+    Dynamics, EARLY, INSIDE, Kind, LATE, Motion, MotionRun,
     effect::Effect,
     simulate::{Moved, accelerations, is_placed},
     smooth::Smooth,
@@ -39,6 +40,8 @@ const SHORTEST_SAMPLES: f64 = 8.0;
 const CERTAIN: f64 = 4.0;
 /// Windows overlap by half, and the longer ones say again what the shortest say.
 const OVERLAP: f64 = 3.0;
+/// Times that a line is followed to the base: friction at rest bends it.
+const LINES: usize = 2;
 /// So many of several starts are fitted further.
 const FURTHER: usize = 2;
 
@@ -346,9 +349,14 @@ impl Motion {
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
-    /// A damping that a fit ran away from is one again that shows: from next to nothing, no slope leads back.
-    pub(super) fn with_damping(&self, mut structure: Structure) -> Structure {
+    /// What a fit drove to where nothing slopes back is a little nearer again: a damping of next to nothing, stamps that are as
+    /// early or late as they may be.
+    pub(super) fn movable(&self, mut structure: Structure) -> Structure {
         let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
+        if let Some(late_s) = self.places.stamps.and_then(|place| base.get_mut(place)) {
+            let [early_s, latest_s] = [-EARLY, LATE].map(|periods| INSIDE * periods * self.scales.period_s);
+            *late_s = late_s.clamp(early_s, latest_s);
+        }
         if self.kind == Kind::Axis {
             base[1] = base[1].max(base[0] / longest_s);
         } else if base[1] > longest_s {
@@ -375,13 +383,13 @@ impl Motion {
     /// What a structure that adds to `current` leaves of the windows, about.
     pub(super) fn left_over_windows(&self, structure: Structure, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
         let (weak, seen) = self.weak(&structure, current, runs)?;
-        Some(weak.best(vec![self.with_damping(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
+        Some(weak.best(vec![self.movable(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
     /// A model fitted to windows, and what it leaves of them.
     pub(super) fn left_in_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Rest<'_>> {
         let (weak, seen) = self.weak(&current.structure, current, runs)?;
-        let structure = self.with_damping(current.structure.clone());
+        let structure = self.movable(current.structure.clone());
         let fit = weak.best(vec![structure], &seen, Effort::SCREEN, 1).pop()?;
         let left = fit.residuals(&weak, &seen.iter().collect::<Vec<_>>());
         Some(Rest { weak, fit, seen, left })
@@ -393,6 +401,7 @@ impl Motion {
         starts: Vec<Structure>,
         current: &Fit,
         runs: &[&MotionRun],
+        effort: Effort,
     ) -> Option<(Structure, f64)> {
         let (weak, seen) = self.weak(starts.first()?, current, runs)?;
         let is_coarse = |start: &Structure| {
@@ -402,9 +411,20 @@ impl Motion {
         if starts.first().is_some_and(is_coarse) {
             return self.by_periods(&starts, &self.left_in_windows(current, runs)?);
         }
-        let starts = starts.into_iter().map(|start| self.with_damping(start)).collect();
-        let further = weak.best(starts, &seen, Effort::GLANCE, FURTHER).into_iter().map(|fit| fit.structure).collect();
-        let best = weak.best(further, &seen, Effort::SCREEN, 1).pop()?;
+        let last = starts.first().and_then(|start| start.terms.last()).cloned();
+        let waving = last.and_then(|term| Some((self.waving(&term)?, term))).filter(|_| starts.len() > FURTHER);
+        let waves = match waving {
+            Some((effect, term)) => self.by_waves(&term, effect, &self.left_in_windows(current, runs)?),
+            None => vec![],
+        };
+        let starts = if waves.is_empty() { starts } else { waves };
+        let starts = starts.into_iter().map(|start| self.movable(start)).collect();
+        let glanced = weak.best(starts, &seen, Effort::GLANCE, FURTHER);
+        let best = if effort.evaluations > Effort::GLANCE.evaluations {
+            weak.best(glanced.into_iter().map(|fit| fit.structure).collect(), &seen, effort, 1).pop()?
+        } else {
+            glanced.into_iter().next()?
+        };
         Some((best.structure, best.cost))
     }
 }
@@ -414,13 +434,49 @@ impl Weak<'_> {
     fn best(&self, starts: Vec<Structure>, seen: &[Seen], effort: Effort, count: usize) -> Vec<Fit> {
         let seen: Vec<&Seen> = seen.iter().collect();
         let fitted = |structure| {
-            let (structure, initial) = self.begun(structure, &seen, effort);
+            let (structure, initial) = self.begun(self.with_base(structure, &seen), &seen, effort);
             fit(self, &seen, structure, initial, effort)
         };
         let mut fits: Vec<Fit> = starts.into_iter().map(fitted).filter(|fit| fit.cost.is_finite()).collect();
         fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         fits.truncate(count);
         fits
+    }
+
+    /// A structure whose push per volt and damping are those that leave least of the windows, which depend on both by a line: a
+    /// fit that begins with a base that was bent to stand in for an effect may not come back from there.
+    fn with_base(&self, mut structure: Structure, seen: &[&Seen]) -> Structure {
+        if self.motion.is_servo() || self.began != Began::Anywhere {
+            return structure;
+        }
+        let predicted = |structure: &Structure| -> Vec<f64> {
+            seen.iter()
+                .flat_map(|seen| {
+                    seen.windows.sums(&seen.accelerations(self.motion, structure, &[])).collect::<Vec<_>>()
+                })
+                .collect()
+        };
+        let measured = seen.iter().flat_map(|seen| seen.windows.measured.iter().copied());
+        let measured = DVector::from_vec(measured.collect());
+        let mut left = &measured - DVector::from_vec(predicted(&structure));
+        for _ in 0..LINES {
+            let Dynamics { k, b, .. } = self.motion.dynamics(&structure.base);
+            let with = |k: f64, b: f64| self.motion.with_dynamics(structure.clone(), k, b);
+            let slope = |structure: &Structure| &measured - &left - DVector::from_vec(predicted(structure));
+            let columns = [with(2.0 * k, b), with(k, 2.0 * b)].map(|other| -slope(&other));
+            let Ok(change) = DMatrix::from_columns(&columns).svd(true, true).solve(&left, 1e-9) else { break };
+            let [k, b] = [k * (1.0 + change[0]), b * (1.0 + change[1])];
+            if !(k > 0.0 && b.is_finite()) {
+                break;
+            }
+            let other = with(k, b.max(1.0 / self.motion.scales.duration_s));
+            let left_by_other = &measured - DVector::from_vec(predicted(&other));
+            if left_by_other.norm_squared().is_nan() || left_by_other.norm_squared() >= left.norm_squared() {
+                break;
+            }
+            (structure, left) = (other, left_by_other);
+        }
+        structure
     }
 
     /// Where each recording began; where that is sought, the first one at 0, and by a model of that the others.

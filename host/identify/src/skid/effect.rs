@@ -319,6 +319,7 @@ impl Effect {
             starts,
             experiment: self.experiment(),
             excludes: self.excludes(),
+            led_by: None,
         }
     }
 }

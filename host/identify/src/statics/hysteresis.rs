@@ -448,6 +448,7 @@ impl HeldShaft {
             starts: vec![vec![start]],
             experiment,
             excludes: &[],
+            led_by: None,
         };
         let size = |name, range| Parameter { name, unit, range, absent: Some(0.0) };
         Self {

@@ -495,8 +495,10 @@ impl StaticMap {
         // Saturation has a shape of its own that does what these do.
         let excludes: &[&str] =
             if matches!(bend, Bend::GainCurve | Bend::QuadraticDrag) { &["saturation"] } else { &[] };
-        offered
-            .then_some((Candidate { name: bend.name(), depends_on, parameters, starts, experiment, excludes }, sides))
+        offered.then_some((
+            Candidate { name: bend.name(), depends_on, parameters, starts, experiment, excludes, led_by: None },
+            sides,
+        ))
     }
 
     fn shape(&self, structure: &Structure) -> Shape {

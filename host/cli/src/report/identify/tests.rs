@@ -78,6 +78,7 @@ fn found() -> Report {
             white: false,
             unexplained: vec![Unexplained { depends_on: "time".into(), share: 0.042, p_value: 0.003_1 }],
         },
+        timing: BTreeMap::new(),
         rejected: vec![Rejected {
             name: "position-dependent-friction".into(),
             blocked_rmse: 0.002_66,

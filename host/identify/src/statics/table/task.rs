@@ -216,6 +216,7 @@ fn report(
         last,
         parameters: estimates,
         residual: ResidualReport { white: ladder.unexplained.is_empty(), unexplained: ladder.unexplained.clone() },
+        timing: BTreeMap::new(),
         rejected: rejected.collect(),
         notes,
         verdict: ladder.verdict.clone(),

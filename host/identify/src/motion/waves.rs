@@ -1,0 +1,179 @@
+//! How often a push or a friction repeats over position: by what waves of each number explain of what a model leaves of windows.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::family::{Structure, Term};
+
+use super::{
+    Motion,
+    effect::Effect,
+    weak::{Rest, Seen},
+};
+
+/// So many numbers of periods are fitted, no two nearer than the motion can tell apart.
+const OFFERED: usize = 2;
+/// At most so many are tried, evenly.
+const MOST: f64 = 256.0;
+/// Steps from one to the next within what the motion can tell apart: one period more over all of the way.
+const STEPS: f64 = 4.0;
+/// Most periods of a turn, and of the way of a linear axis, that are looked for.
+const MOST_PER_TURN: f64 = 16.0;
+const MOST_PER_WAY: f64 = 16.0;
+/// Fewest over the way: less than that is a slope.
+const FEWEST: f64 = 0.5;
+
+/// Fewest and most periods that are looked for, of a turn or of a metre.
+pub(super) fn within(rotary: bool, distance: f64) -> [f64; 2] {
+    if rotary {
+        let fewest = FEWEST * TAU / distance;
+        [fewest, MOST_PER_TURN.max(2.0 * fewest)]
+    } else {
+        [FEWEST / distance, MOST_PER_WAY / distance]
+    }
+}
+
+/// What a wave explains, and its size and phase.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    periods: f64,
+    explained: f64,
+    amplitude: f64,
+    phase: f64,
+}
+
+impl Motion {
+    /// Whether a term repeats over position, as often as its last number says.
+    pub(super) fn waving(&self, term: &Term) -> Option<Effect> {
+        let Term::Known(index) = term else { return None };
+        let effect = self.effects[*index];
+        matches!(effect, Effect::Cogging | Effect::PositionFriction).then_some(effect)
+    }
+
+    /// The structures of a model with a wave more that explain most of what is left without it.
+    pub(super) fn by_waves(&self, term: &Term, effect: Effect, rest: &Rest<'_>) -> Vec<Structure> {
+        let [fewest, most] = self.scales.periods_within;
+        let per_unit = self.radians_per_period();
+        let told_apart = TAU / per_unit / self.scales.distance;
+        let step = (told_apart / STEPS).max((most - fewest) / MOST);
+        let lacking = Lacking::new(self, rest, effect == Effect::PositionFriction);
+        let count = ((most - fewest) / step).max(0.0) as u32;
+        let mut told: Vec<Told> =
+            (0..=count).map(|number| lacking.told(fewest + f64::from(number) * step, per_unit)).collect();
+        told.sort_by(|a, b| b.explained.total_cmp(&a.explained));
+        let mut best: Vec<Told> = Vec::new();
+        for one in told {
+            if best.len() < OFFERED && best.iter().all(|other| (other.periods - one.periods).abs() >= told_apart) {
+                best.push(one);
+            }
+        }
+        let with = |told: Told| {
+            let mut structure = rest.fit.structure.clone();
+            structure.terms.push(term.clone());
+            structure.added.push(vec![told.amplitude, told.phase, told.periods]);
+            self.movable(structure)
+        };
+        best.into_iter().filter(|told| told.amplitude > 0.0).map(with).collect()
+    }
+}
+
+/// One recording's windows, with what the rest of the model cannot explain.
+struct Beyond<'r> {
+    seen: &'r Seen,
+    /// An orthonormal basis of what moves with the model's numbers.
+    basis: DMatrix<f64>,
+    left: DVector<f64>,
+}
+
+impl Beyond<'_> {
+    /// Without what the rest of the model can do as well.
+    fn alone(&self, series: &[f64]) -> DVector<f64> {
+        let sums = DVector::from_iterator(self.left.len(), self.seen.windows.sums(series));
+        &sums - &self.basis * (self.basis.transpose() * &sums)
+    }
+}
+
+struct Lacking<'r> {
+    recordings: Vec<Beyond<'r>>,
+    /// A friction, which is against the motion; half of its size is always there.
+    friction: bool,
+    /// Recordings begin nobody knows where: each has a phase of its own.
+    apart: bool,
+}
+
+impl<'r> Lacking<'r> {
+    fn new(motion: &Motion, rest: &'r Rest<'_>, friction: bool) -> Self {
+        let all: Vec<&Seen> = rest.seen.iter().collect();
+        let recordings = rest.fit.slopes(&rest.weak, &all).into_iter().zip(&rest.left).zip(&rest.seen);
+        let beyond = |((slopes, left), seen): ((DMatrix<f64>, &Vec<f64>), &'r Seen)| {
+            let moving: Vec<_> =
+                slopes.column_iter().filter(|column| column.norm() > 0.0).map(|column| column.normalize()).collect();
+            let basis = if moving.is_empty() {
+                DMatrix::zeros(slopes.nrows(), 0)
+            } else {
+                let svd = DMatrix::from_columns(&moving).svd(true, false);
+                let kept = svd.singular_values.iter().filter(|&&value| value > 1e-6).count();
+                svd.u.map_or_else(|| DMatrix::zeros(slopes.nrows(), 0), |u| u.columns(0, kept).into_owned())
+            };
+            let left = DVector::from_column_slice(left);
+            let left = &left - &basis * (basis.transpose() * &left);
+            Beyond { seen, basis, left }
+        };
+        Self { recordings: recordings.map(beyond).collect(), friction, apart: motion.of_speed }
+    }
+
+    fn told(&self, periods: f64, per_unit: f64) -> Told {
+        let size = if self.friction { 3 } else { 2 };
+        let mut all = Told { periods, explained: 0.0, amplitude: 0.0, phase: 0.0 };
+        let mut products = (DMatrix::zeros(size, size), DVector::zeros(size));
+        for recording in &self.recordings {
+            let mut series = vec![Vec::with_capacity(recording.seen.windows.moved.len()); size];
+            for moved in &recording.seen.windows.moved {
+                let (sin, cos) = (periods * per_unit * moved.position).sin_cos();
+                let along = match (self.friction, moved.rests) {
+                    (false, _) => 1.0,
+                    (true, true) => 0.0,
+                    (true, false) => -moved.speed.signum(),
+                };
+                for (series, value) in series.iter_mut().zip([sin, cos, 1.0]) {
+                    series.push(along * value);
+                }
+            }
+            let alone: Vec<DVector<f64>> = series.iter().map(|series| recording.alone(series)).collect();
+            for (row, one) in alone.iter().enumerate() {
+                products.1[row] += one.dot(&recording.left);
+                for (column, other) in alone.iter().enumerate() {
+                    products.0[(row, column)] += one.dot(other);
+                }
+            }
+            if self.apart {
+                self.add(
+                    &mut all,
+                    std::mem::replace(&mut products, (DMatrix::zeros(size, size), DVector::zeros(size))),
+                );
+            }
+        }
+        if !self.apart {
+            self.add(&mut all, products);
+        }
+        all
+    }
+
+    /// What least squares explain; size and phase are those of the first.
+    fn add(&self, all: &mut Told, (mut normal, right): (DMatrix<f64>, DVector<f64>)) {
+        let smallest = 1e-9 * normal.diagonal().max();
+        normal.set_diagonal(&normal.diagonal().add_scalar(smallest));
+        let Some(solution) = normal.cholesky().map(|cholesky| cholesky.solve(&right)) else { return };
+        let explained = solution.dot(&right);
+        if !explained.is_finite() {
+            return;
+        }
+        if all.explained == 0.0 {
+            let (sin, cos) = (solution[0], solution[1]);
+            all.amplitude = sin.hypot(cos) * if self.friction { 2.0 } else { 1.0 };
+            all.phase = cos.atan2(sin);
+        }
+        all.explained += explained;
+    }
+}
