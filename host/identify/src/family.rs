@@ -319,6 +319,11 @@ pub trait Family: Model {
         structure
     }
 
+    /// Whether a model needs the output earlier than any stamps explain: an output that moves before its input is not driven by it.
+    fn is_early(&self, _structure: &Structure) -> bool {
+        false
+    }
+
     /// Whether a model is as late as its base may be: an effect that delays is likely missing.
     fn is_late(&self, _structure: &Structure) -> bool {
         false

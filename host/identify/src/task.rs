@@ -374,7 +374,11 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
-    let explained = Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white);
+    let explained = if family.is_early(&found.last.structure) {
+        Explained::Not
+    } else {
+        Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white)
+    };
     let mut report = Report {
         model: task.model.clone(),
         explained,

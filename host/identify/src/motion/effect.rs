@@ -8,6 +8,9 @@ use super::Scales;
 
 /// Share of a motor's damping that is friction, not back-EMF.
 pub(super) const VISCOUS_SHARE: &str = "viscous_share_of_damping";
+/// Largest relative error of a clock: a crystal has up to 1e-4, a ceramic resonator 5e-3 (their manufacturers' usual tolerances). Our
+/// choice between them; other values have not been compared.
+const WORST_CLOCK: f64 = 2e-3;
 /// Of which fits begin.
 const LITTLE_VISCOUS: f64 = 0.1;
 
@@ -216,8 +219,8 @@ impl Effect {
         };
         let (parameters, starts): (Vec<Parameter>, Vec<Vec<f64>>) = match self {
             Self::ClockDrift => (
-                vec![sized("drift", "1", Range::Any { scale: s.period_s / s.duration_s })],
-                vec![vec![s.period_s / s.duration_s], vec![-s.period_s / s.duration_s]],
+                vec![sized("drift", "1", Range::Reflected(-WORST_CLOCK, WORST_CLOCK))],
+                vec![vec![0.2 * WORST_CLOCK], vec![-0.2 * WORST_CLOCK]],
             ),
             Self::InputSign => (vec![], vec![vec![]]),
             Self::InputDelay => (

@@ -243,6 +243,8 @@ const GRAVITY_M_S2: f64 = 9.806_65;
 /// stamps before or after it samples, and with the value of the period before. More than that late is an effect, a delay.
 const EARLY: f64 = 3.0;
 const LATE: f64 = 1.5;
+/// Share of the earliest stamps beyond which they are at the end of their range.
+const ACAUSAL: f64 = 0.98;
 /// Share of a range within which a fit begins; beyond it, it is at the end.
 const INSIDE: f64 = 0.8;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
@@ -397,6 +399,10 @@ impl Family for Motion {
 
     fn movable(&self, structure: Structure) -> Structure {
         self.movable(structure)
+    }
+
+    fn is_early(&self, structure: &Structure) -> bool {
+        self.stamps_late_s(&structure.base) < -ACAUSAL * EARLY * self.scales.period_s
     }
 
     fn is_late(&self, structure: &Structure) -> bool {

@@ -480,6 +480,7 @@ mod tests {
             last: scores,
             parameters: BTreeMap::new(),
             residual: ResidualReport { white: true, unexplained: Vec::new() },
+            timing: BTreeMap::new(),
             rejected: Vec::new(),
             notes: Vec::new(),
             verdict: String::new(),
