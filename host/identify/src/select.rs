@@ -46,11 +46,14 @@ const TOLD_APART: f64 = 10.0;
 const PROMISING: usize = 6;
 /// A guess that leaves so many times what the best one leaves is not followed.
 const HOPELESS: f64 = 5.0;
-/// So many of the best guesses are followed, and those that leave so many times what the best one leaves are looked at closer.
+/// Number of the best guesses that are fitted by free runs. This and the next five are our choices, made for speed; other values have not
+/// been compared.
 const FOLLOWED: usize = 8;
+/// Guesses that leave at most this multiple of what the best one leaves are fitted more closely first.
 const CLOSE: f64 = 2.5;
-/// Of pairs of effects, those are looked for that begin with so many of the best guesses, and so many are fitted.
+/// Number of guesses to which a second effect is added when pairs are sought.
 const FIRSTS: usize = 3;
+/// Number of pairs that are fitted by free runs.
 const PAIRS: usize = 4;
 /// An effect leads to another if it leaves at most this share of what is left without it.
 const LEADING: f64 = 0.97;
@@ -324,15 +327,12 @@ impl<F: Family> Search<'_, F> {
             begun
         };
         let tried = begun.len();
-        let mut firsts: Vec<(f64, Structure)> =
-            begun.iter().filter(|one| one.guess.is_finite()).map(|one| (one.guess, one.starts[0].0.clone())).collect();
+        let firsts = best_guesses(&begun);
         let judged = self.judge(self.tried(begun));
         let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
         let is_explained = taken.as_ref().is_some_and(|(_, fit)| self.is_noise(fit));
         if !with_curves && !is_explained && path.steps.len() + 1 < MOST_TERMS {
             let alone = taken.as_ref().map_or(&path.current, |(_, fit)| fit);
-            firsts.sort_by(|a, b| a.0.total_cmp(&b.0));
-            firsts.truncate(FIRSTS);
             let pair = self.pair(&path.current, alone, &blocked, firsts);
             if let Some((steps, fit)) = pair {
                 path.steps.extend(steps);
@@ -360,16 +360,10 @@ impl<F: Family> Search<'_, F> {
 
     /// Two effects at once that explain clearly more than the best one alone: what two effects do together can look like
     /// neither of them. They are sought without free runs, where what is missing does not add up.
-    fn pair(
-        &self,
-        current: &Fit,
-        alone: &Fit,
-        before: &Blocked,
-        firsts: Vec<(f64, Structure)>,
-    ) -> Option<([Step; 2], Fit)> {
+    fn pair(&self, current: &Fit, alone: &Fit, before: &Blocked, firsts: Vec<Structure>) -> Option<([Step; 2], Fit)> {
         let mut pairs: Vec<(f64, Structure)> = firsts
             .into_iter()
-            .flat_map(|(_, first)| {
+            .flat_map(|first| {
                 let with_first = Fit::at(self.family, &self.runs, first, current.initial.clone());
                 let seconds = self.effects(&with_first);
                 let guessed = seconds.into_iter().filter(|one| one.guess.is_finite());
@@ -398,8 +392,7 @@ impl<F: Family> Search<'_, F> {
         let best = fitted.into_iter().filter(|fit| fit.cost.is_finite()).min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let best = fit(self.family, &self.runs, best.structure, best.initial, Effort::COMPARE);
         let samples = independent(self.family, &self.runs, &best);
-        let [places, others] = [best.structure.terms.len() - 2, best.structure.terms.len() - 1];
-        let numbers = |fit: &Fit| fit.structure.added.iter().map(Vec::len).sum::<usize>();
+        let [first, second] = [best.structure.terms.len() - 2, best.structure.terms.len() - 1];
         if price(samples, best.cost, numbers(&best)) + TOLD_APART >= price(samples, alone.cost, numbers(alone)) {
             return None;
         }
@@ -435,7 +428,7 @@ impl<F: Family> Search<'_, F> {
             };
             (worth && z >= LEAST_Z).then_some(step)
         };
-        Some(([step(places)?, step(others)?], best))
+        Some(([step(first)?, step(second)?], best))
     }
 
     /// Exchanges terms for simpler ones that explain as much.
@@ -445,7 +438,6 @@ impl<F: Family> Search<'_, F> {
                 let mut structure = path.current.structure.clone();
                 (structure.terms[place], structure.added[place]) = (term.clone(), values);
                 let other = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::COMPARE);
-                let numbers = |fit: &Fit| fit.structure.added.iter().map(Vec::len).sum::<usize>();
                 let samples = independent(self.family, &self.runs, &path.current);
                 let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
                 if price_of(&other) < price_of(&path.current) {
@@ -465,8 +457,7 @@ impl<F: Family> Search<'_, F> {
         if !(better || simpler) || second.whole > first.whole * (1.0 + WORTH) {
             return false;
         }
-        let numbers = |path: &Path| path.current.structure.added.iter().map(Vec::len).sum::<usize>();
-        let more = numbers(other).saturating_sub(numbers(named));
+        let more = numbers(&other.current).saturating_sub(numbers(&named.current));
         let whole = self.on(&self.whole, &other.current, Effort::FULL);
         let independent = independent(self.family, &self.whole, &whole);
         more == 0 || price(independent, whole.cost, more) < price(independent, named.current.cost, 0)
@@ -532,7 +523,6 @@ impl<F: Family> Search<'_, F> {
             all.into_par_iter().map(|(index, candidate)| self.begin(current, index, candidate)).collect()
         };
         let mut all = begun(others);
-
         let leads = |led: &Candidate| {
             let leader = all.iter().find(|one| led.led_by.is_some_and(|name| self.term_name(&one.term) == name));
             // Where nothing guesses, nothing is ruled out.
@@ -768,9 +758,9 @@ impl<F: Family> Search<'_, F> {
         // explains more of what it was fitted to, and left-out blocks do not tell from the best: one block on which a model
         // sticks where the axis did not outweighs all others.
         let (best, its) = &passed[0];
-        let numbers = |judged: &Judged| corners(&judged.trial.fit);
+        let corners = |judged: &Judged| corners(&judged.trial.fit);
         let is_alike = |(judged, step): &(Judged, Step)| {
-            let explains_more = judged.trial.fit.cost < best.trial.fit.cost && numbers(judged) < numbers(best);
+            let explains_more = judged.trial.fit.cost < best.trial.fit.cost && corners(judged) < corners(best);
             step.blocked_rmse[1] <= its.blocked_rmse[1] * (1.0 + ALIKE)
                 || (explains_more && paired(&judged.blocked, &best.blocked) >= CHANCE)
         };
@@ -779,7 +769,7 @@ impl<F: Family> Search<'_, F> {
             .iter()
             .map(|(one, _)| self::independent(self.family, &self.runs, &one.trial.fit))
             .fold(0.0, f64::max);
-        let price_of = |one: &Judged| price(samples, one.trial.fit.cost, numbers(one));
+        let price_of = |one: &Judged| price(samples, one.trial.fit.cost, corners(one));
         let place = alike.min_by(|&a, &b| price_of(&passed[a].0).total_cmp(&price_of(&passed[b].0))).unwrap_or(0);
         let (winner, mut step) = passed.remove(place);
         let gain = rmse_before - step.blocked_rmse[1];
@@ -878,9 +868,21 @@ fn promising(trials: &mut Vec<Trial>, count: usize) {
     trials.append(&mut rest);
 }
 
+/// Numbers of all that was added to the base model.
+fn numbers(fit: &Fit) -> usize {
+    fit.structure.added.iter().map(Vec::len).sum()
+}
+
 /// Numbers of the term that was added last.
 fn corners(fit: &Fit) -> usize {
     fit.structure.added.last().map_or(0, Vec::len)
+}
+
+/// The structures of the best guesses, best first.
+fn best_guesses(begun: &[Begun]) -> Vec<Structure> {
+    let mut guessed: Vec<&Begun> = begun.iter().filter(|one| one.guess.is_finite()).collect();
+    guessed.sort_by(|a, b| a.guess.total_cmp(&b.guess));
+    guessed.into_iter().take(FIRSTS).map(|one| one.starts[0].0.clone()).collect()
 }
 
 /// Whether free runs of a model begin with a state.

@@ -245,7 +245,7 @@ const EARLY: f64 = 3.0;
 const LATE: f64 = 1.5;
 /// Share of the earliest stamps beyond which they are at the end of their range.
 const ACAUSAL: f64 = 0.98;
-/// Share of a range within which a fit begins; beyond it, it is at the end.
+/// Share of the latest stamps beyond which an effect that delays is looked for.
 const INSIDE: f64 = 0.8;
 /// A pendulum with its mass at the end cannot fall faster than that mass.
 const NO_ARMATURE: f64 = 1.0;
@@ -294,6 +294,14 @@ impl Motion {
                 (inertia, b * inertia)
             }
         };
+        structure
+    }
+
+    /// The same model of an output whose stamps are right.
+    fn with_true_stamps(&self, mut structure: Structure) -> Structure {
+        if let Some(late_s) = self.places.stamps.and_then(|place| structure.base.get_mut(place)) {
+            *late_s = 0.0;
+        }
         structure
     }
 

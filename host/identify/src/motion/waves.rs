@@ -12,11 +12,11 @@ use super::{
     weak::{Rest, Seen},
 };
 
-/// So many numbers of periods are fitted, no two nearer than the motion can tell apart.
+/// Number of waves from which a fit begins, no two nearer than the motion can tell apart.
 const OFFERED: usize = 2;
-/// At most so many are tried, evenly.
+/// Largest number of waves that are tried, evenly spaced.
 const MOST: f64 = 256.0;
-/// Steps from one to the next within what the motion can tell apart: one period more over all of the way.
+/// Waves tried within what the motion can tell apart, which is one period more over all of the way.
 const STEPS: f64 = 4.0;
 /// Most periods of a turn, and of the way of a linear axis, that are looked for.
 const MOST_PER_TURN: f64 = 16.0;
@@ -51,7 +51,7 @@ impl Motion {
         matches!(effect, Effect::Cogging | Effect::PositionFriction).then_some(effect)
     }
 
-    /// The structures of a model with a wave more that explain most of what is left without it.
+    /// The model with one wave added: those waves that explain most of its residual.
     pub(super) fn by_waves(&self, term: &Term, effect: Effect, rest: &Rest<'_>) -> Vec<Structure> {
         let [fewest, most] = self.scales.periods_within;
         let per_unit = self.radians_per_period();

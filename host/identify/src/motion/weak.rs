@@ -25,7 +25,7 @@ use crate::{
 };
 
 use super::{
-    Dynamics, EARLY, INSIDE, Kind, LATE, Motion, MotionRun,
+    Dynamics, Kind, Motion, MotionRun,
     effect::Effect,
     simulate::{Moved, accelerations, is_placed},
     smooth::Smooth,
@@ -349,14 +349,11 @@ impl Motion {
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
-    /// What a fit drove to where nothing slopes back is a little nearer again: a damping of next to nothing, stamps that are as
-    /// early or late as they may be.
-    pub(super) fn movable(&self, mut structure: Structure) -> Structure {
+    /// Where a fit with one more term can begin. A damping that a fit ran away from is one again that shows: from next to nothing, no
+    /// slope leads back. Stamps that stood in for what was missing are right again.
+    pub(super) fn movable(&self, structure: Structure) -> Structure {
+        let mut structure = self.with_true_stamps(structure);
         let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
-        if let Some(late_s) = self.places.stamps.and_then(|place| base.get_mut(place)) {
-            let [early_s, latest_s] = [-EARLY, LATE].map(|periods| INSIDE * periods * self.scales.period_s);
-            *late_s = late_s.clamp(early_s, latest_s);
-        }
         if self.kind == Kind::Axis {
             base[1] = base[1].max(base[0] / longest_s);
         } else if base[1] > longest_s {
@@ -408,11 +405,13 @@ impl Motion {
             let last = parameters(&weak, &start.terms).pop();
             last.is_some_and(|parameter| matches!(parameter.range, family::Range::Coarse { .. }))
         };
-        if starts.first().is_some_and(is_coarse) {
+        // Few starts are guesses already, to which terms may have been added that `current` lacks.
+        let is_new = starts.len() > FURTHER;
+        if is_new && starts.first().is_some_and(is_coarse) {
             return self.by_periods(&starts, &self.left_in_windows(current, runs)?);
         }
         let last = starts.first().and_then(|start| start.terms.last()).cloned();
-        let waving = last.and_then(|term| Some((self.waving(&term)?, term))).filter(|_| starts.len() > FURTHER);
+        let waving = last.and_then(|term| Some((self.waving(&term)?, term))).filter(|_| is_new);
         let waves = match waving {
             Some((effect, term)) => self.by_waves(&term, effect, &self.left_in_windows(current, runs)?),
             None => vec![],
@@ -512,6 +511,8 @@ impl Seen {
         structure: &Structure,
         initial: &[f64],
     ) -> Vec<f64> {
+        // Of the stamps, windows say next to nothing: noise on the motion would drive them to the end of their range.
+        let structure = &motion.with_true_stamps(structure.clone());
         let offset = initial.first().copied().unwrap_or(0.0);
         let steps = self.run.all.time_s.partition_point(|&time_s| time_s <= until_s).min(self.windows.moved.len());
         accelerations(motion, structure, &self.run, (&self.windows.moved[..steps], offset))
