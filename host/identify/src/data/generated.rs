@@ -22,7 +22,7 @@ pub(super) fn dice(seed: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed)
 }
 
-/// 0..1.
+/// A number from 0 (included) to 1 (excluded).
 pub(super) fn uniform(dice: &mut Pcg64Mcg) -> f64 {
     (dice.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }

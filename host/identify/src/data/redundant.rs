@@ -76,7 +76,7 @@ pub struct Comparison {
 
 /// Largest lag that is looked for, s.
 const LONGEST_LAG_S: f64 = 0.5;
-/// Shortest window: so many samples, and s. Six samples resolve a window's shape; 50 ms keep what moves at up to 20 Hz.
+/// Length of the shortest window, in samples and in s, whichever is longer. Six samples resolve a window's shape; 50 ms keep what moves at up to 20 Hz.
 const SHORTEST_SAMPLES: f64 = 6.0;
 const SHORTEST_S: f64 = 0.05;
 /// Windows are doubled so often; the length with the smallest standard error of the scale is used.

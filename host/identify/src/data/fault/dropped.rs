@@ -8,9 +8,9 @@ const AROUND: usize = 3;
 const ALIKE: f64 = 0.2;
 /// Of an input, each is this close to a straight line through them. With 0.2, the noisy voltage of a position loop (EMPS) has jumps by chance.
 const ALIKE_INPUT: f64 = 0.03;
-/// A step so many times the others' median is a jump: one missing row makes it 2.
+/// Smallest jump, as a multiple of the median step: one missing row makes it 2.
 const JUMP: f64 = 1.7;
-/// A step so many times the largest of those around it, all in one direction, is a jump even where these differ by noise or rounding. A speed
+/// Smallest jump, as a multiple of the largest step around it, where all go in one direction but differ by noise or rounding. A speed
 /// that follows a step of the input within two thirds of a sample has such steps, too: not counted where the input changes.
 const BLOCK: f64 = 4.0;
 /// Of an input's range, a change.

@@ -25,7 +25,7 @@ pub enum Fault {
          with a wider range or less motion, or leave these samples empty"
     )]
     Saturated {
-        /// Of the sensor.
+        /// Name of the sensor's column.
         column: String,
         /// Its largest or smallest value.
         limit: f64,
@@ -44,9 +44,9 @@ pub enum Fault {
          stamps go on evenly; record the time of each row, or record again"
     )]
     Dropped {
-        /// In which it shows.
+        /// Name of the column that jumps.
         column: String,
-        /// How many.
+        /// Number of jumps in all recordings.
         jumps: usize,
         /// Time of the first in its run.
         first_s: f64,
@@ -57,13 +57,13 @@ pub enum Fault {
          loses rows between sensor and file"
     )]
     Gaps {
-        /// That would fill the gaps.
+        /// Samples that would fill the gaps.
         missing: usize,
-        /// With those that are there.
+        /// Samples that there are, and those that are missing.
         samples: usize,
-        /// How many.
+        /// Number of gaps.
         gaps: usize,
-        /// Longest step.
+        /// Longest time between two samples, s.
         longest_s: f64,
     },
     /// Successive samples have nothing in common.
@@ -72,9 +72,9 @@ pub enum Fault {
          the rows by time, or map another column"
     )]
     Shuffled {
-        /// Which.
+        /// Name of the column that is out of order.
         column: String,
-        /// Of each sample with the next.
+        /// Correlation of each sample with the next, -1..=1.
         correlation: f64,
     },
     /// The output does not react.
@@ -87,7 +87,7 @@ pub enum Fault {
         output: String,
         /// Column of the input.
         input: String,
-        /// Of the variance that a regression on the input's history explains.
+        /// Share of the variance that a regression on the input's history explains.
         share: f64,
         /// The same with the input shifted in time.
         chance: f64,
@@ -185,7 +185,9 @@ pub fn faults(runs: &[&Run], inputs: &[&str], outputs: &[&str]) -> Vec<Fault> {
     let mut found: Vec<Fault> =
         outputs.iter().flat_map(|output| saturated::saturated(output, inputs.first())).collect();
     found.extend(dropped::gaps(runs));
-    let of_outputs = outputs.iter().filter_map(|output| dropped::dropped(output, inputs.first()));
+    // The rate of a body on several wheels steps where their friction does, which no input shows.
+    let judged = outputs.iter().filter(|output| !output.is_speed || inputs.len() == 1);
+    let of_outputs = judged.filter_map(|output| dropped::dropped(output, inputs.first()));
     found.extend(of_outputs.chain(inputs.iter().filter_map(|input| dropped::dropped(input, None))).next());
     // Two inputs held constant through most of a run, such as a robot's sides, make a regression that says nothing.
     if inputs.len() == 1 {

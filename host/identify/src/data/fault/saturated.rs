@@ -21,11 +21,11 @@ const SPANS: [usize; 2] = [2, 4];
 const MARGIN: f64 = 1.1;
 /// Of the largest steps, a displacement must have at least this share to be motion at speed.
 const AT_SPEED: f64 = 0.1;
-/// And so many counts: fewer leave the ratio above to rounding.
+/// Counts of a displacement at speed, at least: with fewer, rounding decides the ratio above.
 const COUNTS: f64 = 6.0;
 /// A step of the input by this share of its range is a change that the output may follow at once.
 const CHANGE: f64 = 0.1;
-/// So many samples before the output leaves. Static friction holds an actuator at its stop for some of them after a sine reverses.
+/// Samples before the output leaves in which the input may have changed. Static friction holds an actuator at its stop for some of them after a sine reverses.
 const JUST_BEFORE: usize = 8;
 
 /// Samples `from..to` at the limit.

@@ -9,7 +9,7 @@ use r4_blind::{
 use super::*;
 use crate::data::{
     Mapping, Options, Quantity,
-    generated::{PERIOD_S, counted, dice, motor, noisy, run, uniform},
+    generated::{PERIOD_S, SAMPLES, counted, dice, motor, noisy, run, uniform},
     read,
 };
 
@@ -126,6 +126,21 @@ fn drop_rows(run: &mut Run, seed: u64, blocks: [f64; 2], share: f64, restamp: bo
     if restamp {
         run.time_s.iter_mut().enumerate().for_each(|(at, time_s)| *time_s = PERIOD_S * at as f64);
     }
+}
+
+/// A body on two wheels: its rate steps where the friction of tyres lets go, while the speeds of the wheels ramp.
+#[test]
+fn a_rate_may_step_where_no_input_does() {
+    let ramp = |at: usize| (at % 200) as f64 / 200.0;
+    let wheel = |sign: f64| (0..SAMPLES).map(|at| sign * ramp(at)).collect::<Vec<f64>>();
+    let rate = |at: usize| ramp(at) + if at % 200 > 100 { 0.2 } else { 0.0 };
+    let rates: Vec<f64> = (0..SAMPLES).map(rate).collect();
+    let columns = |names: &[&str]| {
+        let wheels = names.iter().zip([1.0, -1.0]).map(|(name, sign)| (*name, Quantity::AngularSpeed, wheel(sign)));
+        run(wheels.chain([("gyro", Quantity::AngularSpeed, rates.clone())]).collect())
+    };
+    assert!(matches!(&faults(&[&columns(&["left"])], &["left"], &["gyro"])[..], [Fault::Dropped { .. }]));
+    assert_eq!(faults(&[&columns(&["left", "right"])], &["left", "right"], &["gyro"]), []);
 }
 
 #[test]
