@@ -28,7 +28,7 @@ pub enum Timing {
     True,
     /// `periods` sample periods after the stamps; before them if negative.
     Shift {
-        /// Of 5 ms.
+        /// Shift in periods of 5 ms; positive if a sample was taken after its stamp.
         periods: f64,
     },
     /// At a random time about each stamp; the input changes at its stamps.
@@ -43,7 +43,7 @@ pub enum Timing {
     },
     /// At `1 + drift` times the stamp: the output's clock is slow if this is positive.
     SlowClock {
-        /// Of 1.
+        /// Relative error of the clock, as a plain number.
         drift: f64,
     },
 }
@@ -64,7 +64,7 @@ pub enum TimingKind {
 }
 
 impl TimingKind {
-    /// All of them.
+    /// Every kind of timing fault, one size of each to be drawn.
     pub const ALL: [Self; 5] = [Self::WholeShift, Self::Shift, Self::SampleJitter, Self::StampJitter, Self::SlowClock];
 
     /// A fault of this kind; its size follows from the seed.
@@ -166,7 +166,7 @@ impl fmt::Display for Broken {
 }
 
 impl Broken {
-    /// All of them.
+    /// Every way in which a recording can be broken.
     pub const ALL: [Self; 7] = [
         Self::Reversed,
         Self::Swapped,

@@ -142,7 +142,8 @@ pub fn identify(
     let notes = notes.into_iter().chain(compared).collect();
     let mut found = with_family(task, train, holdout, Assemble { task, notes, progress })??;
     if found.report.explained == Explained::Not {
-        found.report.suspicions = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
+        let likely = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
+        found.report.suspicions.splice(0..0, likely);
         found.report.verdict = not_explained(&found.report);
     }
     if let Some(first) = faults.first() {
@@ -374,7 +375,8 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
-    let explained = if family.is_early(&found.last.structure) {
+    let is_early = family.is_early(&found.last.structure) && !residual.white;
+    let explained = if is_early {
         Explained::Not
     } else {
         Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white)
@@ -382,7 +384,7 @@ fn assemble<F: Family>(
     let mut report = Report {
         model: task.model.clone(),
         explained,
-        suspicions: Vec::new(),
+        suspicions: is_early.then(|| MOVES_FIRST.to_owned()).into_iter().collect(),
         unit,
         baseline,
         effects,
@@ -424,6 +426,10 @@ fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<T
         std,
     })
 }
+
+/// Of stamps at the early end of their range.
+const MOVES_FIRST: &str =
+    "the output moves before its input: look whether both are of one recording and stamped by one clock";
 
 /// Runs that are drawn, at most.
 const DRAWN: usize = 6;

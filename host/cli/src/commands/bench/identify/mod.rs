@@ -191,7 +191,7 @@ impl IdentifyRows {
         }
     }
 
-    /// Simulated plants, for one of its own for each of so many with one effect.
+    /// Number of simulated plants of this kind where `seeds` have one effect.
     const fn plants(self, seeds: u32) -> u32 {
         match self {
             Self::Blind => seeds,
