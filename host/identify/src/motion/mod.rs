@@ -216,6 +216,7 @@ pub struct Motion {
     rotary: bool,
     of_speed: bool,
     duty_limit: f64,
+    is_duty: bool,
     stops: Option<(f64, f64)>,
     /// Nothing tells the voltage behind the duty.
     supply_assumed: bool,
@@ -312,6 +313,11 @@ impl Motion {
 
     fn pendulum_offset(&self, base: &[f64]) -> f64 {
         self.places.offset.map_or(0.0, |place| base[place])
+    }
+
+    /// Largest duty that a bridge makes of its input; infinite where the input is no duty, or counts otherwise than up to 1.
+    fn full_duty(&self) -> f64 {
+        if self.is_duty && self.scales.input <= 1.0 { self.duty_limit } else { f64::INFINITY }
     }
 
     fn is_servo(&self) -> bool {

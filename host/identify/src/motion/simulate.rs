@@ -290,6 +290,8 @@ struct Mechanics<'s> {
     cogging: Option<Wave>,
     curves: Vec<(&'s Curve, Spline)>,
     stops: Option<(f64, f64)>,
+    /// Beyond which no gain amplifies a duty; infinite where the input is none.
+    full_duty: f64,
     position: f64,
     speed: f64,
     before: Before,
@@ -436,6 +438,7 @@ impl Mechanics<'_> {
         let mut push = driving - self.load;
         let mut level = 0.0;
         if !PLAIN {
+            let mut gain = 1.0;
             // Half a step on, by the speed so far: what depends on position is taken there.
             let ahead = body.position + 0.5 * step_s * body.speed;
             if self.pendulum != 0.0 {
@@ -463,10 +466,15 @@ impl Mechanics<'_> {
                 match curve.acts {
                     Acts::Push => push += value,
                     Acts::Friction | Acts::Settling => level += value,
-                    Acts::Gain => push += driving * value,
+                    Acts::Gain => gain += value,
                     // All of them together, below.
                     Acts::Hysteresis => {}
                 }
+            }
+            if gain != 1.0 {
+                // A bridge gives no more than its supply.
+                let most = (self.full_duty * supply_v).abs().max(driven.volts.abs());
+                push += self.k * driven.colder * (gain * driven.volts).clamp(-most, most) - driving;
             }
             push -= self.hysteresis(body, body.position);
             if self.drag > 0.0 {
@@ -832,6 +840,7 @@ impl<'s> Plan<'s> {
             cogging: wave(Effect::Cogging),
             curves: structure.curves().map(|(curve, values)| (curve, curve.spline(values))).collect(),
             stops: motion.stops,
+            full_duty: motion.full_duty(),
             position,
             speed,
             before: Before { direction: 0.0, way: 0.0, turned_s: f64::NEG_INFINITY, wound: 0.0 },

@@ -69,6 +69,7 @@ impl Motion {
             rotary,
             of_speed,
             duty_limit: known.duty_limit.unwrap_or(1.0),
+            is_duty,
             stops: known.stroke_m.map(|stroke_m| (0.0, stroke_m)),
             supply_assumed: is_duty && !recorded && known.supply_v.is_none(),
             scales,
