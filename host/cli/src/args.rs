@@ -239,7 +239,7 @@ pub(crate) struct BenchIdentify {
     #[arg(long, default_value = "data", value_name = "DIR")]
     pub(crate) data: PathBuf,
     /// Simulated plants with one effect of the catalogue; a third as many with two, two thirds with nothing hidden, half with what is in
-    /// no catalogue, a third with broken recordings
+    /// no catalogue, a third with broken recordings, a sixth as many boards
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) seeds: u32,
     /// The first simulated plant's number: a seed of 1 and `--from 7 --seeds 1` is one plant alone. Without --seed the plants are the
@@ -281,6 +281,8 @@ pub(crate) enum IdentifyRows {
     Unlisted,
     /// Simulated plants whose recordings are broken
     Broken,
+    /// `identify close` on simulated boards that hide something
+    Close,
 }
 
 #[derive(Clone, Copy, Debug, clap::Args)]

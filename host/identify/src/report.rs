@@ -113,6 +113,8 @@ pub struct Score {
     pub rmse: f64,
     /// Over the standard deviation of what was measured.
     pub nrmse: f64,
+    /// Mean of the magnitudes, in the unit of the output.
+    pub mae: f64,
 }
 
 /// A number and how well it is known.

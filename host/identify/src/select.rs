@@ -4,6 +4,8 @@
 //! blocks to predict the other, and the other way round. An effect is taken if it makes the blocks' error smaller by more
 //! than a trifle and by more than chance. Effects with names come first; what these leave is offered to curves.
 
+use std::time::Instant;
+
 use r4_maths::statistics;
 use r4_plants::Dependence;
 use rayon::prelude::*;
@@ -85,6 +87,8 @@ pub struct Found<R> {
     pub deviations: Vec<Option<f64>>,
     /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
     pub rejected: Vec<(String, f64, String)>,
+    /// The time was over before every effect had been looked for.
+    pub is_cut_short: bool,
 }
 
 /// A term that was taken.
@@ -154,6 +158,8 @@ struct Search<'s, F: Family> {
     runs: Vec<&'s F::Run>,
     halves: &'s [Vec<F::Run>; 2],
     progress: &'s (dyn Fn(&str) + Sync),
+    /// When to stop looking for effects.
+    until: Option<Instant>,
 }
 
 /// Searches for what the base model lacks.
@@ -163,9 +169,19 @@ struct Search<'s, F: Family> {
 /// and curves, on blocks with a curve first: an effect that has no name makes named ones look good that it has nothing to do
 /// with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
+    search_until(family, train, progress, None)
+}
+
+/// The same, but no further effect is looked for after a moment. What is found then depends on how fast the machine is.
+pub(crate) fn search_until<F: Family>(
+    family: &F,
+    train: &[F::Run],
+    progress: &(dyn Fn(&str) + Sync),
+    until: Option<Instant>,
+) -> Found<F::Run> {
     let halves = halves(family, train);
     let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
-    let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress };
+    let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress, until };
     let on_blocks = Search { runs: blocks.clone(), whole: search.whole.clone(), ..search };
     progress("base model");
     let base = search.base();
@@ -178,7 +194,7 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
     for order in [&[false, true][..], &[true, false, true]] {
         // A name beside a curve may only mend what was learned after it.
         let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
-        if (is_explained(&path) || order[0] && search.is_enough(&path)) && !(order[0] && is_mixed) {
+        if search.is_over() || (is_explained(&path) || order[0] && search.is_enough(&path)) && !(order[0] && is_mixed) {
             continue;
         }
         let other = on_blocks.path(base_on_blocks.clone(), order);
@@ -201,13 +217,14 @@ pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) 
         });
         path = Path { rejected: rejected.chain(named.rejected).collect(), ..*named };
     }
-    search.told(path, &base, train, &blocks)
+    Found { is_cut_short: search.is_over(), ..search.told(path, &base, train, &blocks) }
 }
 
 /// The base model alone, fitted to whole recordings.
 pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
     let whole: Vec<&F::Run> = train.iter().collect();
-    Search { family, whole: whole.clone(), runs: whole, halves: &[Vec::new(), Vec::new()], progress: &|_| () }.base()
+    let halves = &[Vec::new(), Vec::new()];
+    Search { family, whole: whole.clone(), runs: whole, halves, progress: &|_| (), until: None }.base()
 }
 
 impl<F: Family> Search<'_, F> {
@@ -245,7 +262,7 @@ impl<R> Found<R> {
             None => (base.clone(), (base.clone(), train.to_vec())),
         };
         let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
-        Self { base, steps, last, fitted, deviations, rejected }
+        Self { base, steps, last, fitted, deviations, rejected, is_cut_short: false }
     }
 }
 
@@ -302,6 +319,10 @@ impl<F: Family> Search<'_, F> {
         path
     }
 
+    fn is_over(&self) -> bool {
+        self.until.is_some_and(|until| Instant::now() >= until)
+    }
+
     /// Whether a model leaves nothing to explain: its residual is white, and depends on nothing that the family can name.
     fn is_noise(&self, current: &Fit) -> bool {
         // Only of what goes on from sample to sample does a white residual say anything.
@@ -310,10 +331,10 @@ impl<F: Family> Search<'_, F> {
             && left(self.family, current, &self.runs).report(0).unexplained.is_empty()
     }
 
-    /// Takes the best of all named effects, or of all curves, if one passes.
+    /// Takes the best of all named effects, or of all curves, if one passes and there is time.
     fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
         let curves = path.current.structure.curves().count();
-        if path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
+        if self.is_over() || path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
             return false;
         }
         let round = path.steps.len() + 1;
@@ -329,6 +350,10 @@ impl<F: Family> Search<'_, F> {
         let tried = begun.len();
         let firsts = best_guesses(&begun);
         let judged = self.judge(self.tried(begun));
+        if self.is_over() {
+            // Not every effect was tried: the best of those that were is not the best.
+            return false;
+        }
         let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
         let is_explained = taken.as_ref().is_some_and(|(_, fit)| self.is_noise(fit));
         if !with_curves && !is_explained && path.steps.len() + 1 < MOST_TERMS {
@@ -621,6 +646,9 @@ impl<F: Family> Search<'_, F> {
             one.guess.is_infinite() || guessed <= FOLLOWED
         });
         let fitted = |Begun { term, starts, guess }: Begun| {
+            if self.is_over() {
+                return None;
+            }
             let fits = starts
                 .into_par_iter()
                 .map(|(structure, initial)| fit(self.family, &self.runs, structure, initial, Effort::GLANCE));

@@ -1,6 +1,9 @@
 //! A task from recordings to a report.
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 
 use r4_maths::statistics::RootMeanSquare;
 use r4_plants::PlantSpec;
@@ -16,7 +19,7 @@ use crate::{
         EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
     },
     residual::{Left, left},
-    select::{Found, base, depends_on, search},
+    select::{Found, base, depends_on, search_until},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
     suspect::{Checked, check_recordings, suspicions},
@@ -35,6 +38,31 @@ pub struct Task {
     pub body: Option<Wheeled>,
     /// Where random numbers begin.
     pub seed: u64,
+    /// What of a held-out run its initial state is fitted to.
+    pub protocol: Protocol,
+    /// Time after which no further effect is looked for; unlimited if `None`.
+    pub budget: Option<Duration>,
+}
+
+/// What of a held-out run its initial state is fitted to. Errors are those of the whole run, this part included.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Protocol {
+    /// Its first tenth.
+    #[default]
+    FirstTenth,
+    /// Its first 20 samples, as A. Janot, M. Gautier and M. Brunot, *Data Set and Reference Models of EMPS* (2019) have it.
+    First20,
+}
+
+impl Protocol {
+    /// Samples of a run of so many that its initial state is fitted to.
+    fn window(self, samples: usize) -> usize {
+        let wished = match self {
+            Self::FirstTenth => (samples / SETTLE_SHARE).max(SETTLE_SAMPLES),
+            Self::First20 => SETTLE_SAMPLES,
+        };
+        wished.min(samples)
+    }
 }
 
 /// How far it is.
@@ -222,14 +250,15 @@ pub fn models() -> Vec<ModelInfo> {
 /// Share of a held-out run that its initial state is fitted to, and samples at least.
 const SETTLE_SHARE: usize = 10;
 const SETTLE_SAMPLES: usize = 20;
+/// Share of the time allowed after which no further effect is looked for; the rest is for intervals. Our choice, not compared.
+const SEARCHING: f64 = 0.6;
 
 /// The free runs of a structure over held-out runs.
-fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> Vec<Vec<f64>> {
+fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run], protocol: Protocol) -> Vec<Vec<f64>> {
     runs.iter()
         .map(|run| {
             let samples = family.measured(run).len();
-            let window = (samples / SETTLE_SHARE).max(SETTLE_SAMPLES).min(samples);
-            let initial = fit::settle(family, structure, run, window);
+            let initial = fit::settle(family, structure, run, protocol.window(samples));
             let mut predicted = vec![0.0; samples];
             family.predict(structure, &initial, run, &mut predicted);
             predicted
@@ -241,16 +270,17 @@ fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run]) -> V
 pub(crate) fn base_nrmse<F: Family>(family: &F, train: &[F::Run], holdout: &[F::Run]) -> f64 {
     let fit = base(family, train);
     let held_out: Vec<&F::Run> = holdout.iter().collect();
-    score(family, &held_out, &free_runs(family, &fit.structure, holdout)).nrmse
+    score(family, &held_out, &free_runs(family, &fit.structure, holdout, Protocol::default())).nrmse
 }
 
 fn score<F: Family>(family: &F, runs: &[&F::Run], predicted: &[Vec<f64>]) -> Score {
     let mut errors = RootMeanSquare::default();
-    let (mut sum, mut sum_square) = (0.0, 0.0);
+    let (mut sum, mut sum_square, mut magnitudes) = (0.0, 0.0, 0.0);
     for (run, predicted) in runs.iter().zip(predicted) {
         for (measured, predicted) in family.measured(run).iter().zip(predicted) {
             if measured.is_finite() {
                 errors.push(measured - predicted);
+                magnitudes += (measured - predicted).abs();
                 sum += measured;
                 sum_square += measured * measured;
             }
@@ -258,10 +288,11 @@ fn score<F: Family>(family: &F, runs: &[&F::Run], predicted: &[Vec<f64>]) -> Sco
     }
     let (rmse, count) = (errors.value().unwrap_or(0.0), errors.count().max(1) as f64);
     let deviation = (sum_square / count - (sum / count).powi(2)).max(0.0).sqrt();
-    Score { rmse, nrmse: if deviation > 0.0 { rmse / deviation } else { f64::NAN } }
+    let nrmse = if deviation > 0.0 { rmse / deviation } else { f64::NAN };
+    Score { rmse, nrmse, mae: magnitudes / count }
 }
 
-fn scores<F: Family>(family: &F, fit: &Fit, train: &[F::Run], holdout: &[F::Run]) -> Scores {
+fn scores<F: Family>(family: &F, fit: &Fit, (train, holdout): (&[F::Run], &[F::Run]), protocol: Protocol) -> Scores {
     let fitted: Vec<&F::Run> = train.iter().collect();
     let residuals = fit.residuals(family, &fitted);
     let predicted: Vec<Vec<f64>> = fitted
@@ -272,7 +303,7 @@ fn scores<F: Family>(family: &F, fit: &Fit, train: &[F::Run], holdout: &[F::Run]
     let held_out: Vec<&F::Run> = holdout.iter().collect();
     Scores {
         train: score(family, &fitted, &predicted),
-        holdout: score(family, &held_out, &free_runs(family, &fit.structure, holdout)),
+        holdout: score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)),
     }
 }
 
@@ -281,24 +312,33 @@ fn assemble<F: Family>(
     family: &F,
     train: &[F::Run],
     holdout: &[F::Run],
-    notes: Vec<String>,
+    mut notes: Vec<String>,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Identified, IdentifyError> {
+    let started = Instant::now();
     let rounds = std::sync::atomic::AtomicUsize::new(0);
     let tell = |step: &str| {
         let round = rounds.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         // The number of rounds is not known before: each takes a share of what is left.
         progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
     };
-    let found = search(family, train, &tell);
+    let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
+    let found = search_until(family, train, &tell, until);
+    if found.is_cut_short {
+        notes.push(
+            "the time that was allowed was over before every effect had been looked for: allow more with --budget"
+                .to_owned(),
+        );
+    }
     if !found.base.cost.is_finite() {
         return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });
     }
     let fitted: Vec<&F::Run> = train.iter().collect();
     let held_out: Vec<&F::Run> = holdout.iter().collect();
-    let held_out_rmse = |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout)).rmse;
-    let baseline = scores(family, &found.base, train, holdout);
-    let last = scores(family, &found.last, train, holdout);
+    let protocol = task.protocol;
+    let held_out_rmse =
+        |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)).rmse;
+    let [baseline, last] = [&found.base, &found.last].map(|fit| scores(family, fit, (train, holdout), protocol));
     tell("intervals");
     let intervals = found.fitted.0.intervals(family, &found.fitted.1.iter().collect::<Vec<_>>());
     let (mut parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
@@ -368,7 +408,7 @@ fn assemble<F: Family>(
         .collect();
     let figures = Figures {
         ladder,
-        runs: traces(family, &found, train, holdout),
+        runs: traces(family, &found, (train, holdout), protocol),
         causes: Left::causes(&left_before, &left_after),
     };
     let source = format!("r4 identify --model {}, fitted to {} runs", task.model, train.len());
@@ -434,12 +474,16 @@ const MOVES_FIRST: &str =
 /// Runs that are drawn, at most.
 const DRAWN: usize = 6;
 
-fn traces<F: Family>(family: &F, found: &Found<F::Run>, train: &[F::Run], holdout: &[F::Run]) -> Vec<Traces> {
+fn traces<F: Family>(
+    family: &F,
+    found: &Found<F::Run>,
+    (train, holdout): (&[F::Run], &[F::Run]),
+    protocol: Protocol,
+) -> Vec<Traces> {
     let some = |runs: &[F::Run]| runs.iter().take(DRAWN / 2).cloned().collect::<Vec<_>>();
     let mut all = Vec::new();
     for (runs, held_out) in [(some(holdout), true), (some(train), false)] {
-        let before = free_runs(family, &found.base.structure, &runs);
-        let after = free_runs(family, &found.last.structure, &runs);
+        let [before, after] = [&found.base, &found.last].map(|fit| free_runs(family, &fit.structure, &runs, protocol));
         for ((run, before), after) in runs.iter().zip(before).zip(after) {
             all.push(Traces {
                 name: family.name(run).to_owned(),

@@ -241,3 +241,24 @@ fn rows_out_of_order_are_told_first() {
     assert!(report.suspicions[0].contains("out of order"), "{:?}", report.suspicions);
     assert!(report.verdict.contains("; check the recordings: successive samples"), "{}", report.verdict);
 }
+
+#[test]
+fn no_effect_is_looked_for_without_time() {
+    let [train, holdout] = [1, 3].map(|seed| recorded("dc-motor", seed));
+    let within = |budget: Option<Duration>| {
+        let task = Task { model: "dc-motor".into(), budget, ..Task::default() };
+        let found = identify(&task, std::slice::from_ref(&train), std::slice::from_ref(&holdout), Vec::new(), &|_| ());
+        found.unwrap().report
+    };
+    let [none, plenty] = [Some(Duration::ZERO), Some(Duration::from_secs(1_000_000))].map(within);
+    assert!(none.notes.iter().any(|note| note.contains("--budget")), "{:?}", none.notes);
+    assert!(none.rejected.is_empty() && none.baseline == none.last, "{:?}", none.rejected);
+    assert_eq!(plenty, within(None));
+}
+
+#[test]
+fn initial_states_are_fitted_to_what_the_protocol_says() {
+    let windows = |protocol: Protocol| [1_000, 100, 10].map(|samples| protocol.window(samples));
+    assert_eq!(windows(Protocol::FirstTenth), [100, 20, 10]);
+    assert_eq!(windows(Protocol::First20), [20, 20, 10]);
+}

@@ -6,7 +6,6 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
-use indicatif::ProgressBar;
 use r4_identify::{
     Identified, Progress, Task,
     data::{self, Mapping, Options, Recorded},
@@ -26,9 +25,10 @@ use r4_sim::Pace;
 use serde::Serialize;
 
 use super::{
-    bar,
     check::{print_twins, twins},
-    print, show, write,
+    print,
+    shown::Shown,
+    write,
 };
 use crate::{
     args::{Args, seconds},
@@ -38,47 +38,69 @@ use crate::{
 
 /// The motor must be free to move. DIR gets train-1.mcap, train-2.mcap, fresh.mcap, report.json, report.html and plant.toml.
 #[derive(Clone, Debug, clap::Args)]
-pub(super) struct Close {
+pub(crate) struct Close {
     /// The motor, as in osmc0; it must be free to move both ways
     #[arg(long, value_name = "CHANNEL")]
-    channel: ChannelId,
+    pub(crate) channel: ChannelId,
     /// Folder for the recordings and results
     #[arg(long, default_value = "r4-identify", value_name = "DIR")]
-    out: PathBuf,
+    pub(crate) out: PathBuf,
     /// What is known of the motor [default: the plant file of the robot]
     #[arg(long, value_name = "FILE")]
-    plant_before: Option<PathBuf>,
+    pub(crate) plant_before: Option<PathBuf>,
     /// Robot whose simulated board is the twin: a name or a file [default: the board's own]
     #[arg(long, value_name = "ROBOT")]
-    twin: Option<String>,
+    pub(crate) twin: Option<String>,
     /// Largest duty [default: just below what the board allows]
     #[arg(long, value_name = "SHARE")]
-    duty: Option<f64>,
+    pub(crate) duty: Option<f64>,
     /// How long each of the three recordings is, s
     #[arg(long = "for", default_value = "12", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
-    seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 /// Shortest recording that shows what is slow, s.
 const SHORTEST_S: f64 = 4.0;
 
-/// What `--json` tells.
+/// What came of it, as `--json` tells it.
 #[derive(Serialize)]
-struct Closed<'r> {
+pub(crate) struct Closed {
     board: String,
     twin_board: String,
     channel: String,
     #[serde(flatten)]
-    report: &'r Report,
+    pub(crate) report: Report,
     /// Effects that the plant had before.
     declared: Vec<&'static str>,
     recordings: Vec<PathBuf>,
     files: [PathBuf; 3],
     /// The simulated board against the fresh recording.
-    twin: Twins,
+    pub(crate) twin: Twins,
 }
 
 pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
+    let progress = Shown::on_stderr();
+    let closed = closed(args, close, &progress);
+    progress.clear();
+    let closed = closed?;
+    let is_as_near = closed.twin.is_as_near();
+    if args.json {
+        output::json(&closed)?;
+    } else {
+        print::print(&closed.report, &closed.files)?;
+        if !closed.declared.is_empty() {
+            output::line(format_args!("the plant file had {} before", closed.declared.join(", ")))?;
+        }
+        print_twins(&closed.twin)?;
+    }
+    if !is_as_near {
+        eprintln!("r4: the simulated board is no nearer to the fresh recording: keep the plant file that you had");
+    }
+    Ok(is_as_near)
+}
+
+/// Records, identifies, and compares the simulated board with the recording that was not fitted to.
+pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Result<Closed> {
     let channel = close.channel;
     ensure!(
         close.seconds >= SHORTEST_S,
@@ -93,11 +115,10 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
     let (declared, supply_v) = declared(&twin_args, close)?;
     fs::create_dir_all(&close.out).with_context(|| format!("cannot make the folder {}", close.out.display()))?;
 
-    let progress = bar();
-    let recordings = record(args, close, &progress)?;
-    progress.set_message("reading the recordings");
+    let recordings = record(args, close, progress)?;
+    progress.step("reading the recordings");
     let (fitted, fresh) = recordings.split_at(TRAIN);
-    let found = found(args, close, (&declared, supply_v), (fitted, fresh), &progress)?;
+    let found = found(args, close, (&declared, supply_v), (fitted, fresh), progress)?;
     let learned = (FileKind::Plant, found.loadable.plant().unwrap_or_default().to_owned());
     let files = write(&close.out, (fitted, fresh), args.seed, &found, &learned)?;
     let before = match &close.plant_before {
@@ -108,37 +129,21 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
             file
         }
     };
-    progress.set_message("the simulated board, before and after");
+    progress.step("the simulated board, before and after");
     let plant = |path: &Path| Physics::Plant(PlantFile { channel, path: path.to_owned() });
     let physics = (Some(plant(&before)), plant(&files[2]));
-    let twin = twins(&twin_args, &Log::read(&fresh[0])?, &Observed::Motor(channel), physics);
-    progress.finish_and_clear();
-    let twin = twin.with_context(|| format!("cannot compare the simulated board on {}", fresh[0].display()))?;
-
-    let declared: Vec<&str> = declared.effects().iter().map(|effect| effect.name()).collect();
-    let is_as_near = twin.is_as_near();
-    if args.json {
-        output::json(&Closed {
-            board: args.board.to_string(),
-            twin_board: twin_args.board.to_string(),
-            channel: channel.to_string(),
-            report: &found.report,
-            declared,
-            recordings: recordings.clone(),
-            files,
-            twin,
-        })?;
-    } else {
-        print::print(&found.report, &files)?;
-        if !declared.is_empty() {
-            output::line(format_args!("the plant file had {} before", declared.join(", ")))?;
-        }
-        print_twins(&twin)?;
-    }
-    if !is_as_near {
-        eprintln!("r4: the simulated board is no nearer to the fresh recording: keep the plant file that you had");
-    }
-    Ok(is_as_near)
+    let twin = twins(&twin_args, &Log::read(&fresh[0])?, &Observed::Motor(channel), physics)
+        .with_context(|| format!("cannot compare the simulated board on {}", fresh[0].display()))?;
+    Ok(Closed {
+        board: args.board.to_string(),
+        twin_board: twin_args.board.to_string(),
+        channel: channel.to_string(),
+        report: found.report,
+        declared: declared.effects().iter().map(|effect| effect.name()).collect(),
+        recordings,
+        files,
+        twin,
+    })
 }
 
 /// The same arguments for the simulated board that is to be like `--board`.
@@ -172,16 +177,16 @@ fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
 }
 
 /// Makes all recordings; their files.
-fn record(args: &Args, close: &Close, progress: &ProgressBar) -> anyhow::Result<Vec<PathBuf>> {
+fn record(args: &Args, close: &Close, progress: &Shown) -> anyhow::Result<Vec<PathBuf>> {
     let excitation = Excitation { channel: close.channel, length_s: close.seconds, duty: close.duty };
     let mut files = Vec::new();
     let mut patience = Patience::default();
     while files.len() <= TRAIN {
         let index = files.len();
         let name = if index < TRAIN { format!("train-{}.mcap", index + 1) } else { "fresh.mcap".to_owned() };
-        show(progress, Progress { step: format!("recording {name}"), share: 0.0 });
+        progress.show(Progress { step: format!("recording {name}"), share: 0.0 });
         let (excited, bytes) = session::in_memory(args, Pace::Free, async |session| {
-            let done = |share: f64| progress.set_position((share * 1_000.0) as u64);
+            let done = |share: f64| progress.share(share);
             Ok(excite::excite(session, &excitation, index, &patience, &done).await?)
         });
         match excited {
@@ -209,7 +214,7 @@ fn found(
     close: &Close,
     (declared, supply_v): (&PlantSpec, f64),
     (fitted, fresh): (&[PathBuf], &[PathBuf]),
-    progress: &ProgressBar,
+    progress: &Shown,
 ) -> anyhow::Result<Identified> {
     let channel = close.channel;
     let (model, position) = match declared.kind() {
@@ -241,7 +246,7 @@ fn found(
     let parameters = [("supply_v".to_owned(), supply_v)].into_iter().filter(|(_, volts)| *volts > 0.0).collect();
     let task =
         Task { model: model.to_owned(), parameters, plant: Some(declared.clone()), seed: args.seed, ..Task::default() };
-    let told = |now: Progress| show(progress, now);
+    let told = |now: Progress| progress.show(now);
     let mut found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?;
     if !known.is_empty() {
         // Models of a motor make plants.

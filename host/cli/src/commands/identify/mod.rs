@@ -1,19 +1,20 @@
 //! `r4 identify`: what a model does not explain of recordings, and which effect it lacks.
 
 mod check;
-mod close;
+pub(crate) mod close;
 mod models;
 mod print;
+pub(crate) mod shown;
 
 use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use anyhow::{Context, bail};
 use clap::{Subcommand, builder::PossibleValuesParser};
-use indicatif::{ProgressBar, ProgressStyle};
 use r4_boards::SimulatedBody;
 use r4_identify::{
     Identified, ModelInfo, Progress, Task,
@@ -21,13 +22,14 @@ use r4_identify::{
     family::{FittedBody, Loadable},
     report::{Explained, Report},
     statics::hold_out,
-    task::FileKind,
+    task::{self, FileKind},
 };
 use r4_plants::PlantSpec;
 use r4_protocol::ChannelId;
 use serde::Serialize;
 
-use crate::{args::Args, output, plants::OtherPlant, report, session};
+use crate::{args::Args, args::seconds, output, plants::OtherPlant, report, session};
+use shown::Shown;
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
@@ -85,9 +87,33 @@ struct Question {
     /// What is known of the machine, as in supply_v=24; counts_per_turn=4096 makes angles of encoder counts
     #[arg(long, num_args = 1.., value_parser = known, value_name = "NAME=VALUE")]
     param: Vec<(String, f64)>,
+    /// What the initial state of a held-out recording is fitted to; the errors are those of all of it
+    #[arg(long, value_enum, default_value_t)]
+    protocol: Protocol,
+    /// Time after which no further effect is looked for, s; what is found then depends on the machine [default: no limit]
+    #[arg(long, value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    budget: Option<f64>,
     /// Folder for the results
     #[arg(long, default_value = "r4-identify", value_name = "DIR")]
     out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
+enum Protocol {
+    /// Its first tenth, or 20 samples
+    #[default]
+    FirstTenth,
+    /// Its first 20 samples, as published results on EMPS have it
+    First20,
+}
+
+impl From<Protocol> for task::Protocol {
+    fn from(protocol: Protocol) -> Self {
+        match protocol {
+            Protocol::FirstTenth => Self::FirstTenth,
+            Protocol::First20 => Self::First20,
+        }
+    }
 }
 
 /// The parameter that belongs to an encoder.
@@ -157,13 +183,21 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
         }
     }
 
-    let progress = bar();
-    let told = |now: Progress| show(&progress, now);
+    let progress = Shown::on_stderr();
+    let told = |now: Progress| progress.show(now);
     let body = if model.file == FileKind::Body { known_body(args)? } else { None };
     let wheeled = body.as_ref().and_then(SimulatedBody::wheeled).cloned();
-    let task = Task { model: question.model.clone(), parameters, plant, body: wheeled, seed: args.seed };
+    let task = Task {
+        model: question.model.clone(),
+        parameters,
+        plant,
+        body: wheeled,
+        seed: args.seed,
+        protocol: question.protocol.into(),
+        budget: question.budget.map(Duration::from_secs_f64),
+    };
     let found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told);
-    progress.finish_and_clear();
+    progress.clear();
     let found = found?;
 
     let learned = match &found.loadable {
@@ -193,18 +227,6 @@ impl std::fmt::Display for NotExplained {
 }
 
 impl std::error::Error for NotExplained {}
-
-fn bar() -> ProgressBar {
-    ProgressBar::new(1_000).with_style(
-        ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {msg}")
-            .unwrap_or(ProgressStyle::default_bar()),
-    )
-}
-
-fn show(progress: &ProgressBar, Progress { step, share }: Progress) {
-    progress.set_position((share.clamp(0.0, 1.0) * 1_000.0) as u64);
-    progress.set_message(step);
-}
 
 /// Which column plays which part, checked against what the model knows.
 fn roles(question: &Question, model: &ModelInfo) -> anyhow::Result<Vec<Mapping>> {

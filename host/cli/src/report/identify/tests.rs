@@ -7,7 +7,7 @@ use super::*;
 const HOSTILE: &str = "<script>alert('&\"')</script><!--body-->";
 
 fn score(rmse: f64) -> Score {
-    Score { rmse, nrmse: rmse / 0.07 }
+    Score { rmse, nrmse: rmse / 0.07, mae: 0.8 * rmse }
 }
 
 fn estimate(value: f64, std: Option<f64>, unit: &str) -> Estimate {
@@ -204,7 +204,7 @@ fn names_of_files_and_columns_stay_text() {
 #[test]
 fn numbers_that_are_none_are_drawn_around() {
     let mut report = found();
-    report.baseline.holdout = Score { rmse: f64::NAN, nrmse: f64::INFINITY };
+    report.baseline.holdout = Score { rmse: f64::NAN, nrmse: f64::INFINITY, mae: f64::NAN };
     report.effects[0].evidence.p_value = f64::NAN;
     let mut figures = figures();
     figures.ladder[0].1 = f64::NAN;

@@ -271,9 +271,12 @@ pub struct About<'a> {
 
 const EFFORT: Effort = Effort { points: 24, generations: 60, simplex: 600 };
 
+fn errors<'r>(law: &'r Law, values: &'r [f64], rows: &'r [Vec<f64>]) -> impl Iterator<Item = f64> + 'r {
+    rows.iter().map(|row| row.split_last().map_or(f64::NAN, |(y, x)| (law.predict)(values, x) - y))
+}
+
 fn squares(law: &Law, values: &[f64], rows: &[Vec<f64>]) -> f64 {
-    let square = |row: &Vec<f64>| row.split_last().map_or(f64::NAN, |(y, x)| ((law.predict)(values, x) - y).powi(2));
-    rows.iter().map(square).sum()
+    errors(law, values, rows).map(|error| error * error).sum()
 }
 
 fn fit(law: &Law, rows: &[Vec<f64>], seed: u64) -> Vec<f64> {

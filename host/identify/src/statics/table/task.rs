@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::super::{map::unit, plant::SettlingMap};
-use super::{About, Ladder, Law, Step, TableError, climb, general, squares};
+use super::{About, Ladder, Law, Step, TableError, climb, errors, general, squares};
 use crate::data::Run;
 use crate::family::Loadable;
 use crate::report::{
@@ -109,9 +109,21 @@ fn report(
         Some(law) if !held_out.is_empty() => (squares(law, &values(step), held_out) / held_out.len() as f64).sqrt(),
         _ => step.left_out_rmse,
     };
-    let score = |rmse: f64, rows| Score { rmse, nrmse: rmse / spread(rows) };
-    let judged = if held_out.is_empty() { fitted } else { held_out };
-    let scores = |step: &Step| Scores { train: score(step.rmse, fitted), holdout: score(held_out_rmse(step), judged) };
+    let score = |rmse: f64, mae: f64, rows| Score { rmse, nrmse: rmse / spread(rows), mae };
+    let mean =
+        |magnitudes: &mut dyn Iterator<Item = f64>, rows: &[Vec<f64>]| magnitudes.sum::<f64>() / rows.len() as f64;
+    let mae = |step: &Step, rows: &[Vec<f64>]| {
+        law_of(step).map_or(f64::NAN, |law| mean(&mut errors(law, &values(step), rows).map(f64::abs), rows))
+    };
+    let left_out_mae = |step: &Step| mean(&mut step.left_out_squares.iter().map(|square| square.sqrt()), fitted);
+    let scores = |step: &Step| Scores {
+        train: score(step.rmse, mae(step, fitted), fitted),
+        holdout: if held_out.is_empty() {
+            score(step.left_out_rmse, left_out_mae(step), fitted)
+        } else {
+            score(held_out_rmse(step), mae(step, held_out), held_out)
+        },
+    };
     let estimates: BTreeMap<String, Estimate> = chosen
         .parameters
         .iter()
@@ -263,6 +275,8 @@ mod tests {
         assert_eq!(report.effects[0].name, "inverse of input");
         assert!((report.parameters["factor"].value - 24.0).abs() < 0.2);
         assert!(report.last.holdout.rmse < 0.02 && report.baseline.holdout.rmse > 2.0, "{report:?}");
+        let Scores { train, holdout } = report.last;
+        assert!(train.mae <= train.rmse && holdout.mae <= holdout.rmse, "{report:?}");
         let text = loadable.plant().unwrap();
         assert!(text.contains("law `inverse of input`"), "{text}");
         let plant = r4_plants::PlantSpec::from_toml("plant.toml", text).unwrap();

@@ -2,6 +2,7 @@
 //! simulated plants that hide something. Errors are those of free runs over data that was not fitted to.
 
 mod blind;
+mod boards;
 mod coverage;
 mod recorded;
 mod tables;
@@ -170,7 +171,7 @@ impl IdentifyRows {
             Self::Micromouse => Some("micromouse_drv8833"),
             Self::Backlash => Some("sts_servo_backlash"),
             Self::Osmc => Some("osmc_tables"),
-            Self::Speed | Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken => None,
+            Self::Speed | Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken | Self::Close => None,
         }
     }
 
@@ -188,6 +189,7 @@ impl IdentifyRows {
             Self::Clean => blind::clean(bench),
             Self::Unlisted => blind::unlisted(bench),
             Self::Broken => blind::broken(bench),
+            Self::Close => boards::close(bench),
         }
     }
 
@@ -198,6 +200,7 @@ impl IdentifyRows {
             Self::Clean => (2 * seeds).div_ceil(3),
             Self::Unlisted => seeds.div_ceil(2),
             Self::Pairs | Self::Broken => seeds.div_ceil(3),
+            Self::Close => seeds.div_ceil(6),
             _ => 0,
         }
     }
@@ -210,6 +213,7 @@ impl IdentifyRows {
             Self::Unlisted => 3,
             Self::Broken => 4,
             Self::Speed => 5,
+            Self::Close => 6,
             _ => 0,
         };
         base.wrapping_add(place * APART)
@@ -218,7 +222,9 @@ impl IdentifyRows {
     /// For the progress bar: a simulated plant is 1.
     const fn weight(self, seeds: u32) -> u64 {
         match self {
-            Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken => self.plants(seeds) as u64,
+            Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken | Self::Close => {
+                self.plants(seeds) as u64
+            }
             Self::Speed => blind::TIMED_WEIGHT,
             _ => 2,
         }
@@ -231,6 +237,7 @@ impl IdentifyRows {
 
 /// What measurements share.
 struct Bench<'b> {
+    args: &'b Args,
     data: &'b Path,
     seed: u64,
     /// First seed of the simulated plants.
@@ -252,6 +259,11 @@ impl Bench<'_> {
         Ok(data::read(&files, options)?.runs)
     }
 
+    /// Numbers of the simulated plants of a kind.
+    fn numbers(&self, rows: IdentifyRows) -> std::ops::Range<u32> {
+        self.from..self.from.saturating_add(rows.plants(self.seeds))
+    }
+
     /// A line on stderr, whatever it is.
     fn say(&self, line: &str) {
         self.progress.suspend(|| eprintln!("{line}"));
@@ -266,8 +278,16 @@ impl Bench<'_> {
         holdout: &[Run],
     ) -> Result<Identified, IdentifyError> {
         let parameters: BTreeMap<_, _> = parameters.iter().map(|&(name, value)| (name.to_owned(), value)).collect();
-        let task = Task { model: model.to_owned(), parameters, seed: self.seed, ..Task::default() };
-        r4_identify::identify(&task, train, holdout, vec![], &|Progress { step, .. }| self.progress.set_message(step))
+        self.answer(&Task { model: model.to_owned(), parameters, ..self.task() }, train, holdout)
+    }
+
+    /// A task about nothing yet.
+    fn task(&self) -> Task {
+        Task { seed: self.seed, ..Task::default() }
+    }
+
+    fn answer(&self, task: &Task, train: &[Run], holdout: &[Run]) -> Result<Identified, IdentifyError> {
+        r4_identify::identify(task, train, holdout, vec![], &|Progress { step, .. }| self.progress.set_message(step))
     }
 }
 
@@ -288,6 +308,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
     let base = if args.is_seed_given { args.seed } else { REPORT_BASE };
     let bench = Bench {
+        args,
         data: &question.data,
         seed: args.seed,
         base,
@@ -405,10 +426,10 @@ mod tests {
 
     #[test]
     fn seeds_of_two_kinds_and_of_two_purposes_are_apart() {
-        use IdentifyRows::{Blind, Broken, Clean, Pairs, Speed, Unlisted};
+        use IdentifyRows::{Blind, Broken, Clean, Close, Pairs, Speed, Unlisted};
         let mut ranges: Vec<[u64; 2]> = Vec::new();
         for base in [0, TUNING_END - 1, REPORT_BASE] {
-            for rows in [Blind, Pairs, Clean, Unlisted, Broken, Speed] {
+            for rows in [Blind, Pairs, Clean, Unlisted, Broken, Speed, Close] {
                 let first = rows.first_seed(base);
                 ranges.push([first, first + u64::from(rows.plants(100_000))]);
             }

@@ -4,6 +4,7 @@ use std::slice::from_ref;
 
 use anyhow::{Context, ensure};
 use r4_identify::{
+    Task,
     data::{Mapping, Options, Run},
     family::{Family, Model, Term},
     fit,
@@ -15,6 +16,7 @@ use r4_identify::{
         hysteresis::{Gap, play},
         map::StaticMap,
     },
+    task::Protocol,
 };
 
 use super::{Bench, Row};
@@ -52,7 +54,13 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let options = options(vec![Mapping::driving("input", "u_V"), Mapping::measured("output", "q_meas_m")]);
     let read = |name| bench.read(IdentifyRows::Emps, &[name], &options);
     let (train, test) = (read("train_trajectory.csv")?, read("test_trajectory_with_pulses.csv")?);
-    let report = bench.identify("axis", &[("gain_per_unit", GAIN)], &train, &test)?.report;
+    let by = |protocol: Protocol| -> anyhow::Result<Report> {
+        let parameters = [("gain_per_unit".to_owned(), GAIN)].into();
+        let task = Task { model: "axis".to_owned(), parameters, protocol, ..bench.task() };
+        Ok(bench.answer(&task, &train, &test)?.report)
+    };
+    let (report, published) = (by(Protocol::FirstTenth)?, by(Protocol::First20)?);
+    let mae = [&report, &published].map(|report| report.last.holdout.mae / 1e-3);
     let on_position: Vec<_> = report
         .effects
         .iter()
@@ -66,7 +74,16 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
         None => "position-friction was not looked for".to_owned(),
     };
     Ok(vec![
-        free_runs(DATA, "position, RMSE", ("mm", 1e-3), &report, 4.7),
+        free_runs(DATA, "position, RMSE", ("mm", 1e-3), &report, 4.7).with(format!(
+            "MAE {:.2} mm; {}",
+            mae[0],
+            names(&report)
+        )),
+        free_runs(DATA, "the same, initial state by 20 samples", ("mm", 1e-3), &published, 4.7).with(format!(
+            "MAE {:.2} mm; {}",
+            mae[1],
+            names(&published)
+        )),
         Row::claim(DATA, "Coulomb friction found", has(&report, &["coulomb-friction", "direction-friction"]))
             .with(names(&report)),
         Row::claim(DATA, "dependence on position refused", on_position.is_empty() && refused.is_some()).with(why),

@@ -1,0 +1,62 @@
+//! How far an identification is, on stderr.
+
+use std::{
+    io::{IsTerminal, stderr},
+    sync::Mutex,
+    time::{Duration, Instant},
+};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use r4_identify::Progress;
+
+/// Time between two lines where there is no bar.
+const BETWEEN: Duration = Duration::from_secs(5);
+
+/// A bar; where stderr is no terminal, a line every few seconds.
+pub(crate) struct Shown {
+    bar: ProgressBar,
+    lines: Option<Mutex<Lines>>,
+}
+
+struct Lines {
+    begun: Instant,
+    /// When the last line was written, or nothing had been yet.
+    last: Instant,
+}
+
+impl Shown {
+    pub(super) fn on_stderr() -> Self {
+        let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {msg}");
+        let bar = ProgressBar::new(1_000).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+        let now = Instant::now();
+        Self { bar, lines: (!stderr().is_terminal()).then(|| Mutex::new(Lines { begun: now, last: now })) }
+    }
+
+    /// Nowhere.
+    pub(crate) fn nowhere() -> Self {
+        Self { bar: ProgressBar::hidden(), lines: None }
+    }
+
+    pub(super) fn show(&self, Progress { step, share }: Progress) {
+        self.share(share);
+        self.step(&step);
+    }
+
+    pub(super) fn share(&self, share: f64) {
+        self.bar.set_position((share.clamp(0.0, 1.0) * 1_000.0) as u64);
+    }
+
+    pub(super) fn step(&self, step: &str) {
+        self.bar.set_message(step.to_owned());
+        let Some(Ok(mut lines)) = self.lines.as_ref().map(Mutex::lock) else { return };
+        if lines.last.elapsed() >= BETWEEN {
+            lines.last = Instant::now();
+            let percent = self.bar.position() / 10;
+            eprintln!("r4: {percent} %, {:.0} s: {step}", lines.begun.elapsed().as_secs_f64());
+        }
+    }
+
+    pub(super) fn clear(&self) {
+        self.bar.finish_and_clear();
+    }
+}
