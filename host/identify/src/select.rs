@@ -748,7 +748,9 @@ impl<F: Family> Search<'_, F> {
                 .count();
             let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
                 Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
-            } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH } {
+            } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH }
+                && !self.pays_over_whole_runs(current, &candidate.trial.fit)
+            {
                 let worse = 100.0 * ((candidate.blocked.whole / before.whole).sqrt() - 1.0);
                 Some(format!("better on blocks, but {worse:.0} % worse over whole runs"))
             } else if with_curves
@@ -814,6 +816,14 @@ impl<F: Family> Search<'_, F> {
         }
         others.sort_by(|a, b| a.1.total_cmp(&b.1));
         (Some((step, winner.trial.fit)), others)
+    }
+
+    /// Whether a model explains whole runs better than another when both are fitted to them. Half of the blocks may lack places of a
+    /// curve at which a free run over all of them goes astray.
+    fn pays_over_whole_runs(&self, without: &Fit, with: &Fit) -> bool {
+        let [without, with] = [without, with].map(|fit| self.on(&self.whole, fit, Effort::SCREEN));
+        let samples = independent(self.family, &self.whole, &with);
+        price(samples, with.cost, numbers(&with)) + TOLD_APART < price(samples, without.cost, numbers(&without))
     }
 
     fn term_name(&self, term: &Term) -> String {

@@ -315,9 +315,10 @@ impl Motion {
         self.places.offset.map_or(0.0, |place| base[place])
     }
 
-    /// Largest duty that a bridge makes of its input; infinite where the input is no duty, or counts otherwise than up to 1.
+    /// Beyond which a drive does not amplify its input: a full duty. Of forces and voltages, and of duties that count otherwise than up
+    /// to 1, nothing tells what a drive can give: it is taken to be the largest that was recorded.
     fn full_duty(&self) -> f64 {
-        if self.is_duty && self.scales.input <= 1.0 { self.duty_limit } else { f64::INFINITY }
+        if self.is_duty && self.scales.input <= 1.0 { self.duty_limit } else { self.scales.input }
     }
 
     fn is_servo(&self) -> bool {

@@ -290,7 +290,7 @@ struct Mechanics<'s> {
     cogging: Option<Wave>,
     curves: Vec<(&'s Curve, Spline)>,
     stops: Option<(f64, f64)>,
-    /// Beyond which no gain amplifies a duty; infinite where the input is none.
+    /// Beyond which no gain amplifies the input.
     full_duty: f64,
     position: f64,
     speed: f64,
@@ -472,7 +472,7 @@ impl Mechanics<'_> {
                 }
             }
             if gain != 1.0 {
-                // A bridge gives no more than its supply.
+                // A drive gives no more than it can.
                 let most = (self.full_duty * supply_v).abs().max(driven.volts.abs());
                 push += self.k * driven.colder * (gain * driven.volts).clamp(-most, most) - driving;
             }

@@ -104,6 +104,7 @@ enum Protocol {
     #[default]
     FirstTenth,
     /// Its first 20 samples, as published results on EMPS have it
+    #[value(name = "first-20")]
     First20,
 }
 
