@@ -50,7 +50,7 @@ pub enum Protocol {
     /// Its first tenth.
     #[default]
     FirstTenth,
-    /// Its first 20 samples, as A. Janot, M. Gautier and M. Brunot, *Data Set and Reference Models of EMPS* (2019) have it.
+    /// Its first 20 samples, as the benchmark of the EMPS recordings in the Python package `nonlinear_benchmarks` 1.0.1 prescribes.
     First20,
 }
 

@@ -103,7 +103,7 @@ enum Protocol {
     /// Its first tenth, or 20 samples
     #[default]
     FirstTenth,
-    /// Its first 20 samples, as published results on EMPS have it
+    /// Its first 20 samples, as the nonlinear benchmark on EMPS prescribes
     #[value(name = "first-20")]
     First20,
 }
