@@ -113,7 +113,7 @@ pub struct Score {
     pub rmse: f64,
     /// Over the standard deviation of what was measured.
     pub nrmse: f64,
-    /// Mean of the magnitudes, in the unit of the output.
+    /// Mean absolute error, in the unit of the output.
     pub mae: f64,
 }
 

@@ -47,15 +47,15 @@ pub struct Task {
 /// What of a held-out run its initial state is fitted to. Errors are those of the whole run, this part included.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Protocol {
-    /// Its first tenth.
+    /// The first tenth of its samples, and at least 20.
     #[default]
     FirstTenth,
-    /// Its first 20 samples, as the benchmark of the EMPS recordings in the Python package `nonlinear_benchmarks` 1.0.1 prescribes.
+    /// The first 20 samples, as the benchmark of the EMPS recordings in the Python package `nonlinear_benchmarks` 1.0.1 prescribes.
     First20,
 }
 
 impl Protocol {
-    /// Samples of a run of so many that its initial state is fitted to.
+    /// Number of samples, of a run of `samples`, that its initial state is fitted to.
     fn window(self, samples: usize) -> usize {
         let wished = match self {
             Self::FirstTenth => (samples / SETTLE_SHARE).max(SETTLE_SAMPLES),
@@ -325,10 +325,8 @@ fn assemble<F: Family>(
     let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
     let found = search_until(family, train, &tell, until);
     if found.is_cut_short {
-        notes.push(
-            "the time that was allowed was over before every effect had been looked for: allow more with --budget"
-                .to_owned(),
-        );
+        notes
+            .push("the time limit was reached before every effect had been tried: allow more with --budget".to_owned());
     }
     if !found.base.cost.is_finite() {
         return Err(IdentifyError::NoFit { why: "no values of its parameters give a finite free run" });

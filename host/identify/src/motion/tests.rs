@@ -439,6 +439,33 @@ fn the_plant_of_a_fit_moves_as_recorded() {
     }
 }
 
+/// A gain of 1 over time doubles a small duty and leaves a full one.
+#[test]
+fn no_gain_amplifies_beyond_full_duty() {
+    let made = experiment(Setup::MotorPosition, Draw::Nothing, Length { train: 1, holdout: 1, seconds: 2.0 }, 3);
+    let mut recordings = recorded(made.setup, &made.train);
+    let last = |duty: f64, gain: Option<f64>, recordings: &mut Vec<Run>| {
+        let input = recordings[0].signals.get_mut("input").expect("an input");
+        // One sample elsewhere: an input that never changes is refused.
+        input.values.iter_mut().enumerate().for_each(|(at, value)| *value = if at == 0 { 0.0 } else { duty });
+        let (model, runs, _) = Motion::new(Kind::DcMotor, &Known::default(), recordings, &[]).expect("a model");
+        let mut structure = Structure { base: model.base().iter().map(|_| 0.0).collect(), ..Structure::default() };
+        (structure.base[0], structure.base[1]) = (1.0, 0.1);
+        if let Some(gain) = gain {
+            let curve = model.curve(r4_plants::Dependence::Time, None, crate::family::Acts::Gain, vec![0.0, 2.0]);
+            structure.terms.push(Term::Curve(curve));
+            structure.added.push(vec![gain; 2]);
+        }
+        let mut predicted = vec![0.0; model.measured(&runs[0]).len()];
+        model.predict(&structure, &[0.0, 0.0], &runs[0], &mut predicted);
+        predicted[predicted.len() - 1]
+    };
+    for (duty, amplified_to) in [(0.25, 0.5), (0.75, 1.0), (1.0, 1.0), (-0.75, -1.0)] {
+        let [with, expected] = [last(duty, Some(1.0), &mut recordings), last(amplified_to, None, &mut recordings)];
+        assert!((with / expected - 1.0).abs() < 1e-9, "{duty}: {with}, not {expected}");
+    }
+}
+
 /// Stamps one sample period early: told as such, and no effect.
 #[test]
 fn early_stamps_are_no_effect() {

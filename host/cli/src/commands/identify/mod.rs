@@ -100,7 +100,7 @@ struct Question {
 
 #[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
 enum Protocol {
-    /// Its first tenth, or 20 samples
+    /// Its first tenth, and at least 20 samples
     #[default]
     FirstTenth,
     /// Its first 20 samples, as the nonlinear benchmark on EMPS prescribes

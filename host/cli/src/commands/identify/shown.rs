@@ -9,7 +9,7 @@ use std::{
 use indicatif::{ProgressBar, ProgressStyle};
 use r4_identify::Progress;
 
-/// Time between two lines where there is no bar.
+/// Shortest time between two lines where there is no bar: our choice, not compared.
 const BETWEEN: Duration = Duration::from_secs(5);
 
 /// A bar; where stderr is no terminal, a line every few seconds.
@@ -20,7 +20,7 @@ pub(crate) struct Shown {
 
 struct Lines {
     begun: Instant,
-    /// When the last line was written, or nothing had been yet.
+    /// Time of the last line; before the first, of the beginning.
     last: Instant,
 }
 
@@ -32,7 +32,7 @@ impl Shown {
         Self { bar, lines: (!stderr().is_terminal()).then(|| Mutex::new(Lines { begun: now, last: now })) }
     }
 
-    /// Nowhere.
+    /// Shows nothing, for callers that show the progress of several identifications themselves.
     pub(crate) fn nowhere() -> Self {
         Self { bar: ProgressBar::hidden(), lines: None }
     }

@@ -61,7 +61,7 @@ pub enum Fault {
         missing: usize,
         /// Samples that there are, and those that are missing.
         samples: usize,
-        /// Number of gaps.
+        /// Number of gaps, in all recordings together.
         gaps: usize,
         /// Longest time between two samples, s.
         longest_s: f64,

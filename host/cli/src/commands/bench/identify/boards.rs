@@ -75,7 +75,7 @@ pub(super) fn close(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let (clean, hiding): (Vec<&Board>, Vec<&Board>) = boards.iter().partition(|board| board.hidden.is_empty());
     let counted =
         |boards: &[&Board], is: fn(&Board) -> bool| [boards.iter().filter(|board| is(board)).count(), boards.len()];
-    let [farther, _] = counted(&hiding, |board| board.nearer() < 1.0);
+    let [farther, _] = counted(&hiding, |board| board.closed.is_ok() && board.nearer() < 1.0);
     let missed = hiding.iter().filter(|board| board.nearer() < NEARER);
     let missed: String =
         missed.map(|board| format!("; less: {} for {}", board.found(), board.hidden.join(", "))).collect();

@@ -60,7 +60,10 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
         Ok(bench.answer(&task, &train, &test)?.report)
     };
     let (report, published) = (by(Protocol::FirstTenth)?, by(Protocol::First20)?);
-    let mae = [&report, &published].map(|report| report.last.holdout.mae / 1e-3);
+    let position = |metric: &str, report: &Report| {
+        let detail = format!("MAE {:.2} mm; {}", 1e3 * report.last.holdout.mae, names(report));
+        free_runs(DATA, metric, ("mm", 1e-3), report, 4.7).with(detail)
+    };
     let on_position: Vec<_> = report
         .effects
         .iter()
@@ -74,16 +77,8 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
         None => "position-friction was not looked for".to_owned(),
     };
     Ok(vec![
-        free_runs(DATA, "position, RMSE", ("mm", 1e-3), &report, 4.7).with(format!(
-            "MAE {:.2} mm; {}",
-            mae[0],
-            names(&report)
-        )),
-        free_runs(DATA, "the same, initial state by 20 samples", ("mm", 1e-3), &published, 4.7).with(format!(
-            "MAE {:.2} mm; {}",
-            mae[1],
-            names(&published)
-        )),
+        position("position, RMSE", &report),
+        position("the same, initial state by 20 samples", &published),
         Row::claim(DATA, "Coulomb friction found", has(&report, &["coulomb-friction", "direction-friction"]))
             .with(names(&report)),
         Row::claim(DATA, "dependence on position refused", on_position.is_empty() && refused.is_some()).with(why),
