@@ -7,9 +7,11 @@ mod profile;
 #[cfg(test)]
 mod tests;
 
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::{DMatrix, DVector, Dyn, Owned};
-use r4_maths::statistics::{QuantileRule, quantile};
+use nalgebra::{DMatrix, DVector};
+use r4_maths::{
+    least_squares::trust_region::{SumOfSquares, minimise},
+    statistics::{QuantileRule, quantile},
+};
 
 use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term};
 
@@ -397,25 +399,20 @@ impl<'p, F: Model> Problem<'p, F> {
             left: usize::MAX,
         };
         let variables = problem.variables.clone();
-        problem.set_params(&variables);
+        problem.set_variables(&variables);
         problem
     }
 
     fn solved(mut self, effort: Effort) -> Self {
         self.left = effort.evaluations;
         self.best = (self.cost, self.variables.clone());
-        let solver = LevenbergMarquardt::new()
-            .with_ftol(effort.tolerance)
-            .with_xtol(effort.tolerance)
-            .with_gtol(1e-12)
-            .with_stepbound(1.0)
-            .with_patience(effort.evaluations);
-        let mut solved = solver.minimize(self).0;
-        solved.left = usize::MAX;
+        let cost = self.cost;
+        minimise(&mut self, cost, effort.tolerance);
+        self.left = usize::MAX;
         // The solver ends where it looked last.
-        let best = solved.best.1.clone();
-        solved.set_params(&best);
-        solved
+        let best = self.best.1.clone();
+        self.set_variables(&best);
+        self
     }
 
     /// What is predicted changes in steps with some parameters, and the solver stays at the next best place: it goes on from
@@ -432,7 +429,7 @@ impl<'p, F: Model> Problem<'p, F> {
                 for off in [-off, off] {
                     let mut variables = from.clone();
                     variables[column] += off;
-                    self.set_params(&variables);
+                    self.set_variables(&variables);
                     self = self.solved(Effort::SCREEN);
                     if self.cost < best.0 {
                         best = (self.cost, self.variables.clone());
@@ -440,12 +437,32 @@ impl<'p, F: Model> Problem<'p, F> {
                 }
             }
             self.held = None;
-            self.set_params(&best.1);
+            self.set_variables(&best.1);
             if best.1 != from {
                 self = self.solved(effort);
             }
         }
         self
+    }
+
+    fn set_variables(&mut self, variables: &DVector<f64>) {
+        self.variables.copy_from(variables);
+        let values = self.values_of(variables);
+        set_flat(&mut self.structure, &values);
+        let mut rest = variables.iter().skip(values.len());
+        for (initial, scales) in self.initial.iter_mut().zip(&self.scales) {
+            for ((place, scale), variable) in initial.iter_mut().zip(scales).zip(&mut rest) {
+                *place = scale * variable;
+            }
+        }
+        let mut predicted = std::mem::take(&mut self.predicted);
+        self.predict_all(&self.structure, &self.initial, &mut predicted);
+        self.predicted = predicted;
+        self.cost = self.weighted().norm_squared();
+        if self.cost < self.best.0 {
+            self.best = (self.cost, variables.clone());
+        }
+        self.left = self.left.saturating_sub(1);
     }
 
     fn into_fit(self) -> Fit {
@@ -499,49 +516,25 @@ impl<'p, F: Model> Problem<'p, F> {
     }
 }
 
-impl<F: Model> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_, F> {
-    type ParameterStorage = Owned<f64, Dyn>;
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
-
-    fn set_params(&mut self, variables: &DVector<f64>) {
-        self.variables.copy_from(variables);
-        let values = self.values_of(variables);
-        set_flat(&mut self.structure, &values);
-        let mut rest = variables.iter().skip(values.len());
-        for (initial, scales) in self.initial.iter_mut().zip(&self.scales) {
-            for ((place, scale), variable) in initial.iter_mut().zip(scales).zip(&mut rest) {
-                *place = scale * variable;
-            }
-        }
-        let mut predicted = std::mem::take(&mut self.predicted);
-        self.predict_all(&self.structure, &self.initial, &mut predicted);
-        self.predicted = predicted;
-        self.cost = self.weighted().norm_squared();
-        if self.cost < self.best.0 {
-            self.best = (self.cost, variables.clone());
-        }
-        self.left = self.left.saturating_sub(1);
+impl<F: Model> SumOfSquares for Problem<'_, F> {
+    fn variables(&self) -> &DVector<f64> {
+        &self.variables
     }
 
-    fn params(&self) -> DVector<f64> {
-        self.variables.clone()
+    fn go(&mut self, variables: &DVector<f64>) -> Option<f64> {
+        self.set_variables(variables);
+        (self.left > 0).then_some(self.cost)
     }
 
-    fn residuals(&self) -> Option<DVector<f64>> {
-        // None ends the solver.
-        (self.left > 0).then(|| self.weighted())
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        (self.left > 0).then(|| self.assembled())
+    fn normal(&mut self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        (self.left > 0).then(|| self.summed())
     }
 }
 
 impl<F: Model> Problem<'_, F> {
-    /// The Jacobian's rows of each run: columns of the parameters, then of the run's own initial state, which concerns no
-    /// other run.
-    fn slopes(&self) -> Vec<DMatrix<f64>> {
+    /// The Jacobian's rows of each run, one at a time: columns of the parameters, then of the run's own initial state, which
+    /// concerns no other run.
+    fn slopes(&self) -> impl Iterator<Item = DMatrix<f64>> + '_ {
         let globals = self.parameters.len();
         let steps: Vec<f64> = self.parameters.iter().map(|parameter| parameter.range.difference()).collect();
         let moved = |column: usize| {
@@ -554,7 +547,7 @@ impl<F: Model> Problem<'_, F> {
         // The column of what is held stays nothing: the solver takes no step along it.
         let free: Vec<usize> = (0..globals).filter(|&column| self.held != Some(column)).collect();
         let structures: Vec<Structure> = free.iter().map(|&column| moved(column)).collect();
-        let slopes = |(index, scales): (usize, &Vec<f64>)| {
+        self.scales.iter().enumerate().map(move |(index, scales)| {
             let initials: Vec<Vec<f64>> = (0..scales.len())
                 .map(|component| {
                     let mut initial = self.initial[index].clone();
@@ -576,8 +569,48 @@ impl<F: Model> Problem<'_, F> {
                 }
             });
             slopes
-        };
-        self.scales.iter().enumerate().map(slopes).collect()
+        })
+    }
+
+    /// The slope of each row that ties two corners of a curve to each other.
+    fn ties(&self) -> impl Iterator<Item = [(usize, f64); 2]> + '_ {
+        self.neighbours.iter().map(|Neighbours { corners: [one, other], factor }| {
+            [(*one, -1.0), (*other, 1.0)].map(|(column, sign)| match self.parameters[column].range {
+                Range::Any { scale } if self.held != Some(column) => (column, sign * factor * scale),
+                _ => (column, 0.0),
+            })
+        })
+    }
+
+    /// `JᵀJ` and `Jᵀr` of the Jacobian and the residuals.
+    fn summed(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let (globals, all) = (self.parameters.len(), self.variables.len());
+        let residuals = self.weighted();
+        let (mut gram, mut gradient) = (DMatrix::zeros(all, all), DVector::zeros(all));
+        let mut local = globals;
+        for (rows, slopes) in self.rows.iter().zip(self.slopes()) {
+            let own = slopes.ncols() - globals;
+            let (of_run, down) = (slopes.tr_mul(&slopes), slopes.tr_mul(&residuals.rows(rows.start, rows.len())));
+            // Places of the parameters, and of the run's own initial state.
+            for (from, to, len) in [(0, 0, globals), (globals, local, own)] {
+                let mut sum = gradient.rows_mut(to, len);
+                sum += down.rows(from, len);
+                for (from_column, to_column, columns) in [(0, 0, globals), (globals, local, own)] {
+                    let mut sum = gram.view_mut((to, to_column), (len, columns));
+                    sum += of_run.view((from, from_column), (len, columns));
+                }
+            }
+            local += own;
+        }
+        for (tie, residual) in self.ties().zip(residuals.iter().skip(self.predicted.len())) {
+            for (row, slope) in tie {
+                gradient[row] += slope * residual;
+                for (column, other) in tie {
+                    gram[(row, column)] += slope * other;
+                }
+            }
+        }
+        (gram, gradient)
     }
 
     /// The whole Jacobian.
@@ -591,11 +624,9 @@ impl<F: Model> Problem<'_, F> {
             jacobian.view_mut((rows.start, local), (rows.len(), own)).copy_from(&slopes.columns(globals, own));
             local += own;
         }
-        for (place, Neighbours { corners: [one, other], factor }) in self.neighbours.iter().enumerate() {
-            for (column, sign) in [(*one, -1.0), (*other, 1.0)] {
-                if let (Range::Any { scale }, true) = (self.parameters[column].range, self.held != Some(column)) {
-                    jacobian[(self.predicted.len() + place, column)] = sign * factor * scale;
-                }
+        for (place, tie) in self.ties().enumerate() {
+            for (column, slope) in tie {
+                jacobian[(self.predicted.len() + place, column)] = slope;
             }
         }
         jacobian
@@ -654,7 +685,9 @@ impl Fit {
     /// By how much what is predicted of each run changes with the variables that stand for the structure's parameters, then
     /// with the run's initial state: a row for each sample.
     pub(crate) fn slopes<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<DMatrix<f64>> {
-        Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone()).slopes()
+        Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone())
+            .slopes()
+            .collect()
     }
 
     /// Standard deviations of the structure's parameters, in the order of [`parameters()`]; `None` where the data do not

@@ -966,36 +966,80 @@ pub(super) fn is_placed(motion: &Motion, structure: &Structure) -> bool {
     plan.sensor.eccentricity.is_some() || !plan.mechanics.is_alike_everywhere()
 }
 
-/// What a model says accelerates an axis that moves as it is told, from each sample to the next; it began so far from where
-/// it says it was.
+/// What accelerates the axis from each sample to the next by a model, where the motion is known: from sample to sample, by `offset`
+/// elsewhere than it says.
 pub(super) fn accelerations(
     motion: &Motion,
     structure: &Structure,
     run: &MotionRun,
-    (moved, offset): (&[Moved], f64),
+    moved @ (steps, _): (&[Moved], f64),
 ) -> Vec<f64> {
-    let Plan { input, mechanics, .. } = Plan::new(motion, structure, &[]);
-    let mut driving = input.begin(run);
-    let mut body = mechanics.begin();
-    let over = |(sample, moved): (usize, &Moved)| {
-        let (now_s, supply_v) = (run.all.time_s[sample], run.supply_at(sample));
-        let step_s = run.all.time_s[sample + 1] - now_s;
-        if step_s <= 0.0 {
-            return 0.0;
+    let plan = Plan::new(motion, structure, &[]);
+    plan.accelerated(&plan.driven(run, steps), run, moved)
+}
+
+/// The same of models that differ little from one that is known, given to `told` with their index: what drives them is worked out
+/// once for all that have it in common.
+pub(super) fn accelerations_each(
+    motion: &Motion,
+    known: &Structure,
+    others: &[(&Structure, f64)],
+    run: &MotionRun,
+    steps: &[Moved],
+    told: &mut dyn FnMut(usize, &[f64]),
+) {
+    let known = Plan::new(motion, known, &[]);
+    let driven = known.driven(run, steps);
+    for (index, &(structure, offset)) in others.iter().enumerate() {
+        let other = Plan::new(motion, structure, &[]);
+        let is_shared = other.input == known.input && !other.flows_back();
+        let own = (!is_shared).then(|| other.driven(run, steps));
+        told(index, &other.accelerated(own.as_ref().unwrap_or(&driven), run, (steps, offset)));
+    }
+}
+
+impl Plan<'_> {
+    /// What arrives at the motor from each sample to the next, where the motion is known.
+    fn driven(&self, run: &MotionRun, steps: &[Moved]) -> Vec<Driven> {
+        let Self { input, mechanics, .. } = self;
+        let mut state = input.begin(run);
+        let mut driven = Vec::with_capacity(steps.len());
+        for (sample, moved) in steps.iter().enumerate() {
+            let (now_s, supply_v) = (run.all.time_s[sample], run.supply_at(sample));
+            let step_s = run.all.time_s[sample + 1] - now_s;
+            if step_s <= 0.0 {
+                driven.push(Driven { command: 0.0, volts: 0.0, colder: 1.0, enabled: true });
+                continue;
+            }
+            let command = input.command(run, sample, now_s, step_s, &mut state.cursor);
+            let command = input.looped(run, sample, command, moved.position);
+            let back_emf = moved.speed * input.emf_share * mechanics.b / mechanics.k;
+            driven.push(input.drive(&mut state, command, (supply_v, run.enabled_at(sample)), step_s, back_emf));
         }
-        let command = input.command(run, sample, now_s, step_s, &mut driving.cursor);
-        let command = input.looped(run, sample, command, moved.position);
-        let back_emf = moved.speed * input.emf_share * mechanics.b / mechanics.k;
-        let driven = input.drive(&mut driving, command, (supply_v, run.enabled_at(sample)), step_s, back_emf);
-        body.speed = if moved.rests { 0.0 } else { moved.speed };
-        mechanics.follow(&mut body, moved, offset);
-        body.turned_s += run.all.origin_s;
-        let at = (run.all.origin_s + now_s + 0.5 * step_s, supply_v, 0.0);
-        let (push, level, b) = mechanics.forces::<false>(&body, &driven, at);
-        let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
-        push - friction - b * moved.speed
-    };
-    moved.iter().enumerate().map(over).collect()
+        driven
+    }
+
+    /// What accelerates the axis from each sample to the next under what drives it.
+    fn accelerated(&self, driven: &[Driven], run: &MotionRun, (steps, offset): (&[Moved], f64)) -> Vec<f64> {
+        let mechanics = &self.mechanics;
+        let mut body = mechanics.begin();
+        let mut accelerations = vec![0.0; steps.len()];
+        for (sample, (moved, driven)) in steps.iter().zip(driven).enumerate() {
+            let now_s = run.all.time_s[sample];
+            let step_s = run.all.time_s[sample + 1] - now_s;
+            if step_s <= 0.0 {
+                continue;
+            }
+            body.speed = if moved.rests { 0.0 } else { moved.speed };
+            mechanics.follow(&mut body, moved, offset);
+            body.turned_s += run.all.origin_s;
+            let at = (run.all.origin_s + now_s + 0.5 * step_s, run.supply_at(sample), 0.0);
+            let (push, level, b) = mechanics.forces::<false>(&body, driven, at);
+            let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
+            accelerations[sample] = push - friction - b * moved.speed;
+        }
+        accelerations
+    }
 }
 
 /// Simulates a run from an initial position and speed, one output for each sample.

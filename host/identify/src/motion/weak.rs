@@ -20,14 +20,14 @@ use nalgebra::{DMatrix, DVector};
 use r4_maths::statistics::{QuantileRule, quantile};
 
 use crate::{
-    family::{self, Candidate, Model, Parameter, Structure},
+    family::{self, Candidate, Model, Parameter, Simulated, Structure},
     fit::{Effort, Fit, cost, fit, parameters},
 };
 
 use super::{
     Dynamics, Kind, Motion, MotionRun,
     effect::Effect,
-    simulate::{Moved, accelerations, is_placed},
+    simulate::{Moved, accelerations, accelerations_each, is_placed},
     smooth::Smooth,
 };
 
@@ -64,7 +64,19 @@ pub(super) struct Window {
 
 impl Window {
     pub(super) fn sum(&self, series: &[f64]) -> f64 {
-        self.weights.iter().zip(&series[self.from..]).map(|(weight, value)| weight * value).sum()
+        let (weights, values) = (&self.weights[..], &series[self.from..][..self.weights.len()]);
+        // Four sums side by side: one waits for each addition before the next.
+        let mut sums = [0.0; 4];
+        let whole = weights.len() - weights.len() % 4;
+        for place in (0..whole).step_by(4) {
+            for lane in 0..4 {
+                sums[lane] += weights[place + lane] * values[place + lane];
+            }
+        }
+        for place in whole..weights.len() {
+            sums[0] += weights[place] * values[place];
+        }
+        (sums[0] + sums[1]) + (sums[2] + sums[3])
     }
 
     pub(super) fn ends_within(&self, series: &[f64]) -> bool {
@@ -274,6 +286,23 @@ impl Model for Weak<'_> {
         for (predicted, sum) in predicted.iter_mut().zip(seen.windows.sums(&accelerations)) {
             *predicted = sum;
         }
+    }
+
+    fn predict_each(
+        &self,
+        known: &Simulated<'_>,
+        others: &[(&Structure, &[f64])],
+        seen: &Seen,
+        told: &mut dyn FnMut(usize, &[f64]),
+    ) {
+        let true_stamps = |structure: &Structure| self.motion.with_true_stamps(structure.clone());
+        let structures: Vec<Structure> = others.iter().map(|(structure, _)| true_stamps(structure)).collect();
+        let offsets = others.iter().map(|(_, initial)| initial.first().copied().unwrap_or(0.0));
+        let others: Vec<(&Structure, f64)> = structures.iter().zip(offsets).collect();
+        let (known, steps) = (true_stamps(known.structure), &seen.windows.moved[..]);
+        accelerations_each(self.motion, &known, &others, &seen.run, steps, &mut |index, accelerations| {
+            told(index, &seen.windows.sums(accelerations).collect::<Vec<_>>());
+        });
     }
 
     fn measured<'r>(&self, seen: &'r Seen) -> &'r [f64] {

@@ -2,6 +2,7 @@
 
 mod linear;
 mod nonlinear;
+pub mod trust_region;
 
 pub use linear::{linear, weighted};
 use nalgebra::{DMatrix, DVector};
