@@ -301,10 +301,17 @@ pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
     1.4826 * quantile(&magnitudes, 0.5, QuantileRule::NearestPosition).unwrap_or(0.0)
 }
 
-/// Deviation of white noise on a smooth series, by its second differences.
+/// Deviation of white noise on a smooth series, by its second differences; of one that stands still for most of the time, what rounding to
+/// its smallest change makes.
 pub(crate) fn white_noise(values: &[f64]) -> f64 {
     let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
-    robust_deviation(differences.collect()) / 6.0_f64.sqrt()
+    let noise = robust_deviation(differences.collect()) / 6.0_f64.sqrt();
+    if noise > 0.0 {
+        return noise;
+    }
+    let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|change| *change > 0.0);
+    let smallest = changes.fold(f64::INFINITY, f64::min);
+    if smallest.is_finite() { smallest / 12.0_f64.sqrt() } else { 0.0 }
 }
 
 /// Two neighbouring corners of a curve, and what their difference is multiplied by to count like a residual. Where data say

@@ -66,6 +66,7 @@ fn bridge(piece: &mut Piece, roles: &[Mapping]) {
         piece.time_s.drain(..from);
         let first_s = piece.time_s.first().copied().unwrap_or(0.0);
         piece.time_s.iter_mut().for_each(|time_s| *time_s -= first_s);
+        piece.origin_s = piece.origin_s.map(|origin_s| origin_s + first_s);
         piece.values.iter_mut().for_each(|values| drop(values.drain(..from)));
     }
     for at in driving() {

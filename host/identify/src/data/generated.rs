@@ -96,6 +96,7 @@ pub(super) fn run(columns: Vec<(&str, Quantity, Vec<f64>)>) -> Run {
     Run {
         name: "generated".to_owned(),
         time_s: (0..samples).map(|at| PERIOD_S * at as f64).collect(),
+        origin_s: None,
         signals: columns
             .into_iter()
             .map(|(role, quantity, values)| (role.to_owned(), Signal { column: role.to_owned(), quantity, values }))

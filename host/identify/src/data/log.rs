@@ -52,6 +52,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
         time: Some(("time".to_owned(), true)),
         lines: (1..=time_s.len() as u64).collect(),
         time_s,
+        by_board: true,
         ..Raw::default()
     };
     for (_, series) in &columns {

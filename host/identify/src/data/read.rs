@@ -130,6 +130,8 @@ pub(super) struct Raw {
     pub(super) time: Option<(String, bool)>,
     /// NaN where none is stated.
     pub(super) time_s: Vec<f64>,
+    /// Time is that of a board's clock.
+    pub(super) by_board: bool,
     /// In the order of the roles: name, quantity, and one SI value per row.
     pub(super) columns: Vec<(String, Quantity, Vec<f64>)>,
     /// What the columns to split by hold; empty without such columns.
@@ -209,6 +211,7 @@ pub fn read_bytes(file: &str, bytes: &[u8], options: &Options) -> Result<Recorde
         recorded.runs.push(Run {
             name: piece.name,
             time_s: piece.time_s,
+            origin_s: piece.origin_s,
             signals: signals.collect::<BTreeMap<_, _>>(),
         });
         recorded.groups.push(piece.group);

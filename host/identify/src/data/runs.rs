@@ -11,6 +11,8 @@ pub(super) struct Piece {
     pub(super) group: usize,
     /// From 0, strictly increasing.
     pub(super) time_s: Vec<f64>,
+    /// As [`super::Run`] has it.
+    pub(super) origin_s: Option<f64>,
     /// In the order of the roles, as long as the time.
     pub(super) values: Vec<Vec<f64>>,
 }
@@ -86,10 +88,11 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
             }
             let of = |values: &Vec<f64>| part.iter().map(|&row| values[row]).collect();
             let time_s = part.iter().map(|&row| raw.time_s[row] - raw.time_s[first]).collect();
+            let origin_s = raw.by_board.then_some(raw.time_s[first]);
             let values = raw.columns.iter().map(|(_, _, values)| of(values)).collect();
             // Without columns to tell runs apart, each start of the clock is a run to be held out by itself.
             let group = if raw.keys.is_empty() { number } else { group };
-            found.push((first, Piece { name, group, time_s, values }));
+            found.push((first, Piece { name, group, time_s, origin_s, values }));
         }
     }
     found.sort_by_key(|(first, _)| *first);

@@ -201,3 +201,14 @@ fn a_step_beyond_a_reflecting_end_comes_back() {
         assert!((at(value, step) - expected).abs() < 1e-12, "{value} {step}: {}", at(value, step));
     }
 }
+
+#[test]
+fn what_mostly_stands_still_has_the_noise_of_its_rounding() {
+    let step = 0.01;
+    // A second of each five it turns at 0.5 a second.
+    let way = |t: f64| 0.5 * ((t / 5.0).floor() + (t % 5.0).min(1.0));
+    let rounded: Vec<f64> = (0..2000).map(|n| (way(0.005 * f64::from(n)) / step).round() * step).collect();
+    let noise = super::white_noise(&rounded);
+    assert!((noise / (step / 12.0_f64.sqrt()) - 1.0).abs() < 1e-6, "{noise}");
+    assert_eq!(super::white_noise(&[2.0; 50]), 0.0);
+}

@@ -8,6 +8,8 @@ use super::Scales;
 
 /// Share of a motor's damping that is friction, not back-EMF.
 pub(super) const VISCOUS_SHARE: &str = "viscous_share_of_damping";
+/// By how much what was sampled of an input is stamped late, which shows only where it is held.
+pub(super) const INPUT_LATE: &str = "input_stamps_late_s";
 /// Largest relative error of a clock that is fitted. Our choice: without a limit, 4.6e-3 explained a part of a recording whose rows run
 /// backwards; other values have not been compared.
 const WORST_CLOCK: f64 = 2e-3;
@@ -231,15 +233,20 @@ impl Effect {
                 vec![sized("period_s", "s", Range::Coarse { step: 2e-4 })],
                 s.stairs_s.iter().map(|&hold_s| vec![hold_s]).collect(),
             ),
-            Self::InputHold => (
-                vec![sized("period_s", "s", Range::Coarse { step: 2e-4 })],
-                // All of them are only tried where no period is found without free runs.
-                (0..)
-                    .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
-                    .take_while(|&hold_s| hold_s < 0.6)
-                    .map(|hold_s| vec![hold_s])
-                    .collect(),
-            ),
+            Self::InputHold => {
+                let late = || s.input_is_sampled.then_some(0.0);
+                let late_s = late().map(|_| shaped(INPUT_LATE, "s", Range::Between(-s.period_s, s.period_s)));
+                let period = sized("period_s", "s", Range::Coarse { step: 2e-4 });
+                (
+                    late_s.into_iter().chain([period]).collect(),
+                    // All of them are only tried where no period is found without free runs.
+                    (0..)
+                        .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
+                        .take_while(|&hold_s| hold_s < 0.6)
+                        .map(|hold_s| late().into_iter().chain([hold_s]).collect())
+                        .collect(),
+                )
+            }
             Self::DeadZone => (
                 vec![sized(s.units.input_name, s.units.input, level(0.05 * s.input))],
                 [0.02, 0.1, 0.3].iter().map(|share| vec![share * s.input]).collect(),

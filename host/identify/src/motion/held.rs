@@ -18,11 +18,13 @@ const OFFERED: usize = 4;
 /// Steps of the command are late by 0.3 periods, more or less: less than that, in periods, is not noticed.
 const NOTICED: f64 = 0.2;
 
-/// A model that lacks a term whose one number is a period.
+/// A model that lacks a term whose last number is a period.
 struct Lacking<'r, 'm> {
     motion: &'m Motion,
     rest: &'r Rest<'m>,
     term: Term,
+    /// Its numbers before the period.
+    others: &'r [f64],
     /// What moves with each of the model's numbers, in the windows of each recording.
     slopes: Vec<DMatrix<f64>>,
     /// What accelerates each recording without the term.
@@ -33,7 +35,7 @@ impl Lacking<'_, '_> {
     fn with(&self, period_s: f64) -> Structure {
         let mut structure = self.rest.fit.structure.clone();
         structure.terms.push(self.term.clone());
-        structure.added.push(vec![period_s]);
+        structure.added.push(self.others.iter().copied().chain([period_s]).collect());
         structure
     }
 
@@ -82,6 +84,7 @@ impl Motion {
     pub(super) fn by_periods(&self, starts: &[Structure], rest: &Rest<'_>) -> Option<(Structure, f64)> {
         let (first, last) = (starts.first()?, starts.last()?);
         let [shortest_s, longest_s] = [first, last].map(|start| start.added.last()?.last().copied());
+        let (_, others) = first.added.last()?.split_last()?;
         let Rest { weak, fit, seen, .. } = rest;
         let all: Vec<&Seen> = seen.iter().collect();
         let without =
@@ -90,13 +93,16 @@ impl Motion {
             motion: self,
             rest,
             term: first.terms.last()?.clone(),
+            others,
             slopes: fit.slopes(weak, &all),
             without: without.collect(),
         };
-        let lengths_s = seen.iter().filter_map(|seen| Some(seen.run.all.time_s.last()? - seen.run.all.time_s.first()?));
+        let from_s = seen.iter().map(|seen| seen.run.all.slots_s).fold(0.0, f64::max);
+        let until_s = seen.iter().filter_map(|seen| Some(seen.run.all.slots_s + seen.run.all.time_s.last()?));
         let search = Search {
             between_s: [shortest_s?, longest_s?],
-            recording_s: lengths_s.fold(0.0, f64::max),
+            from_s,
+            until_s: until_s.fold(0.0, f64::max),
             noticed_s: |period_s| NOTICED * period_s,
             offered: OFFERED,
         };

@@ -164,6 +164,8 @@ struct Scales {
     damps_by_emf: bool,
     /// At which the output looks most like stairs, s.
     stairs_s: Vec<f64>,
+    /// The input was sampled, not commanded from each sample on.
+    input_is_sampled: bool,
 }
 
 impl Scales {

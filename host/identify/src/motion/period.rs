@@ -12,8 +12,9 @@ const PARTS: u32 = 8;
 pub(super) struct Search<N> {
     /// Shortest and longest period, s.
     pub(super) between_s: [f64; 2],
-    /// Of the longest recording, s.
-    pub(super) recording_s: f64,
+    /// From the first period's beginning to the recordings' first samples and to their last, s.
+    pub(super) from_s: f64,
+    pub(super) until_s: f64,
     /// The shift that would be noticed at a period, s.
     pub(super) noticed_s: N,
     /// So many are offered.
@@ -21,19 +22,20 @@ pub(super) struct Search<N> {
 }
 
 impl<N: Fn(f64) -> f64> Search<N> {
-    /// The periods that stand out most, s; best first. `stands_out` is given a period and a stretch of the recordings, s; what
-    /// it returns does not grow by chance with the stretch.
+    /// The periods that stand out most, s; best first. `stands_out` is given a period and when to end, s; what it returns does not
+    /// grow by chance with the stretch until then.
     pub(super) fn best(&self, stands_out: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         let [shortest_s, longest_s] = self.between_s;
         let noticed_s = &self.noticed_s;
-        let all = |period_s: f64| self.recording_s / period_s;
+        let all = |period_s: f64| self.until_s / period_s;
+        let few = |period_s: f64| (COUNT + self.from_s / period_s).min(all(period_s));
         if !(shortest_s > 0.0 && noticed_s(shortest_s) > 0.0) {
             return vec![];
         }
         let mut tried: Vec<(f64, f64)> = vec![];
         let mut period_s = shortest_s;
-        while period_s <= longest_s.min(self.recording_s) {
-            let count = COUNT.min(all(period_s));
+        while period_s <= longest_s.min(self.until_s) {
+            let count = few(period_s);
             tried.push((stands_out(period_s, count * period_s), period_s));
             period_s += APART * noticed_s(period_s) / count;
         }
@@ -50,7 +52,7 @@ impl<N: Fn(f64) -> f64> Search<N> {
                 .max_by(|a, b| a.0.total_cmp(&b.0))
         };
         for peak in &mut peaks {
-            let mut count = COUNT.min(all(peak.1));
+            let mut count = few(peak.1);
             let mut apart_s = APART * noticed_s(peak.1) / count;
             while apart_s * all(peak.1) > CLOSER * noticed_s(peak.1) {
                 apart_s *= 0.5;
@@ -60,7 +62,7 @@ impl<N: Fn(f64) -> f64> Search<N> {
             }
             // A multiple of a short period was looked at over a longer stretch.
             let parts = (1..=PARTS).map(|part| peak.1 / f64::from(part)).filter(|&part_s| part_s >= shortest_s);
-            *peak = best(&mut parts.map(|part_s| (part_s, self.recording_s))).unwrap_or(*peak);
+            *peak = best(&mut parts.map(|part_s| (part_s, self.until_s))).unwrap_or(*peak);
         }
         peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
         peaks.dedup_by(|a, b| (a.1 - b.1).abs() * all(b.1) < noticed_s(b.1));

@@ -14,7 +14,7 @@ use crate::{
 
 use super::{
     ASSUMED_V, Kind, Motion, MotionRun,
-    effect::{Effect, VISCOUS_SHARE},
+    effect::{Effect, INPUT_LATE, VISCOUS_SHARE},
     smooth::Parabola,
 };
 
@@ -300,7 +300,7 @@ impl Motion {
             set("backward_gain", values[0])?;
         } else {
             for (parameter, &value) in candidate.parameters.iter().zip(values) {
-                if parameter.name == VISCOUS_SHARE {
+                if [VISCOUS_SHARE, INPUT_LATE].contains(&parameter.name) {
                     continue;
                 }
                 let is_force = self.is_per_inertia(parameter.name, parameter.unit);

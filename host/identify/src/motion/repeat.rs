@@ -187,7 +187,7 @@ mod tests {
             ("input".to_owned(), signal("force_n", Quantity::Force, input)),
             ("output".to_owned(), signal("x_m", Quantity::Length, output)),
         ];
-        Run { name: seed.to_string(), time_s, signals: signals.into() }
+        Run { name: seed.to_string(), time_s, origin_s: None, signals: signals.into() }
     }
 
     #[test]

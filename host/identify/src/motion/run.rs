@@ -37,6 +37,10 @@ pub(super) struct Recording {
     pub(super) steps: [Vec<(u32, f64)>; 2],
     /// Time at the first sample since the axis was switched on, if known.
     pub(super) origin_s: f64,
+    /// The same since slots of a held value began.
+    pub(super) slots_s: f64,
+    /// The input was sampled, and changed somewhere in between.
+    pub(super) is_sampled: bool,
     /// Made when they are first asked for.
     pub(super) windows: OnceLock<Option<Arc<Windows>>>,
 }
@@ -73,6 +77,9 @@ impl MotionRun {
             integral[index] = integral[index - 1] + input[index - 1] * (time_s[index] - time_s[index - 1]);
         }
         let recorded = run.values("supply");
+        // With the board. After longer than a recording, the period would have to be known too well to tell.
+        let recording_s = time_s.last().copied().unwrap_or(0.0);
+        let slots_s = run.origin_s.filter(|&origin_s| origin_s <= recording_s).unwrap_or(0.0);
         let count = input.len();
         Some(Self {
             from: 0,
@@ -88,7 +95,9 @@ impl MotionRun {
                 ),
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
                 noise: white_noise(&measured),
-                origin_s: 0.0,
+                origin_s: run.origin_s.unwrap_or(0.0),
+                is_sampled: run.origin_s.is_some(),
+                slots_s,
                 windows: OnceLock::new(),
                 steps: [2.0 * LONGEST_STEP_S, LONGEST_STEP_S].map(|longest_s| steps(&time_s, longest_s)),
                 time_s,
@@ -124,10 +133,20 @@ impl MotionRun {
         self.all.enabled.contains(&false)
     }
 
-    /// The command in force at a moment. `cursor` is where the last call looked; moments may go either way.
-    pub(super) fn input_before(&self, time_s: f64, cursor: &mut usize) -> f64 {
+    /// The command in force at a moment; of a sampled one, what a line from sample to sample has. `cursor` is where the last call looked;
+    /// moments may go either way.
+    pub(super) fn input_at_moment(&self, time_s: f64, cursor: &mut usize) -> f64 {
         self.seek(time_s, cursor);
-        if time_s < self.all.time_s[0] { self.all.input[0] } else { self.all.input[*cursor] }
+        let Recording { time_s: times_s, input, is_sampled, .. } = &*self.all;
+        let (from, next) = (*cursor, *cursor + 1);
+        if time_s < times_s[0] {
+            input[0]
+        } else if *is_sampled && next < input.len() {
+            let share = ((time_s - times_s[from]) / (times_s[next] - times_s[from])).min(1.0);
+            input[from] + share * (input[next] - input[from])
+        } else {
+            input[from]
+        }
     }
 
     fn seek(&self, time_s: f64, cursor: &mut usize) {

@@ -86,6 +86,8 @@ struct Input {
     /// By which it grows each second.
     clock_drift: f64,
     hold_s: f64,
+    /// What is looked at when it is held.
+    sampled_late_s: f64,
     dead_zone: f64,
     exponent: Option<f64>,
     backward_gain: f64,
@@ -197,12 +199,14 @@ impl Input {
             return run.mean_input(begin_s, step_s, cursor);
         }
         // The mean over the step, so that a little longer period makes a little difference.
+        let begin_s = run.all.slots_s + begin_s;
+        let stamp_s = self.sampled_late_s - run.all.slots_s;
         let end_s = begin_s + step_s;
         let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
-        let held = run.input_before(first * self.hold_s, cursor);
+        let held = run.input_at_moment(first * self.hold_s + stamp_s, cursor);
         if last > first {
             let share = (end_s - last * self.hold_s) / step_s;
-            held + share * (run.input_before(last * self.hold_s, cursor) - held)
+            held + share * (run.input_at_moment(last * self.hold_s + stamp_s, cursor) - held)
         } else {
             held
         }
@@ -688,7 +692,7 @@ impl Sensor {
         if self.compliance.is_some() { state.sprung } else { state.output }
     }
 
-    /// What is told at a sample.
+    /// What is told at a sample, so long after slots of a held value began.
     #[inline(always)]
     fn tell(&self, state: &mut SensorState, now_s: f64) -> f64 {
         if self.lag_s <= 0.0 {
@@ -743,7 +747,7 @@ impl Sensor {
         let at_once = self.is_at_once();
         let mut done = 0;
         for (sample, told) in (run.from..run.to).zip(predicted) {
-            *told = self.tell(&mut state, run.all.time_s[sample]);
+            *told = self.tell(&mut state, run.all.slots_s + run.all.time_s[sample]);
             let (steps, step_s) = run.steps(sample, fine);
             let next = done + steps as usize;
             if at_once {
@@ -850,7 +854,11 @@ impl<'s> Plan<'s> {
             // A delay that is looked for takes up what the stamps are late.
             delay_s: of(Effect::InputDelay).map_or_else(|| motion.stamps_late_s(&structure.base), |values| values[0]),
             clock_drift: one(Effect::ClockDrift, 0.0),
-            hold_s: one(Effect::InputHold, 0.0),
+            hold_s: of(Effect::InputHold).and_then(|values| values.last()).copied().unwrap_or(0.0),
+            sampled_late_s: match of(Effect::InputHold) {
+                Some(&[late_s, _]) => late_s,
+                _ => 0.0,
+            },
             dead_zone: one(Effect::DeadZone, 0.0),
             exponent: of(Effect::GainCurve).map(|values| values[0]),
             backward_gain: one(Effect::DirectionAsymmetry, 1.0),
@@ -914,7 +922,7 @@ impl<'s> Plan<'s> {
         let mut sensing = sensor.begin(body.position, body.speed);
         for (sample, told) in (run.from..run.to).zip(predicted) {
             let now_s = run.all.time_s[sample];
-            *told = sensor.tell(&mut sensing, now_s);
+            *told = sensor.tell(&mut sensing, run.all.slots_s + now_s);
             let (steps, step_s) = run.steps(sample, input.fine);
             let (speed_before, supply_v) = (body.speed, run.supply_at(sample));
             let of_sample = (supply_v, run.enabled_at(sample));

@@ -13,7 +13,7 @@ const LONGEST_S: f64 = 0.6;
 
 /// By how much a recording changes from each sample to the next.
 struct Changes {
-    /// Of the samples that end them.
+    /// Of the samples that end them, since slots began.
     time_s: Vec<f64>,
     /// Magnitudes, over their mean.
     size: Vec<f64>,
@@ -21,7 +21,8 @@ struct Changes {
 
 impl Changes {
     fn of(run: &MotionRun) -> Self {
-        let known = run.all.time_s.iter().zip(&run.all.measured).filter(|(_, value)| value.is_finite());
+        let time_s = run.all.time_s.iter().map(|time_s| run.all.slots_s + time_s);
+        let known = time_s.zip(&run.all.measured).filter(|(_, value)| value.is_finite());
         let (time_s, values): (Vec<f64>, Vec<f64>) = known.unzip();
         let mut size: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
         let mean = size.iter().sum::<f64>() / size.len().max(1) as f64;
@@ -32,7 +33,8 @@ impl Changes {
     /// Sum of those within which a slot of this length ends, and how many, until a moment; the first slot begins at time 0.
     fn at_steps(&self, period_s: f64, until_s: f64) -> (f64, f64) {
         let (mut place, mut stride, mut sum, mut count) = (0, 0, 0.0, 0.0);
-        let mut next_s = period_s;
+        let first_s = self.time_s.first().copied().unwrap_or(0.0);
+        let mut next_s = period_s * (1.0 + ((first_s - ALMOST_S) / period_s).floor().max(0.0));
         while next_s < until_s {
             // About as many samples later as the last time.
             let from = place;
@@ -69,10 +71,12 @@ pub(super) fn periods(runs: &[MotionRun], sample_s: f64) -> Vec<f64> {
         let (sum, count) = all.fold((0.0, 0.0), add);
         sum / count.max(1.0).sqrt()
     };
-    let recording_s = runs.iter().filter_map(|run| run.all.time_s.last()).copied().fold(0.0, f64::max);
+    let from_s = runs.iter().map(|run| run.all.slots_s).fold(0.0, f64::max);
+    let until_s = runs.iter().filter_map(|run| Some(run.all.slots_s + run.all.time_s.last()?)).fold(0.0, f64::max);
     Search {
         between_s: [SHORTEST * sample_s, LONGEST_S.min(LONGEST * sample_s)],
-        recording_s,
+        from_s,
+        until_s,
         // A step that is a sample late is none.
         noticed_s: |period_s: f64| period_s.min(sample_s),
         offered: OFFERED,
@@ -104,7 +108,8 @@ mod tests {
                     ("input".to_owned(), signal(Quantity::Number, vec![0.0; 2400])),
                     ("output".to_owned(), signal(Quantity::Angle, output)),
                 ];
-                MotionRun::new(&Run { name: String::new(), time_s, signals: signals.into() }, 12.0).expect("a run")
+                MotionRun::new(&Run { name: String::new(), time_s, origin_s: None, signals: signals.into() }, 12.0)
+                    .expect("a run")
             });
             let found = periods(&runs, 0.005)[0];
             // The last step is where it is by less than a sample.

@@ -379,7 +379,7 @@ impl Motion {
     }
 
     /// Where a fit with one more term can begin. A damping that a fit ran away from is one again that shows: from next to nothing, no
-    /// slope leads back. Stamps that stood in for what was missing are right again.
+    /// slope leads back, nor from more than a sample shows. Stamps that stood in for what was missing are right again.
     pub(super) fn movable(&self, structure: Structure) -> Structure {
         let mut structure = self.with_true_stamps(structure);
         let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
@@ -388,6 +388,8 @@ impl Motion {
         } else if base[1] > longest_s {
             base[0] *= longest_s / base[1];
             base[1] = longest_s;
+        } else {
+            base[1] = base[1].max(self.scales.period_s);
         }
         structure
     }
@@ -532,7 +534,7 @@ impl Seen {
         self.accelerations_until(f64::INFINITY, motion, structure, initial)
     }
 
-    /// The same until a moment.
+    /// The same until a moment, s since slots of a held value began.
     pub(super) fn accelerations_until(
         &self,
         until_s: f64,
@@ -543,7 +545,8 @@ impl Seen {
         // Of the stamps, windows say next to nothing: noise on the motion would drive them to the end of their range.
         let structure = &motion.with_true_stamps(structure.clone());
         let offset = initial.first().copied().unwrap_or(0.0);
-        let steps = self.run.all.time_s.partition_point(|&time_s| time_s <= until_s).min(self.windows.moved.len());
+        let all = &self.run.all;
+        let steps = all.time_s.partition_point(|&time_s| all.slots_s + time_s <= until_s).min(self.windows.moved.len());
         accelerations(motion, structure, &self.run, (&self.windows.moved[..steps], offset))
     }
 }
@@ -575,7 +578,7 @@ mod tests {
                 let values = (0..801).map(value).collect();
                 (name.to_owned(), Signal { quantity, values, column: name.to_owned() })
             });
-            let run = Run { name: "paused".to_owned(), time_s, signals: columns.into() };
+            let run = Run { name: "paused".to_owned(), time_s, origin_s: None, signals: columns.into() };
             let run = MotionRun::new(&run, 12.0).expect("its columns");
             let windows = Windows::of(&run, false).expect("windows on both sides");
             let (before, after): (Vec<_>, Vec<_>) = windows.windows.iter().partition(|window| window.from < 401);

@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn other_models_are_not_cut() {
-        let run = Run { name: String::new(), time_s: vec![], signals: BTreeMap::new() };
+        let run = Run { name: String::new(), time_s: vec![], origin_s: None, signals: BTreeMap::new() };
         assert!(hold_out("dc-motor", &run, 2).is_none());
         assert!(hold_out("static-map", &run, 2).is_none());
         assert!(hold_out("held-shaft", &run, 2).is_none());

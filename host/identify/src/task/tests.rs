@@ -17,6 +17,7 @@ fn run(columns: Columns) -> Run {
     Run {
         name: "recorded".into(),
         time_s: (0..samples).map(|at| at as f64 * PERIOD_S).collect(),
+        origin_s: None,
         signals: columns
             .into_iter()
             .map(|(role, quantity, values)| (role.to_owned(), Signal { column: role.into(), quantity, values }))

@@ -38,6 +38,7 @@ fn run(name: &str, period_s: f64, roles: &[(&str, Vec<f64>)]) -> Run {
     Run {
         name: name.to_owned(),
         time_s: (0..len).map(|at| at as f64 * period_s).collect(),
+        origin_s: None,
         signals: roles.iter().map(signal).collect(),
     }
 }

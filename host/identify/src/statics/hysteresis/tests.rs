@@ -28,7 +28,7 @@ fn pulled(gap: f64, spring: f64, settles: f64, cycles: usize) -> Run {
     let signal = |values| Signal { column: "c".into(), quantity: Quantity::Number, values };
     let signals =
         [("pull_a", a), ("pull_b", b), ("output", output)].map(|(role, values)| (role.to_owned(), signal(values)));
-    Run { name: "pulls".into(), time_s, signals: BTreeMap::from(signals) }
+    Run { name: "pulls".into(), time_s, origin_s: None, signals: BTreeMap::from(signals) }
 }
 
 #[test]

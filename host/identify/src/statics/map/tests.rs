@@ -11,7 +11,7 @@ fn recording(input: &[f64], output: &[f64], supply: Option<&[f64]>) -> Run {
         signals.insert("supply".to_owned(), signal(supply));
     }
     let time_s = (0..u32::try_from(input.len()).unwrap()).map(f64::from).collect();
-    Run { name: "sweep".into(), time_s, signals }
+    Run { name: "sweep".into(), time_s, origin_s: None, signals }
 }
 
 /// Up and down over -100..=100 in steps of 5, with an output that only shows what was moved.

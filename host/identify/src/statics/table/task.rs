@@ -260,6 +260,7 @@ mod tests {
         Run {
             name: "table".into(),
             time_s: (0..rows).map(f64::from).collect(),
+            origin_s: None,
             signals: columns.iter().map(|(role, values)| ((*role).to_owned(), signal(values))).collect(),
         }
     }

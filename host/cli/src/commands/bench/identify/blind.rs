@@ -110,7 +110,7 @@ fn run(setup: Setup, name: String, recording: &Recording) -> Run {
     if !recording.speed.is_empty() {
         signals.extend([signal("speed", "speed_rad_s", Quantity::AngularSpeed, &recording.speed)]);
     }
-    Run { name, time_s: recording.time_s.clone(), signals }
+    Run { name, time_s: recording.time_s.clone(), origin_s: None, signals }
 }
 
 fn identify(bench: &Bench<'_>, experiment: &Experiment) -> Result<Report, r4_identify::IdentifyError> {
