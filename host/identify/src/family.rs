@@ -324,6 +324,11 @@ pub trait Family: Model {
         false
     }
 
+    /// What is taken as known beside the base model's declared numbers, in words; `None` if nothing is.
+    fn known(&self) -> Option<String> {
+        None
+    }
+
     /// Whether a model is as late as its base may be: an effect that delays is likely missing.
     fn is_late(&self, _structure: &Structure) -> bool {
         false

@@ -324,6 +324,7 @@ fn assemble<F: Family>(
     };
     let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
     let found = search_until(family, train, &tell, until);
+    notes.extend(family.known());
     if found.is_cut_short {
         notes
             .push("the time limit was reached before every effect had been tried: allow more with --budget".to_owned());

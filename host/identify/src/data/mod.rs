@@ -113,8 +113,8 @@ pub struct Run {
     /// Seconds, strictly increasing, the first is 0.
     pub time_s: Vec<f64>,
     /// What the board's clock showed at the first sample, s, which runs since it was switched on; `None` where the recording is no log of
-    /// a board. A log has its input sampled like its output: what it was in between is not known. Other recordings have what was
-    /// commanded from each sample on.
+    /// a board. A log has its input sampled like its output, and a line from sample to sample is as near as one comes to what it was in
+    /// between. Other recordings have what was commanded from each sample on.
     pub origin_s: Option<f64>,
     /// By role, such as `input`.
     pub signals: BTreeMap<String, Signal>,

@@ -23,6 +23,7 @@ mod weak;
 use std::{
     collections::BTreeMap,
     f64::consts::{PI, TAU},
+    sync::Arc,
 };
 
 use r4_plants::{Dependence, PlantSpec};
@@ -207,6 +208,19 @@ pub struct Known {
     pub plant: Option<PlantSpec>,
 }
 
+impl Known {
+    /// What is known of the bridge: the first effects of the plant, as far as they are there at once.
+    pub(crate) fn bridge(&self) -> impl Iterator<Item = r4_plants::Effect> + '_ {
+        let effects = self.plant.iter().flat_map(PlantSpec::effects).copied();
+        effects.take_while(|effect| effect.at_once(0.0).is_some())
+    }
+}
+
+/// What effects of a bridge make of a duty.
+fn through(bridge: &[r4_plants::Effect], duty: f64) -> f64 {
+    bridge.iter().fold(duty, |duty, effect| effect.at_once(duty).unwrap_or(duty))
+}
+
 /// A model of one moving axis, made for given data.
 #[derive(Clone, Debug)]
 pub struct Motion {
@@ -220,6 +234,8 @@ pub struct Motion {
     duty_limit: f64,
     is_duty: bool,
     stops: Option<(f64, f64)>,
+    /// What is known of the bridge, in order, behind all that is sought of it.
+    bridge: Arc<[r4_plants::Effect]>,
     /// Nothing tells the voltage behind the duty.
     supply_assumed: bool,
     scales: Scales,
@@ -420,6 +436,12 @@ impl Family for Motion {
 
     fn is_early(&self, structure: &Structure) -> bool {
         self.stamps_late_s(&structure.base) < -ACAUSAL * EARLY * self.scales.period_s
+    }
+
+    fn known(&self) -> Option<String> {
+        let names: Vec<_> = self.bridge.iter().map(|effect| effect.name()).collect();
+        let what = "known of the bridge by the plant file, and kept, behind all that is found of it";
+        (!names.is_empty()).then(|| format!("{what}: {}", names.join(", ")))
     }
 
     fn is_late(&self, structure: &Structure) -> bool {

@@ -3,7 +3,8 @@
 use std::{collections::BTreeMap, f64::consts::TAU, fmt::Write};
 
 use r4_plants::{
-    DcGearMotor, Dependence, Effect as Listed, EffectInfo, Fitted, LinearActuator, Model, PlantKind, PlantSpec, Table,
+    DcGearMotor, Dependence, Effect as Listed, EffectInfo, Fitted, InsertionPoint, LinearActuator, Model, PlantKind,
+    PlantSpec, Table,
     effect::table::{On, Over},
 };
 
@@ -16,6 +17,7 @@ use super::{
     ASSUMED_V, Kind, Motion, MotionRun,
     effect::{Effect, INPUT_LATE, VISCOUS_SHARE},
     smooth::Parabola,
+    through,
 };
 
 /// A winding whose resistance nobody told, ohm.
@@ -224,6 +226,10 @@ impl Motion {
                 physical.inertia
             );
         }
+        // A plant's effects on the duty come after each other: what was found is before what was known.
+        let is_of_input = |effect: &Listed| effect.info().insertion == InsertionPoint::Input;
+        let (first, last): (Vec<_>, Vec<_>) = effects.into_iter().partition(is_of_input);
+        let effects = first.into_iter().chain(self.bridge.iter().copied()).chain(last).collect();
         match PlantSpec::new(model, source, effects) {
             Ok(mut spec) => {
                 tables.into_iter().for_each(|table| spec.push_table(table));
@@ -283,7 +289,7 @@ impl Motion {
         } else if effect == Effect::WindingHeating {
             // Full duty at rest is what a share of one stands for.
             let supply_v = self.known.supply_v.unwrap_or(ASSUMED_V);
-            let power_w = (self.scales.input * supply_v).powi(2) / physical.resistance_ohm;
+            let power_w = (through(&self.bridge, self.scales.input) * supply_v).powi(2) / physical.resistance_ohm;
             set("rise_per_w", values[0] / power_w)?;
             set("time_constant_s", values[1])?;
         } else if effect == Effect::DirectionViscous {

@@ -72,9 +72,11 @@ impl MotionRun {
         };
         let input = held(run.values("input")?);
         let measured = run.values("output")?.to_vec();
+        let is_sampled = run.origin_s.is_some();
         let mut integral = vec![0.0; input.len()];
         for index in 1..input.len() {
-            integral[index] = integral[index - 1] + input[index - 1] * (time_s[index] - time_s[index - 1]);
+            let mean = if is_sampled { 0.5 * (input[index - 1] + input[index]) } else { input[index - 1] };
+            integral[index] = integral[index - 1] + mean * (time_s[index] - time_s[index - 1]);
         }
         let recorded = run.values("supply");
         // With the board. After longer than a recording, the period would have to be known too well to tell.
@@ -96,7 +98,7 @@ impl MotionRun {
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
                 noise: white_noise(&measured),
                 origin_s: run.origin_s.unwrap_or(0.0),
-                is_sampled: run.origin_s.is_some(),
+                is_sampled,
                 slots_s,
                 windows: OnceLock::new(),
                 steps: [2.0 * LONGEST_STEP_S, LONGEST_STEP_S].map(|longest_s| steps(&time_s, longest_s)),
@@ -137,16 +139,22 @@ impl MotionRun {
     /// moments may go either way.
     pub(super) fn input_at_moment(&self, time_s: f64, cursor: &mut usize) -> f64 {
         self.seek(time_s, cursor);
-        let Recording { time_s: times_s, input, is_sampled, .. } = &*self.all;
-        let (from, next) = (*cursor, *cursor + 1);
-        if time_s < times_s[0] {
-            input[0]
-        } else if *is_sampled && next < input.len() {
-            let share = ((time_s - times_s[from]) / (times_s[next] - times_s[from])).min(1.0);
-            input[from] + share * (input[next] - input[from])
-        } else {
-            input[from]
+        let all = &*self.all;
+        if time_s < all.time_s[0] {
+            return all.input[0];
         }
+        let after_s = time_s - all.time_s[*cursor];
+        all.input[*cursor] + after_s * self.slope_from(*cursor)
+    }
+
+    /// At which the command changes from a sample to the next.
+    fn slope_from(&self, sample: usize) -> f64 {
+        let all = &*self.all;
+        let next = sample + 1;
+        if !all.is_sampled || next >= all.input.len() {
+            return 0.0;
+        }
+        (all.input[next] - all.input[sample]) / (all.time_s[next] - all.time_s[sample])
     }
 
     fn seek(&self, time_s: f64, cursor: &mut usize) {
@@ -168,7 +176,8 @@ impl MotionRun {
                 return all.input[0] * (time_s - all.time_s[0]);
             }
             self.seek(time_s, cursor);
-            all.integral[*cursor] + all.input[*cursor] * (time_s - all.time_s[*cursor])
+            let after_s = time_s - all.time_s[*cursor];
+            all.integral[*cursor] + after_s * (all.input[*cursor] + 0.5 * after_s * self.slope_from(*cursor))
         };
         let before = until(from_s);
         (until(from_s + duration_s) - before) / duration_s

@@ -11,13 +11,13 @@
 //! ([`Sensor`]). Nothing flows back, except round a servo's loop and into a sagging supply; so each stage is done for the
 //! whole run at once, and what free runs have in common is done once ([`simulate_each`]).
 
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, sync::Arc};
 
 use crate::family::{Acts, Curve, Simulated, Structure};
 use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
-use super::{Kind, Motion, MotionRun, effect::Effect};
+use super::{Kind, Motion, MotionRun, effect::Effect, through};
 
 /// What a free run tells beside the output, sample by sample.
 #[derive(Clone, Debug, Default)]
@@ -78,7 +78,7 @@ fn first_order(time_s: f64, time_constant_s: f64) -> f64 {
 }
 
 /// Between the command and the motor.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, PartialEq)]
 struct Input {
     sign: f64,
     /// Of the command; below 0 where the output's stamps are early.
@@ -86,7 +86,7 @@ struct Input {
     /// By which it grows each second.
     clock_drift: f64,
     hold_s: f64,
-    /// What is looked at when it is held.
+    /// By how much the stamps of what it is held from are late.
     sampled_late_s: f64,
     dead_zone: f64,
     exponent: Option<f64>,
@@ -103,6 +103,8 @@ struct Input {
     /// Duty per rad of error and unit of gain; a servo's.
     loop_gain: f64,
     duty_limit: f64,
+    /// What is known of the bridge.
+    bridge: Arc<[r4_plants::Effect]>,
     /// Friction or load change within a step's motion: short steps.
     fine: bool,
 }
@@ -126,6 +128,8 @@ struct InputState {
     cursor: usize,
     /// The last command, and how it was shaped.
     shaped: (f64, f64),
+    /// The same of what came to the bridge.
+    bridged: (f64, f64),
     lag: PerStep,
     heating: PerStep,
 }
@@ -152,10 +156,11 @@ impl Input {
         let shaped = self.shaped(command);
         let mut state = InputState {
             slewed: if self.rate.is_some() { shaped } else { 0.0 },
-            lagged: shaped * run.supply_at(from),
+            lagged: shaped,
             heat: 0.0,
             cursor: from,
             shaped: (command, shaped),
+            bridged: (f64::NAN, 0.0),
             lag: PerStep::NONE,
             heating: PerStep::NONE,
         };
@@ -185,7 +190,7 @@ impl Input {
     /// The mean command over a step, as it was a delay ago.
     #[inline(always)]
     fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
-        if self.hold_s > 0.0 || self.delay_s != 0.0 || self.clock_drift != 0.0 {
+        if self.hold_s > 0.0 || self.delay_s != 0.0 || self.clock_drift != 0.0 || run.all.is_sampled {
             self.delayed(run, from_s, step_s, cursor)
         } else {
             run.all.input[sample]
@@ -230,17 +235,23 @@ impl Input {
             state.slewed += (acting - state.slewed).clamp(-rate * step_s, rate * step_s);
             acting = state.slewed;
         }
+        if self.lag_s > 0.0 {
+            let share = state.lag.get(step_s, || first_order(step_s, self.lag_s));
+            let mean = acting + (state.lagged - acting) * share * self.lag_s / step_s;
+            state.lagged += (acting - state.lagged) * share;
+            acting = mean;
+        }
+        if !self.bridge.is_empty() {
+            if acting != state.bridged.0 {
+                state.bridged = (acting, through(&self.bridge, acting));
+            }
+            acting = state.bridged.1;
+        }
         let colder = self.heating.map_or(1.0, |(rise, _)| 1.0 / (1.0 + rise * state.heat));
         let mut volts = acting * supply_v;
         if self.sag > 0.0 {
             // Of what the current through the source takes, by the share of its resistance in the motor's.
             volts = back_emf + (volts - back_emf) / (1.0 + self.sag * acting * acting);
-        }
-        if self.lag_s > 0.0 {
-            let share = state.lag.get(step_s, || first_order(step_s, self.lag_s));
-            let mean = volts + (state.lagged - volts) * share * self.lag_s / step_s;
-            state.lagged += (volts - state.lagged) * share;
-            volts = mean;
         }
         if let Some((_, time_constant_s)) = self.heating {
             let power = (acting / self.largest).powi(2);
@@ -868,7 +879,8 @@ impl<'s> Plan<'s> {
             sag: one(Effect::SupplySag, 0.0),
             emf_share: emf_share(Effect::SupplySag),
             heating: two(Effect::WindingHeating),
-            largest: motion.scales.input,
+            largest: through(&motion.bridge, motion.scales.input),
+            bridge: motion.bridge.clone(),
             loop_gain: base.loop_gain,
             duty_limit: motion.duty_limit,
             fine: mechanics.stribeck.is_some()

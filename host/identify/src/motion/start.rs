@@ -1,7 +1,7 @@
 //! A model for given data: what can be seen in them, and where a fit begins.
 
 use nalgebra::{DMatrix, DVector};
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, sync::Arc};
 
 use crate::{
     data::{Need, Quantity, Run, check},
@@ -9,7 +9,7 @@ use crate::{
     family::{Family, Model},
 };
 
-use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs, waves};
+use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs, through, waves};
 
 /// Fewer tell nothing.
 const LEAST_SAMPLES: usize = 50;
@@ -70,6 +70,7 @@ impl Motion {
             of_speed,
             duty_limit: known.duty_limit.unwrap_or(1.0),
             is_duty,
+            bridge: if is_duty { known.bridge().collect() } else { Arc::default() },
             stops: known.stroke_m.map(|stroke_m| (0.0, stroke_m)),
             supply_assumed: is_duty && !recorded && known.supply_v.is_none(),
             scales,
@@ -214,7 +215,7 @@ impl Motion {
                 continue;
             }
             let sample = run.from + place;
-            let volts = run.input_at(sample) * run.supply_at(sample);
+            let volts = through(&self.bridge, run.input_at(sample)) * run.supply_at(sample);
             if let Some((speed, mean)) = filtered(dt_s, volts) {
                 drive = speed;
                 drive_twice += mean * dt_s;

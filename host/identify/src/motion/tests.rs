@@ -303,6 +303,49 @@ fn a_hold_in_the_log_of_a_board_is_found_to_its_clock() {
     assert!(found.cost < 1e-3 * current.cost, "{} of {}", found.cost, current.cost);
 }
 
+/// A ramp before a dead-zone is not one behind it.
+#[test]
+fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge() {
+    const RATE_PER_S: f64 = 2.0;
+    let plant = |ramp: &str| {
+        let text = format!(
+            "model = \"dc-gear-motor\"\n[parameters]\nresistance_ohm = 0.6\ninductance_h = 0.0\n\
+             torque_constant_nm_per_a = 0.0293\ngear_ratio = 25.0\ninertia_kg_m2 = 0.065\nviscous_nm_s_per_rad = 0.03\n\
+             {ramp}[[effects]]\neffect = \"dead-zone\"\nduty = 0.2\n[[effects]]\neffect = \"gain-curve\"\nexponent = 2.0\n"
+        );
+        PlantSpec::from_toml("ramped.toml", &text).expect("a plant file")
+    };
+    let truth = plant(&format!("[[effects]]\neffect = \"slew-limit\"\nrate_per_s = {RATE_PER_S}\n"));
+    let recorded = |seed: u32| {
+        let (mut plant, mut input, mut output) = (Plant::new(&truth, 0), vec![], vec![]);
+        for sample in 0..1200_u32 {
+            let step = (sample / 40 + seed).wrapping_mul(2_654_435_761) >> 24;
+            input.push(0.6 * (f64::from(step) / 127.5 - 1.0));
+            output.push(plant.position());
+            plant.advance(Drive::with_brake(input[input.len() - 1]), 12.0, 5e-3);
+        }
+        run((Quantity::Number, input), (Quantity::Angle, output), 5e-3)
+    };
+    let known = Known { supply_v: Some(12.0), plant: Some(plant("")), ..Known::default() };
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &[recorded(1), recorded(7)], &[]).expect("a model");
+    let runs: Vec<&MotionRun> = runs.iter().collect();
+    let index = model.catalogue().iter().position(|candidate| candidate.name == "slew-limit").expect("an effect");
+    let base = Structure { base: model.starts(&runs).remove(0), ..Structure::default() };
+    let current = fit(&model, &runs, base.clone(), guessed(&model, &runs), Effort::FULL);
+    let start =
+        |values: &Vec<f64>| Structure { terms: vec![Term::Known(index)], added: vec![values.clone()], ..base.clone() };
+    let starts = model.catalogue()[index].starts.iter().map(start).collect();
+    let (guess, _) = model.guess(starts, &current, &runs, Effort::SCREEN).expect("a guess");
+    let found = fit(&model, &runs, guess, guessed(&model, &runs), Effort::FULL);
+    let share = found.structure.added[0][0] / RATE_PER_S - 1.0;
+    // There is no noise; a ramp of 0.01 a sample is followed in steps of that.
+    assert!(share.abs() < 0.01, "{share}");
+    let loadable = model.loadable(&found.structure, "a test");
+    let written = PlantSpec::from_toml("found.toml", loadable.plant().expect("a plant")).expect("a plant file");
+    let names: Vec<&str> = written.effects().iter().map(|effect| effect.name()).collect();
+    assert_eq!(names, ["slew-limit", "dead-zone", "gain-curve"]);
+}
+
 /// A force that is commanded is no push: the mass does not multiply it.
 #[test]
 fn a_dead_zone_of_a_force_is_told_as_it_is_commanded() {

@@ -9,12 +9,11 @@ use anyhow::{Context, ensure};
 use r4_identify::{
     Identified, Progress, Task,
     data::{self, Mapping, Options, Recorded},
-    family::Loadable,
     report::Report,
     task::FileKind,
 };
 use r4_log::Log;
-use r4_plants::{Effect, PlantKind, PlantSpec};
+use r4_plants::{PlantKind, PlantSpec};
 use r4_protocol::ChannelId;
 use r4_rig::{
     PlantFile,
@@ -119,6 +118,7 @@ pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Re
     progress.step("reading the recordings");
     let (fitted, fresh) = recordings.split_at(TRAIN);
     let found = found(args, close, (&declared, supply_v), (fitted, fresh), progress)?;
+    may_be_loaded(found.loadable.plant().unwrap_or_default())?;
     let learned = (FileKind::Plant, found.loadable.plant().unwrap_or_default().to_owned());
     let files = write(&close.out, (fitted, fresh), args.seed, &found, &learned)?;
     let before = match &close.plant_before {
@@ -229,42 +229,19 @@ fn found(
         ..Options::default()
     };
     let read = |files: &[PathBuf]| -> anyhow::Result<Recorded> { Ok(data::read(files, &options)?) };
-    let (mut train, mut holdout) = (read(fitted)?, read(fresh)?);
-    let mut notes: Vec<String> = train.notes.iter().chain(&holdout.notes).map(ToString::to_string).collect();
-    let known: Vec<Effect> =
-        declared.effects().iter().copied().take_while(|effect| effect.at_once(0.0).is_some()).collect();
-    if !known.is_empty() {
-        let names: Vec<_> = known.iter().map(|effect| effect.name()).collect();
-        notes.push(format!("the input is the duty behind what the plant file has of the bridge: {}", names.join(", ")));
-    }
-    for run in train.runs.iter_mut().chain(&mut holdout.runs) {
-        let duties = run.signals.get_mut("input").into_iter().flat_map(|signal| &mut signal.values);
-        duties.for_each(|duty| {
-            *duty = known.iter().fold(*duty, |duty, effect| effect.at_once(duty).unwrap_or(duty));
-        });
-    }
+    let (train, holdout) = (read(fitted)?, read(fresh)?);
+    let notes = train.notes.iter().chain(&holdout.notes).map(ToString::to_string).collect();
     let parameters = [("supply_v".to_owned(), supply_v)].into_iter().filter(|(_, volts)| *volts > 0.0).collect();
     let task =
         Task { model: model.to_owned(), parameters, plant: Some(declared.clone()), seed: args.seed, ..Task::default() };
     let told = |now: Progress| progress.show(now);
-    let mut found = r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?;
-    if !known.is_empty() {
-        // Models of a motor make plants.
-        found.loadable = Loadable::Plant(behind(known, found.loadable.plant().unwrap_or_default())?);
-    }
-    Ok(found)
+    Ok(r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?)
 }
 
-/// The plant file of what was found behind effects that were known.
-fn behind(known: Vec<Effect>, found: &str) -> anyhow::Result<String> {
-    let spec = PlantSpec::from_toml("plant.toml", found).with_context(|| {
-        let told: Vec<_> = found.lines().filter_map(|line| line.strip_prefix("# ")).collect();
+/// Whether a simulated board loads the text of a plant file: what it cannot hold is told in its comments.
+fn may_be_loaded(plant: &str) -> anyhow::Result<()> {
+    PlantSpec::from_toml("plant.toml", plant).map(|_| ()).with_context(|| {
+        let told: Vec<_> = plant.lines().filter_map(|line| line.strip_prefix("# ")).collect();
         format!("no plant file can hold what was found, so nothing can be compared: {}", told.join(" "))
-    })?;
-    let effects = known.into_iter().chain(spec.effects().iter().copied()).collect();
-    let mut all = PlantSpec::new(*spec.model(), spec.source(), effects)?;
-    spec.tables().iter().for_each(|table| all.push_table(table.clone()));
-    // What the file cannot hold is told in its first lines.
-    let comments = found.lines().take_while(|line| line.starts_with('#'));
-    Ok(comments.chain([all.to_toml().as_str()]).collect::<Vec<_>>().join("\n"))
+    })
 }
