@@ -3,6 +3,7 @@
 //! All four are the same mechanics (`simulate.rs`) under different names for their two numbers, and with or without a
 //! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
 
+mod command;
 mod curve;
 mod effect;
 mod held;

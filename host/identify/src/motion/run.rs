@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::{data::Run, fit::white_noise};
 
-use super::weak::Windows;
+use super::{command::Command, weak::Windows};
 
 /// Steps of the simulation are no longer where friction or load change within a step's motion, and twice as long where
 /// they do not, s.
@@ -24,8 +24,8 @@ pub(super) struct Recording {
     pub(super) time_s: Vec<f64>,
     /// From each sample to the next.
     pub(super) input: Vec<f64>,
-    /// Of `input`, from the first sample on.
-    integral: Vec<f64>,
+    /// `input` between samples.
+    pub(super) command: Command,
     supply: Vec<f64>,
     pub(super) supply_recorded: bool,
     enabled: Vec<bool>,
@@ -39,8 +39,6 @@ pub(super) struct Recording {
     pub(super) origin_s: f64,
     /// The same since slots of a held value began.
     pub(super) slots_s: f64,
-    /// The input was sampled, and changed somewhere in between.
-    pub(super) is_sampled: bool,
     /// Made when they are first asked for.
     pub(super) windows: OnceLock<Option<Arc<Windows>>>,
 }
@@ -72,12 +70,7 @@ impl MotionRun {
         };
         let input = held(run.values("input")?);
         let measured = run.values("output")?.to_vec();
-        let is_sampled = run.origin_s.is_some();
-        let mut integral = vec![0.0; input.len()];
-        for index in 1..input.len() {
-            let mean = if is_sampled { 0.5 * (input[index - 1] + input[index]) } else { input[index - 1] };
-            integral[index] = integral[index - 1] + mean * (time_s[index] - time_s[index - 1]);
-        }
+        let command = if run.origin_s.is_some() { Command::sampled } else { Command::held };
         let recorded = run.values("supply");
         // With the board. After longer than a recording, the period would have to be known too well to tell.
         let recording_s = time_s.last().copied().unwrap_or(0.0);
@@ -88,7 +81,7 @@ impl MotionRun {
             to: count,
             all: Arc::new(Recording {
                 name: run.name.clone(),
-                integral,
+                command: command(&time_s, &input),
                 supply: recorded.map_or_else(|| vec![supply_v; count], held),
                 supply_recorded: recorded.is_some(),
                 enabled: run.values("enabled").map_or_else(
@@ -98,7 +91,6 @@ impl MotionRun {
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
                 noise: white_noise(&measured),
                 origin_s: run.origin_s.unwrap_or(0.0),
-                is_sampled,
                 slots_s,
                 windows: OnceLock::new(),
                 steps: [2.0 * LONGEST_STEP_S, LONGEST_STEP_S].map(|longest_s| steps(&time_s, longest_s)),
@@ -133,54 +125,6 @@ impl MotionRun {
 
     pub(super) fn coasts(&self) -> bool {
         self.all.enabled.contains(&false)
-    }
-
-    /// The command in force at a moment; of a sampled one, what a line from sample to sample has. `cursor` is where the last call looked;
-    /// moments may go either way.
-    pub(super) fn input_at_moment(&self, time_s: f64, cursor: &mut usize) -> f64 {
-        self.seek(time_s, cursor);
-        let all = &*self.all;
-        if time_s < all.time_s[0] {
-            return all.input[0];
-        }
-        let after_s = time_s - all.time_s[*cursor];
-        all.input[*cursor] + after_s * self.slope_from(*cursor)
-    }
-
-    /// At which the command changes from a sample to the next.
-    fn slope_from(&self, sample: usize) -> f64 {
-        let all = &*self.all;
-        let next = sample + 1;
-        if !all.is_sampled || next >= all.input.len() {
-            return 0.0;
-        }
-        (all.input[next] - all.input[sample]) / (all.time_s[next] - all.time_s[sample])
-    }
-
-    fn seek(&self, time_s: f64, cursor: &mut usize) {
-        let times = &self.all.time_s;
-        while *cursor > 0 && times[*cursor] > time_s {
-            *cursor -= 1;
-        }
-        while *cursor + 1 < times.len() && times[*cursor + 1] <= time_s {
-            *cursor += 1;
-        }
-    }
-
-    /// Mean command from a moment on.
-    pub(super) fn mean_input(&self, from_s: f64, duration_s: f64, cursor: &mut usize) -> f64 {
-        let all = &*self.all;
-        let mut until = |time_s: f64| {
-            if time_s < all.time_s[0] {
-                // What was before the recording is not known: the first command is taken to have been there.
-                return all.input[0] * (time_s - all.time_s[0]);
-            }
-            self.seek(time_s, cursor);
-            let after_s = time_s - all.time_s[*cursor];
-            all.integral[*cursor] + after_s * (all.input[*cursor] + 0.5 * after_s * self.slope_from(*cursor))
-        };
-        let before = until(from_s);
-        (until(from_s + duration_s) - before) / duration_s
     }
 
     /// Guess and deviation of position and speed at the first sample. Where speeds were recorded, the position is anywhere.

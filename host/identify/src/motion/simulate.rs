@@ -109,6 +109,21 @@ struct Input {
     fine: bool,
 }
 
+/// What is commanded over a step.
+#[derive(Clone, Copy)]
+struct Commanded {
+    mean: f64,
+    /// Values, and weights that add up to 1, where it changes: the mean of what a bridge makes of them is not what it makes of
+    /// their mean.
+    parts: Option<[(f64, f64); 3]>,
+}
+
+impl From<f64> for Commanded {
+    fn from(mean: f64) -> Self {
+        Self { mean, parts: None }
+    }
+}
+
 /// What arrives at the motor over a step.
 #[derive(Clone, Copy)]
 struct Driven {
@@ -152,7 +167,7 @@ impl Input {
         let from = if remembers { 0 } else { run.from };
         // What a servo was told of itself then is what was recorded.
         let mut told = run.all.measured.iter().skip(from).copied().find(|told| told.is_finite()).unwrap_or(0.0);
-        let command = self.looped(run, from, run.input_at(from), told);
+        let command = self.looped(run, from, run.input_at(from).into(), told).mean;
         let shaped = self.shaped(command);
         let mut state = InputState {
             slewed: if self.rate.is_some() { shaped } else { 0.0 },
@@ -172,7 +187,8 @@ impl Input {
                 let from_s = run.all.time_s[sample] + f64::from(step) * step_s;
                 let command = self.command(run, sample, from_s, step_s, &mut state.cursor);
                 let command = self.looped(run, sample, command, told);
-                self.drive(&mut state, command, (run.supply_at(sample), run.enabled_at(sample)), step_s, 0.0);
+                let of_sample = (run.supply_at(sample), run.enabled_at(sample));
+                self.drive(&mut state, command, of_sample, step_s, 0.0);
             }
         }
         state
@@ -180,41 +196,50 @@ impl Input {
 
     /// What drives the motor under a command: a servo's loop makes a duty of it, by what it is told of its position.
     #[inline(always)]
-    fn looped(&self, run: &MotionRun, sample: usize, command: f64, told: f64) -> f64 {
+    fn looped(&self, run: &MotionRun, sample: usize, command: Commanded, told: f64) -> Commanded {
         if self.loop_gain == 0.0 {
             return command;
         }
-        (self.loop_gain * run.gain_at(sample) * (command - told)).clamp(-self.duty_limit, self.duty_limit)
+        let duty = self.loop_gain * run.gain_at(sample) * (command.mean - told);
+        duty.clamp(-self.duty_limit, self.duty_limit).into()
     }
 
-    /// The mean command over a step, as it was a delay ago.
+    /// The command over a step, as it was a delay ago.
     #[inline(always)]
-    fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
-        if self.hold_s > 0.0 || self.delay_s != 0.0 || self.clock_drift != 0.0 || run.all.is_sampled {
+    fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> Commanded {
+        if self.hold_s > 0.0 || self.delay_s != 0.0 || self.clock_drift != 0.0 || run.all.command.is_straight() {
             self.delayed(run, from_s, step_s, cursor)
         } else {
-            run.all.input[sample]
+            run.all.input[sample].into()
         }
     }
 
     #[inline(never)]
-    fn delayed(&self, run: &MotionRun, from_s: f64, step_s: f64, cursor: &mut usize) -> f64 {
+    fn delayed(&self, run: &MotionRun, from_s: f64, step_s: f64, cursor: &mut usize) -> Commanded {
         let begin_s = from_s - self.delay_s - self.clock_drift * from_s;
         if self.hold_s <= 0.0 {
-            return run.mean_input(begin_s, step_s, cursor);
+            let mean = run.all.command.mean(begin_s, step_s, cursor);
+            let parts = run.all.command.is_straight().then(|| {
+                // Simpson's rule.
+                let weights = [1.0, 4.0, 1.0].map(|weight| weight / 6.0);
+                let mut at = |share: f64| run.all.command.at(begin_s + share * step_s, cursor);
+                [(at(0.0), weights[0]), (at(0.5), weights[1]), (at(1.0), weights[2])]
+            });
+            return Commanded { mean, parts: parts.filter(|parts| parts[0].0 != parts[2].0) };
         }
         // The mean over the step, so that a little longer period makes a little difference.
         let begin_s = run.all.slots_s + begin_s;
         let stamp_s = self.sampled_late_s - run.all.slots_s;
         let end_s = begin_s + step_s;
         let (first, last) = ((begin_s / self.hold_s).floor(), (end_s / self.hold_s).floor());
-        let held = run.input_at_moment(first * self.hold_s + stamp_s, cursor);
-        if last > first {
-            let share = (end_s - last * self.hold_s) / step_s;
-            held + share * (run.input_at_moment(last * self.hold_s + stamp_s, cursor) - held)
-        } else {
-            held
+        let held = run.all.command.at(first * self.hold_s + stamp_s, cursor);
+        if last <= first {
+            return held.into();
         }
+        let share = (end_s - last * self.hold_s) / step_s;
+        let next = run.all.command.at(last * self.hold_s + stamp_s, cursor);
+        let parts = Some([(held, 1.0 - share), (next, share), (0.0, 0.0)]);
+        Commanded { mean: held + share * (next - held), parts }
     }
 
     /// `back_emf` is what the motor makes itself, as volts at its terminals: only a sagging supply feels it.
@@ -222,7 +247,7 @@ impl Input {
     fn drive(
         &self,
         state: &mut InputState,
-        command: f64,
+        Commanded { mean: command, parts }: Commanded,
         (supply_v, enabled): (f64, bool),
         step_s: f64,
         back_emf: f64,
@@ -241,7 +266,10 @@ impl Input {
             state.lagged += (acting - state.lagged) * share;
             acting = mean;
         }
-        if !self.bridge.is_empty() {
+        if let Some(parts) = parts.filter(|_| self.rate.is_none() && self.lag_s <= 0.0) {
+            let of = |(command, weight): (f64, f64)| weight * through(&self.bridge, self.shaped(command));
+            acting = parts.into_iter().map(of).sum();
+        } else if !self.bridge.is_empty() {
             if acting != state.bridged.0 {
                 state.bridged = (acting, through(&self.bridge, acting));
             }

@@ -313,6 +313,6 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
         cogging: teeth,
         damps_by_emf: true,
         stairs_s: stairs::periods(runs, period_s),
-        input_is_sampled: runs.iter().any(|run| run.all.is_sampled),
+        input_is_sampled: runs.iter().any(|run| run.all.command.is_straight()),
     })
 }
