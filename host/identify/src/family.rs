@@ -324,6 +324,11 @@ pub trait Family: Model {
         false
     }
 
+    /// Structures that may predict the same with other numbers, each with what that is, in words.
+    fn exchanged(&self, _structure: &Structure) -> Vec<(String, Structure)> {
+        vec![]
+    }
+
     /// What is taken as known beside the base model's declared numbers, in words; `None` if nothing is.
     fn known(&self) -> Option<String> {
         None

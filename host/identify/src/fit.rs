@@ -13,6 +13,8 @@ use r4_maths::{
     statistics::{QuantileRule, quantile},
 };
 
+pub(crate) use profile::RISE;
+
 use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term};
 
 /// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far

@@ -929,7 +929,7 @@ fn has_memory(fit: &Fit) -> bool {
 }
 
 /// How many independent samples say as much as those that a model was fitted to.
-fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
+pub(crate) fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
     let residuals = fit.residuals(family, runs);
     let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
     samples / correlated(&residuals)

@@ -13,13 +13,13 @@ use crate::{
     data::Run,
     error::IdentifyError,
     family::{Acts, Family, Loadable, Structure, Term},
-    fit::{self, Fit},
+    fit::{self, Effort, Fit},
     motion::{Kind, Known, Motion},
     report::{
         EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
     },
     residual::{Left, left},
-    select::{Found, base, depends_on, search_until},
+    select::{Found, base, depends_on, independent, search_until},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
     suspect::{Checked, check_recordings, suspicions},
@@ -250,6 +250,29 @@ pub fn models() -> Vec<ModelInfo> {
 /// Share of a held-out run that its initial state is fitted to, and samples at least.
 const SETTLE_SHARE: usize = 10;
 const SETTLE_SAMPLES: usize = 20;
+/// 95 % intervals of a fit's parameters, and what of them can be exchanged without being noticed: its intervals reach from the one to
+/// the other.
+fn intervals<F: Family>(
+    family: &F,
+    fitted: &Fit,
+    runs: &[&F::Run],
+) -> (Vec<Option<[f64; 2]>>, impl Iterator<Item = String> + use<F>) {
+    let mut intervals = fitted.intervals(family, runs);
+    let unnoticed = fitted.cost * (1.0 + fit::RISE / independent(family, runs, fitted));
+    let mut exchanged = Vec::new();
+    for (what, other) in family.exchanged(&fitted.structure) {
+        let other = fit::fit(family, runs, other, fitted.initial.clone(), Effort::FULL);
+        if other.cost > unnoticed {
+            continue;
+        }
+        for (interval, other) in intervals.iter_mut().zip(other.intervals(family, runs)) {
+            *interval = interval.zip(other).map(|([low, high], [lower, higher])| [low.min(lower), high.max(higher)]);
+        }
+        exchanged.push(what);
+    }
+    (intervals, exchanged.into_iter())
+}
+
 /// Share of the time allowed after which no further effect is looked for; the rest is for intervals. Our choice, not compared.
 const SEARCHING: f64 = 0.6;
 
@@ -339,7 +362,11 @@ fn assemble<F: Family>(
         |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)).rmse;
     let [baseline, last] = [&found.base, &found.last].map(|fit| scores(family, fit, (train, holdout), protocol));
     tell("intervals");
-    let intervals = found.fitted.0.intervals(family, &found.fitted.1.iter().collect::<Vec<_>>());
+    let (intervals, exchanged) = intervals(family, &found.fitted.0, &found.fitted.1.iter().collect::<Vec<_>>());
+    notes.extend(
+        exchanged
+            .map(|what| format!("either way round says the same of the data, and both are in the intervals: {what}")),
+    );
     let (mut parameters, terms) = family.estimates(&found.last.structure, &found.deviations, &intervals);
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();

@@ -7,7 +7,7 @@ use crate::family::{Model, Range, Term};
 use super::{Effort, Fit, Problem, Spread, flat, set_flat};
 
 /// 95 % of chi-square with one degree of freedom (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
-const RISE: f64 = 3.841;
+pub(crate) const RISE: f64 = 3.841;
 /// An end is found when the root of the cost's rise, which is nearly straight, is so near to what it has to be.
 const NEAR: f64 = 0.02;
 /// Fits for each end of an interval, at most.

@@ -439,6 +439,23 @@ impl Family for Motion {
         self.stamps_late_s(&structure.base) < -ACAUSAL * EARLY * self.scales.period_s
     }
 
+    /// Two lags one after the other do the same in either order.
+    fn exchanged(&self, structure: &Structure) -> Vec<(String, Structure)> {
+        let of_lag = |effect: Effect| {
+            let index = self.index(effect)?;
+            let place = structure.terms.iter().position(|term| *term == Term::Known(index))?;
+            let (lag_s, Dynamics { k, b, .. }) = (structure.added[place][0], self.dynamics(&structure.base));
+            if self.places.b_open.is_some() || !(lag_s > 0.0 && b > 0.0) {
+                return None;
+            }
+            // The same speed for the same push in the end.
+            let mut other = self.with_dynamics(structure.clone(), k / (b * lag_s), 1.0 / lag_s);
+            other.added[place][0] = 1.0 / b;
+            Some((format!("the time constants of {} and of what moves", effect.name()), other))
+        };
+        [Effect::DriveLag, Effect::SensorLag].into_iter().filter_map(of_lag).collect()
+    }
+
     fn known(&self) -> Option<String> {
         let names: Vec<_> = self.bridge.iter().map(|effect| effect.name()).collect();
         let what = "known of the bridge by the plant file, and kept, behind all that is found of it";

@@ -303,6 +303,32 @@ fn a_hold_in_the_log_of_a_board_is_found_to_its_clock() {
     assert!(found.cost < 1e-3 * current.cost, "{} of {}", found.cost, current.cost);
 }
 
+/// Of a lag of the drive before that of the motor the data do not tell which is which.
+#[test]
+fn lags_that_can_be_exchanged_are_in_each_others_intervals() {
+    let made = experiment(Setup::MotorSpeed, Draw::Listed, Length::STANDARD, 900_013);
+    let [truth] = made.hidden.truth() else { panic!("one effect") };
+    assert_eq!(truth.name, "drive-lag");
+    let task = Task {
+        model: "dc-motor".into(),
+        parameters: [("supply_v".to_owned(), made.supply_v)].into(),
+        seed: 1,
+        ..Task::default()
+    };
+    let [train, holdout] = [&made.train, &made.holdout].map(|recordings| recorded(made.setup, recordings));
+    let report = identify(&task, &train, &holdout, vec![], &|_| {}).expect("a report").report;
+    let lag = &report.effects[0].parameters["time_constant_s"];
+    let motor = &report.parameters["time_constant_s"];
+    for (one, other) in [(lag, motor), (motor, lag)] {
+        let [low, high] = one.interval.expect("an interval");
+        assert!(low < other.value && other.value < high, "{one:?}, {other:?}");
+    }
+    let [low, high] = lag.interval.expect("an interval");
+    let lag_s = truth.parameters[0].value;
+    assert!(low < lag_s && lag_s < high, "{lag_s}: {lag:?}");
+    assert!(report.notes.iter().any(|note| note.contains("the time constants of drive-lag and of what moves")));
+}
+
 /// A ramp before a dead-zone is not one behind it.
 #[test]
 fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge() {
