@@ -53,8 +53,8 @@ fn boards_on_can_interfaces_work() {
     let mut qemu = Command::new("qemu-system-x86_64");
     // Without the help of the processor (KVM): a machine that is virtual itself may offer it and hang with it.
     qemu.args(["-accel", "tcg", "-cpu", "max", "-m", "1024"])
-        // Its clock counts instructions, 2^2 ns each, and leaps where it idles: that other tests run beside it changes
-        // nothing in it. Real time would: a board that gets no processor for 0.1 s is dated ahead of, or trips.
+        // Its clock counts instructions, 2^2 ns each, and skips idle time, so that load on the host does not change what it
+        // does. In real time a board without a processor for 0.1 s refuses set points as ahead of its clock, or trips.
         .args(["-icount", "shift=2,sleep=off"])
         .args(["-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot", "-kernel"])
         .arg(&image.kernel)

@@ -17,8 +17,8 @@ impl Command {
         Self::new(time_s.to_vec(), value.to_vec(), false)
     }
 
-    /// One that was sampled: as near as one comes, it goes straight from sample to sample. That ramps of a board's duty begin and end
-    /// between samples, as their limited slope would tell, made no difference to what was found.
+    /// One that was sampled: straight from sample to sample. Where between samples a board's ramp of the duty begins and ends follows
+    /// from its slope; tried on the blind boards 2, 60600004, 60600007 and 60600011, that changed no name and no error by more than 6 %.
     pub(super) fn sampled(time_s: &[f64], value: &[f64]) -> Self {
         Self::new(time_s.to_vec(), value.to_vec(), true)
     }

@@ -12,8 +12,9 @@ const PARTS: u32 = 8;
 pub(super) struct Search<N> {
     /// Shortest and longest period, s.
     pub(super) between_s: [f64; 2],
-    /// From the first period's beginning to the recordings' first samples and to their last, s.
+    /// Latest first sample of the recordings, s since the first period began.
     pub(super) from_s: f64,
+    /// Latest last sample of the recordings, s since the first period began.
     pub(super) until_s: f64,
     /// The shift that would be noticed at a period, s.
     pub(super) noticed_s: N,

@@ -24,7 +24,7 @@ pub(super) struct Recording {
     pub(super) time_s: Vec<f64>,
     /// From each sample to the next.
     pub(super) input: Vec<f64>,
-    /// `input` between samples.
+    /// The input at moments between samples, in its own unit.
     pub(super) command: Command,
     supply: Vec<f64>,
     pub(super) supply_recorded: bool,

@@ -731,7 +731,7 @@ impl Sensor {
         if self.compliance.is_some() { state.sprung } else { state.output }
     }
 
-    /// What is told at a sample, so long after slots of a held value began.
+    /// What the sensor tells at a sample, `now_s` after slots of a held value began.
     #[inline(always)]
     fn tell(&self, state: &mut SensorState, now_s: f64) -> f64 {
         if self.lag_s <= 0.0 {

@@ -2,7 +2,7 @@
 //!
 //! A model of many recordings has few parameters that concern all of them and, for each, some that concern it alone. The rows of a
 //! recording are zero in the columns of all others: a QR decomposition of the whole Jacobian costs the square of all columns for
-//! each row, and all rows at once in memory. Whoever knows the structure sums `JᵀJ` recording by recording instead.
+//! each row, and needs all rows in memory. A problem that adds up `JᵀJ` one recording at a time needs neither.
 //!
 //! The square of a condition number is the price. Columns are scaled to length one before, and a step only has to make the
 //! cost smaller: what is lost is speed in directions in which the data say less than a millionth of what they say in others.
@@ -20,7 +20,7 @@ const LEAST_RATIO: f64 = 1e-4;
 
 /// What is minimised: half the sum of squares of residuals that depend on variables.
 pub trait SumOfSquares {
-    /// Where it is.
+    /// Values of the variables at which the problem stands.
     fn variables(&self) -> &DVector<f64>;
 
     /// Goes elsewhere and returns the sum of squares there; `None` ends the search, there.
@@ -48,18 +48,17 @@ pub fn minimise(problem: &mut impl SumOfSquares, mut sum: f64, tolerance: f64) {
         }
         // What changes nothing keeps its place.
         let scales_or_one = scales.map(|scale| if scale > 0.0 { scale } else { 1.0 });
-        let is_first = radius.is_nan();
+        let mut is_first = radius.is_nan();
         if is_first {
             let length = at.component_mul(&scales_or_one).norm();
             radius = if length > 0.0 { length } else { 1.0 };
         }
         let Some(scaled) = Scaled::of(&gram, &gradient, &scales_or_one) else { return };
-        let mut first = is_first;
         loop {
             let Some(step) = scaled.step(radius, &mut damping) else { return };
             let length = step.norm();
-            if first {
-                (radius, first) = (radius.min(length), false);
+            if is_first {
+                (radius, is_first) = (radius.min(length), false);
             }
             let along = step.dot(&(&scaled.gram * &step));
             let predicted = (along + 2.0 * damping * length * length) / sum;

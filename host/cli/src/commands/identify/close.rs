@@ -238,7 +238,10 @@ fn found(
     Ok(r4_identify::identify(&task, &train.runs, &holdout.runs, notes, &told)?)
 }
 
-/// Whether a simulated board loads the text of a plant file: what it cannot hold is told in its comments.
+/// Checks that a simulated board can load the text of a plant file.
+///
+/// # Errors
+/// What no plant file can hold, from the comments of the text.
 fn may_be_loaded(plant: &str) -> anyhow::Result<()> {
     PlantSpec::from_toml("plant.toml", plant).map(|_| ()).with_context(|| {
         let told: Vec<_> = plant.lines().filter_map(|line| line.strip_prefix("# ")).collect();
