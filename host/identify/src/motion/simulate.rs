@@ -338,6 +338,8 @@ struct Mechanics<'s> {
     position: f64,
     speed: f64,
     before: Before,
+    /// A first way that is shorter than this was none: what its speed was taken for at the beginning was noise.
+    certain: f64,
 }
 
 /// What it did before a run: which way it went last, how far and since when, and what hysteresis pulled back with where it
@@ -387,7 +389,11 @@ impl Mechanics<'_> {
 
     /// What was recorded before a part of a recording is how it moved.
     fn remember(&mut self, motion: &Motion, run: &MotionRun) {
-        if run.from == 0 || !self.curves.iter().any(|(curve, _)| curve.over == Dependence::History) {
+        if !self.curves.iter().any(|(curve, _)| curve.over == Dependence::History) {
+            return;
+        }
+        self.certain = motion.certain_way(run);
+        if run.from == 0 {
             return;
         }
         let Some(moved) = motion.moved_before(run) else { return };
@@ -582,7 +588,10 @@ fn step<const LANES: usize, const PLAIN: bool>(
         if usual {
             (body.position, body.speed) = (position[lane], speed[lane]);
         } else {
-            advance(body, push[lane], level[lane]);
+            let (forward, backward) = mechanics[lane].coulomb;
+            let goes_back = if body.speed == 0.0 { push[lane] < 0.0 } else { body.speed < 0.0 };
+            let other_way = level[lane] + if goes_back { forward - backward } else { backward - forward };
+            advance(body, push[lane], [level[lane], other_way.max(0.0)]);
         }
         if let Some(stops) = mechanics[lane].stops {
             let inside = body.position.clamp(stops.0, stops.1);
@@ -593,7 +602,8 @@ fn step<const LANES: usize, const PLAIN: bool>(
         if !PLAIN {
             let moved = (body.position - before[lane]).signum();
             if body.position != before[lane] && moved != body.direction {
-                if body.direction != 0.0 {
+                let way = (before[lane] - body.reversal).abs();
+                if body.turned_s.is_finite() || body.direction != 0.0 && way >= mechanics[lane].certain {
                     body.turned_s = on_s;
                 }
                 mechanics[lane].turn(body, moved, before[lane]);
@@ -887,6 +897,7 @@ impl<'s> Plan<'s> {
             position,
             speed,
             before: Before { direction: 0.0, way: 0.0, turned_s: f64::NEG_INFINITY, wound: 0.0 },
+            certain: 0.0,
         };
         let input = Input {
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
@@ -1169,9 +1180,10 @@ pub(super) fn simulate_each(
     }
 }
 
-/// One step under a constant push and level of friction, as long and damped as the body's decay is for.
+/// One step under a constant push and level of friction, as long and damped as the body's decay is for. Once it turns, the other level
+/// holds.
 #[inline(always)]
-fn advance(body: &mut Body, push: f64, level: f64) {
+fn advance(body: &mut Body, push: f64, [mut level, other_way]: [f64; 2]) {
     let Decay { b, step_s: mut left_s, mut decayed, per_b } = body.decay;
     // Twice at most: towards zero, and away from it.
     for _ in 0..2 {
@@ -1200,6 +1212,9 @@ fn advance(body: &mut Body, push: f64, level: f64) {
         let stop_s = if stop_s.is_finite() { stop_s.clamp(0.0, left_s) } else { left_s };
         body.position += distance(body.speed, 0.0, net, (b, per_b), stop_s);
         body.speed = 0.0;
+        if push * direction < 0.0 {
+            level = other_way;
+        }
         left_s -= stop_s;
         if left_s <= 0.0 {
             return;
@@ -1219,6 +1234,21 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    /// 1/11 s to rest under 10 and 1 of friction; then 10 and 3 of it, the other way.
+    #[test]
+    fn what_turns_within_a_step_has_the_friction_of_the_other_way() {
+        let step_s = 0.1;
+        for (speed, push) in [(1.0, -10.0), (-1.0, 10.0)] {
+            let b = 1e-9;
+            let decay = Decay { b, step_s, decayed: (-b * step_s).exp(), per_b: 1.0 / b };
+            let turned_s = f64::NEG_INFINITY;
+            let mut body = Body { position: 0.0, speed, reversal: 0.0, turned_s, direction: speed, wound: 0.0, decay };
+            advance(&mut body, push, [1.0, 3.0]);
+            let expected = 0.7 * push * (step_s - 1.0 / 11.0);
+            assert!((body.speed - expected).abs() < 1e-6, "{} {expected}", body.speed);
+        }
+    }
 
     proptest! {
         /// Against the equation of motion in a thousand short steps, for an output that accelerates evenly.
