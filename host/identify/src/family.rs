@@ -138,6 +138,18 @@ impl Curve {
     pub fn spline(&self, values: &[f64]) -> Spline {
         Spline::through(&self.at, values, self.period)
     }
+
+    /// With a corner more in the middle between each two.
+    #[must_use]
+    pub fn halved(&self) -> Self {
+        let around = self.period.and_then(|period| Some(self.at.first()? + period));
+        let ends = self.at.iter().skip(1).copied().chain(around);
+        let mut at: Vec<f64> = self.at.iter().zip(ends).flat_map(|(&from, to)| [from, 0.5 * (from + to)]).collect();
+        if self.period.is_none() {
+            at.extend(self.at.last());
+        }
+        Self { at, ..self.clone() }
+    }
 }
 
 /// What is added to a base model.
@@ -344,6 +356,11 @@ pub trait Family: Model {
         vec![]
     }
 
+    /// Two of a model's terms, by their places, for which one may stand in the place of the first: with values that come near both.
+    fn merged(&self, _structure: &Structure) -> Option<([usize; 2], Term, Vec<f64>)> {
+        None
+    }
+
     /// Initial states from which that of a run is to be sought under a model, if one is not enough.
     fn beginnings(&self, _structure: &Structure, run: &Self::Run) -> Vec<Vec<f64>> {
         vec![self.initial(run).0]
@@ -424,4 +441,24 @@ pub trait Family: Model {
 
     /// Empty curves over a driver, one for each way in which a model as it is can take one up.
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_halved_curve_has_a_corner_between_each_two() {
+        let curve = |period, at: &[f64]| Curve {
+            over: Dependence::Position,
+            at_unit: "rad",
+            unit: "N m",
+            at: at.to_vec(),
+            period,
+            acts: Acts::Push,
+            scale: 1.0,
+        };
+        assert_eq!(curve(None, &[0.0, 1.0, 4.0]).halved().at, [0.0, 0.5, 1.0, 2.5, 4.0]);
+        assert_eq!(curve(Some(3.0), &[0.0, 1.0]).halved().at, [0.0, 0.5, 1.0, 2.0]);
+    }
 }

@@ -43,7 +43,7 @@ const PLAIN_Z: f64 = 12.0;
 const ALIKE: f64 = 0.01;
 /// A difference in price (see [`price`]) from which on a rival is told apart: a ratio of likelihoods of 150, "very strong" in R. E.
 /// Kass and A. E. Raftery, *Bayes Factors*, Journal of the American Statistical Association 90 (1995), 773-795.
-const TOLD_APART: f64 = 10.0;
+pub(crate) const TOLD_APART: f64 = 10.0;
 /// So many effects of each round are looked at on blocks.
 const PROMISING: usize = 6;
 /// A guess that leaves so many times what the best one leaves is not followed.
@@ -68,6 +68,8 @@ const MOST_STARTS: usize = 24;
 const NEAREST: usize = 3;
 const MOST_TERMS: usize = 6;
 const MOST_CURVES: usize = 2;
+/// Of a curve.
+const MOST_CORNERS: usize = 33;
 /// Blocks that the training data are cut into, about; a block has at least so many samples.
 const BLOCKS: usize = 12;
 const LEAST_SAMPLES: usize = 40;
@@ -169,15 +171,24 @@ struct Search<'s, F: Family> {
 /// and curves, on blocks with a curve first: an effect that has no name makes named ones look good that it has nothing to do
 /// with.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
-    search_until(family, train, progress, None)
+    search_within(family, train, progress, Limits::default())
 }
 
-/// The same, but no further effect is looked for after a moment. What is found then depends on how fast the machine is.
-pub(crate) fn search_until<F: Family>(
+/// What a search leaves out.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Limits {
+    /// A moment after which no further effect is looked for. What is found then depends on how fast the machine is.
+    pub(crate) until: Option<Instant>,
+    /// No curves: of a faulty recording, they would learn its fault.
+    pub(crate) names_only: bool,
+}
+
+/// The same within limits.
+pub(crate) fn search_within<F: Family>(
     family: &F,
     train: &[F::Run],
     progress: &(dyn Fn(&str) + Sync),
-    until: Option<Instant>,
+    Limits { until, names_only }: Limits,
 ) -> Found<F::Run> {
     let halves = halves(family, train);
     let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
@@ -185,13 +196,14 @@ pub(crate) fn search_until<F: Family>(
     let on_blocks = Search { runs: blocks.clone(), whole: search.whole.clone(), ..search };
     progress("base model");
     let base = search.base();
-    let mut path = search.path(base.clone(), &[false, true]);
+    let orders: &[&[bool]] = if names_only { &[&[false]] } else { &[&[false, true], &[true, false, true]] };
+    let mut path = search.path(base.clone(), orders[0]);
     let is_explained = |path: &Path| {
         let left = path.current.residuals(family, &search.whole);
         is_white(&left) || largest_correlation(&left) < SMALL
     };
     let base_on_blocks = std::cell::LazyCell::new(|| on_blocks.on(&blocks, &base, Effort::COMPARE));
-    for order in [&[false, true][..], &[true, false, true]] {
+    for order in orders {
         // A name beside a curve may only mend what was learned after it.
         let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
         if search.is_over() || (is_explained(&path) || order[0] && search.is_enough(&path)) && !(order[0] && is_mixed) {
@@ -230,14 +242,19 @@ pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
 impl<F: Family> Search<'_, F> {
     /// A path with its numbers as they are told.
     fn told(&self, path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {
-        let Path { current, mut steps, rejected, .. } = path;
-        let runs = if self.drifts(&current) { blocks } else { &self.whole };
+        let Path { mut current, mut steps, mut rejected, .. } = path;
+        let drifts = self.drifts(&current);
+        let runs = if drifts { blocks } else { &self.whole };
+        if drifts {
+            current = self.on(runs, &current, Effort::COMPARE);
+        }
+        self.prune(runs, &mut current, &mut steps, &mut rejected);
         for (place, step) in steps.iter_mut().enumerate() {
             // Terms that came before may have been taken out since.
-            let mut first = current.clone();
-            first.structure.terms.truncate(place + 1);
-            first.structure.added.truncate(place + 1);
-            step.own = self.on(runs, &first, Effort::FULL);
+            let mut first = current.structure.clone();
+            first.terms.truncate(place + 1);
+            first.added.truncate(place + 1);
+            step.own = fit(self.family, runs, first, current.initial.clone(), Effort::FULL);
             step.fit = step.own.over(self.family, &self.whole);
         }
         let runs = runs.iter().copied().cloned().collect();
@@ -378,6 +395,9 @@ impl<F: Family> Search<'_, F> {
         path.rejected.retain(|(other, ..)| *other != name);
         path.steps.push(step);
         path.current = fit;
+        if with_curves {
+            self.sharpen(path);
+        }
         self.simplify(path);
         self.remove(&mut path.current, &mut path.steps);
         true
@@ -456,6 +476,37 @@ impl<F: Family> Search<'_, F> {
         Some(([step(first)?, step(second)?], best))
     }
 
+    /// Halves the distances between the corners of the curve that was added last while that pays: without free runs, fewer were seen to.
+    fn sharpen(&self, path: &mut Path) {
+        while !self.is_noise(&path.current) {
+            let mut finer = path.current.structure.clone();
+            let (Some(Term::Curve(curve)), Some(values)) = (finer.terms.last_mut(), finer.added.last_mut()) else {
+                return;
+            };
+            let spline = curve.spline(values);
+            *curve = curve.halved();
+            *values = curve.at.iter().map(|&at| spline.value(at)).collect();
+            if values.len() > MOST_CORNERS {
+                return;
+            }
+            let term = finer.terms.last().cloned();
+            let other = fit(self.family, &self.runs, finer, path.current.initial.clone(), Effort::COMPARE);
+            let samples = independent(self.family, &self.runs, &other);
+            let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
+            let (before, after) = (self.blocked(&path.current), self.blocked(&other));
+            let is_better = rmse(&after) < rmse(&before) * (1.0 - CURVE_WORTH) && after.whole <= before.whole;
+            if !is_better || price_of(&other) >= price_of(&path.current) {
+                return;
+            }
+            if let (Some(step), Some(term)) = (path.steps.last_mut(), term) {
+                step.term = term;
+                step.blocked_rmse[1] = rmse(&after);
+                (step.fit, step.own) = (other.clone(), other.clone());
+            }
+            path.current = other;
+        }
+    }
+
     /// Exchanges terms for simpler ones that explain as much.
     fn simplify(&self, path: &mut Path) {
         for place in 0..path.steps.len() {
@@ -470,6 +521,24 @@ impl<F: Family> Search<'_, F> {
                     path.current = other;
                 }
             }
+        }
+        self.merge(path);
+    }
+
+    /// Exchanges two terms for one from which the data do not tell them apart.
+    fn merge(&self, path: &mut Path) {
+        let Some(([place, gone], term, values)) = self.family.merged(&path.current.structure) else { return };
+        let mut structure = path.current.structure.clone();
+        (structure.terms[place], structure.added[place]) = (term.clone(), values);
+        structure.terms.remove(gone);
+        structure.added.remove(gone);
+        let other = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::COMPARE);
+        let samples = independent(self.family, &self.runs, &path.current);
+        let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
+        if price_of(&other) < price_of(&path.current) + TOLD_APART {
+            path.steps.remove(gone);
+            path.steps[place].term = term;
+            path.current = other;
         }
     }
 
@@ -625,6 +694,9 @@ impl<F: Family> Search<'_, F> {
         drivers
             .par_iter()
             .flat_map(|driver| self.family.curves(current, (driver.over, driver.period), &self.runs))
+            .filter(|curve| {
+                !current.structure.curves().any(|(other, _)| (other.over, other.acts) == (curve.over, curve.acts))
+            })
             .map(|curve| {
                 let term = Term::Curve(curve.clone());
                 let none = self.with(current, term.clone(), &vec![0.0; curve.at.len()]);
@@ -849,23 +921,60 @@ impl<F: Family> Search<'_, F> {
     /// number, as one of two lags that are alike does, has a wide deviation on its own; that it is there all the same is told
     /// by what is left without it.
     fn size(&self, without: &Fit, fit: &Fit, deviations: &[Option<f64>], place: usize) -> f64 {
-        if matches!(fit.structure.terms[place], Term::Curve(_)) {
-            // Its corners share what the base model has too, a slope and a mean: no corner alone has a size.
-            return f64::INFINITY;
-        }
-        let parameters = fit::parameters(self.family, &fit.structure.terms);
-        let values = &fit.structure.added[place];
-        let from = fit.structure.base.len() + fit.structure.added[..place].iter().map(Vec::len).sum::<usize>();
-        let sizes = parameters[from..].iter().zip(values).zip(&deviations[from..]);
-        let z = sizes.filter_map(|((parameter, &value), &deviation)| parameter.deviations_off(value, deviation));
-        // Of several sizes (both directions, corners of a curve) one must be there.
-        let largest = z.fold(None, |largest: Option<f64>, z| Some(largest.map_or(z, |largest| largest.max(z))));
-        let z = largest.unwrap_or(f64::INFINITY);
+        let Some(z) = self.own_size(&fit.structure, deviations, place) else { return f64::INFINITY };
         if z >= LEAST_Z {
             return z;
         }
         let explained = independent(self.family, &self.runs, fit) * (without.cost / fit.cost).ln().max(0.0);
         if explained.sqrt() >= PLAIN_Z { explained.sqrt() } else { z }
+    }
+
+    /// The same by the standard deviations alone; `None` of what has no size. A curve has none: its corners share what the base model
+    /// has too, a slope and a mean.
+    fn own_size(&self, structure: &Structure, deviations: &[Option<f64>], place: usize) -> Option<f64> {
+        if matches!(structure.terms[place], Term::Curve(_)) {
+            return None;
+        }
+        let parameters = fit::parameters(self.family, &structure.terms);
+        let values = &structure.added[place];
+        let from = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
+        let sizes = parameters[from..].iter().zip(values).zip(&deviations[from..]);
+        // Of several sizes (both directions, for one) one must be there.
+        let z = sizes.filter_map(|((parameter, &value), &deviation)| parameter.deviations_off(value, deviation));
+        z.reduce(f64::max)
+    }
+
+    /// Takes out of a model fitted to runs what has no size of its own beside all others, and whose numbers do not pay.
+    fn prune(
+        &self,
+        runs: &[&F::Run],
+        current: &mut Fit,
+        steps: &mut Vec<Step>,
+        rejected: &mut Vec<(String, f64, String)>,
+    ) {
+        while steps.len() > 1 {
+            let with = &*current;
+            let deviations = with.deviations(self.family, runs);
+            let samples = independent(self.family, runs, with);
+            let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
+            let without = (0..steps.len()).into_par_iter().filter_map(|place| {
+                let z = self.own_size(&with.structure, &deviations, place);
+                if z.is_some_and(|z| z >= LEAST_Z) {
+                    return None;
+                }
+                let mut fit = with.clone();
+                fit.structure.terms.remove(place);
+                fit.structure.added.remove(place);
+                let fit = fit::fit(self.family, runs, fit.structure, fit.initial, Effort::COMPARE);
+                (price_of(&fit) <= price_of(with)).then_some((place, fit))
+            });
+            let cheapest = without.min_by(|a, b| price_of(&a.1).total_cmp(&price_of(&b.1)));
+            let Some((place, fit)) = cheapest else { return };
+            let taken = steps.remove(place);
+            let reason = "nothing of it is left beside the others".to_owned();
+            rejected.insert(0, (self.term_name(&taken.term), taken.blocked_rmse[1], reason));
+            *current = fit;
+        }
     }
 
     /// Takes out again what later terms made superfluous.

@@ -19,7 +19,7 @@ use crate::{
         EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
     },
     residual::{Left, left},
-    select::{Found, base, depends_on, independent, search_until},
+    select::{Found, Limits, base, depends_on, independent, search_within},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
     suspect::{Checked, check_recordings, suspicions},
@@ -168,7 +168,8 @@ pub fn identify(
     }
     let Checked { suspicions: faults, notes: compared } = check_recordings(&task.model, train, holdout);
     let notes = notes.into_iter().chain(compared).collect();
-    let mut found = with_family(task, train, holdout, Assemble { task, notes, progress })??;
+    let mut found =
+        with_family(task, train, holdout, Assemble { task, notes, names_only: !faults.is_empty(), progress })??;
     if found.report.explained == Explained::Not {
         let likely = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
         found.report.suspicions.splice(0..0, likely);
@@ -225,6 +226,8 @@ pub(crate) fn with_family<W: Work>(
 struct Assemble<'t> {
     task: &'t Task,
     notes: Vec<String>,
+    /// The recordings have faults, which curves would learn.
+    names_only: bool,
     progress: &'t (dyn Fn(Progress) + Sync),
 }
 
@@ -232,7 +235,7 @@ impl Work for Assemble<'_> {
     type Done = Result<Identified, IdentifyError>;
 
     fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> Self::Done {
-        assemble(self.task, family, train, holdout, self.notes, self.progress)
+        assemble(self, family, train, holdout)
     }
 }
 
@@ -331,12 +334,10 @@ fn scores<F: Family>(family: &F, fit: &Fit, (train, holdout): (&[F::Run], &[F::R
 }
 
 fn assemble<F: Family>(
-    task: &Task,
+    Assemble { task, mut notes, names_only, progress }: Assemble<'_>,
     family: &F,
     train: &[F::Run],
     holdout: &[F::Run],
-    mut notes: Vec<String>,
-    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Identified, IdentifyError> {
     let started = Instant::now();
     let rounds = std::sync::atomic::AtomicUsize::new(0);
@@ -346,8 +347,13 @@ fn assemble<F: Family>(
         progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
     };
     let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
-    let found = search_until(family, train, &tell, until);
+    let found = search_within(family, train, &tell, Limits { until, names_only });
     notes.extend(family.known());
+    if names_only {
+        notes.push(
+            "effects without a name were not looked for: they would learn what is wrong with the recordings".to_owned(),
+        );
+    }
     if found.is_cut_short {
         notes
             .push("the time limit was reached before every effect had been tried: allow more with --budget".to_owned());

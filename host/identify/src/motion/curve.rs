@@ -1,11 +1,13 @@
 //! Curves over what an axis does: what a model may lack that has no name.
 
+use std::f64::consts::TAU;
+
 use r4_plants::Dependence;
 
 use crate::{
     family::{Acts, Curve, Family, Structure, Term},
     fit::Fit,
-    select::price,
+    select::{TOLD_APART, price},
 };
 
 use super::{Motion, MotionRun, simulate::Moved};
@@ -13,7 +15,9 @@ use super::{Motion, MotionRun, simulate::Moved};
 /// Corners that are tried; the more of them, the more they have to explain.
 const CORNERS: [usize; 3] = [9, 17, 33];
 /// The same round a circle.
-pub(super) const ROUND: [usize; 2] = [12, 24];
+pub(super) const ROUND: [usize; 5] = [8, 12, 16, 24, 32];
+/// The longest time since something happened over the first that a corner is at after it.
+const SOONEST: f64 = 128.0;
 
 impl Motion {
     /// Curves of nothing over a driver, one for each way in which it can act.
@@ -40,17 +44,22 @@ impl Motion {
         let open = |acts: Acts| {
             let mut values = self.values_of((over, acts), current, runs);
             values.sort_by(f64::total_cmp);
-            let curves = CORNERS.iter().filter_map(|&count| corners(&values, count));
+            let placed = if acts == Acts::Settling { since } else { corners };
+            let curves = CORNERS.iter().filter_map(|&count| placed(&values, count));
             self.fitting(current, curves.map(|at| self.curve(over, None, acts, at)), runs)
         };
         if let Some(period) = period {
             return acts.iter().filter_map(|&acts| Some(round(acts, period)?.0)).collect();
         }
+        // What a joint does at an angle it does again a turn later, unless the data clearly say otherwise.
+        let is_angle = over == Dependence::Position && self.is_round();
         let repeats = if over == Dependence::Position { self.repeats(current, acts, runs) } else { vec![] };
         let curve = |(place, &acts): (usize, &Acts)| {
             let repeats = repeats.get(place).copied().flatten();
             let both = repeats.and_then(|period| round(acts, period)).into_iter().chain(open(acts));
-            Some(both.min_by(|a, b| a.1.total_cmp(&b.1))?.0)
+            let (best, price) = both.min_by(|a, b| a.1.total_cmp(&b.1))?;
+            let again = if is_angle { round(acts, TAU) } else { None };
+            again.is_none_or(|(_, of_turn)| price + TOLD_APART < of_turn).then_some(best)
         };
         acts.iter().enumerate().filter_map(curve).collect()
     }
@@ -83,27 +92,20 @@ impl Motion {
         }
     }
 
-    /// Of curves with more and more corners, the last whose corners pay, and its price, without free runs.
+    /// Of curves, the one whose corners pay best, and its price, without free runs.
     fn fitting(
         &self,
         current: &Fit,
         curves: impl IntoIterator<Item = Curve>,
         runs: &[&MotionRun],
     ) -> Option<(Curve, f64)> {
-        let priced = |curve: &Curve| {
-            let left = self.left_over_windows(with(&current.structure, curve), current, runs)?;
-            let independent = self.independent_windows(current, runs)?;
-            Some(price(independent, left, curve.at.len()))
+        let independent = self.independent_windows(current, runs)?;
+        let priced = |curve: Curve| {
+            let left = self.left_over_windows(with(&current.structure, &curve), current, runs)?;
+            let price = price(independent, left, curve.at.len());
+            Some((curve, price))
         };
-        let mut best: Option<(Curve, f64)> = None;
-        for curve in curves {
-            let price = priced(&curve).unwrap_or(f64::INFINITY);
-            if best.as_ref().is_some_and(|(_, least)| price >= *least) {
-                break;
-            }
-            best = Some((curve, price));
-        }
-        best
+        curves.into_iter().filter_map(priced).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
@@ -148,6 +150,15 @@ pub(super) fn with(structure: &Structure, curve: &Curve) -> Structure {
     with
 }
 
+/// Corners over sorted times since something happened: the first at once, the others each the same multiple of the one before. What settles
+/// does most of it first, and nobody knows how fast.
+fn since(values: &[f64], count: usize) -> Option<Vec<f64>> {
+    let &longest = values.iter().rev().find(|value| value.is_finite())?;
+    let farther = |index: usize| (index as f64 / (count - 2) as f64 - 1.0) * SOONEST.ln();
+    let at = (0..count - 1).map(|index| longest * farther(index).exp());
+    (longest > 0.0).then(|| std::iter::once(0.0).chain(at).collect())
+}
+
 /// Corners over sorted values: none without data, and no long stretch without one.
 fn corners(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let (&low, &high) = (values.first()?, values.last()?);
@@ -161,4 +172,17 @@ fn corners(values: &[f64], count: usize) -> Option<Vec<f64>> {
         (0..count).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
     at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
     (at.len() >= 2).then_some(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_after_an_event_are_each_as_many_times_as_late_as_the_one_before() {
+        let at = since(&[-1.0, 0.3, 12.8, f64::INFINITY], 9).expect("corners");
+        let expected = [0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8];
+        assert!(at.iter().zip(expected).all(|(at, expected)| (at - expected).abs() < 1e-12), "{at:?}");
+        assert_eq!(since(&[0.0, f64::INFINITY], 9), None);
+    }
 }

@@ -277,6 +277,11 @@ impl Motion {
         (0..PLACES).map(move |place| f64::from(place) / f64::from(PLACES) * round)
     }
 
+    /// Whether an angle is that of a turn: recordings that begin at different places show most of one together.
+    fn is_round(&self) -> bool {
+        self.rotary && self.scales.distance > 0.5 * TAU
+    }
+
     fn index(&self, effect: Effect) -> Option<usize> {
         self.effects.iter().position(|&other| other == effect)
     }
@@ -482,6 +487,19 @@ impl Family for Motion {
         simpler.into_iter().collect()
     }
 
+    /// A load and a friction alike both ways are a friction by direction while the axis moves.
+    fn merged(&self, structure: &Structure) -> Option<([usize; 2], Term, Vec<f64>)> {
+        let [coulomb, load, by_direction] =
+            [Effect::Coulomb, Effect::ConstantLoad, Effect::DirectionFriction].map(|effect| self.index(effect));
+        let place = |index: Option<usize>| {
+            structure.terms.iter().position(|term| Some(term) == index.map(Term::Known).as_ref())
+        };
+        let (one, other) = place(coulomb).zip(place(load))?;
+        let (friction, load) = (structure.added[one][0], structure.added[other][0]);
+        let values = vec![(friction + load).max(0.0), (friction - load).max(0.0)];
+        Some(([one.min(other), one.max(other)], Term::Known(by_direction?), values))
+    }
+
     fn beginnings(&self, structure: &Structure, run: &MotionRun) -> Vec<Vec<f64>> {
         let (guess, _) = self.initial(run);
         if !self.of_speed || !is_placed(self, structure) {
@@ -536,7 +554,7 @@ impl Family for Motion {
         if run.all.supply_recorded {
             drivers.push(driver(Dependence::Supply, "V", observed.supply));
         }
-        if self.rotary && self.scales.distance > 1.2 * TAU {
+        if self.is_round() {
             drivers.push(Driver {
                 over: Dependence::Position,
                 unit: units.distance,
