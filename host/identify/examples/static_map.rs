@@ -90,7 +90,7 @@ fn show(map: &StaticMap, found: &Found<MapRun>) {
     {
         println!("    {} = {value:.4} ± {deviation:.4?} {}", parameter.name, parameter.unit);
     }
-    for (name, error, reason) in &found.rejected {
-        println!("    not {name}: {:.1} rpm, {reason}", error / RPM);
+    for refused in &found.rejected {
+        println!("    not {}: {:.1} rpm, {}", refused.name, refused.blocked_rmse / RPM, refused.reason);
     }
 }

@@ -173,6 +173,15 @@ pub struct Structure {
 }
 
 impl Structure {
+    /// The same without one of its terms.
+    #[must_use]
+    pub fn without(&self, place: usize) -> Self {
+        let mut without = self.clone();
+        without.terms.remove(place);
+        without.added.remove(place);
+        without
+    }
+
     /// The values of an effect of the catalogue; `None` if it was not added.
     #[must_use]
     pub fn of(&self, candidate: usize) -> Option<&[f64]> {

@@ -17,6 +17,7 @@
 
 pub mod data;
 pub mod error;
+mod evidence;
 pub mod family;
 pub mod fit;
 pub mod motion;

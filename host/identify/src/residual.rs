@@ -7,10 +7,10 @@ use rand_pcg::{
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::{
+    evidence::product,
     family::{Driver, Family},
     fit::Fit,
     report::{Cause, ResidualReport, Unexplained},
-    select::product,
 };
 
 /// Lags that whiteness is judged by.

@@ -12,14 +12,13 @@ use r4_world::Wheeled;
 use crate::{
     data::Run,
     error::IdentifyError,
+    evidence::independent,
     family::{Acts, Family, Loadable, Structure, Term},
     fit::{self, Effort, Fit},
     motion::{Kind, Known, Motion},
-    report::{
-        EffectReport, Estimate, Evidence, Explained, Figures, Rejected, Report, Rival, Score, Scores, Table, Traces,
-    },
+    report::{EffectReport, Estimate, Evidence, Explained, Figures, Report, Rival, Score, Scores, Table, Traces},
     residual::{Left, left},
-    select::{Found, Limits, base, depends_on, independent, search_within},
+    select::{Found, Limits, base, depends_on, search_within},
     skid::{Declared, Output, SkidSteer},
     statics::{hysteresis::HeldShaft, map::StaticMap, table::task as table},
     suspect::{Checked, check_recordings, suspicions},
@@ -429,15 +428,6 @@ fn assemble<F: Family>(
     }
     let (left_before, left_after) = (left(family, &found.base, &fitted), left(family, &found.last, &fitted));
     let residual = left_after.report(task.seed);
-    let rejected = found
-        .rejected
-        .iter()
-        .map(|(name, blocked_rmse, reason)| Rejected {
-            name: name.clone(),
-            blocked_rmse: *blocked_rmse,
-            reason: reason.clone(),
-        })
-        .collect();
     let figures = Figures {
         ladder,
         runs: traces(family, &found, (train, holdout), protocol),
@@ -464,7 +454,7 @@ fn assemble<F: Family>(
         parameters,
         timing,
         residual,
-        rejected,
+        rejected: found.rejected.clone(),
         notes,
         verdict,
     };

@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use r4_plants::Dependence;
 
 use crate::{
+    evidence::{TOLD_APART, price},
     family::{Acts, Curve, Family, Structure, Term},
     fit::Fit,
-    select::{TOLD_APART, price},
 };
 
 use super::{Motion, MotionRun, simulate::Moved};

@@ -1,0 +1,426 @@
+//! Which effects the data ask for: forward selection with removal, judged on blocks that were left out of the fit.
+//!
+//! Each round fits every effect that is not yet in ([`propose`]), keeps the most promising, and fits these again on one half of the
+//! blocks to predict the other, and the other way round ([`judge`]). An effect is taken if it makes the blocks' error smaller by more
+//! than a trifle and by more than chance. Where one is not enough, two are tried at once ([`pair`]), and what was taken is looked at
+//! again beside what came later ([`trim`]). Effects with names come first; what these leave is offered to curves.
+
+mod judge;
+mod pair;
+mod propose;
+mod trim;
+
+use std::time::Instant;
+
+use r4_maths::statistics;
+use r4_plants::Dependence;
+use rayon::prelude::*;
+
+use self::{
+    judge::{CURVE_WORTH, WORTH, rmse},
+    pair::best_guesses,
+};
+use crate::{
+    evidence::{independent, price},
+    family::{Acts, Family, Structure, Term},
+    fit::{self, Effort, Fit, fit},
+    report::Rejected,
+    residual::{is_white, largest_correlation, left},
+};
+
+/// Named effects may leave so many times what a model with curves leaves of left-out blocks: a choice of what their meaning is
+/// worth.
+const AS_GOOD: f64 = 1.15;
+/// Where named effects leave at most this share of the output's standard deviation on left-out blocks, curves are not looked for. A curve
+/// is free wherever the recordings do not go: on EMPS, of which names leave 0.29 %, curves over speed and input explain the recording
+/// that they are fitted to 40 times better and another one 14 times worse. Half of it lets them in there.
+const ENOUGH: f64 = 0.004;
+/// What is left is not looked into further when less than this share of it is anything but noise.
+const SMALL: f64 = 0.1;
+const MOST_TERMS: usize = 6;
+const MOST_CURVES: usize = 2;
+/// Blocks that the training data are cut into, about; a block has at least so many samples.
+const BLOCKS: usize = 12;
+const LEAST_SAMPLES: usize = 40;
+
+/// What became of the data.
+#[derive(Clone, Debug)]
+pub struct Found<R> {
+    /// The base model alone.
+    pub base: Fit,
+    /// What was added, in order; structures after each.
+    pub steps: Vec<Step>,
+    /// Base model and all terms.
+    pub last: Fit,
+    /// The last model as it was fitted, and to what: the recordings, or blocks of them.
+    pub fitted: (Fit, Vec<R>),
+    /// Of the last model's parameters.
+    pub deviations: Vec<Option<f64>>,
+    /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
+    pub rejected: Vec<Rejected>,
+    /// The time was over before every effect had been looked for.
+    pub is_cut_short: bool,
+}
+
+/// A term that was taken.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// What.
+    pub term: Term,
+    /// The model with it and those terms before it that stayed, over whole runs.
+    pub fit: Fit,
+    /// The same as it was fitted.
+    pub own: Fit,
+    /// Errors on left-out blocks without and with it.
+    pub blocked_rmse: [f64; 2],
+    /// Chance of such a gain, times the number of effects tried.
+    pub p_value: f64,
+    /// Blocks that got better, of all.
+    pub blocks_better: [usize; 2],
+    /// Size of the effect in its standard deviations; infinite where the effect has no size.
+    pub z: f64,
+    /// Effects that do as well: their index, and error on blocks.
+    pub rivals: Vec<(usize, f64)>,
+}
+
+struct Search<'s, F: Family> {
+    family: &'s F,
+    /// As recorded.
+    whole: Vec<&'s F::Run>,
+    /// What effects are looked for on: whole runs, or the blocks of both halves.
+    runs: Vec<&'s F::Run>,
+    halves: &'s [Vec<F::Run>; 2],
+    progress: &'s (dyn Fn(&str) + Sync),
+    /// When to stop looking for effects.
+    until: Option<Instant>,
+}
+
+/// What a search leaves out.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Limits {
+    /// A moment after which no further effect is looked for. What is found then depends on how fast the machine is.
+    pub(crate) until: Option<Instant>,
+    /// No curves: of a faulty recording, they would learn its fault.
+    pub(crate) names_only: bool,
+}
+
+impl<R> Found<R> {
+    /// What a base model and the terms that were taken come to; `runs` are the recordings, and what terms were fitted to.
+    fn of<F: Family<Run = R>>(
+        family: &F,
+        base: Fit,
+        steps: Vec<Step>,
+        rejected: Vec<Rejected>,
+        (train, runs): (&[R], Vec<R>),
+    ) -> Self
+    where
+        R: Clone,
+    {
+        let (last, fitted) = match steps.last() {
+            Some(step) => (step.fit.clone(), (step.own.clone(), runs)),
+            None => (base.clone(), (base.clone(), train.to_vec())),
+        };
+        let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
+        Self { base, steps, last, fitted, deviations, rejected, is_cut_short: false }
+    }
+}
+
+/// How far a search has come.
+#[derive(Clone)]
+struct Path {
+    current: Fit,
+    steps: Vec<Step>,
+    rejected: Vec<Rejected>,
+    /// What named effects alone came to, if there are curves.
+    named: Option<Box<Path>>,
+}
+
+impl Path {
+    fn has_curves(&self) -> bool {
+        self.current.structure.curves().next().is_some()
+    }
+}
+
+/// Searches for what the base model lacks.
+///
+/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
+/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, or it takes names
+/// and curves, on blocks with a curve first: an effect that has no name makes named ones look good that it has nothing to do
+/// with.
+pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
+    search_within(family, train, progress, Limits::default())
+}
+
+/// The same within limits.
+pub(crate) fn search_within<F: Family>(
+    family: &F,
+    train: &[F::Run],
+    progress: &(dyn Fn(&str) + Sync),
+    Limits { until, names_only }: Limits,
+) -> Found<F::Run> {
+    let halves = halves(family, train);
+    let (whole, blocks): (Vec<_>, Vec<_>) = (train.iter().collect(), halves.iter().flatten().collect());
+    let search = Search { family, whole: whole.clone(), runs: whole, halves: &halves, progress, until };
+    let on_blocks = Search { runs: blocks.clone(), whole: search.whole.clone(), ..search };
+    progress("base model");
+    let base = search.base();
+    let orders: &[&[bool]] = if names_only { &[&[false]] } else { &[&[false, true], &[true, false, true]] };
+    let mut path = search.path(base.clone(), orders[0]);
+    let is_explained = |path: &Path| {
+        let left = path.current.residuals(family, &search.whole);
+        is_white(&left) || largest_correlation(&left) < SMALL
+    };
+    let base_on_blocks = std::cell::LazyCell::new(|| on_blocks.on(&blocks, &base, Effort::COMPARE));
+    for order in orders {
+        // A name beside a curve may only mend what was learned after it.
+        let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
+        if search.is_over() || (is_explained(&path) || order[0] && search.is_enough(&path)) && !(order[0] && is_mixed) {
+            continue;
+        }
+        let other = on_blocks.path(base_on_blocks.clone(), order);
+        if !other.steps.is_empty() && search.prefers(&path, &other) {
+            let before = std::mem::replace(&mut path, other);
+            if path.named.is_none() && path.has_curves() {
+                path.named = if before.has_curves() { before.named } else { Some(Box::new(before)) };
+            }
+            path.current = search.on(&search.whole, &path.current, Effort::COMPARE);
+            if let Some(named) = &mut path.named {
+                named.current = search.on(&search.whole, &named.current, Effort::COMPARE);
+            }
+        }
+    }
+    progress("whole runs");
+    if let Some(named) = path.named.take().filter(|named| search.is_as_good(named, &path)) {
+        let rejected = path.steps.iter().filter(|step| matches!(step.term, Term::Curve(_))).map(|step| Rejected {
+            name: search.term_name(&step.term),
+            blocked_rmse: step.blocked_rmse[1],
+            reason: "left-out blocks are not clearly better off than with named effects alone".to_owned(),
+        });
+        path = Path { rejected: rejected.chain(named.rejected).collect(), ..*named };
+    }
+    Found { is_cut_short: search.is_over(), ..search.told(path, &base, train, &blocks) }
+}
+
+/// The base model alone, fitted to whole recordings.
+pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
+    let whole: Vec<&F::Run> = train.iter().collect();
+    let halves = &[Vec::new(), Vec::new()];
+    Search { family, whole: whole.clone(), runs: whole, halves, progress: &|_| (), until: None }.base()
+}
+
+/// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
+fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
+    let mut halves = [Vec::new(), Vec::new()];
+    let each = if runs.len() >= BLOCKS { 1 } else { BLOCKS.div_ceil(runs.len().max(1)) };
+    let mut next = 0;
+    for run in runs {
+        let samples = family.measured(run).len();
+        let blocks = family.blocks(run).unwrap_or(each.min(samples / LEAST_SAMPLES)).max(1);
+        for block in 0..blocks {
+            let part = family.part(run, block * samples / blocks, (block + 1) * samples / blocks);
+            halves[next % 2].push(part);
+            next += 1;
+        }
+        // So that the same part of every run is not always in the same half.
+        next += usize::from(blocks % 2 == 0);
+    }
+    halves
+}
+
+/// Numbers of all that was added to the base model.
+fn numbers(fit: &Fit) -> usize {
+    fit.structure.added.iter().map(Vec::len).sum()
+}
+
+/// Whether free runs of a model begin with a state.
+fn has_memory(fit: &Fit) -> bool {
+    fit.initial.iter().any(|initial| !initial.is_empty())
+}
+
+/// What a term depends on, for reports.
+#[must_use]
+pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
+    match term {
+        Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
+        Term::Curve(curve) => match curve.acts {
+            Acts::Push => vec![curve.over],
+            // A speed has a direction.
+            Acts::Friction if curve.over == Dependence::Speed => vec![curve.over],
+            Acts::Friction | Acts::Settling | Acts::Hysteresis => vec![curve.over, Dependence::Direction],
+            Acts::Gain => vec![curve.over, Dependence::Input],
+        },
+    }
+}
+
+impl<F: Family> Search<'_, F> {
+    /// A path with its numbers as they are told.
+    fn told(&self, mut path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {
+        let drifts = self.drifts(&path.current);
+        let runs = if drifts { blocks } else { &self.whole };
+        if drifts {
+            path.current = self.on(runs, &path.current, Effort::COMPARE);
+        }
+        self.prune(runs, &mut path);
+        let Path { current, mut steps, rejected, .. } = path;
+        for (place, step) in steps.iter_mut().enumerate() {
+            // Terms that came before may have been taken out since.
+            let mut first = current.structure.clone();
+            first.terms.truncate(place + 1);
+            first.added.truncate(place + 1);
+            step.own = fit(self.family, runs, first, current.initial.clone(), Effort::FULL);
+            step.fit = step.own.over(self.family, &self.whole);
+        }
+        let runs = runs.iter().copied().cloned().collect();
+        Found::of(self.family, base.clone(), steps, rejected, (train, runs))
+    }
+
+    /// Takes all it can of named effects (`false`) and of curves, in turn; of curves that come first, one. Where the first
+    /// turn gives no curve, it ends.
+    fn path(&self, base: Fit, order: &[bool]) -> Path {
+        let mut path = Path { current: base, steps: vec![], rejected: vec![], named: None };
+        for (place, &with_curves) in order.iter().enumerate() {
+            if with_curves && place > 0 && self.is_enough(&path) {
+                break;
+            }
+            while !self.is_noise(&path.current) && self.extend(&mut path, with_curves) && !(with_curves && place == 0) {
+            }
+            if path.steps.is_empty() && order[0] {
+                break;
+            }
+        }
+        path
+    }
+
+    fn is_over(&self) -> bool {
+        self.until.is_some_and(|until| Instant::now() >= until)
+    }
+
+    /// Whether a model leaves nothing to explain: its residual is white, and depends on nothing that the family can name.
+    fn is_noise(&self, current: &Fit) -> bool {
+        // Only of what goes on from sample to sample does a white residual say anything.
+        has_memory(current)
+            && is_white(&current.residuals(self.family, &self.runs))
+            && left(self.family, current, &self.runs).report(0).unexplained.is_empty()
+    }
+
+    /// Takes the best of all named effects, or of all curves, if one passes and there is time.
+    fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
+        let curves = path.current.structure.curves().count();
+        if self.is_over() || path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
+            return false;
+        }
+        let round = path.steps.len() + 1;
+        (self.progress)(&format!("{} {round}", if with_curves { "curve" } else { "effect" }));
+        let blocked = self.blocked(&path.current);
+        let begun = if with_curves {
+            self.curves(&path.current)
+        } else {
+            let mut begun = self.effects(&path.current);
+            self.refine(&mut begun, &path.current);
+            begun
+        };
+        let tried = begun.len();
+        let firsts = best_guesses(&begun);
+        let judged = self.judge(self.tried(begun));
+        if self.is_over() {
+            // Not every effect was tried: the best of those that were is not the best.
+            return false;
+        }
+        let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
+        let is_explained = taken.as_ref().is_some_and(|(_, fit)| self.is_noise(fit));
+        if !with_curves && !is_explained && path.steps.len() + 1 < MOST_TERMS {
+            let alone = taken.as_ref().map_or(&path.current, |(_, fit)| fit);
+            let pair = self.pair(&path.current, alone, &blocked, firsts);
+            if let Some((steps, fit)) = pair {
+                path.steps.extend(steps);
+                path.current = fit;
+                self.simplify(path);
+                self.remove(path);
+                return true;
+            }
+        }
+        path.rejected.retain(|one| !rejected.iter().any(|other| other.name == one.name));
+        path.rejected.extend(rejected);
+        path.rejected.sort_by(|a, b| a.blocked_rmse.total_cmp(&b.blocked_rmse));
+        let Some((step, fit)) = taken else { return false };
+        if with_curves && curves == 0 && !path.steps.is_empty() {
+            path.named = Some(Box::new(path.clone()));
+        }
+        let name = self.term_name(&step.term);
+        path.rejected.retain(|one| one.name != name);
+        path.steps.push(step);
+        path.current = fit;
+        if with_curves {
+            self.sharpen(path);
+        }
+        self.simplify(path);
+        self.remove(path);
+        true
+    }
+
+    /// Whether a path that began with a curve explains the data better, or as well with less. Numbers that it has more than
+    /// the other have to pay over whole runs: a recording that repeats itself looks alike on all blocks.
+    fn prefers(&self, named: &Path, other: &Path) -> bool {
+        let (first, second) = (self.blocked(&named.current), self.blocked(&other.current));
+        let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
+        let simpler = other.steps.len() < named.steps.len() && rmse(&second) < rmse(&first) * (1.0 + CURVE_WORTH);
+        if !(better || simpler) || second.whole > first.whole * (1.0 + WORTH) {
+            return false;
+        }
+        let more = numbers(&other.current).saturating_sub(numbers(&named.current));
+        let whole = self.on(&self.whole, &other.current, Effort::FULL);
+        let independent = independent(self.family, &self.whole, &whole);
+        more == 0 || price(independent, whole.cost, more) < price(independent, named.current.cost, 0)
+    }
+
+    /// Whether named effects leave so little of left-out blocks that a curve is not worth having.
+    fn is_enough(&self, path: &Path) -> bool {
+        let measured = self.whole.iter().flat_map(|run| self.family.measured(run)).copied();
+        let measured: Vec<f64> = measured.filter(|value| value.is_finite()).collect();
+        let Ok(deviation) = statistics::standard_deviation(&measured) else { return true };
+        !path.steps.is_empty() && !path.has_curves() && rmse(&self.blocked(&path.current)) <= ENOUGH * deviation
+    }
+
+    /// Whether named effects alone explain left-out blocks as well as a model with curves.
+    fn is_as_good(&self, named: &Path, with_curves: &Path) -> bool {
+        let left = |path: &Path| rmse(&self.blocked(&path.current));
+        !named.steps.is_empty() && left(named) <= AS_GOOD * left(with_curves)
+    }
+
+    /// The same model fitted to other runs.
+    fn on(&self, runs: &[&F::Run], from: &Fit, effort: Effort) -> Fit {
+        fit(self.family, runs, from.structure.clone(), self.settled(&from.structure, runs), effort)
+    }
+
+    /// Whether what a model lacks adds up over a free run: its numbers are then those of blocks, each of which begins anew.
+    fn drifts(&self, fit: &Fit) -> bool {
+        has_memory(fit) && !is_white(&fit.residuals(self.family, &self.whole))
+    }
+
+    fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {
+        runs.iter().map(|run| fit::settle(self.family, structure, run, self.family.measured(run).len())).collect()
+    }
+
+    fn base(&self) -> Fit {
+        let starts = self.family.starts(&self.whole);
+        let initial = fit::guessed(self.family, &self.whole);
+        let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
+        let screened: Vec<Fit> = starts
+            .par_iter()
+            .map(|start| fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN))
+            .collect();
+        let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+        let (structure, initial) = best.map_or_else(
+            || (structure(&vec![1.0; self.family.base().len()]), initial),
+            |best| (best.structure, best.initial),
+        );
+        fit(self.family, &self.whole, structure, initial, Effort::FULL)
+    }
+
+    fn term_name(&self, term: &Term) -> String {
+        match term {
+            Term::Known(index) => self.family.catalogue()[*index].name.to_owned(),
+            Term::Curve(curve) => format!("{} over {}", curve.acts.name(), curve.over.name()),
+        }
+    }
+}
