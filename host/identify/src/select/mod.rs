@@ -267,7 +267,8 @@ impl<F: Family> Search<'_, F> {
             let mut first = current.structure.clone();
             first.terms.truncate(place + 1);
             first.added.truncate(place + 1);
-            step.own = fit(self.family, runs, first, current.initial.clone(), Effort::FULL);
+            let initial = if first == current.structure { current.initial.clone() } else { self.settled(&first, runs) };
+            step.own = fit(self.family, runs, first, initial, Effort::FULL);
             step.fit = step.own.over(self.family, &self.whole);
         }
         let runs = runs.iter().copied().cloned().collect();
