@@ -1,27 +1,26 @@
-//! What residuals say for a model: how many samples are independent of each other, and what a model's numbers cost.
+//! Evidence for a model in its residuals: effective number of independent samples, and an information criterion.
 
 use crate::{family::Family, fit::Fit};
 
-/// A difference in price (see [`price`]) from which on a rival is told apart: a ratio of likelihoods of 150, "very strong" in R. E.
-/// Kass and A. E. Raftery, *Bayes Factors*, Journal of the American Statistical Association 90 (1995), 773-795.
+/// Least difference of [`price`] at which the data distinguish two models: a likelihood ratio of 150, "very strong" in R. E. Kass and
+/// A. E. Raftery, *Bayes Factors*, Journal of the American Statistical Association 90 (1995), 773-795.
 pub(crate) const TOLD_APART: f64 = 10.0;
 
-/// How many independent samples say as much as those that a model was fitted to.
+/// Effective number of independent samples in a fit's residuals.
 pub(crate) fn independent<F: Family>(family: &F, runs: &[&F::Run], fit: &Fit) -> f64 {
     let residuals = fit.residuals(family, runs);
     let samples = residuals.iter().flatten().filter(|residual| residual.is_finite()).count() as f64;
     samples / correlated(&residuals)
 }
 
-/// What a model costs, of which less is better, but for a constant: twice Schwarz's criterion for its numbers, with only as many
-/// samples as are `independent`. What is left of a long free run is so correlated that any few corners would explain some of
-/// it.
+/// Bayesian information criterion (BIC, Schwarz) with twice its complexity penalty, but for a constant; lower is better. `independent` is the
+/// effective number of samples, because residuals of a long free-run simulation are correlated; `cost` is the sum of their squares.
 pub(crate) fn price(independent: f64, cost: f64, numbers: usize) -> f64 {
     independent * cost.ln() + 2.0 * numbers as f64 * independent.max(2.0).ln()
 }
 
-/// How many samples say as much as one independent one: the integrated autocorrelation, up to where it first vanishes.
-pub(crate) fn correlated(residuals: &[Vec<f64>]) -> f64 {
+/// Integrated autocorrelation of residuals up to its first zero: the number of samples that count as one independent sample.
+fn correlated(residuals: &[Vec<f64>]) -> f64 {
     let mut sum = 1.0;
     let variance = product(residuals, 0);
     if variance <= 0.0 {
@@ -42,7 +41,7 @@ pub(crate) fn correlated(residuals: &[Vec<f64>]) -> f64 {
     sum
 }
 
-/// Mean product of residuals a lag apart.
+/// Autocovariance of residuals at a lag in samples, over pairs of which both are finite; 0 without such pairs.
 pub(crate) fn product(residuals: &[Vec<f64>], lag: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for run in residuals {

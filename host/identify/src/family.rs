@@ -139,9 +139,9 @@ impl Curve {
         Spline::through(&self.at, values, self.period)
     }
 
-    /// With a corner more in the middle between each two.
+    /// The same curve with one more corner midway between neighbours; on a circle, between the last and the first too.
     #[must_use]
-    pub fn halved(&self) -> Self {
+    pub fn with_midpoints(&self) -> Self {
         let around = self.period.and_then(|period| Some(self.at.first()? + period));
         let ends = self.at.iter().skip(1).copied().chain(around);
         let mut at: Vec<f64> = self.at.iter().zip(ends).flat_map(|(&from, to)| [from, 0.5 * (from + to)]).collect();
@@ -173,7 +173,7 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// The same without one of its terms.
+    /// The same structure without the term at a place, which must be one of [`Self::terms`].
     #[must_use]
     pub fn without(&self, place: usize) -> Self {
         let mut without = self.clone();
@@ -365,7 +365,8 @@ pub trait Family: Model {
         vec![]
     }
 
-    /// Two of a model's terms, by their places, for which one may stand in the place of the first: with values that come near both.
+    /// One term that may replace two of a structure: the places of the two, of which the first is kept for it, the term, and initial
+    /// guesses of its values. `None` where there are no two such terms.
     fn merged(&self, _structure: &Structure) -> Option<([usize; 2], Term, Vec<f64>)> {
         None
     }
@@ -457,7 +458,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_halved_curve_has_a_corner_between_each_two() {
+    fn a_curve_gets_a_corner_midway_between_neighbours() {
         let curve = |period, at: &[f64]| Curve {
             over: Dependence::Position,
             at_unit: "rad",
@@ -467,7 +468,7 @@ mod tests {
             acts: Acts::Push,
             scale: 1.0,
         };
-        assert_eq!(curve(None, &[0.0, 1.0, 4.0]).halved().at, [0.0, 0.5, 1.0, 2.5, 4.0]);
-        assert_eq!(curve(Some(3.0), &[0.0, 1.0]).halved().at, [0.0, 0.5, 1.0, 2.0]);
+        assert_eq!(curve(None, &[0.0, 1.0, 4.0]).with_midpoints().at, [0.0, 0.5, 1.0, 2.5, 4.0]);
+        assert_eq!(curve(Some(3.0), &[0.0, 1.0]).with_midpoints().at, [0.0, 0.5, 1.0, 2.0]);
     }
 }

@@ -14,9 +14,12 @@ use super::{Motion, MotionRun, simulate::Moved};
 
 /// Corners that are tried; the more of them, the more they have to explain.
 const CORNERS: [usize; 3] = [9, 17, 33];
-/// The same round a circle.
+/// The same of a curve over an angle, or over a position that repeats itself. Eight leave 1.0 times the noise of two tuning plants with a
+/// worn track (900000, 900015), twelve 1.3 times and more: where recordings do not go, fewer are nearer. Of two waves a turn (900006)
+/// eight leave 1.9 times the noise, twelve 1.1 times.
 pub(super) const ROUND: [usize; 5] = [8, 12, 16, 24, 32];
-/// The longest time since something happened over the first that a corner is at after it.
+/// Ratio of the last to the second corner over a time since something happened. Our choice: each of nine corners is then twice as late as
+/// the one before.
 const SOONEST: f64 = 128.0;
 
 impl Motion {
@@ -48,18 +51,23 @@ impl Motion {
             let curves = CORNERS.iter().filter_map(|&count| placed(&values, count));
             self.fitting(current, curves.map(|at| self.curve(over, None, acts, at)), runs)
         };
-        if let Some(period) = period {
-            return acts.iter().filter_map(|&acts| Some(round(acts, period)?.0)).collect();
+        if period.is_some() {
+            // Offered with the same position without a period.
+            return vec![];
         }
-        // What a joint does at an angle it does again a turn later, unless the data clearly say otherwise.
+        // A joint repeats each turn what it does at an angle, unless the data clearly say otherwise.
         let is_angle = over == Dependence::Position && self.is_round();
         let repeats = if over == Dependence::Position { self.repeats(current, acts, runs) } else { vec![] };
         let curve = |(place, &acts): (usize, &Acts)| {
             let repeats = repeats.get(place).copied().flatten();
-            let both = repeats.and_then(|period| round(acts, period)).into_iter().chain(open(acts));
-            let (best, price) = both.min_by(|a, b| a.1.total_cmp(&b.1))?;
-            let again = if is_angle { round(acts, TAU) } else { None };
-            again.is_none_or(|(_, of_turn)| price + TOLD_APART < of_turn).then_some(best)
+            let others = repeats.and_then(|period| round(acts, period)).into_iter().chain(open(acts));
+            let other = others.min_by(|a, b| a.1.total_cmp(&b.1));
+            let turn = if is_angle { round(acts, TAU) } else { None };
+            let (curve, _) = match (turn, other) {
+                (Some(turn), Some(other)) if other.1 + TOLD_APART < turn.1 => other,
+                (turn, other) => turn.or(other)?,
+            };
+            Some(curve)
         };
         acts.iter().enumerate().filter_map(curve).collect()
     }
@@ -92,20 +100,21 @@ impl Motion {
         }
     }
 
-    /// Of curves, the one whose corners pay best, and its price, without free runs.
+    /// The curve with the lowest price over windows, and that price: infinite where a model is not seen in windows, of which the first
+    /// curve is returned.
     fn fitting(
         &self,
         current: &Fit,
         curves: impl IntoIterator<Item = Curve>,
         runs: &[&MotionRun],
     ) -> Option<(Curve, f64)> {
-        let independent = self.independent_windows(current, runs)?;
+        let independent = self.independent_windows(current, runs);
         let priced = |curve: Curve| {
-            let left = self.left_over_windows(with(&current.structure, &curve), current, runs)?;
-            let price = price(independent, left, curve.at.len());
-            Some((curve, price))
+            let left = self.left_over_windows(with(&current.structure, &curve), current, runs);
+            let price = independent.zip(left).map(|(independent, left)| price(independent, left, curve.at.len()));
+            (curve, price.unwrap_or(f64::INFINITY))
         };
-        curves.into_iter().filter_map(priced).min_by(|a, b| a.1.total_cmp(&b.1))
+        curves.into_iter().map(priced).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
@@ -150,8 +159,8 @@ pub(super) fn with(structure: &Structure, curve: &Curve) -> Structure {
     with
 }
 
-/// Corners over sorted times since something happened: the first at once, the others each the same multiple of the one before. What settles
-/// does most of it first, and nobody knows how fast.
+/// Corners over sorted times since something happened, s: 0, then in a geometric series up to the longest finite one, because a decay of
+/// unknown time constant is steepest at its beginning. `None` where no time is finite and above 0.
 fn since(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let &longest = values.iter().rev().find(|value| value.is_finite())?;
     let farther = |index: usize| (index as f64 / (count - 2) as f64 - 1.0) * SOONEST.ln();

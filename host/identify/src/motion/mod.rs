@@ -277,7 +277,8 @@ impl Motion {
         (0..PLACES).map(move |place| f64::from(place) / f64::from(PLACES) * round)
     }
 
-    /// Whether an angle is that of a turn: recordings that begin at different places show most of one together.
+    /// Whether a position is an angle of which the recordings show enough for a curve of one turn. Half a turn in one recording is taken
+    /// as enough: others, which begin elsewhere, show the rest.
     fn is_round(&self) -> bool {
         self.rotary && self.scales.distance > 0.5 * TAU
     }

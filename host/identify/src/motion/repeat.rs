@@ -25,8 +25,8 @@ const CLOSER: u32 = 10;
 const SHARE: f64 = 0.2;
 /// The share of one time by which periods differ that are tried in the end, and how often closer by.
 const NEARER: f64 = 0.1;
-const REFINED: usize = 3;
-/// So many are tried on each side, and in all so many times.
+const REFINED: i32 = 3;
+/// Periods tried on each side of the best one in each round, and the largest number of rounds.
 const BESIDE: i32 = 3;
 const ROUNDS: usize = 8;
 
@@ -141,22 +141,22 @@ impl Motion {
     /// A period, of those around it the one at which most is explained. The rest of the model was not fitted with the wave
     /// before: now both are.
     fn nearer(&self, current: &Fit, acts: Acts, mut period: f64, mut apart: f64, runs: &[&MotionRun]) -> f64 {
-        let mut refined = 0;
+        let finest = apart / 4.0_f64.powi(REFINED);
         for _ in 0..ROUNDS {
             let left_over = |step: i32| {
                 let period = period * (1.0 + apart * f64::from(step));
                 let structure = with(&current.structure, &self.round(acts, period, ROUND[0]));
                 (self.left_over_windows(structure, current, runs).unwrap_or(f64::INFINITY), step, period)
             };
-            let Some(best) = (-BESIDE..=BESIDE).map(left_over).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-            period = best.2;
-            // The outermost: what is better still may be farther off.
-            if best.1.abs() == BESIDE {
-                continue;
+            let Some((_, step, best)) = (-BESIDE..=BESIDE).map(left_over).min_by(|a, b| a.0.total_cmp(&b.0)) else {
+                break;
+            };
+            period = best;
+            // Beyond the outermost may be a better one.
+            if step.abs() < BESIDE {
+                apart /= 4.0;
             }
-            apart /= 4.0;
-            refined += 1;
-            if refined == REFINED {
+            if apart <= finest {
                 break;
             }
         }

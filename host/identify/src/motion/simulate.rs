@@ -338,8 +338,8 @@ struct Mechanics<'s> {
     position: f64,
     speed: f64,
     before: Before,
-    /// A first way that is shorter than this was none: what its speed was taken for at the beginning was noise.
-    certain: f64,
+    /// Travel below which a first motion is not one that it can turn from: its initial speed is fitted to noise. In the position's unit.
+    least_travel: f64,
 }
 
 /// What it did before a run: which way it went last, how far and since when, and what hysteresis pulled back with where it
@@ -392,7 +392,7 @@ impl Mechanics<'_> {
         if !self.curves.iter().any(|(curve, _)| curve.over == Dependence::History) {
             return;
         }
-        self.certain = motion.certain_way(run);
+        self.least_travel = motion.least_travel(run);
         if run.from == 0 {
             return;
         }
@@ -602,8 +602,8 @@ fn step<const LANES: usize, const PLAIN: bool>(
         if !PLAIN {
             let moved = (body.position - before[lane]).signum();
             if body.position != before[lane] && moved != body.direction {
-                let way = (before[lane] - body.reversal).abs();
-                if body.turned_s.is_finite() || body.direction != 0.0 && way >= mechanics[lane].certain {
+                let travel = (before[lane] - body.reversal).abs();
+                if body.turned_s.is_finite() || body.direction != 0.0 && travel >= mechanics[lane].least_travel {
                     body.turned_s = on_s;
                 }
                 mechanics[lane].turn(body, moved, before[lane]);
@@ -897,7 +897,7 @@ impl<'s> Plan<'s> {
             position,
             speed,
             before: Before { direction: 0.0, way: 0.0, turned_s: f64::NEG_INFINITY, wound: 0.0 },
-            certain: 0.0,
+            least_travel: 0.0,
         };
         let input = Input {
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
@@ -1180,8 +1180,8 @@ pub(super) fn simulate_each(
     }
 }
 
-/// One step under a constant push and level of friction, as long and damped as the body's decay is for. Once it turns, the other level
-/// holds.
+/// Advances a body by the step of its decay under a constant push and Coulomb friction: of the first level, and once it has turned of the
+/// second, which is that of the other direction.
 #[inline(always)]
 fn advance(body: &mut Body, push: f64, [mut level, other_way]: [f64; 2]) {
     let Decay { b, step_s: mut left_s, mut decayed, per_b } = body.decay;

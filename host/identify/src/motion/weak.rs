@@ -50,8 +50,8 @@ const FURTHER: usize = 2;
 pub(super) struct Windows {
     /// From each sample to the next.
     pub(super) moved: Vec<Moved>,
-    /// The least way that is not noise.
-    certain: f64,
+    /// Least travel that is told from noise, in the position's unit.
+    least_travel: f64,
     pub(super) windows: Vec<Window>,
     /// Of each window, in deviations that white noise on the measurements gives it.
     measured: Vec<f64>,
@@ -96,12 +96,12 @@ impl Windows {
     fn of(run: &MotionRun, of_speed: bool) -> Option<Self> {
         let (time_s, measured) = (&run.all.time_s[..], &run.all.measured[..]);
         let smooth = Smooth::of(time_s, measured)?;
-        let (moved, certain) = moved(time_s, &smooth, of_speed);
+        let (moved, least_travel) = moved(time_s, &smooth, of_speed);
         let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let period_s = quantile(&steps, 0.5, QuantileRule::NearestPosition).ok()?;
         let shortest_s = SHORTEST_S.max(SHORTEST_SAMPLES * period_s);
         let (first_s, last_s) = (*time_s.first()?, *time_s.last()?);
-        let mut all = Self { moved, certain, windows: vec![], measured: vec![] };
+        let mut all = Self { moved, least_travel, windows: vec![], measured: vec![] };
         for half_s in LENGTHS.map(|length| length * shortest_s) {
             let mut begin_s = first_s;
             while last_s - begin_s >= 2.0 * half_s {
@@ -166,7 +166,7 @@ fn last_gap(time_s: &[f64], begin_s: f64, samples: &Range<usize>, longest_s: f64
     (first..(samples.end + 1).min(time_s.len())).rfind(|&sample| time_s[sample] - time_s[sample - 1] > longest_s)
 }
 
-/// The motion between samples, with its turns, and the least way that is not noise.
+/// The motion between samples, with its turns, and [`Windows::least_travel`].
 fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> (Vec<Moved>, f64) {
     let (position, speed, [position_noise, rest]) = if of_speed {
         let mut position = vec![0.0; time_s.len()];
@@ -179,8 +179,8 @@ fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> (Vec<Moved>, f64) {
     } else {
         (smooth.value.clone(), &smooth.slope, smooth.noise)
     };
-    let certain = CERTAIN * position_noise;
-    let turned = turns(&position, certain);
+    let least_travel = CERTAIN * position_noise;
+    let turned = turns(&position, least_travel);
     let moved = (1..time_s.len())
         .map(|sample| {
             let middle = |values: &[f64]| 0.5 * (values[sample - 1] + values[sample]);
@@ -196,7 +196,7 @@ fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> (Vec<Moved>, f64) {
             }
         })
         .collect();
-    (moved, certain)
+    (moved, least_travel)
 }
 
 /// How an axis last turned.
@@ -357,9 +357,9 @@ impl Motion {
         windows.as_ref()
     }
 
-    /// The least way in a recording that is not noise.
-    pub(super) fn certain_way(&self, run: &MotionRun) -> f64 {
-        self.windows(run).map_or(0.0, |windows| windows.certain)
+    /// Least travel in a recording that is told from noise, in the position's unit; 0 where it has no windows.
+    pub(super) fn least_travel(&self, run: &MotionRun) -> f64 {
+        self.windows(run).map_or(0.0, |windows| windows.least_travel)
     }
 
     /// How a recording moved before a run that is a part of it, as far as that is seen.

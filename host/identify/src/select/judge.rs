@@ -24,11 +24,11 @@ pub(super) const LEAST_Z: f64 = 3.0;
 const PLAIN_Z: f64 = 12.0;
 /// Effects whose errors differ by less than this share are rivals.
 const ALIKE: f64 = 0.01;
-/// So many effects of each round are looked at on blocks; what half of it does is told at `FOLLOWED`.
+/// Number of effects per round that are compared by cross-validation over blocks. For half of it see `FOLLOWED` in [`super::propose`].
 const PROMISING: usize = 6;
-/// Of trials, those are judged on blocks that leave at most so many times what the best one leaves: our choice, not compared, as the next.
+/// Largest cost of these, as a multiple of the lowest one. Our choice; other values were not compared.
 const IN_REACH: f64 = 2.0;
-/// Beside these, so many that the family guesses to be best.
+/// Number of trials that are kept because the family ranks them best. Our choice; other values were not compared.
 const GUESSES: usize = 2;
 
 /// Errors of models that were each fitted to one half of the blocks.
@@ -40,6 +40,7 @@ pub(super) struct Blocked {
     pub(super) whole: f64,
 }
 
+/// A trial with its cross-validation.
 pub(super) struct Judged {
     pub(super) trial: Trial,
     pub(super) blocked: Blocked,
@@ -103,7 +104,7 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// The best effect that passes, and what the others lacked.
+    /// The best effect that passes every test, and of the others the test that each failed.
     pub(super) fn choose(
         &self,
         current: &Fit,
@@ -145,7 +146,7 @@ impl<F: Family> Search<'_, F> {
                 && price(independent, candidate.trial.fit.cost, corners(&candidate.trial.fit))
                     >= price(independent, current.cost, 0)
             {
-                Some("explains too little for a curve of so many corners".to_owned())
+                Some(format!("explains too little for a curve of {} corners", corners(&candidate.trial.fit)))
             } else if p_value >= CHANCE {
                 Some(format!("not more than chance (p = {p_value:.2})"))
             } else if z < LEAST_Z {
@@ -230,9 +231,8 @@ impl<F: Family> Search<'_, F> {
         by_variance.min(paired(before, &candidate.blocked))
     }
 
-    /// Distance from no effect of what tells the effect's size, in standard deviations. A size that stands in for another
-    /// number, as one of two lags that are alike does, has a wide deviation on its own; that it is there all the same is told
-    /// by what is left without it.
+    /// Distance of the effect from its absence, in standard errors (z). An effect collinear with another number, such as one of two similar
+    /// lags, has a large standard error of its own: it is then accepted by its gain in fit instead, as the equivalent z.
     pub(super) fn size(&self, without: &Fit, fit: &Fit, deviations: &[Option<f64>], place: usize) -> f64 {
         let Some(z) = self.own_size(&fit.structure, deviations, place) else { return f64::INFINITY };
         if z >= LEAST_Z {
@@ -242,8 +242,8 @@ impl<F: Family> Search<'_, F> {
         if explained.sqrt() >= PLAIN_Z { explained.sqrt() } else { z }
     }
 
-    /// The same by the standard deviations alone; `None` of what has no size. A curve has none: its corners share what the base model
-    /// has too, a slope and a mean.
+    /// z by the standard errors alone; `None` of a term without a size, such as a curve, whose corners are collinear with the slope and mean
+    /// of the base model.
     pub(super) fn own_size(&self, structure: &Structure, deviations: &[Option<f64>], place: usize) -> Option<f64> {
         if matches!(structure.terms[place], Term::Curve(_)) {
             return None;
@@ -258,12 +258,13 @@ impl<F: Family> Search<'_, F> {
     }
 }
 
+/// Cross-validated RMSE over all left-out blocks, in the output's unit.
 pub(super) fn rmse(blocked: &Blocked) -> f64 {
     let samples: usize = blocked.blocks.iter().map(|block| block.1).sum();
     (blocked.blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
 }
 
-/// Keeps so many trials that explain most, and the best guesses beside them.
+/// Keeps the `count` trials of lowest cost, and the [`GUESSES`] that the family ranks best.
 fn promising(trials: &mut Vec<Trial>, count: usize) {
     trials.sort_by(|a, b| a.guess.total_cmp(&b.guess));
     let guessed = trials.iter().take(GUESSES).take_while(|trial| trial.guess.is_finite()).count();

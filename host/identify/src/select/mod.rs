@@ -28,8 +28,8 @@ use crate::{
     residual::{is_white, largest_correlation, left},
 };
 
-/// Named effects may leave so many times what a model with curves leaves of left-out blocks: a choice of what their meaning is
-/// worth.
+/// Largest cross-validated RMSE of named effects alone, as a multiple of that with curves, at which the names are kept: our choice of what a
+/// name is worth.
 const AS_GOOD: f64 = 1.15;
 /// Where named effects leave at most this share of the output's standard deviation on left-out blocks, curves are not looked for. A curve
 /// is free wherever the recordings do not go: on EMPS, of which names leave 0.29 %, curves over speed and input explain the recording
@@ -37,6 +37,7 @@ const AS_GOOD: f64 = 1.15;
 const ENOUGH: f64 = 0.004;
 /// What is left is not looked into further when less than this share of it is anything but noise.
 const SMALL: f64 = 0.1;
+/// Largest number of terms, and of curves among them.
 const MOST_TERMS: usize = 6;
 const MOST_CURVES: usize = 2;
 /// Blocks that the training data are cut into, about; a block has at least so many samples.
@@ -56,7 +57,7 @@ pub struct Found<R> {
     pub fitted: (Fit, Vec<R>),
     /// Of the last model's parameters.
     pub deviations: Vec<Option<f64>>,
-    /// Tried in the last round and not taken, strongest first: name, error on blocks, why.
+    /// Terms that were tried and not accepted, or removed later, in order of their error on left-out blocks.
     pub rejected: Vec<Rejected>,
     /// The time was over before every effect had been looked for.
     pub is_cut_short: bool,
@@ -65,7 +66,7 @@ pub struct Found<R> {
 /// A term that was taken.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// What.
+    /// The effect of the catalogue, or the curve.
     pub term: Term,
     /// The model with it and those terms before it that stayed, over whole runs.
     pub fit: Fit,
@@ -85,7 +86,7 @@ pub struct Step {
 
 struct Search<'s, F: Family> {
     family: &'s F,
-    /// As recorded.
+    /// The recordings that are fitted to, each as a whole.
     whole: Vec<&'s F::Run>,
     /// What effects are looked for on: whole runs, or the blocks of both halves.
     runs: Vec<&'s F::Run>,
@@ -105,7 +106,7 @@ pub(crate) struct Limits {
 }
 
 impl<R> Found<R> {
-    /// What a base model and the terms that were taken come to; `runs` are the recordings, and what terms were fitted to.
+    /// Result of a search: base model plus accepted terms; `runs` are those that the last model was fitted to.
     fn of<F: Family<Run = R>>(
         family: &F,
         base: Fit,
@@ -145,13 +146,12 @@ impl Path {
 ///
 /// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
 /// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, or it takes names
-/// and curves, on blocks with a curve first: an effect that has no name makes named ones look good that it has nothing to do
-/// with.
+/// and curves, on blocks with a curve first: an effect without a name is otherwise partly explained by unrelated named ones.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
     search_within(family, train, progress, Limits::default())
 }
 
-/// The same within limits.
+/// As [`search`], within limits.
 pub(crate) fn search_within<F: Family>(
     family: &F,
     train: &[F::Run],

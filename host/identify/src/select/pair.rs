@@ -1,4 +1,4 @@
-//! Two effects at once.
+//! Joint search for two effects, where together they look like neither.
 
 use rayon::prelude::*;
 
@@ -14,9 +14,9 @@ use crate::{
     fit::{Effort, Fit, fit},
 };
 
-/// Number of guesses to which a second effect is added when pairs are sought: our choice, made for speed and not compared, as the next.
+/// Number of first effects to which a second one is added. Our choice, made for speed; other values were not compared.
 const FIRSTS: usize = 3;
-/// Number of pairs that are fitted by free runs.
+/// Number of pairs that are fitted by free-run simulation. Our choice as well.
 const PAIRS: usize = 4;
 
 impl<F: Family> Search<'_, F> {

@@ -10,9 +10,9 @@ use crate::{
 
 /// A guess that leaves so many times what the best one leaves is not followed.
 const HOPELESS: f64 = 5.0;
-/// Number of the best guesses that are fitted by free runs. With half of it, and half of `PROMISING` ([`super::judge`]), one of 12 plants
-/// with an effect in no catalogue (tuning base 900000) had wrong names in front, and the time was the same. The other numbers here are
-/// our choices, made for speed and not compared.
+/// Number of the best guesses that are fitted by free-run simulation. With half of it and half of `PROMISING` ([`super::judge`]), wrong
+/// names came first for one more of 12 plants with an effect in no catalogue (tuning seeds 900000 to 900011), and the time was the same. The
+/// other constants here are our choices, made for speed; other values were not compared.
 const FOLLOWED: usize = 8;
 /// Guesses that leave at most this multiple of what the best one leaves are fitted more closely first.
 const CLOSE: f64 = 2.5;
@@ -22,6 +22,7 @@ const LEADING: f64 = 0.97;
 const MOST_STARTS: usize = 24;
 const NEAREST: usize = 3;
 
+/// A term with its fit.
 pub(super) struct Trial {
     pub(super) term: Term,
     pub(super) fit: Fit,
@@ -41,7 +42,8 @@ pub(super) struct Begun {
 }
 
 impl<F: Family> Search<'_, F> {
-    pub(super) fn with(&self, current: &Fit, term: Term, values: &[f64]) -> Structure {
+    /// A model's structure with one more term.
+    fn with(&self, current: &Fit, term: Term, values: &[f64]) -> Structure {
         let mut structure = self.family.movable(current.structure.clone());
         structure.terms.push(term);
         structure.added.push(values.to_vec());
@@ -96,7 +98,7 @@ impl<F: Family> Search<'_, F> {
 
     /// Where an effect's fit begins: where the family guesses, with the rest of the model as it guesses and as it is; else of
     /// many places, those from which it has least to go.
-    pub(super) fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Begun {
+    fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Begun {
         let term = Term::Known(index);
         let with = |values: &Vec<f64>| self.with(current, term.clone(), values);
         let as_it_is = |structure| (structure, current.initial.clone());
@@ -115,7 +117,7 @@ impl<F: Family> Search<'_, F> {
     }
 
     /// What the family guesses, with initial states by how each run begins, and what the guess leaves.
-    pub(super) fn guess(&self, starts: Vec<Structure>, current: &Fit, effort: Effort) -> Option<(Start, f64)> {
+    fn guess(&self, starts: Vec<Structure>, current: &Fit, effort: Effort) -> Option<(Start, f64)> {
         let (structure, guess) = self.family.guess(starts, current, &self.runs, effort)?;
         let settled = |run: &&F::Run| {
             let samples = self.family.measured(run).len();
@@ -125,6 +127,7 @@ impl<F: Family> Search<'_, F> {
         Some(((structure, initial), guess))
     }
 
+    /// Every curve that may be added, with where its fit begins; none over what a curve of the model acts on already.
     pub(super) fn curves(&self, current: &Fit) -> Vec<Begun> {
         let Some(drivers) =
             self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))

@@ -1,4 +1,4 @@
-//! What becomes of a model's terms once others stand beside them: finer, simpler, one for two, or none.
+//! Revision of accepted terms beside later ones: more corners, simpler terms, one term for two, removal.
 
 use rayon::prelude::*;
 
@@ -9,18 +9,19 @@ use super::{
 };
 use crate::{
     evidence::{TOLD_APART, independent, price},
-    family::{Family, Term},
+    family::{Family, Structure, Term},
     fit::{Effort, Fit, fit},
     report::Rejected,
 };
 
-/// A term whose removal costs less than this share was superfluous.
+/// Largest relative increase of the cross-validated RMSE at which a term is removed.
 const SUPERFLUOUS: f64 = 0.004;
-/// Of a curve.
+/// Largest number of corners that a curve is given after it was accepted; as many as windows offer at most.
 const MOST_CORNERS: usize = 33;
 
 impl<F: Family> Search<'_, F> {
-    /// Halves the distances between the corners of the curve that was added last while that pays: without free runs, fewer were seen to.
+    /// Adds corners midway between those of the curve that was added last, as long as that pays: windows resolve less than free-run
+    /// simulation does.
     pub(super) fn sharpen(&self, path: &mut Path) {
         while !self.is_noise(&path.current) {
             let mut finer = path.current.structure.clone();
@@ -28,64 +29,64 @@ impl<F: Family> Search<'_, F> {
                 return;
             };
             let spline = curve.spline(values);
-            *curve = curve.halved();
+            *curve = curve.with_midpoints();
             *values = curve.at.iter().map(|&at| spline.value(at)).collect();
             if values.len() > MOST_CORNERS {
                 return;
             }
-            let term = finer.terms.last().cloned();
-            let other = fit(self.family, &self.runs, finer, path.current.initial.clone(), Effort::COMPARE);
-            let samples = independent(self.family, &self.runs, &other);
-            let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
+            let term = Term::Curve(curve.clone());
+            let Some(other) = self.preferred(path, finer, 0.0) else { return };
             let (before, after) = (self.blocked(&path.current), self.blocked(&other));
-            let is_better = rmse(&after) < rmse(&before) * (1.0 - CURVE_WORTH) && after.whole <= before.whole;
-            if !is_better || price_of(&other) >= price_of(&path.current) {
+            if rmse(&after) >= rmse(&before) * (1.0 - CURVE_WORTH) || after.whole > before.whole {
                 return;
             }
-            if let (Some(step), Some(term)) = (path.steps.last_mut(), term) {
-                step.term = term;
-                step.blocked_rmse[1] = rmse(&after);
-                (step.fit, step.own) = (other.clone(), other.clone());
-            }
-            path.current = other;
+            let place = path.steps.len() - 1;
+            path.steps[place].blocked_rmse[1] = rmse(&after);
+            self.exchange(path, place, term, other);
         }
     }
 
-    /// Exchanges terms for simpler ones that explain as much.
+    /// Exchanges terms for simpler ones that explain as much, and two for one from which the data do not tell them apart.
     pub(super) fn simplify(&self, path: &mut Path) {
         for place in 0..path.steps.len() {
             for (term, values) in self.family.simpler(&path.current.structure, place) {
                 let mut structure = path.current.structure.clone();
                 (structure.terms[place], structure.added[place]) = (term.clone(), values);
-                let other = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::COMPARE);
-                let samples = independent(self.family, &self.runs, &path.current);
-                let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
-                if price_of(&other) < price_of(&path.current) {
-                    path.steps[place].term = term;
-                    path.current = other;
+                if let Some(other) = self.preferred(path, structure, 0.0) {
+                    self.exchange(path, place, term, other);
                 }
             }
         }
-        self.merge(path);
-    }
-
-    /// Exchanges two terms for one from which the data do not tell them apart.
-    fn merge(&self, path: &mut Path) {
         let Some(([place, gone], term, values)) = self.family.merged(&path.current.structure) else { return };
         let mut structure = path.current.structure.clone();
         (structure.terms[place], structure.added[place]) = (term.clone(), values);
-        let other =
-            fit(self.family, &self.runs, structure.without(gone), path.current.initial.clone(), Effort::COMPARE);
-        let samples = independent(self.family, &self.runs, &path.current);
-        let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
-        if price_of(&other) < price_of(&path.current) + TOLD_APART {
+        if let Some(other) = self.preferred(path, structure.without(gone), TOLD_APART) {
             path.steps.remove(gone);
-            path.steps[place].term = term;
-            path.current = other;
+            self.exchange(path, place, term, other);
         }
     }
 
-    /// Takes out of a model fitted to runs what has no size of its own beside all others, and whose numbers do not pay.
+    /// A structure fitted to what a path's model is fitted to, if its price is less than that model's plus `tolerated`.
+    fn preferred(&self, path: &Path, structure: Structure, tolerated: f64) -> Option<Fit> {
+        let other = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::COMPARE);
+        // By the whiter residual: the noise is the same for both.
+        let samples = [&path.current, &other].map(|fit| independent(self.family, &self.runs, fit));
+        let price_of = |fit: &Fit| price(samples[0].max(samples[1]), fit.cost, numbers(fit));
+        (price_of(&other) < price_of(&path.current) + tolerated).then_some(other)
+    }
+
+    /// Puts a fitted term in the place of another, which stays neither its own rival nor among those that were rejected.
+    fn exchange(&self, path: &mut Path, place: usize, term: Term, fit: Fit) {
+        let name = self.term_name(&term);
+        path.rejected.retain(|one| one.name != name);
+        let step = &mut path.steps[place];
+        step.rivals.retain(|&(rival, _)| term != Term::Known(rival));
+        step.term = term;
+        path.current = fit;
+    }
+
+    /// Removes from a path's model, which is fitted to `runs`, each term whose z is too small beside the others and whose numbers do not
+    /// lower the price.
     pub(super) fn prune(&self, runs: &[&F::Run], path: &mut Path) {
         while path.steps.len() > 1 {
             let with = &path.current;

@@ -202,6 +202,14 @@ pub struct GainsReport {
     pub verdict: String,
 }
 
+impl GainsReport {
+    /// Whether a trend over Kd is left unexplained. That of the rise or that of the overshoot: the fit decides between them.
+    #[must_use]
+    pub fn leaves_kd_open(&self) -> bool {
+        self.unexplained.iter().any(|trend| trend.ends_with("over kd"))
+    }
+}
+
 /// How long each model is fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GainsEffort {

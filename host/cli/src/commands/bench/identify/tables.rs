@@ -110,8 +110,7 @@ pub(super) fn osmc(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
             rows.push(Row::error(LOOP, &metric, unit, [before, after, limit]));
         }
     }
-    // Of which quantity, rise or overshoot, depends on where the fit ends.
-    let kd = report.unexplained.iter().any(|trend| trend.ends_with("over kd"));
+    let kd = report.leaves_kd_open();
     rows.push(Row::claim(LOOP, "a trend over Kd left unexplained", kd).with(report.unexplained.join(", ")));
     rows.push(Row::claim(LOOP, "target left open", !report.target_identified).with(report.verdict));
     Ok(rows)
