@@ -1,9 +1,9 @@
 //! Which effects the data ask for: forward selection with removal, judged on blocks that were left out of the fit.
 //!
-//! Each round fits every effect that is not yet in ([`propose`]), keeps the most promising, and fits these again on one half of the
-//! blocks to predict the other, and the other way round ([`judge`]). An effect is taken if it makes the blocks' error smaller by more
-//! than a trifle and by more than chance. Where one is not enough, two are tried at once ([`pair`]), and what was taken is looked at
-//! again beside what came later ([`trim`]). Effects with names come first; what these leave is offered to curves.
+//! Each round fits every effect that is not yet in (`propose`), keeps the most promising, and fits these again on one half of the
+//! blocks to predict the other, and the other way round (`judge`). An effect is taken if it makes the blocks' error smaller by more
+//! than a trifle and by more than chance. Where one is not enough, two are tried at once (`pair`), and what was taken is looked at
+//! again beside what came later (`trim`). Effects with names come first; what these leave is offered to curves.
 
 mod judge;
 mod pair;
