@@ -188,8 +188,16 @@ pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experi
             hidden.parts.outputs(plan, supply_v, output).into_iter().map(|value| value - zero).collect()
         })
         .collect();
-    let noise = noise(&clean[..length.train]);
-    let mut recordings = plans.into_iter().zip(clean).map(|(plan, clean)| Recording {
+    let held_out = if draw == Draw::Unlisted {
+        least_beyond(&clean, length.holdout)
+    } else {
+        (length.train..clean.len()).collect()
+    };
+    let is_held_out = |place: &usize| held_out.contains(place);
+    let fitted: Vec<_> =
+        (0..clean.len()).filter(|place| !is_held_out(place)).map(|place| clean[place].clone()).collect();
+    let noise = noise(&fitted);
+    let recordings = plans.into_iter().zip(clean).map(|(plan, clean)| Recording {
         time_s: (0..clean.len()).map(|index| index as f64 / excitation::RATE_HZ).collect(),
         input: plan.duty.iter().map(|duty| duty * input_per_duty).collect(),
         supply_v: if setup == Setup::AxisPosition { Vec::new() } else { vec![supply_v; clean.len()] },
@@ -198,9 +206,37 @@ pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experi
         start: plan.start,
         clean,
     });
-    let train: Vec<_> = recordings.by_ref().take(length.train).collect();
-    let holdout: Vec<_> = recordings.collect();
+    let (mut train, mut holdout) = (Vec::new(), Vec::new());
+    for (place, recording) in recordings.enumerate() {
+        if is_held_out(&place) { &mut holdout } else { &mut train }.push(recording);
+    }
     Experiment { setup, train, holdout, noise, base, hidden, input_per_duty, supply_v }
+}
+
+/// Of some outputs, `count` that go least beyond the range of the others, and of their slopes: where no fitted recording goes, nothing tells
+/// what an effect does that is in no catalogue.
+fn least_beyond(outputs: &[Vec<f64>], count: usize) -> Vec<usize> {
+    let slopes = outputs.iter().map(|output| output.windows(2).map(|pair| pair[1] - pair[0]).collect());
+    let series: [Vec<Vec<f64>>; 2] = [outputs.to_vec(), slopes.collect()];
+    let range = |of: &[Vec<f64>], places: &mut dyn Iterator<Item = usize>| {
+        let values = places.flat_map(|place| &of[place]);
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)))
+    };
+    let beyond = |held_out: &[usize]| -> f64 {
+        let share = |of: &Vec<Vec<f64>>| {
+            let (low, high) = range(of, &mut (0..of.len()).filter(|place| !held_out.contains(place)));
+            let (lower, higher) = range(of, &mut held_out.iter().copied());
+            ((low - lower).max(0.0) + (higher - high).max(0.0)) / (high - low).max(f64::MIN_POSITIVE)
+        };
+        series.iter().map(share).sum()
+    };
+    let mut held_out = Vec::new();
+    for _ in 0..count.min(outputs.len().saturating_sub(1)) {
+        let with = |place: usize| [&held_out[..], &[place]].concat();
+        let others = (0..outputs.len()).filter(|place| !held_out.contains(place));
+        held_out.extend(others.min_by(|&a, &b| beyond(&with(a)).total_cmp(&beyond(&with(b)))));
+    }
+    held_out
 }
 
 /// A motor of some size, its supply, and 1.
@@ -275,5 +311,22 @@ impl Recording {
             writeln!(out)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_that_stay_within_the_others_are_held_out() {
+        let ramp = |to: f64, samples: usize| (0..samples).map(|at| to * at as f64 / samples as f64).collect::<Vec<_>>();
+        let outputs = [ramp(1.0, 100), ramp(5.0, 100), ramp(3.0, 100), ramp(-1.0, 100)];
+        assert_eq!(least_beyond(&outputs, 2), [0, 2]);
+        // one has to stay
+        assert_eq!(least_beyond(&outputs, 9).len(), 3);
+        // as slow as the first, and as far as it goes twice as fast as the second
+        let outputs = [ramp(1.0, 100), ramp(1.0, 10), ramp(1.0, 100)];
+        assert_eq!(least_beyond(&outputs, 1), [0]);
     }
 }
