@@ -238,6 +238,30 @@ impl Spline {
         slope + distance * (2.0 * square + distance * 3.0 * cube)
     }
 
+    /// Index of the piece at `x`: that of the knot before it; of the first piece before the first knot.
+    ///
+    /// ```
+    /// use r4_maths::spline::Spline;
+    /// let line = Spline::bessel(&[0.0, 2.0], &[0.0, 1.0]).unwrap();
+    /// assert_eq!([-1.0, 0.5, 9.0].map(|x| line.piece_at(x)), [0, 0, 1]);
+    /// ```
+    #[must_use]
+    pub fn piece_at(&self, x: f64) -> usize {
+        self.piece(x).map_or(0, |(knot, _)| knot)
+    }
+
+    /// Of each piece, whether it differs from that of another curve through the same knots.
+    ///
+    /// ```
+    /// use r4_maths::spline::Spline;
+    /// let [one, other] =
+    ///     [0.0, 1.0].map(|last| Spline::bessel(&[0.0, 1.0, 2.0, 3.0, 4.0], &[0.0, 0.0, 0.0, 0.0, last]).unwrap());
+    /// assert_eq!(one.pieces_unlike(&other).collect::<Vec<_>>(), [false, false, true, true, true]);
+    /// ```
+    pub fn pieces_unlike(&self, other: &Self) -> impl Iterator<Item = bool> {
+        self.pieces.iter().zip(&other.pieces).map(|(piece, other)| piece != other)
+    }
+
     /// The piece at `x`, and the distance from its knot; `None` before the first.
     #[inline]
     fn piece(&self, x: f64) -> Option<(usize, f64)> {
