@@ -257,8 +257,13 @@ impl Input {
         }
         let mut acting = state.shaped.1;
         if let Some(rate) = self.rate {
-            state.slewed += (acting - state.slewed).clamp(-rate * step_s, rate * step_s);
-            acting = state.slewed;
+            let (from, gap, reach) = (state.slewed, acting - state.slewed, rate * step_s);
+            // Its mean: half-way up a ramp, or all of it but the triangle before the corner.
+            (state.slewed, acting) = if gap.abs() > reach {
+                (from + reach.copysign(gap), from + 0.5 * reach.copysign(gap))
+            } else {
+                (acting, if gap == 0.0 { acting } else { acting - 0.5 * gap * gap.abs() / reach })
+            };
         }
         if self.lag_s > 0.0 {
             let share = state.lag.get(step_s, || first_order(step_s, self.lag_s));
@@ -526,12 +531,6 @@ impl Mechanics<'_> {
                 push += self.k * driven.colder * (gain * driven.volts).clamp(-most, most) - driving;
             }
             push -= self.hysteresis(body, body.position);
-            if self.drag > 0.0 {
-                b += self.drag * body.speed.abs();
-            }
-            if let Some((force, stribeck)) = self.stribeck {
-                level += force * (-(body.speed / stribeck).powi(2)).exp();
-            }
             if self.load_share > 0.0 {
                 level += self.load_share * (driving - self.load_emf * self.b * body.speed).abs();
             }
@@ -540,6 +539,22 @@ impl Mechanics<'_> {
             }
             if let Some((force, time_constant_s)) = self.warm_up {
                 level += force * (-on_s / time_constant_s).exp();
+            }
+            if self.stribeck.is_some() || self.drag > 0.0 {
+                let at = |speed: f64| {
+                    let stribeck = self.stribeck.map_or(0.0, |(force, width)| force * (-(speed / width).powi(2)).exp());
+                    (stribeck, b + self.drag * speed.abs())
+                };
+                // What depends on speed as well: a step of Euler's that goes half as far, no farther than to rest.
+                let coulomb = if body.speed < 0.0 { self.coulomb.1 } else { self.coulomb.0 };
+                let (mut stribeck, mut damping) = at(body.speed);
+                if step_s > 0.0 && body.speed != 0.0 {
+                    let friction = (level + stribeck + coulomb).copysign(body.speed);
+                    let middle = body.speed + 0.5 * step_s * (push - friction - damping * body.speed);
+                    (stribeck, damping) = at(if body.speed * middle < 0.0 { 0.0 } else { middle });
+                }
+                level += stribeck;
+                b = damping;
             }
         }
         let backward = if body.speed == 0.0 { push < 0.0 } else { body.speed < 0.0 };

@@ -129,6 +129,25 @@ fn a_stretch_without_measurements_has_an_initial_state_too() {
     }
 }
 
+/// A ramp of 10/s to a duty of 1 under 12 V: `K r (t - τ (1 - exp(-t/τ)))` on its way.
+#[test]
+fn a_slew_limit_is_the_mean_of_its_ramp() {
+    const PERIOD_S: f64 = 5e-3;
+    const REST: usize = 10;
+    let duty = (0..100).map(|sample| if sample < REST { 0.0 } else { 1.0 }).collect();
+    let output = (0..100).map(f64::from).collect();
+    let recorded = [run((Quantity::Number, duty), (Quantity::AngularSpeed, output), PERIOD_S)];
+    let known = Known { supply_v: Some(12.0), ..Known::default() };
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
+    let predicted = free_run(&model, &runs[0], &[("slew-limit", &[10.0])]);
+    for (sample, predicted) in predicted[REST..].iter().enumerate().take(21) {
+        let time_s = sample as f64 * PERIOD_S;
+        let expected = 24.0 * 10.0 * (time_s + 0.05 * (-time_s / 0.05).exp_m1());
+        // A step's mean instead of its ramp moves the speed by less than K r dt²/(8 τ) = 15 mrad/s; its end, by 0.5 rad/s.
+        assert!((predicted - expected).abs() < 0.015, "{time_s}: {predicted} {expected}");
+    }
+}
+
 /// Of every effect, with each number a little off in turn: done once what free runs have in common, or not.
 #[test]
 fn free_runs_together_are_as_alone() {
