@@ -13,7 +13,7 @@
 
 use std::{f64::consts::TAU, sync::Arc};
 
-use crate::family::{Acts, Curve, Simulated, Structure};
+use crate::family::{Acts, Curve, Simulated, Structure, Term};
 use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
@@ -347,6 +347,22 @@ struct Mechanics<'s> {
     least_travel: f64,
 }
 
+/// Where a curve is looked up; `ahead` is the position.
+#[inline(always)]
+fn place(curve: &Curve, body: &Body, driven: &Driven, (on_s, supply_v): (f64, f64), ahead: f64) -> f64 {
+    match curve.over {
+        Dependence::Input => driven.command,
+        Dependence::Speed if curve.acts == Acts::Friction => body.speed.abs(),
+        Dependence::Speed => body.speed,
+        Dependence::Time => on_s,
+        Dependence::Supply => supply_v,
+        Dependence::Direction => body.direction,
+        Dependence::History if curve.acts == Acts::Settling => on_s - body.turned_s,
+        Dependence::History => (body.position - body.reversal).abs(),
+        _ => ahead,
+    }
+}
+
 /// What it did before a run: which way it went last, how far and since when, and what hysteresis pulled back with where it
 /// turned to go there.
 #[derive(Clone, Copy, PartialEq)]
@@ -505,18 +521,7 @@ impl Mechanics<'_> {
                 push += cogging.at(ahead);
             }
             for (curve, spline) in &self.curves {
-                let at = match curve.over {
-                    Dependence::Input => driven.command,
-                    Dependence::Speed if curve.acts == Acts::Friction => body.speed.abs(),
-                    Dependence::Speed => body.speed,
-                    Dependence::Time => on_s,
-                    Dependence::Supply => supply_v,
-                    Dependence::Direction => body.direction,
-                    Dependence::History if curve.acts == Acts::Settling => on_s - body.turned_s,
-                    Dependence::History => (body.position - body.reversal).abs(),
-                    _ => ahead,
-                };
-                let value = spline.value(at);
+                let value = spline.value(place(curve, body, driven, (on_s, supply_v), ahead));
                 match curve.acts {
                     Acts::Push => push += value,
                     Acts::Friction | Acts::Settling => level += value,
@@ -1052,24 +1057,46 @@ pub(super) fn accelerations(
     plan.accelerated(&plan.driven(run, steps), run, moved)
 }
 
-/// The same of models that differ little from one that is known, given to `told` with their index: what drives them is worked out
-/// once for all that have it in common.
+/// The same of models that differ little from one that is known, each with its offset, given to `told` with their index: what drives them is
+/// worked out once for all that have it in common, and where one value of a curve differs, only what is looked up near it.
 pub(super) fn accelerations_each(
     motion: &Motion,
-    known: &Structure,
+    (known, known_offset): (&Structure, f64),
     others: &[(&Structure, f64)],
     run: &MotionRun,
     steps: &[Moved],
     told: &mut dyn FnMut(usize, &[f64]),
 ) {
-    let known = Plan::new(motion, known, &[]);
-    let driven = known.driven(run, steps);
+    let plan = Plan::new(motion, known, &[]);
+    let driven = plan.driven(run, steps);
+    let lookups = std::cell::LazyCell::new(|| plan.lookups(&driven, run, (steps, known_offset)));
     for (index, &(structure, offset)) in others.iter().enumerate() {
         let other = Plan::new(motion, structure, &[]);
-        let is_shared = other.input == known.input && !other.flows_back();
+        let is_shared = other.input == plan.input && !other.flows_back();
+        if let Some(curve) = local_change(known, structure).filter(|_| is_shared && offset == known_offset) {
+            told(index, &other.accelerated_near(&plan, curve, &lookups, &driven, run, (steps, offset)));
+            continue;
+        }
         let own = (!is_shared).then(|| other.driven(run, steps));
         told(index, &other.accelerated(own.as_ref().unwrap_or(&driven), run, (steps, offset)));
     }
+}
+
+/// The curve, counted among curves, in whose values alone a structure differs from another of the same terms, and of which each value acts
+/// near its knot only: not hysteresis, which takes from all of its curve.
+fn local_change(known: &Structure, other: &Structure) -> Option<usize> {
+    let mut changed = (0..known.added.len()).filter(|&term| known.added[term] != other.added[term]);
+    let term = changed.next()?;
+    let is_local = matches!(&known.terms[term], Term::Curve(curve) if curve.acts != Acts::Hysteresis);
+    let alone = is_local && changed.next().is_none() && known.base == other.base;
+    alone.then(|| known.terms[..term].iter().filter(|term| matches!(term, Term::Curve(_))).count())
+}
+
+/// Where a model's curves are looked up over a recording, and what accelerates it, from each sample to the next.
+struct Lookups {
+    /// Pieces of each curve.
+    pieces: Vec<Vec<usize>>,
+    accelerations: Vec<f64>,
 }
 
 impl Plan<'_> {
@@ -1093,25 +1120,85 @@ impl Plan<'_> {
         driven
     }
 
-    /// What accelerates the axis from each sample to the next under what drives it.
-    fn accelerated(&self, driven: &[Driven], run: &MotionRun, (steps, offset): (&[Moved], f64)) -> Vec<f64> {
-        let mechanics = &self.mechanics;
-        let mut body = mechanics.begin();
-        let mut accelerations = vec![0.0; steps.len()];
-        for (sample, (moved, driven)) in steps.iter().zip(driven).enumerate() {
+    /// Follows the motion from sample to sample; `visit` is given the sample, how it moves there, the body that does, and when, s, with which
+    /// supply, V.
+    #[inline(always)]
+    fn follow(
+        &self,
+        run: &MotionRun,
+        (steps, offset): (&[Moved], f64),
+        mut visit: impl FnMut(usize, &Moved, &Body, (f64, f64)),
+    ) {
+        let mut body = self.mechanics.begin();
+        for (sample, moved) in steps.iter().enumerate() {
             let now_s = run.all.time_s[sample];
             let step_s = run.all.time_s[sample + 1] - now_s;
             if step_s <= 0.0 {
                 continue;
             }
             body.speed = if moved.rests { 0.0 } else { moved.speed };
-            mechanics.follow(&mut body, moved, offset);
+            self.mechanics.follow(&mut body, moved, offset);
             body.turned_s += run.all.origin_s;
-            let at = (run.all.origin_s + now_s + 0.5 * step_s, run.supply_at(sample), 0.0);
-            let (push, level, b) = mechanics.forces::<false>(&body, driven, at);
-            let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
-            accelerations[sample] = push - friction - b * moved.speed;
+            visit(sample, moved, &body, (run.all.origin_s + now_s + 0.5 * step_s, run.supply_at(sample)));
         }
+    }
+
+    #[inline(always)]
+    fn acceleration<const PLAIN: bool>(
+        &self,
+        moved: &Moved,
+        body: &Body,
+        driven: &Driven,
+        (on_s, supply_v): (f64, f64),
+    ) -> f64 {
+        let (push, level, b) = self.mechanics.forces::<PLAIN>(body, driven, (on_s, supply_v, 0.0));
+        let friction = if moved.rests { push.max(-level).min(level) } else { level.copysign(moved.speed) };
+        push - friction - b * moved.speed
+    }
+
+    /// What accelerates the axis from each sample to the next under what drives it.
+    fn accelerated(&self, driven: &[Driven], run: &MotionRun, moved: (&[Moved], f64)) -> Vec<f64> {
+        let mut accelerations = vec![0.0; moved.0.len()];
+        if self.mechanics.is_plain() {
+            self.follow(run, moved, |sample, moved, body, at| {
+                accelerations[sample] = self.acceleration::<true>(moved, body, &driven[sample], at);
+            });
+        } else {
+            self.follow(run, moved, |sample, moved, body, at| {
+                accelerations[sample] = self.acceleration::<false>(moved, body, &driven[sample], at);
+            });
+        }
+        accelerations
+    }
+
+    fn lookups(&self, driven: &[Driven], run: &MotionRun, moved: (&[Moved], f64)) -> Lookups {
+        let mut pieces = vec![vec![0; moved.0.len()]; self.mechanics.curves.len()];
+        self.follow(run, moved, |sample, _, body, at| {
+            for (pieces, (curve, spline)) in pieces.iter_mut().zip(&self.mechanics.curves) {
+                pieces[sample] = spline.piece_at(place(curve, body, &driven[sample], at, body.position));
+            }
+        });
+        Lookups { pieces, accelerations: self.accelerated(driven, run, moved) }
+    }
+
+    /// As [`Self::accelerated`], for a model that differs from a known one in values of one curve.
+    fn accelerated_near(
+        &self,
+        known: &Self,
+        curve: usize,
+        lookups: &Lookups,
+        driven: &[Driven],
+        run: &MotionRun,
+        moved: (&[Moved], f64),
+    ) -> Vec<f64> {
+        let [own, others] = [self, known].map(|plan| &plan.mechanics.curves[curve].1);
+        let unlike: Vec<bool> = own.pieces_unlike(others).collect();
+        let mut accelerations = lookups.accelerations.clone();
+        self.follow(run, moved, |sample, moved, body, at| {
+            if unlike[lookups.pieces[curve][sample]] {
+                accelerations[sample] = self.acceleration::<false>(moved, body, &driven[sample], at);
+            }
+        });
         accelerations
     }
 }

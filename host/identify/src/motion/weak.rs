@@ -303,8 +303,9 @@ impl Model for Weak<'_> {
         let structures: Vec<Structure> = others.iter().map(|(structure, _)| true_stamps(structure)).collect();
         let offsets = others.iter().map(|(_, initial)| initial.first().copied().unwrap_or(0.0));
         let others: Vec<(&Structure, f64)> = structures.iter().zip(offsets).collect();
-        let (known, steps) = (true_stamps(known.structure), &seen.windows.moved[..]);
-        accelerations_each(self.motion, &known, &others, &seen.run, steps, &mut |index, accelerations| {
+        let (known_structure, steps) = (true_stamps(known.structure), &seen.windows.moved[..]);
+        let known = (&known_structure, known.initial.first().copied().unwrap_or(0.0));
+        accelerations_each(self.motion, known, &others, &seen.run, steps, &mut |index, accelerations| {
             told(index, &seen.windows.sums(accelerations).collect::<Vec<_>>());
         });
     }
