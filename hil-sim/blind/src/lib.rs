@@ -217,10 +217,17 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
     Hidden { parts: bare, truth: Vec::new() }
 }
 
+/// Effects that together are one of the catalogue, whatever is recorded: a load that does not change makes friction one by direction.
+const TOGETHER_ONE: [&str; 2] = ["constant-load", "coulomb-friction"];
+
 /// Whether two effects are too alike to be hidden together.
 fn is_alike(one: usize, other: usize, scale: &Scale) -> bool {
     let insertion = |index: usize| (CANDIDATES[index].draw)(&mut Dice::new(0, 0), scale).info().insertion;
-    one == other || insertion(one) == insertion(other) || CANDIDATES[one].rivals.contains(&CANDIDATES[other].name)
+    let names = [one, other].map(|index| CANDIDATES[index].name);
+    one == other
+        || insertion(one) == insertion(other)
+        || CANDIDATES[one].rivals.contains(&names[1])
+        || TOGETHER_ONE.iter().all(|name| names.contains(name))
 }
 
 /// The plant with one effect more; `None` if it cannot have it. What acts on the input acts before the plant's own.
