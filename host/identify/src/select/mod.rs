@@ -329,12 +329,15 @@ impl<F: Family> Search<'_, F> {
         }
         let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
         let is_explained = taken.as_ref().is_some_and(|(_, fit)| self.is_noise(fit));
-        if !with_curves && !is_explained && path.steps.len() + 1 < MOST_TERMS {
+        // Where something was taken already, 1 of 19 rounds took a pair (tuning pairs 10560000 to 10560011, plants 930000 to 930005): two names
+        // for an effect that has none.
+        if !with_curves && !is_explained && path.steps.is_empty() {
             let alone = taken.as_ref().map_or(&path.current, |(_, fit)| fit);
             let pair = self.pair(&path.current, alone, &blocked, firsts);
             if let Some((steps, fit)) = pair {
                 path.steps.extend(steps);
                 path.current = fit;
+                self.restart(path);
                 self.simplify(path);
                 self.remove(path);
                 return true;
@@ -353,6 +356,8 @@ impl<F: Family> Search<'_, F> {
         path.current = fit;
         if with_curves {
             self.sharpen(path);
+        } else {
+            self.restart(path);
         }
         self.simplify(path);
         self.remove(path);
