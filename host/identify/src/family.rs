@@ -266,6 +266,11 @@ pub trait Model: Sync {
     fn noise(&self, run: &Self::Run) -> f64 {
         white_noise(self.measured(run))
     }
+
+    /// Deviation of what the resolution of the sensor leaves of it; 0 where nothing tells.
+    fn rounding(&self, _run: &Self::Run) -> f64 {
+        0.0
+    }
 }
 
 /// A model as something that a simulated board loads.

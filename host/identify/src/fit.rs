@@ -308,11 +308,14 @@ pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
 pub(crate) fn white_noise(values: &[f64]) -> f64 {
     let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
     let noise = robust_deviation(differences.collect()) / 6.0_f64.sqrt();
-    if noise > 0.0 {
-        return noise;
-    }
+    if noise > 0.0 { noise } else { rounding(values) }
+}
+
+/// Deviation of what a sensor's resolution leaves of a series, taken as its smallest change; 0 of one that never changes.
+pub(crate) fn rounding(values: &[f64]) -> f64 {
     let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|change| *change > 0.0);
     let smallest = changes.fold(f64::INFINITY, f64::min);
+    // Of a uniform distribution.
     if smallest.is_finite() { smallest / 12.0_f64.sqrt() } else { 0.0 }
 }
 

@@ -426,6 +426,10 @@ impl Model for Motion {
     fn noise(&self, run: &MotionRun) -> f64 {
         run.all.noise
     }
+
+    fn rounding(&self, run: &MotionRun) -> f64 {
+        run.all.rounding
+    }
 }
 
 impl Family for Motion {

@@ -2,7 +2,10 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::{data::Run, fit::white_noise};
+use crate::{
+    data::Run,
+    fit::{rounding, white_noise},
+};
 
 use super::{command::Command, weak::Windows};
 
@@ -33,6 +36,8 @@ pub(super) struct Recording {
     pub(super) measured: Vec<f64>,
     /// Deviation of the noise on `measured`.
     pub(super) noise: f64,
+    /// Deviation of what the resolution of the sensor leaves of it.
+    pub(super) rounding: f64,
     /// From each sample to the next in steps: how many, and how long each is. Long ones, and short ones.
     pub(super) steps: [Vec<(u32, f64)>; 2],
     /// Time at the first sample since the axis was switched on, if known.
@@ -90,6 +95,7 @@ impl MotionRun {
                 ),
                 gain: run.values("gain").map_or_else(|| vec![1.0; count], held),
                 noise: white_noise(&measured),
+                rounding: rounding(&measured),
                 origin_s: run.origin_s.unwrap_or(0.0),
                 slots_s,
                 windows: OnceLock::new(),

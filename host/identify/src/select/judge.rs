@@ -9,6 +9,7 @@ use crate::{
     family::{Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
     report::Rejected,
+    residual::is_resolved,
 };
 
 /// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
@@ -137,6 +138,8 @@ impl<F: Family> Search<'_, F> {
                 .count();
             let reason = if !after.is_finite() || after > rmse_before * (1.0 - worth) {
                 Some(format!("changes the error on left-out blocks by {:+.1} %", 100.0 * (after / rmse_before - 1.0)))
+            } else if !self.is_resolved(rmse_before, after) {
+                Some("changes the output by less than the sensor resolves".to_owned())
             } else if candidate.blocked.whole > before.whole * if with_curves { 1.0 } else { 1.0 + WORTH }
                 && !self.pays_over_whole_runs(current, &candidate.trial.fit)
             {
@@ -209,6 +212,11 @@ impl<F: Family> Search<'_, F> {
         }
         others.sort_by(|a, b| a.blocked_rmse.total_cmp(&b.blocked_rmse));
         (Some((step, winner.trial.fit)), others)
+    }
+
+    /// Whether a gain in RMSE is more than a trifle beside what the sensor resolves.
+    pub(super) fn is_resolved(&self, before: f64, after: f64) -> bool {
+        is_resolved(self.family, &self.whole, [before, after].map(|rmse| rmse * rmse))
     }
 
     /// Whether a model explains whole runs better than another when both are fitted to them. Half of the blocks may lack places of a

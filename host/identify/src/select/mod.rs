@@ -25,7 +25,7 @@ use crate::{
     family::{Acts, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
     report::Rejected,
-    residual::{is_white, largest_correlation, left},
+    residual::{is_rounding, is_white, largest_correlation, left},
 };
 
 /// Largest cross-validated RMSE of named effects alone, as a multiple of that with curves, at which the names are kept: our choice of what a
@@ -168,7 +168,7 @@ pub(crate) fn search_within<F: Family>(
     let mut path = search.path(base.clone(), orders[0]);
     let is_explained = |path: &Path| {
         let left = path.current.residuals(family, &search.whole);
-        is_white(&left) || largest_correlation(&left) < SMALL
+        is_white(&left) || is_rounding(family, &left, &search.whole) || largest_correlation(&left) < SMALL
     };
     let base_on_blocks = std::cell::LazyCell::new(|| on_blocks.on(&blocks, &base, Effort::COMPARE));
     for order in orders {
@@ -296,12 +296,16 @@ impl<F: Family> Search<'_, F> {
         self.until.is_some_and(|until| Instant::now() >= until)
     }
 
-    /// Whether a model leaves nothing to explain: its residual is white, and depends on nothing that the family can name.
+    /// Whether a model leaves nothing to explain: its residual is no more than rounding, or white and depends on nothing that the family can
+    /// name.
     fn is_noise(&self, current: &Fit) -> bool {
-        // Only of what goes on from sample to sample does a white residual say anything.
-        has_memory(current)
-            && is_white(&current.residuals(self.family, &self.runs))
-            && left(self.family, current, &self.runs).report(0).unexplained.is_empty()
+        // Only of what goes on from sample to sample does a residual say anything.
+        if !has_memory(current) {
+            return false;
+        }
+        let residuals = current.residuals(self.family, &self.runs);
+        is_rounding(self.family, &residuals, &self.runs)
+            || is_white(&residuals) && left(self.family, current, &self.runs).report(0).unexplained.is_empty()
     }
 
     /// Takes the best of all named effects, or of all curves, if one passes and there is time.
@@ -400,7 +404,8 @@ impl<F: Family> Search<'_, F> {
 
     /// Whether what a model lacks adds up over a free run: its numbers are then those of blocks, each of which begins anew.
     fn drifts(&self, fit: &Fit) -> bool {
-        has_memory(fit) && !is_white(&fit.residuals(self.family, &self.whole))
+        let residuals = fit.residuals(self.family, &self.whole);
+        has_memory(fit) && !is_white(&residuals) && !is_rounding(self.family, &residuals, &self.whole)
     }
 
     fn settled(&self, structure: &Structure, runs: &[&F::Run]) -> Vec<Vec<f64>> {

@@ -75,7 +75,7 @@ impl<F: Family> Search<'_, F> {
             let without = best.structure.without(place);
             let without = fit(self.family, &self.runs, without, best.initial.clone(), Effort::SCREEN);
             let left_without = self.blocked(&without);
-            let worth = rmse(&left_without) * (1.0 - WORTH) >= left;
+            let worth = rmse(&left_without) * (1.0 - WORTH) >= left && self.is_resolved(rmse(&left_without), left);
             let z = self.size(&without, &best, &deviations, place);
             let better =
                 left_without.blocks.iter().zip(&blocked.blocks).filter(|(before, after)| after.0 < before.0).count();
