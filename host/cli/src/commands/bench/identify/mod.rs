@@ -141,9 +141,9 @@ fn wilson(good: usize, all: usize) -> [f64; 2] {
     statistics::wilson(good as u64, all as u64, 0.95).map_or([0.0, 1.0], |interval| [interval.low, interval.high])
 }
 
-/// First seed of the simulated plants that a release is measured on, new with each release and never used to tune anything: the day
-/// it was chosen, and two digits.
-const REPORT_BASE: u64 = 2_026_112_603;
+/// First seed of the simulated plants that a release is measured on, new with each release and never used to tune anything: the day it was
+/// chosen, and three digits, so that no plant of another day is among those that follow.
+const REPORT_BASE: u64 = 20_261_126_000;
 /// First seeds below are for tuning.
 const TUNING_END: u64 = 1_000_000;
 /// Between the first seeds of two kinds of simulated plants: more than there are plants of a kind.
