@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::family::{Model, Range, Term};
 
-use super::{BESIDE, Effort, FARTHEST, Fit, Problem, Spread, flat, set_flat};
+use super::{Effort, Fit, Problem, Spread, flat, set_flat};
 
 /// 95 % of chi-square with one degree of freedom (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
 pub(crate) const RISE: f64 = 3.841;
@@ -96,24 +96,9 @@ impl<F: Model> Profile<'_, F> {
         let (mut inside, mut outside) = ((0.0, 0.0), None);
         let mut distance = (RISE.sqrt() * deviation).min(0.5 * farthest);
         let mut from = self.fit.clone();
-        let root = |fit: &Fit| ((fit.cost - self.fit.cost).max(0.0) / limit).sqrt();
-        if let Range::Coarse { step } = range {
-            // The cost goes up and down in steps: the end is beyond the farthest place that is good enough.
-            for level in 0..BESIDE {
-                distance = (FARTHEST * step * best * 0.5_f64.powi(level)).min(farthest);
-                let fit = self.held(&from, best + sign * distance, limit);
-                if root(&fit) <= 1.0 {
-                    inside = (distance, root(&fit));
-                    from = fit;
-                    break;
-                }
-                outside = Some((distance, root(&fit)));
-            }
-            distance = 0.5 * (inside.0 + outside.map_or(distance, |outside| outside.0));
-        }
         for _ in 0..FITS {
             let fit = self.held(&from, best + sign * distance, limit);
-            let root = root(&fit);
+            let root = ((fit.cost - self.fit.cost).max(0.0) / limit).sqrt();
             if root <= 1.0 {
                 inside = (distance, root);
                 from = fit;
