@@ -322,13 +322,12 @@ impl Plant {
         let sum = |tables: &[Table]| -> f64 {
             tables.iter().map(|table| self.looked_up(table, self.arrived, supply_v, step_s)).sum()
         };
-        let rubs = |table: &Table| self.looked_up(table, self.arrived, supply_v, step_s).max(0.0);
         let multiplies = |table: &Table| (1.0 + self.looked_up(table, self.arrived, supply_v, step_s)).max(0.0);
         let pushes = self.pushes.iter().map(|push| push.push(self.train.speed_half_way(step_s)));
         let went = if self.went == 0.0 { 0.0 } else { self.went.signum() };
         let against = went * sum(&self.tables.against) + self.hysteresis(position_half_way);
         let load = load + self.outside + sum(&self.tables.force) + pushes.sum::<f64>() + self.done.force - against;
-        let rubbing = self.done.friction + self.tables.friction.iter().map(rubs).sum::<f64>();
+        let rubbing = self.done.friction + sum(&self.tables.friction);
         let supply_v = supply_v * self.tables.gain.iter().map(multiplies).product::<f64>();
         let before = self.train.motion.position;
         let Drive { duty, coast } = self.acting;

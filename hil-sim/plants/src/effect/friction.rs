@@ -129,6 +129,11 @@ pub(crate) struct Contact {
 }
 
 impl FrictionStage {
+    /// Whether it is damping rather than dry friction: a table of negative dry friction takes nothing from it.
+    fn grows_with_speed(&self) -> bool {
+        matches!(self, Self::Viscous(_) | Self::Drag(_) | Self::Table(_))
+    }
+
     /// Force against motion in `direction`, never negative; at speed 0, the force it holds against.
     #[inline]
     pub(crate) fn level(&self, direction: Direction, contact: &Contact) -> f64 {
@@ -163,18 +168,22 @@ impl FrictionStage {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frictions<'a> {
     pub(crate) stages: &'a [FrictionStage],
-    /// A level besides theirs.
+    /// Dry friction besides theirs, N m or N; below 0, it takes from theirs.
     pub(crate) more: f64,
     /// Since the start.
     pub(crate) time_s: f64,
 }
 
 impl Frictions<'_> {
-    /// Sum of the levels.
+    /// Force against motion in `direction`, N m or N: the sum of all dry friction, not below 0, and what grows with speed.
     #[inline]
     pub(crate) fn level(&self, direction: Direction, speed: f64, position: f64, transmitted: f64) -> f64 {
         let contact = Contact { speed, position, transmitted: transmitted.abs(), time_s: self.time_s };
-        self.more + self.stages.iter().map(|stage| stage.level(direction, &contact)).sum::<f64>()
+        let (mut dry, mut by_speed) = (self.more, 0.0);
+        for stage in self.stages {
+            *if stage.grows_with_speed() { &mut by_speed } else { &mut dry } += stage.level(direction, &contact);
+        }
+        dry.max(0.0) + by_speed
     }
 }
 

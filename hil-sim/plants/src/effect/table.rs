@@ -67,7 +67,8 @@ impl Over {
 pub enum On {
     /// A force towards positive positions at the motor side, N m or N.
     Force,
-    /// A level of force against motion at the motor side, which also holds at rest, N m or N; none where it is negative.
+    /// Dry friction at the motor side, N m or N: a force against motion that also holds at rest. Where it is negative it takes from other dry
+    /// friction; where the sum is negative there is none.
     Friction,
     /// The drive's voltage is multiplied by one more than the value; by 0 where that is negative.
     Gain,

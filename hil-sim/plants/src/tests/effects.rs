@@ -261,6 +261,17 @@ fn tables_of_friction_and_gain_act_by_their_own_variable() {
     assert_close(rubbed.speed(), 11.5, 1e-12, "at 12 V");
     run(&mut rubbed, Drive::with_brake(1.0), 10.0, 1000);
     assert_close(rubbed.speed(), 10.0, 1e-12, "at 10 V");
+    // where it is negative it takes from Coulomb friction, here all but 0.25 N m or all of it, and nothing from a drag
+    let drag = Effect::QuadraticDrag(QuadraticDrag { drag: 0.05 });
+    let coulomb = |level| Effect::CoulombFriction(CoulombFriction { level });
+    let mut less = spec(Model::DcGearMotor(MOTOR), &[coulomb(1.0), drag]);
+    less.push_table(Table::new(Over::Supply, On::Friction, None, vec![6.0, 12.0], vec![-3.0, -0.75]).unwrap());
+    for (supply_v, effects) in [(12.0, &[coulomb(0.25), drag][..]), (6.0, &[drag][..])] {
+        let (mut less, mut plain) = (Plant::new(&less, 1), motor(MOTOR, effects));
+        [&mut less, &mut plain].into_iter().for_each(|plant| run(plant, Drive::with_brake(1.0), supply_v, 1000));
+        assert!(plain.speed() > 1.0);
+        assert_close(less.speed(), plain.speed(), 1e-12, "less friction");
+    }
     // it holds as friction does
     let mut held = with_table((Over::Time, On::Friction, None, &[0.0], &[0.5]));
     run(&mut held, Drive::with_brake(0.04), 12.0, 100);

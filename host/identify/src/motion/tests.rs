@@ -686,6 +686,48 @@ fn the_plant_of_a_fit_moves_as_recorded() {
     }
 }
 
+/// A curve of friction that is below 0 takes from Coulomb friction and not from a drag, in the estimator and in the plant that it writes.
+#[test]
+fn negative_friction_of_a_fit_is_that_of_its_plant() {
+    let made = experiment(Setup::MotorPosition, Draw::Nothing, Length { train: 1, holdout: 1, seconds: 4.0 }, 3);
+    let known = Known { supply_v: Some(made.supply_v), ..Known::default() };
+    let (model, runs, _) =
+        Motion::new(Kind::DcMotor, &known, &recorded(made.setup, &made.train), &[]).expect("a model");
+    let index = |name: &str| model.catalogue().iter().position(|candidate| candidate.name == name).expect("an effect");
+    // Per unit of inertia, with 4 rad/s² per V.
+    let curve = model.curve(r4_plants::Dependence::Speed, None, crate::family::Acts::Friction, vec![0.0, 1.0, 2.0]);
+    let structure = |added: [Vec<f64>; 3]| Structure {
+        base: vec![0.4, 0.1, 0.0],
+        terms: vec![
+            Term::Known(index("coulomb-friction")),
+            Term::Known(index("quadratic-drag")),
+            Term::Curve(curve.clone()),
+        ],
+        added: added.to_vec(),
+    };
+    let predict = |structure: &Structure| {
+        let mut predicted = vec![0.0; model.measured(&runs[0]).len()];
+        model.predict(structure, &[0.0, 0.0], &runs[0], &mut predicted);
+        predicted
+    };
+    let taking = structure([vec![4.0], vec![1.0], vec![-2.0, -8.0, 0.0]]);
+    let predicted = predict(&taking);
+    let loadable = model.loadable(&taking, "a test");
+    let mut plant =
+        Plant::new(&PlantSpec::from_toml("t.toml", loadable.plant().expect("a plant")).expect("a plant"), 0);
+    let squares = predicted.iter().zip(&made.train[0].input).map(|(predicted, duty)| {
+        let off = plant.position() - predicted;
+        plant.advance(Drive::with_brake(*duty), made.supply_v, 5e-3);
+        off * off
+    });
+    let rms = |squares: &mut dyn Iterator<Item = f64>| (squares.sum::<f64>() / predicted.len() as f64).sqrt();
+    let off = rms(&mut { squares });
+    // Without the curve it goes elsewhere: what is compared is there.
+    let without = predict(&structure([vec![4.0], vec![1.0], vec![0.0; 3]]));
+    let changed = rms(&mut predicted.iter().zip(&without).map(|(with, without)| (with - without).powi(2)));
+    assert!(off < 0.02 * changed, "{off} of {changed}");
+}
+
 /// A gain of 1 over time doubles a small duty and leaves a full one.
 #[test]
 fn no_gain_amplifies_beyond_full_duty() {
