@@ -13,9 +13,9 @@ use crate::{
     report::{Cause, ResidualReport, Unexplained},
 };
 
-/// Share of the variance of a sensor's rounding below which an effect's part in the output is of no use to anybody, however certain. With nothing
+/// Share of the variance of a sensor's rounding below which an effect's part in the output is of no use, however significant. With nothing
 /// hidden, a board (tuning seed 60650000) leaves 1.41 times that variance, which is not white, and an eccentricity of half a count explains 0.03 of
-/// it. Half as much lets the search go on there, eight times as long, and finds nothing.
+/// it. With half of this share the search goes on there, six times as long, and accepts nothing either.
 const RESOLVED: f64 = 0.5;
 /// Lags that whiteness is judged by.
 const LAGS: usize = 20;

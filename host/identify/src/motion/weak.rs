@@ -50,7 +50,7 @@ const FURTHER: usize = 2;
 pub(super) struct Windows {
     /// From each sample to the next.
     pub(super) moved: Vec<Moved>,
-    /// Least travel that is told from noise, in the position's unit.
+    /// Least travel distinguishable from noise, in the position's unit.
     least_travel: f64,
     pub(super) windows: Vec<Window>,
     /// Of each window, in deviations that white noise on the measurements gives it.
@@ -358,7 +358,7 @@ impl Motion {
         windows.as_ref()
     }
 
-    /// Least travel in a recording that is told from noise, in the position's unit; 0 where it has no windows.
+    /// Least travel in a recording distinguishable from noise, in the position's unit; 0 if it is too short for windows.
     pub(super) fn least_travel(&self, run: &MotionRun) -> f64 {
         self.windows(run).map_or(0.0, |windows| windows.least_travel)
     }

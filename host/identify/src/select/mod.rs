@@ -35,12 +35,12 @@ const AS_GOOD: f64 = 1.15;
 /// is free wherever the recordings do not go: on EMPS, of which names leave 0.29 %, curves over speed and input explain the recording
 /// that they are fitted to 40 times better and another one 14 times worse. Half of it lets them in there.
 const ENOUGH: f64 = 0.004;
-/// What is left is not looked into further when less than this share of it is anything but noise.
+/// Largest autocorrelation of a residual at which the search ends: about the share of its variance that is not noise.
 const SMALL: f64 = 0.1;
 /// Largest number of terms, and of curves among them.
 const MOST_TERMS: usize = 6;
 const MOST_CURVES: usize = 2;
-/// Blocks that the training data are cut into, about; a block has at least so many samples.
+/// Approximate number of folds for block cross-validation over all fitted recordings, and the least number of samples of each.
 const BLOCKS: usize = 12;
 const LEAST_SAMPLES: usize = 40;
 
@@ -142,7 +142,7 @@ impl Path {
     }
 }
 
-/// Searches for what the base model lacks.
+/// Searches for effects missing from the base model.
 ///
 /// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
 /// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, or it takes names
@@ -253,7 +253,7 @@ pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
 }
 
 impl<F: Family> Search<'_, F> {
-    /// A path with its numbers as they are told.
+    /// Result of the search, with the parameters that are reported: fitted with full effort, to blocks where the residual drifts.
     fn told(&self, mut path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {
         let drifts = self.drifts(&path.current);
         let runs = if drifts { blocks } else { &self.whole };
@@ -296,8 +296,7 @@ impl<F: Family> Search<'_, F> {
         self.until.is_some_and(|until| Instant::now() >= until)
     }
 
-    /// Whether a model leaves nothing to explain: its residual is no more than rounding, or white and depends on nothing that the family can
-    /// name.
+    /// Whether the residual is noise: at the sensor's resolution, or white and independent of all drivers of the family.
     fn is_noise(&self, current: &Fit) -> bool {
         // Only of what goes on from sample to sample does a residual say anything.
         if !has_memory(current) {
@@ -402,7 +401,8 @@ impl<F: Family> Search<'_, F> {
         fit(self.family, runs, from.structure.clone(), self.settled(&from.structure, runs), effort)
     }
 
-    /// Whether what a model lacks adds up over a free run: its numbers are then those of blocks, each of which begins anew.
+    /// Whether an unmodelled effect accumulates over a free-run simulation: parameters are then fitted to blocks, each with an initial state of
+    /// its own.
     fn drifts(&self, fit: &Fit) -> bool {
         let residuals = fit.residuals(self.family, &self.whole);
         has_memory(fit) && !is_white(&residuals) && !is_rounding(self.family, &residuals, &self.whole)

@@ -8,7 +8,7 @@ use crate::{
     fit::{self, Effort, Fit, fit},
 };
 
-/// A guess that leaves so many times what the best one leaves is not followed.
+/// Candidates whose initial guess has a cost above this multiple of the lowest are dropped.
 const HOPELESS: f64 = 5.0;
 /// Number of the best guesses that are fitted by free-run simulation. With half of it and half of `PROMISING` ([`super::judge`]), wrong
 /// names came first for one more of 12 plants with an effect in no catalogue (tuning seeds 900000 to 900011), and the time was the same. The
@@ -19,7 +19,7 @@ const CLOSE: f64 = 2.5;
 /// Number of these at most: half as many again as are followed. With all, the times of 3 tuning pairs (10560003 to 10560005) are a tenth more
 /// and their results the same.
 const REFINED: usize = 12;
-/// An effect leads to another if it leaves at most this share of what is left without it.
+/// Largest ratio of the costs with and without an effect at which candidates that it leads to are tried.
 const LEADING: f64 = 0.97;
 /// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
 const MOST_STARTS: usize = 24;
