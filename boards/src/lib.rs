@@ -23,10 +23,10 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    Ackermann, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedAngle, SimulatedBldc,
-    SimulatedBody, SimulatedCurrent, SimulatedEncoder, SimulatedGnss, SimulatedImu, SimulatedMotor, SimulatedPulses,
-    SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch,
-    SimulatedUart, Simulation, SkidSteer, SteeringLaw, TruePoint, UartDevice, World,
+    Ackermann, BodyReading, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedAngle,
+    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedEncoder, SimulatedGnss, SimulatedImu, SimulatedMotor,
+    SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper,
+    SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy, TruePoint, UartDevice, World,
 };
 use source::{Folder, Source};
 

@@ -326,6 +326,13 @@ impl Shafts<'_> {
         Ok(self.number(id))
     }
 
+    /// A relay, which stands at 1 while its contact is closed.
+    fn relay(&mut self, id: ChannelId, path: String) -> Result<usize, BoardError> {
+        let known: Vec<_> = self.config.relays.iter().map(|relay| relay.id).collect();
+        self.reader.one_of("relay", id, known.iter(), path)?;
+        Ok(self.number(id))
+    }
+
     fn may_turn(&self) -> Vec<ChannelId> {
         may_turn(&self.config.motors).into_iter().chain(others_that_turn(self.config)).collect()
     }

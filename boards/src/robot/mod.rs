@@ -205,6 +205,19 @@ pub struct SimulatedAnalog {
     pub volts_per_code: f64,
     /// Noise, standard deviation in codes of the 16-bit converter.
     pub noise_rms_codes: f64,
+    /// What of the body is measured here, in volts; `None` for a constant voltage.
+    pub reads: Option<BodyReading>,
+}
+
+/// A sensor that measures something of the body: `zero + per_unit * reading`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyReading {
+    /// Number of the quantity among `r4_world::Body::readings`.
+    pub number: usize,
+    /// What the sensor gives where the quantity is 0, in the unit that it gives.
+    pub zero: f64,
+    /// What it gives for one unit of the quantity.
+    pub per_unit: f64,
 }
 
 /// What closes a switch.
@@ -212,10 +225,24 @@ pub struct SimulatedAnalog {
 pub struct SimulatedSwitch {
     /// Channel of the simulated part.
     pub channel: ChannelId,
-    /// The motor or stepper that closes it; `None` for one that nothing touches.
-    pub axis: Option<ChannelId>,
-    /// Closed below this position of the axis, rad. A stepper's is counted from where it stands at time 0.
-    pub closed_below: f64,
+    /// What closes it.
+    pub closed_by: SwitchedBy,
+}
+
+/// What closes a switch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SwitchedBy {
+    /// Nothing touches it.
+    Nothing,
+    /// A motor or stepper.
+    Axis {
+        /// Its channel.
+        channel: ChannelId,
+        /// Closed below this position, rad. A stepper's is counted from where it stands at time 0.
+        below: f64,
+    },
+    /// A quantity of the body: closed where this is positive.
+    Body(BodyReading),
 }
 
 impl Simulation {

@@ -13,9 +13,9 @@ use r4_world::Scene;
 use serde::Deserialize;
 
 use super::{
-    PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent, SimulatedEncoder,
-    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
-    SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, TruePoint,
+    BodyReading, PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent,
+    SimulatedEncoder, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor,
+    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SwitchedBy, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -233,17 +233,33 @@ struct Analog {
     volts_per_code: Option<f64>,
     #[serde(default, deserialize_with = "optional_not_negative")]
     noise_rms_codes: Option<f64>,
+    /// What of the body is measured there, in place of `volts`.
+    body: Option<AnalogReading>,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AnalogReading {
+    reading: String,
+    #[serde(default, deserialize_with = "finite")]
+    zero_v: f64,
+    #[serde(deserialize_with = "finite")]
+    volts_per_unit: f64,
+}
+
+/// Closed by an axis, or by a quantity of the body.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Switch {
     #[serde(deserialize_with = "channel")]
     channel: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    axis: ChannelId,
-    #[serde(deserialize_with = "finite")]
-    closed_below_rad: f64,
+    #[serde(default, deserialize_with = "optional_channel")]
+    axis: Option<ChannelId>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    closed_below_rad: Option<f64>,
+    reading: Option<String>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    closed_above: Option<f64>,
 }
 
 /// Motors that may turn: without feedback nothing says that they slide.
@@ -301,6 +317,7 @@ impl Tables {
     ) -> Result<Simulation, BoardError> {
         let body = body.map(|body| body.check(reader, config)).transpose()?;
         let has_body = body.is_some();
+        let readings = body.as_ref().map_or(&[][..], |body| body.kind.readings());
         if let Some(body) = &body {
             let turns = |bldc: &&Bldc| bldc.rotor.is_some();
             let known: Vec<_> = self.bldc.iter().filter(turns).map(|bldc| bldc.channel).collect();
@@ -309,7 +326,7 @@ impl Tables {
                 reader.one_of("simulated brushless drive with a rotor", *id, known.iter(), "body".into())?;
             }
         }
-        let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body };
+        let mut check = Check { reader, folder, config, claims: Claims::new(reader.source), has_body, readings };
         let on_bus = |kind| -> Vec<SensorConfig> {
             config.sensors.iter().filter(|sensor| sensor.id.kind == kind).copied().collect()
         };
@@ -341,6 +358,8 @@ struct Check<'c> {
     config: &'c BoardConfig,
     claims: Claims<'c>,
     has_body: bool,
+    /// What sensors may measure of the body.
+    readings: &'static [&'static str],
 }
 
 impl Check<'_> {
@@ -619,6 +638,10 @@ impl Check<'_> {
             volts: analog.and_then(|analog| analog.volts).unwrap_or(half_way_v),
             volts_per_code: analog.and_then(|analog| analog.volts_per_code).unwrap_or(config.volts_per_code.into()),
             noise_rms_codes: analog.and_then(|analog| analog.noise_rms_codes).unwrap_or(NOISE_RMS_CODES),
+            reads: analog
+                .and_then(|analog| analog.body.as_ref())
+                .map(|body| self.analog_reading(body, path))
+                .transpose()?,
         })
     }
 
@@ -717,16 +740,44 @@ impl Check<'_> {
         let steppers = self.config.steppers.iter().map(|stepper| (stepper.id, stepper.homing));
         let mut axes = motors.chain(steppers);
         if let Some(switch) = switch {
-            let known: Vec<_> = axes.map(|(id, _)| id).collect();
-            self.reader.one_of("motor or stepper", switch.axis, known.iter(), format!("{path}.axis"))?;
-            let (axis, closed_below) = (Some(switch.axis), switch.closed_below_rad);
-            return Ok(SimulatedSwitch { channel: config.id, axis, closed_below });
+            let closed_by = match (switch.axis, switch.closed_below_rad, &switch.reading, switch.closed_above) {
+                (Some(channel), Some(below), None, None) => {
+                    let known: Vec<_> = axes.map(|(id, _)| id).collect();
+                    self.reader.one_of("motor or stepper", channel, known.iter(), format!("{path}.axis"))?;
+                    SwitchedBy::Axis { channel, below }
+                }
+                (None, None, Some(reading), Some(above)) => {
+                    let number = self.reading(reading, format!("{path}.reading"))?;
+                    SwitchedBy::Body(BodyReading { number, zero: -above, per_unit: 1.0 })
+                }
+                _ => {
+                    let rule = "needs axis and closed_below_rad, or reading of the body and closed_above";
+                    return Err(self.reader.rule(path, rule));
+                }
+            };
+            return Ok(SimulatedSwitch { channel: config.id, closed_by });
         }
         let homed = axes.find_map(|(id, homing)| {
             let homing = homing.filter(|homing| homing.switch == config.id.index)?;
-            Some((id, f64::from(homing.position)))
+            Some(SwitchedBy::Axis { channel: id, below: f64::from(homing.position) })
         });
-        let (axis, closed_below) = homed.unzip();
-        Ok(SimulatedSwitch { channel: config.id, axis, closed_below: closed_below.unwrap_or_default() })
+        Ok(SimulatedSwitch { channel: config.id, closed_by: homed.unwrap_or(SwitchedBy::Nothing) })
+    }
+
+    /// Number of what a sensor measures of the body.
+    fn reading(&self, name: &str, path: String) -> Result<usize, BoardError> {
+        let number = self.readings.iter().position(|known| *known == name);
+        number.ok_or_else(|| {
+            let rule = match self.readings {
+                [] => "there is no [body] that sensors could measure anything of".to_owned(),
+                known => format!("the body has no `{name}`: it has {}", known.join(", ")),
+            };
+            self.reader.source.rule(path, rule)
+        })
+    }
+
+    fn analog_reading(&self, table: &AnalogReading, path: &str) -> Result<BodyReading, BoardError> {
+        let number = self.reading(&table.reading, format!("{path}.body.reading"))?;
+        Ok(BodyReading { number, zero: table.zero_v, per_unit: table.volts_per_unit })
     }
 }

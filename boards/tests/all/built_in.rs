@@ -3,7 +3,7 @@
 use std::{collections::HashSet, fs};
 
 use r4_boards::{
-    Drive, Robot, SimulatedBody, SimulatedSensor, World,
+    Drive, Robot, SimulatedBody, SimulatedSensor, SwitchedBy, World,
     carrier::{Chip, PinKind},
     carrier_names, load, load_body, load_carrier, names,
 };
@@ -279,9 +279,10 @@ fn what_is_not_said_about_the_truth_is_as_configured() {
     // 1 rad/s of 1600 steps a turn, and twice that
     let start_rate_hz = 2.0 * 1600.0 / std::f64::consts::TAU;
     assert!(truth.steppers.iter().all(|stepper| (stepper.start_rate_hz / start_rate_hz - 1.0).abs() < 1e-12));
-    let axes: Vec<_> = truth.switches.iter().map(|s| (s.axis.map(|axis| axis.to_string()), s.closed_below)).collect();
-    let homed = |axis: &str, closed_below| (Some(axis.to_owned()), closed_below);
-    assert_eq!(axes, [homed("osmc0", -1.0), homed("stepper0", -0.5), homed("stepper1", -0.5), (None, 0.0)]);
+    let closed_by: Vec<_> = truth.switches.iter().map(|switch| switch.closed_by).collect();
+    let homed = |axis: &str, below| SwitchedBy::Axis { channel: axis.parse().unwrap(), below };
+    let expected = [homed("osmc0", -1.0), homed("stepper0", -0.5), homed("stepper1", -0.5), SwitchedBy::Nothing];
+    assert_eq!(closed_by, expected);
     // no range sensor stops the board from the start
     let nearest = config.ranges.iter().map(|range| f64::from(range.stop_below_m.unwrap_or(range.range_m.min)));
     assert!(truth.ranges.iter().zip(nearest).all(|(range, nearest_m)| {

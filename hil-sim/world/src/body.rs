@@ -65,7 +65,7 @@ impl Twist {
     }
 }
 
-/// Motion of a shaft's output at the beginning of a step.
+/// Motion of a shaft's output at the beginning of a step. A relay is a shaft at 1 while its contact is closed and at 0 while it is open.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShaftMotion {
     /// rad or m.
@@ -99,6 +99,18 @@ pub trait Body {
     /// What bumps into things; `None` passes through them.
     fn outline(&self) -> Option<&Outline> {
         None
+    }
+
+    /// Names of the quantities that sensors on the body measure, each with its unit as a suffix (`pressure_0_pa`): robots' files
+    /// connect analog inputs, switches and sensors on the bus to them.
+    fn readings(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// One of [`Body::readings`], by its number, over the last step; 0 beyond their number.
+    fn reading(&self, number: usize) -> f64 {
+        let _ = number;
+        0.0
     }
 }
 

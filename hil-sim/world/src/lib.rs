@@ -9,6 +9,7 @@
 
 mod body;
 mod outline;
+mod pneumatic;
 mod scene;
 mod tail;
 mod tyre;
@@ -16,6 +17,7 @@ mod wheeled;
 
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use outline::{Outline, OutlineError};
+pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
 pub use tail::{Ankle, BalanceTail, Cable, Lift, Link, TailError, TailState, Wearer};
 pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};

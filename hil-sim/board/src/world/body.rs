@@ -1,7 +1,7 @@
 //! The body that couples motors, and what sees the scene from it.
 
-use r4_boards::{Mount, RangeView, Robot, SimulatedBody};
-use r4_protocol::ChannelId;
+use r4_boards::{BodyReading, Mount, RangeView, Robot, SimulatedBody};
+use r4_protocol::{ChannelId, config::RelayConfig};
 use r4_world::{AnyBody, Inertial, MAX_STEP_S, Pose, Scene, ShaftMotion, Twist, Wheeled};
 
 use super::{
@@ -24,6 +24,15 @@ pub(super) struct Movers<'w> {
     pub(super) bldcs: &'w mut [Bldc],
     pub(super) servos: &'w mut [Servo],
     pub(super) steppers: &'w mut [Axis],
+    pub(super) relays: &'w [Relay],
+}
+
+/// A relay and its contact.
+#[derive(Clone, Copy)]
+pub(super) struct Relay {
+    pub(super) config: RelayConfig,
+    /// As it was when its line changed last.
+    pub(super) is_closed: bool,
 }
 
 /// What turns one of a body's shafts, by its number in the world.
@@ -35,6 +44,8 @@ enum Shaft {
     Servo(usize),
     /// Turns as its pulses say: the model of a stepper takes no load.
     Stepper(usize),
+    /// Stands at 1 while closed, and takes no load.
+    Relay(usize),
 }
 
 /// A body and what turns its shafts.
@@ -59,7 +70,8 @@ impl Coupling {
             let bldc = || movers.bldcs.iter().position(|bldc| bldc.channel == *channel).map(Shaft::Bldc);
             let servo = || movers.servos.iter().position(|servo| servo.channel == *channel).map(Shaft::Servo);
             let stepper = || movers.steppers.iter().position(|axis| axis.channel == *channel).map(Shaft::Stepper);
-            motor.or_else(bldc).or_else(servo).or_else(stepper)
+            let relay = || movers.relays.iter().position(|relay| relay.config.id == *channel).map(Shaft::Relay);
+            motor.or_else(bldc).or_else(servo).or_else(stepper).or_else(relay)
         };
         let shafts: Vec<_> = simulated.channels.iter().filter_map(place).collect();
         Self {
@@ -97,7 +109,7 @@ impl Coupling {
                     Shaft::Motor(number) => advance(&mut movers.motors[number], step_ns as f64 * 1e-9),
                     Shaft::Bldc(number) => movers.bldcs[number].drive.advance(now_ns),
                     // They have no load that must not come late: read when the body is stepped.
-                    Shaft::Servo(_) | Shaft::Stepper(_) => {}
+                    Shaft::Servo(_) | Shaft::Stepper(_) | Shaft::Relay(_) => {}
                 }
             }
             self.owed_ns += step_ns;
@@ -130,6 +142,7 @@ impl Coupling {
                     axis.catch_up(now_ns);
                     (axis.angle_rad(), axis.speed_rad_s())
                 }
+                Shaft::Relay(number) => (f64::from(u8::from(movers.relays[number].is_closed)), 0.0),
             };
             *motion = ShaftMotion { position, speed };
         }
@@ -140,9 +153,14 @@ impl Coupling {
             match *shaft {
                 Shaft::Motor(number) => movers.motors[number].plant.set_load(*load),
                 Shaft::Bldc(number) => movers.bldcs[number].drive.set_load(*load),
-                Shaft::Servo(_) | Shaft::Stepper(_) => {}
+                Shaft::Servo(_) | Shaft::Stepper(_) | Shaft::Relay(_) => {}
             }
         }
+    }
+
+    /// What a sensor measures on the body, at most [`MAX_STEP_S`] ago, times its gain and with its offset.
+    pub(super) fn measured(&self, of: BodyReading) -> f64 {
+        of.zero + of.per_unit * self.body.reading(of.number)
     }
 }
 
@@ -197,7 +215,14 @@ impl World {
         self.body.as_ref().map(|coupling| &coupling.body)
     }
 
-    /// The same, of a robot on wheels; `None` for all others.
+    /// The body, to be changed from outside its shafts: an object that is put down, a load that is taken away. `None` for a robot
+    /// without one.
+    pub fn body_mut(&mut self) -> Option<&mut AnyBody> {
+        self.catch_up();
+        self.body.as_mut().map(|coupling| &mut coupling.body)
+    }
+
+    /// The same as [`World::body`], of a robot on wheels; `None` for all others.
     #[must_use]
     pub fn wheeled(&self) -> Option<&Wheeled> {
         if let Some(AnyBody::Wheeled(body)) = self.body() { Some(body) } else { None }

@@ -41,7 +41,7 @@ use crate::{
         hc_sr04::{HcSr04, HcSr04Array},
     },
 };
-use body::{Coupling, Movers};
+use body::{Coupling, Movers, Relay};
 use chips::Chips;
 use drives::{Bldc, Servo};
 pub use encoders::{EncoderEdge, EncoderLine};
@@ -59,7 +59,7 @@ pub struct World {
     /// The board's I2C bus.
     pub bus: I2cBus,
     chips: Chips,
-    relays: Vec<RelayConfig>,
+    relays: Vec<Relay>,
     osmc_disabled: bool,
     /// Whether bridge inputs may have changed since they were last looked at.
     stale: bool,
@@ -114,6 +114,11 @@ impl Rail {
 #[derive(Clone)]
 pub(crate) struct Processor(pub(crate) Rc<RefCell<World>>);
 
+/// Whether a relay's contact is closed: its input is driven to the level that pulls it, not floating.
+fn is_closed(chips: &Chips, relay: &RelayConfig) -> bool {
+    chips.pin(relay.bit) == PinState::Driven(!relay.active_low)
+}
+
 impl World {
     /// The world of `robot` at time 0, its noise drawn from `seed`. It follows `clock`, which must be at 0.
     ///
@@ -134,7 +139,15 @@ impl World {
         }
         let (mut bldcs, mut servos, mut steppers) =
             (drives::bldcs(robot), drives::servos(robot), drives::steppers(robot));
-        let movers = Movers { motors: &mut motors, bldcs: &mut bldcs, servos: &mut servos, steppers: &mut steppers };
+        let relays: Vec<_> =
+            robot.config.relays.iter().map(|relay| Relay { config: *relay, is_closed: false }).collect();
+        let movers = Movers {
+            motors: &mut motors,
+            bldcs: &mut bldcs,
+            servos: &mut servos,
+            steppers: &mut steppers,
+            relays: &relays,
+        };
         let body = robot.simulation.body.as_ref().map(|body| Coupling::new(body, movers));
         let pins = Pins::new(robot, seed);
         let encoder_3 = robot.config.uses_encoder(3);
@@ -144,7 +157,7 @@ impl World {
             now_ns: 0,
             bus,
             chips,
-            relays: robot.config.relays.to_vec(),
+            relays,
             osmc_disabled: true,
             stale: true,
             generation: 0,
@@ -200,6 +213,7 @@ impl World {
                     bldcs: &mut self.bldcs,
                     servos: &mut self.servos,
                     steppers: &mut self.steppers,
+                    relays: &self.relays,
                 };
                 body.step(&self.scene, [self.now_ns, until_ns], &mut movers, advance);
             }
@@ -239,6 +253,9 @@ impl World {
         }
         self.stale = false;
         self.generation = generation;
+        for relay in &mut self.relays {
+            relay.is_closed = is_closed(&self.chips, &relay.config);
+        }
         let powered = self.is_powered();
         for motor in &mut self.motors {
             let chip = if motor.is_on_osmc() { &self.chips.osmc_pwm } else { &self.chips.dhb_pwm };
@@ -262,12 +279,9 @@ impl World {
 
     /// Whether the motors' supply is closed, where it goes over a relay.
     fn is_powered(&self) -> bool {
-        self.relays.iter().all(|relay| relay.role != RelayRole::MotorPower || self.is_closed(relay))
-    }
-
-    /// Whether a relay's contact is closed: its input is driven to the level that pulls it, not floating.
-    fn is_closed(&self, relay: &RelayConfig) -> bool {
-        self.chips.pin(relay.bit) == PinState::Driven(!relay.active_low)
+        let is_open =
+            |relay: &Relay| relay.config.role == RelayRole::MotorPower && !is_closed(&self.chips, &relay.config);
+        !self.relays.iter().any(is_open)
     }
 
     pub(crate) fn uart_port(&mut self, connector: usize) -> &mut pins::UartPort {
@@ -311,7 +325,8 @@ impl World {
     /// Whether a relay's contact is closed; `None` for a channel without a relay.
     #[must_use]
     pub fn relay_closed(&self, channel: ChannelId) -> Option<bool> {
-        self.relays.iter().find(|relay| relay.id == channel).map(|relay| self.is_closed(relay))
+        let relay = self.relays.iter().find(|relay| relay.config.id == channel)?;
+        Some(is_closed(&self.chips, &relay.config))
     }
 
     /// What a motor's bridge does to it now.

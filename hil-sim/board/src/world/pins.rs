@@ -2,7 +2,9 @@
 
 use std::{cell::RefCell, num::NonZeroU32, rc::Rc, task::Waker};
 
-use r4_boards::{RangeView, Robot, SimulatedMotor, SimulatedPulses, SimulatedSensor, SimulatedSwitch};
+use r4_boards::{
+    BodyReading, RangeView, Robot, SimulatedMotor, SimulatedPulses, SimulatedSensor, SimulatedSwitch, SwitchedBy,
+};
 use r4_firmware::{
     platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, PulseInputs, Ranging, SwitchInputs},
     sensing::{
@@ -14,6 +16,7 @@ use r4_protocol::{ChannelId, config::Feedback};
 
 use super::{
     Processor, Rail, World,
+    body::Coupling,
     encoders::{US_PER_MS, ticks},
     uarts::Sender,
 };
@@ -84,8 +87,10 @@ pub struct SwitchInput {
 pub struct AnalogSource {
     /// Divider, clamp and converter.
     pub input: AnalogInput,
-    /// V
+    /// V, where nothing of the body is measured here.
     pub volts: f64,
+    /// What of the body is measured here, in volts.
+    pub reads: Option<BodyReading>,
 }
 
 /// A UART connector with who waits for bytes from it.
@@ -138,13 +143,13 @@ impl Pins {
         for analog in &truth.analogs {
             if let Some(place) = analogs.get_mut(usize::from(analog.channel.index)) {
                 let input = input(analog.volts_per_code, analog.noise_rms_codes);
-                *place = Some(AnalogSource { input, volts: analog.volts });
+                *place = Some(AnalogSource { input, volts: analog.volts, reads: analog.reads });
             }
         }
         for rail in &truth.rails {
             if let Some(place) = analogs.get_mut(usize::from(rail.analog)) {
-                *place =
-                    Some(AnalogSource { input: input(rail.volts_per_code, rail.noise_rms_codes), volts: rail.emf_v });
+                let input = input(rail.volts_per_code, rail.noise_rms_codes);
+                *place = Some(AnalogSource { input, volts: rail.emf_v, reads: None });
             }
         }
         let budget = EdgeBudget::new(ECHO_EDGES_PER_MS, US_PER_MS);
@@ -271,9 +276,16 @@ pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
     let now_ns = world.clock.now_ns();
     let place = world.pins.switches.iter().position(|input| usize::from(input.spec.channel.index) == connector);
     let Some(place) = place else { return true };
-    let SimulatedSwitch { axis, closed_below, .. } = world.pins.switches[place].spec;
-    if let Some(position) = axis.and_then(|axis| world.position(axis)) {
-        world.pins.switches[place].switch.set_actuated(now_ns, position < closed_below);
+    let closed = match world.pins.switches[place].spec.closed_by {
+        SwitchedBy::Nothing => None,
+        SwitchedBy::Axis { channel, below } => world.position(channel).map(|position| position < below),
+        SwitchedBy::Body(reading) => {
+            world.catch_up();
+            world.body.as_ref().map(|body| body.measured(reading) > 0.0)
+        }
+    };
+    if let Some(closed) = closed {
+        world.pins.switches[place].switch.set_actuated(now_ns, closed);
     }
     world.pins.switches[place].switch.is_high(now_ns)
 }
@@ -302,11 +314,17 @@ fn potentiometer(world: &mut World, input: usize) -> Option<f64> {
     Some(code + noise * noise_rms_codes)
 }
 
-/// What is divided at `input`, and the voltage there: that of a rail that is measured there.
-fn divided<'p>(rails: &[Rail], pins: &'p Pins, input: usize) -> Option<(&'p AnalogInput, f64)> {
+/// What is divided at `input`, and the voltage there: that of a rail, or of a sensor on the body, that is measured there.
+fn divided<'p>(
+    rails: &[Rail],
+    body: Option<&Coupling>,
+    pins: &'p Pins,
+    input: usize,
+) -> Option<(&'p AnalogInput, f64)> {
     let rail_v = rails.iter().find(|rail| usize::from(rail.spec.analog) == input).map(|rail| rail.volts);
     let source = pins.analogs.get(input)?.as_ref()?;
-    Some((&source.input, rail_v.unwrap_or(source.volts)))
+    let sensor_v = || source.reads.zip(body).map(|(reading, body)| body.measured(reading));
+    Some((&source.input, rail_v.or_else(sensor_v).unwrap_or(source.volts)))
 }
 
 /// What the converter reads at an input.
@@ -315,14 +333,16 @@ pub(super) fn analog_code(world: &mut World, input: usize) -> u16 {
     if let Some(code) = potentiometer(world, input) {
         return code.round().clamp(0.0, CODE_MAX) as u16;
     }
-    divided(&world.rails, &world.pins, input).map_or(0, |(source, volts)| source.code(volts, &mut world.noise))
+    let World { rails, body, pins, noise, .. } = world;
+    divided(rails, body.as_ref(), pins, input).map_or(0, |(source, volts)| source.code(volts, noise))
 }
 
 /// One sample of the voltage at an input.
 pub(super) fn analog_v(world: &mut World, input: usize) -> f64 {
     world.catch_up();
     let code = potentiometer(world, input).or_else(|| {
-        divided(&world.rails, &world.pins, input).map(|(source, volts)| source.sample(volts, &mut world.noise))
+        let World { rails, body, pins, noise, .. } = world;
+        divided(rails, body.as_ref(), pins, input).map(|(source, volts)| source.sample(volts, noise))
     });
     code.map_or(0.0, |code| code.clamp(0.0, CODE_MAX) / CODE_MAX * REFERENCE_V)
 }

@@ -158,7 +158,13 @@ fn with_current_sensor() -> Robot {
     };
     robot.config.analogs.push(analog).expect("it has none yet");
     let volts_per_code = f64::from(supply.volts_per_code);
-    robot.simulation.analogs.push(SimulatedAnalog { channel, volts: 2.5, volts_per_code, noise_rms_codes: 2.3 });
+    robot.simulation.analogs.push(SimulatedAnalog {
+        channel,
+        volts: 2.5,
+        volts_per_code,
+        noise_rms_codes: 2.3,
+        reads: None,
+    });
     let winding = robot.config.motors[0].winding.as_mut().expect("measured motors have one");
     winding.current_sense = Some(CurrentSense { analog: 0, zero_v: 2.5, volts_per_a: 0.5 });
     robot

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use r4_boards::Robot;
+use r4_boards::{Robot, SwitchedBy};
 use r4_protocol::{
     ChannelId, ChannelKind,
     config::{BridgeConfig, BridgeLines},
@@ -265,8 +265,8 @@ fn switches_are_high_until_what_they_watch_is_there() {
     let (_, mut world) = world("every-interface");
     assert!(world.switch_is_high(17), "pulled, where there is none");
     for switch in &robot.simulation.switches {
-        let Some(axis) = switch.axis else { continue };
-        let closed = world.position(axis).is_some_and(|position| position < switch.closed_below);
+        let SwitchedBy::Axis { channel, below } = switch.closed_by else { continue };
+        let closed = world.position(channel).is_some_and(|position| position < below);
         assert_eq!(world.switch_is_high(switch.channel.index.into()), !closed);
     }
 }
