@@ -180,6 +180,8 @@ pub enum Unit {
     MPerS2,
     /// Amperes.
     A,
+    /// Newtons.
+    N,
 }
 
 impl fmt::Display for Unit {
@@ -194,6 +196,7 @@ impl fmt::Display for Unit {
             Self::Bool => "bool",
             Self::MPerS2 => "m/s2",
             Self::A => "A",
+            Self::N => "N",
         })
     }
 }
@@ -218,6 +221,8 @@ pub enum Mode {
     /// Be at this position at the moment that the set point is dated with, on a smooth path through the points given before and
     /// after it: see [`PathPoint`](crate::PathPoint).
     Follow,
+    /// Press with this force.
+    Force,
 }
 
 impl fmt::Display for Mode {
@@ -231,6 +236,7 @@ impl fmt::Display for Mode {
             Self::Brake => "brake",
             Self::Home => "home",
             Self::Follow => "follow",
+            Self::Force => "force",
         })
     }
 }
@@ -293,7 +299,7 @@ pub struct ChannelInfo {
 }
 
 /// Most ways to command one channel.
-pub const MAX_MODES: usize = 5;
+pub const MAX_MODES: usize = 6;
 
 impl ChannelInfo {
     /// The range of set points in `mode`, or `None` when the channel does not have that mode.

@@ -387,7 +387,18 @@ fn channel() -> impl Strategy<Value = ChannelId> {
 }
 
 fn unit() -> impl Strategy<Value = Unit> {
-    select(vec![Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A])
+    select(vec![
+        Unit::Rad,
+        Unit::RadPerS,
+        Unit::M,
+        Unit::MPerS,
+        Unit::Duty,
+        Unit::V,
+        Unit::Bool,
+        Unit::MPerS2,
+        Unit::A,
+        Unit::N,
+    ])
 }
 
 fn mode() -> impl Strategy<Value = Mode> {
@@ -400,6 +411,7 @@ fn mode() -> impl Strategy<Value = Mode> {
         Mode::Brake,
         Mode::Home,
         Mode::Follow,
+        Mode::Force,
     ])
 }
 
