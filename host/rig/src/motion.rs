@@ -210,7 +210,7 @@ impl Session<'_> {
 /// Whether a motion ended as it was asked to.
 fn has_held(info: &ChannelInfo, mode: Mode, set: Quantity, end: &Motion) -> bool {
     match mode {
-        Mode::Position => end.settled,
+        Mode::Position | Mode::Force => end.settled,
         Mode::Home => end.homed,
         Mode::Duty => (end.duty - set.value).abs() <= DUTY_WITHIN,
         _ => {
