@@ -8,6 +8,7 @@ mod control;
 mod dac_and_servo;
 mod feedback;
 mod follow;
+mod force;
 mod friction;
 mod harness;
 mod index;

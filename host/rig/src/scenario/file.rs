@@ -229,9 +229,9 @@ fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::E
 }
 
 fn mode<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mode, D::Error> {
-    use Mode::{Brake, Duty, Home, Position, Speed, Switch, Voltage};
+    use Mode::{Brake, Duty, Force, Home, Position, Speed, Switch, Voltage};
     let text = String::deserialize(deserializer)?;
-    let known = [Position, Speed, Duty, Switch, Voltage, Brake, Home];
+    let known = [Position, Speed, Duty, Switch, Voltage, Brake, Home, Force];
     let mode = known.into_iter().find(|mode| mode.to_string() == text);
     mode.ok_or_else(|| {
         D::Error::custom(format!("`{text}` is no mode: {}", known.map(|mode| mode.to_string()).join(", ")))
