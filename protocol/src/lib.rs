@@ -42,7 +42,7 @@ pub use parameter::{NotAParameter, Parameter, ParameterKey, SetError};
 pub use state::{Cause, Causes, SafetyState};
 
 /// Version of the messages in this crate. A board and a host talk only when theirs are equal.
-pub const VERSION: u16 = 10;
+pub const VERSION: u16 = 11;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///

@@ -18,8 +18,8 @@ pub(crate) const FORMAT: &str = "2";
 /// What a reader takes.
 pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 
-const UNITS: [Unit; 9] =
-    [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A];
+const UNITS: [Unit; 10] =
+    [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A, Unit::N];
 /// Every mode there is.
 pub(crate) const MODES: [Mode; 8] =
     [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];

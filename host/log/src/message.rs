@@ -164,6 +164,8 @@ pub(crate) struct ScalarMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     current_a: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    force_n: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) age_ms: Option<u16>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) quality: Option<&'a str>,
@@ -183,6 +185,7 @@ impl ScalarMessage<'_> {
             Unit::Bool => message.on = value.map(|value| value != 0.0),
             Unit::MPerS2 => message.acceleration_m_s2 = value,
             Unit::A => message.current_a = value,
+            Unit::N => message.force_n = value,
         }
         message
     }
@@ -198,6 +201,7 @@ impl ScalarMessage<'_> {
             Unit::Bool => self.on.map(|on| if on { 1.0 } else { 0.0 }),
             Unit::MPerS2 => self.acceleration_m_s2,
             Unit::A => self.current_a,
+            Unit::N => self.force_n,
         }
     }
 }
@@ -444,6 +448,7 @@ fn scalar(unit: Unit) -> (&'static str, (&'static str, &'static str, &'static st
         Unit::Bool => ("r4.Switch", ("on", "boolean", "On or off")),
         Unit::MPerS2 => ("r4.Acceleration", ("acceleration_m_s2", "number", "Acceleration, m/s2")),
         Unit::A => ("r4.Current", ("current_a", "number", "Current, A")),
+        Unit::N => ("r4.Force", ("force_n", "number", "Force, N")),
     }
 }
 

@@ -92,7 +92,7 @@ pub fn setpoint(info: &ChannelInfo, mode: Mode, quantity: Quantity) -> Result<Se
             Unit::MPerS => "a speed, as in 5mm/s",
             Unit::Duty => "a share of the supply without a unit, as in 0.3 or 30%",
             Unit::V => "a voltage, as in 1.2V or 1200mV",
-            Unit::Bool | Unit::MPerS2 | Unit::A => "nothing that can be typed",
+            Unit::Bool | Unit::MPerS2 | Unit::A | Unit::N => "nothing that can be typed",
         };
         return Err(unsuitable(format!("takes as {mode} {example}")));
     }

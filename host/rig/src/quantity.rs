@@ -116,6 +116,7 @@ pub fn human(unit: Unit) -> (f64, &'static str, usize) {
         Unit::Bool => (1.0, "", 0),
         Unit::MPerS2 => (1.0, "m/s2", 3),
         Unit::A => (1.0, "A", 3),
+        Unit::N => (1.0, "N", 3),
     }
 }
 
