@@ -229,6 +229,8 @@ pub enum Mode {
     /// Be at this position at the moment that the set point is dated with, on a smooth path through the points given before and
     /// after it: see [`PathPoint`](crate::PathPoint).
     Follow,
+    /// Press with this force.
+    Force,
 }
 
 impl fmt::Display for Mode {
@@ -242,6 +244,7 @@ impl fmt::Display for Mode {
             Self::Brake => "brake",
             Self::Home => "home",
             Self::Follow => "follow",
+            Self::Force => "force",
         })
     }
 }
@@ -304,7 +307,7 @@ pub struct ChannelInfo {
 }
 
 /// Most ways to command one channel.
-pub const MAX_MODES: usize = 5;
+pub const MAX_MODES: usize = 6;
 
 impl ChannelInfo {
     /// The range of set points in `mode`, or `None` when the channel does not have that mode.

@@ -69,7 +69,7 @@ impl CycleChannel {
             Mode::Position | Mode::Follow => Some(self.position_scale),
             Mode::Speed => Some(self.speed_scale),
             Mode::Duty => Some(DUTY_SCALE),
-            Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => None,
+            Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Force => None,
         }
     }
 
@@ -124,8 +124,17 @@ pub struct Cycle {
 
 const AS_BOUND: u8 = 15;
 const UNDATED: u8 = 1 << 4;
-const MODES: [Mode; 8] =
-    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
+const MODES: [Mode; 9] = [
+    Mode::Position,
+    Mode::Speed,
+    Mode::Duty,
+    Mode::Switch,
+    Mode::Voltage,
+    Mode::Brake,
+    Mode::Home,
+    Mode::Follow,
+    Mode::Force,
+];
 
 impl Cycle {
     /// Set points decided at `sent_us` on the board's clock; without that, age counts from when the board decodes them.
@@ -441,7 +450,7 @@ mod tests {
                 Mode::Position | Mode::Follow => Some(0.001),
                 Mode::Speed => Some(0.25),
                 Mode::Duty => Some(DUTY_SCALE),
-                Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home => None,
+                Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Force => None,
             };
             assert_eq!(channel.scale(mode), scale);
             for steps in [-32_767, -1, 0, 8, 32_767] {

@@ -154,10 +154,20 @@ pub enum Parameter {
     MotorSideCounts,
     /// Of a motor with an encoder on the motor's side, rad: [`crate::config::MotorSideConfig::gap_max`].
     GapMax,
+    /// Of a motor with force control, rad/(s N) or m/(s N): [`crate::config::ForceConfig::speed_per_n`].
+    ForceGain,
+    /// Of a motor with force control, N: [`crate::config::ForceConfig::limit_n`].
+    ForceLimit,
+    /// Of a motor with force control, rad/s or m/s: [`crate::config::ForceConfig::approach_speed`].
+    ApproachSpeed,
+    /// Of a motor with force control, N: [`crate::config::ForceConfig::contact_n`].
+    ContactForce,
+    /// Of a motor with force control, N: [`crate::config::ForceConfig::error_n`].
+    ForceError,
 }
 
 impl Parameter {
-    const NAMES: [(Self, &'static str); 70] = [
+    const NAMES: [(Self, &'static str); 75] = [
         (Self::LinkTimeoutMs, "link_timeout_ms"),
         (Self::AirTemperatureC, "air_temperature_c"),
         (Self::ServoOscillatorHz, "servo_oscillator_hz"),
@@ -228,6 +238,11 @@ impl Parameter {
         (Self::ZeroAngle, "zero_angle"),
         (Self::MotorSideCounts, "motor_side_counts"),
         (Self::GapMax, "gap_max"),
+        (Self::ForceGain, "force_gain"),
+        (Self::ForceLimit, "force_limit"),
+        (Self::ApproachSpeed, "approach_speed"),
+        (Self::ContactForce, "contact_force"),
+        (Self::ForceError, "force_error"),
     ];
 
     /// Every parameter, in the order of the variants.

@@ -66,11 +66,13 @@ pub enum Cause {
     InterruptStorm = 16,
     /// The firmware's image in flash is not what was built: the board only holds its outputs safe, until it is flashed.
     DamagedImage = 17,
+    /// A motor's force sensor shows more than its limit.
+    ForceLimit = 18,
 }
 
 impl Cause {
     /// Every cause, in bit order.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::DeadMan,
         Self::Proximity,
         Self::LinkLost,
@@ -89,6 +91,7 @@ impl Cause {
         Self::RepeatedBadStarts,
         Self::InterruptStorm,
         Self::DamagedImage,
+        Self::ForceLimit,
     ];
 
     /// What a person does about it.
@@ -115,6 +118,7 @@ impl Cause {
             Self::RepeatedBadStarts => "outputs are only held safe: read the log, then switch off and on, or flash",
             Self::InterruptStorm => "check wire and shield of encoder 3 and the range sensors; the log names the input",
             Self::DamagedImage => "outputs are only held safe: flash the firmware again, as with `r4 flash`",
+            Self::ForceLimit => "free what is pressed by hand, check the force sensor, or ask for less force",
         }
     }
 }
@@ -140,6 +144,7 @@ impl fmt::Display for Cause {
             Self::RepeatedBadStarts => "repeated bad starts",
             Self::InterruptStorm => "interrupt storm",
             Self::DamagedImage => "damaged image",
+            Self::ForceLimit => "force limit",
         })
     }
 }

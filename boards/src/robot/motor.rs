@@ -6,8 +6,9 @@
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        BridgeConfig, ControlConfig, CurrentSense, FeedForward, Feedback, FollowConfig, HomingConfig, MotorConfig,
-        MotorSideConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig, WindingConfig,
+        BridgeConfig, ControlConfig, CurrentSense, FeedForward, Feedback, FollowConfig, ForceConfig, ForceSensor,
+        HomingConfig, MotorConfig, MotorSideConfig, PidGains, PotPoint, ProfileLimits, SettleConfig, StallConfig,
+        WindingConfig,
     },
 };
 use serde::{
@@ -171,6 +172,24 @@ struct Point {
     position_m: f32,
 }
 
+/// What measures a motor's force.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ForceSensorTable {
+    #[serde(deserialize_with = "analog_number")]
+    analog: u8,
+    #[serde(default, deserialize_with = "finite")]
+    zero_v: f32,
+    #[serde(deserialize_with = "finite")]
+    newtons_per_v: f32,
+}
+
+impl From<ForceSensorTable> for ForceSensor {
+    fn from(ForceSensorTable { analog, zero_v, newtons_per_v }: ForceSensorTable) -> Self {
+        Self::Analog { analog, zero_v, newtons_per_v }
+    }
+}
+
 /// How an axis with a switch finds its zero.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -270,6 +289,7 @@ macro_rules! controlled {
         stall: $travel:ident,
         follow: $follow_error:ident,
         winding: $back_emf:ident,
+        force: [$speed_per_n:ident, $approach_speed:ident],
     ) => {
         pub(super) mod $unit {
             use super::*;
@@ -304,6 +324,28 @@ macro_rules! controlled {
                 follow: Follow,
                 winding: Winding,
                 pub(in super::super) homing: Option<$Homing>,
+                force: Option<Force>,
+            }
+
+            #[derive(Clone, Copy, Deserialize)]
+            #[serde(deny_unknown_fields)]
+            struct Force {
+                sensor: ForceSensorTable,
+                range_n: Interval,
+                #[serde(deserialize_with = "positive")]
+                limit_n: f32,
+                #[serde(deserialize_with = "finite")]
+                $speed_per_n: f32,
+                #[serde(deserialize_with = "positive")]
+                $approach_speed: f32,
+                #[serde(deserialize_with = "positive")]
+                contact_n: f32,
+                #[serde(deserialize_with = "positive")]
+                error_n: f32,
+                #[serde(default, deserialize_with = "not_negative")]
+                filter_s: f32,
+                #[serde(default, deserialize_with = "not_negative")]
+                drift_s: f32,
             }
 
             #[derive(Deserialize)]
@@ -420,6 +462,17 @@ macro_rules! controlled {
                             follow: FollowConfig { error: follow.$follow_error, time_ms: follow.time_ms },
                             homing: self.homing.map(Into::into),
                             motor_side,
+                            force: self.force.map(|force| ForceConfig {
+                                sensor: force.sensor.into(),
+                                range: force.range_n.into(),
+                                limit_n: force.limit_n,
+                                speed_per_n: force.$speed_per_n,
+                                approach_speed: force.$approach_speed,
+                                contact_n: force.contact_n,
+                                error_n: force.error_n,
+                                filter_s: force.filter_s,
+                                drift_s: force.drift_s,
+                            }),
                         }),
                         winding: Some(self.winding.into()),
                         stop_brake_ms: self.stop_brake_ms,
@@ -446,6 +499,7 @@ controlled! {
     stall: travel_rad,
     follow: error_rad,
     winding: back_emf_v_s_per_rad,
+    force: [speed_rad_s_per_n, approach_speed_rad_s],
 }
 
 controlled! {
@@ -460,6 +514,7 @@ controlled! {
     stall: travel_m,
     follow: error_m,
     winding: back_emf_v_s_per_m,
+    force: [speed_m_s_per_n, approach_speed_m_s],
 }
 
 impl Motor {

@@ -126,7 +126,10 @@ struct Refused;
 /// Set point of a motor that stops, by the mode it followed.
 pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
     match mode {
-        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow => Setpoint { mode: Mode::Speed, value: 0.0 },
+        // One that presses stays where it is, and so holds what it holds.
+        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow | Mode::Force => {
+            Setpoint { mode: Mode::Speed, value: 0.0 }
+        }
         _ => Setpoint::NONE,
     }
 }

@@ -402,7 +402,7 @@ pub(crate) fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_
 
 fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
     let duty = ModeInfo { mode: Mode::Duty, unit: Unit::Duty, range: Range::symmetric(motor.duty_max) };
-    let Some(ControlConfig { feedback, position, speed_max, homing, .. }) = motor.control else {
+    let Some(ControlConfig { feedback, position, speed_max, homing, force, .. }) = motor.control else {
         return [duty].into_iter().collect();
     };
     let (position_unit, speed_unit) =
@@ -410,7 +410,8 @@ fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
     let position = ModeInfo { mode: Mode::Position, unit: position_unit, range: position };
     let speed = ModeInfo { mode: Mode::Speed, unit: speed_unit, range: Range::symmetric(speed_max) };
     let follow = ModeInfo { mode: Mode::Follow, ..position };
-    [position, speed, duty, follow].into_iter().chain(home_mode(homing)).collect()
+    let force = force.map(|force| force.mode());
+    [position, speed, duty, follow].into_iter().chain(home_mode(homing)).chain(force).collect()
 }
 
 fn home_mode(homing: Option<HomingConfig>) -> Option<ModeInfo> {

@@ -61,6 +61,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Home(_)
         | Command::Speed(_)
         | Command::Duty(_)
+        | Command::Press(_)
         | Command::Relay(_)
         | Command::Servo(_)
         | Command::Bldc(_)

@@ -93,6 +93,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::Move(motion) => commands::motion::run(args, motion, Mode::Position),
         Command::Speed(motion) => commands::motion::run(args, motion, Mode::Speed),
         Command::Duty(motion) => commands::motion::run(args, motion, Mode::Duty),
+        Command::Press(motion) => commands::motion::run(args, motion, Mode::Force),
         Command::Relay(relay) => commands::relay::run(args, relay),
         Command::Servo(servo) => commands::hold::servo(args, servo),
         Command::Bldc(bldc) => commands::hold::bldc(args, bldc),

@@ -70,6 +70,8 @@ pub(crate) enum Command {
     Speed(Motion),
     /// Arm, give a motor a share of the supply for a time, disarm
     Duty(Motion),
+    /// Arm, press with a motor that has a force sensor for a time, as in `r4 press dhb0 5N`, disarm
+    Press(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
     /// Arm, hold a servo at an angle for a time, disarm

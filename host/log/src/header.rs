@@ -21,8 +21,17 @@ pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 const UNITS: [Unit; 10] =
     [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A, Unit::N];
 /// Every mode there is.
-pub(crate) const MODES: [Mode; 8] =
-    [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
+pub(crate) const MODES: [Mode; 9] = [
+    Mode::Position,
+    Mode::Speed,
+    Mode::Duty,
+    Mode::Switch,
+    Mode::Voltage,
+    Mode::Brake,
+    Mode::Home,
+    Mode::Follow,
+    Mode::Force,
+];
 
 /// Which board was recorded, and what its channels are.
 #[derive(Clone, Debug, PartialEq)]
@@ -146,6 +155,7 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
         Mode::Brake => "brake",
         Mode::Home => "home",
         Mode::Follow => "follow",
+        Mode::Force => "force",
     }
 }
 

@@ -64,6 +64,8 @@ macro_rules! with_setpoint {
             pub(crate) setpoint_switch: Option<f32>,
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub(crate) setpoint_brake: Option<f32>,
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub(crate) setpoint_force_n: Option<f32>,
             $($after)*
         }
 
@@ -81,6 +83,7 @@ macro_rules! with_setpoint {
                     (Mode::Voltage, _) => &mut self.setpoint_voltage_v,
                     (Mode::Switch, _) => &mut self.setpoint_switch,
                     (Mode::Brake, _) => &mut self.setpoint_brake,
+                    (Mode::Force, _) => &mut self.setpoint_force_n,
                 };
                 *field = finite(setpoint.value);
                 self.setpoint_mode = mode_name(setpoint.mode);
@@ -97,6 +100,7 @@ macro_rules! with_setpoint {
                     Mode::Voltage => self.setpoint_voltage_v,
                     Mode::Switch => self.setpoint_switch,
                     Mode::Brake => self.setpoint_brake,
+                    Mode::Force => self.setpoint_force_n,
                 };
                 by_mode.or(self.setpoint)
             }
@@ -399,11 +403,12 @@ const LINEAR_SETPOINTS: [(&str, &str, &str); 3] = [
     ("setpoint_speed_m_s", "number", "Set point in mode speed, m/s"),
     ("setpoint_home_m_s", "number", "Set point in mode home, m/s"),
 ];
-const SETPOINTS: [(&str, &str, &str); 4] = [
+const SETPOINTS: [(&str, &str, &str); 5] = [
     ("setpoint_duty", "number", "Set point in mode duty, share of the supply, -1 to 1"),
     ("setpoint_voltage_v", "number", "Set point in mode voltage, V"),
     ("setpoint_switch", "number", "Set point in mode switch, 0 or 1"),
     ("setpoint_brake", "number", "Set point in mode brake, 0 or 1"),
+    ("setpoint_force_n", "number", "Set point in mode force, N"),
 ];
 
 pub(crate) fn motor_schema(linear: bool) -> Schema {

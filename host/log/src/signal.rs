@@ -84,6 +84,7 @@ fn setpoint_field(what: &str, mode: Mode, linear: bool) -> String {
         (Mode::Speed | Mode::Home, false) => "_rad_s",
         (Mode::Speed | Mode::Home, true) => "_m_s",
         (Mode::Voltage, _) => "_v",
+        (Mode::Force, _) => "_n",
         (Mode::Duty | Mode::Switch | Mode::Brake, _) => "",
     };
     format!("{what}_{}{unit}", mode_name(mode))

@@ -92,7 +92,8 @@ pub fn setpoint(info: &ChannelInfo, mode: Mode, quantity: Quantity) -> Result<Se
             Unit::MPerS => "a speed, as in 5mm/s",
             Unit::Duty => "a share of the supply without a unit, as in 0.3 or 30%",
             Unit::V => "a voltage, as in 1.2V or 1200mV",
-            Unit::Bool | Unit::MPerS2 | Unit::A | Unit::N => "nothing that can be typed",
+            Unit::N => "a force, as in 3N or 500mN",
+            Unit::Bool | Unit::MPerS2 | Unit::A => "nothing that can be typed",
         };
         return Err(unsuitable(format!("takes as {mode} {example}")));
     }
@@ -209,7 +210,7 @@ impl Session<'_> {
 /// Whether a motion ended as it was asked to.
 fn has_held(info: &ChannelInfo, mode: Mode, set: Quantity, end: &Motion) -> bool {
     match mode {
-        Mode::Position => end.settled,
+        Mode::Position | Mode::Force => end.settled,
         Mode::Home => end.homed,
         Mode::Duty => (end.duty - set.value).abs() <= DUTY_WITHIN,
         _ => {

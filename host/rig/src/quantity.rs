@@ -25,7 +25,7 @@ pub struct Shown {
 }
 
 /// How a unit is written, what it measures, how many of the SI unit it is, and decimals that show what the board resolves.
-const UNITS: [(&str, Unit, f64, usize); 17] = [
+const UNITS: [(&str, Unit, f64, usize); 19] = [
     ("deg/s", Unit::RadPerS, TAU / 360.0, 1),
     ("rad/s", Unit::RadPerS, 1.0, 3),
     ("rpm", Unit::RadPerS, TAU / 60.0, 2),
@@ -41,6 +41,8 @@ const UNITS: [(&str, Unit, f64, usize); 17] = [
     ("m", Unit::M, 1.0, 5),
     ("mV", Unit::V, 1e-3, 0),
     ("V", Unit::V, 1.0, 2),
+    ("mN", Unit::N, 1e-3, 0),
+    ("N", Unit::N, 1.0, 2),
     // A share is printed as one, without a unit.
     ("%", Unit::Duty, 1e-2, 3),
     ("", Unit::Duty, 1.0, 3),
@@ -116,7 +118,7 @@ pub fn human(unit: Unit) -> (f64, &'static str, usize) {
         Unit::Bool => (1.0, "", 0),
         Unit::MPerS2 => (1.0, "m/s2", 3),
         Unit::A => (1.0, "A", 3),
-        Unit::N => (1.0, "N", 3),
+        Unit::N => (1.0, "N", 2),
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Made from `boards/*.toml`; the firmware takes it as it is and checks it with [`BoardConfig::validate`].
 
+mod force;
 mod input;
 mod motor;
 mod numbers;
@@ -14,6 +15,7 @@ use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
+pub use force::{ForceConfig, ForceSensor};
 pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
 pub use motor::{
     ANGLE_RATE_MIN_HZ, ANGLE_READINGS_LOST, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX,
@@ -307,7 +309,8 @@ impl BoardConfig {
             check(Some(id), !twice, "the channel is named twice")?;
         }
         self.validate_sensors()?;
-        self.validate_windings()
+        self.validate_windings()?;
+        self.validate_forces()
     }
 
     fn validate_board(&self) -> Result<(), ConfigError> {
@@ -548,6 +551,17 @@ impl BoardConfig {
             let sensed = |sense: CurrentSense| self.analogs.iter().any(|analog| analog.id.index == sense.analog);
             let rule = "the current sensor's analog input must be in the list of analog inputs";
             check(Some(id), winding.current_sense.is_none_or(sensed), rule)?;
+        }
+        Ok(())
+    }
+
+    /// What measures a motor's force is read.
+    fn validate_forces(&self) -> Result<(), ConfigError> {
+        let forces = self.motors.iter().filter_map(|motor| Some((motor.id, motor.control.as_ref()?.force?)));
+        for (id, force) in forces {
+            let ForceSensor::Analog { analog, .. } = force.sensor;
+            let known = self.analogs.iter().any(|config| config.id.index == analog);
+            check(Some(id), known, "the force sensor's analog input must be in the list of analog inputs")?;
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     ANALOG_INPUTS, AS5600_COUNTS, ConfigError, ENCODERS, MAX_EXACT, STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE, SWITCHES,
-    check, finite, finite_range, not_negative, positive,
+    check, finite, finite_range, force::ForceConfig, not_negative, positive,
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
@@ -169,6 +169,8 @@ pub struct ControlConfig {
     pub homing: Option<HomingConfig>,
     /// A second encoder, on the motor's side of play between the motor and what `feedback` measures.
     pub motor_side: Option<MotorSideConfig>,
+    /// Force control; `None` without a force sensor.
+    pub force: Option<ForceConfig>,
 }
 
 /// An encoder on the motor's side of a gear with play: speed and damping follow it, positions follow [`ControlConfig::feedback`].
@@ -586,6 +588,7 @@ impl ControlConfig {
         )?;
         rule(self.stall.duty < motor.duty_max, "stall duty must be below duty_max, or a stall is never seen")?;
         rule(positive(self.follow.error) && self.follow.time_ms > 0, "follow error and time must be positive")?;
-        rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)
+        rule(self.homing.is_none_or(|homing| homing.is_valid(self.position, self.speed_max)), HOMING_RULE)?;
+        self.force.map_or(Ok(()), |force| force.validate(motor.id, self.speed_max))
     }
 }

@@ -2,9 +2,9 @@
 
 use super::{
     AnalogConfig, BldcConfig, BoardConfig, ConfigError, ControlConfig, CurrentSense, DacConfig, EncoderConfig,
-    FeedForward, Feedback, FollowConfig, HomingConfig, MAX_EXACT, MotorConfig, MotorSideConfig, PidGains, Place,
-    PotPoint, ProfileLimits, RangeConfig, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig,
-    StepperConfig, SupplyConfig, WindingConfig,
+    FeedForward, Feedback, FollowConfig, ForceConfig, HomingConfig, MAX_EXACT, MotorConfig, MotorSideConfig, PidGains,
+    Place, PotPoint, ProfileLimits, RangeConfig, Reverse, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig,
+    StallConfig, StepperConfig, SupplyConfig, WindingConfig,
 };
 use crate::{
     channel::Range,
@@ -229,6 +229,7 @@ macro_rules! lend {
                     follow: FollowConfig { error: follow_error, time_ms: follow_time_ms },
                     homing: home,
                     motor_side: side,
+                    force,
                 } = config;
                 Some(match parameter {
                     P::PositionMin => position_min,
@@ -258,6 +259,9 @@ macro_rules! lend {
                     P::FollowTimeMs => follow_time_ms,
                     P::HomePosition | P::HomeSpeedMax => return homing(home, parameter),
                     P::MotorSideCounts | P::GapMax => return motor_side(side, parameter),
+                    P::ForceGain | P::ForceLimit | P::ApproachSpeed | P::ContactForce | P::ForceError => {
+                        return of_force(force, parameter);
+                    }
                     _ => return feedback(sensor, parameter),
                 })
             }
@@ -293,6 +297,21 @@ macro_rules! lend {
                     (P::GapMax, Some(MotorSideConfig { gap_max, .. })) => Some(gap_max),
                     _ => None,
                 }
+            }
+
+            fn of_force(config: &$($mut)? Option<ForceConfig>, parameter: Parameter) -> Lent<'_> {
+                let ForceConfig { limit_n, speed_per_n, approach_speed, contact_n, error_n, .. } = match config {
+                    Some(force) => force,
+                    None => return None,
+                };
+                Some(match parameter {
+                    P::ForceGain => speed_per_n,
+                    P::ForceLimit => limit_n,
+                    P::ApproachSpeed => approach_speed,
+                    P::ContactForce => contact_n,
+                    P::ForceError => error_n,
+                    _ => return None,
+                })
             }
 
             fn homing(config: &$($mut)? Option<HomingConfig>, parameter: Parameter) -> Lent<'_> {

@@ -5,10 +5,10 @@ use r4_protocol::{
     config::{
         AnalogConfig, As5600Config, BldcConfig, BoardConfig, BridgeConfig, BridgeLines, CanConfig, ControlConfig,
         CurrentSense, DacChipConfig, DacConfig, DhbLines, DriveLine, EncoderConfig, ExpanderConfig, FeedForward,
-        Feedback, FollowConfig, HomingConfig, Icm20948Config, MotorConfig, MotorSideConfig, PidGains, PotPoint,
-        ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole, Reverse, SensorChip, SensorConfig,
-        ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig, StepperConfig,
-        SupplyConfig, SwitchConfig, WindingConfig,
+        Feedback, FollowConfig, ForceConfig, ForceSensor, HomingConfig, Icm20948Config, MotorConfig, MotorSideConfig,
+        PidGains, PotPoint, ProfileLimits, PwmConfig, RangeConfig, RelayConfig, RelayRole, Reverse, SensorChip,
+        SensorConfig, ServoChipConfig, ServoConfig, ServoPoint, SettleConfig, StallConfig, StepperBankConfig,
+        StepperConfig, SupplyConfig, SwitchConfig, WindingConfig,
     },
 };
 
@@ -128,6 +128,17 @@ fn motors() -> [MotorConfig; 5] {
         follow: FollowConfig { error: 0.5, time_ms: 500 },
         homing: None,
         motor_side: Some(MotorSideConfig { index: 2, counts_per_turn: 9600, inverted: false, gap_max: 0.1 }),
+        force: Some(ForceConfig {
+            sensor: ForceSensor::Analog { analog: 4, zero_v: 0.5, newtons_per_v: 10.0 },
+            range: Range::new(0.0, 20.0),
+            limit_n: 30.0,
+            speed_per_n: 0.1,
+            approach_speed: 1.0,
+            contact_n: 0.5,
+            error_n: 0.2,
+            filter_s: 0.005,
+            drift_s: 10.0,
+        }),
     };
     let wheel = MotorConfig {
         id: id(ChannelKind::Osmc, 0),

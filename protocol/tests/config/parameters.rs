@@ -25,7 +25,7 @@ fn key(text: &str) -> ParameterKey {
 #[test]
 fn a_parameter_is_the_field_of_its_name() {
     type Field = fn(&mut BoardConfig) -> &mut f32;
-    let fields: [(&str, f32, Field); 17] = [
+    let fields: [(&str, f32, Field); 19] = [
         ("board.air_temperature_c", 30.0, |c| &mut c.air_temperature_c),
         ("board.servo_oscillator_hz", 26e6, |c| &mut c.servo_pwm.as_mut().expect("one").oscillator_hz),
         ("osmc2.duty_slew", 3.0, |c| &mut c.motors[2].duty_slew_per_s),
@@ -33,6 +33,12 @@ fn a_parameter_is_the_field_of_its_name() {
         ("actuator1.speed_kp", 0.5, |c| &mut c.motors[1].control.as_mut().expect("one").speed_pid.kp),
         ("osmc0.gap_max", 0.2, |c| {
             &mut c.motors[0].control.as_mut().expect("one").motor_side.as_mut().expect("one").gap_max
+        }),
+        ("osmc0.force_gain", -0.5, |c| {
+            &mut c.motors[0].control.as_mut().expect("one").force.as_mut().expect("one").speed_per_n
+        }),
+        ("osmc0.contact_force", 1.5, |c| {
+            &mut c.motors[0].control.as_mut().expect("one").force.as_mut().expect("one").contact_n
         }),
         ("bldc2.neutral_v", 2.25, |c| &mut c.bldcs[2].neutral_v),
         ("servo15.pulse_high", 1.9e-3, |c| &mut c.servos[1].high.pulse_s),

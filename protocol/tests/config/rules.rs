@@ -9,9 +9,9 @@ use r4_protocol::{
     Range,
     config::{
         As5600Config, BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig,
-        DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, HomingConfig, Icm20948Config, Ina226Config,
-        MAX_EXACT, MotorSideConfig, Nau7802Config, PidGains, Place, PotPoint, Reverse, SensorChip, SensorConfig,
-        WindingConfig,
+        DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, ForceConfig, ForceSensor, HomingConfig,
+        Icm20948Config, Ina226Config, MAX_EXACT, MotorSideConfig, Nau7802Config, PidGains, Place, PotPoint, Reverse,
+        SensorChip, SensorConfig, WindingConfig,
     },
 };
 
@@ -63,6 +63,10 @@ fn pulses(config: &mut BoardConfig, range: u8, frames_hz: u16) {
 
 fn side(config: &mut BoardConfig) -> &mut MotorSideConfig {
     wheel(config).motor_side.as_mut().expect("the wheel's")
+}
+
+fn force(config: &mut BoardConfig) -> &mut ForceConfig {
+    wheel(config).force.as_mut().expect("the wheel's")
 }
 
 fn winding(config: &mut BoardConfig) -> &mut WindingConfig {
@@ -246,6 +250,7 @@ const LOOPS: &[Case] = {
     const ZERO: &str = "the zero angle must be 0 to 6.2831855";
     const SIDE: &str = "motor_side_counts must be 1 to 16777216";
     const GAP: &str = "gap_max must be above 0 and below one turn";
+    const FORCE_SENSOR: &str = "a force sensor's zero_v must be finite, and its newtons_per_v other than 0";
     &[
         (WHEEL, ENCODER, |c| encoder(c, |index, _| *index = 4)),
         (WHEEL, INDEX, |c| *index_pulse(c) = 15),
@@ -364,6 +369,24 @@ const LOOPS: &[Case] = {
         (WHEEL, GAP, |c| side(c).gap_max = 0.0),
         (WHEEL, GAP, |c| side(c).gap_max = 6.3),
         (WHEEL, GAP, |c| side(c).gap_max = f32::NAN),
+        (WHEEL, "the force sensor's analog input must be in the list of analog inputs", |c| {
+            force(c).sensor = ForceSensor::Analog { analog: 3, zero_v: 0.5, newtons_per_v: 10.0 };
+        }),
+        (WHEEL, FORCE_SENSOR, |c| {
+            force(c).sensor = ForceSensor::Analog { analog: 4, zero_v: f32::NAN, newtons_per_v: 10.0 };
+        }),
+        (WHEEL, FORCE_SENSOR, |c| {
+            force(c).sensor = ForceSensor::Analog { analog: 4, zero_v: 0.5, newtons_per_v: 0.0 };
+        }),
+        (WHEEL, "force range must have a finite min below a finite max", |c| force(c).range = Range::new(5.0, 5.0)),
+        (WHEEL, "force_limit must be above all forces of the range", |c| force(c).limit_n = 20.0),
+        (WHEEL, "force_limit must be above all forces of the range", |c| force(c).range.min = -30.0),
+        (WHEEL, "force_gain must be finite and other than 0", |c| force(c).speed_per_n = 0.0),
+        (WHEEL, "approach_speed must be positive and at most speed_max", |c| force(c).approach_speed = 20.5),
+        (WHEEL, "contact_force must be positive, below force_limit", |c| force(c).contact_n = 30.0),
+        (WHEEL, "force_error must be positive", |c| force(c).error_n = 0.0),
+        (WHEEL, "a force's filter_s must be 0 to 1, its drift_s not negative", |c| force(c).filter_s = 1.5),
+        (WHEEL, "a force's filter_s must be 0 to 1, its drift_s not negative", |c| force(c).drift_s = -1.0),
         (Some(id(Stepper, 3)), SWITCH, |c| slide_home(c).switch = 1),
     ]
 };

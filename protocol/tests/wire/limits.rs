@@ -34,7 +34,7 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
         ("bind", payload(&request(samples::largest_bind())).len(), 53),
         ("heartbeat", payload(&heartbeat).len(), 14),
         ("hello", payload(&reply(samples::largest_welcome())).len(), 79),
-        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 76),
+        ("channel", payload(&reply(Reply::Channel(largest_channel()))).len(), 86),
         ("fault snapshot", payload(&reply(samples::largest_reply())).len(), 131),
         ("bytes", payload(&reply(Reply::Bytes(samples::largest_raw()))).len(), 71),
         ("log", payload(&ToHost::Log(samples::largest_log())).len(), 71),

@@ -300,6 +300,8 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("follow", Request::Follow { channel: OSMC0, sent_us: 1_000_000, points: points.into_iter().collect() }),
         ("follow-none", Request::Follow { channel: OSMC0, sent_us: 0, points: heapless::Vec::new() }),
         ("transfer-largest", largest_transfer()),
+        // Since version 11.
+        ("set-force", set(OSMC0, Mode::Force, 4.5)),
     ]);
     // Since version 10.
     let feed_forward = FeedForward { static_duty: 0.125, duty_per_speed: 0.25, duty_per_acceleration: 0.03125 };

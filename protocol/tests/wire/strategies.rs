@@ -411,6 +411,7 @@ fn mode() -> impl Strategy<Value = Mode> {
         Mode::Brake,
         Mode::Home,
         Mode::Follow,
+        Mode::Force,
     ])
 }
 

@@ -3,6 +3,7 @@
 mod axis;
 mod drive_curve;
 mod follower;
+mod force;
 mod inputs;
 mod landing;
 mod model;

@@ -8,6 +8,7 @@ use r4_protocol::{
 
 use super::{
     follower::{Follower, Reference},
+    force::{Force, Press},
     landing::{Aim, Landing},
     model::Model,
     motor_side::MotorSide,
@@ -80,6 +81,8 @@ pub struct Motor {
     /// `None` where the configuration says too little of the motor.
     model: Option<Model>,
     motor_side: Option<MotorSide>,
+    /// `None` without a force sensor.
+    force: Option<Force>,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
@@ -132,6 +135,8 @@ enum Following {
     Path(Reference),
     /// The search for the zero.
     Home(Homing),
+    /// A force.
+    Force(Press),
 }
 
 /// How far the search for the zero has come.
@@ -227,6 +232,7 @@ impl Motor {
             motor_side: control
                 .motor_side
                 .map(|side| MotorSide::new(side, control.feedback, control.settle.speed, period_s, filter_s)),
+            force: control.force.map(|force| Force::new(force, period_s)),
             position_loop: Pid::new(control.position_pid, period_s)?,
             speed_loop: Pid::new(control.speed_pid, period_s)?,
             profile: Profile::new(control.profile, period_s),
@@ -400,6 +406,13 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 Following::Speed { reference: self.motion(), hold: None }
             }
+            // A new force does not make the motor let go of what it presses.
+            (Following::Force(press), Mode::Force) => Following::Force(Press { at_force_s: 0.0, ..press }),
+            (_, Mode::Force) => {
+                let duty = self.duty;
+                self.position_holder().reset(duty);
+                Following::Force(Press { position: self.position, speed: self.speed, at_force_s: 0.0 })
+            }
             (_, Mode::Home) => {
                 self.speed_loop.reset(self.duty);
                 self.homed = false;
@@ -428,6 +441,7 @@ impl Motor {
             }
             Following::Path(Reference { speed, acceleration, .. }) => Ramp { speed, acceleration },
             Following::Speed { reference, .. } | Following::Home(Homing { reference, .. }) => reference,
+            Following::Force(Press { speed, .. }) => Ramp { speed, acceleration: 0.0 },
             Following::Duty => Ramp { speed: self.speed, acceleration: 0.0 },
         }
     }
@@ -521,7 +535,7 @@ impl Motor {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
             Mode::Speed => self.speed_loop.set_gains(gains),
-            Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Follow => {}
+            Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Home | Mode::Follow | Mode::Force => {}
         }
     }
 
@@ -534,7 +548,8 @@ impl Motor {
             self.model = Model::new(&self.control, self.limits.magnitude, self.period_s);
         }
         self.control.cascade_per_s = cascade_per_s;
-        if is_other_loop && matches!(self.following, Following::Position(_) | Following::Path(_)) {
+        if is_other_loop && matches!(self.following, Following::Position(_) | Following::Path(_) | Following::Force(_))
+        {
             let held = self.straight(self.duty);
             self.position_holder().hold(held, held);
         }
@@ -556,6 +571,7 @@ impl Motor {
                 causes.set(Cause::EncoderImplausible, missed);
                 (duty, following)
             }
+            Following::Force(press) => self.step_force(press, limits),
             Following::Duty => {
                 let step = limits.slew_per_s * self.period_s;
                 let wanted = self.setpoint.value / self.supply_gain;
@@ -573,6 +589,7 @@ impl Motor {
             match &mut self.following {
                 Following::Speed { reference, hold } => (*reference, *hold) = (Ramp::default(), None),
                 Following::Position(approach) => approach.hold = None,
+                Following::Force(press) => press.speed = 0.0,
                 Following::Duty | Following::Path(_) | Following::Home(_) => {}
             }
         }
@@ -584,6 +601,11 @@ impl Motor {
             }
             Following::Speed { reference, hold } => (0.0, reference.speed != 0.0 && hold.is_none()),
             Following::Home(_) => (0.0, true),
+            // In contact its force shows that it is driven, and what it meets keeps it from moving.
+            Following::Force(press) => {
+                let is_free = self.force.as_ref().is_none_or(|force| !force.in_contact());
+                (0.0, is_free && press.speed != 0.0)
+            }
             Following::Duty => (0.0, false),
         };
         // A supply that changes does not make the duty change faster than it may.
@@ -745,6 +767,36 @@ impl Motor {
         if self.control.cascade_per_s == 0.0 { &mut self.position_loop } else { &mut self.speed_loop }
     }
 
+    /// One period of the force loop. Without a force that can be relied on the motor holds where it is: [`Motor::sense_force`] trips.
+    // With few motors: it stays in flash.
+    #[inline(never)]
+    fn step_force(&mut self, last: Press, limits: OutputLimits) -> (f32, Following) {
+        let press = match &self.force {
+            Some(force) => force.step(last, self.setpoint.value, self.position, self.control.profile.acceleration),
+            None => Press { speed: 0.0, ..last },
+        };
+        let range = self.control.position;
+        let press = Press { position: press.position.within(range.min.into(), range.max.into()), ..press };
+        let towards = if press.speed == 0.0 { 0.0 } else { press.speed.signum() };
+        let duty = self.feed_forward(towards, press.speed, 0.0);
+        let error = (press.position - self.position) as f32;
+        (self.hold_to_path(error, press.speed, Aim::along(towards), duty, limits), Following::Force(press))
+    }
+
+    /// Takes the force in this period, N, or that nothing is known of it; nothing to a motor without force control.
+    ///
+    /// Returns [`Cause::ForceLimit`] beyond the limit, in every mode, and [`Cause::EncoderImplausible`] when a motor that presses has lost
+    /// its sensor.
+    #[inline(never)]
+    pub fn sense_force(&mut self, newtons: Option<f32>) -> Causes {
+        let Some(force) = &mut self.force else { return Causes::NONE };
+        force.measure(newtons);
+        let mut causes = Causes::NONE;
+        causes.set(Cause::ForceLimit, force.is_beyond_limit());
+        causes.set(Cause::EncoderImplausible, force.is_lost() && matches!(self.following, Following::Force(_)));
+        causes
+    }
+
     fn step_path(&mut self, reference: Reference, limits: OutputLimits) -> (f32, Following) {
         let Reference { speed, acceleration, feed_forward, .. } = reference;
         let towards = if speed == 0.0 { 0.0 } else { speed.signum() };
@@ -903,7 +955,7 @@ impl Motor {
         let range = self.control.position;
         let error = self.control.settle.error;
         let room = |end: f32| match self.following {
-            Following::Position(_) | Following::Path(_) => -error,
+            Following::Position(_) | Following::Path(_) | Following::Force(_) => -error,
             Following::Speed { .. } | Following::Duty if self.at_end == end => error,
             Following::Speed { .. } | Following::Duty | Following::Home(_) => 0.0,
         };
@@ -921,7 +973,11 @@ impl Motor {
     }
 
     fn is_settled(&self) -> bool {
-        matches!(self.following, Following::Position(approach) if self.rests_long_enough(approach.at_rest_s))
+        match self.following {
+            Following::Position(approach) => self.rests_long_enough(approach.at_rest_s),
+            Following::Force(press) => self.rests_long_enough(press.at_force_s),
+            _ => false,
+        }
     }
 
     fn rests_long_enough(&self, at_rest_s: f32) -> bool {

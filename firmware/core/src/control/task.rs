@@ -11,7 +11,7 @@ use embassy_time::{Duration, Instant, Timer};
 use heapless::Vec;
 use r4_protocol::{
     Cause, Causes, Mode, MotorSnapshot, SafetyState, Setpoint,
-    config::{BoardConfig, Feedback, MAX_MOTORS, Place, STEPPERS},
+    config::{BoardConfig, Feedback, ForceSensor, MAX_MOTORS, Place, STEPPERS},
     message::CONTROL_SHARE,
 };
 
@@ -321,6 +321,9 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let raw = Raw { output, motor_side };
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
+            if let Some(force) = &control.force {
+                causes = causes.union(motor.sense_force(newtons(force.sensor, &self.inputs)));
+            }
             if let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback
                 && let Some(count) = self.peripherals.at_index(index)
             {
@@ -701,6 +704,12 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
     }
+}
+
+/// What a motor's force sensor shows, N, where it can be relied on.
+fn newtons(sensor: ForceSensor, inputs: &Inputs) -> Option<f32> {
+    let ForceSensor::Analog { analog, zero_v, newtons_per_v } = sensor;
+    Some((inputs.analog_v(analog)? - zero_v) * newtons_per_v)
 }
 
 /// What a motor's angle sensor told last; `None` for feedback of another kind, too.

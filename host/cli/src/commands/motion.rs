@@ -1,4 +1,4 @@
-//! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`
+//! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`, `r4 press`
 
 use anyhow::ensure;
 use r4_driver::Until;
@@ -32,7 +32,7 @@ struct Outcome {
     held: bool,
 }
 
-/// A speed or duty is held this long unless told otherwise, s.
+/// A speed, duty or force is held this long unless told otherwise, s.
 const HOLD_S: f64 = 2.0;
 /// A position is given up after this long unless told otherwise, s.
 const TIMEOUT_S: f64 = 30.0;

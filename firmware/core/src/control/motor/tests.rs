@@ -5,7 +5,10 @@ extern crate std;
 
 use r4_protocol::{
     Range,
-    config::{FeedForward, FollowConfig, HomingConfig, PotPoint, ProfileLimits, SettleConfig, StallConfig},
+    config::{
+        FeedForward, FollowConfig, ForceConfig, ForceSensor, HomingConfig, PotPoint, ProfileLimits, SettleConfig,
+        StallConfig,
+    },
 };
 
 use super::*;
@@ -47,6 +50,7 @@ fn config() -> ControlConfig {
         follow: FollowConfig { error: 1e6, time_ms: u16::MAX },
         homing: Some(HomingConfig { switch: 0, position: 1.5, speed_max: 4.0 }),
         motor_side: None,
+        force: None,
     }
 }
 
@@ -1108,4 +1112,116 @@ fn with_limited_jerk_a_path_is_left_without_a_jump() {
         assert!(bench.motor.status().setpoint.value > 0.5 + 2.0 * 2.0 / (2.0 * 8.0));
         near(bench.steps(2 * HZ) * factor, 0.0, 1e-6);
     }
+}
+
+/// A geared motor that a force slows down, and an object at 1 rad of 200 N/rad: 8 N/s of approach at 0.25 rad/s are 50 N/s on it.
+struct Gripper {
+    bench: Bench,
+    position: f64,
+    object: Option<f64>,
+    offset_n: f32,
+}
+
+impl Gripper {
+    const STIFFNESS_N_PER_RAD: f64 = 200.0;
+
+    fn new(settle_ms: u16) -> Self {
+        let base = config();
+        let config = ControlConfig {
+            position_pid: PidGains { kp: 8.0, ki: 4.0, kd: 0.0 },
+            settle: SettleConfig { time_ms: settle_ms, ..base.settle },
+            // Watched as a real one: standing with so much duty is a stall in every other mode.
+            stall: StallConfig { duty: 0.3, travel: 0.02, time_ms: 300 },
+            force: Some(ForceConfig {
+                sensor: ForceSensor::Analog { analog: 0, zero_v: 0.0, newtons_per_v: 1.0 },
+                range: Range::new(0.0, 12.0),
+                limit_n: 15.0,
+                speed_per_n: 0.05,
+                approach_speed: 0.25,
+                contact_n: 0.5,
+                // A count is 0.6 N on the object.
+                error_n: 0.5,
+                filter_s: 0.0,
+                drift_s: 0.0,
+            }),
+            ..base
+        };
+        Self { bench: Bench::with(config, LIMITS), position: 0.0, object: Some(1.0), offset_n: 0.0 }
+    }
+
+    fn force_n(&self) -> f64 {
+        self.object.map_or(0.0, |at| (self.position - at).max(0.0) * Self::STIFFNESS_N_PER_RAD)
+    }
+
+    /// One period: 10 rad/s at full duty, less 2 rad/s for each 10 N.
+    fn step(&mut self) {
+        let force_n = self.force_n();
+        let causes = self.bench.motor.sense_force(Some(force_n as f32 + self.offset_n));
+        let duty = self.bench.step();
+        self.bench.causes = self.bench.causes.union(causes);
+        self.position += (10.0 * f64::from(duty) - 0.2 * force_n) * f64::from(PERIOD_S);
+        self.bench.counts = libm::round(self.position / f64::from(RESOLUTION)) as i32;
+    }
+
+    fn run(&mut self, periods: u32) {
+        (0..periods).for_each(|_| self.step());
+    }
+}
+
+#[test]
+fn a_motor_presses_an_object_with_its_force() {
+    let mut gripper = Gripper::new(250);
+    for (force_n, after_s) in [(5.0, 8), (10.0, 3), (2.0, 3)] {
+        gripper.bench.command(Mode::Force, force_n);
+        gripper.run(after_s * HZ);
+        // Within the band, and what the motor still does within a count.
+        let pressed_n = gripper.force_n();
+        assert!((pressed_n - f64::from(force_n)).abs() < 0.5 + 0.6, "{pressed_n} N for {force_n} N");
+        assert_eq!(gripper.bench.causes, Causes::NONE, "at {force_n} N");
+    }
+    assert!(gripper.bench.settled());
+    // The object is taken away: it closes again, no faster than it approaches, and is no longer settled.
+    (gripper.object, gripper.bench.causes) = (None, Causes::NONE);
+    let before = gripper.position;
+    gripper.run(HZ);
+    let travel = gripper.position - before;
+    assert!((0.05..0.3).contains(&travel), "{travel} rad in a second");
+    assert!(!gripper.bench.settled());
+}
+
+/// In every mode; and one that presses trips when its sensor falls silent.
+#[test]
+fn too_much_force_trips_and_so_does_none_that_is_known() {
+    let mut gripper = Gripper::new(250);
+    gripper.run(10);
+    gripper.offset_n = 15.5;
+    gripper.step();
+    assert_eq!(gripper.bench.causes, Causes::only(Cause::ForceLimit));
+    let mut bench = Gripper::new(250).bench;
+    assert_eq!(bench.motor.sense_force(Some(1.0)), Causes::NONE);
+    let silence = |bench: &mut Bench| (0..100).fold(Causes::NONE, |all, _| all.union(bench.motor.sense_force(None)));
+    assert_eq!(silence(&mut bench), Causes::NONE, "it does not press");
+    assert_eq!(bench.motor.sense_force(Some(1.0)), Causes::NONE);
+    bench.command(Mode::Force, 3.0);
+    assert_eq!(silence(&mut bench), Causes::only(Cause::EncoderImplausible));
+}
+
+/// Whatever mode it comes from and goes to, its duty does not jump.
+#[test]
+fn pressing_begins_and_ends_without_a_jump() {
+    let mut gripper = Gripper::new(250);
+    gripper.bench.command(Mode::Force, 6.0);
+    gripper.run(8 * HZ);
+    let mut last = gripper.bench.motor.duty;
+    for (mode, value) in [(Mode::Speed, 0.0), (Mode::Force, 6.0), (Mode::Position, 1.02), (Mode::Force, 3.0)] {
+        gripper.bench.command(mode, value);
+        for _ in 0..HZ / 4 {
+            gripper.step();
+            let duty = gripper.bench.motor.duty;
+            // 8/s in a period, and rounding.
+            assert!((duty - last).abs() <= 1.01 * 8.0 * PERIOD_S, "{mode}: {last} to {duty}");
+            last = duty;
+        }
+    }
+    assert_eq!(gripper.bench.causes, Causes::NONE);
 }

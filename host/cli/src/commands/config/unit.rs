@@ -51,7 +51,8 @@ fn rotary(key: ParameterKey) -> &'static str {
         | Parameter::ProfileSpeed
         | Parameter::SettleSpeed
         | Parameter::HomeSpeedMax
-        | Parameter::StartSpeed => "rad/s",
+        | Parameter::StartSpeed
+        | Parameter::ApproachSpeed => "rad/s",
         Parameter::ProfileAcceleration | Parameter::Acceleration => "rad/s²",
         Parameter::Jerk => "rad/s³",
         Parameter::PositionKp | Parameter::SpeedKi => "duty/rad",
@@ -76,6 +77,8 @@ fn rotary(key: ParameterKey) -> &'static str {
         Parameter::ResistanceOhm => "ohm",
         Parameter::BackEmf => "V s/rad",
         Parameter::RatedA => "A",
+        Parameter::ForceGain => "rad/(s N)",
+        Parameter::ForceLimit | Parameter::ContactForce | Parameter::ForceError => "N",
         Parameter::CurrentVoltsPerA => "V/A",
         Parameter::VoltsPerCode => "V/code",
     }

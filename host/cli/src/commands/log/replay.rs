@@ -59,8 +59,14 @@ impl FromStr for Within {
 }
 
 /// How the names of signals end, and what that is.
-const SUFFIXES: [(&str, Unit); 5] =
-    [("_rad_s", Unit::RadPerS), ("_m_s", Unit::MPerS), ("_rad", Unit::Rad), ("_m", Unit::M), ("_v", Unit::V)];
+const SUFFIXES: [(&str, Unit); 6] = [
+    ("_rad_s", Unit::RadPerS),
+    ("_m_s", Unit::MPerS),
+    ("_rad", Unit::Rad),
+    ("_m", Unit::M),
+    ("_v", Unit::V),
+    ("_n", Unit::N),
+];
 
 impl Within {
     /// Whether this is about the signal of this name.
