@@ -44,6 +44,10 @@ pub enum ChannelKind {
     Current,
     /// Absolute angle sensor on the I2C bus.
     Angle,
+    /// Load cell on the I2C bus.
+    Force,
+    /// Optical distance sensor on the I2C bus.
+    Distance,
 }
 
 /// One of the numbers that a channel measures together.
@@ -59,7 +63,7 @@ pub struct Quantity {
 pub const MAX_QUANTITIES: usize = 6;
 
 impl ChannelKind {
-    const NAMES: [(Self, &'static str); 17] = [
+    const NAMES: [(Self, &'static str); 19] = [
         (Self::Osmc, "osmc"),
         (Self::Actuator, "actuator"),
         (Self::Dhb, "dhb"),
@@ -77,6 +81,8 @@ impl ChannelKind {
         (Self::Imu, "imu"),
         (Self::Current, "current"),
         (Self::Angle, "angle"),
+        (Self::Force, "force"),
+        (Self::Distance, "distance"),
     ];
 
     /// What a channel of this kind measures together, in the order of [`Sample::Sensor`](crate::Sample::Sensor)'s values; nothing for a
@@ -101,6 +107,8 @@ impl ChannelKind {
             }
             Self::Current => const { &[quantity("current_a", Unit::A), quantity("voltage_v", Unit::V)] },
             Self::Angle => const { &[quantity("angle_rad", Unit::Rad)] },
+            Self::Force => const { &[quantity("force_n", Unit::N)] },
+            Self::Distance => const { &[quantity("distance_m", Unit::M)] },
             _ => &[],
         }
     }

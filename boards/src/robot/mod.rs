@@ -16,7 +16,7 @@ use r4_world::{AnyBody, Pose, Scene};
 pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
-pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedImu, SimulatedPulses};
+pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedForce, SimulatedImu, SimulatedPulses};
 pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
@@ -63,6 +63,8 @@ pub struct Simulation {
     pub currents: Vec<SimulatedCurrent>,
     /// One for each angle sensor.
     pub angles: Vec<SimulatedAngle>,
+    /// One for each load cell.
+    pub forces: Vec<SimulatedForce>,
     /// Angle sensors that send pulses to range connectors.
     pub pulses: Vec<SimulatedPulses>,
     /// Sensors at the UART connectors.

@@ -68,6 +68,8 @@ struct RobotFile {
     current: Vec<sensor::Current>,
     #[serde(default)]
     angle: Vec<sensor::Angle>,
+    #[serde(default)]
+    force: Vec<sensor::Force>,
     drive: Option<Drive>,
     body: Option<body::Body>,
     world: Option<body::WorldTable>,
@@ -258,7 +260,8 @@ impl Reader<'_> {
         let mut sensors: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(imu);
         let currents: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(current);
         let angles: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(angle);
-        for (table, more) in [("current", &currents), ("angle", &angles)] {
+        let forces: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(force);
+        for (table, more) in [("current", &currents), ("angle", &angles), ("force", &forces)] {
             let full = |_| self.rule(table, "the firmware has at most 4 sensors on the bus");
             sensors.extend_from_slice(more).map_err(full)?;
         }
@@ -402,7 +405,9 @@ impl Reader<'_> {
             | ChannelKind::DeadMan
             | ChannelKind::Imu
             | ChannelKind::Current
-            | ChannelKind::Angle => return None,
+            | ChannelKind::Angle
+            | ChannelKind::Force
+            | ChannelKind::Distance => return None,
         })
     }
 

@@ -1,13 +1,16 @@
-//! `[[imu]]`, `[[current]]`, `[[angle]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
+//! `[[imu]]`, `[[current]]`, `[[angle]]`, `[[force]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
 //! measure in simulation.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{As5600Config, Icm20948Config, Ina226Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig},
 };
 use serde::Deserialize;
 
-use super::read::{Place, Table};
+use super::{
+    BodyReading,
+    read::{Place, Table},
+};
 use crate::{
     error::BoardError,
     number::{channel, finite, optional_channel, optional_positive, positive},
@@ -104,6 +107,66 @@ impl Table for Angle {
         place.take_address(address)?;
         Ok(SensorConfig { id, address, rate_hz, chip: SensorChip::As5600(As5600Config { averages }) })
     }
+}
+
+/// A load cell, on an NAU7802.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Force {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default = "nau7802_address")]
+    address: u8,
+    rate_hz: u16,
+    #[serde(default = "greatest_gain")]
+    gain: u8,
+    #[serde(deserialize_with = "finite")]
+    newtons_per_mv_v: f32,
+    #[serde(default, deserialize_with = "finite")]
+    zero_mv_v: f32,
+}
+
+/// The only one that it has.
+fn nau7802_address() -> u8 {
+    0x2A
+}
+
+/// What load cells need: 3.9 mV/V, where most put out 1 to 3.
+fn greatest_gain() -> u8 {
+    128
+}
+
+impl Table for Force {
+    type Config = SensorConfig;
+    const KIND: ChannelKind = ChannelKind::Force;
+
+    fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<SensorConfig, BoardError> {
+        let &Self { channel: id, address, rate_hz, gain, newtons_per_mv_v, zero_mv_v } = self;
+        place.take_address(address)?;
+        let chip = SensorChip::Nau7802(Nau7802Config { gain, newtons_per_mv_v, zero_mv_v });
+        Ok(SensorConfig { id, address, rate_hz, chip })
+    }
+}
+
+/// What is on a load cell, and what the cell truly is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedForce {
+    /// Channel of the sensor.
+    pub channel: ChannelId,
+    /// What presses on it in place of the body, N.
+    pub force_n: f64,
+    /// The quantity of the body that presses on it, as N.
+    pub reads: Option<BodyReading>,
+    /// True force for each mV/V, N.
+    pub newtons_per_mv_v: f64,
+    /// What its bridge truly puts out without a force, mV/V.
+    pub zero_mv_v: f64,
+    /// Noise of a conversion from outside the chip, such as shaking, N rms.
+    pub noise_n: f64,
 }
 
 /// Where an angle sensor is.

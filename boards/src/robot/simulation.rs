@@ -5,8 +5,8 @@ use std::fmt::Display;
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
     config::{
-        AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, SensorConfig, ServoConfig,
-        StepperConfig, SupplyConfig, SwitchConfig,
+        AnalogConfig, BldcConfig, BoardConfig, Feedback, MotorConfig, RangeConfig, Reverse, SensorChip, SensorConfig,
+        ServoConfig, StepperConfig, SupplyConfig, SwitchConfig,
     },
 };
 use r4_world::Scene;
@@ -14,8 +14,9 @@ use serde::Deserialize;
 
 use super::{
     BodyReading, PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent,
-    SimulatedEncoder, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor,
-    SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SwitchedBy, TruePoint,
+    SimulatedEncoder, SimulatedForce, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange,
+    SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SwitchedBy,
+    TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -75,6 +76,8 @@ pub(super) struct Tables {
     current: Vec<SimulatedCurrent>,
     #[serde(default)]
     angle: Vec<SimulatedAngle>,
+    #[serde(default)]
+    force: Vec<Force>,
     #[serde(default)]
     pulses: Vec<SimulatedPulses>,
     #[serde(default)]
@@ -247,6 +250,38 @@ struct AnalogReading {
     volts_per_unit: f64,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Force {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default, deserialize_with = "optional_finite")]
+    force_n: Option<f64>,
+    /// What of the body presses on it, in place of `force_n`.
+    body: Option<SensorReading>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    newtons_per_mv_v: Option<f64>,
+    #[serde(default, deserialize_with = "optional_finite")]
+    zero_mv_v: Option<f64>,
+    #[serde(default, deserialize_with = "not_negative")]
+    noise_n: f64,
+}
+
+/// A quantity of the body, in the sensor's unit: `zero + per_unit * reading`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SensorReading {
+    reading: String,
+    #[serde(default, deserialize_with = "finite")]
+    zero: f64,
+    #[serde(default = "as_it_is", deserialize_with = "finite")]
+    per_unit: f64,
+}
+
+fn as_it_is() -> f64 {
+    1.0
+}
+
 /// Closed by an axis, or by a quantity of the body.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -304,7 +339,7 @@ macro_rules! about {
 
 about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
 about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu", SimulatedCurrent "current");
-about!(SimulatedAngle "angle");
+about!(SimulatedAngle "angle", Force "force");
 
 impl Tables {
     /// Checks the tables against the robot's configuration, and reads the plant files.
@@ -343,6 +378,7 @@ impl Tables {
             imus: check.each(&self.imu, &on_bus(ChannelKind::Imu), |imu| imu.id, Check::imu)?,
             currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
             angles: check.each(&self.angle, &on_bus(ChannelKind::Angle), |angle| angle.id, Check::angle)?,
+            forces: check.each(&self.force, &on_bus(ChannelKind::Force), |force| force.id, Check::force)?,
             pulses: check.pulses(&self.pulses)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
@@ -699,6 +735,42 @@ impl Check<'_> {
         Ok(*angle)
     }
 
+    /// A load cell that no table is about has nothing on it, and is as configured.
+    fn force(
+        &mut self,
+        config: &SensorConfig,
+        force: Option<&Force>,
+        path: &str,
+    ) -> Result<SimulatedForce, BoardError> {
+        let SensorChip::Nau7802(chip) = config.chip else {
+            return Err(self.reader.rule(path, "the channel is no load cell"));
+        };
+        let configured = SimulatedForce {
+            channel: config.id,
+            force_n: 0.0,
+            reads: None,
+            newtons_per_mv_v: chip.newtons_per_mv_v.into(),
+            zero_mv_v: chip.zero_mv_v.into(),
+            noise_n: 0.0,
+        };
+        let Some(force) = force else { return Ok(configured) };
+        if force.force_n.is_some() && force.body.is_some() {
+            return Err(self.reader.rule(path, "needs force_n, or body, and not both"));
+        }
+        if force.newtons_per_mv_v == Some(0.0) {
+            return Err(self.reader.rule(format!("{path}.newtons_per_mv_v"), "must not be 0"));
+        }
+        let reads = force.body.as_ref().map(|body| self.sensor_reading(body, path)).transpose()?;
+        Ok(SimulatedForce {
+            force_n: force.force_n.unwrap_or(configured.force_n),
+            reads,
+            newtons_per_mv_v: force.newtons_per_mv_v.unwrap_or(configured.newtons_per_mv_v),
+            zero_mv_v: force.zero_mv_v.unwrap_or(configured.zero_mv_v),
+            noise_n: force.noise_n,
+            ..configured
+        })
+    }
+
     /// What sends pulses to range connectors: what tables say, and for each other motor that is controlled by pulses, what it takes
     /// them to be.
     fn pulses(&mut self, tables: &[SimulatedPulses]) -> Result<Vec<SimulatedPulses>, BoardError> {
@@ -774,6 +846,11 @@ impl Check<'_> {
             };
             self.reader.source.rule(path, rule)
         })
+    }
+
+    fn sensor_reading(&self, table: &SensorReading, path: &str) -> Result<BodyReading, BoardError> {
+        let number = self.reading(&table.reading, format!("{path}.body.reading"))?;
+        Ok(BodyReading { number, zero: table.zero, per_unit: table.per_unit })
     }
 
     fn analog_reading(&self, table: &AnalogReading, path: &str) -> Result<BodyReading, BoardError> {

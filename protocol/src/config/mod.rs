@@ -27,8 +27,8 @@ pub use output::{
     ServoChipConfig, ServoConfig, ServoPoint, StepperBankConfig, StepperConfig,
 };
 pub use sensor::{
-    AS5600_COUNTS, As5600Config, Icm20948Config, Ina226Config, MAX_SENSORS, SensorChip, SensorConfig,
-    SensorDescription, bus_bits,
+    AS5600_COUNTS, As5600Config, Icm20948Config, Ina226Config, MAX_SENSORS, NAU7802_FULL_SCALE_MV_V, NAU7802_RATES_HZ,
+    Nau7802Config, SensorChip, SensorConfig, SensorDescription, bus_bits,
 };
 
 use crate::{

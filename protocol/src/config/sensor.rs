@@ -42,6 +42,8 @@ pub enum SensorChip {
     Ina226(Ina226Config),
     /// ams AS5600: the angle of a magnet in front of it.
     As5600(As5600Config),
+    /// Nuvoton NAU7802: the force on a load cell, by its bridge.
+    Nau7802(Nau7802Config),
 }
 
 /// Full scales of an ICM-20948.
@@ -67,6 +69,25 @@ pub struct As5600Config {
     /// 0.286 ms and 0.043° rms with 2 on.
     pub averages: u8,
 }
+
+/// Gain of an NAU7802, and the load cell in front of it.
+///
+/// A bridge puts out so many millivolts for each volt that it is fed with, and the converter measures that ratio, whatever the supply.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Nau7802Config {
+    /// Gain of its amplifier: 1, 2, 4, 8, 16, 32, 64 or 128. It measures up to 500 mV/V divided by this, either way.
+    pub gain: u8,
+    /// Force for each mV/V of the bridge, N: the cell's rated force divided by its rated output. Negative for one that is turned round.
+    pub newtons_per_mv_v: f32,
+    /// What the bridge puts out without a force, mV/V.
+    pub zero_mv_v: f32,
+}
+
+/// Rates of an NAU7802, Hz.
+pub const NAU7802_RATES_HZ: [u16; 5] = [10, 20, 40, 80, 320];
+
+/// Ratio at the input of an NAU7802 that is its full scale at gain 1, mV/V: half its reference, which feeds the bridge.
+pub const NAU7802_FULL_SCALE_MV_V: f32 = 500.0;
 
 /// Counts of an AS5600 in one turn.
 pub const AS5600_COUNTS: u16 = 4096;
@@ -128,10 +149,20 @@ impl SensorChip {
                 reading_bits: bus_bits(6),
                 transfers: 1,
             },
+            // Two addresses, a register and whether it is ready; then the same and three bytes. Its settings are checked in three bytes.
+            Self::Nau7802(chip) => SensorDescription {
+                kind: ChannelKind::Force,
+                addresses: 0x2A..=0x2A,
+                rates_hz: 10..=320,
+                range: chip.range(),
+                longest_bits: bus_bits(6),
+                reading_bits: bus_bits(4) + bus_bits(6),
+                transfers: 2,
+            },
         }
     }
 
-    fn validate(&self, id: ChannelId) -> Result<(), ConfigError> {
+    fn validate(&self, id: ChannelId, rate_hz: u16) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(id), holds, rule);
         match self {
             Self::Icm20948(chip) => {
@@ -143,7 +174,23 @@ impl SensorChip {
             }
             Self::Ina226(chip) => rule(positive(chip.shunt_ohm), "shunt_ohm must be positive"),
             Self::As5600(chip) => rule([2, 4, 8, 16].contains(&chip.averages), "averages must be 2, 4, 8 or 16"),
+            Self::Nau7802(chip) => {
+                rule(NAU7802_RATES_HZ.contains(&rate_hz), "rate_hz must be 10, 20, 40, 80 or 320")?;
+                rule(chip.gain.is_power_of_two() && chip.gain <= 128, "gain must be 1, 2, 4, 8, 16, 32, 64 or 128")?;
+                rule(positive(chip.newtons_per_mv_v.abs()), "newtons_per_mv_v must be positive or negative")?;
+                let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(chip.gain);
+                rule(chip.zero_mv_v.abs() < full_scale_mv_v, "zero_mv_v must be within 500 mV/V divided by gain")
+            }
         }
+    }
+}
+
+impl Nau7802Config {
+    /// Forces at both ends of the converter's range.
+    fn range(&self) -> Range {
+        let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(self.gain.max(1));
+        let [low, high] = [-full_scale_mv_v, full_scale_mv_v].map(|end| (end - self.zero_mv_v) * self.newtons_per_mv_v);
+        Range::new(low.min(high), low.max(high))
     }
 }
 
@@ -154,6 +201,6 @@ impl SensorConfig {
         rule(self.id.kind == kind, "the channel's name must be of the kind that the chip measures")?;
         rule(addresses.contains(&self.address), "the chip cannot have this address")?;
         rule(rates_hz.contains(&self.rate_hz), "the chip cannot be read at this rate_hz")?;
-        self.chip.validate(self.id)
+        self.chip.validate(self.id, self.rate_hz)
     }
 }

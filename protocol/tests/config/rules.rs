@@ -5,13 +5,13 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Angle, Current, Imu, Stepper, Supply, Switch},
+    ChannelKind::{Angle, Current, Force, Imu, Stepper, Supply, Switch},
     Range,
     config::{
         As5600Config, BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig,
         DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, ForceConfig, ForceSensor, HomingConfig,
-        Icm20948Config, Ina226Config, MAX_EXACT, MotorSideConfig, PidGains, Place, PotPoint, Reverse, SensorChip,
-        SensorConfig, WindingConfig,
+        Icm20948Config, Ina226Config, MAX_EXACT, MotorSideConfig, Nau7802Config, PidGains, Place, PotPoint, Reverse,
+        SensorChip, SensorConfig, WindingConfig,
     },
 };
 
@@ -567,6 +567,13 @@ const SENSORS: &[Case] = {
         let second = SensorConfig { id: id(Imu, 1), address, ..config.sensors[0] };
         config.sensors.push(second).expect("room");
     }
+    fn cell(config: &mut BoardConfig, rate_hz: u16, gain: u8, newtons_per_mv_v: f32, zero_mv_v: f32) {
+        let chip = SensorChip::Nau7802(Nau7802Config { gain, newtons_per_mv_v, zero_mv_v });
+        config.sensors[0] = SensorConfig { id: id(Force, 0), address: 0x2A, rate_hz, chip };
+    }
+    const CELL0: Option<ChannelId> = Some(ChannelId::new(Force, 0));
+    const GAIN: &str = "gain must be 1, 2, 4, 8, 16, 32, 64 or 128";
+    const CONVERSIONS: &str = "rate_hz must be 10, 20, 40, 80 or 320";
     &[
         (Some(id(Dhb, 7)), "the channel's name must be of the kind that the chip measures", |c| {
             c.sensors[0].id = id(Dhb, 7);
@@ -584,6 +591,12 @@ const SENSORS: &[Case] = {
             c.sensors[1].chip = SensorChip::As5600(As5600Config { averages: 3 });
         }),
         (Some(id(Angle, 7)), RATE, |c| c.sensors[1].rate_hz = 1001),
+        (CELL0, CONVERSIONS, |c| cell(c, 100, 128, 24.5, 0.0)),
+        (CELL0, GAIN, |c| cell(c, 80, 0, 24.5, 0.0)),
+        (CELL0, GAIN, |c| cell(c, 80, 96, 24.5, 0.0)),
+        (CELL0, "newtons_per_mv_v must be positive or negative", |c| cell(c, 80, 128, 0.0, 0.0)),
+        (CELL0, "newtons_per_mv_v must be positive or negative", |c| cell(c, 80, 128, f32::NAN, 0.0)),
+        (CELL0, "zero_mv_v must be within 500 mV/V divided by gain", |c| cell(c, 80, 128, -24.5, 3.91)),
         (Some(id(Imu, 1)), TAKEN, |c| second(c, 0x68)),
         (IMU0, TAKEN, |c| c.dhb_pwm.as_mut().expect("it has one").address = 0x68),
         // 2 x 250 periods of 2 ms; a period has room for 760 bits.

@@ -384,6 +384,8 @@ fn replies() -> Vec<(&'static str, Reply)> {
         ("channel-imu", input(ChannelKind::Imu, Unit::MPerS2, 39.2266, 100.0)),
         ("channel-current", input(ChannelKind::Current, Unit::A, 40.96, 100.0)),
         ("channel-angle", input(ChannelKind::Angle, Unit::Rad, core::f32::consts::TAU, 1000.0)),
+        ("channel-force", input(ChannelKind::Force, Unit::N, 93.75, 80.0)),
+        ("channel-distance", input(ChannelKind::Distance, Unit::M, 0.2, 20.0)),
         ("channel-bool", input(ChannelKind::DeadMan, Unit::Bool, 1.0, 1000.0)),
         ("channel-infinite", input(ChannelKind::Range, Unit::M, f32::INFINITY, NAN)),
         ("counters", Reply::Stats(stats)),
@@ -596,6 +598,13 @@ fn telemetry() -> impl Iterator<Item = (&'static str, Telemetry)> {
                 sensor(ChannelKind::Angle, [3.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::NoMagnet),
                 sensor(ChannelKind::Angle, [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::WeakMagnet),
                 sensor(ChannelKind::Angle, [6.25, 0.0, 0.0, 0.0, 0.0, 0.0], 1, Quality::StrongMagnet),
+            ]),
+        ),
+        (
+            "telemetry-force",
+            armed(&[
+                sensor(ChannelKind::Force, [-12.5, 0.0, 0.0, 0.0, 0.0, 0.0], 12, Quality::Good),
+                sensor(ChannelKind::Distance, [0.0625, 0.0, 0.0, 0.0, 0.0, 0.0], 50, Quality::OutOfRange),
             ]),
         ),
         ("telemetry-largest", largest_telemetry()),

@@ -376,12 +376,12 @@ fn raw() -> impl Strategy<Value = heapless::Vec<u8, MAX_RAW>> {
 
 fn channel() -> impl Strategy<Value = ChannelId> {
     use ChannelKind::{
-        Actuator, Analog, Angle, Bldc, Current, Dac, DeadMan, Dhb, Encoder, Imu, Osmc, Range, Relay, Servo, Stepper,
-        Supply, Switch,
+        Actuator, Analog, Angle, Bldc, Current, Dac, DeadMan, Dhb, Distance, Encoder, Force, Imu, Osmc, Range, Relay,
+        Servo, Stepper, Supply, Switch,
     };
     let kinds = vec![
         Osmc, Actuator, Dhb, Bldc, Servo, Stepper, Relay, Encoder, Switch, Range, Analog, Supply, Dac, DeadMan, Imu,
-        Current, Angle,
+        Current, Angle, Force, Distance,
     ];
     (select(kinds), any::<u8>()).prop_map(|(kind, index)| ChannelId::new(kind, index))
 }

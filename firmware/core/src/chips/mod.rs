@@ -5,6 +5,7 @@ pub mod icm20948;
 pub mod ina226;
 pub mod mcp23017;
 pub mod mcp4728;
+pub mod nau7802;
 pub mod pca9685;
 pub mod sensor;
 

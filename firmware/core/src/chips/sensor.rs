@@ -9,7 +9,7 @@ use r4_protocol::{
     config::{SensorChip, SensorConfig},
 };
 
-use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226};
+use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226, nau7802::Nau7802};
 use crate::bus::bits;
 
 /// Most bytes written in one exchange: a register and two more.
@@ -140,7 +140,7 @@ macro_rules! chips {
     };
 }
 
-chips!(Icm20948 Ina226 As5600);
+chips!(Icm20948 Ina226 As5600 Nau7802);
 
 /// Of a reading of which one number may be at the end of its range.
 pub(super) const fn saturation(saturated: bool) -> Quality {

@@ -35,6 +35,17 @@ pub(crate) struct Sensors {
     first: usize,
 }
 
+/// What a load cell measured last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ForceReading {
+    /// The force, N.
+    pub(crate) newtons: f32,
+    /// When it was read. What was measured is older: the converter's filter takes four of its periods.
+    pub(crate) taken: Instant,
+    /// Between two readings.
+    pub(crate) period: Duration,
+}
+
 struct Sensor {
     id: ChannelId,
     address: u8,
@@ -90,6 +101,16 @@ impl Sensors {
         let usable = matches!(sensor.quality, Quality::Good | Quality::WeakMagnet | Quality::StrongMagnet);
         let counts = libm::roundf(sensor.values[0] * (f32::from(AS5600_COUNTS) / core::f32::consts::TAU)) as u16;
         usable.then_some(Reading { counts, taken: sensor.taken, period: sensor.period })
+    }
+
+    /// What load cell number `index` read last, if that can be relied on; `None` where there is no such sensor. One at the end of its
+    /// range is not relied on: the force may be anything beyond it.
+    #[allow(dead_code, reason = "for a loop on force")]
+    pub(crate) fn force(&self, index: u8) -> Option<ForceReading> {
+        let id = ChannelId::new(ChannelKind::Force, index);
+        let sensor = self.sensors.iter().find(|sensor| sensor.id == id)?;
+        let usable = sensor.quality == Quality::Good;
+        usable.then_some(ForceReading { newtons: sensor.values[0], taken: sensor.taken, period: sensor.period })
     }
 
     /// One transfer with each sensor that is due, as far as the bus has room in this period, until `stops` says so; it is asked before

@@ -9,6 +9,7 @@ pub mod ili9488;
 pub mod ina226;
 pub mod mcp23017;
 pub mod mcp4728;
+pub mod nau7802;
 pub mod pca9685;
 
 /// Counts in one PWM cycle of a [`Line`].

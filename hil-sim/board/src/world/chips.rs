@@ -2,7 +2,7 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{Robot, SimulatedAngle, SimulatedCurrent, SimulatedImu};
+use r4_boards::{BodyReading, Robot, SimulatedAngle, SimulatedCurrent, SimulatedForce, SimulatedImu};
 use r4_protocol::{
     ChannelId,
     config::{SensorChip, SensorConfig},
@@ -17,6 +17,7 @@ use crate::{
         ina226::{Ina226, Inputs},
         mcp4728::{CHANNELS, Mcp4728, Setting},
         mcp23017::{Mcp23017, PinState, Port},
+        nau7802::Nau7802,
         pca9685::Pca9685,
     },
     i2c::I2cBus,
@@ -36,6 +37,7 @@ pub(super) struct Chips {
     pub(super) imus: Vec<Imu>,
     pub(super) currents: Vec<CurrentMonitor>,
     pub(super) angles: Vec<AngleSensor>,
+    pub(super) forces: Vec<LoadCell>,
 }
 
 /// An IMU and how it sits on the body.
@@ -82,6 +84,20 @@ impl AngleSensor {
     }
 }
 
+/// A load cell and its converter.
+pub(super) struct LoadCell {
+    pub(super) chip: Rc<RefCell<Nau7802>>,
+    pub(super) cell: SimulatedForce,
+}
+
+impl LoadCell {
+    fn new(cell: &SimulatedForce, seed: u64) -> Self {
+        let mut chip = Nau7802::new(seed.wrapping_add(cell.channel.index.into()));
+        chip.set_source_noise_mv_v(cell.noise_n / cell.newtons_per_mv_v.abs());
+        Self { chip: Rc::new(RefCell::new(chip)), cell: *cell }
+    }
+}
+
 impl Chips {
     pub(super) fn new(robot: &Robot, bus: &mut I2cBus, seed: u64) -> Self {
         let config = &robot.config;
@@ -95,6 +111,7 @@ impl Chips {
             imus: imus.collect(),
             currents: currents.collect(),
             angles: robot.simulation.angles.iter().map(|mounting| AngleSensor::new(mounting, seed)).collect(),
+            forces: robot.simulation.forces.iter().map(|cell| LoadCell::new(cell, seed)).collect(),
             osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
@@ -116,6 +133,7 @@ impl Chips {
         chips.imus.iter().for_each(|imu| bus.attach(imu.chip.clone()));
         chips.currents.iter().for_each(|current| bus.attach(current.chip.clone()));
         chips.angles.iter().for_each(|angle| bus.attach(angle.chip.clone()));
+        chips.forces.iter().for_each(|force| bus.attach(force.chip.clone()));
         chips
     }
 
@@ -148,6 +166,14 @@ impl Chips {
             // One that is on no shaft stands still.
             let shaft_rad = mounting.of.and_then(&position).unwrap_or_default();
             chip.borrow_mut().feel(until_ns, mounting.zero_rad + shaft_rad);
+        }
+    }
+
+    /// Lets load cells feel what is on them, of the body what `measured` says, up to `until_ns`.
+    pub(super) fn see_forces(&self, until_ns: u64, measured: impl Fn(BodyReading) -> Option<f64>) {
+        for LoadCell { chip, cell } in &self.forces {
+            let force_n = cell.reads.and_then(&measured).unwrap_or(cell.force_n);
+            chip.borrow_mut().feel(until_ns, cell.zero_mv_v + force_n / cell.newtons_per_mv_v);
         }
     }
 
@@ -202,6 +228,7 @@ impl Chips {
         self.imus.iter().for_each(|imu| all.extend(imu.chip.borrow().misuse().first()));
         self.currents.iter().for_each(|current| all.extend(current.chip.borrow().misuse().first()));
         self.angles.iter().for_each(|angle| all.extend(angle.chip.borrow().misuse().first()));
+        self.forces.iter().for_each(|force| all.extend(force.chip.borrow().misuse().first()));
         all
     }
 }

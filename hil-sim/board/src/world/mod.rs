@@ -31,6 +31,7 @@ use crate::{
         ina226::Ina226,
         mcp4728::Mcp4728,
         mcp23017::{Mcp23017, PinState},
+        nau7802::Nau7802,
         pca9685::Pca9685,
     },
     clock::Clock,
@@ -224,6 +225,7 @@ impl World {
             motor.map(|motor| motor.plant.sensed_position())
         };
         self.chips.see_angles(until_ns, shaft);
+        self.chips.see_forces(until_ns, |reading| self.body.as_ref().map(|body| body.measured(reading)));
         for source in &mut self.pins.pulses {
             let shaft_rad = source.mounting.of.and_then(shaft).unwrap_or_default();
             source.sensor.feel(until_ns, source.mounting.zero_rad + shaft_rad);
@@ -453,6 +455,12 @@ impl World {
     #[must_use]
     pub fn angle_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<As5600>>> {
         self.chips.angles.iter().find(|angle| angle.mounting.channel == channel).map(|angle| &angle.chip)
+    }
+
+    /// The converter of a load cell, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn load_cell(&self, channel: ChannelId) -> Option<&Rc<RefCell<Nau7802>>> {
+        self.chips.forces.iter().find(|force| force.cell.channel == channel).map(|force| &force.chip)
     }
 
     /// The angle sensor that sends pulses to a range connector, to look at and to break; `None` where there is none.

@@ -9,17 +9,18 @@ use std::{
 };
 
 use embedded_hal::i2c::Operation;
-use r4_boards::Robot;
+use r4_boards::{Robot, SimulatedForce};
 use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
-    config::{As5600Config, Icm20948Config, Ina226Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig},
 };
 use r4_sim::{
     chips::{
         as5600::{As5600, Magnet},
         icm20948::{Icm20948, Truth},
         ina226::{Ina226, Inputs},
+        nau7802::Nau7802,
     },
     i2c::{Disturbance, I2cBus, Injection, Span},
 };
@@ -378,4 +379,139 @@ fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
     assert!(outputs.len() > 400, "{}", outputs.len());
     let differs = outputs.iter().zip(&without).find(|(with, without)| with != without);
     assert!(differs.is_none() && outputs.len() == without.len(), "{differs:?}");
+}
+
+const FORCE: ChannelId = ChannelId::new(ChannelKind::Force, 0);
+
+/// Half of what its gain leaves of 500 mV/V, and what a force of that is in N for 24.5 N in each mV/V.
+#[test]
+fn an_nau7802_gives_the_force_at_every_gain_and_rate() {
+    for gain in [1, 2, 4, 8, 16, 32, 64, 128] {
+        for rate_hz in [10, 20, 40, 80, 320] {
+            let chip = Rc::new(RefCell::new(Nau7802::new(7)));
+            let mut bus = I2cBus::new(400_000);
+            bus.attach(chip.clone());
+            let config = Nau7802Config { gain, newtons_per_mv_v: 24.5, zero_mv_v: 0.125 };
+            let config = SensorConfig { id: FORCE, address: 0x2A, rate_hz, chip: SensorChip::Nau7802(config) };
+            let mut driver = AnyDriver::new(&config);
+            for share in [0.5, -0.5] {
+                let mv_v = 0.125 + share * 500.0 / f64::from(gain);
+                let from_ns = chip.borrow().felt_ns();
+                // After a step, as much time as the filter takes: ten periods of the slowest rate.
+                chip.borrow_mut().feel(from_ns + 1000 * MS, mv_v);
+                let pass = |now_ns| chip.borrow_mut().feel(from_ns + 1000 * MS + now_ns, mv_v);
+                let (values, quality) = read(&mut driver, &mut bus, 0x2A, pass);
+                assert_eq!(quality, Quality::Good);
+                let newtons = share * 500.0 / f64::from(gain) * 24.5;
+                // Five deviations of the model's noise at this rate, of an input that is fed with 3 V, and f32.
+                let noise_v = 50e-9_f64.hypot(1.5e-6 / f64::from(gain)) * (f64::from(rate_hz) / 10.0).sqrt();
+                let tolerance_n = 5.0 * noise_v / 3.0 * 1e3 * 24.5 + 1e-6 * newtons.abs();
+                let error_n = (f64::from(values[0]) - newtons).abs();
+                assert!(error_n < tolerance_n, "gain {gain}, {rate_hz} Hz: {} N, not {newtons} N", values[0]);
+            }
+            assert_eq!(chip.borrow().misuse().first(), []);
+        }
+    }
+}
+
+/// Beyond its range it says so, and what else is at its address is not taken for it.
+#[test]
+fn an_nau7802_tells_what_it_cannot_measure() {
+    let config = Nau7802Config { gain: 128, newtons_per_mv_v: 24.5, zero_mv_v: 0.0 };
+    let config = SensorConfig { id: FORCE, address: 0x2A, rate_hz: 80, chip: SensorChip::Nau7802(config) };
+    for (mv_v, expected) in [(3.85, Quality::Good), (4.1, Quality::Saturated), (-4.1, Quality::Saturated)] {
+        let chip = Rc::new(RefCell::new(Nau7802::new(7)));
+        let mut bus = I2cBus::new(400_000);
+        bus.attach(chip.clone());
+        let pass = |now_ns| chip.borrow_mut().feel(now_ns, mv_v);
+        let (_, quality) = read(&mut AnyDriver::new(&config), &mut bus, 0x2A, pass);
+        assert_eq!(quality, expected, "{mv_v} mV/V");
+    }
+    let chip = Rc::new(RefCell::new(Nau7802::new(7)));
+    chip.borrow_mut().set_revision(0x05);
+    let mut bus = I2cBus::new(400_000);
+    bus.attach(chip.clone());
+    let mut driver = AnyDriver::new(&config);
+    for transfer in 0..10 {
+        let exchange = driver.next();
+        let mut bytes = vec![0; exchange.read()];
+        let mut operations = vec![Operation::Write(exchange.written())];
+        if !bytes.is_empty() {
+            operations.push(Operation::Read(&mut bytes));
+        }
+        bus.execute(transfer * MS, 0x2A, &mut operations).unwrap();
+        if driver.done(&bytes) == Outcome::WrongChip {
+            return;
+        }
+    }
+    panic!("it was taken for an NAU7802");
+}
+
+/// `openscout` with a load cell of 100 N and 2 mV/V that is not what it is taken for.
+fn with_a_load_cell(newtons_per_mv_v: f64, zero_mv_v: f64, noise_n: f64) -> Robot {
+    let mut robot = openscout();
+    let chip = SensorChip::Nau7802(Nau7802Config { gain: 128, newtons_per_mv_v: 50.0, zero_mv_v: 0.0 });
+    robot.config.sensors.push(SensorConfig { id: FORCE, address: 0x2A, rate_hz: 80, chip }).unwrap();
+    let cell = SimulatedForce { channel: FORCE, force_n: 60.0, reads: None, newtons_per_mv_v, zero_mv_v, noise_n };
+    robot.simulation.forces = vec![cell];
+    robot
+}
+
+async fn force(bench: &Bench<'_>) -> (f64, u16, Quality) {
+    match sample(bench, FORCE).await {
+        Sample::Sensor { values, age_ms, quality, .. } => (values[0].into(), age_ms, quality),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A cell that gives 48 N for what the board takes for 50 N, with 0.02 mV/V at rest: 60 N look like 63.5 N.
+#[test]
+fn a_load_cell_is_read_80_times_a_second_as_the_board_takes_it_to_be() {
+    bench(&with_a_load_cell(48.0, 0.02, 0.05), async |bench| {
+        // Regulator, calibration and settling.
+        bench.sleep_ms(1000).await;
+        let mut mean_n = 0.0;
+        for _ in 0..50 {
+            let (newtons, age_ms, quality) = force(bench).await;
+            assert!(quality == Quality::Good && age_ms <= 20, "{quality}, {age_ms} ms");
+            mean_n += newtons / 50.0;
+            bench.sleep_ms(10).await;
+        }
+        let expected_n = 50.0 * (0.02 + 60.0 / 48.0);
+        // Five deviations of the mean of some 40 conversions of 0.05 N.
+        assert!((mean_n - expected_n).abs() < 5.0 * 0.05 / 40_f64.sqrt(), "{mean_n} N, not {expected_n} N");
+    });
+}
+
+#[test]
+fn a_load_cell_that_fails_is_told_of_and_comes_back() {
+    type Change = fn(&mut Nau7802);
+    let broken: [(Change, Change, Quality, u64); 2] = [
+        (|chip| chip.set_hung(true), |chip| chip.set_hung(false), Quality::Stale, 500),
+        // It has lost its supply: off, it is set up again, and then it is another one.
+        (
+            |chip| {
+                chip.set_revision(0);
+                chip.power_cycle();
+            },
+            |chip| chip.set_revision(0x0F),
+            Quality::WrongChip,
+            500,
+        ),
+    ];
+    bench(&with_a_load_cell(50.0, 0.0, 0.0), async |bench| {
+        bench.sleep_ms(1000).await;
+        for (break_it, repair, expected, after_ms) in broken {
+            assert_eq!(force(bench).await.2, Quality::Good, "before {expected}");
+            break_it(&mut bench.board.world().load_cell(FORCE).unwrap().borrow_mut());
+            bench.sleep_ms(after_ms).await;
+            assert_eq!(force(bench).await.2, expected);
+            repair(&mut bench.board.world().load_cell(FORCE).unwrap().borrow_mut());
+            bench.sleep_ms(2500).await;
+            let (newtons, _, quality) = force(bench).await;
+            assert_eq!(quality, Quality::Good, "after {expected}");
+            // Noise of a conversion is 1.2 mN, and f32.
+            assert!((newtons - 60.0).abs() < 0.02, "{newtons} N after {expected}");
+        }
+    });
 }
