@@ -26,6 +26,7 @@ const BUILT_IN: [(&str, &str); 17] = [
     ("openpodcar.toml", include_str!("../openpodcar.toml")),
     ("openagribot.toml", include_str!("../openagribot.toml")),
     ("balance-tail.toml", include_str!("../balance-tail.toml")),
+    ("berry-picker.toml", include_str!("../berry-picker.toml")),
     ("every-interface.toml", include_str!("../every-interface.toml")),
     ("worlds/stand.toml", include_str!("../worlds/stand.toml")),
     ("worlds/square.toml", include_str!("../worlds/square.toml")),
