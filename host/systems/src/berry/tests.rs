@@ -18,7 +18,11 @@ fn values(arm: &'static str, seed: u64) -> Values {
 fn a_bush_is_picked_within_a_second_a_berry() {
     let outcome = picked(&trial(OURS, 2)).expect("a trial");
     let ours = evaluate(OURS, &outcome);
-    assert!(ours["cycle_s"] <= 1.0 && ours["dropped"] == 0.0 && ours["missed"] <= 0.03, "{ours:?}\n{outcome:?}");
+    assert!(
+        ours["cycle_s"] <= 1.0 && ours["dropped"] == 0.0 && ours["missed"] <= 0.03,
+        "{ours:?} {:?}",
+        outcome.fills_s
+    );
     assert!(ours["crushed"] == 0.0 && ours["attempts"] > 1.0, "{ours:?}");
     assert_eq!(values(OURS, 2), ours, "the same seed, bit for bit");
     let in_turn = values(IN_TURN, 2);
