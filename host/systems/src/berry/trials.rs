@@ -4,6 +4,40 @@
 //! which tool when, and [`compare`] tests two tools against each other: one difference per participant, with the order of the two as
 //! covariate, after the trend over picks has been taken out.
 //!
+//! ```
+//! use r4_protocol::Sample;
+//! use r4_rig::{Error, Rig, Session};
+//! use r4_systems::berry::{scene::HANDLE, trials::{Pick, PickResult, Recorder, to_csv}};
+//!
+//! // `usb:...` with people; a simulated board here, whose handle the example presses by itself.
+//! let rig = Rig::new("sim:berry-picker".parse()?);
+//! let work = async |session: &Session<'_>| {
+//!     let press = |is_pressed| -> Result<(), Error> {
+//!         if let Some(r4_world::AnyBody::BerryPicker(tool)) = session.virtual_board()?.world().body_mut() {
+//!             tool.press(is_pressed);
+//!         }
+//!         Ok(())
+//!     };
+//!     let mut samples = session.board.samples(HANDLE, 5).await?;
+//!     let (mut recorder, mut picks) = (Recorder::new(0.020), Vec::new());
+//!     for number in 0..400 {
+//!         press((100..200).contains(&number))?;
+//!         let sample = samples.next().await?;
+//!         let (Sample::Scalar { value, .. } | Sample::Reading { value, .. }) = sample.sample else { continue };
+//!         if let Some([pressed_s, released_s]) = recorder.push(sample.device_us as f64 * 1e-6, value > 0.5) {
+//!             // The observer types what became of the berry.
+//!             let result = PickResult::Picked;
+//!             let (participant, gripper) = ("P01".to_owned(), "soft".to_owned());
+//!             picks.push(Pick { participant, gripper, order: 1, number: picks.len() + 1, pressed_s, released_s, result });
+//!         }
+//!     }
+//!     Ok::<_, Error>(picks)
+//! };
+//! let (picks, _) = rig.run(None, work)?;
+//! assert_eq!(to_csv(&picks).lines().count(), 2, "a header and a pick");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! The tests run on synthetic participants. Nothing is claimed about people. With four participants, as in the paper, no exact
 //! two-sided test can reach 5 %: of 16 equally likely signs two are as extreme as all alike.
 
