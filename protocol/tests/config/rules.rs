@@ -378,6 +378,15 @@ const LOOPS: &[Case] = {
         (WHEEL, FORCE_SENSOR, |c| {
             force(c).sensor = ForceSensor::Analog { analog: 4, zero_v: 0.5, newtons_per_v: 0.0 };
         }),
+        (WHEEL, "the motor's load cell must be in the list of sensors", |c| {
+            force(c).sensor = ForceSensor::LoadCell { force: 3 };
+        }),
+        (WHEEL, "the rate_hz of a motor's load cell must be at least 250", |c| {
+            let chip = SensorChip::Nau7802(Nau7802Config { gain: 128, newtons_per_mv_v: 50.0, zero_mv_v: 0.0 });
+            let cell = SensorConfig { id: id(Force, 3), address: 0x2A, rate_hz: 80, chip };
+            c.sensors.push(cell).expect("room");
+            force(c).sensor = ForceSensor::LoadCell { force: 3 };
+        }),
         (WHEEL, "force range must have a finite min below a finite max", |c| force(c).range = Range::new(5.0, 5.0)),
         (WHEEL, "force_limit must be above all forces of the range", |c| force(c).limit_n = 20.0),
         (WHEEL, "force_limit must be above all forces of the range", |c| force(c).range.min = -30.0),
