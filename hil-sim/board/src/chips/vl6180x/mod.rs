@@ -210,11 +210,11 @@ impl Vl6180x {
     /// What a range comes to whose light goes out at `lit_ns`, and when.
     fn range(&mut self, lit_ns: u64, target: Option<Target>) -> (Ranged, u64) {
         let longest_s = f64::from(self.register(0x01C)) * 1e-3;
-        let converged = target.and_then(|target| {
+        // Not a number: nothing is there.
+        let converged = target.filter(|target| !target.distance_m.is_nan()).and_then(|target| {
             let distance_mm = target.distance_m.max(0.0) * 1e3;
             let farther = distance_mm / 50.0;
             let takes_s = (CONVERGENCE_S * farther * farther * 0.17 / target.reflectance).max(CONVERGENCE_MIN_S);
-            // Not a number, too: nothing reflects there.
             (takes_s <= longest_s).then_some((distance_mm, takes_s))
         });
         let (ranged, takes_s) = if !self.is_tuned() {
