@@ -24,10 +24,10 @@ pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
     Ackermann, BodyReading, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedAngle,
-    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedEncoder, SimulatedForce, SimulatedGnss, SimulatedImu,
-    SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo,
-    SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy, TruePoint,
-    UartDevice, World,
+    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedDistance, SimulatedEncoder, SimulatedForce, SimulatedGnss,
+    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy,
+    TruePoint, UartDevice, World,
 };
 use source::{Folder, Source};
 

@@ -28,7 +28,7 @@ pub use output::{
 };
 pub use sensor::{
     AS5600_COUNTS, As5600Config, Icm20948Config, Ina226Config, MAX_SENSORS, NAU7802_FULL_SCALE_MV_V, NAU7802_RATES_HZ,
-    Nau7802Config, SensorChip, SensorConfig, SensorDescription, bus_bits,
+    Nau7802Config, SensorChip, SensorConfig, SensorDescription, VL6180X_FARTHEST_M, Vl6180xConfig, bus_bits,
 };
 
 use crate::{

@@ -5,13 +5,13 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Angle, Current, Force, Imu, Stepper, Supply, Switch},
+    ChannelKind::{Angle, Current, Distance, Force, Imu, Stepper, Supply, Switch},
     Range,
     config::{
         As5600Config, BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig,
         DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, ForceConfig, ForceSensor, HomingConfig,
         Icm20948Config, Ina226Config, MAX_EXACT, MotorSideConfig, Nau7802Config, PidGains, Place, PotPoint, Reverse,
-        SensorChip, SensorConfig, WindingConfig,
+        SensorChip, SensorConfig, Vl6180xConfig, WindingConfig,
     },
 };
 
@@ -601,6 +601,10 @@ const SENSORS: &[Case] = {
         }),
         (Some(id(Angle, 7)), RATE, |c| c.sensors[1].rate_hz = 1001),
         (CELL0, CONVERSIONS, |c| cell(c, 100, 128, 24.5, 0.0)),
+        (Some(id(Distance, 3)), "rate_hz must be 1, 2, 4, 5, 10, 20, 25 or 50", |c| {
+            let chip = SensorChip::Vl6180x(Vl6180xConfig {});
+            c.sensors[0] = SensorConfig { id: id(Distance, 3), address: 0x29, rate_hz: 30, chip };
+        }),
         (CELL0, GAIN, |c| cell(c, 80, 0, 24.5, 0.0)),
         (CELL0, GAIN, |c| cell(c, 80, 96, 24.5, 0.0)),
         (CELL0, "newtons_per_mv_v must be positive or negative", |c| cell(c, 80, 128, 0.0, 0.0)),
