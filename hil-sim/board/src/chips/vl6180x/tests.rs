@@ -89,14 +89,14 @@ fn what_does_not_reflect_enough_is_no_target() {
 
 #[test]
 fn without_the_settings_of_the_application_note_nothing_is_measured() {
-    for left_out in 0..NEEDED.len() {
+    for (left_out, (run, _)) in NEEDED.into_iter().enumerate() {
         let mut chip = Vl6180x::new(5, 0.0);
         put(&mut chip, 0x014, 0x04);
         for (number, (first, values)) in NEEDED.into_iter().enumerate() {
             let written = values.iter().take(if number == left_out { values.len() - 1 } else { values.len() });
             (first..).zip(written).for_each(|(register, value)| put(&mut chip, register, *value));
         }
-        assert_eq!(single(&mut chip, at(0.05)).0, 1, "without the last of {:#06x}", NEEDED[left_out].0);
+        assert_eq!(single(&mut chip, at(0.05)).0, 1, "without the last of {run:#06x}");
     }
 }
 
