@@ -4,11 +4,11 @@
 //! from the left finger's joint to the right one's, y away from the palm. Finger angles count from x, counterclockwise.
 //!
 //! ```text
-//! servo's set point -- k_servo, d_servo -- output shaft (encoder) -- play, k_link -- finger = contact = object
+//! servo's set point -- k_servo -- output shaft (encoder) -- play, k_link -- finger = contact = object
 //! ```
 //!
-//! A servo's position loop is a spring with a damper between its set point (the board's pulses) and its output shaft, on which its
-//! encoder sits. Play and compliance of what connects shaft and finger are behind the encoder, which does not see them. The palm's servo
+//! A servo's position loop is a spring between its set point (the board's pulses) and its output shaft, on which its encoder sits; its
+//! motor damps the shaft against the housing by the slope of torque over speed. Play and compliance of what connects shaft and finger are behind the encoder, which does not see them. The palm's servo
 //! moves both joints by a rack and two pinions; friction keeps the carriages where they are while the rack's play passes.
 //!
 //! The object is a square with rounded edges, four arcs about the corners of a smaller square; with a radius of half the side it is a
@@ -72,7 +72,7 @@ pub struct Finger {
     pub play_rad: f64,
     /// Of the servo's position loop, N m/rad.
     pub servo_nm_per_rad: f64,
-    /// Of the same, N m s/rad.
+    /// Torque that the servo's motor loses with speed, N m s/rad.
     pub servo_nm_s_per_rad: f64,
 }
 
@@ -350,7 +350,7 @@ impl TwoFingers {
     }
 
     /// One step: forces of all contacts, then servos, fingers and object.
-    fn advance(&mut self, set_rad: [f64; 2], set_rate_rad_s: [f64; 2], step_s: f64) {
+    fn advance(&mut self, set_rad: [f64; 2], step_s: f64) {
         let Pads { stiffness_n_per_m, damping_n_s_per_m, friction, creep_per_s } = self.pads;
         let Finger { length_m, half_width_m, .. } = self.finger;
         let edge_m = self.held.edge_m;
@@ -411,9 +411,7 @@ impl TwoFingers {
             // The damper of the link holds where its spring does; the shaft has no inertia beside its damping.
             let link_s = if taken_up_rad == 0.0 { 0.0 } else { link_nm_s_per_rad };
             let resists = self.finger.servo_nm_s_per_rad + link_s;
-            let pushed = servo_nm - link_nm_per_rad * taken_up_rad
-                + self.finger.servo_nm_s_per_rad * set_rate_rad_s[number]
-                + link_s * side.rate_rad_s;
+            let pushed = servo_nm - link_nm_per_rad * taken_up_rad + link_s * side.rate_rad_s;
             let shaft_rad_s = pushed / resists;
             let link_nm = link_nm_per_rad * taken_up_rad + link_s * (shaft_rad_s - side.rate_rad_s);
             side.shaft_rad += shaft_rad_s * step_s;
@@ -461,7 +459,7 @@ impl Body for TwoFingers {
         let end_m = begin_m.clamp(asked_m - 0.5 * self.palm.play_m, asked_m + 0.5 * self.palm.play_m);
         for part in 1..=count as usize {
             self.width_m = begin_m + (end_m - begin_m) * part as f64 / count;
-            self.advance(end_rad, [left.speed, right.speed], part_s);
+            self.advance(end_rad, part_s);
         }
         self.show(palm.position);
     }

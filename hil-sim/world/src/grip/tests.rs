@@ -10,7 +10,7 @@ const FINGER: Finger = Finger {
     link_nm_s_per_rad: 0.05,
     play_rad: 0.0,
     servo_nm_per_rad: 6.0,
-    servo_nm_s_per_rad: 0.06,
+    servo_nm_s_per_rad: 0.135,
 };
 const PADS: Pads = Pads { stiffness_n_per_m: 8e4, damping_n_s_per_m: 30.0, friction: 0.8, creep_per_s: 0.0 };
 const DISC: Held =

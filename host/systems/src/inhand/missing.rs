@@ -27,6 +27,8 @@ const EFFECTS: [Effect; 4] = [
     Effect { name: "backlash", start: &[5e-4], absent: 0.0 },
     Effect { name: "zero-offset", start: &[0.01], absent: 0.0 },
 ];
+/// Largest sizes: beyond them an effect is seen without a search. Radius of an edge, 1 mm/s of slip, 5 mm of play, 6 degrees.
+const MOST: [f64; 4] = [0.03, 1e-3, 5e-3, 0.1];
 /// Newton steps for the turn of an object with round edges.
 const TURN_STEPS: usize = 8;
 
@@ -75,6 +77,9 @@ fn predicted(w_m: f64, effect: Option<usize>, parameters: &[f64], run: &[Seen]) 
     let &[b_m, c_m, d_m, ref rest @ ..] = parameters else { return Vec::new() };
     let base = Linkage { b_m, c_m, d_m };
     let size = rest.first().copied().unwrap_or(0.0);
+    if effect.is_some_and(|effect| size.abs() > MOST[effect]) {
+        return Vec::new();
+    }
     if effect == Some(0) {
         return rolling(w_m, base, size, run);
     }

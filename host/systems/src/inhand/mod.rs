@@ -78,7 +78,7 @@ static ABOUT: About = About {
         "friction 0.7 to 1.0 and stiffness 6e4 to 1e5 N/m of the pads, uniform",
         "compliance and play behind the encoders 0.8 to 1.2 times the file's, uniform",
         "zeros of the encoders wrong by 0.5 mrad, normal; noise of encoders and analog inputs",
-        "blind arms: square with sharp edges, and one of: radius 0.15 to 0.5 of its size; creep 20 to 60 /s; play of the rack 1 to \
+        "blind arms: square with sharp edges, and one of: radius 0.15 to 0.4 of its size; creep 4 to 12 /s; play of the rack 1 to \
          2.5 mm; left zero wrong by 20 to 50 mrad",
     ],
     arms: &[
@@ -225,7 +225,11 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
 
 /// Metrics of a search for what is hidden.
 fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error> {
-    let found = missing::find(setup, stops)?;
+    // A base model that does not fit an object that was lost names nothing.
+    let found = match missing::find(setup, stops) {
+        Err(Error::Effects(_)) => None,
+        found => found?,
+    };
     let share = |is: bool| f64::from(u8::from(is));
     let Some(name) = missing::name(hidden) else {
         return Ok(Values::from([("clean_quiet".to_owned(), share(found.is_none()))]));

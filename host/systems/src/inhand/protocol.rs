@@ -74,6 +74,8 @@ pub struct Truth {
     pub grip_n: f64,
     /// Speed of the object, m/s.
     pub object_m_s: f64,
+    /// Palm and fingers.
+    pub at: Observation,
 }
 
 impl Truth {
@@ -89,7 +91,8 @@ impl Truth {
             _ => f64::NAN,
         };
         let grip_n = touches[0].map_or(0.0, |touch| touch.normal_n);
-        Self { contact_m, size_m, grip_n, object_m_s: body.object_m_s() }
+        let at = Observation { palm_m: body.width_m(), finger_rad: body.finger_rad() };
+        Self { contact_m, size_m, grip_n, object_m_s: body.object_m_s(), at }
     }
 }
 
@@ -174,6 +177,10 @@ impl Hand<'_, '_> {
         if number == 2 && value_rad != self.set_rad[2] {
             self.palm_direction = (value_rad - self.set_rad[2]).signum();
         }
+        // Fingers that close on nothing stop at the ends of their servos' travel.
+        let info = self.session.board.channel(self.setup.joints[number].servo)?.mode(Mode::Position);
+        let value_rad =
+            info.map_or(value_rad, |info| value_rad.clamp(info.range.min.into(), info.range.max.into()));
         self.set_rad[number] = value_rad;
         let setpoint = Setpoint { mode: Mode::Position, value: value_rad as f32 };
         Ok(self.session.board.set(self.setup.joints[number].servo, setpoint).await?)
@@ -292,6 +299,6 @@ pub(super) fn look(session: &Session<'_>) -> Result<Truth, Error> {
     match world.body() {
         Some(AnyBody::TwoFingers(body)) => Ok(Truth::of(body)),
         // `Setup::of` refuses every other robot.
-        _ => Ok(Truth { contact_m: [f64::NAN; 2], size_m: f64::NAN, grip_n: 0.0, object_m_s: 0.0 }),
+        _ => Ok(Truth { contact_m: [f64::NAN; 2], size_m: f64::NAN, grip_n: 0.0, object_m_s: 0.0, at: Observation { palm_m: f64::NAN, finger_rad: [f64::NAN; 2] } }),
     }
 }

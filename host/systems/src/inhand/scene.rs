@@ -96,11 +96,11 @@ impl Case {
         match hidden {
             Hidden::Nothing => {}
             Hidden::Migration => {
-                case.hidden = sampler.uniform(0.15, 0.5) * case.across_m;
+                case.hidden = sampler.uniform(0.15, 0.4) * case.across_m;
                 case.edge_m = case.hidden;
             }
             Hidden::Slip => {
-                case.hidden = sampler.uniform(20.0, 60.0);
+                case.hidden = sampler.uniform(4.0, 12.0);
                 case.pads.creep_per_s = case.hidden;
             }
             Hidden::Backlash => {
