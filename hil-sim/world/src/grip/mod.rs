@@ -350,7 +350,7 @@ impl TwoFingers {
     }
 
     /// One step: forces of all contacts, then servos, fingers and object.
-    fn advance(&mut self, set_rad: [f64; 2], step_s: f64) {
+    fn advance(&mut self, set_rad: [f64; 2], widens_m_s: f64, step_s: f64) {
         let Pads { stiffness_n_per_m, damping_n_s_per_m, friction, creep_per_s } = self.pads;
         let Finger { length_m, half_width_m, .. } = self.finger;
         let edge_m = self.held.edge_m;
@@ -358,7 +358,8 @@ impl TwoFingers {
         let (mut force_n, mut torque_nm, mut joints_nm) = ([0.0; 2], 0.0, [0.0; 2]);
         for number in 0..2 {
             let side = &mut self.sides[number];
-            let joint_m = [if number == 0 { -0.5 } else { 0.5 } * self.width_m, 0.0];
+            let sign = if number == 0 { -0.5 } else { 0.5 };
+            let (joint_m, joint_m_s) = ([sign * self.width_m, 0.0], sign * widens_m_s);
             let (sin, cos) = libm::sincos(side.finger_rad);
             let along = [cos, sin];
             let inwards = if number == 0 { [sin, -cos] } else { [-sin, cos] };
@@ -375,7 +376,7 @@ impl TwoFingers {
                 let contact_m = [centre_m[0] - edge_m * inwards[0], centre_m[1] - edge_m * inwards[1]];
                 let arm_m = [arc[0] - edge_m * inwards[0], arc[1] - edge_m * inwards[1]];
                 let relative_m_s = [
-                    self.velocity_m_s[0] - self.rate_rad_s * arm_m[1] + side.rate_rad_s * contact_m[1],
+                    self.velocity_m_s[0] - joint_m_s - self.rate_rad_s * arm_m[1] + side.rate_rad_s * contact_m[1],
                     self.velocity_m_s[1] + self.rate_rad_s * arm_m[0] - side.rate_rad_s * contact_m[0],
                 ];
                 let normal_n =
@@ -459,7 +460,7 @@ impl Body for TwoFingers {
         let end_m = begin_m.clamp(asked_m - 0.5 * self.palm.play_m, asked_m + 0.5 * self.palm.play_m);
         for part in 1..=count as usize {
             self.width_m = begin_m + (end_m - begin_m) * part as f64 / count;
-            self.advance(end_rad, part_s);
+            self.advance(end_rad, (end_m - begin_m) / step_s, part_s);
         }
         self.show(palm.position);
     }

@@ -42,7 +42,7 @@ fn a_robot_without_fingers_is_refused() {
 #[test]
 #[ignore]
 fn debug_table() {
-    for seed in 1..=8 {
+    for seed in 1..=16 {
         let t = trial(OURS, seed);
         let (case, setup, stops) = recorded(&t).expect("r");
         let w_m = setup.finger.half_width_m;
