@@ -7,9 +7,9 @@ use r4_protocol::{
     config::BoardConfig,
 };
 use r4_world::{
-    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Encoders, Finger, GripError, Held, Lift,
-    Link, Outline, Pads, Palm, Person, Point, Pose, Scene, SceneError, SlipLaw, Surface, TailError, TwoFingers, Tyre,
-    Wearer, Wheel, Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Encoders, Finger, GripError, Held,
+    Lift, Link, Outline, Pads, Palm, Person, Point, Pose, Scene, SceneError, SlipLaw, Surface, TailError, TwoFingers,
+    Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
@@ -434,16 +434,17 @@ impl GripTable {
         let held = Held { side_m, edge_m, mass_kg, table_friction, place_m, angle_rad };
         let EncoderTable { step_rad, noise_rad, offset_rad, seed } = self.encoder;
         let encoders = Encoders { step_rad, noise_rad, offset_rad, seed };
-        let body = TwoFingers::new(Palm { zero_m, m_per_rad, play_m }, finger, pads, held, encoders).map_err(|why| {
-            let table = match why {
-                GripError::Palm => "palm",
-                GripError::Finger => "finger",
-                GripError::Pads { .. } => "pads",
-                GripError::Object => "object",
-                GripError::Encoders => "encoder",
-            };
-            source.rule(format!("body.two-fingers.{table}"), why)
-        })?;
+        let body =
+            TwoFingers::new(Palm { zero_m, m_per_rad, play_m }, finger, pads, held, encoders).map_err(|why| {
+                let table = match why {
+                    GripError::Palm => "palm",
+                    GripError::Finger => "finger",
+                    GripError::Pads { .. } => "pads",
+                    GripError::Object => "object",
+                    GripError::Encoders => "encoder",
+                };
+                source.rule(format!("body.two-fingers.{table}"), why)
+            })?;
         Ok(SimulatedBody { kind: AnyBody::TwoFingers(Box::new(body)), channels: shafts.channels })
     }
 }

@@ -202,13 +202,15 @@ impl TwoFingers {
     pub fn new(palm: Palm, finger: Finger, pads: Pads, held: Held, encoders: Encoders) -> Result<Self, GripError> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
-        if !positive(palm.zero_m) || !palm.m_per_rad.is_finite() || palm.m_per_rad == 0.0 || !not_negative(palm.play_m) {
+        if !positive(palm.zero_m) || !palm.m_per_rad.is_finite() || palm.m_per_rad == 0.0 || !not_negative(palm.play_m)
+        {
             return Err(GripError::Palm);
         }
         let Finger { length_m, half_width_m, inertia_kg_m2, link_nm_per_rad, link_nm_s_per_rad, play_rad, .. } = finger;
         let Finger { servo_nm_per_rad, servo_nm_s_per_rad, .. } = finger;
         let above = [length_m, inertia_kg_m2, link_nm_per_rad, servo_nm_per_rad, servo_nm_s_per_rad];
-        if !above.into_iter().all(positive) || ![half_width_m, link_nm_s_per_rad, play_rad].into_iter().all(not_negative)
+        if !above.into_iter().all(positive)
+            || ![half_width_m, link_nm_s_per_rad, play_rad].into_iter().all(not_negative)
         {
             return Err(GripError::Finger);
         }
@@ -379,8 +381,7 @@ impl TwoFingers {
                     self.velocity_m_s[0] - joint_m_s - self.rate_rad_s * arm_m[1] + side.rate_rad_s * contact_m[1],
                     self.velocity_m_s[1] + self.rate_rad_s * arm_m[0] - side.rate_rad_s * contact_m[0],
                 ];
-                let normal_n =
-                    (-stiffness_n_per_m * gap_m - damping_n_s_per_m * dot(relative_m_s, inwards)).max(0.0);
+                let normal_n = (-stiffness_n_per_m * gap_m - damping_n_s_per_m * dot(relative_m_s, inwards)).max(0.0);
                 let slip_m_s = dot(relative_m_s, along);
                 *spring_m += (slip_m_s - creep_per_s * *spring_m) * step_s;
                 let mut along_n = -stiffness_n_per_m * *spring_m - damping_n_s_per_m * slip_m_s;

@@ -67,12 +67,7 @@ impl SumOfSquares for Problem<'_> {
 }
 
 /// The parameters with the least sum of squared `residuals` inside `low..=high`, followed downhill from `start`, and that sum.
-pub(super) fn fit(
-    low: &[f64],
-    high: &[f64],
-    start: &[f64],
-    residuals: &dyn Fn(&[f64]) -> Vec<f64>,
-) -> (Vec<f64>, f64) {
+pub(super) fn fit(low: &[f64], high: &[f64], start: &[f64], residuals: &dyn Fn(&[f64]) -> Vec<f64>) -> (Vec<f64>, f64) {
     let variable = |(place, value): (usize, &f64)| {
         let share: f64 = 2.0 * (value - low[place]) / (high[place] - low[place]) - 1.0;
         // At a bound the slope is 0, and the search would stay there.
@@ -94,6 +89,9 @@ mod tests {
     #[test]
     fn a_minimum_beyond_a_bound_is_at_it() {
         let (found, sum) = fit(&[0.0, 0.0], &[1.0, 5.0], &[0.5, 1.0], &|at| vec![at[0] - 2.0, at[1] - 3.0, 0.0]);
-        assert!((found[0] - 1.0).abs() < 1e-6 && (found[1] - 3.0).abs() < 1e-6 && (sum - 1.0).abs() < 1e-6, "{found:?}");
+        assert!(
+            (found[0] - 1.0).abs() < 1e-6 && (found[1] - 3.0).abs() < 1e-6 && (sum - 1.0).abs() < 1e-6,
+            "{found:?}"
+        );
     }
 }

@@ -38,6 +38,7 @@ const PIVOT: &str = "baseline:pivot-only";
 const OURS: &str = "ours";
 const SHARP: &str = "ablation:no-migration";
 const PLAIN: &str = "ablation:plain-readings";
+const EXACT: &str = "ablation:perfect-encoders";
 const CLEAN: &str = "blind:clean";
 /// Arms in which something is hidden.
 const BLIND: [(&str, Hidden); 5] = [
@@ -78,16 +79,20 @@ static ABOUT: About = About {
         "friction 0.7 to 1.0 and stiffness 6e4 to 1e5 N/m of the pads, uniform",
         "compliance and play behind the encoders 0.8 to 1.2 times the file's, uniform",
         "zeros of the encoders wrong by 0.5 mrad, normal; noise of encoders and analog inputs",
-        "blind arms: square with sharp edges, and one of: radius 0.15 to 0.4 of its size; creep 4 to 12 /s; play of the rack 1 to \
-         2.5 mm; left zero wrong by 20 to 50 mrad",
+        "blind arms: square with sharp edges, 25 to 45 mm, and one of: radius 0.15 to 0.4 of its size; creep 1.5 to 4 /s; play of the \
+         rack 1 to 2.5 mm; left zero wrong by 20 to 35 mrad",
     ],
     arms: &[
         board(PAPER, "four-bar linkage with constant links, encoders as they are, both motions"),
         board(ROLL, "the same, rolling alone"),
         board(PIVOT, "the same, pivoting by the palm alone"),
-        board(OURS, "contacts that roll by a radius that is fitted, readings corrected by play and compliance of the data sheet"),
+        board(
+            OURS,
+            "contacts that roll by a radius that is fitted, readings corrected by play and compliance of the data sheet",
+        ),
         board(SHARP, "ours without migration of the contacts"),
         board(PLAIN, "ours with the encoders as they are"),
+        board(EXACT, "ours on the true angles of fingers and palm"),
         board("blind:migration", "edges are round: what the constant linkage lacks, by search"),
         board("blind:slip", "contacts creep"),
         board("blind:backlash", "the palm's rack has play that is in no data sheet"),
@@ -196,7 +201,12 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
             ([b_m, d_m], c_m, None)
         }
         _ => {
-            let seen = if arm == PLAIN { &plain } else { &corrected };
+            let exact: Vec<Observation> = used.iter().map(|stop| stop.truth.at).collect();
+            let seen = match arm {
+                PLAIN => &plain,
+                EXACT => &exact,
+                _ => &corrected,
+            };
             let Some(grasp) = rolling::fit(w_m, seen, arm != SHARP) else { return values };
             (grasp.contact_m, grasp.size_m, Some(grasp.across_m))
         }

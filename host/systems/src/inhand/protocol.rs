@@ -13,9 +13,8 @@ use super::{four_bar::Observation, scene::Setup};
 const PIVOT_M: f64 = 0.015;
 const ROLL_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// Stops of a motion, as shares of its way: from the middle to one end, to the other, and back. Each place is reached from both sides.
-const SHARES: [f64; 21] = [
-    0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0,
-];
+const SHARES: [f64; 21] =
+    [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0];
 /// The set point's lead over the shaft that holds the grip, rad: 0.3 N m by a servo of 6 N m/rad. Experiment: seeds 1 to 20; with half of
 /// it objects slip where the fingers lean most, with twice as much the pads give by 0.1 mm and sizes come out so much smaller.
 pub(super) const SQUEEZE_RAD: f64 = 0.05;
@@ -85,9 +84,7 @@ impl Truth {
         let touches = body.touches();
         let contact_m = touches.map(|touch| touch.map_or(f64::NAN, |touch| touch.distance_m));
         let size_m = match touches {
-            [Some(left), Some(right)] => {
-                (right.place_m[0] - left.place_m[0]).hypot(right.place_m[1] - left.place_m[1])
-            }
+            [Some(left), Some(right)] => (right.place_m[0] - left.place_m[0]).hypot(right.place_m[1] - left.place_m[1]),
             _ => f64::NAN,
         };
         let grip_n = touches[0].map_or(0.0, |touch| touch.normal_n);
@@ -137,12 +134,7 @@ struct Hand<'h, 'b> {
 ///
 /// # Errors
 /// When the board is not virtual, does not arm, or stops, or a state takes too long: nothing was there to be gripped.
-pub async fn manipulate(
-    session: &Session<'_>,
-    setup: &Setup,
-    palm_m: f64,
-    repeats: usize,
-) -> Result<Vec<Stop>, Error> {
+pub async fn manipulate(session: &Session<'_>, setup: &Setup, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
     for joint in &setup.joints {
         session.board.subscribe(joint.encoder, READ_EVERY_MS).await?;
     }
@@ -179,8 +171,7 @@ impl Hand<'_, '_> {
         }
         // Fingers that close on nothing stop at the ends of their servos' travel.
         let info = self.session.board.channel(self.setup.joints[number].servo)?.mode(Mode::Position);
-        let value_rad =
-            info.map_or(value_rad, |info| value_rad.clamp(info.range.min.into(), info.range.max.into()));
+        let value_rad = info.map_or(value_rad, |info| value_rad.clamp(info.range.min.into(), info.range.max.into()));
         self.set_rad[number] = value_rad;
         let setpoint = Setpoint { mode: Mode::Position, value: value_rad as f32 };
         Ok(self.session.board.set(self.setup.joints[number].servo, setpoint).await?)
@@ -268,10 +259,9 @@ impl Hand<'_, '_> {
         palm_rad: f64,
     ) -> Result<([f64; 3], Truth), Error> {
         let (to_left_rad, to_palm_rad) = match motion {
-            Motion::Pivot => (
-                left_rad - 0.5 * share * PIVOT_M / NOMINAL_M,
-                palm_rad + share * PIVOT_M / self.setup.palm.m_per_rad,
-            ),
+            Motion::Pivot => {
+                (left_rad - 0.5 * share * PIVOT_M / NOMINAL_M, palm_rad + share * PIVOT_M / self.setup.palm.m_per_rad)
+            }
             Motion::Roll => (left_rad + share * ROLL_RAD, palm_rad),
         };
         let [from_left_rad, _, from_palm_rad] = self.set_rad;
@@ -299,6 +289,12 @@ pub(super) fn look(session: &Session<'_>) -> Result<Truth, Error> {
     match world.body() {
         Some(AnyBody::TwoFingers(body)) => Ok(Truth::of(body)),
         // `Setup::of` refuses every other robot.
-        _ => Ok(Truth { contact_m: [f64::NAN; 2], size_m: f64::NAN, grip_n: 0.0, object_m_s: 0.0, at: Observation { palm_m: f64::NAN, finger_rad: [f64::NAN; 2] } }),
+        _ => Ok(Truth {
+            contact_m: [f64::NAN; 2],
+            size_m: f64::NAN,
+            grip_n: 0.0,
+            object_m_s: 0.0,
+            at: Observation { palm_m: f64::NAN, finger_rad: [f64::NAN; 2] },
+        }),
     }
 }

@@ -90,10 +90,8 @@ pub fn fit(w_m: f64, seen: &[Observation], rolls: bool) -> Option<Grasp> {
     let &[left_m, right_m, e_x, e_y, radius_m] = &numbers[..] else { return None };
     let [left_rad, right_rad] = first.finger_rad;
     // Contacts are a radius outside the centres, at right angles to the fingers.
-    let between = [
-        e_x + radius_m * (right_rad.sin() + left_rad.sin()),
-        e_y - radius_m * (right_rad.cos() + left_rad.cos()),
-    ];
+    let between =
+        [e_x + radius_m * (right_rad.sin() + left_rad.sin()), e_y - radius_m * (right_rad.cos() + left_rad.cos())];
     Some(Grasp {
         contact_m: [left_m.hypot(w_m), right_m.hypot(w_m)],
         size_m: between[0].hypot(between[1]),

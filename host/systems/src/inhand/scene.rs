@@ -15,6 +15,8 @@ const OF_HIDDEN: u64 = 2;
 
 /// Edges that do not roll, m: what blind trials have where nothing is hidden.
 const SHARP_M: f64 = 5e-5;
+/// Smallest object of blind trials, m.
+const SMALLEST_HIDING_M: f64 = 0.025;
 /// From a joint along the finger to a contact in the middle of what is sampled, m.
 const MIDDLE_M: f64 = 0.078;
 
@@ -93,6 +95,8 @@ impl Case {
     pub fn hiding(seed: u64, hidden: Hidden) -> Self {
         let mut sampler = Sampler::new(seed, OF_HIDDEN);
         let mut case = Self { edge_m: SHARP_M, ..Self::of(seed) };
+        // Smaller squares with sharp edges leave the friction cone within the paper's rolling: there is no grasp to compare.
+        case.resize(sampler.uniform(SMALLEST_HIDING_M, 0.045), sampler.uniform(0.06, 0.12));
         match hidden {
             Hidden::Nothing => {}
             Hidden::Migration => {
@@ -100,7 +104,7 @@ impl Case {
                 case.edge_m = case.hidden;
             }
             Hidden::Slip => {
-                case.hidden = sampler.uniform(4.0, 12.0);
+                case.hidden = sampler.uniform(1.5, 4.0);
                 case.pads.creep_per_s = case.hidden;
             }
             Hidden::Backlash => {
@@ -109,11 +113,16 @@ impl Case {
             }
             Hidden::ZeroOffset => {
                 let sign = if sampler.uniform(-1.0, 1.0) < 0.0 { -1.0 } else { 1.0 };
-                case.hidden = sign * sampler.uniform(0.02, 0.05);
+                case.hidden = sign * sampler.uniform(0.02, 0.035);
                 case.encoder_rad[0] += case.hidden;
             }
         }
         case
+    }
+
+    fn resize(&mut self, across_m: f64, lean_rad: f64) {
+        self.across_m = across_m;
+        self.palm_m = across_m + 2.0 * (0.008 + MIDDLE_M * lean_rad);
     }
 
     /// Lies across the fingers with two opposite edges, or anyhow if it is a disc.
