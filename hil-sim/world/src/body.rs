@@ -2,7 +2,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-use crate::{outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
+use crate::{grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -155,6 +155,8 @@ pub enum AnyBody {
     Wheeled(Box<Wheeled>),
     /// A person with a tail on the back.
     BalanceTail(Box<BalanceTail>),
+    /// Two fingers with an object between them.
+    TwoFingers(Box<TwoFingers>),
 }
 
 impl Deref for AnyBody {
@@ -164,6 +166,7 @@ impl Deref for AnyBody {
         match self {
             Self::Wheeled(body) => &**body,
             Self::BalanceTail(body) => &**body,
+            Self::TwoFingers(body) => &**body,
         }
     }
 }
@@ -173,6 +176,7 @@ impl DerefMut for AnyBody {
         match self {
             Self::Wheeled(body) => &mut **body,
             Self::BalanceTail(body) => &mut **body,
+            Self::TwoFingers(body) => &mut **body,
         }
     }
 }

@@ -8,6 +8,7 @@
 //! counterclockwise seen from above (REP-103).
 
 mod body;
+mod grip;
 mod outline;
 mod pneumatic;
 mod scene;
@@ -16,6 +17,7 @@ mod tyre;
 mod wheeled;
 
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
+pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};

@@ -14,6 +14,7 @@ pub mod absim;
 pub mod effects;
 mod error;
 mod figure;
+pub mod inhand;
 pub mod osmc;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -97,7 +98,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &inhand::Inhand]
 }
 
 /// The system with this name.
