@@ -8,6 +8,7 @@
 //! counterclockwise seen from above (REP-103).
 
 mod body;
+pub mod cable_loop;
 mod outline;
 mod pneumatic;
 mod scene;
@@ -16,6 +17,7 @@ mod tyre;
 mod wheeled;
 
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
+pub use cable_loop::{CableLoop, CableLoopError};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
