@@ -118,6 +118,7 @@ fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
             Some(RigError::Open(error)) => return (of_open(error), None),
             Some(RigError::Unsuitable(error)) => return (Kind::Refused, Some(error.channel)),
             Some(RigError::NotReached(error)) => return (Kind::NotReached, Some(error.channel)),
+            Some(RigError::StateTimedOut { .. }) => return (Kind::NotReached, None),
             Some(RigError::NotVirtual(_)) => return (Kind::Refused, None),
             Some(RigError::Interrupted(_)) => return (Kind::Interrupted, None),
             _ => {}

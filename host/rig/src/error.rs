@@ -68,6 +68,14 @@ pub enum Error {
         /// The sensor.
         channel: ChannelId,
     },
+    /// A program's state did not end in time.
+    #[error("`{state}` did not end within {at_most_s} s")]
+    StateTimedOut {
+        /// Name of the state.
+        state: &'static str,
+        /// Its time-out, s.
+        at_most_s: f64,
+    },
     /// An experiment with a motor ended early.
     #[error(transparent)]
     Watch(Box<WatchError>),

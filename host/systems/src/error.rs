@@ -102,6 +102,9 @@ pub enum Error {
         /// Why not.
         source: io::Error,
     },
+    /// A search for missing effects has nothing to go by.
+    #[error("no search for missing effects: {0}")]
+    Effects(String),
     /// A statistic cannot be computed.
     #[error(transparent)]
     Statistics(#[from] StatisticsError),

@@ -11,6 +11,7 @@
 
 mod about;
 pub mod absim;
+pub mod effects;
 mod error;
 mod figure;
 pub mod osmc;
