@@ -406,10 +406,8 @@ impl CableLoopTable {
             tip_n_per_m: finger.tip_n_per_m,
             start_m: finger.start_m,
         };
-        let bowden = cable_loop::Bowden {
-            stiffness_n_per_m: bowden.stiffness_n_per_m,
-            friction_angle: bowden.friction_angle,
-        };
+        let bowden =
+            cable_loop::Bowden { stiffness_n_per_m: bowden.stiffness_n_per_m, friction_angle: bowden.friction_angle };
         let creep = cable_loop::Creep { share: creep.share, time_s: creep.time_s };
         let sensor = cable_loop::TipSensor {
             zero_n: sensor.zero_n,

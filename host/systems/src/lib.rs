@@ -11,6 +11,7 @@
 
 mod about;
 pub mod absim;
+pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
@@ -97,7 +98,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &cloop::Cloop]
 }
 
 /// The system with this name.

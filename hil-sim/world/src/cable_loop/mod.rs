@@ -157,7 +157,9 @@ pub enum Hold {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CableLoopError {
     /// The finger's numbers.
-    #[error("radius, lengths and stiffnesses of the finger must be positive, half the angle of the strands below 1.5 rad")]
+    #[error(
+        "radius, lengths and stiffnesses of the finger must be positive, half the angle of the strands below 1.5 rad"
+    )]
     Finger,
     /// The Bowden tube's numbers.
     #[error("the Bowden tube's stiffness must be positive, its friction angle from 0 to 5")]
@@ -169,7 +171,9 @@ pub enum CableLoopError {
     #[error("no axis may move the finger by 0 m for a rad, and the loop must start above the table")]
     Axes,
     /// The vial's numbers.
-    #[error("diameter, mass, height, friction and crushing force of the vial must be positive, its kinetic share above 0 and at most 1")]
+    #[error(
+        "diameter, mass, height, friction and crushing force of the vial must be positive, its kinetic share above 0 and at most 1"
+    )]
     Vial,
 }
 
@@ -231,8 +235,16 @@ impl CableLoop {
         jerk: Option<Jerk>,
     ) -> Result<Self, CableLoopError> {
         let positive = |values: &[f64]| values.iter().all(|value| *value > 0.0 && value.is_finite());
-        let Finger { spool_radius_m, legs_m, bend_radius_m, thickness_m, strand_n, half_angle_rad, tip_n_per_m, start_m } =
-            finger;
+        let Finger {
+            spool_radius_m,
+            legs_m,
+            bend_radius_m,
+            thickness_m,
+            strand_n,
+            half_angle_rad,
+            tip_n_per_m,
+            start_m,
+        } = finger;
         let sizes = [spool_radius_m, legs_m, bend_radius_m, thickness_m, strand_n, tip_n_per_m, start_m];
         if !positive(&sizes) || !(0.0..1.5).contains(&half_angle_rad) {
             return Err(CableLoopError::Finger);
@@ -529,10 +541,10 @@ impl Body for CableLoop {
         loads.fill(0.0);
         let position = |number: usize| shafts.get(number).map_or(0.0, |shaft| shaft.position);
         self.state.time_s = time_s;
-        self.state.tip_m =
-            [position(2) * self.axes.ahead_m_per_rad, position(3) * self.axes.aside_m_per_rad];
+        self.state.tip_m = [position(2) * self.axes.ahead_m_per_rad, position(3) * self.axes.aside_m_per_rad];
         let target_m = self.axes.raised_m - position(1) * self.axes.lift_m_per_rad;
-        let acceleration_m_s2 = (target_m - self.state.loop_m) / (FINGER_S * FINGER_S) - 2.0 * self.state.loop_m_s / FINGER_S;
+        let acceleration_m_s2 =
+            (target_m - self.state.loop_m) / (FINGER_S * FINGER_S) - 2.0 * self.state.loop_m_s / FINGER_S;
         self.state.loop_m_s += acceleration_m_s2 * step_s;
         self.state.loop_m += self.state.loop_m_s * step_s;
         self.pull(0.5 * self.finger.start_m + position(0) * self.finger.spool_radius_m, step_s);
