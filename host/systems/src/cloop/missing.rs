@@ -32,8 +32,14 @@ const OF_HIDDEN: u64 = 3;
 const FOLDS: usize = 5;
 /// Depths of a recording's first draw, rad beyond the contact.
 const DEPTHS_RAD: [f64; FOLDS] = [0.20, 0.26, 0.16, 0.23, 0.19];
-/// A sample out of so many is used: 20 ms.
-const EVERY: usize = 2;
+/// A sample is used where the spool moved no more than this in [`STANDS`] samples, rad: the board's filter of the force lags behind the
+/// angle, which in motion looks like friction (0 of 60 clean recordings stayed quiet with all samples).
+const STANDS_RAD: f64 = 1e-3;
+/// 100 ms.
+const STANDS: usize = 10;
+/// Least size of each effect that is claimed: the encoder's steps, 12 mN at a hold, are alike over the whole hold, so that the
+/// interval of a size is too narrow (13 of 40 clean recordings claimed one without this).
+const LEAST: [f64; 4] = [0.05, 0.03, 0.004, 0.1];
 
 /// Effects.
 const EFFECTS: [Effect; 4] = [
@@ -79,7 +85,7 @@ impl Hidden {
     }
 }
 
-/// Samples of a recording: time, s, spool angle, rad, force as the sensor shows it, N.
+/// Samples of a recording: time from the first recording's begin, s, spool angle, rad, force as the sensor shows it, N.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
     samples: Vec<[f64; 3]>,
@@ -95,26 +101,31 @@ async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, 
             for depth_rad in DEPTHS_RAD {
                 let mut recording = Recording::default();
                 // Out, in, held, half back, held, in again, out.
-                for (place, hold_s) in [(-0.1, 0.2), (1.0, 0.8), (0.6, 0.4), (0.9, 0.4), (-0.1, 0.1)] {
+                for (place, hold_s) in [(-0.1, 0.4), (1.0, 0.9), (0.6, 0.5), (0.9, 0.5), (-0.1, 0.1)] {
                     gripper.record_to(contact_rad - place * depth_rad, hold_s, &mut recording.samples).await?;
                 }
                 recordings.push(recording);
             }
             gripper.stop()?;
+            let begin_s =
+                recordings.first().and_then(|first: &Recording| first.samples.first()).map_or(0.0, |first| first[0]);
+            let all = recordings.iter_mut().flat_map(|recording| &mut recording.samples);
+            all.for_each(|sample| sample[0] -= begin_s);
             Ok(recordings)
         })
         .await
 }
 
-/// Predicted forces of a recording: `[zero, K, contact]` and what an effect adds.
-fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, tube_share: f64) -> Vec<f64> {
+/// Predicted forces of the last of some recordings in a row, which begins as those before it leave the loop: `[zero, K, contact]` and what
+/// an effect adds.
+fn predict(effect: Option<usize>, parameters: &[f64], recordings: &[Recording], tube_share: f64) -> Vec<f64> {
     let [zero_n, n_per_rad, contact_rad, ref added @ ..] = *parameters else { return Vec::new() };
     let spring_n = |angle_rad: f64, given_rad: f64| (n_per_rad * (contact_rad - given_rad - angle_rad)).max(0.0);
     let at = |place: usize| added.get(place).copied().unwrap_or(0.0);
-    let begin_s = recording.samples.first().map_or(0.0, |sample| sample[0]);
     let mut before: Option<(f64, f64)> = None;
     let mut given_rad = 0.0;
-    let predicted = recording.samples.iter().map(|[time_s, angle_rad, _]| {
+    let samples = recordings.iter().flat_map(|recording| &recording.samples);
+    let predicted = samples.map(|[time_s, angle_rad, _]| {
         let elastic_n = spring_n(*angle_rad, 0.0);
         let force_n = match effect {
             Some(0) => {
@@ -132,19 +143,27 @@ fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, tub
                 }
                 spring_n(*angle_rad, given_rad)
             }
-            Some(2) => elastic_n + at(0) * (time_s - begin_s),
+            Some(2) => elastic_n + at(0) * time_s,
             Some(_) => elastic_n + at(0) * n_per_rad * (elastic_n / n_per_rad).powi(2),
             None => elastic_n,
         };
         before = Some((*time_s, force_n));
         zero_n + force_n
     });
-    predicted.enumerate().filter(|(place, _)| place % EVERY == 0).map(|(_, force_n)| force_n).collect()
+    let [earlier @ .., last] = recordings else { return Vec::new() };
+    let skipped = earlier.iter().map(|recording| recording.samples.len()).sum();
+    predicted.skip(skipped).enumerate().filter(|(place, _)| stands(last, *place)).map(|(_, force_n)| force_n).collect()
+}
+
+/// Whether the spool stands still at a sample.
+fn stands(Recording { samples }: &Recording, place: usize) -> bool {
+    place >= STANDS && (samples[place][1] - samples[place - STANDS][1]).abs() <= STANDS_RAD
 }
 
 /// The force that the sensor of a recording showed.
 fn observed(recording: &Recording) -> Vec<f64> {
-    recording.samples.iter().step_by(EVERY).map(|sample| sample[2]).collect()
+    let standing = recording.samples.iter().enumerate().filter(|(place, _)| stands(recording, *place));
+    standing.map(|(_, sample)| sample[2]).collect()
 }
 
 /// A trial: recordings of a loop with at most one effect, and what the search says about them.
@@ -185,13 +204,16 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
 /// The effect that recordings show.
 fn search(recordings: &[Recording], setup: &Setup) -> Result<Option<crate::effects::Found>, Error> {
     let observed: Vec<Vec<f64>> = recordings.iter().map(observed).collect();
-    let slack = recordings.first().and_then(|recording| recording.samples.first()).copied().unwrap_or_default();
+    let slack_n = recordings[0].samples.iter().map(|sample| sample[2]).fold(f64::INFINITY, f64::min);
     // The farthest in of the first recording, and its force: a start for the spring.
     let deepest = recordings[0].samples.iter().copied().min_by(|a, b| a[1].total_cmp(&b[1])).unwrap_or_default();
     let contact_rad = deepest[1] + DEPTHS_RAD[0];
-    let base_start = [slack[2], (deepest[2] - slack[2]) / DEPTHS_RAD[0], contact_rad];
+    let base_start = [slack_n, (deepest[2] - slack_n) / DEPTHS_RAD[0], contact_rad];
     let predict = |effect: Option<usize>, parameters: &[f64], fold: usize| {
-        predict(effect, parameters, &recordings[fold], setup.tube_share)
+        predict(effect, parameters, &recordings[..=fold], setup.tube_share)
     };
-    Search { base_start: &base_start, effects: &EFFECTS, observed: &observed, predict: &predict }.run()
+    let found = Search { base_start: &base_start, effects: &EFFECTS, observed: &observed, predict: &predict }.run()?;
+    let least =
+        |name: &str| EFFECTS.iter().zip(LEAST).find(|(effect, _)| effect.name == name).map_or(0.0, |(_, least)| least);
+    Ok(found.filter(|found| found.size.abs() >= least(found.name)))
 }

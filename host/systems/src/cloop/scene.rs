@@ -75,7 +75,7 @@ impl Case {
             jerk: Some(Jerk {
                 after_s: uniform(0.2, 0.6),
                 lasts_s: uniform(0.03, 0.12),
-                acceleration_m_s2: uniform(0.0, 12.0),
+                acceleration_m_s2: uniform(0.0, 18.0),
             }),
             friction_angle: uniform(0.15, 0.75),
             creep: Creep { share: uniform(0.1, 0.3), time_s: uniform(0.5, 2.0) },
@@ -199,6 +199,10 @@ pub struct Setup {
     pub bend_radius_m: f64,
     /// Room between the vial and the loop's inner side that leaves as much outside it, m.
     pub gap_m: f64,
+    /// Half the angle between the strands, rad.
+    pub half_angle_rad: f64,
+    /// Strand for each newton: of the tube; of the tip; and of each metre of loop, m/N and 1/N.
+    pub stretch: [f64; 3],
     /// Share of the stretch that is the Bowden tube's, without friction, 1: of the retracted loop.
     pub tube_share: f64,
 }
@@ -240,6 +244,8 @@ impl Setup {
             spool_radius_m,
             legs_m,
             bend_radius_m,
+            half_angle_rad,
+            stretch: [tube_m_per_n, 2.0 * half_angle_rad.cos().powi(2) / tip_n_per_m, 0.5 / strand_n],
             gap_m: 0.5 * (body.vial().clearance_m - thickness_m),
             tube_share: tube_m_per_n / (tube_m_per_n + outer_m_per_n),
         })
@@ -249,5 +255,13 @@ impl Setup {
     #[must_use]
     pub fn tight_m(&self, diameter_m: f64) -> f64 {
         PI * diameter_m + self.legs_m
+    }
+
+    /// Spool angle between the contact and a force on the tip, rad, by the data sheet and without friction in the tube.
+    #[must_use]
+    pub fn stretch_rad(&self, diameter_m: f64, force_n: f64) -> f64 {
+        let [tube_m_per_n, tip_m_per_n, loop_per_n] = self.stretch;
+        let tension_n = force_n / (2.0 * self.half_angle_rad.cos());
+        tension_n * (tube_m_per_n + tip_m_per_n + loop_per_n * self.tight_m(diameter_m)) / self.spool_radius_m
     }
 }
