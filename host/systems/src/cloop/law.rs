@@ -79,12 +79,13 @@ pub struct SlipWatch {
 }
 
 impl SlipWatch {
-    /// Low-pass, s. With 0.1 s creep at its fastest, 2.1 N/s, lags 0.2 N behind and raised false alarms in one of ten trials (seeds 1 to 60).
-    const FILTER_S: f64 = 0.03;
-    /// Drop that is none, N: 0.06 N of creep and the noise.
-    const ALLOWED_N: f64 = 0.09;
-    /// Sum that is slip, N: two or three samples of a sliding vial, which takes 8 % of 3.5 N.
-    const ALARM_N: f64 = 0.18;
+    /// Low-pass, s; this and the two below by the forces of seeds 1 to 59, 66, 92, 200 and 280: 0.245 N of the sum where a vial slid 14 mm,
+    /// 0.028 N at most in the others. With 0.08 s the others come to 0.32 N.
+    const FILTER_S: f64 = 0.05;
+    /// Drop that is none, N: five times the noise of the filtered force.
+    const ALLOWED_N: f64 = 0.03;
+    /// Sum that is slip, N.
+    const ALARM_N: f64 = 0.08;
 
     /// Takes a force and says whether the vial slides.
     pub fn next(&mut self, force_n: f64, after_s: f64) -> bool {
@@ -164,13 +165,13 @@ mod tests {
     fn a_drop_is_slip_and_creep_is_not() {
         let mut watch = SlipWatch::default();
         for step in 0..300 {
-            // 30 % at a time constant of 0.5 s, the fastest that is sampled, in the spread of noise.
-            let force_n = 3.5 - 1.05 * (1.0 - (-0.02 * f64::from(step)).exp()) + 0.02 * f64::from(step % 3 - 1);
+            // What the force loop leaves of creep, 0.3 N/s at first, in the spread of noise.
+            let force_n = 3.5 - 0.2 * (1.0 - (-0.015 * f64::from(step)).exp()) + 0.006 * f64::from(step % 3 - 1);
             assert!(!watch.next(force_n, 0.01), "step {step}");
         }
         let mut alarmed_after = None;
         for step in 1..5 {
-            if watch.next(2.45 - 0.28, 0.01) && alarmed_after.is_none() {
+            if watch.next(3.30 - 0.15, 0.01) && alarmed_after.is_none() {
                 alarmed_after = Some(step);
             }
         }
