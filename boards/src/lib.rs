@@ -31,7 +31,7 @@ pub use robot::{
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 8] = [
+const ROBOTS: [&str; 9] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -40,6 +40,7 @@ const ROBOTS: [&str; 8] = [
     "balance-tail",
     "every-interface",
     "two-finger-gripper",
+    "cable-loop",
 ];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];

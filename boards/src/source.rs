@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 18] = [
+const BUILT_IN: [(&str, &str); 20] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -37,6 +37,8 @@ const BUILT_IN: [(&str, &str); 18] = [
     ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
     ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
     ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
+    ("cable-loop.toml", include_str!("../cable-loop.toml")),
+    ("plants/cable-loop-spool.toml", include_str!("../plants/cable-loop-spool.toml")),
 ];
 
 /// Where the files that a file names are looked up.

@@ -14,6 +14,7 @@ const ALL: &str = include_str!("../../every-interface.toml");
 const CAR: &str = include_str!("../../openpodcar.toml");
 const SKID_STEERED: &str = include_str!("../../openscout.toml");
 const TAIL: &str = include_str!("../../balance-tail.toml");
+const LOOP: &str = include_str!("../../cable-loop.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -507,6 +508,13 @@ const TAIL_MISTAKES: &[Mistake] = &[
     there("input = 1, lines", "input = 0, lines", "simulation.bldc[1].encoder.input", "encoder `0` is already used"),
 ];
 
+const LOOP_MISTAKES: &[Mistake] = &[
+    there("lift = \"stepper0\"", "lift = \"stepper1\"", "body.cable-loop.ahead", "a channel of its own"),
+    there("spool = \"dhb0\"", "spool = \"dhb1\"", "body.cable-loop.spool", "no channel that turns `dhb1`"),
+    there("legs_m = 0.012", "legs_m = 0.0", "body.cable-loop.finger.legs_m", "must be above 0"),
+    there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.analog[0].body.reading", "no `force_kg`"),
+];
+
 const CARRIER_MISTAKES: &[Mistake] = &[
     there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
     there(
@@ -620,6 +628,7 @@ fn mistakes_in_a_robot_file() {
         (CAR, CAR_MISTAKES),
         (SKID_STEERED, SKID_MISTAKES),
         (TAIL, TAIL_MISTAKES),
+        (LOOP, LOOP_MISTAKES),
     ];
     let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
     let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();

@@ -2,7 +2,9 @@
 
 use std::ops::{Deref, DerefMut};
 
-use crate::{grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
+use crate::{
+    cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled,
+};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -157,6 +159,8 @@ pub enum AnyBody {
     BalanceTail(Box<BalanceTail>),
     /// Two fingers with an object between them.
     TwoFingers(Box<TwoFingers>),
+    /// A gripper with a loop that closes round a vial.
+    CableLoop(Box<CableLoop>),
 }
 
 impl Deref for AnyBody {
@@ -167,6 +171,7 @@ impl Deref for AnyBody {
             Self::Wheeled(body) => &**body,
             Self::BalanceTail(body) => &**body,
             Self::TwoFingers(body) => &**body,
+            Self::CableLoop(body) => &**body,
         }
     }
 }
@@ -177,6 +182,7 @@ impl DerefMut for AnyBody {
             Self::Wheeled(body) => &mut **body,
             Self::BalanceTail(body) => &mut **body,
             Self::TwoFingers(body) => &mut **body,
+            Self::CableLoop(body) => &mut **body,
         }
     }
 }

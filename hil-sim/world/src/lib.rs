@@ -9,6 +9,7 @@
 
 mod body;
 mod grip;
+pub mod cable_loop;
 mod outline;
 mod pneumatic;
 mod scene;
@@ -18,6 +19,7 @@ mod wheeled;
 
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
+pub use cable_loop::{CableLoop, CableLoopError};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};

@@ -11,6 +11,7 @@
 
 mod about;
 pub mod absim;
+pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
@@ -98,7 +99,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &inhand::Inhand]
+    &[&skidcal::Skidcal, &osmc::Osmc, &cloop::Cloop, &inhand::Inhand, &absim::Absim, &tail::Tail]
 }
 
 /// The system with this name.
