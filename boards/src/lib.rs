@@ -32,6 +32,7 @@ pub use robot::{
 use source::{Folder, Source};
 
 const ROBOTS: [&str; 9] = [
+const ROBOTS: [&str; 8] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -41,6 +42,7 @@ const ROBOTS: [&str; 9] = [
     "every-interface",
     "two-finger-gripper",
     "cable-loop",
+    "berry-picker",
 ];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];

@@ -19,6 +19,7 @@ use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
 const BUILT_IN: [(&str, &str); 20] = [
+const BUILT_IN: [(&str, &str); 18] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -26,6 +27,7 @@ const BUILT_IN: [(&str, &str); 20] = [
     ("openpodcar.toml", include_str!("../openpodcar.toml")),
     ("openagribot.toml", include_str!("../openagribot.toml")),
     ("balance-tail.toml", include_str!("../balance-tail.toml")),
+    ("berry-picker.toml", include_str!("../berry-picker.toml")),
     ("every-interface.toml", include_str!("../every-interface.toml")),
     ("two-finger-gripper.toml", include_str!("../two-finger-gripper.toml")),
     ("worlds/stand.toml", include_str!("../worlds/stand.toml")),

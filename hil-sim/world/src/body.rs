@@ -5,6 +5,7 @@ use std::ops::{Deref, DerefMut};
 use crate::{
     cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled,
 };
+use crate::{berry::BerryPicker, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -161,6 +162,8 @@ pub enum AnyBody {
     TwoFingers(Box<TwoFingers>),
     /// A gripper with a loop that closes round a vial.
     CableLoop(Box<CableLoop>),
+    /// A gripper before a bush.
+    BerryPicker(Box<BerryPicker>),
 }
 
 impl Deref for AnyBody {
@@ -172,6 +175,7 @@ impl Deref for AnyBody {
             Self::BalanceTail(body) => &**body,
             Self::TwoFingers(body) => &**body,
             Self::CableLoop(body) => &**body,
+            Self::BerryPicker(body) => &**body,
         }
     }
 }
@@ -183,6 +187,7 @@ impl DerefMut for AnyBody {
             Self::BalanceTail(body) => &mut **body,
             Self::TwoFingers(body) => &mut **body,
             Self::CableLoop(body) => &mut **body,
+            Self::BerryPicker(body) => &mut **body,
         }
     }
 }

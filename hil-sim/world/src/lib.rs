@@ -7,6 +7,7 @@
 //! SI throughout. The world's x and y are horizontal; a body's x points forwards, y to its left, and its yaw turns
 //! counterclockwise seen from above (REP-103).
 
+mod berry;
 mod body;
 mod grip;
 pub mod cable_loop;
@@ -17,6 +18,7 @@ mod tail;
 mod tyre;
 mod wheeled;
 
+pub use berry::{AirSupply, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fate, Fingers, Place, ToolAxes};
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use cable_loop::{CableLoop, CableLoopError};

@@ -12,6 +12,7 @@
 mod about;
 pub mod absim;
 pub mod cloop;
+pub mod berry;
 pub mod effects;
 mod error;
 mod figure;
@@ -100,6 +101,7 @@ pub trait System: Sync {
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
     &[&skidcal::Skidcal, &osmc::Osmc, &cloop::Cloop, &inhand::Inhand, &absim::Absim, &tail::Tail]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &berry::BerryPicking]
 }
 
 /// The system with this name.

@@ -1,0 +1,324 @@
+//! A run along a bush on a board: axes, valve and pressure by the board, decisions on the host.
+
+use r4_driver::TelemetryStream;
+use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint};
+use r4_rig::{Error, Session};
+use r4_world::{AnyBody, BerryPicker, Fate};
+
+use super::scene::{BUSH_M, Case, HANDLE, PRESSURE, Setup};
+
+/// How often pressure is sent, ms.
+const PRESSURE_EVERY_MS: u16 = 2;
+/// How often axes and handle are sent, ms.
+const AXES_EVERY_MS: u16 = 5;
+/// Share of the supply from which on a chamber counts as filled, and below which as empty.
+const FILLED: f64 = 0.9;
+const EMPTIED: f64 = 0.25;
+/// The valve's command goes out this far before the axis is there, m: the 7 mm that it needs for its last 50 ms, of which relay and coil
+/// take 20. At 12 mm the fingers begin to close before they are over the berry (seeds 1 to 30).
+const CLOSES_AHEAD_M: f64 = 0.007;
+/// Fingers that open this far before the tray let go over it, m: spring and exhaust take 60 ms at 0.4 m/s.
+const OPENS_AHEAD_M: f64 = 0.010;
+/// Reach of a tool that is clear of the bush, m.
+const CLEAR_M: f64 = BUSH_M - 0.04;
+/// Reach of the tool at the tray, m.
+const REST_M: f64 = 0.012;
+/// A closing that fills its chamber later than this share of the time of empty fingers has caught a berry not. Seeds 1 to 30: with a berry
+/// at most 0.93, without one at least 0.98.
+const EMPTY_SHARE: f64 = 0.955;
+/// Attempts at a berry.
+const ATTEMPTS: usize = 4;
+/// Waits of a program that has no pressure, s: the slowest closing of seeds 1 to 30.
+const CLOSES_S: f64 = 0.16;
+const OPENS_S: f64 = 0.12;
+/// Time in which the handle must stay pressed or released, s: printed, 20 ms.
+const DEBOUNCE_S: f64 = 0.020;
+/// Longest wait for anything, s.
+const WAIT_S: f64 = 5.0;
+/// A position is reached within, m: two steps.
+const REACHED_M: f64 = 1.5e-4;
+
+/// How berries are picked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Method {
+    /// The valve is switched by the handle, which whoever moves the tool presses; else by the program.
+    pub by_handle: bool,
+    /// Valve and axes move at the same time.
+    pub overlaps: bool,
+    /// Pressure says when fingers have closed, and on what; a miss is tried again.
+    pub detects: bool,
+}
+
+/// What came of a run.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// What happened to each berry, by the simulation.
+    pub fates: Vec<Fate>,
+    /// Time of each berry, from its approach to its release, s.
+    pub picks_s: Vec<f64>,
+    /// Attempts at each berry.
+    pub attempts: Vec<usize>,
+    /// From the valve's command to a filled chamber, s: of empty fingers first, then of each attempt, where pressure is used.
+    pub fills_s: Vec<f64>,
+    /// Highest force of air on the piston at a pick's end, N, by the simulation.
+    pub air_max_n: f64,
+    /// Lowest pressure of the receiver at a pick's end, Pa, by the simulation.
+    pub receiver_min_pa: f64,
+    /// Pressure as it was sent, s and Pa.
+    pub pressure_pa: Vec<(f64, f64)>,
+    /// Reach as it was sent, s and m.
+    pub reach_m: Vec<(f64, f64)>,
+}
+
+/// What the board sent last.
+struct Watch<'s, 'b> {
+    session: &'s Session<'b>,
+    setup: &'s Setup,
+    telemetry: TelemetryStream,
+    now_s: f64,
+    axes_m: [f64; 2],
+    pressure_pa: f64,
+    handle: (bool, f64),
+    trace: [Vec<(f64, f64)>; 2],
+}
+
+impl Watch<'_, '_> {
+    /// Waits until what the board sent fulfils `is_there`.
+    async fn until(&mut self, what: &'static str, is_there: impl Fn(&Self) -> bool) -> Result<(), Error> {
+        let begin_s = self.now_s;
+        loop {
+            let frame = self.telemetry.next().await?;
+            if frame.state != SafetyState::Armed {
+                return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+            }
+            self.now_s = frame.device_us as f64 * 1e-6;
+            for sample in &frame.samples {
+                self.take(sample)?;
+            }
+            if is_there(self) {
+                return Ok(());
+            }
+            if begin_s > 0.0 && self.now_s - begin_s > WAIT_S {
+                return Err(Error::StateTimedOut { state: what, at_most_s: WAIT_S });
+            }
+        }
+    }
+
+    fn take(&mut self, sample: &Sample) -> Result<(), Error> {
+        let channel = sample.channel();
+        if let Some(axis) = self.setup.axes.iter().position(|of| *of == channel) {
+            if let Sample::Motor { position, .. } = *sample {
+                let rad = f64::from(position) * f64::from(self.session.board.channel(channel)?.resolution);
+                self.axes_m[axis] = rad * self.setup.m_per_rad;
+                if axis == 0 {
+                    self.trace[1].push((self.now_s, self.axes_m[0]));
+                }
+            }
+            return Ok(());
+        }
+        let (Sample::Scalar { value, .. } | Sample::Reading { value, .. }) = *sample else { return Ok(()) };
+        if channel == PRESSURE {
+            self.pressure_pa = f64::from(value) / self.setup.volts_per_pa;
+            self.trace[0].push((self.now_s, self.pressure_pa));
+        } else if channel == HANDLE && self.handle.0 != (value > 0.5) {
+            self.handle = (value > 0.5, self.now_s);
+        }
+        Ok(())
+    }
+
+    async fn go(&self, axis: usize, to_m: f64) -> Result<(), Error> {
+        let value = (to_m / self.setup.m_per_rad) as f32;
+        Ok(self.session.board.set(self.setup.axes[axis], Setpoint { mode: Mode::Position, value }).await?)
+    }
+
+    async fn there(&mut self, axis: usize, to_m: f64) -> Result<(), Error> {
+        self.until("an axis moves", |watch| (watch.axes_m[axis] - to_m).abs() < REACHED_M).await
+    }
+
+    async fn wait(&mut self, seconds: f64) -> Result<(), Error> {
+        let until_s = self.now_s + seconds;
+        self.until("wait", |watch| watch.now_s >= until_s).await
+    }
+
+    async fn valve(&self, is_on: bool) -> Result<(), Error> {
+        let setpoint = Setpoint { mode: Mode::Switch, value: f32::from(u8::from(is_on)) };
+        Ok(self.session.board.set(self.setup.valve, setpoint).await?)
+    }
+
+    /// The hand presses or releases; the relay follows a handle that stays so for [`DEBOUNCE_S`].
+    async fn handle(&mut self, is_pressed: bool) -> Result<(), Error> {
+        if let Some(AnyBody::BerryPicker(picker)) = self.session.virtual_board()?.world().body_mut() {
+            picker.press(is_pressed);
+        }
+        self.until("the handle is pressed or released", |watch| {
+            watch.handle.0 == is_pressed && watch.now_s - watch.handle.1 >= DEBOUNCE_S
+        })
+        .await?;
+        self.valve(is_pressed).await
+    }
+
+    /// Closes and waits until the chamber is filled; returns how long that took, s.
+    async fn fill(&mut self, begin_s: f64) -> Result<f64, Error> {
+        let filled_pa = FILLED * self.setup.regulated_pa;
+        self.until("fingers close", |watch| watch.pressure_pa >= filled_pa).await?;
+        Ok(self.now_s - begin_s)
+    }
+
+    async fn emptied(&mut self) -> Result<(), Error> {
+        let emptied_pa = EMPTIED * self.setup.regulated_pa;
+        self.until("fingers open", |watch| watch.pressure_pa <= emptied_pa).await
+    }
+}
+
+/// Picks every berry of a bush, armed, and reports what came of it.
+///
+/// # Errors
+/// When the board is not virtual, does not arm, or stops.
+pub async fn pick(session: &Session<'_>, setup: &Setup, case: &Case, method: Method) -> Result<Outcome, Error> {
+    let board = session.board;
+    board.subscribe(PRESSURE, PRESSURE_EVERY_MS).await?;
+    for channel in setup.axes.into_iter().chain([HANDLE]) {
+        board.subscribe(channel, AXES_EVERY_MS).await?;
+    }
+    let mut watch = Watch {
+        session,
+        setup,
+        telemetry: board.telemetry(),
+        now_s: 0.0,
+        axes_m: [0.0; 2],
+        pressure_pa: 0.0,
+        handle: (false, 0.0),
+        trace: [const { Vec::new() }; 2],
+    };
+    let mut outcome = Outcome {
+        fates: Vec::new(),
+        picks_s: Vec::new(),
+        attempts: Vec::new(),
+        fills_s: Vec::new(),
+        air_max_n: 0.0,
+        receiver_min_pa: f64::INFINITY,
+        pressure_pa: Vec::new(),
+        reach_m: Vec::new(),
+    };
+    session.armed(async || run(&mut watch, case, method, &mut outcome).await).await?;
+    outcome.fates = look(session, |picker| picker.fates().to_vec())?;
+    [outcome.pressure_pa, outcome.reach_m] = watch.trace;
+    Ok(outcome)
+}
+
+/// What is true of the gripper.
+fn look<T: Default>(session: &Session<'_>, of: impl Fn(&BerryPicker) -> T) -> Result<T, Error> {
+    let mut world = session.virtual_board()?.world();
+    world.catch_up();
+    match world.body() {
+        Some(AnyBody::BerryPicker(picker)) => Ok(of(picker)),
+        // `Setup::of` refuses every other robot.
+        _ => Ok(T::default()),
+    }
+}
+
+async fn run(watch: &mut Watch<'_, '_>, case: &Case, method: Method, outcome: &mut Outcome) -> Result<(), Error> {
+    watch.go(0, REST_M).await?;
+    watch.there(0, REST_M).await?;
+    let mut empty_s = f64::INFINITY;
+    if method.detects {
+        // Empty fingers close once over the tray: what a miss looks like today.
+        watch.valve(true).await?;
+        let begin_s = watch.now_s;
+        empty_s = watch.fill(begin_s).await?;
+        outcome.fills_s.push(empty_s);
+        watch.valve(false).await?;
+        watch.emptied().await?;
+        watch.wait(OPENS_S).await?;
+    }
+    for berry in 0..case.berries.len() {
+        let begin_s = watch.now_s;
+        let mut attempts = 0;
+        loop {
+            let [reach_m, row_m] = case.seen_m(berry, attempts);
+            attempts += 1;
+            let catches = attempt(watch, [reach_m, row_m], method, empty_s, outcome).await?;
+            if catches || attempts == ATTEMPTS {
+                break;
+            }
+            // Open again, clear of the bush.
+            watch.valve(false).await?;
+            watch.go(0, CLEAR_M).await?;
+            watch.there(0, CLEAR_M).await?;
+            watch.emptied().await?;
+        }
+        carry(watch, case, berry, method, outcome).await?;
+        outcome.picks_s.push(watch.now_s - begin_s);
+        outcome.attempts.push(attempts);
+    }
+    Ok(())
+}
+
+/// Approaches and closes; returns whether there is a berry between the fingers, as far as the method knows.
+async fn attempt(
+    watch: &mut Watch<'_, '_>,
+    [reach_m, row_m]: [f64; 2],
+    method: Method,
+    empty_s: f64,
+    outcome: &mut Outcome,
+) -> Result<bool, Error> {
+    watch.go(1, row_m).await?;
+    if !method.overlaps {
+        watch.there(1, row_m).await?;
+    }
+    watch.go(0, reach_m).await?;
+    if method.overlaps {
+        watch.until("an axis moves", |watch| reach_m - watch.axes_m[0] < CLOSES_AHEAD_M).await?;
+    } else {
+        watch.there(0, reach_m).await?;
+    }
+    let begin_s = watch.now_s;
+    if method.by_handle {
+        watch.handle(true).await?;
+    } else {
+        watch.valve(true).await?;
+    }
+    if !method.detects {
+        watch.wait(CLOSES_S).await?;
+        return Ok(true);
+    }
+    let filled_s = watch.fill(begin_s).await?;
+    outcome.fills_s.push(filled_s);
+    Ok(filled_s < EMPTY_SHARE * empty_s)
+}
+
+/// Pulls back to the tray and lets go there; the row goes on to the next berry meanwhile.
+async fn carry(
+    watch: &mut Watch<'_, '_>,
+    case: &Case,
+    berry: usize,
+    method: Method,
+    outcome: &mut Outcome,
+) -> Result<(), Error> {
+    watch.go(0, REST_M).await?;
+    let (air_n, receiver_pa) = look(watch.session, |picker| (picker.air_n(), picker.receiver_pa()))?;
+    outcome.air_max_n = outcome.air_max_n.max(air_n);
+    outcome.receiver_min_pa = outcome.receiver_min_pa.min(receiver_pa);
+    if method.overlaps {
+        watch.until("an axis moves", |watch| watch.axes_m[0] < CLEAR_M).await?;
+        if berry + 1 < case.berries.len() {
+            watch.go(1, case.seen_m(berry + 1, 0)[1]).await?;
+        }
+        let opens_m = watch.setup.tray_m + OPENS_AHEAD_M;
+        watch.until("an axis moves", |watch| watch.axes_m[0] < opens_m).await?;
+    } else {
+        watch.there(0, REST_M).await?;
+    }
+    if method.by_handle {
+        watch.handle(false).await?;
+    } else {
+        watch.valve(false).await?;
+    }
+    if method.detects { watch.emptied().await } else { watch.wait(OPENS_S).await }
+}
+
+/// Channels that a run needs, beside those of [`Setup`].
+#[must_use]
+pub fn sensors() -> [ChannelId; 2] {
+    [PRESSURE, HANDLE]
+}

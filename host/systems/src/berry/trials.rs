@@ -1,0 +1,341 @@
+//! Logger and paired statistics of trials with people, who pick with several tools one after the other.
+//!
+//! [`Recorder`] makes picks of a handle's switch as a board reports it, [`to_csv`] writes them, [`order`] counterbalances who uses
+//! which tool when, and [`compare`] tests two tools against each other: one difference per participant, with the order of the two as
+//! covariate, after the trend over picks has been taken out.
+//!
+//! The tests run on synthetic participants. Nothing is claimed about people. With four participants, as in the paper, no exact
+//! two-sided test can reach 5 %: of 16 equally likely signs two are as extreme as all alike.
+
+use std::fmt::Write;
+
+use nalgebra::DMatrix;
+use r4_maths::{
+    least_squares::{Fit, FitError, linear},
+    statistics::{Alternative, Interval, StatisticsError, mean, paired_t, wilcoxon_signed_rank},
+};
+
+/// What became of a berry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PickResult {
+    /// In the tray.
+    Picked,
+    /// On the ground.
+    Dropped,
+    /// Still on the bush.
+    Missed,
+}
+
+impl PickResult {
+    /// As in a CSV file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Picked => "picked",
+            Self::Dropped => "dropped",
+            Self::Missed => "missed",
+        }
+    }
+}
+
+/// One press of the handle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pick {
+    /// Code of the participant, never a name.
+    pub participant: String,
+    /// Tool.
+    pub gripper: String,
+    /// Which of the participant's tools it was, from 1 on.
+    pub order: usize,
+    /// Number of the pick with that tool, from 1 on.
+    pub number: usize,
+    /// When the handle was pressed, s on the board's clock.
+    pub pressed_s: f64,
+    /// When it was released, s.
+    pub released_s: f64,
+    /// What became of the berry, by the observer.
+    pub result: PickResult,
+}
+
+/// Makes presses of samples of a switch: an edge counts once the switch has stayed for the debounce time, and is dated by its beginning.
+#[derive(Clone, Debug)]
+pub struct Recorder {
+    debounce_s: f64,
+    is_pressed: bool,
+    /// Since when the switch has been in the other state, s.
+    changed_s: Option<f64>,
+    pressed_s: Option<f64>,
+}
+
+impl Recorder {
+    /// A recorder of a released handle; printed: 0.020 s.
+    #[must_use]
+    pub const fn new(debounce_s: f64) -> Self {
+        Self { debounce_s, is_pressed: false, changed_s: None, pressed_s: None }
+    }
+
+    /// Takes a sample at `at_s`; returns when the handle was pressed and released, once it was, s.
+    pub fn push(&mut self, at_s: f64, is_closed: bool) -> Option<[f64; 2]> {
+        if is_closed == self.is_pressed {
+            self.changed_s = None;
+            return None;
+        }
+        let changed_s = *self.changed_s.get_or_insert(at_s);
+        if at_s - changed_s < self.debounce_s {
+            return None;
+        }
+        self.is_pressed = is_closed;
+        self.changed_s = None;
+        if is_closed {
+            self.pressed_s = Some(changed_s);
+            return None;
+        }
+        Some([self.pressed_s.take()?, changed_s])
+    }
+}
+
+/// Picks as a CSV file with a header, RFC 4180.
+#[must_use]
+pub fn to_csv(picks: &[Pick]) -> String {
+    let quoted = |text: &str| {
+        if text.contains([',', '"', '\n', '\r']) {
+            format!("\"{}\"", text.replace('"', "\"\""))
+        } else {
+            text.to_owned()
+        }
+    };
+    let mut text = String::from("participant,gripper,order,number,pressed_s,released_s,result\r\n");
+    for pick in picks {
+        let Pick { participant, gripper, order, number, pressed_s, released_s, result } = pick;
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            "{},{},{order},{number},{pressed_s:.6},{released_s:.6},{}\r\n",
+            quoted(participant),
+            quoted(gripper),
+            result.name()
+        );
+    }
+    text
+}
+
+/// Order in which participant number `participant` uses `tools`: a Williams design, in which over 2 `tools` participants, or `tools` where
+/// that is even, each tool comes equally often at each place and after each other.
+#[must_use]
+pub fn order(participant: usize, tools: usize) -> Vec<usize> {
+    if tools == 0 {
+        return Vec::new();
+    }
+    // 0, 1, n-1, 2, n-2, ...
+    let zigzag = |place: usize| if place % 2 == 1 { place.div_ceil(2) } else { (tools - place / 2) % tools };
+    let mut row: Vec<usize> = (0..tools).map(|place| (zigzag(place) + participant) % tools).collect();
+    if tools % 2 == 1 && (participant / tools) % 2 == 1 {
+        row.reverse();
+    }
+    row
+}
+
+/// Comparison of two tools over the participants who used both.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// Participants.
+    pub participants: usize,
+    /// Time per pick with the first less that with the second, s: mean over participants, without the effect of the order.
+    pub difference_s: f64,
+    /// Its 95 % interval, by Student's t, s.
+    pub interval_s: Interval,
+    /// How much less time a tool took where it came second than where it came first, s, both tools together: twice the learning from one
+    /// tool to the next.
+    pub order_s: f64,
+    /// Two-sided p-value of a paired t test, without the order.
+    pub t_p: f64,
+    /// Two-sided exact p-value of Wilcoxon's signed ranks.
+    pub wilcoxon_p: f64,
+    /// Mean slope of time over picks, s per pick: negative where people learn.
+    pub learning_s_per_pick: f64,
+    /// Its two-sided p-value, of the participants' slopes against 0.
+    pub learning_p: f64,
+}
+
+/// Why two tools cannot be compared.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TrialsError {
+    /// Fewer than four participants used both tools.
+    #[error("{with_both} participants used both tools at least three times: a comparison needs four")]
+    TooFew {
+        /// Of them.
+        with_both: usize,
+    },
+    /// All participants used the tools in the same order.
+    #[error("all participants used the tools in the same order: order and tool cannot be told apart; see `order`")]
+    OneOrder,
+    /// A statistic has no value.
+    #[error(transparent)]
+    Statistics(#[from] StatisticsError),
+    /// A line cannot be fitted.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+}
+
+/// Line through times of successive picks, centred: `[level, slope]`, s and s per pick.
+fn trend(times_s: &[f64]) -> Result<[f64; 2], TrialsError> {
+    let middle = 0.5 * (times_s.len() as f64 - 1.0);
+    let design = DMatrix::from_fn(times_s.len(), 2, |row, column| if column == 0 { 1.0 } else { row as f64 - middle });
+    let Fit { parameters, .. } = linear(&design, times_s)?;
+    Ok([parameters[0], parameters[1]])
+}
+
+/// Compares times per pick, from one press to the next, of two tools.
+///
+/// # Errors
+/// [`TrialsError`]
+pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, TrialsError> {
+    let mut people: Vec<&str> = picks.iter().map(|pick| pick.participant.as_str()).collect();
+    people.sort_unstable();
+    people.dedup();
+    let (mut levels, mut slopes, mut signs) = ([Vec::new(), Vec::new()], Vec::new(), Vec::new());
+    for person in people {
+        let of = |tool: &str| {
+            let mut own: Vec<&Pick> =
+                picks.iter().filter(|pick| pick.participant == person && pick.gripper == tool).collect();
+            own.sort_by(|a, b| a.pressed_s.total_cmp(&b.pressed_s));
+            let times_s: Vec<f64> = own.windows(2).map(|pair| pair[1].pressed_s - pair[0].pressed_s).collect();
+            own.first().filter(|_| times_s.len() >= 2).map(|pick| (times_s.clone(), pick.order))
+        };
+        let (Some((one_s, one_order)), Some((two_s, two_order))) = (of(first), of(second)) else { continue };
+        let (one, two) = (trend(&one_s)?, trend(&two_s)?);
+        levels[0].push(one[0]);
+        levels[1].push(two[0]);
+        slopes.push(f64::midpoint(one[1], two[1]));
+        signs.push(if one_order > two_order { 1.0 } else { -1.0 });
+    }
+    let participants = signs.len();
+    if participants < 4 {
+        return Err(TrialsError::TooFew { with_both: participants });
+    }
+    if signs.iter().all(|sign| *sign == signs[0]) {
+        return Err(TrialsError::OneOrder);
+    }
+    let differences_s: Vec<f64> = levels[0].iter().zip(&levels[1]).map(|(one, two)| one - two).collect();
+    let design = DMatrix::from_fn(participants, 2, |row, column| if column == 0 { 1.0 } else { signs[row] });
+    let fit = linear(&design, &differences_s)?;
+    let none = vec![0.0; participants];
+    Ok(Comparison {
+        participants,
+        difference_s: fit.parameters[0],
+        interval_s: fit.intervals(0.95)?[0],
+        order_s: -2.0 * fit.parameters[1],
+        t_p: paired_t(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
+        wilcoxon_p: wilcoxon_signed_rank(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
+        learning_s_per_pick: mean(&slopes)?,
+        learning_p: paired_t(&slopes, &none, Alternative::TwoSided)?.p_value,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sampler;
+
+    /// Synthetic participants: each has an own pace, learns over 34 picks and from tool to tool, and scatters.
+    fn picks(seed: u64, participants: usize, slower_s: f64) -> Vec<Pick> {
+        let mut sampler = Sampler::new(seed, 99);
+        let mut picks = Vec::new();
+        for participant in 0..participants {
+            let pace_s = 2.2 + sampler.normal(0.4);
+            let own_s = sampler.normal(0.2);
+            for (place, tool) in order(participant, 2).into_iter().enumerate() {
+                let mut at_s = 0.0;
+                for number in 1..=34 {
+                    let learnt_s = -0.008 * number as f64 - 0.2 * place as f64;
+                    let tool_s = if tool == 0 { slower_s + own_s } else { 0.0 };
+                    picks.push(Pick {
+                        participant: format!("P{participant:02}"),
+                        gripper: ["soft", "hard"][tool].into(),
+                        order: place + 1,
+                        number,
+                        pressed_s: at_s,
+                        released_s: at_s + 0.5,
+                        result: PickResult::Picked,
+                    });
+                    at_s += pace_s + tool_s + learnt_s + sampler.normal(0.3);
+                }
+            }
+        }
+        picks
+    }
+
+    /// Without a difference the interval excludes 0 in 5 % of studies, and neither test is more often below 5 %.
+    #[test]
+    fn no_difference_is_found_in_one_of_twenty() {
+        const STUDIES: u64 = 600;
+        let found = |is: &dyn Fn(&Comparison) -> bool| {
+            (0..STUDIES).filter(|seed| is(&compare(&picks(*seed, 8, 0.0), "soft", "hard").expect("studies"))).count()
+        };
+        // 30 are expected of 600; a binomial count is above 46 in one of a thousand.
+        assert!(found(&|comparison| !comparison.interval_s.contains(0.0)) <= 46);
+        assert!(found(&|comparison| comparison.wilcoxon_p <= 0.05) <= 46);
+        assert!(found(&|comparison| comparison.t_p <= 0.05) <= 46);
+    }
+
+    /// A declared difference of 0.4 s, where participants differ by 0.2 s in it: the standard error of 8 is 0.08 s, found in nearly all.
+    #[test]
+    fn a_declared_difference_is_found_with_its_learning() {
+        let mut found = 0;
+        for seed in 1000..1100 {
+            let comparison = compare(&picks(seed, 8, 0.4), "soft", "hard").expect("a study");
+            found += u32::from(!comparison.interval_s.contains(0.0));
+            assert!((comparison.learning_s_per_pick + 0.008).abs() < 0.01, "{comparison:?}");
+            assert!((comparison.order_s - 0.4).abs() < 0.6, "{comparison:?}");
+        }
+        assert!(found >= 90, "{found} of 100");
+    }
+
+    #[test]
+    fn what_says_nothing_is_refused() {
+        assert_eq!(compare(&picks(1, 3, 0.4), "soft", "hard"), Err(TrialsError::TooFew { with_both: 3 }));
+        let mut same = picks(1, 6, 0.4);
+        same.iter_mut().for_each(|pick| pick.order = usize::from(pick.gripper == "hard"));
+        assert_eq!(compare(&same, "soft", "hard"), Err(TrialsError::OneOrder));
+    }
+
+    /// Every tool equally often at each place, and behind each other one.
+    #[test]
+    fn orders_are_balanced() {
+        for (tools, participants) in [(2, 2), (3, 6), (4, 4)] {
+            let rows: Vec<_> = (0..participants).map(|participant| order(participant, tools)).collect();
+            for tool in 0..tools {
+                for place in 0..tools {
+                    let there = rows.iter().filter(|row| row[place] == tool).count();
+                    assert_eq!(there * tools, participants, "{rows:?}");
+                }
+                for other in (0..tools).filter(|other| *other != tool) {
+                    let behind = rows.iter().filter(|row| row.windows(2).any(|pair| pair == [tool, other])).count();
+                    assert_eq!(behind * tools, participants, "{rows:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bounces_are_no_presses() {
+        let mut recorder = Recorder::new(0.020);
+        let closed = |ms: u32| matches!(ms, 100..=101 | 103..=500 | 502..=600);
+        let presses: Vec<_> = (0..900).filter_map(|ms: u32| recorder.push(f64::from(ms) * 1e-3, closed(ms))).collect();
+        let [[pressed_s, released_s]] = presses[..] else { panic!("{presses:?}") };
+        // After the last bounce.
+        assert!((pressed_s - 0.103).abs() < 1e-9 && (released_s - 0.601).abs() < 1e-9, "{presses:?}");
+    }
+
+    #[test]
+    fn a_table_has_a_line_for_each_pick() {
+        let mut picks = picks(1, 4, 0.0);
+        picks.truncate(2);
+        picks[1].gripper = "soft, 5 bar".into();
+        let text = to_csv(&picks);
+        let lines: Vec<_> = text.split_terminator("\r\n").collect();
+        assert_eq!(lines.len(), 3);
+        assert_eq!(lines[0], "participant,gripper,order,number,pressed_s,released_s,result");
+        assert!(lines[2].starts_with("P00,\"soft, 5 bar\",1,2,"), "{text}");
+    }
+}
