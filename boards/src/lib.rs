@@ -31,8 +31,16 @@ pub use robot::{
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 7] =
-    ["osmc-bench", "osmc-evaluation", "openscout", "openpodcar", "openagribot", "balance-tail", "every-interface"];
+const ROBOTS: [&str; 8] = [
+    "osmc-bench",
+    "osmc-evaluation",
+    "openscout",
+    "openpodcar",
+    "openagribot",
+    "balance-tail",
+    "every-interface",
+    "suction-pad",
+];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 

@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 17] = [
+const BUILT_IN: [(&str, &str); 18] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -36,6 +36,7 @@ const BUILT_IN: [(&str, &str); 17] = [
     ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
     ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
     ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
+    ("suction-pad.toml", include_str!("../suction-pad.toml")),
 ];
 
 /// Where the files that a file names are looked up.

@@ -2,7 +2,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-use crate::{outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
+use crate::{outline::Outline, scene::Scene, suction::SuctionPad, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -155,6 +155,8 @@ pub enum AnyBody {
     Wheeled(Box<Wheeled>),
     /// A person with a tail on the back.
     BalanceTail(Box<BalanceTail>),
+    /// A strip with suction cups and inflatable membranes.
+    SuctionPad(Box<SuctionPad>),
 }
 
 impl Deref for AnyBody {
@@ -164,6 +166,7 @@ impl Deref for AnyBody {
         match self {
             Self::Wheeled(body) => &**body,
             Self::BalanceTail(body) => &**body,
+            Self::SuctionPad(body) => &**body,
         }
     }
 }
@@ -173,6 +176,7 @@ impl DerefMut for AnyBody {
         match self {
             Self::Wheeled(body) => &mut **body,
             Self::BalanceTail(body) => &mut **body,
+            Self::SuctionPad(body) => &mut **body,
         }
     }
 }

@@ -25,6 +25,7 @@ mod sampler;
 pub mod skidcal;
 mod statistic;
 pub mod study;
+pub mod suction;
 pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
@@ -97,7 +98,7 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &suction::Suction]
 }
 
 /// The system with this name.
