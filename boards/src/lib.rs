@@ -43,6 +43,7 @@ const ROBOTS: [&str; 8] = [
     "two-finger-gripper",
     "cable-loop",
     "berry-picker",
+    "suction-pad",
 ];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];

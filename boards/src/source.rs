@@ -41,6 +41,7 @@ const BUILT_IN: [(&str, &str); 18] = [
     ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
     ("cable-loop.toml", include_str!("../cable-loop.toml")),
     ("plants/cable-loop-spool.toml", include_str!("../plants/cable-loop-spool.toml")),
+    ("suction-pad.toml", include_str!("../suction-pad.toml")),
 ];
 
 /// Where the files that a file names are looked up.

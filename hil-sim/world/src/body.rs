@@ -6,6 +6,7 @@ use crate::{
     cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled,
 };
 use crate::{berry::BerryPicker, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
+use crate::{outline::Outline, scene::Scene, suction::SuctionPad, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -164,6 +165,8 @@ pub enum AnyBody {
     CableLoop(Box<CableLoop>),
     /// A gripper before a bush.
     BerryPicker(Box<BerryPicker>),
+    /// A strip with suction cups and inflatable membranes.
+    SuctionPad(Box<SuctionPad>),
 }
 
 impl Deref for AnyBody {
@@ -176,6 +179,7 @@ impl Deref for AnyBody {
             Self::TwoFingers(body) => &**body,
             Self::CableLoop(body) => &**body,
             Self::BerryPicker(body) => &**body,
+            Self::SuctionPad(body) => &**body,
         }
     }
 }
@@ -188,6 +192,7 @@ impl DerefMut for AnyBody {
             Self::TwoFingers(body) => &mut **body,
             Self::CableLoop(body) => &mut **body,
             Self::BerryPicker(body) => &mut **body,
+            Self::SuctionPad(body) => &mut **body,
         }
     }
 }

@@ -14,6 +14,7 @@ pub mod cable_loop;
 mod outline;
 mod pneumatic;
 mod scene;
+mod suction;
 mod tail;
 mod tyre;
 mod wheeled;
@@ -25,6 +26,9 @@ pub use cable_loop::{CableLoop, CableLoopError};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
+pub use suction::{
+    Cup, LIMIT_STRETCH, Line, MEMBRANES, MIDDLE, Membrane, MembraneState, Strip, SuctionError, SuctionPad, SuctionState,
+};
 pub use tail::{Ankle, BalanceTail, Cable, Lift, Link, TailError, TailState, Wearer};
 pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};

@@ -28,6 +28,7 @@ mod sampler;
 pub mod skidcal;
 mod statistic;
 pub mod study;
+pub mod suction;
 pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
@@ -102,6 +103,7 @@ pub trait System: Sync {
 pub fn all() -> &'static [&'static dyn System] {
     &[&skidcal::Skidcal, &osmc::Osmc, &cloop::Cloop, &inhand::Inhand, &absim::Absim, &tail::Tail]
     &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &berry::BerryPicking]
+    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &suction::Suction]
 }
 
 /// The system with this name.
