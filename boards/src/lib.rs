@@ -31,8 +31,7 @@ pub use robot::{
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 9] = [
-const ROBOTS: [&str; 8] = [
+const ROBOTS: [&str; 11] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",

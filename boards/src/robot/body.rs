@@ -1,5 +1,11 @@
 //! `[body]` and `[world]`: what couples a robot's shafts, and what it moves among. Simulated only.
 
+mod berry_picker;
+mod cable_loop;
+mod flow;
+mod suction_pad;
+mod two_fingers;
+
 use std::fmt::Write;
 
 use r4_protocol::{
@@ -7,15 +13,8 @@ use r4_protocol::{
     config::BoardConfig,
 };
 use r4_world::{
-    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, CableLoop, CableLoopError, Chassis, ChassisError, Encoders,
-    Finger, GripError, Held, Lift, Link, Outline, Pads, Palm, Person, Point, Pose, Scene, SceneError, SlipLaw, Surface,
-    TailError, TwoFingers, Tyre, Wearer, Wheel, Wheeled, cable_loop,
-    AirSupply, Ankle, AnyBody, Axle, BalanceTail, Berry, BerryError, BerryPicker, Body as _, Cable, Chassis,
-    ChassisError, CoilValve, Cylinder, Fingers, Lift, Link, Outline, Person, Point, Pose, Restriction, Scene,
-    SceneError, SlipLaw, Surface, TailError, ToolAxes, Tyre, Wearer, Wheel, Wheeled,
-    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Cup, Lift, Line, Link, Membrane,
-    Outline, Person, Point, Pose, Restriction, Scene, SceneError, SlipLaw, Strip, SuctionError, SuctionPad, Surface,
-    TailError, Tyre, Wearer, Wheel, Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point,
+    Pose, Scene, SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
@@ -26,10 +25,7 @@ use super::{
 };
 use crate::{
     error::BoardError,
-    number::{
-        channel, finite, not_negative, optional_channel, optional_finite, optional_not_negative, optional_positive,
-        positive,
-    },
+    number::{channel, finite, not_negative, optional_channel, optional_finite, positive},
     source::Source,
 };
 
@@ -42,222 +38,13 @@ pub(super) enum Body {
     /// A person with a tail of two links.
     BalanceTail(Box<TailTable>),
     /// Two fingers with an object between them.
-    TwoFingers(Box<GripTable>),
+    TwoFingers(Box<two_fingers::GripTable>),
     /// A gripper with a loop that closes round a vial.
-    CableLoop(Box<CableLoopTable>),
+    CableLoop(Box<cable_loop::CableLoopTable>),
     /// A pneumatic gripper before a bush.
-    BerryPicker(Box<PickerTable>),
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct CableLoopTable {
-    #[serde(deserialize_with = "channel")]
-    spool: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    lift: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    ahead: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    aside: ChannelId,
-    finger: FingerTable,
-    bowden: BowdenTable,
-    creep: CreepTable,
-    sensor: TipSensorTable,
-    axes: AxesTable,
-    vial: VialTable,
-    jerk: Option<JerkTable>,
-pub(super) struct PickerTable {
-    supply: SupplyTable,
-    valve: ValveTable,
-    cylinder: CylinderTable,
-    fingers: FingersTable,
-    axes: ToolAxesTable,
-    #[serde(default, rename = "berry")]
-    berries: Vec<BerryTable>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FingerTable {
-    #[serde(deserialize_with = "positive")]
-    spool_radius_m: f64,
-    #[serde(deserialize_with = "positive")]
-    legs_m: f64,
-    #[serde(deserialize_with = "positive")]
-    bend_radius_m: f64,
-    #[serde(deserialize_with = "positive")]
-    thickness_m: f64,
-    #[serde(deserialize_with = "positive")]
-    strand_n: f64,
-    #[serde(deserialize_with = "not_negative")]
-    half_angle_rad: f64,
-    #[serde(deserialize_with = "positive")]
-    tip_n_per_m: f64,
-    #[serde(deserialize_with = "positive")]
-    start_m: f64,
-struct SupplyTable {
-    #[serde(deserialize_with = "positive")]
-    receiver_m3: f64,
-    #[serde(deserialize_with = "positive")]
-    compressor_m3_s: f64,
-    runs_between_pa: [f64; 2],
-    #[serde(deserialize_with = "positive")]
-    regulated_pa: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ValveTable {
-    #[serde(deserialize_with = "channel")]
-    channel: ChannelId,
-    #[serde(deserialize_with = "not_negative")]
-    on_s: f64,
-    #[serde(deserialize_with = "not_negative")]
-    off_s: f64,
-    inlet: FlowTable,
-    exhaust: FlowTable,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FlowTable {
-    #[serde(deserialize_with = "positive")]
-    conductance_m3_s_pa: f64,
-    #[serde(deserialize_with = "not_negative")]
-    critical_ratio: f64,
-}
-
-impl From<FlowTable> for Restriction {
-    fn from(FlowTable { conductance_m3_s_pa, critical_ratio }: FlowTable) -> Self {
-        Self { conductance_m3_s_pa, critical_ratio }
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BowdenTable {
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    friction_angle: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CreepTable {
-    #[serde(deserialize_with = "not_negative")]
-    share: f64,
-    #[serde(deserialize_with = "positive")]
-    time_s: f64,
-struct CylinderTable {
-    #[serde(deserialize_with = "positive")]
-    bore_m: f64,
-    #[serde(deserialize_with = "positive")]
-    rod_m: f64,
-    #[serde(deserialize_with = "positive")]
-    stroke_m: f64,
-    #[serde(deserialize_with = "positive")]
-    dead_m3: f64,
-    #[serde(deserialize_with = "positive")]
-    mass_kg: f64,
-    #[serde(deserialize_with = "not_negative")]
-    coulomb_n: f64,
-    #[serde(deserialize_with = "not_negative")]
-    viscous_n_s_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    cushion_n_s_per_m: f64,
-    closes_outwards: bool,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FingersTable {
-    #[serde(deserialize_with = "positive")]
-    open_gap_m: f64,
-    #[serde(deserialize_with = "positive")]
-    gap_ratio: f64,
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    bending_n_per_m: f64,
-    #[serde(deserialize_with = "positive")]
-    pad_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TipSensorTable {
-    #[serde(default, deserialize_with = "finite")]
-    zero_n: f64,
-    #[serde(default, deserialize_with = "finite")]
-    drift_n_per_s: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    slip_share: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct AxesTable {
-    #[serde(deserialize_with = "positive")]
-    raised_m: f64,
-    #[serde(deserialize_with = "finite")]
-    lift_m_per_rad: f64,
-    #[serde(deserialize_with = "finite")]
-    ahead_m_per_rad: f64,
-    #[serde(deserialize_with = "finite")]
-    aside_m_per_rad: f64,
-struct ToolAxesTable {
-    #[serde(deserialize_with = "channel")]
-    reach: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    row: ChannelId,
-    #[serde(deserialize_with = "positive")]
-    m_per_rad: f64,
-    #[serde(deserialize_with = "finite")]
-    tray_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct VialTable {
-    #[serde(deserialize_with = "positive")]
-    diameter_m: f64,
-    #[serde(deserialize_with = "positive")]
-    mass_kg: f64,
-    #[serde(deserialize_with = "positive")]
-    height_m: f64,
-    place_m: Point,
-    #[serde(deserialize_with = "positive")]
-    friction: f64,
-    #[serde(deserialize_with = "positive")]
-    kinetic_share: f64,
-    #[serde(deserialize_with = "positive")]
-    crush_n: f64,
-    #[serde(deserialize_with = "positive")]
-    clearance_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JerkTable {
-    #[serde(deserialize_with = "not_negative")]
-    after_s: f64,
-    #[serde(deserialize_with = "not_negative")]
-    lasts_s: f64,
-    #[serde(deserialize_with = "finite")]
-    acceleration_m_s2: f64,
-struct BerryTable {
-    place_m: Point,
-    diameter_m: f64,
-    mass_kg: f64,
-    stiffness_n_per_m: f64,
-    friction: f64,
-    stalk_n_per_m: f64,
-    detach_n: f64,
-    crush_n: f64,
+    BerryPicker(Box<berry_picker::PickerTable>),
     /// A strip with suction cups and inflatable membranes.
-    SuctionPad(Box<SuctionTable>),
+    SuctionPad(Box<suction_pad::SuctionTable>),
 }
 
 #[derive(Deserialize)]
@@ -416,106 +203,6 @@ struct SteeringTable {
     trail_m: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct SuctionTable {
-    #[serde(default, deserialize_with = "optional_not_negative")]
-    supply_pa: Option<f64>,
-    strip: StripTable,
-    cup: [CupTable; 2],
-    membrane: [MembraneTable; 3],
-    line: LineTable,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StripTable {
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(deserialize_with = "not_negative")]
-    middle: f64,
-    #[serde(deserialize_with = "not_negative")]
-    outer: f64,
-    #[serde(deserialize_with = "not_negative")]
-    near: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CupTable {
-    #[serde(deserialize_with = "positive")]
-    radius_m: f64,
-    #[serde(deserialize_with = "positive")]
-    suction_pa: f64,
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(deserialize_with = "positive")]
-    leak_strain: f64,
-    #[serde(deserialize_with = "positive")]
-    leak_per_s: f64,
-    #[serde(deserialize_with = "not_negative")]
-    peel: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MembraneTable {
-    #[serde(deserialize_with = "channel")]
-    stepper: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    valve: ChannelId,
-    #[serde(deserialize_with = "positive")]
-    radius_m: f64,
-    #[serde(deserialize_with = "positive")]
-    thickness_m: f64,
-    #[serde(deserialize_with = "positive")]
-    shear_pa: f64,
-    #[serde(deserialize_with = "positive")]
-    stiffening: f64,
-    #[serde(deserialize_with = "positive")]
-    viscosity_pa_s: f64,
-    #[serde(deserialize_with = "positive")]
-    burst_stretch: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    softening: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    relaxing: f64,
-    #[serde(default, deserialize_with = "optional_positive")]
-    relaxing_s: Option<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LineTable {
-    #[serde(deserialize_with = "positive")]
-    lead_m: f64,
-    #[serde(deserialize_with = "positive")]
-    bore_m2: f64,
-    #[serde(deserialize_with = "positive")]
-    syringe_m3: f64,
-    #[serde(deserialize_with = "positive")]
-    dead_m3: f64,
-    tube: FlowTable,
-    orifice: FlowTable,
-    #[serde(default, deserialize_with = "not_negative")]
-    leak_m3_s_pa: f64,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FlowTable {
-    #[serde(deserialize_with = "positive")]
-    conductance_m3_s_pa: f64,
-    #[serde(deserialize_with = "not_negative")]
-    critical_ratio: f64,
-}
-
-impl From<FlowTable> for Restriction {
-    fn from(FlowTable { conductance_m3_s_pa, critical_ratio }: FlowTable) -> Self {
-        Self { conductance_m3_s_pa, critical_ratio }
-    }
-}
-
 impl From<TyreTable> for Tyre {
     fn from(table: TyreTable) -> Self {
         Self {
@@ -542,70 +229,6 @@ impl Body {
             Self::BerryPicker(table) => table.check(shafts),
             Self::SuctionPad(table) => table.check(shafts),
         }
-    }
-}
-
-impl PickerTable {
-    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        let Self { supply, valve, cylinder, fingers, axes, berries } = self;
-        let supply = AirSupply {
-            receiver_m3: supply.receiver_m3,
-            compressor_m3_s: supply.compressor_m3_s,
-            runs_between_pa: supply.runs_between_pa,
-            regulated_pa: supply.regulated_pa,
-        };
-        let valve = CoilValve {
-            shaft: shafts.relay(valve.channel, "body.berry-picker.valve.channel".into())?,
-            delay_s: [valve.on_s, valve.off_s],
-            inlet: valve.inlet.into(),
-            exhaust: valve.exhaust.into(),
-        };
-        let cylinder = Cylinder {
-            bore_m: cylinder.bore_m,
-            rod_m: cylinder.rod_m,
-            stroke_m: cylinder.stroke_m,
-            dead_m3: cylinder.dead_m3,
-            mass_kg: cylinder.mass_kg,
-            coulomb_n: cylinder.coulomb_n,
-            viscous_n_s_per_m: cylinder.viscous_n_s_per_m,
-            cushion_n_s_per_m: cylinder.cushion_n_s_per_m,
-            closes_outwards: cylinder.closes_outwards,
-        };
-        let fingers = Fingers {
-            open_gap_m: fingers.open_gap_m,
-            gap_ratio: fingers.gap_ratio,
-            stiffness_n_per_m: fingers.stiffness_n_per_m,
-            bending_n_per_m: fingers.bending_n_per_m,
-            pad_m: fingers.pad_m,
-        };
-        let reach = shafts.turning(axes.reach, "body.berry-picker.axes.reach".into())?;
-        let row = shafts.turning(axes.row, "body.berry-picker.axes.row".into())?;
-        if reach == row {
-            return Err(shafts.reader.source.rule("body.berry-picker.axes.row", "each axis needs a motor of its own"));
-        }
-        let axes = ToolAxes { shafts: [reach, row], m_per_rad: axes.m_per_rad, tray_m: axes.tray_m };
-        let berry = |berry: &BerryTable| Berry {
-            place_m: berry.place_m,
-            diameter_m: berry.diameter_m,
-            mass_kg: berry.mass_kg,
-            stiffness_n_per_m: berry.stiffness_n_per_m,
-            friction: berry.friction,
-            stalk_n_per_m: berry.stalk_n_per_m,
-            detach_n: berry.detach_n,
-            crush_n: berry.crush_n,
-        };
-        let berries = berries.iter().map(berry).collect();
-        let picker = BerryPicker::new(supply, valve, cylinder, fingers, axes, berries).map_err(|why| {
-            let path = match why {
-                BerryError::Supply => "body.berry-picker.supply".into(),
-                BerryError::Valve => "body.berry-picker.valve".into(),
-                BerryError::Cylinder | BerryError::Stiff { .. } => "body.berry-picker.cylinder".into(),
-                BerryError::Fingers => "body.berry-picker.fingers".into(),
-                BerryError::Berry { berry } => format!("body.berry-picker.berry[{berry}]"),
-            };
-            shafts.reader.source.rule(path, why)
-        })?;
-        Ok(SimulatedBody { kind: AnyBody::BerryPicker(Box::new(picker)), channels: shafts.channels })
     }
 }
 
@@ -662,120 +285,6 @@ impl TailTable {
     }
 }
 
-impl CableLoopTable {
-    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        let channels = [(self.spool, "spool"), (self.lift, "lift"), (self.ahead, "ahead"), (self.aside, "aside")];
-        let source = shafts.reader.source;
-        for (number, (channel, name)) in channels.into_iter().enumerate() {
-            let path = format!("body.cable-loop.{name}");
-            if shafts.turning(channel, path.clone())? != number {
-                return Err(source.rule(path, "each axis needs a channel of its own"));
-            }
-        }
-        let Self { finger, bowden, creep, sensor, axes, vial, jerk, .. } = self;
-        let finger = cable_loop::Finger {
-            spool_radius_m: finger.spool_radius_m,
-            legs_m: finger.legs_m,
-            bend_radius_m: finger.bend_radius_m,
-            thickness_m: finger.thickness_m,
-            strand_n: finger.strand_n,
-            half_angle_rad: finger.half_angle_rad,
-            tip_n_per_m: finger.tip_n_per_m,
-            start_m: finger.start_m,
-        };
-        let bowden =
-            cable_loop::Bowden { stiffness_n_per_m: bowden.stiffness_n_per_m, friction_angle: bowden.friction_angle };
-        let creep = cable_loop::Creep { share: creep.share, time_s: creep.time_s };
-        let sensor = cable_loop::TipSensor {
-            zero_n: sensor.zero_n,
-            drift_n_per_s: sensor.drift_n_per_s,
-            slip_share: sensor.slip_share,
-        };
-        let axes = cable_loop::Axes {
-            raised_m: axes.raised_m,
-            lift_m_per_rad: axes.lift_m_per_rad,
-            ahead_m_per_rad: axes.ahead_m_per_rad,
-            aside_m_per_rad: axes.aside_m_per_rad,
-        };
-        let vial = cable_loop::Vial {
-            diameter_m: vial.diameter_m,
-            mass_kg: vial.mass_kg,
-            height_m: vial.height_m,
-            place_m: vial.place_m,
-            friction: vial.friction,
-            kinetic_share: vial.kinetic_share,
-            crush_n: vial.crush_n,
-            clearance_m: vial.clearance_m,
-        };
-        let jerk = jerk.as_ref().map(|jerk| cable_loop::Jerk {
-            after_s: jerk.after_s,
-            lasts_s: jerk.lasts_s,
-            acceleration_m_s2: jerk.acceleration_m_s2,
-        });
-        let body = CableLoop::new((finger, bowden, creep, sensor), axes, vial, jerk).map_err(|why| {
-            let path = match why {
-                CableLoopError::Finger => "body.cable-loop.finger",
-                CableLoopError::Bowden => "body.cable-loop.bowden",
-                CableLoopError::Creep => "body.cable-loop.creep",
-                CableLoopError::Axes => "body.cable-loop.axes",
-                CableLoopError::Vial => "body.cable-loop.vial",
-            };
-            source.rule(path, why)
-        })?;
-        Ok(SimulatedBody { kind: AnyBody::CableLoop(Box::new(body)), channels: shafts.channels })
-impl SuctionTable {
-    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        let source = shafts.reader.source;
-        let LineTable { lead_m, bore_m2, syringe_m3, dead_m3, tube, orifice, leak_m3_s_pa } = self.line;
-        let leak = Restriction { conductance_m3_s_pa: leak_m3_s_pa, critical_ratio: tube.critical_ratio };
-        let (tube, orifice) = (tube.into(), orifice.into());
-        let mut line = |index: usize| {
-            let MembraneTable { stepper, valve, .. } = self.membrane[index];
-            let path = format!("body.suction-pad.membrane[{index}]");
-            let stepper = shafts.turning(stepper, format!("{path}.stepper"))?;
-            let valve = shafts.relay(valve, format!("{path}.valve"))?;
-            if shafts.channels.len() < 2 * (index + 1) {
-                return Err(source.rule(path, "each membrane needs a stepper and a valve of its own"));
-            }
-            Ok(Line { stepper, valve, lead_m, bore_m2, syringe_m3, dead_m3, tube, orifice, leak })
-        };
-        let lines = [line(0)?, line(1)?, line(2)?];
-        let membranes = [0, 1, 2].map(|index: usize| {
-            let table = &self.membrane[index];
-            Membrane {
-                radius_m: table.radius_m,
-                thickness_m: table.thickness_m,
-                shear_pa: table.shear_pa,
-                stiffening: table.stiffening,
-                viscosity_pa_s: table.viscosity_pa_s,
-                burst_stretch: table.burst_stretch,
-                softening: table.softening,
-                relaxing: table.relaxing,
-                relaxing_s: table.relaxing_s.unwrap_or(1.0),
-            }
-        });
-        let cups = [0, 1].map(|index: usize| {
-            let CupTable { radius_m, suction_pa, stiffness_n_per_m, leak_strain, leak_per_s, peel } = self.cup[index];
-            Cup { radius_m, suction_pa, stiffness_n_m: stiffness_n_per_m, leak_strain, leak_per_s, peel }
-        });
-        let StripTable { stiffness_n_per_m, middle, outer, near } = self.strip;
-        let strip = Strip { stiffness_n_m: stiffness_n_per_m, middle, outer, near };
-        let pad = SuctionPad::new(strip, cups, membranes, lines, self.supply_pa).map_err(|why| {
-            let path = match why {
-                SuctionError::Membrane { membrane } | SuctionError::Stiff { membrane } => {
-                    format!("body.suction-pad.membrane[{membrane}]")
-                }
-                SuctionError::Line { .. } | SuctionError::Wide { .. } => "body.suction-pad.line".into(),
-                SuctionError::Cup { cup } => format!("body.suction-pad.cup[{cup}]"),
-                SuctionError::Strip => "body.suction-pad.strip".into(),
-                SuctionError::Supply => "body.suction-pad.supply_pa".into(),
-            };
-            source.rule(path, why)
-        })?;
-        Ok(SimulatedBody { kind: AnyBody::SuctionPad(Box::new(pad)), channels: shafts.channels })
-    }
-}
-
 impl WheeledTable {
     fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
         let (table, reader) = (self, shafts.reader);
@@ -818,139 +327,6 @@ impl WheeledTable {
             wheeled = wheeled.with_outline(outline.map_err(|why| reader.source.rule("body.wheeled.outline_m", why))?);
         }
         Ok(SimulatedBody { kind: AnyBody::Wheeled(Box::new(wheeled)), channels })
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct GripTable {
-    #[serde(deserialize_with = "channel")]
-    left: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    right: ChannelId,
-    palm: PalmTable,
-    finger: FingerTable,
-    pads: PadsTable,
-    object: HeldTable,
-    encoder: EncoderTable,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PalmTable {
-    #[serde(deserialize_with = "channel")]
-    channel: ChannelId,
-    #[serde(deserialize_with = "positive")]
-    zero_m: f64,
-    #[serde(deserialize_with = "finite")]
-    m_per_rad: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    play_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FingerTable {
-    #[serde(deserialize_with = "positive")]
-    length_m: f64,
-    #[serde(deserialize_with = "not_negative")]
-    half_width_m: f64,
-    #[serde(deserialize_with = "positive")]
-    inertia_kg_m2: f64,
-    #[serde(deserialize_with = "positive")]
-    link_nm_per_rad: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    link_nm_s_per_rad: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    play_rad: f64,
-    #[serde(deserialize_with = "positive")]
-    servo_nm_per_rad: f64,
-    #[serde(deserialize_with = "positive")]
-    servo_nm_s_per_rad: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PadsTable {
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    damping_n_s_per_m: f64,
-    #[serde(deserialize_with = "not_negative")]
-    friction: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    creep_per_s: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct HeldTable {
-    #[serde(deserialize_with = "positive")]
-    side_m: f64,
-    #[serde(deserialize_with = "not_negative")]
-    edge_m: f64,
-    #[serde(deserialize_with = "positive")]
-    mass_kg: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    table_friction: f64,
-    place_m: Point,
-    #[serde(default, deserialize_with = "finite")]
-    angle_rad: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct EncoderTable {
-    #[serde(deserialize_with = "positive")]
-    step_rad: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    noise_rad: f64,
-    #[serde(default)]
-    offset_rad: [f64; 3],
-    #[serde(default)]
-    seed: u64,
-}
-
-impl GripTable {
-    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        for (id, path) in [(self.left, "left"), (self.right, "right"), (self.palm.channel, "palm.channel")] {
-            shafts.turning(id, format!("body.two-fingers.{path}"))?;
-        }
-        let source = shafts.reader.source;
-        if shafts.channels.len() < 3 {
-            return Err(source.rule("body.two-fingers", "left, right and palm need a channel of their own each"));
-        }
-        let PalmTable { zero_m, m_per_rad, play_m, .. } = self.palm;
-        let FingerTable { length_m, half_width_m, inertia_kg_m2, link_nm_per_rad, link_nm_s_per_rad, .. } = self.finger;
-        let FingerTable { play_rad, servo_nm_per_rad, servo_nm_s_per_rad, .. } = self.finger;
-        let finger = Finger {
-            length_m,
-            half_width_m,
-            inertia_kg_m2,
-            link_nm_per_rad,
-            link_nm_s_per_rad,
-            play_rad,
-            servo_nm_per_rad,
-            servo_nm_s_per_rad,
-        };
-        let PadsTable { stiffness_n_per_m, damping_n_s_per_m, friction, creep_per_s } = self.pads;
-        let pads = Pads { stiffness_n_per_m, damping_n_s_per_m, friction, creep_per_s };
-        let HeldTable { side_m, edge_m, mass_kg, table_friction, place_m, angle_rad } = self.object;
-        let held = Held { side_m, edge_m, mass_kg, table_friction, place_m, angle_rad };
-        let EncoderTable { step_rad, noise_rad, offset_rad, seed } = self.encoder;
-        let encoders = Encoders { step_rad, noise_rad, offset_rad, seed };
-        let body =
-            TwoFingers::new(Palm { zero_m, m_per_rad, play_m }, finger, pads, held, encoders).map_err(|why| {
-                let table = match why {
-                    GripError::Palm => "palm",
-                    GripError::Finger => "finger",
-                    GripError::Pads { .. } => "pads",
-                    GripError::Object => "object",
-                    GripError::Encoders => "encoder",
-                };
-                source.rule(format!("body.two-fingers.{table}"), why)
-            })?;
-        Ok(SimulatedBody { kind: AnyBody::TwoFingers(Box::new(body)), channels: shafts.channels })
     }
 }
 

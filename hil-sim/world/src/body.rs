@@ -3,10 +3,9 @@
 use std::ops::{Deref, DerefMut};
 
 use crate::{
-    cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled,
+    berry::BerryPicker, cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, suction::SuctionPad,
+    tail::BalanceTail, wheeled::Wheeled,
 };
-use crate::{berry::BerryPicker, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
-use crate::{outline::Outline, scene::Scene, suction::SuctionPad, tail::BalanceTail, wheeled::Wheeled};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -9,8 +9,8 @@
 
 mod berry;
 mod body;
-mod grip;
 pub mod cable_loop;
+mod grip;
 mod outline;
 mod pneumatic;
 mod scene;
@@ -21,8 +21,8 @@ mod wheeled;
 
 pub use berry::{AirSupply, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fate, Fingers, Place, ToolAxes};
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
-pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use cable_loop::{CableLoop, CableLoopError};
+pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};

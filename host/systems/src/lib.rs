@@ -11,8 +11,8 @@
 
 mod about;
 pub mod absim;
-pub mod cloop;
 pub mod berry;
+pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
@@ -101,9 +101,16 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &cloop::Cloop, &inhand::Inhand, &absim::Absim, &tail::Tail]
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &berry::BerryPicking]
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &suction::Suction]
+    &[
+        &skidcal::Skidcal,
+        &osmc::Osmc,
+        &cloop::Cloop,
+        &inhand::Inhand,
+        &berry::BerryPicking,
+        &suction::Suction,
+        &absim::Absim,
+        &tail::Tail,
+    ]
 }
 
 /// The system with this name.
