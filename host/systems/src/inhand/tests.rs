@@ -74,14 +74,3 @@ fn a_released_dead_man_leaves_the_object_in_the_grip() {
     assert!((later.contact_m[0] - held.contact_m[0]).abs() < 1e-4 && later.object_m_s < 1e-5, "{held:?} {later:?}");
     assert!(held.at.palm_m != case.palm_m, "it was on its way: {held:?}");
 }
-
-#[test]
-#[ignore]
-fn temporary_study() {
-    let study = crate::Study { arms: vec![], first_seed: 1001, seeds: 100, board: "sim:two-finger-gripper".parse().expect("b"), shard: Default::default() };
-    let records = study.run(&Inhand, |_| {}).expect("study");
-    for row in crate::study::rows(&records).expect("rows") {
-        println!("{} | {} | {} | n {} failed {} | {:.4e} [{:.4e}, {:.4e}] | {:?}", row.arm, row.metric, row.unit, row.n, row.failed, row.value, row.lo, row.hi, row.met);
-    }
-    println!("{:?}", records.iter().filter_map(|r| r.failed.clone().map(|f| (r.arm.clone(), r.seed, f))).take(5).collect::<Vec<_>>());
-}
