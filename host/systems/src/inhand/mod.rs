@@ -315,4 +315,6 @@ fn figure(trial: &Trial) -> Result<Figure, Error> {
 }
 
 #[cfg(test)]
+mod mujoco;
+#[cfg(test)]
 mod tests;
