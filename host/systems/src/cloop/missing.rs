@@ -100,8 +100,8 @@ async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, 
             let mut recordings = Vec::new();
             for depth_rad in DEPTHS_RAD {
                 let mut recording = Recording::default();
-                // Out, in, held, half back, held, in again, out.
-                for (place, hold_s) in [(-0.1, 0.4), (1.0, 0.9), (0.6, 0.5), (0.9, 0.5), (-0.1, 0.1)] {
+                // Out, in, held, half back, held, in again, out: so far out that no straight line without a contact fits.
+                for (place, hold_s) in [(-1.0, 0.4), (1.0, 0.9), (0.6, 0.5), (0.9, 0.5), (-1.0, 0.1)] {
                     gripper.record_to(contact_rad - place * depth_rad, hold_s, &mut recording.samples).await?;
                 }
                 recordings.push(recording);
