@@ -358,8 +358,7 @@ impl TwoFingers {
         let edge_m = self.held.edge_m;
         let (arcs, count) = self.arcs();
         let (mut force_n, mut torque_nm, mut joints_nm) = ([0.0; 2], 0.0, [0.0; 2]);
-        for (number, joint_nm) in joints_nm.iter_mut().enumerate() {
-            let side = &mut self.sides[number];
+        for (number, (side, joint_nm)) in self.sides.iter_mut().zip(&mut joints_nm).enumerate() {
             let sign = if number == 0 { -0.5 } else { 0.5 };
             let (joint_m, joint_m_s) = ([sign * self.width_m, 0.0], sign * widens_m_s);
             let (sin, cos) = libm::sincos(side.finger_rad);
@@ -428,9 +427,9 @@ impl TwoFingers {
         let arm_m = 0.38 * side_m;
         let turning_m_s = (self.rate_rad_s * arm_m).abs().max(TABLE_SLIDE_M_S);
         let turning_drag = weight_n * arm_m * arm_m / turning_m_s;
-        for (axis, force_n) in force_n.into_iter().enumerate() {
-            self.velocity_m_s[axis] += (force_n - drag * self.velocity_m_s[axis]) / mass_kg * step_s;
-            self.place_m[axis] += self.velocity_m_s[axis] * step_s;
+        for ((velocity_m_s, place_m), force_n) in self.velocity_m_s.iter_mut().zip(&mut self.place_m).zip(force_n) {
+            *velocity_m_s += (force_n - drag * *velocity_m_s) / mass_kg * step_s;
+            *place_m += *velocity_m_s * step_s;
         }
         let inertia_kg_m2 = mass_kg * side_m * side_m / 6.0;
         self.rate_rad_s += (torque_nm - turning_drag * self.rate_rad_s) / inertia_kg_m2 * step_s;
