@@ -271,7 +271,9 @@ async fn watch_pressures(
         if frame.state == SafetyState::Tripped {
             return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
         }
-        let Some(pressures_pa) = pressures(setup, &frame.samples)? else {
+        // Without an interlock nobody minds that a sensor is at the end of its range.
+        let is_strict = fill.borrow().settings.pressure_max_pa.is_some();
+        let Some(pressures_pa) = pressures(setup, &frame.samples, is_strict)? else {
             if now_s - complete_s > FRAMES_S {
                 return Err(Error::NoReadings { channel: setup.lines[MIDDLE].sensor });
             }
@@ -302,23 +304,23 @@ async fn watch_pressures(
     }
 }
 
-/// Pressures above the atmosphere, Pa, if a frame has all of them.
-fn pressures(setup: &Setup, samples: &[Sample]) -> Result<Option<[f64; MEMBRANES]>, Error> {
+/// Pressures above the atmosphere, Pa, if a frame has all of them; the last good ones of sensors that fail, unless `is_strict`.
+fn pressures(setup: &Setup, samples: &[Sample], is_strict: bool) -> Result<Option<[f64; MEMBRANES]>, Error> {
     let mut pressures_pa = [0.0; MEMBRANES];
     for (pressure_pa, line) in pressures_pa.iter_mut().zip(&setup.lines) {
-        let Some(volts) = volts(line.sensor, samples)? else { return Ok(None) };
+        let Some(volts) = volts(line.sensor, samples, is_strict)? else { return Ok(None) };
         *pressure_pa = (volts - line.zero_v) / line.volts_per_pa;
     }
     Ok(Some(pressures_pa))
 }
 
 /// Voltage of a sensor in a frame.
-fn volts(sensor: ChannelId, samples: &[Sample]) -> Result<Option<f64>, Error> {
+fn volts(sensor: ChannelId, samples: &[Sample], is_strict: bool) -> Result<Option<f64>, Error> {
     for sample in samples {
         match *sample {
             Sample::Scalar { channel, value } if channel == sensor => return Ok(Some(value.into())),
             Sample::Reading { channel, value, quality, .. } if channel == sensor => {
-                return if quality == Quality::Good {
+                return if quality == Quality::Good || !is_strict {
                     Ok(Some(value.into()))
                 } else {
                     Err(Error::NoReadings { channel: sensor })
@@ -359,7 +361,7 @@ pub async fn record(
                     pushed_m3 = Some(f64::from(position) * rad_per_count * line.m3_per_rad);
                 }
             }
-            if let (Some(volts), Some(pushed_m3)) = (volts(line.sensor, &frame.samples)?, pushed_m3) {
+            if let (Some(volts), Some(pushed_m3)) = (volts(line.sensor, &frame.samples, true)?, pushed_m3) {
                 let first_us = *first_us.get_or_insert(frame.device_us);
                 readings.borrow_mut().push(Reading {
                     time_s: frame.device_us.saturating_sub(first_us) as f64 * 1e-6,
