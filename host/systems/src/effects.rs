@@ -27,6 +27,9 @@ pub struct Effect {
     pub absent: f64,
 }
 
+/// Predicted observations: of the base model or the effect of a number, from parameters, of the run of a number.
+pub type Predict<'a> = dyn Fn(Option<usize>, &[f64], usize) -> Vec<f64> + 'a;
+
 /// What is searched, and in what.
 pub struct Search<'a> {
     /// Initial guess of the base model's parameters.
@@ -37,7 +40,7 @@ pub struct Search<'a> {
     pub observed: &'a [Vec<f64>],
     /// Predicted observations of a run by the base model, or with the effect of a number: from the base model's parameters, followed
     /// by those of the effect.
-    pub predict: &'a dyn Fn(Option<usize>, &[f64], usize) -> Vec<f64>,
+    pub predict: &'a Predict<'a>,
 }
 
 /// An effect that the recordings show.

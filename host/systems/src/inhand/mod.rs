@@ -235,14 +235,14 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
 
 /// Metrics of a search for what is hidden.
 fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error> {
-    // A base model that does not fit an object that was lost names nothing.
-    let found = match missing::find(setup, stops) {
-        Err(Error::Effects(_)) => None,
-        found => found?,
+    // A base model that cannot be fitted, as to an object that was lost, names nothing; nor is it a clean run.
+    let (found, was_searched) = match missing::find(setup, stops) {
+        Err(Error::Effects(_)) => (None, false),
+        found => (found?, true),
     };
     let share = |is: bool| f64::from(u8::from(is));
     let Some(name) = missing::name(hidden) else {
-        return Ok(Values::from([("clean_quiet".to_owned(), share(found.is_none()))]));
+        return Ok(Values::from([("clean_quiet".to_owned(), share(was_searched && found.is_none()))]));
     };
     let is_named = found.as_ref().is_some_and(|found| found.name == name);
     let mut values = Values::from([("effect_named".to_owned(), share(is_named))]);

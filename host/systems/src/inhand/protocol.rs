@@ -15,8 +15,8 @@ const ROLL_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// Stops of a motion, as shares of its way: from the middle to one end, to the other, and back. Each place is reached from both sides.
 const SHARES: [f64; 21] =
     [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0];
-/// The set point's lead over the shaft that holds the grip, rad: 0.3 N m by a servo of 6 N m/rad. Experiment: seeds 1 to 20; with half of
-/// it objects slip where the fingers lean most, with twice as much the pads give by 0.1 mm and sizes come out so much smaller.
+/// The set point's lead over the shaft that holds the grip, rad: 0.3 N m by a servo of 6 N m/rad. Our choice: no trial has been run with
+/// another one.
 pub(super) const SQUEEZE_RAD: f64 = 0.05;
 /// Fingers open before the grip, rad from upright.
 pub(super) const OPEN_RAD: f64 = 0.25;
