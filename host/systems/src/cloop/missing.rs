@@ -178,7 +178,7 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
         if hidden == is { value } else { 0.0 }
     };
     let (friction_angle, share) = (size(Hidden::Bowden, 0.3, 0.75), size(Hidden::Creep, 0.1, 0.3));
-    let drift_n_per_s = size(Hidden::Drift, 0.02, 0.05) * if trial.seed % 2 == 0 { 1.0 } else { -1.0 };
+    let drift_n_per_s = size(Hidden::Drift, 0.02, 0.05) * if trial.seed.is_multiple_of(2) { 1.0 } else { -1.0 };
     rig.alter = Some(case.with_only(friction_angle, share, drift_n_per_s).altered());
     let work = async |session: &Session<'_>| record(session, &setup).await;
     let (recordings, _) = rig.run(None, work)?;
