@@ -509,7 +509,13 @@ const TAIL_MISTAKES: &[Mistake] = &[
 ];
 
 const LOOP_MISTAKES: &[Mistake] = &[
-    there("lift = \"stepper0\"", "lift = \"stepper1\"", "body.cable-loop.ahead", "a channel of its own"),
+    mistake(
+        "lift = \"stepper0\"",
+        "lift = \"stepper1\"",
+        "ahead = \"stepper1\"",
+        "body.cable-loop.ahead",
+        "a channel of its own",
+    ),
     there("spool = \"dhb0\"", "spool = \"dhb1\"", "body.cable-loop.spool", "no channel that turns `dhb1`"),
     there("legs_m = 0.012", "legs_m = 0.0", "body.cable-loop.finger.legs_m", "must be above 0"),
     there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.analog[0].body.reading", "no `force_kg`"),

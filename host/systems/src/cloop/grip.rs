@@ -417,7 +417,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
-            if force_n > HOME_N && (contact.pairs() >= 3 || !self.uses.bowden) {
+            if force_n > HOME_N && (contact.count() >= 3 || !self.uses.bowden) {
                 self.home_rad = match contact.angle_rad() {
                     Some(angle_rad) if self.uses.bowden => angle_rad,
                     _ => self.read.angle_rad + self.setup.stretch_rad(2.0 * self.setup.bend_radius_m, force_n),
@@ -457,7 +457,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
-            let is_there = contact.pairs() > 2;
+            let is_there = contact.count() > 2;
             if (!is_there && self.read.angle_rad < gone_rad) || self.read.angle_rad < missed_rad - 1.0 {
                 self.stop()?;
                 return Ok(false);

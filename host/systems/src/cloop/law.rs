@@ -48,7 +48,7 @@ impl Contact {
 
     /// Number of pairs.
     #[must_use]
-    pub fn pairs(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.points.len()
     }
 

@@ -65,7 +65,7 @@ static ABOUT: About = About {
     sampled: &[
         "vial: diameter 10 to 50 mm, mass 20 to 150 g, static friction 0.45 to 0.9, kinetic 0.8 to 0.95 of it, crushed at 8.5 to 12 N, uniform",
         "its place: 40 to 56 mm before the tip, 8 mm to both sides, uniform; 3 mm of clearance in its rack",
-        "a knock in the air: 0 to 18 m/s2 upwards for 30 to 120 ms, 0.2 to 0.6 s after the lift began, uniform",
+        "a knock in the air: 0 to 18 m/s2 upwards for 30 to 120 ms, 0.2 to 0.6 s after it was lifted by 20 mm, uniform",
         "Bowden tube: friction times angle 0.15 to 0.75, uniform",
         "creep of the loop: 10 to 30 % of the force, time constant 0.5 to 2 s, uniform",
         "force sensor: zero -1 to 1 N, drift -0.05 to 0.05 N/s, uniform; noise 20 mN",

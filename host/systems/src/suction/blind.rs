@@ -42,7 +42,11 @@ pub fn find(setup: &Setup, runs: &[Vec<Reading>]) -> Result<Option<Found>, Error
     let predict = |effect: Option<usize>, numbers: &[f64], run: usize| predicted(setup, effect, numbers, &runs[run]);
     let found = Search { base_start: &BASE_START, effects: &EFFECTS, observed: &observed, predict: &predict }.run()?;
     let smallest = |found: &Found| {
-        EFFECTS.iter().zip(SMALLEST).find(|(effect, _)| effect.name == found.name).map_or(f64::INFINITY, |(_, size)| size)
+        EFFECTS
+            .iter()
+            .zip(SMALLEST)
+            .find(|(effect, _)| effect.name == found.name)
+            .map_or(f64::INFINITY, |(_, size)| size)
     };
     Ok(found.filter(|found| found.size >= smallest(found)))
 }
