@@ -12,6 +12,7 @@
 //! the study move the tool by two axes: in the paper's arms a declared hand presses the handle's microswitch, in ours the board
 //! switches the valve itself. [`protocol`] runs them on a board, [`scene`] samples the bushes.
 
+pub mod missing;
 pub mod protocol;
 pub mod scene;
 pub mod trials;
@@ -21,6 +22,7 @@ use r4_rig::{Rig, Session};
 use crate::{
     About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
 };
+use missing::{Change, Sheet};
 use protocol::{Method, Outcome};
 use scene::{Case, Gripper, PRINTED_N, PRINTED_PA, Setup};
 
@@ -38,6 +40,9 @@ const OURS: &str = "ours";
 const IN_TURN: &str = "ablation:no-overlap";
 const UNSEEN: &str = "ablation:no-pressure";
 const BELIEF: &str = "ablation:printed-force";
+/// Before the name of what is hidden, or of nothing.
+const BLIND: &str = "blind:";
+const CLEAN: &str = "blind:clean";
 
 const fn board(name: &'static str, does: &'static str) -> Arm {
     Arm { name, does, is_kinematic: false }
@@ -62,6 +67,8 @@ static ABOUT: About = About {
         "diameter 16 to 22 mm, stiffness 1.2 to 1.8 N/mm, friction 0.4 to 0.7, uniform (synthetic)",
         "stalk and cane 120 to 200 N/m, stalk off at 0.6 to 2.4 N, berry crushed above 7 to 14 N, uniform (synthetic)",
         "error of seen places normal, 2 to 4 mm of standard deviation in reach and row, new for each attempt",
+        "in blind arms, a valve 8 to 30 ms slower, an inlet of 0.5 to 0.8 of its conductance, a compressor of 0.2 to 0.7 of its delivery, \
+         uniform, or nothing",
         "noise of the board's analog input, bounce of the handle's switch",
     ],
     arms: &[
@@ -74,6 +81,10 @@ static ABOUT: About = About {
         board(IN_TURN, "ours, one thing after the other"),
         board(UNSEEN, "ours without pressure: fixed waits, no retry"),
         board(BELIEF, "ours with the regulator set by the printed force, 50 N at 5 bar"),
+        board("blind:slow-valve", "names what has changed since the gripper was new: its valve"),
+        board("blind:narrow-tube", "the same: its inlet"),
+        board("blind:weak-compressor", "the same: its compressor"),
+        board(CLEAN, "the same: nothing"),
     ],
     metrics: &[
         simulated(
@@ -101,6 +112,25 @@ static ABOUT: About = About {
         printed("rod_force_printed_n", "N"),
         printed("cycle_printed_s", "s"),
         simulated("receiver_min_pa", "Pa", Statistic::Quantile(0.5), &[]),
+        simulated(
+            "effect_named",
+            "1",
+            Statistic::Share,
+            &[
+                Target { arm: "blind:slow-valve", limit: Limit::AtLeast(0.9), from: "set by this project" },
+                Target { arm: "blind:narrow-tube", limit: Limit::AtLeast(0.9), from: "set by this project" },
+                Target { arm: "blind:weak-compressor", limit: Limit::AtLeast(0.9), from: "set by this project" },
+            ],
+        ),
+        simulated(
+            "clean_quiet",
+            "1",
+            Statistic::Share,
+            &[Target { arm: CLEAN, limit: Limit::AtLeast(0.95), from: "set by this project" }],
+        ),
+        simulated("effect_size_error", "1", Statistic::Quantile(0.5), &[]),
+        simulated("effect_rmse_before", "1", Statistic::Quantile(0.5), &[]),
+        simulated("effect_rmse_after", "1", Statistic::Quantile(0.5), &[]),
     ],
 };
 
@@ -110,7 +140,10 @@ impl System for BerryPicking {
     }
 
     fn run(&self, trial: &Trial) -> Result<Values, Error> {
-        Ok(evaluate(trial.arm, &picked(trial)?))
+        match trial.arm.strip_prefix(BLIND) {
+            Some(hidden) => blind(trial, hidden),
+            None => Ok(evaluate(trial.arm, &picked(trial)?)),
+        }
     }
 
     fn figure(&self, trial: &Trial) -> Result<Option<Figure>, Error> {
@@ -181,6 +214,54 @@ pub fn picked(trial: &Trial) -> Result<Outcome, Error> {
     rig.alter = Some(case.altered(gripper, regulated_pa));
     let work = async |session: &Session<'_>| protocol::pick(session, &setup, &case, method).await;
     Ok(rig.run(None, work)?.0)
+}
+
+/// Records the gripper when it is new and with what is `hidden` in it, and names that.
+fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
+    let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
+    let change = Change::named(hidden, trial.seed);
+    let rig = |run: usize| {
+        let mut rig = Rig::new(trial.board.clone());
+        // Each recording has noise of its own.
+        rig.seed = trial.seed.wrapping_mul(64) + run as u64;
+        rig
+    };
+    let nominal = rig(0).robot()?;
+    let picker = scene::picker(&nominal).map_err(unsuitable)?.clone();
+    let setup = Setup::of(&nominal, PRINTED_PA).map_err(unsuitable)?;
+    let sheet = Sheet::of(&picker, PRINTED_PA);
+    let record = |change: Option<Change>, first: usize| {
+        let changed = change.map_or(Ok(picker.clone()), |change| change.put_into(&picker));
+        let changed = changed.map_err(|error| unsuitable(error.to_string()))?;
+        let run = |run: usize| {
+            let mut rig = rig(first + run);
+            rig.alter = Some(scene::replaced(changed.clone()));
+            let schedule = missing::schedule(trial.seed, first + run);
+            let work = async |session: &Session<'_>| protocol::close_often(session, &setup, &schedule).await;
+            Ok(rig.run(None, work)?.0)
+        };
+        (0..missing::RUNS).map(run).collect::<Result<Vec<_>, Error>>()
+    };
+    let (new, now) = (record(None, 0)?, record(change, missing::RUNS)?);
+    let found = missing::found(&sheet, &new, &now)?;
+    let mut values = Values::new();
+    let share = |is: bool| f64::from(u8::from(is));
+    match change {
+        Some(_) => values.insert("effect_named".into(), share(found.is_some_and(|found| found.name == hidden))),
+        None => values.insert("clean_quiet".into(), share(found.is_none())),
+    };
+    if let Some(found) = found {
+        values.insert("effect_rmse_before".into(), found.before);
+        values.insert("effect_rmse_after".into(), found.after);
+        let size = change.map(|change| match change {
+            Change::SlowValve(added_s) => added_s * 1e3,
+            Change::NarrowTube(share) | Change::WeakCompressor(share) => share,
+        });
+        if let Some(size) = size.filter(|_| found.name == hidden) {
+            values.insert("effect_size_error".into(), (found.size / size - 1.0).abs());
+        }
+    }
+    Ok(values)
 }
 
 /// Metrics of a trial.

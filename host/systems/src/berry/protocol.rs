@@ -1,11 +1,14 @@
 //! A run along a bush on a board: axes, valve and pressure by the board, decisions on the host.
 
 use r4_driver::TelemetryStream;
-use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint};
+use r4_protocol::{Mode, Quality, SafetyState, Sample, Setpoint};
 use r4_rig::{Error, Session};
 use r4_world::{AnyBody, BerryPicker, Fate};
 
-use super::scene::{BUSH_M, Case, HANDLE, PRESSURE, Setup};
+use super::{
+    missing::Closing,
+    scene::{BUSH_M, Case, HANDLE, PRESSURE, Setup},
+};
 
 /// How often pressure is sent, ms.
 const PRESSURE_EVERY_MS: u16 = 2;
@@ -82,7 +85,20 @@ struct Watch<'s, 'b> {
     trace: [Vec<(f64, f64)>; 2],
 }
 
-impl Watch<'_, '_> {
+impl<'s, 'b> Watch<'s, 'b> {
+    fn new(session: &'s Session<'b>, setup: &'s Setup) -> Self {
+        Self {
+            session,
+            setup,
+            telemetry: session.board.telemetry(),
+            now_s: 0.0,
+            axes_m: [0.0; 2],
+            pressure_pa: 0.0,
+            handle: (false, 0.0),
+            trace: [const { Vec::new() }; 2],
+        }
+    }
+
     /// Waits until what the board sent fulfils `is_there`.
     async fn until(&mut self, what: &'static str, is_there: impl Fn(&Self) -> bool) -> Result<(), Error> {
         let begin_s = self.now_s;
@@ -116,9 +132,14 @@ impl Watch<'_, '_> {
             }
             return Ok(());
         }
-        let (Sample::Scalar { value, .. } | Sample::Reading { value, .. }) = *sample else { return Ok(()) };
+        let value = match *sample {
+            Sample::Scalar { value, .. } | Sample::Reading { value, quality: Quality::Good, .. } => value,
+            // A transmitter that shows nothing plausible shows nothing: the wait for it times out.
+            _ => return Ok(()),
+        };
         if channel == PRESSURE {
-            self.pressure_pa = f64::from(value) / self.setup.volts_per_pa;
+            let [zero_v, volts_per_pa] = self.setup.pressure_v;
+            self.pressure_pa = (f64::from(value) - zero_v) / volts_per_pa;
             self.trace[0].push((self.now_s, self.pressure_pa));
         } else if channel == HANDLE && self.handle.0 != (value > 0.5) {
             self.handle = (value > 0.5, self.now_s);
@@ -136,7 +157,10 @@ impl Watch<'_, '_> {
     }
 
     async fn wait(&mut self, seconds: f64) -> Result<(), Error> {
-        let until_s = self.now_s + seconds;
+        self.wait_until(self.now_s + seconds).await
+    }
+
+    async fn wait_until(&mut self, until_s: f64) -> Result<(), Error> {
         self.until("wait", |watch| watch.now_s >= until_s).await
     }
 
@@ -180,16 +204,7 @@ pub async fn pick(session: &Session<'_>, setup: &Setup, case: &Case, method: Met
     for channel in setup.axes.into_iter().chain([HANDLE]) {
         board.subscribe(channel, AXES_EVERY_MS).await?;
     }
-    let mut watch = Watch {
-        session,
-        setup,
-        telemetry: board.telemetry(),
-        now_s: 0.0,
-        axes_m: [0.0; 2],
-        pressure_pa: 0.0,
-        handle: (false, 0.0),
-        trace: [const { Vec::new() }; 2],
-    };
+    let mut watch = Watch::new(session, setup);
     let mut outcome = Outcome {
         fates: Vec::new(),
         picks_s: Vec::new(),
@@ -317,8 +332,27 @@ async fn carry(
     if method.detects { watch.emptied().await } else { watch.wait(OPENS_S).await }
 }
 
-/// Channels that a run needs, beside those of [`Setup`].
-#[must_use]
-pub fn sensors() -> [ChannelId; 2] {
-    [PRESSURE, HANDLE]
+/// Closes and opens over the tray by a schedule of times, s, armed; returns each closing by its pressure.
+///
+/// # Errors
+/// When the board does not arm, or stops; [`Error::NoReadings`] where pressure does not rise.
+pub async fn close_often(session: &Session<'_>, setup: &Setup, schedule: &[[f64; 2]]) -> Result<Vec<Closing>, Error> {
+    session.board.subscribe(PRESSURE, PRESSURE_EVERY_MS).await?;
+    let mut watch = Watch::new(session, setup);
+    let mut closings = Vec::with_capacity(schedule.len());
+    let work = async || {
+        for [close_s, open_s] in schedule {
+            let at_s = session.board.device_us() as f64 * 1e-6;
+            watch.valve(true).await?;
+            watch.wait_until(at_s + close_s).await?;
+            let pressure_pa = &watch.trace[0];
+            let from = pressure_pa.partition_point(|(sampled_s, _)| *sampled_s < at_s);
+            closings.push(Closing::of(at_s, &pressure_pa[from..]).ok_or(Error::NoReadings { channel: PRESSURE })?);
+            watch.valve(false).await?;
+            watch.wait_until(at_s + close_s + open_s).await?;
+        }
+        Ok::<(), Error>(())
+    };
+    session.armed(work).await?;
+    Ok(closings)
 }

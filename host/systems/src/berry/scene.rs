@@ -99,6 +99,15 @@ impl Case {
     }
 }
 
+/// What a rig does to a robot to give it another gripper.
+pub(super) fn replaced(picker: BerryPicker) -> Alter {
+    Rc::new(move |robot| {
+        if let Some(body) = &mut robot.simulation.body {
+            body.kind = AnyBody::BerryPicker(Box::new(picker.clone()));
+        }
+    })
+}
+
 fn body(
     nominal: &BerryPicker,
     gripper: Gripper,
@@ -134,8 +143,8 @@ pub struct Setup {
     pub m_per_rad: f64,
     /// Reach over the tray, m.
     pub tray_m: f64,
-    /// Pressure of the closing chamber, V per Pa.
-    pub volts_per_pa: f64,
+    /// Transmitter at the closing chamber: V without pressure, and V per Pa.
+    pub pressure_v: [f64; 2],
     /// Setting of the regulator, Pa.
     pub regulated_pa: f64,
 }
@@ -162,7 +171,7 @@ impl Setup {
             axes: [channel(reach)?, channel(row)?],
             m_per_rad: picker.axes().m_per_rad,
             tray_m: picker.axes().tray_m,
-            volts_per_pa: sensor.per_unit,
+            pressure_v: [sensor.zero, sensor.per_unit],
             regulated_pa,
         })
     }

@@ -41,6 +41,19 @@ fn the_printed_force_crushes() {
 }
 
 #[test]
+fn what_has_changed_is_named_and_nothing_is_quiet() {
+    for name in missing::NAMES {
+        let arm = ABOUT.arms.iter().find(|arm| arm.name.strip_prefix(BLIND) == Some(name)).expect("an arm").name;
+        let found = values(arm, 3);
+        assert_eq!(found["effect_named"], 1.0, "{arm}: {found:?}");
+        // The board filters its analog input, which a rise of some milliseconds shows.
+        assert!(found["effect_size_error"] < 0.3, "{arm}: {found:?}");
+        assert!(found["effect_rmse_after"] < 0.6 * found["effect_rmse_before"], "{arm}: {found:?}");
+    }
+    assert_eq!(values(CLEAN, 3), Values::from([("clean_quiet".to_owned(), 1.0)]));
+}
+
+#[test]
 fn a_robot_without_a_gripper_is_refused() {
     let trial = Trial { board: "sim:openscout".parse().expect("a board"), ..trial(OURS, 1) };
     let error = BerryPicking.run(&trial).expect_err("wheels").to_string();
