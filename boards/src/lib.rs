@@ -24,14 +24,14 @@ pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
     Ackermann, BodyReading, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedAngle,
-    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedEncoder, SimulatedForce, SimulatedGnss, SimulatedImu,
-    SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo,
-    SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy, TruePoint,
-    UartDevice, World,
+    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedDistance, SimulatedEncoder, SimulatedForce, SimulatedGnss,
+    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
+    SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy,
+    TruePoint, UartDevice, World,
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 8] = [
+const ROBOTS: [&str; 11] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -39,7 +39,10 @@ const ROBOTS: [&str; 8] = [
     "openagribot",
     "balance-tail",
     "every-interface",
+    "two-finger-gripper",
+    "cable-loop",
     "berry-picker",
+    "suction-pad",
 ];
 const WORLDS: [&str; 2] = ["square", "stand"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];

@@ -211,6 +211,14 @@ pub(crate) fn angle_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result
     number_of(deserializer, ChannelKind::Angle)
 }
 
+pub(crate) fn optional_analog_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
+    number_of(deserializer, ChannelKind::Analog).map(Some)
+}
+
+pub(crate) fn optional_force_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
+    number_of(deserializer, ChannelKind::Force).map(Some)
+}
+
 pub(crate) fn analog_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u8, D::Error> {
     number_of(deserializer, ChannelKind::Analog)
 }

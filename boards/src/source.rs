@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 18] = [
+const BUILT_IN: [(&str, &str); 22] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -28,6 +28,7 @@ const BUILT_IN: [(&str, &str); 18] = [
     ("balance-tail.toml", include_str!("../balance-tail.toml")),
     ("berry-picker.toml", include_str!("../berry-picker.toml")),
     ("every-interface.toml", include_str!("../every-interface.toml")),
+    ("two-finger-gripper.toml", include_str!("../two-finger-gripper.toml")),
     ("worlds/stand.toml", include_str!("../worlds/stand.toml")),
     ("worlds/square.toml", include_str!("../worlds/square.toml")),
     ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
@@ -37,6 +38,9 @@ const BUILT_IN: [(&str, &str); 18] = [
     ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
     ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
     ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
+    ("cable-loop.toml", include_str!("../cable-loop.toml")),
+    ("plants/cable-loop-spool.toml", include_str!("../plants/cable-loop-spool.toml")),
+    ("suction-pad.toml", include_str!("../suction-pad.toml")),
 ];
 
 /// Where the files that a file names are looked up.

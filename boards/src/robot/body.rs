@@ -1,5 +1,11 @@
 //! `[body]` and `[world]`: what couples a robot's shafts, and what it moves among. Simulated only.
 
+mod berry_picker;
+mod cable_loop;
+mod flow;
+mod suction_pad;
+mod two_fingers;
+
 use std::fmt::Write;
 
 use r4_protocol::{
@@ -7,9 +13,8 @@ use r4_protocol::{
     config::BoardConfig,
 };
 use r4_world::{
-    AirSupply, Ankle, AnyBody, Axle, BalanceTail, Berry, BerryError, BerryPicker, Body as _, Cable, Chassis,
-    ChassisError, CoilValve, Cylinder, Fingers, Lift, Link, Outline, Person, Point, Pose, Restriction, Scene,
-    SceneError, SlipLaw, Surface, TailError, ToolAxes, Tyre, Wearer, Wheel, Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point,
+    Pose, Scene, SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
@@ -32,123 +37,14 @@ pub(super) enum Body {
     Wheeled(Box<WheeledTable>),
     /// A person with a tail of two links.
     BalanceTail(Box<TailTable>),
+    /// Two fingers with an object between them.
+    TwoFingers(Box<two_fingers::GripTable>),
+    /// A gripper with a loop that closes round a vial.
+    CableLoop(Box<cable_loop::CableLoopTable>),
     /// A pneumatic gripper before a bush.
-    BerryPicker(Box<PickerTable>),
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct PickerTable {
-    supply: SupplyTable,
-    valve: ValveTable,
-    cylinder: CylinderTable,
-    fingers: FingersTable,
-    axes: ToolAxesTable,
-    #[serde(default, rename = "berry")]
-    berries: Vec<BerryTable>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SupplyTable {
-    #[serde(deserialize_with = "positive")]
-    receiver_m3: f64,
-    #[serde(deserialize_with = "positive")]
-    compressor_m3_s: f64,
-    runs_between_pa: [f64; 2],
-    #[serde(deserialize_with = "positive")]
-    regulated_pa: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ValveTable {
-    #[serde(deserialize_with = "channel")]
-    channel: ChannelId,
-    #[serde(deserialize_with = "not_negative")]
-    on_s: f64,
-    #[serde(deserialize_with = "not_negative")]
-    off_s: f64,
-    inlet: FlowTable,
-    exhaust: FlowTable,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FlowTable {
-    #[serde(deserialize_with = "positive")]
-    conductance_m3_s_pa: f64,
-    #[serde(deserialize_with = "not_negative")]
-    critical_ratio: f64,
-}
-
-impl From<FlowTable> for Restriction {
-    fn from(FlowTable { conductance_m3_s_pa, critical_ratio }: FlowTable) -> Self {
-        Self { conductance_m3_s_pa, critical_ratio }
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CylinderTable {
-    #[serde(deserialize_with = "positive")]
-    bore_m: f64,
-    #[serde(deserialize_with = "positive")]
-    rod_m: f64,
-    #[serde(deserialize_with = "positive")]
-    stroke_m: f64,
-    #[serde(deserialize_with = "positive")]
-    dead_m3: f64,
-    #[serde(deserialize_with = "positive")]
-    mass_kg: f64,
-    #[serde(deserialize_with = "not_negative")]
-    coulomb_n: f64,
-    #[serde(deserialize_with = "not_negative")]
-    viscous_n_s_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    cushion_n_s_per_m: f64,
-    closes_outwards: bool,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FingersTable {
-    #[serde(deserialize_with = "positive")]
-    open_gap_m: f64,
-    #[serde(deserialize_with = "positive")]
-    gap_ratio: f64,
-    #[serde(deserialize_with = "positive")]
-    stiffness_n_per_m: f64,
-    #[serde(default, deserialize_with = "not_negative")]
-    bending_n_per_m: f64,
-    #[serde(deserialize_with = "positive")]
-    pad_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ToolAxesTable {
-    #[serde(deserialize_with = "channel")]
-    reach: ChannelId,
-    #[serde(deserialize_with = "channel")]
-    row: ChannelId,
-    #[serde(deserialize_with = "positive")]
-    m_per_rad: f64,
-    #[serde(deserialize_with = "finite")]
-    tray_m: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BerryTable {
-    place_m: Point,
-    diameter_m: f64,
-    mass_kg: f64,
-    stiffness_n_per_m: f64,
-    friction: f64,
-    stalk_n_per_m: f64,
-    detach_n: f64,
-    crush_n: f64,
+    BerryPicker(Box<berry_picker::PickerTable>),
+    /// A strip with suction cups and inflatable membranes.
+    SuctionPad(Box<suction_pad::SuctionTable>),
 }
 
 #[derive(Deserialize)]
@@ -328,72 +224,11 @@ impl Body {
         match self {
             Self::Wheeled(table) => table.check(shafts),
             Self::BalanceTail(table) => table.check(shafts),
+            Self::TwoFingers(table) => table.check(shafts),
+            Self::CableLoop(table) => table.check(shafts),
             Self::BerryPicker(table) => table.check(shafts),
+            Self::SuctionPad(table) => table.check(shafts),
         }
-    }
-}
-
-impl PickerTable {
-    fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        let Self { supply, valve, cylinder, fingers, axes, berries } = self;
-        let supply = AirSupply {
-            receiver_m3: supply.receiver_m3,
-            compressor_m3_s: supply.compressor_m3_s,
-            runs_between_pa: supply.runs_between_pa,
-            regulated_pa: supply.regulated_pa,
-        };
-        let valve = CoilValve {
-            shaft: shafts.relay(valve.channel, "body.berry-picker.valve.channel".into())?,
-            delay_s: [valve.on_s, valve.off_s],
-            inlet: valve.inlet.into(),
-            exhaust: valve.exhaust.into(),
-        };
-        let cylinder = Cylinder {
-            bore_m: cylinder.bore_m,
-            rod_m: cylinder.rod_m,
-            stroke_m: cylinder.stroke_m,
-            dead_m3: cylinder.dead_m3,
-            mass_kg: cylinder.mass_kg,
-            coulomb_n: cylinder.coulomb_n,
-            viscous_n_s_per_m: cylinder.viscous_n_s_per_m,
-            cushion_n_s_per_m: cylinder.cushion_n_s_per_m,
-            closes_outwards: cylinder.closes_outwards,
-        };
-        let fingers = Fingers {
-            open_gap_m: fingers.open_gap_m,
-            gap_ratio: fingers.gap_ratio,
-            stiffness_n_per_m: fingers.stiffness_n_per_m,
-            bending_n_per_m: fingers.bending_n_per_m,
-            pad_m: fingers.pad_m,
-        };
-        let reach = shafts.turning(axes.reach, "body.berry-picker.axes.reach".into())?;
-        let row = shafts.turning(axes.row, "body.berry-picker.axes.row".into())?;
-        if reach == row {
-            return Err(shafts.reader.source.rule("body.berry-picker.axes.row", "each axis needs a motor of its own"));
-        }
-        let axes = ToolAxes { shafts: [reach, row], m_per_rad: axes.m_per_rad, tray_m: axes.tray_m };
-        let berry = |berry: &BerryTable| Berry {
-            place_m: berry.place_m,
-            diameter_m: berry.diameter_m,
-            mass_kg: berry.mass_kg,
-            stiffness_n_per_m: berry.stiffness_n_per_m,
-            friction: berry.friction,
-            stalk_n_per_m: berry.stalk_n_per_m,
-            detach_n: berry.detach_n,
-            crush_n: berry.crush_n,
-        };
-        let berries = berries.iter().map(berry).collect();
-        let picker = BerryPicker::new(supply, valve, cylinder, fingers, axes, berries).map_err(|why| {
-            let path = match why {
-                BerryError::Supply => "body.berry-picker.supply".into(),
-                BerryError::Valve => "body.berry-picker.valve".into(),
-                BerryError::Cylinder | BerryError::Stiff { .. } => "body.berry-picker.cylinder".into(),
-                BerryError::Fingers => "body.berry-picker.fingers".into(),
-                BerryError::Berry { berry } => format!("body.berry-picker.berry[{berry}]"),
-            };
-            shafts.reader.source.rule(path, why)
-        })?;
-        Ok(SimulatedBody { kind: AnyBody::BerryPicker(Box::new(picker)), channels: shafts.channels })
     }
 }
 

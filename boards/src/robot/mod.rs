@@ -16,7 +16,7 @@ use r4_world::{AnyBody, Pose, Scene};
 pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
 pub(crate) use read::read;
-pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedForce, SimulatedImu, SimulatedPulses};
+pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedDistance, SimulatedForce, SimulatedImu, SimulatedPulses};
 pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
@@ -65,6 +65,8 @@ pub struct Simulation {
     pub angles: Vec<SimulatedAngle>,
     /// One for each load cell.
     pub forces: Vec<SimulatedForce>,
+    /// One for each optical distance sensor.
+    pub distances: Vec<SimulatedDistance>,
     /// Angle sensors that send pulses to range connectors.
     pub pulses: Vec<SimulatedPulses>,
     /// Sensors at the UART connectors.

@@ -18,8 +18,8 @@ use serde::{
 use toml::{Spanned, de::DeValue};
 
 use crate::number::{
-    Interval, analog_number, angle_number, channel, finite, not_negative, optional_duty, optional_supply_number,
-    positive, stop_brake_ms,
+    Interval, analog_number, angle_number, channel, finite, not_negative, optional_analog_number, optional_duty,
+    optional_force_number, optional_supply_number, positive, stop_brake_ms,
 };
 
 /// A motor as it is in the file.
@@ -172,21 +172,37 @@ struct Point {
     position_m: f32,
 }
 
-/// What measures a motor's force.
+/// What measures a motor's force: an analog input, or a load cell on the bus.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ForceSensorTable {
-    #[serde(deserialize_with = "analog_number")]
-    analog: u8,
+struct ForceSensorFields {
+    #[serde(default, deserialize_with = "optional_analog_number")]
+    analog: Option<u8>,
     #[serde(default, deserialize_with = "finite")]
     zero_v: f32,
-    #[serde(deserialize_with = "finite")]
+    #[serde(default, deserialize_with = "finite")]
     newtons_per_v: f32,
+    #[serde(default, deserialize_with = "optional_force_number")]
+    force: Option<u8>,
 }
 
-impl From<ForceSensorTable> for ForceSensor {
-    fn from(ForceSensorTable { analog, zero_v, newtons_per_v }: ForceSensorTable) -> Self {
-        Self::Analog { analog, zero_v, newtons_per_v }
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "ForceSensorFields")]
+struct ForceSensorTable(ForceSensor);
+
+impl TryFrom<ForceSensorFields> for ForceSensorTable {
+    type Error = &'static str;
+
+    fn try_from(fields: ForceSensorFields) -> Result<Self, &'static str> {
+        match fields {
+            ForceSensorFields { analog: Some(analog), zero_v, newtons_per_v, force: None } => {
+                Ok(Self(ForceSensor::Analog { analog, zero_v, newtons_per_v }))
+            }
+            ForceSensorFields { analog: None, zero_v: 0.0, newtons_per_v: 0.0, force: Some(force) } => {
+                Ok(Self(ForceSensor::LoadCell { force }))
+            }
+            _ => Err("a force sensor is { analog, zero_v, newtons_per_v }, or { force }, as in { force = \"force0\" }"),
+        }
     }
 }
 
@@ -463,7 +479,7 @@ macro_rules! controlled {
                             homing: self.homing.map(Into::into),
                             motor_side,
                             force: self.force.map(|force| ForceConfig {
-                                sensor: force.sensor.into(),
+                                sensor: force.sensor.0,
                                 range: force.range_n.into(),
                                 limit_n: force.limit_n,
                                 speed_per_n: force.$speed_per_n,

@@ -70,6 +70,8 @@ struct RobotFile {
     angle: Vec<sensor::Angle>,
     #[serde(default)]
     force: Vec<sensor::Force>,
+    #[serde(default)]
+    distance: Vec<sensor::Distance>,
     drive: Option<Drive>,
     body: Option<body::Body>,
     world: Option<body::WorldTable>,
@@ -261,7 +263,9 @@ impl Reader<'_> {
         let currents: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(current);
         let angles: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(angle);
         let forces: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(force);
-        for (table, more) in [("current", &currents), ("angle", &angles), ("force", &forces)] {
+        let distances: heapless::Vec<SensorConfig, MAX_SENSORS> = list!(distance);
+        for (table, more) in [("current", &currents), ("angle", &angles), ("force", &forces), ("distance", &distances)]
+        {
             let full = |_| self.rule(table, "the firmware has at most 4 sensors on the bus");
             sensors.extend_from_slice(more).map_err(full)?;
         }

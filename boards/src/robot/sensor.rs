@@ -1,9 +1,9 @@
-//! `[[imu]]`, `[[current]]`, `[[angle]]`, `[[force]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
+//! `[[imu]]`, `[[current]]`, `[[angle]]`, `[[force]]`, `[[distance]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
 //! measure in simulation.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
-    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig, Vl6180xConfig},
 };
 use serde::Deserialize;
 
@@ -150,6 +150,52 @@ impl Table for Force {
         let chip = SensorChip::Nau7802(Nau7802Config { gain, newtons_per_mv_v, zero_mv_v });
         Ok(SensorConfig { id, address, rate_hz, chip })
     }
+}
+
+/// An optical distance sensor, VL6180X.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Distance {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default = "vl6180x_address")]
+    address: u8,
+    rate_hz: u16,
+}
+
+/// The one that it has after power-up.
+fn vl6180x_address() -> u8 {
+    0x29
+}
+
+impl Table for Distance {
+    type Config = SensorConfig;
+    const KIND: ChannelKind = ChannelKind::Distance;
+
+    fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    fn config(&self, place: &mut Place<'_, '_>) -> Result<SensorConfig, BoardError> {
+        let &Self { channel: id, address, rate_hz } = self;
+        place.take_address(address)?;
+        Ok(SensorConfig { id, address, rate_hz, chip: SensorChip::Vl6180x(Vl6180xConfig {}) })
+    }
+}
+
+/// What is in front of an optical distance sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedDistance {
+    /// Channel of the sensor.
+    pub channel: ChannelId,
+    /// How far away it is, in place of the body's, m; `None` where there is nothing.
+    pub distance_m: Option<f64>,
+    /// The quantity of the body that is the distance, as m.
+    pub reads: Option<BodyReading>,
+    /// Share of the light that it gives back.
+    pub reflectance: f64,
+    /// How much too far the sensor ranges, m.
+    pub offset_m: f64,
 }
 
 /// What is on a load cell, and what the cell truly is.

@@ -14,9 +14,9 @@ use serde::Deserialize;
 
 use super::{
     BodyReading, PlantFile, RangeView, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedCurrent,
-    SimulatedEncoder, SimulatedForce, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange,
-    SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation, SwitchedBy,
-    TruePoint,
+    SimulatedDistance, SimulatedEncoder, SimulatedForce, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail,
+    SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation,
+    SwitchedBy, TruePoint,
     body::{Body, MountTable},
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
@@ -78,6 +78,8 @@ pub(super) struct Tables {
     angle: Vec<SimulatedAngle>,
     #[serde(default)]
     force: Vec<Force>,
+    #[serde(default)]
+    distance: Vec<Distance>,
     #[serde(default)]
     pulses: Vec<SimulatedPulses>,
     #[serde(default)]
@@ -267,6 +269,26 @@ struct Force {
     noise_n: f64,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Distance {
+    #[serde(deserialize_with = "channel")]
+    channel: ChannelId,
+    #[serde(default, deserialize_with = "optional_not_negative")]
+    distance_m: Option<f64>,
+    /// What of the body it sees, in place of `distance_m`.
+    body: Option<SensorReading>,
+    #[serde(default = "grey", deserialize_with = "crate::number::positive")]
+    reflectance: f64,
+    #[serde(default, deserialize_with = "finite")]
+    offset_m: f64,
+}
+
+/// The grey target of the VL6180X's tables.
+fn grey() -> f64 {
+    0.17
+}
+
 /// A quantity of the body, in the sensor's unit: `zero + per_unit * reading`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -339,7 +361,7 @@ macro_rules! about {
 
 about!(Rotary "rotary", Linear "linear", Rail "rail", Servo "servo", Bldc "bldc", Stepper "stepper");
 about!(Range "range", Analog "analog", Switch "switch", SimulatedImu "imu", SimulatedCurrent "current");
-about!(SimulatedAngle "angle", Force "force");
+about!(SimulatedAngle "angle", Force "force", Distance "distance");
 
 impl Tables {
     /// Checks the tables against the robot's configuration, and reads the plant files.
@@ -379,6 +401,12 @@ impl Tables {
             currents: check.each(&self.current, &on_bus(ChannelKind::Current), |current| current.id, Check::current)?,
             angles: check.each(&self.angle, &on_bus(ChannelKind::Angle), |angle| angle.id, Check::angle)?,
             forces: check.each(&self.force, &on_bus(ChannelKind::Force), |force| force.id, Check::force)?,
+            distances: check.each(
+                &self.distance,
+                &on_bus(ChannelKind::Distance),
+                |sensor| sensor.id,
+                Check::distance,
+            )?,
             pulses: check.pulses(&self.pulses)?,
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
@@ -769,6 +797,26 @@ impl Check<'_> {
             noise_n: force.noise_n,
             ..configured
         })
+    }
+
+    /// An optical distance sensor that no table is about has nothing in front of it.
+    fn distance(
+        &mut self,
+        config: &SensorConfig,
+        distance: Option<&Distance>,
+        path: &str,
+    ) -> Result<SimulatedDistance, BoardError> {
+        let nothing =
+            SimulatedDistance { channel: config.id, distance_m: None, reads: None, reflectance: grey(), offset_m: 0.0 };
+        let Some(&Distance { distance_m, ref body, reflectance, offset_m, .. }) = distance else { return Ok(nothing) };
+        if distance_m.is_some() && body.is_some() {
+            return Err(self.reader.rule(path, "needs distance_m, or body, or neither, and not both"));
+        }
+        if reflectance > 1.0 {
+            return Err(self.reader.rule(format!("{path}.reflectance"), "must be at most 1"));
+        }
+        let reads = body.as_ref().map(|body| self.sensor_reading(body, path)).transpose()?;
+        Ok(SimulatedDistance { distance_m, reads, reflectance, offset_m, ..nothing })
     }
 
     /// What sends pulses to range connectors: what tables say, and for each other motor that is controlled by pulses, what it takes

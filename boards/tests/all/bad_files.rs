@@ -3,8 +3,10 @@
 use std::{fs, path::Path};
 
 use proptest::prelude::*;
-use r4_boards::{BoardError, Robot, SimulatedEncoder, SimulatedPulses, load, load_carrier};
-use r4_protocol::config::{As5600Config, Feedback, MotorSideConfig, SensorChip};
+use r4_boards::{
+    BoardError, Robot, SimulatedDistance, SimulatedEncoder, SimulatedForce, SimulatedPulses, load, load_carrier,
+};
+use r4_protocol::config::{As5600Config, Feedback, MotorSideConfig, Nau7802Config, SensorChip, Vl6180xConfig};
 use tempfile::TempDir;
 
 const ROBOT: &str = include_str!("../../osmc-bench.toml");
@@ -12,6 +14,7 @@ const ALL: &str = include_str!("../../every-interface.toml");
 const CAR: &str = include_str!("../../openpodcar.toml");
 const SKID_STEERED: &str = include_str!("../../openscout.toml");
 const TAIL: &str = include_str!("../../balance-tail.toml");
+const LOOP: &str = include_str!("../../cable-loop.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -505,6 +508,19 @@ const TAIL_MISTAKES: &[Mistake] = &[
     there("input = 1, lines", "input = 0, lines", "simulation.bldc[1].encoder.input", "encoder `0` is already used"),
 ];
 
+const LOOP_MISTAKES: &[Mistake] = &[
+    mistake(
+        "lift = \"stepper0\"",
+        "lift = \"stepper1\"",
+        "ahead = \"stepper1\"",
+        "body.cable-loop.ahead",
+        "a channel of its own",
+    ),
+    there("spool = \"dhb0\"", "spool = \"dhb1\"", "body.cable-loop.spool", "no channel that turns `dhb1`"),
+    there("legs_m = 0.012", "legs_m = 0.0", "body.cable-loop.finger.legs_m", "must be above 0"),
+    there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.analog[0].body.reading", "no `force_kg`"),
+];
+
 const CARRIER_MISTAKES: &[Mistake] = &[
     there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
     there(
@@ -618,6 +634,7 @@ fn mistakes_in_a_robot_file() {
         (CAR, CAR_MISTAKES),
         (SKID_STEERED, SKID_MISTAKES),
         (TAIL, TAIL_MISTAKES),
+        (LOOP, LOOP_MISTAKES),
     ];
     let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
     let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();
@@ -752,4 +769,55 @@ fn angle_sensors_and_second_encoders_are_read_and_simulated() {
     assert_eq!(feedback, Feedback::Pulses { range: 1, frames_hz: 115, zero: 0.0, inverted: true });
     let expected = SimulatedPulses { connector: 1, of: osmc0, zero_rad: 0.0, frames_hz: 115.0 };
     assert_eq!(robot.simulation.pulses, [expected]);
+}
+
+/// Load cells and optical distance sensors: read, simulated as they are configured, and what cannot be.
+#[test]
+fn load_cells_and_distance_sensors_are_read_and_simulated() {
+    const TABLES: &str = "[[force]]\nchannel = \"force0\"\nrate_hz = 80\nnewtons_per_mv_v = 49.0\nzero_mv_v = 0.25\n\
+                          [[distance]]\nchannel = \"distance2\"\nrate_hz = 20\n";
+    let folder = TempDir::new().unwrap();
+    let with = |more: &str| load_text(folder.path(), &format!("{ROBOT}\n{TABLES}\n{more}"));
+    let robot = with("").unwrap();
+    let [cell, optical] = robot.config.sensors[..] else { panic!("two sensors") };
+    let chip = Nau7802Config { gain: 128, newtons_per_mv_v: 49.0, zero_mv_v: 0.25 };
+    assert_eq!((cell.address, cell.chip), (0x2A, SensorChip::Nau7802(chip)));
+    assert_eq!((optical.address, optical.chip), (0x29, SensorChip::Vl6180x(Vl6180xConfig {})));
+    let force = SimulatedForce {
+        channel: cell.id,
+        force_n: 0.0,
+        reads: None,
+        newtons_per_mv_v: 49.0,
+        zero_mv_v: 0.25,
+        noise_n: 0.0,
+    };
+    let (reads, reflectance, offset_m) = (None, 0.17, 0.0);
+    let distance = SimulatedDistance { channel: optical.id, distance_m: None, reads, reflectance, offset_m };
+    assert_eq!((&robot.simulation.forces[..], &robot.simulation.distances[..]), (&[force][..], &[distance][..]));
+
+    let robot = with(
+        "[[simulation.force]]\nchannel = \"force0\"\nforce_n = 12.0\nnewtons_per_mv_v = 47.5\nzero_mv_v = -0.1\nnoise_n = 0.02\n\
+         [[simulation.distance]]\nchannel = \"distance2\"\ndistance_m = 0.05\nreflectance = 0.88\noffset_m = -0.004\n",
+    )
+    .unwrap();
+    let truth = SimulatedForce { force_n: 12.0, newtons_per_mv_v: 47.5, zero_mv_v: -0.1, noise_n: 0.02, ..force };
+    let seen = SimulatedDistance { distance_m: Some(0.05), reflectance: 0.88, offset_m: -0.004, ..distance };
+    assert_eq!((&robot.simulation.forces[..], &robot.simulation.distances[..]), (&[truth][..], &[seen][..]));
+
+    let force = "[[simulation.force]]\nchannel = \"force0\"\n";
+    let distance = "[[simulation.distance]]\nchannel = \"distance2\"\n";
+    for (more, says) in [
+        (format!("{force}force_n = 1.0\nbody = {{ reading = \"force_n\" }}"), "needs force_n, or body, and not both"),
+        (format!("{force}body = {{ reading = \"force_n\" }}"), "there is no [body]"),
+        (format!("{force}newtons_per_mv_v = 0.0"), "must not be 0"),
+        (format!("{force}noise_n = -1.0"), "noise_n"),
+        (format!("{distance}distance_m = 1.0\nbody = {{ reading = \"force_n\" }}"), "not both"),
+        (format!("{distance}reflectance = 1.5"), "must be at most 1"),
+        ("[[simulation.force]]\nchannel = \"force1\"".into(), "force1"),
+        ("[[force]]\nchannel = \"force1\"\nrate_hz = 10\nnewtons_per_mv_v = 1.0".into(), "address"),
+        ("[[distance]]\nchannel = \"force1\"\nrate_hz = 10\naddress = 0x30".into(), "distance0"),
+    ] {
+        let error = with(&more).unwrap_err().to_string();
+        assert!(error.contains(says), "{more}: {error}");
+    }
 }

@@ -346,6 +346,17 @@ fn the_tail_has_the_published_numbers() {
     assert!((49.0..51.0).contains(&weight_nm), "{weight_nm}");
 }
 
+/// Printed: vials of 10 to 50 mm and at most 150 g, 3 mm of clearance, a bend radius of 5 mm, which is half the smallest vial.
+#[test]
+fn the_cable_loop_has_the_published_numbers() {
+    let body = load("cable-loop").unwrap().simulation.body.unwrap();
+    let r4_world::AnyBody::CableLoop(gripper) = &body.kind else { panic!("a gripper") };
+    assert_eq!((gripper.vial().clearance_m, gripper.finger().bend_radius_m), (0.003, 0.005));
+    assert!((0.010..=0.050).contains(&gripper.vial().diameter_m) && gripper.vial().mass_kg <= 0.150);
+    let channels: Vec<_> = body.channels.iter().map(ToString::to_string).collect();
+    assert_eq!(channels, ["dhb0", "stepper0", "stepper1", "stepper2"]);
+}
+
 #[test]
 fn every_world_is_read() {
     for name in r4_boards::world_names() {

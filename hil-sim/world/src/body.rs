@@ -2,7 +2,10 @@
 
 use std::ops::{Deref, DerefMut};
 
-use crate::{berry::BerryPicker, outline::Outline, scene::Scene, tail::BalanceTail, wheeled::Wheeled};
+use crate::{
+    berry::BerryPicker, cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, suction::SuctionPad,
+    tail::BalanceTail, wheeled::Wheeled,
+};
 
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -155,8 +158,14 @@ pub enum AnyBody {
     Wheeled(Box<Wheeled>),
     /// A person with a tail on the back.
     BalanceTail(Box<BalanceTail>),
+    /// Two fingers with an object between them.
+    TwoFingers(Box<TwoFingers>),
+    /// A gripper with a loop that closes round a vial.
+    CableLoop(Box<CableLoop>),
     /// A gripper before a bush.
     BerryPicker(Box<BerryPicker>),
+    /// A strip with suction cups and inflatable membranes.
+    SuctionPad(Box<SuctionPad>),
 }
 
 impl Deref for AnyBody {
@@ -166,7 +175,10 @@ impl Deref for AnyBody {
         match self {
             Self::Wheeled(body) => &**body,
             Self::BalanceTail(body) => &**body,
+            Self::TwoFingers(body) => &**body,
+            Self::CableLoop(body) => &**body,
             Self::BerryPicker(body) => &**body,
+            Self::SuctionPad(body) => &**body,
         }
     }
 }
@@ -176,7 +188,10 @@ impl DerefMut for AnyBody {
         match self {
             Self::Wheeled(body) => &mut **body,
             Self::BalanceTail(body) => &mut **body,
+            Self::TwoFingers(body) => &mut **body,
+            Self::CableLoop(body) => &mut **body,
             Self::BerryPicker(body) => &mut **body,
+            Self::SuctionPad(body) => &mut **body,
         }
     }
 }

@@ -9,18 +9,26 @@
 
 mod berry;
 mod body;
+pub mod cable_loop;
+mod grip;
 mod outline;
 mod pneumatic;
 mod scene;
+mod suction;
 mod tail;
 mod tyre;
 mod wheeled;
 
 pub use berry::{AirSupply, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fate, Fingers, Place, ToolAxes};
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
+pub use cable_loop::{CableLoop, CableLoopError};
+pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
 pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
+pub use suction::{
+    Cup, LIMIT_STRETCH, Line, MEMBRANES, MIDDLE, Membrane, MembraneState, Strip, SuctionError, SuctionPad, SuctionState,
+};
 pub use tail::{Ankle, BalanceTail, Cable, Lift, Link, TailError, TailState, Wearer};
 pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};

@@ -27,6 +27,9 @@ pub struct Effect {
     pub absent: f64,
 }
 
+/// Predicted observations: of the base model or the effect of a number, from parameters, of the run of a number.
+pub type Predict<'a> = dyn Fn(Option<usize>, &[f64], usize) -> Vec<f64> + 'a;
+
 /// What is searched, and in what.
 pub struct Search<'a> {
     /// Initial guess of the base model's parameters.
@@ -37,7 +40,7 @@ pub struct Search<'a> {
     pub observed: &'a [Vec<f64>],
     /// Predicted observations of a run by the base model, or with the effect of a number: from the base model's parameters, followed
     /// by those of the effect.
-    pub predict: &'a dyn Fn(Option<usize>, &[f64], usize) -> Vec<f64>,
+    pub predict: &'a Predict<'a>,
 }
 
 /// An effect that the recordings show.
@@ -164,10 +167,10 @@ mod tests {
 
     #[test]
     fn the_hidden_effect_is_named_with_its_size() {
-        for hidden in 0..3 {
+        for (hidden, effect) in EFFECTS.iter().enumerate() {
             for seed in 1..=20 {
                 let found = search(Some(hidden), seed).expect("an effect");
-                assert_eq!(found.name, EFFECTS[hidden].name, "seed {seed}: {found:?}");
+                assert_eq!(found.name, effect.name, "seed {seed}: {found:?}");
                 assert!(found.interval.contains(0.3), "seed {seed}: {found:?}");
                 // The noise is 0.1; of 120 samples its RMS is within 30 % in all but one of a million.
                 assert!(found.after < found.before && (found.after / 0.1 - 1.0).abs() < 0.3, "{found:?}");

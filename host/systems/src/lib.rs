@@ -12,9 +12,11 @@
 mod about;
 pub mod absim;
 pub mod berry;
+pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
+pub mod inhand;
 pub mod osmc;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -26,6 +28,7 @@ mod sampler;
 pub mod skidcal;
 mod statistic;
 pub mod study;
+pub mod suction;
 pub mod tail;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
@@ -98,7 +101,16 @@ pub trait System: Sync {
 /// All systems, in the order of the papers.
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
-    &[&skidcal::Skidcal, &osmc::Osmc, &absim::Absim, &tail::Tail, &berry::BerryPicking]
+    &[
+        &skidcal::Skidcal,
+        &osmc::Osmc,
+        &cloop::Cloop,
+        &inhand::Inhand,
+        &berry::BerryPicking,
+        &suction::Suction,
+        &absim::Absim,
+        &tail::Tail,
+    ]
 }
 
 /// The system with this name.

@@ -47,7 +47,16 @@ pub enum ForceSensor {
         /// Force for one volt more, N/V; negative where the voltage falls.
         newtons_per_v: f32,
     },
+    /// A load cell, one of [`super::BoardConfig::sensors`], which is read at least [`FORCE_RATE_MIN_HZ`] times a second.
+    LoadCell {
+        /// Number of its channel.
+        force: u8,
+    },
 }
+
+/// Lowest rate at which a load cell serves force control, Hz: four control periods of 1 ms between two readings, in which a motor that
+/// meets an object goes on.
+pub const FORCE_RATE_MIN_HZ: u16 = 250;
 
 impl ForceConfig {
     /// Force control among a channel's modes.
@@ -58,11 +67,12 @@ impl ForceConfig {
 
     pub(super) fn validate(&self, id: ChannelId, speed_max: f32) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(id), holds, rule);
-        let ForceSensor::Analog { zero_v, newtons_per_v, .. } = self.sensor;
-        rule(
-            finite(zero_v) && finite(newtons_per_v) && newtons_per_v != 0.0,
-            "a force sensor's zero_v must be finite, and its newtons_per_v other than 0",
-        )?;
+        if let ForceSensor::Analog { zero_v, newtons_per_v, .. } = self.sensor {
+            rule(
+                finite(zero_v) && finite(newtons_per_v) && newtons_per_v != 0.0,
+                "a force sensor's zero_v must be finite, and its newtons_per_v other than 0",
+            )?;
+        }
         let Range { min, max } = self.range;
         rule(finite(min) && finite(max) && min < max, "force range must have a finite min below a finite max")?;
         rule(

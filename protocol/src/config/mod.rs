@@ -15,7 +15,7 @@ use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-pub use force::{ForceConfig, ForceSensor};
+pub use force::{FORCE_RATE_MIN_HZ, ForceConfig, ForceSensor};
 pub use input::{AnalogConfig, EncoderConfig, RangeConfig, SupplyConfig, SwitchConfig};
 pub use motor::{
     ANGLE_RATE_MIN_HZ, ANGLE_READINGS_LOST, BridgeConfig, BridgeLines, ControlConfig, CurrentSense, DUTY_HARD_MAX,
@@ -28,7 +28,7 @@ pub use output::{
 };
 pub use sensor::{
     AS5600_COUNTS, As5600Config, Icm20948Config, Ina226Config, MAX_SENSORS, NAU7802_FULL_SCALE_MV_V, NAU7802_RATES_HZ,
-    Nau7802Config, SensorChip, SensorConfig, SensorDescription, bus_bits,
+    Nau7802Config, SensorChip, SensorConfig, SensorDescription, VL6180X_FARTHEST_M, Vl6180xConfig, bus_bits,
 };
 
 use crate::{
@@ -559,9 +559,20 @@ impl BoardConfig {
     fn validate_forces(&self) -> Result<(), ConfigError> {
         let forces = self.motors.iter().filter_map(|motor| Some((motor.id, motor.control.as_ref()?.force?)));
         for (id, force) in forces {
-            let ForceSensor::Analog { analog, .. } = force.sensor;
-            let known = self.analogs.iter().any(|config| config.id.index == analog);
-            check(Some(id), known, "the force sensor's analog input must be in the list of analog inputs")?;
+            let rule = |holds: bool, rule| check(Some(id), holds, rule);
+            match force.sensor {
+                ForceSensor::Analog { analog, .. } => {
+                    let known = self.analogs.iter().any(|config| config.id.index == analog);
+                    rule(known, "the force sensor's analog input must be in the list of analog inputs")?;
+                }
+                ForceSensor::LoadCell { force } => {
+                    let cell = ChannelId::new(ChannelKind::Force, force);
+                    let rate_hz = self.sensors.iter().find(|sensor| sensor.id == cell).map(|sensor| sensor.rate_hz);
+                    rule(rate_hz.is_some(), "the motor's load cell must be in the list of sensors")?;
+                    let fast = rate_hz.is_some_and(|rate_hz| rate_hz >= FORCE_RATE_MIN_HZ);
+                    rule(fast, "the rate_hz of a motor's load cell must be at least 250")?;
+                }
+            }
         }
         Ok(())
     }

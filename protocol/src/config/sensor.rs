@@ -44,6 +44,8 @@ pub enum SensorChip {
     As5600(As5600Config),
     /// Nuvoton NAU7802: the force on a load cell, by its bridge.
     Nau7802(Nau7802Config),
+    /// ST VL6180X: the distance to what is in front of it.
+    Vl6180x(Vl6180xConfig),
 }
 
 /// Full scales of an ICM-20948.
@@ -82,6 +84,13 @@ pub struct Nau7802Config {
     /// What the bridge puts out without a force, mV/V.
     pub zero_mv_v: f32,
 }
+
+/// A VL6180X, which has nothing to set but its rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Vl6180xConfig {}
+
+/// Farthest distance that a VL6180X is read at, m: it is specified up to 0.1 m, and sees bright targets farther.
+pub const VL6180X_FARTHEST_M: f32 = 0.2;
 
 /// Rates of an NAU7802, Hz.
 pub const NAU7802_RATES_HZ: [u16; 5] = [10, 20, 40, 80, 320];
@@ -159,6 +168,17 @@ impl SensorChip {
                 reading_bits: bus_bits(4) + bus_bits(6),
                 transfers: 2,
             },
+            // Two addresses, a register of two bytes and three of status; the same and the distance; one address, a register and what clears
+            // the flag.
+            Self::Vl6180x(_) => SensorDescription {
+                kind: ChannelKind::Distance,
+                addresses: 0x29..=0x29,
+                rates_hz: 1..=50,
+                range: Range::new(0.0, VL6180X_FARTHEST_M),
+                longest_bits: bus_bits(7),
+                reading_bits: bus_bits(7) + bus_bits(5) + bus_bits(4),
+                transfers: 3,
+            },
         }
     }
 
@@ -181,6 +201,7 @@ impl SensorChip {
                 let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(chip.gain);
                 rule(chip.zero_mv_v.abs() < full_scale_mv_v, "zero_mv_v must be within 500 mV/V divided by gain")
             }
+            Self::Vl6180x(_) => rule(rate_hz > 0 && 100 % rate_hz == 0, "rate_hz must be 1, 2, 4, 5, 10, 20, 25 or 50"),
         }
     }
 }

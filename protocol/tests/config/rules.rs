@@ -5,13 +5,13 @@ use std::{collections::BTreeSet, fs, path::PathBuf};
 use r4_protocol::{
     ChannelId,
     ChannelKind::{Actuator, Analog, Bldc, Dac, DeadMan, Dhb, Encoder, Osmc, Range as RangeSensor, Relay, Servo},
-    ChannelKind::{Angle, Current, Force, Imu, Stepper, Supply, Switch},
+    ChannelKind::{Angle, Current, Distance, Force, Imu, Stepper, Supply, Switch},
     Range,
     config::{
         As5600Config, BoardConfig, BridgeConfig, BridgeLines, ConfigError, ControlConfig, DUTY_HARD_MAX, DacChipConfig,
         DhbLines, DriveLine, ExpanderConfig, FeedForward, Feedback, ForceConfig, ForceSensor, HomingConfig,
         Icm20948Config, Ina226Config, MAX_EXACT, MotorSideConfig, Nau7802Config, PidGains, Place, PotPoint, Reverse,
-        SensorChip, SensorConfig, WindingConfig,
+        SensorChip, SensorConfig, Vl6180xConfig, WindingConfig,
     },
 };
 
@@ -378,6 +378,15 @@ const LOOPS: &[Case] = {
         (WHEEL, FORCE_SENSOR, |c| {
             force(c).sensor = ForceSensor::Analog { analog: 4, zero_v: 0.5, newtons_per_v: 0.0 };
         }),
+        (WHEEL, "the motor's load cell must be in the list of sensors", |c| {
+            force(c).sensor = ForceSensor::LoadCell { force: 3 };
+        }),
+        (WHEEL, "the rate_hz of a motor's load cell must be at least 250", |c| {
+            let chip = SensorChip::Nau7802(Nau7802Config { gain: 128, newtons_per_mv_v: 50.0, zero_mv_v: 0.0 });
+            let cell = SensorConfig { id: id(Force, 3), address: 0x2A, rate_hz: 80, chip };
+            c.sensors.push(cell).expect("room");
+            force(c).sensor = ForceSensor::LoadCell { force: 3 };
+        }),
         (WHEEL, "force range must have a finite min below a finite max", |c| force(c).range = Range::new(5.0, 5.0)),
         (WHEEL, "force_limit must be above all forces of the range", |c| force(c).limit_n = 20.0),
         (WHEEL, "force_limit must be above all forces of the range", |c| force(c).range.min = -30.0),
@@ -592,6 +601,10 @@ const SENSORS: &[Case] = {
         }),
         (Some(id(Angle, 7)), RATE, |c| c.sensors[1].rate_hz = 1001),
         (CELL0, CONVERSIONS, |c| cell(c, 100, 128, 24.5, 0.0)),
+        (Some(id(Distance, 3)), "rate_hz must be 1, 2, 4, 5, 10, 20, 25 or 50", |c| {
+            let chip = SensorChip::Vl6180x(Vl6180xConfig {});
+            c.sensors[0] = SensorConfig { id: id(Distance, 3), address: 0x29, rate_hz: 30, chip };
+        }),
         (CELL0, GAIN, |c| cell(c, 80, 0, 24.5, 0.0)),
         (CELL0, GAIN, |c| cell(c, 80, 96, 24.5, 0.0)),
         (CELL0, "newtons_per_mv_v must be positive or negative", |c| cell(c, 80, 128, 0.0, 0.0)),

@@ -8,6 +8,7 @@ pub mod mcp4728;
 pub mod nau7802;
 pub mod pca9685;
 pub mod sensor;
+pub mod vl6180x;
 
 /// Why an operation did not succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

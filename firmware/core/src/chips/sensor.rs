@@ -9,7 +9,7 @@ use r4_protocol::{
     config::{SensorChip, SensorConfig},
 };
 
-use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226, nau7802::Nau7802};
+use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226, nau7802::Nau7802, vl6180x::Vl6180x};
 use crate::bus::bits;
 
 /// Most bytes written in one exchange: a register and two more.
@@ -43,6 +43,21 @@ impl Exchange {
     pub const fn get(register: u8, count: u8) -> Self {
         let read = if count as usize > MAX_READ { MAX_READ as u8 } else { count };
         Self { written: [register, 0, 0], length: 1, read }
+    }
+
+    /// Writes `value` into a register of one byte whose address has two.
+    #[must_use]
+    pub const fn set_far(register: u16, value: u8) -> Self {
+        let [high, low] = register.to_be_bytes();
+        Self { written: [high, low, value], length: 3, read: 0 }
+    }
+
+    /// Reads `count` bytes from `register` on, whose address has two bytes, at most [`MAX_READ`].
+    #[must_use]
+    pub const fn get_far(register: u16, count: u8) -> Self {
+        let read = if count as usize > MAX_READ { MAX_READ as u8 } else { count };
+        let [high, low] = register.to_be_bytes();
+        Self { written: [high, low, 0], length: 2, read }
     }
 
     /// The bytes written, without the address.
@@ -140,7 +155,7 @@ macro_rules! chips {
     };
 }
 
-chips!(Icm20948 Ina226 As5600 Nau7802);
+chips!(Icm20948 Ina226 As5600 Nau7802 Vl6180x);
 
 /// Of a reading of which one number may be at the end of its range.
 pub(super) const fn saturation(saturated: bool) -> Quality {

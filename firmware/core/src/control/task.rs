@@ -322,7 +322,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let home = control.homing.and_then(|homing| self.inputs.is_closed(homing.switch));
             causes = causes.union(motor.sense(raw, home));
             if let Some(force) = &control.force {
-                causes = causes.union(motor.sense_force(newtons(force.sensor, &self.inputs)));
+                let newtons = newtons(force.sensor, &self.inputs, &self.bus_sensors, self.sensed);
+                causes = causes.union(motor.sense_force(newtons));
             }
             if let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback
                 && let Some(count) = self.peripherals.at_index(index)
@@ -707,9 +708,18 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 }
 
 /// What a motor's force sensor shows, N, where it can be relied on.
-fn newtons(sensor: ForceSensor, inputs: &Inputs) -> Option<f32> {
-    let ForceSensor::Analog { analog, zero_v, newtons_per_v } = sensor;
-    Some((inputs.analog_v(analog)? - zero_v) * newtons_per_v)
+fn newtons(sensor: ForceSensor, inputs: &Inputs, sensors: &Sensors, now: Instant) -> Option<f32> {
+    match sensor {
+        ForceSensor::Analog { analog, zero_v, newtons_per_v } => {
+            Some((inputs.analog_v(analog)? - zero_v) * newtons_per_v)
+        }
+        ForceSensor::LoadCell { force } => {
+            let reading = sensors.force(force)?;
+            // One that has missed its next reading is on its way to being lost.
+            let is_recent = now.saturating_duration_since(reading.taken) <= reading.period * 2;
+            is_recent.then_some(reading.newtons)
+        }
+    }
 }
 
 /// What a motor's angle sensor told last; `None` for feedback of another kind, too.

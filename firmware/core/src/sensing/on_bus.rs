@@ -105,7 +105,6 @@ impl Sensors {
 
     /// What load cell number `index` read last, if that can be relied on; `None` where there is no such sensor. One at the end of its
     /// range is not relied on: the force may be anything beyond it.
-    #[allow(dead_code, reason = "for a loop on force")]
     pub(crate) fn force(&self, index: u8) -> Option<ForceReading> {
         let id = ChannelId::new(ChannelKind::Force, index);
         let sensor = self.sensors.iter().find(|sensor| sensor.id == id)?;

@@ -11,6 +11,7 @@ pub mod mcp23017;
 pub mod mcp4728;
 pub mod nau7802;
 pub mod pca9685;
+pub mod vl6180x;
 
 /// Counts in one PWM cycle of a [`Line`].
 pub const COUNTS: u16 = 4096;

@@ -2,7 +2,9 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use r4_boards::{BodyReading, Robot, SimulatedAngle, SimulatedCurrent, SimulatedForce, SimulatedImu};
+use r4_boards::{
+    BodyReading, Robot, SimulatedAngle, SimulatedCurrent, SimulatedDistance, SimulatedForce, SimulatedImu,
+};
 use r4_protocol::{
     ChannelId,
     config::{SensorChip, SensorConfig},
@@ -19,6 +21,7 @@ use crate::{
         mcp23017::{Mcp23017, PinState, Port},
         nau7802::Nau7802,
         pca9685::Pca9685,
+        vl6180x::{Target, Vl6180x},
     },
     i2c::I2cBus,
     misuse::Misuse,
@@ -38,6 +41,7 @@ pub(super) struct Chips {
     pub(super) currents: Vec<CurrentMonitor>,
     pub(super) angles: Vec<AngleSensor>,
     pub(super) forces: Vec<LoadCell>,
+    pub(super) distances: Vec<DistanceSensor>,
 }
 
 /// An IMU and how it sits on the body.
@@ -98,6 +102,19 @@ impl LoadCell {
     }
 }
 
+/// An optical distance sensor, and what is in front of it.
+pub(super) struct DistanceSensor {
+    pub(super) chip: Rc<RefCell<Vl6180x>>,
+    pub(super) sees: SimulatedDistance,
+}
+
+impl DistanceSensor {
+    fn new(sees: &SimulatedDistance, seed: u64) -> Self {
+        let chip = Vl6180x::new(seed.wrapping_add(sees.channel.index.into()), sees.offset_m);
+        Self { chip: Rc::new(RefCell::new(chip)), sees: *sees }
+    }
+}
+
 impl Chips {
     pub(super) fn new(robot: &Robot, bus: &mut I2cBus, seed: u64) -> Self {
         let config = &robot.config;
@@ -112,6 +129,7 @@ impl Chips {
             currents: currents.collect(),
             angles: robot.simulation.angles.iter().map(|mounting| AngleSensor::new(mounting, seed)).collect(),
             forces: robot.simulation.forces.iter().map(|cell| LoadCell::new(cell, seed)).collect(),
+            distances: robot.simulation.distances.iter().map(|sees| DistanceSensor::new(sees, seed)).collect(),
             osmc_pwm: config.osmc_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
@@ -134,6 +152,7 @@ impl Chips {
         chips.currents.iter().for_each(|current| bus.attach(current.chip.clone()));
         chips.angles.iter().for_each(|angle| bus.attach(angle.chip.clone()));
         chips.forces.iter().for_each(|force| bus.attach(force.chip.clone()));
+        chips.distances.iter().for_each(|distance| bus.attach(distance.chip.clone()));
         chips
     }
 
@@ -174,6 +193,15 @@ impl Chips {
         for LoadCell { chip, cell } in &self.forces {
             let force_n = cell.reads.and_then(&measured).unwrap_or(cell.force_n);
             chip.borrow_mut().feel(until_ns, cell.zero_mv_v + force_n / cell.newtons_per_mv_v);
+        }
+    }
+
+    /// Lets optical distance sensors see what is in front of them, of the body what `measured` says, up to `until_ns`.
+    pub(super) fn see_distances(&self, until_ns: u64, measured: impl Fn(BodyReading) -> Option<f64>) {
+        for DistanceSensor { chip, sees } in &self.distances {
+            let distance_m = sees.reads.and_then(&measured).or(sees.distance_m);
+            let reflectance = sees.reflectance;
+            chip.borrow_mut().feel(until_ns, distance_m.map(|distance_m| Target { distance_m, reflectance }));
         }
     }
 
@@ -229,6 +257,7 @@ impl Chips {
         self.currents.iter().for_each(|current| all.extend(current.chip.borrow().misuse().first()));
         self.angles.iter().for_each(|angle| all.extend(angle.chip.borrow().misuse().first()));
         self.forces.iter().for_each(|force| all.extend(force.chip.borrow().misuse().first()));
+        self.distances.iter().for_each(|distance| all.extend(distance.chip.borrow().misuse().first()));
         all
     }
 }

@@ -33,6 +33,7 @@ use crate::{
         mcp23017::{Mcp23017, PinState},
         nau7802::Nau7802,
         pca9685::Pca9685,
+        vl6180x::Vl6180x,
     },
     clock::Clock,
     i2c::I2cBus,
@@ -225,7 +226,9 @@ impl World {
             motor.map(|motor| motor.plant.sensed_position())
         };
         self.chips.see_angles(until_ns, shaft);
-        self.chips.see_forces(until_ns, |reading| self.body.as_ref().map(|body| body.measured(reading)));
+        let measured = |reading| self.body.as_ref().map(|body| body.measured(reading));
+        self.chips.see_forces(until_ns, measured);
+        self.chips.see_distances(until_ns, measured);
         for source in &mut self.pins.pulses {
             let shaft_rad = source.mounting.of.and_then(shaft).unwrap_or_default();
             source.sensor.feel(until_ns, source.mounting.zero_rad + shaft_rad);
@@ -461,6 +464,12 @@ impl World {
     #[must_use]
     pub fn load_cell(&self, channel: ChannelId) -> Option<&Rc<RefCell<Nau7802>>> {
         self.chips.forces.iter().find(|force| force.cell.channel == channel).map(|force| &force.chip)
+    }
+
+    /// An optical distance sensor, to look into and to break; `None` for a channel that is none.
+    #[must_use]
+    pub fn distance_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Vl6180x>>> {
+        self.chips.distances.iter().find(|sensor| sensor.sees.channel == channel).map(|sensor| &sensor.chip)
     }
 
     /// The angle sensor that sends pulses to a range connector, to look at and to break; `None` where there is none.

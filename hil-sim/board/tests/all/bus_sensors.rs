@@ -9,11 +9,11 @@ use std::{
 };
 
 use embedded_hal::i2c::Operation;
-use r4_boards::{Robot, SimulatedForce};
+use r4_boards::{Robot, SimulatedDistance, SimulatedForce};
 use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
-    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig},
+    config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig, Vl6180xConfig},
 };
 use r4_sim::{
     chips::{
@@ -21,6 +21,7 @@ use r4_sim::{
         icm20948::{Icm20948, Truth},
         ina226::{Ina226, Inputs},
         nau7802::Nau7802,
+        vl6180x::{Target, Vl6180x},
     },
     i2c::{Disturbance, I2cBus, Injection, Span},
 };
@@ -513,5 +514,123 @@ fn a_load_cell_that_fails_is_told_of_and_comes_back() {
             // Noise of a conversion is 1.2 mN, and f32.
             assert!((newtons - 60.0).abs() < 0.02, "{newtons} N after {expected}");
         }
+    });
+}
+
+const DISTANCE: ChannelId = ChannelId::new(ChannelKind::Distance, 0);
+
+/// Lets `driver` have the bus until `count` readings, a transfer in each millisecond; `pass` is told the time.
+fn readings(
+    driver: &mut AnyDriver,
+    bus: &mut I2cBus,
+    address: u8,
+    count: usize,
+    mut pass: impl FnMut(u64),
+) -> Vec<(u64, f32, Quality)> {
+    let (mut now_ns, mut all) = (0, Vec::new());
+    for _ in 0..20_000 {
+        pass(now_ns);
+        let exchange = driver.next();
+        let mut bytes = vec![0; exchange.read()];
+        let mut operations = vec![Operation::Write(exchange.written())];
+        if !bytes.is_empty() {
+            operations.push(Operation::Read(&mut bytes));
+        }
+        bus.execute(now_ns, address, &mut operations).unwrap();
+        now_ns += MS;
+        match driver.done(&bytes) {
+            Outcome::Next | Outcome::NotReady => {}
+            Outcome::Wait(duration) => now_ns += duration.as_micros() * 1000,
+            Outcome::Reading { values, quality } => all.push((now_ns, values[0], quality)),
+            Outcome::WrongChip => panic!("it is the right one"),
+        }
+        if all.len() == count {
+            return all;
+        }
+    }
+    panic!("only {} readings", all.len());
+}
+
+/// Also a chip that still ranges as it was told before the board was restarted.
+#[test]
+fn a_vl6180x_gives_the_distance_at_every_rate() {
+    for rate_hz in [1, 2, 4, 5, 10, 20, 25, 50] {
+        let chip = Rc::new(RefCell::new(Vl6180x::new(7, 0.003)));
+        let mut bus = I2cBus::new(400_000);
+        bus.attach(chip.clone());
+        let config = SensorChip::Vl6180x(Vl6180xConfig {});
+        let config = SensorConfig { id: DISTANCE, address: 0x29, rate_hz, chip: config };
+        for distance_m in [0.01, 0.05, 0.1] {
+            let mut driver = AnyDriver::new(&config);
+            let from_ns = chip.borrow().felt_ns();
+            let target = Some(Target { distance_m, reflectance: 0.17 });
+            let pass = |now_ns| chip.borrow_mut().feel(from_ns + now_ns, target);
+            let all = readings(&mut driver, &mut bus, 0x29, 10, pass);
+            for (_, shown_m, quality) in &all {
+                // 3 mm of offset; five deviations of 1 mm up to 50 mm, and a count.
+                let tolerance_m = 5e-3 * (distance_m / 0.05).max(1.0) + 0.5e-3;
+                assert_eq!(*quality, Quality::Good);
+                assert!((f64::from(*shown_m) - distance_m - 0.003).abs() < tolerance_m, "{shown_m} at {distance_m} m");
+            }
+            let took_s = (all[9].0 - all[0].0) as f64 * 1e-9;
+            // Looked at each millisecond.
+            assert!((took_s - 9.0 / f64::from(rate_hz)).abs() < 0.003, "{rate_hz} Hz: {took_s} s");
+        }
+        assert_eq!(chip.borrow().misuse().first(), []);
+    }
+}
+
+#[test]
+fn a_vl6180x_tells_that_there_is_nothing_and_what_is_too_near() {
+    let config = SensorChip::Vl6180x(Vl6180xConfig {});
+    let config = SensorConfig { id: DISTANCE, address: 0x29, rate_hz: 20, chip: config };
+    let white = |distance_m| Some(Target { distance_m, reflectance: 0.88 });
+    for (target, offset_m, expected, metres) in [
+        (None, 0.0, Quality::OutOfRange, 0.2),
+        (white(2.0), 0.0, Quality::OutOfRange, 0.2),
+        (white(0.25), 0.0, Quality::OutOfRange, 0.2),
+        (white(0.001), -0.03, Quality::Saturated, 0.0),
+    ] {
+        let chip = Rc::new(RefCell::new(Vl6180x::new(7, offset_m)));
+        let mut bus = I2cBus::new(400_000);
+        bus.attach(chip.clone());
+        let pass = |now_ns| chip.borrow_mut().feel(now_ns, target);
+        let all = readings(&mut AnyDriver::new(&config), &mut bus, 0x29, 3, pass);
+        for (_, shown_m, quality) in all {
+            assert_eq!((quality, shown_m), (expected, metres), "{target:?}");
+        }
+    }
+}
+
+#[test]
+fn a_distance_sensor_is_read_and_comes_back_after_the_loss_of_its_supply() {
+    let mut robot = openscout();
+    let chip = SensorChip::Vl6180x(Vl6180xConfig {});
+    robot.config.sensors.push(SensorConfig { id: DISTANCE, address: 0x29, rate_hz: 20, chip }).unwrap();
+    let (reads, reflectance, offset_m) = (None, 0.17, 0.0);
+    let sees = SimulatedDistance { channel: DISTANCE, distance_m: Some(0.04), reads, reflectance, offset_m };
+    robot.simulation.distances = vec![sees];
+    bench(&robot, async |bench| {
+        let read = async || match sample(bench, DISTANCE).await {
+            Sample::Sensor { values, age_ms, quality, .. } => (f64::from(values[0]), age_ms, quality),
+            other => panic!("{other:?}"),
+        };
+        let near = |(metres, _, quality): (f64, u16, Quality)| {
+            // Five deviations of 1 mm, and half a count.
+            assert!(quality == Quality::Good && (metres - 0.04).abs() < 5.5e-3, "{metres} m, {quality}");
+        };
+        bench.sleep_ms(600).await;
+        for _ in 0..20 {
+            let sample = read().await;
+            near(sample);
+            // Each 50 ms, and three transfers and the frame of telemetry.
+            assert!(sample.1 <= 60, "{} ms", sample.1);
+            bench.sleep_ms(23).await;
+        }
+        bench.board.world().distance_sensor(DISTANCE).unwrap().borrow_mut().power_cycle();
+        bench.sleep_ms(400).await;
+        assert_eq!(read().await.2, Quality::Stale);
+        bench.sleep_ms(1500).await;
+        near(read().await);
     });
 }

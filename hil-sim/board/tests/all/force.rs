@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use r4_boards::{Robot, SimulatedAnalog};
+use r4_boards::{Robot, SimulatedAnalog, SimulatedForce};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Range, Refusal, SafetyState,
-    config::{AnalogConfig, ForceConfig, ForceSensor},
+    config::{AnalogConfig, ForceConfig, ForceSensor, Nau7802Config, SensorChip, SensorConfig},
 };
 
 use crate::harness::{Bench, bench};
@@ -135,5 +135,38 @@ fn a_force_out_of_range_is_refused_and_stops_the_motor() {
         bench.host.arm().await.unwrap();
         let refused = bench.set(FINGER, Mode::Force, 5.0).await;
         assert!(matches!(&refused, Err(r4_driver::Error::Refused(Refusal::WrongMode { .. }))), "{refused:?}");
+    });
+}
+
+/// The same motor with a load cell on the bus, read 320 times a second, on which 18 N press.
+#[test]
+fn a_load_cell_serves_as_an_analog_sensor_does() {
+    let mut robot = finger();
+    let cell = ChannelId::new(ChannelKind::Force, 0);
+    let chip = SensorChip::Nau7802(Nau7802Config { gain: 128, newtons_per_mv_v: 50.0, zero_mv_v: 0.0 });
+    robot.config.sensors.push(SensorConfig { id: cell, address: 0x2A, rate_hz: 320, chip }).unwrap();
+    let truth = SimulatedForce {
+        channel: cell,
+        force_n: 18.0,
+        reads: None,
+        newtons_per_mv_v: 50.0,
+        zero_mv_v: 0.0,
+        noise_n: 0.05,
+    };
+    robot.simulation.forces = vec![truth];
+    let control = robot.config.motors[0].control.as_mut().unwrap();
+    let force = control.force.as_mut().unwrap();
+    force.sensor = ForceSensor::LoadCell { force: 0 };
+    bench(&robot, async |bench| {
+        // Its calibration takes half a second.
+        bench.sleep_ms(1000).await;
+        bench.host.arm().await.unwrap();
+        bench.set(FINGER, Mode::Force, 12.0).await.unwrap();
+        bench.sleep_ms(400).await;
+        let speed = speed(bench).await;
+        assert!((speed + 0.6).abs() < 0.08, "{speed} rad/s");
+        bench.board.world().load_cell(cell).unwrap().borrow_mut().set_hung(true);
+        bench.sleep_ms(200).await;
+        assert_eq!(bench.safety().await, (SafetyState::Tripped, Causes::only(Cause::EncoderImplausible)));
     });
 }

@@ -1,0 +1,572 @@
+//! A gripping sequence on a board: each state with its time-out, the force loop on the host.
+
+use std::{cell::RefCell, convert::Infallible, f64::consts::PI, pin::pin};
+
+use futures::future::{Either, select};
+use r4_driver::{Cycles, TelemetryStream};
+use r4_protocol::{Mode, SafetyState, Sample, Setpoint};
+use r4_rig::{Error, HostClock, Sequence, Session};
+use r4_world::{AnyBody, CableLoop};
+
+use super::{
+    law::{Contact, ForceLaw, SlipWatch, Zero},
+    scene::{Scaled, Seen, Setup},
+};
+
+/// Period of force and spool angle, and so of the force loop, ms.
+const PERIOD_MS: u16 = 10;
+/// Period of the range, ms: every reading of 1 mm noise counts.
+const RANGE_MS: u16 = 5;
+/// Commands older than this are not followed any more, ms: four periods.
+const COMMAND_TTL_MS: u16 = 40;
+/// How often the truth is noted for a picture, s.
+const WATCHED_EVERY_S: f64 = 5e-3;
+
+/// Squeeze that is asked for, N: holds 150 g on a friction of 0.45 with 2.1 times its weight.
+pub const GRIP_N: f64 = 3.5;
+/// Squeeze after slip, N: below what crushes the weakest vial, 8.5 N, by what the loop overshoots.
+pub const FIRM_N: f64 = 6.0;
+/// Spool while the loop is drawn tight, rad/s: a period takes 0.3 N. Twice of it overshoots by 1.5 N and leaves half the points of the line.
+const REEL_RAD_S: f64 = 1.5;
+/// Spool after slip, rad/s.
+const HURRY_RAD_S: f64 = 4.0;
+/// The spool lets out in the air from this much above the set point on, N.
+const LET_OUT_N: f64 = 0.6;
+/// Spool without a load, rad/s.
+const FAST_RAD_S: f64 = 10.0;
+/// Force above which the loop is tight, N: ten times the noise.
+const TIGHT_N: f64 = 0.3;
+/// Force that ends homing, N.
+const HOME_N: f64 = 2.0;
+/// Reel-in changes over from fast to slow so far before the loop can be tight, m of diameter: all that the camera's estimate may be off.
+const SLOW_BEFORE_M: f64 = 1.0e-3;
+/// Vials that are no vial: this much thinner than seen, m.
+const MISSED_M: f64 = 2.0e-3;
+/// Height of the loop at a grip, m.
+const GRIP_HEIGHT_M: f64 = 0.020;
+/// Time in the air, s, in which a vial would be carried on.
+const CARRY_S: f64 = 0.9;
+/// Readings of the range that are averaged.
+const RANGES: usize = 60;
+/// Range above which there is no vial at the tip, m.
+const NO_VIAL_M: f64 = 8e-3;
+
+/// What of ours is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Uses {
+    /// The force is held by a loop; else the spool stops where the threshold is reached.
+    pub force_loop: bool,
+    /// Zero and drift of the sensor are measured while the loop is slack.
+    pub drift: bool,
+    /// A CUSUM watches for slip.
+    pub slip: bool,
+    /// The contact is the beginning of the line of force over angle; else where the threshold is reached, and home is corrected for
+    /// the stretch of the data sheet.
+    pub bowden: bool,
+}
+
+impl Uses {
+    /// All.
+    pub const OURS: Self = Self { force_loop: true, drift: true, slip: true, bowden: true };
+    /// None: reel in up to a threshold.
+    pub const PAPER: Self = Self { force_loop: false, drift: false, slip: false, bowden: false };
+}
+
+/// What the program reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Report {
+    /// Gripped, carried, put down.
+    Placed,
+    /// No vial in the loop.
+    Missed,
+    /// The vial was there, and is gone.
+    Lost,
+    /// A state did not end in time.
+    TimedOut(&'static str),
+}
+
+/// What became of a trial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// By the program.
+    pub report: Report,
+    /// Diameter by the contact, m.
+    pub diameter_m: Option<f64>,
+    /// How often slip was seen.
+    pub slips: u32,
+    /// The gripper at the end of the time in the air, and the set point then, N.
+    pub carried: Option<(CableLoop, f64)>,
+    /// The gripper at the end.
+    pub end: CableLoop,
+    /// Time from arming to the end, s.
+    pub lasted_s: f64,
+    /// States with when they began, s.
+    pub states: Vec<(&'static str, f64)>,
+}
+
+/// What is true at one moment, and what the sensor shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// s
+    pub time_s: f64,
+    /// Squeeze or force of the retracted loop, and the sensor's, N.
+    pub force_n: [f64; 2],
+    /// Length of the loop, m.
+    pub length_m: f64,
+    /// Heights of loop and vial, m.
+    pub height_m: [f64; 2],
+}
+
+/// The gripper as it is, or `None` for a board without one.
+pub fn truth(session: &Session<'_>) -> Result<Option<CableLoop>, Error> {
+    let mut world = session.virtual_board()?.world();
+    world.catch_up();
+    Ok(match world.body() {
+        Some(AnyBody::CableLoop(body)) => Some((**body).clone()),
+        _ => None,
+    })
+}
+
+fn look(session: &Session<'_>) -> Result<Option<Moment>, Error> {
+    use r4_world::Body as _;
+    let mut world = session.virtual_board()?.world();
+    let time_s = world.clock().now_ns() as f64 * 1e-9;
+    world.catch_up();
+    let Some(AnyBody::CableLoop(body)) = world.body() else { return Ok(None) };
+    Ok(Some(Moment {
+        time_s,
+        force_n: [body.squeeze_n(), body.reading(0)],
+        length_m: body.length_m(),
+        height_m: [body.loop_m(), body.height_m()],
+    }))
+}
+
+/// The same as [`grip`], with what is true meanwhile.
+///
+/// # Errors
+/// As [`grip`].
+pub async fn watched(
+    session: &Session<'_>,
+    setup: &Setup,
+    seen: Seen,
+    uses: Uses,
+) -> Result<(Outcome, Vec<Moment>), Error> {
+    let moments = RefCell::new(Vec::new());
+    let watch = async {
+        loop {
+            moments.borrow_mut().extend(look(session)?);
+            session.board.sleep_s(WATCHED_EVERY_S).await;
+        }
+    };
+    let ended: Either<Result<Outcome, Error>, Result<Infallible, Error>> =
+        match select(pin!(grip(session, setup, seen, uses)), pin!(watch)).await {
+            Either::Left((ended, _)) => Either::Left(ended),
+            Either::Right((ended, _)) => Either::Right(ended),
+        };
+    match ended {
+        Either::Left(outcome) => Ok((outcome?, moments.into_inner())),
+        Either::Right(Err(error)) => Err(error),
+        Either::Right(Ok(never)) => match never {},
+    }
+}
+
+/// Grips a vial, carries it and puts it down.
+///
+/// # Errors
+/// When the board does not arm, stops, or is not virtual. A grip that fails is an [`Outcome`].
+pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) -> Result<Outcome, Error> {
+    let begin_s = session.board.now_s();
+    let mut carried = None;
+    let mut sequence = Sequence::new(session);
+    let mut found = Found::default();
+    let ended = session
+        .armed(async || {
+            let mut gripper = Gripper::open(session, setup, uses).await?;
+            let report = gripper.run(&mut sequence, seen, &mut found, &mut carried).await;
+            gripper.stop()?;
+            report
+        })
+        .await;
+    let report = match ended {
+        Ok(report) => report,
+        Err(Error::StateTimedOut { state, .. }) => Report::TimedOut(state),
+        Err(error) => return Err(error),
+    };
+    let Some(end) = truth(session)? else { return Err(Error::NoReadings { channel: setup.force.channel }) };
+    let states = sequence.visits().iter().map(|visit| (visit.state, visit.entered_s)).collect();
+    let Found { diameter_m, slips } = found;
+    Ok(Outcome { report, diameter_m, slips, carried, end, lasted_s: session.board.now_s() - begin_s, states })
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Found {
+    diameter_m: Option<f64>,
+    slips: u32,
+}
+
+/// The newest readings.
+#[derive(Clone, Copy, Debug, Default)]
+struct Read {
+    time_s: f64,
+    after_s: f64,
+    /// As the sensor shows it.
+    force_n: f64,
+    angle_rad: f64,
+}
+
+/// Spool, sensors, and what has been learned in a sequence.
+pub(super) struct Gripper<'s, 'b> {
+    session: &'s Session<'b>,
+    setup: &'s Setup,
+    uses: Uses,
+    telemetry: TelemetryStream,
+    spool: Cycles<'s, HostClock>,
+    radian: f64,
+    read: Read,
+    zero: Zero,
+    /// Angle of the spool at which the retracted loop is tight.
+    home_rad: f64,
+    /// Sum and number of ranges that are averaged.
+    range: Option<(f64, usize)>,
+    set_n: f64,
+    law: ForceLaw,
+    slip: SlipWatch,
+    hurries: bool,
+}
+
+/// The quantity of a sensor in a sample, if the sample is its and good.
+fn quantity(sensor: Scaled, sample: &Sample) -> Option<f64> {
+    match *sample {
+        Sample::Reading { channel, value, quality: r4_protocol::Quality::Good, .. } if channel == sensor.channel => {
+            Some(sensor.value(value.into()))
+        }
+        Sample::Sensor { channel, values, quality: r4_protocol::Quality::Good, .. } if channel == sensor.channel => {
+            Some(sensor.value(values[0].into()))
+        }
+        _ => None,
+    }
+}
+
+impl<'s, 'b> Gripper<'s, 'b> {
+    pub(super) async fn open(session: &'s Session<'b>, setup: &'s Setup, uses: Uses) -> Result<Self, Error> {
+        let board = session.board;
+        let telemetry = board.telemetry();
+        for channel in [setup.force.channel, setup.spool] {
+            board.subscribe(channel, PERIOD_MS).await?;
+        }
+        let spool = board.stream(&[(setup.spool, Mode::Speed)], COMMAND_TTL_MS).await?;
+        let radian = f64::from(board.channel(setup.spool)?.resolution);
+        Ok(Self {
+            session,
+            setup,
+            uses,
+            telemetry,
+            spool,
+            radian,
+            read: Read::default(),
+            zero: Zero::default(),
+            home_rad: 0.0,
+            range: None,
+            set_n: GRIP_N,
+            law: ForceLaw::default(),
+            slip: SlipWatch::default(),
+            hurries: false,
+        })
+    }
+
+    /// Waits for the next force.
+    pub(super) async fn next(&mut self) -> Result<(), Error> {
+        loop {
+            let frame = self.telemetry.next().await?;
+            if frame.state == SafetyState::Tripped {
+                return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+            }
+            let mut force_n = None;
+            for sample in &frame.samples {
+                match *sample {
+                    Sample::Motor { channel, position, .. } if channel == self.setup.spool => {
+                        self.read.angle_rad = f64::from(position) * self.radian;
+                    }
+                    _ => {
+                        if let Some(value) = quantity(self.setup.force, sample) {
+                            force_n = Some(value);
+                        } else if let (Some((sum_m, count)), Some(value)) =
+                            (&mut self.range, quantity(self.setup.range, sample))
+                        {
+                            *sum_m += value;
+                            *count += 1;
+                        }
+                    }
+                }
+            }
+            if let Some(force_n) = force_n {
+                let time_s = frame.device_us as f64 * 1e-6;
+                let after_s = if self.read.time_s > 0.0 { time_s - self.read.time_s } else { 0.0 };
+                self.read = Read { time_s, after_s, force_n, ..self.read };
+                return Ok(());
+            }
+        }
+    }
+
+    /// Force without the sensor's zero, as far as that is known, N.
+    fn force_n(&self) -> f64 {
+        if self.uses.drift { self.read.force_n - self.zero.at(self.read.time_s) } else { self.read.force_n }
+    }
+
+    /// Sets the spool's speed, rad/s.
+    pub(super) fn turn(&mut self, speed_rad_s: f64) -> Result<(), Error> {
+        Ok(self.spool.set(&[speed_rad_s])?)
+    }
+
+    pub(super) fn stop(&mut self) -> Result<(), Error> {
+        self.turn(0.0)
+    }
+
+    /// Length of the loop, without what it stretches, m.
+    fn length_m(&self, angle_rad: f64) -> f64 {
+        let retracted_m = self.setup.tight_m(2.0 * self.setup.bend_radius_m);
+        retracted_m + 2.0 * self.setup.spool_radius_m * (angle_rad - self.home_rad)
+    }
+
+    fn angle_rad(&self, length_m: f64) -> f64 {
+        let retracted_m = self.setup.tight_m(2.0 * self.setup.bend_radius_m);
+        self.home_rad + (length_m - retracted_m) / (2.0 * self.setup.spool_radius_m)
+    }
+
+    /// Turns the spool to an angle, without a load.
+    pub(super) async fn turn_to(&mut self, angle_rad: f64, takes_zero: bool) -> Result<(), Error> {
+        loop {
+            self.next().await?;
+            if takes_zero {
+                self.zero.add(self.read.time_s, self.read.force_n);
+            }
+            let off_rad = angle_rad - self.read.angle_rad;
+            if off_rad.abs() < 0.01 {
+                return self.stop();
+            }
+            // A speed that it can stop from: commands are late by two periods.
+            self.turn((20.0 * off_rad).clamp(-FAST_RAD_S, FAST_RAD_S))?;
+        }
+    }
+
+    /// Commands an axis, m from where it was at first.
+    async fn move_axis(&mut self, axis: usize, place_m: f64) -> Result<(), Error> {
+        let value = (place_m / self.setup.axes_m_per_rad[axis]) as f32;
+        Ok(self.session.board.set(self.setup.axes[axis], Setpoint { mode: Mode::Position, value }).await?)
+    }
+
+    /// Moves an axis and waits until it is there, with the force loop on if the vial is held.
+    async fn move_and(&mut self, axis: usize, place_m: f64, found: Option<&mut Found>) -> Result<(), Error> {
+        let channel = self.setup.axes[axis];
+        let mut samples = self.session.board.samples(channel, 20).await?;
+        self.move_axis(axis, place_m).await?;
+        let target = (place_m / self.setup.axes_m_per_rad[axis]) as f32;
+        let mut found = found;
+        loop {
+            self.next().await?;
+            match &mut found {
+                Some(found) => self.hold(found)?,
+                None => {
+                    self.zero.add(self.read.time_s, self.read.force_n);
+                    self.stop()?;
+                }
+            }
+            while let Some(sample) = samples.try_next() {
+                if let Sample::Motor { setpoint, settled: true, .. } = sample.sample
+                    && setpoint.value == target
+                {
+                    self.session.board.subscribe(channel, 0).await?;
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    /// One period of holding: the force loop, and slip.
+    fn hold(&mut self, found: &mut Found) -> Result<(), Error> {
+        if !self.uses.force_loop {
+            return self.stop();
+        }
+        let force_n = self.force_n();
+        if self.uses.slip && self.slip.next(force_n, self.read.after_s) {
+            found.slips += 1;
+            (self.set_n, self.hurries) = (FIRM_N, true);
+        }
+        // Ahead of the set point by what comes in late.
+        self.hurries &= force_n < 0.75 * self.set_n;
+        let speed_rad_s =
+            if self.hurries { -HURRY_RAD_S } else { self.law.next(self.set_n, force_n, self.read.after_s) };
+        // Creep only takes: letting out a little comes with the jump of a worm that breaks loose, which looks like slip (11 of seeds 1
+        // to 400).
+        let lets_out = force_n > self.set_n + LET_OUT_N;
+        self.turn(if lets_out { speed_rad_s } else { speed_rad_s.min(0.0) })
+    }
+
+    /// Draws the retracted loop against the tip: where it is tight is home.
+    async fn home(&mut self) -> Result<(), Error> {
+        // The loop is slack at first: ten readings are the zero.
+        for _ in 0..10 {
+            self.next().await?;
+            self.zero.add(self.read.time_s, self.read.force_n);
+            self.stop()?;
+        }
+        let mut contact = Contact::default();
+        loop {
+            self.next().await?;
+            let force_n = self.force_n();
+            if force_n > TIGHT_N {
+                contact.add(self.read.angle_rad, force_n);
+            }
+            if force_n > HOME_N && (contact.count() >= 3 || !self.uses.bowden) {
+                self.home_rad = match contact.angle_rad() {
+                    Some(angle_rad) if self.uses.bowden => angle_rad,
+                    _ => self.read.angle_rad + self.setup.stretch_rad(2.0 * self.setup.bend_radius_m, force_n),
+                };
+                return self.stop();
+            }
+            self.turn(-REEL_RAD_S)?;
+        }
+    }
+
+    /// Brings the tip to its distance before the vial.
+    async fn centre(&mut self) -> Result<(), Error> {
+        let channel = self.setup.range.channel;
+        self.range = Some((0.0, 0));
+        self.session.board.subscribe(channel, RANGE_MS).await?;
+        let range_m = loop {
+            self.next().await?;
+            self.stop()?;
+            if let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= RANGES) {
+                break sum_m / count as f64;
+            }
+        };
+        self.session.board.subscribe(channel, 0).await?;
+        self.range = None;
+        self.move_axis(1, range_m - self.setup.gap_m).await
+    }
+
+    /// Draws the loop tight round what is in it; `None` where there is nothing.
+    async fn reel(&mut self, seen_m: f64, found: &mut Found) -> Result<bool, Error> {
+        self.turn_to(self.angle_rad(self.setup.tight_m(seen_m + SLOW_BEFORE_M)), true).await?;
+        let missed_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M)).min(self.home_rad - 0.1);
+        let gone_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M));
+        let mut contact = Contact::default();
+        loop {
+            self.next().await?;
+            let force_n = self.force_n();
+            if force_n > TIGHT_N {
+                contact.add(self.read.angle_rad, force_n);
+            }
+            let is_there = contact.count() > 2;
+            if (!is_there && self.read.angle_rad < gone_rad) || self.read.angle_rad < missed_rad - 1.0 {
+                self.stop()?;
+                return Ok(false);
+            }
+            let enough_n = if self.uses.force_loop { 0.75 * GRIP_N } else { GRIP_N };
+            if force_n >= enough_n && (is_there || !self.uses.bowden) {
+                let angle_rad = match contact.angle_rad() {
+                    Some(angle_rad) if self.uses.bowden => angle_rad,
+                    _ => self.read.angle_rad,
+                };
+                found.diameter_m = Some((self.length_m(angle_rad) - self.setup.legs_m) / PI);
+                break;
+            }
+            self.turn(-REEL_RAD_S)?;
+        }
+        self.stop()?;
+        if self.uses.force_loop {
+            let mut close = 0;
+            while close < 5 {
+                self.next().await?;
+                let force_n = self.force_n();
+                close = if (force_n - self.set_n).abs() < 0.2 { close + 1 } else { 0 };
+                let speed_rad_s = self.law.next(self.set_n, force_n, self.read.after_s);
+                self.turn(speed_rad_s)?;
+            }
+            self.slip = SlipWatch::default();
+        }
+        Ok(true)
+    }
+
+    /// Holds for a time, and says whether the vial is still at the tip.
+    async fn carry(&mut self, found: &mut Found) -> Result<bool, Error> {
+        let until_s = self.read.time_s + CARRY_S;
+        while self.read.time_s < until_s {
+            self.next().await?;
+            self.hold(found)?;
+        }
+        self.range = Some((0.0, 0));
+        self.session.board.subscribe(self.setup.range.channel, RANGE_MS).await?;
+        let range_m = loop {
+            self.next().await?;
+            self.hold(found)?;
+            if let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= 10) {
+                break sum_m / count as f64;
+            }
+        };
+        self.session.board.subscribe(self.setup.range.channel, 0).await?;
+        self.range = None;
+        Ok(range_m < NO_VIAL_M)
+    }
+
+    /// Homes, and returns the spool's angle at which the retracted loop is tight.
+    pub(super) async fn find_contact(&mut self) -> Result<f64, Error> {
+        self.home().await?;
+        Ok(self.home_rad)
+    }
+
+    /// Turns the spool slowly to an angle and stays there, noting time, angle and the sensor's force.
+    pub(super) async fn record_to(
+        &mut self,
+        angle_rad: f64,
+        hold_s: f64,
+        samples: &mut Vec<[f64; 3]>,
+    ) -> Result<(), Error> {
+        let mut until_s = f64::INFINITY;
+        while self.read.time_s < until_s {
+            self.next().await?;
+            samples.push([self.read.time_s, self.read.angle_rad, self.read.force_n]);
+            let off_rad = angle_rad - self.read.angle_rad;
+            if until_s.is_infinite() && off_rad.abs() < 0.01 {
+                until_s = self.read.time_s + hold_s;
+            }
+            let speed_rad_s = if until_s.is_infinite() { (12.0 * off_rad).clamp(-REEL_RAD_S, REEL_RAD_S) } else { 0.0 };
+            self.turn(speed_rad_s)?;
+        }
+        Ok(())
+    }
+
+    async fn run(
+        &mut self,
+        sequence: &mut Sequence<'_, '_>,
+        seen: Seen,
+        found: &mut Found,
+        carried: &mut Option<(CableLoop, f64)>,
+    ) -> Result<Report, Error> {
+        let seen_m = seen.diameter_m;
+        let open_m = self.setup.tight_m(seen_m + 2.0 * self.setup.gap_m);
+        let down_m = self.setup.raised_m - GRIP_HEIGHT_M;
+        self.move_axis(2, seen.aside_m).await?;
+        sequence.state("home", 3.0, self.home()).await?;
+        let open_rad = self.angle_rad(open_m);
+        sequence.state("centre", 1.5, self.centre()).await?;
+        sequence.state("feed", 2.5, self.turn_to(open_rad, false)).await?;
+        sequence.state("lower", 2.0, self.move_and(0, down_m, None)).await?;
+        if !sequence.state("reel", 3.0, self.reel(seen_m, found)).await? {
+            sequence.state("retract", 2.0, self.move_and(0, 0.0, None)).await?;
+            return Ok(Report::Missed);
+        }
+        sequence.state("lift", 2.0, self.move_and(0, 0.0, Some(found))).await?;
+        let is_there = sequence.state("carry", 2.0, self.carry(found)).await?;
+        *carried = truth(self.session)?.map(|body| (body, self.set_n));
+        if !is_there {
+            return Ok(Report::Lost);
+        }
+        sequence.state("lower", 2.0, self.move_and(0, down_m, Some(found))).await?;
+        sequence.state("open", 2.5, self.turn_to(open_rad, false)).await?;
+        sequence.state("retract", 2.0, self.move_and(0, 0.0, None)).await?;
+        let parked_rad = self.home_rad + 0.3;
+        sequence.state("park", 2.5, self.turn_to(parked_rad, false)).await?;
+        Ok(Report::Placed)
+    }
+}

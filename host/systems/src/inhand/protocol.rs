@@ -1,0 +1,300 @@
+//! A manipulation on a board: grip, pivot by the palm, roll by the fingers, with stops at which the encoders are read.
+
+use std::f64::consts::FRAC_PI_2;
+
+use r4_driver::TelemetryStream;
+use r4_protocol::{Mode, Quality, SafetyState, Sample, Setpoint};
+use r4_rig::{Error, Sequence, Session};
+use r4_world::{AnyBody, TwoFingers};
+
+use super::{four_bar::Observation, scene::Setup};
+
+/// The palm's way to each side, m, and the fingers', rad: the paper's.
+const PIVOT_M: f64 = 0.015;
+const ROLL_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+/// Stops of a motion, as shares of its way: from the middle to one end, to the other, and back. Each place is reached from both sides.
+const SHARES: [f64; 21] =
+    [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0];
+/// The set point's lead over the shaft that holds the grip, rad: 0.3 N m by a servo of 6 N m/rad. Our choice: no trial has been run with
+/// another one.
+pub(super) const SQUEEZE_RAD: f64 = 0.05;
+/// Fingers open before the grip, rad from upright.
+pub(super) const OPEN_RAD: f64 = 0.25;
+/// How fast fingers close, rad/s.
+const CLOSE_RAD_S: f64 = 0.4;
+/// Set points follow the encoders so often, s: a period of the servos' pulses.
+const EVERY_S: f64 = 0.02;
+/// The way to a stop takes so many of these periods, and coming to rest there.
+const MOVE_PERIODS: usize = 8;
+const SETTLE_PERIODS: usize = 6;
+/// Readings averaged at a stop, one every 10 ms.
+const READINGS: usize = 20;
+/// Period of the readings, ms.
+const READ_EVERY_MS: u16 = 10;
+/// Where contacts are taken to be for the fingers' way during a pivot, m: what the fingers do is measured.
+const NOMINAL_M: f64 = 0.08;
+
+/// The two motions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motion {
+    /// The palm widens and narrows.
+    Pivot,
+    /// Both fingers turn the same way.
+    Roll,
+}
+
+/// What was read at a stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stop {
+    /// Which motion it belongs to.
+    pub motion: Motion,
+    /// Number of the repetition, from 0.
+    pub repeat: usize,
+    /// Since the first stop, s.
+    pub time_s: f64,
+    /// Mean readings of left, right and palm encoder, rad.
+    pub read_rad: [f64; 3],
+    /// Set points of both fingers meanwhile, rad.
+    pub set_rad: [f64; 2],
+    /// Whether the palm widened when it moved last (1) or narrowed (-1).
+    pub palm_direction: f64,
+    /// What was true meanwhile.
+    pub truth: Truth,
+}
+
+/// What is true of a grasp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// From the joints to the contacts, left and right, m; NaN without a contact.
+    pub contact_m: [f64; 2],
+    /// Between the contacts, m.
+    pub size_m: f64,
+    /// Normal force at the left contact, N.
+    pub grip_n: f64,
+    /// Speed of the object, m/s.
+    pub object_m_s: f64,
+    /// Palm and fingers.
+    pub at: Observation,
+}
+
+impl Truth {
+    /// That of a gripper.
+    #[must_use]
+    pub fn of(body: &TwoFingers) -> Self {
+        let touches = body.touches();
+        let contact_m = touches.map(|touch| touch.map_or(f64::NAN, |touch| touch.distance_m));
+        let size_m = match touches {
+            [Some(left), Some(right)] => (right.place_m[0] - left.place_m[0]).hypot(right.place_m[1] - left.place_m[1]),
+            _ => f64::NAN,
+        };
+        let grip_n = touches[0].map_or(0.0, |touch| touch.normal_n);
+        let at = Observation { palm_m: body.width_m(), finger_rad: body.finger_rad() };
+        Self { contact_m, size_m, grip_n, object_m_s: body.object_m_s(), at }
+    }
+}
+
+impl Stop {
+    /// Distance of the joints and angles of the fingers as the encoders have them.
+    #[must_use]
+    pub fn plain(&self, setup: &Setup) -> Observation {
+        let [left_rad, right_rad, palm_rad] = self.read_rad;
+        let palm_m = setup.palm.zero_m + setup.palm.m_per_rad * palm_rad;
+        Observation { palm_m, finger_rad: [FRAC_PI_2 + left_rad, FRAC_PI_2 + right_rad] }
+    }
+
+    /// The same with what the gripper's data sheet says of play and compliance. The grip presses fingers open against their shafts: play
+    /// is on one side always, and what is between shaft and finger bends by the servo's torque, which follows from how far the shaft is
+    /// behind its set point. The rack's play is on the side from which the palm came.
+    #[must_use]
+    pub fn corrected(&self, setup: &Setup) -> Observation {
+        let Observation { palm_m, finger_rad } = self.plain(setup);
+        let softer = setup.finger.servo_nm_per_rad / setup.finger.link_nm_per_rad;
+        let opened_rad = |side: usize| {
+            let behind_rad = self.read_rad[side] - self.set_rad[side];
+            softer * behind_rad + (0.5 * setup.finger.play_rad).copysign(behind_rad)
+        };
+        Observation {
+            palm_m: palm_m - 0.5 * self.palm_direction * setup.palm.play_m,
+            finger_rad: [finger_rad[0] + opened_rad(0), finger_rad[1] + opened_rad(1)],
+        }
+    }
+}
+
+/// The board with its gripper.
+struct Hand<'h, 'b> {
+    session: &'h Session<'b>,
+    setup: &'h Setup,
+    telemetry: TelemetryStream,
+    /// Last set points of left, right and palm, rad.
+    set_rad: [f64; 3],
+    palm_direction: f64,
+}
+
+/// Grips the object with the palm `palm_m` wide, and goes through both motions `repeats` times.
+///
+/// # Errors
+/// When the board is not virtual, does not arm, or stops, or a state takes too long: nothing was there to be gripped.
+pub async fn manipulate(session: &Session<'_>, setup: &Setup, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
+    for joint in &setup.joints {
+        session.board.subscribe(joint.encoder, READ_EVERY_MS).await?;
+    }
+    let mut hand =
+        Hand { session, setup, telemetry: session.board.telemetry(), set_rad: [0.0; 3], palm_direction: 1.0 };
+    session.armed(async || hand.manipulate(palm_m, repeats).await).await
+}
+
+impl Hand<'_, '_> {
+    async fn manipulate(&mut self, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
+        let mut sequence = Sequence::new(self.session);
+        sequence.state("open", 4.0, self.open(palm_m)).await?;
+        sequence.state("grip", 4.0, self.grip()).await?;
+        let begin_s = self.session.board.now_s();
+        let mut stops = Vec::new();
+        for repeat in 0..repeats {
+            for (name, motion) in [("pivot", Motion::Pivot), ("roll", Motion::Roll)] {
+                let (left_rad, palm_rad) = (self.set_rad[0], self.set_rad[2]);
+                for share in SHARES {
+                    let stop = self.stop(motion, share, left_rad, palm_rad);
+                    let (read_rad, truth) = sequence.state(name, 2.0, stop).await?;
+                    let time_s = self.session.board.now_s() - begin_s;
+                    let (set_rad, palm_direction) = ([self.set_rad[0], self.set_rad[1]], self.palm_direction);
+                    stops.push(Stop { motion, repeat, time_s, read_rad, set_rad, palm_direction, truth });
+                }
+            }
+        }
+        Ok(stops)
+    }
+
+    async fn set(&mut self, number: usize, value_rad: f64) -> Result<(), Error> {
+        if number == 2 && value_rad != self.set_rad[2] {
+            self.palm_direction = (value_rad - self.set_rad[2]).signum();
+        }
+        // Fingers that close on nothing stop at the ends of their servos' travel.
+        let info = self.session.board.channel(self.setup.joints[number].servo)?.mode(Mode::Position);
+        let value_rad = info.map_or(value_rad, |info| value_rad.clamp(info.range.min.into(), info.range.max.into()));
+        self.set_rad[number] = value_rad;
+        let setpoint = Setpoint { mode: Mode::Position, value: value_rad as f32 };
+        Ok(self.session.board.set(self.setup.joints[number].servo, setpoint).await?)
+    }
+
+    /// The next readings of all three encoders, rad.
+    async fn read(&mut self) -> Result<[f64; 3], Error> {
+        loop {
+            let frame = self.telemetry.next().await?;
+            if frame.state == SafetyState::Tripped {
+                return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
+            }
+            let reading = |number: usize| {
+                let joint = &self.setup.joints[number];
+                frame.samples.iter().find_map(|sample| match *sample {
+                    Sample::Reading { channel, value, quality: Quality::Good, .. } if channel == joint.encoder => {
+                        Some((f64::from(value) - joint.zero_v) / joint.v_per_rad)
+                    }
+                    _ => None,
+                })
+            };
+            if let (Some(left), Some(right), Some(palm)) = (reading(0), reading(1), reading(2)) {
+                return Ok([left, right, palm]);
+            }
+        }
+    }
+
+    async fn mean(&mut self, count: usize) -> Result<[f64; 3], Error> {
+        let mut sum = [0.0; 3];
+        for _ in 0..count {
+            let read_rad = self.read().await?;
+            sum = [0, 1, 2].map(|number| sum[number] + read_rad[number]);
+        }
+        Ok(sum.map(|sum| sum / count as f64))
+    }
+
+    async fn open(&mut self, palm_m: f64) -> Result<(), Error> {
+        let palm_rad = (palm_m - self.setup.palm.zero_m) / self.setup.palm.m_per_rad;
+        for (number, value_rad) in [(0, OPEN_RAD), (1, -OPEN_RAD), (2, palm_rad)] {
+            self.set(number, value_rad).await?;
+        }
+        self.session.board.sleep_s(0.8).await;
+        Ok(())
+    }
+
+    /// Closes both fingers until both shafts are as far behind their set points as the grip wants.
+    async fn grip(&mut self) -> Result<(), Error> {
+        let mut holds = [false; 2];
+        while holds != [true; 2] {
+            self.session.board.sleep_s(EVERY_S - 1e-3 * f64::from(READ_EVERY_MS)).await;
+            self.skip();
+            let read_rad = self.read().await?;
+            for (side, closing) in [(0, -1.0), (1, 1.0)] {
+                holds[side] = closing * (self.set_rad[side] - read_rad[side]) >= SQUEEZE_RAD;
+                if !holds[side] {
+                    self.set(side, self.set_rad[side] + closing * CLOSE_RAD_S * EVERY_S).await?;
+                }
+            }
+        }
+        for _ in 0..4 * SETTLE_PERIODS {
+            self.follow().await?;
+        }
+        Ok(())
+    }
+
+    /// Forgets readings that have waited.
+    fn skip(&mut self) {
+        while self.telemetry.try_next().is_some() {}
+    }
+
+    /// The right finger keeps its lead over its shaft: it gives a torque, and the left one a place.
+    async fn follow(&mut self) -> Result<(), Error> {
+        self.session.board.sleep_s(EVERY_S - 1e-3 * f64::from(READ_EVERY_MS)).await;
+        self.skip();
+        let read_rad = self.read().await?;
+        self.set(1, read_rad[1] + SQUEEZE_RAD).await
+    }
+
+    /// Goes to a share of a motion, from the middle of which the left finger's and the palm's set points are given, and reads there.
+    async fn stop(
+        &mut self,
+        motion: Motion,
+        share: f64,
+        left_rad: f64,
+        palm_rad: f64,
+    ) -> Result<([f64; 3], Truth), Error> {
+        let (to_left_rad, to_palm_rad) = match motion {
+            Motion::Pivot => {
+                (left_rad - 0.5 * share * PIVOT_M / NOMINAL_M, palm_rad + share * PIVOT_M / self.setup.palm.m_per_rad)
+            }
+            Motion::Roll => (left_rad + share * ROLL_RAD, palm_rad),
+        };
+        let [from_left_rad, _, from_palm_rad] = self.set_rad;
+        for period in 1..=MOVE_PERIODS {
+            let part = period as f64 / MOVE_PERIODS as f64;
+            self.set(0, from_left_rad + part * (to_left_rad - from_left_rad)).await?;
+            self.set(2, from_palm_rad + part * (to_palm_rad - from_palm_rad)).await?;
+            self.follow().await?;
+        }
+        for _ in 0..SETTLE_PERIODS {
+            self.follow().await?;
+        }
+        // The set point stays from here on; the shaft comes to rest within two pulses.
+        self.session.board.sleep_s(0.06).await;
+        self.skip();
+        let read_rad = self.mean(READINGS).await?;
+        Ok((read_rad, look(self.session)?))
+    }
+}
+
+/// What is true now.
+pub(super) fn look(session: &Session<'_>) -> Result<Truth, Error> {
+    let mut world = session.virtual_board()?.world();
+    world.catch_up();
+    match world.body() {
+        Some(AnyBody::TwoFingers(body)) => Ok(Truth::of(body)),
+        // `Setup::of` refuses every other robot.
+        _ => Ok(Truth {
+            contact_m: [f64::NAN; 2],
+            size_m: f64::NAN,
+            grip_n: 0.0,
+            object_m_s: 0.0,
+            at: Observation { palm_m: f64::NAN, finger_rad: [f64::NAN; 2] },
+        }),
+    }
+}
