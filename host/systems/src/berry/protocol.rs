@@ -17,8 +17,8 @@ const AXES_EVERY_MS: u16 = 5;
 /// Share of the supply from which on a chamber counts as filled, and below which as empty.
 const FILLED: f64 = 0.9;
 const EMPTIED: f64 = 0.25;
-/// The valve's command goes out this far before the axis is there, m: the last 60 ms of its deceleration. Relay and coil take 20 ms and
-/// the dry friction of the seals about as long, so that the fingers are still open when the pads come over the berry, 8 mm before.
+/// The valve's command goes out this far before the axis is there, m: the last 60 ms of its deceleration, of which relay and coil take 20.
+/// The pads come over the berry 8 mm before, with the fingers open.
 const CLOSES_AHEAD_M: f64 = 0.007;
 /// Fingers that open this far before the tray let go over it, m: the spring takes 30 ms at 0.4 m/s, the exhaust more.
 const OPENS_AHEAD_M: f64 = 0.010;
