@@ -180,8 +180,7 @@ pub fn found(sheet: &Sheet, new: &[Vec<Closing>], now: &[Vec<Closing>]) -> Resul
         Effect { name: NAMES[1], start: &[0.8], absent: 1.0 },
         Effect { name: NAMES[2], start: &[0.7], absent: 1.0 },
     ];
-    let observed: Vec<Vec<f64>> =
-        now.iter().map(|run| run.iter().flat_map(numbers).collect()).collect();
+    let observed: Vec<Vec<f64>> = now.iter().map(|run| run.iter().flat_map(numbers).collect()).collect();
     let predict = |effect: Option<usize>, parameters: &[f64], run: usize| {
         let (gain, size) = (parameters[0], parameters.get(1).copied());
         let closings = &new[run];
