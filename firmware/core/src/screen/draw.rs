@@ -479,7 +479,7 @@ mod tests {
         };
         let whole = "also proximity, link lost, stalled, control overrun";
         assert_eq!((whole.len(), also(&causes).as_str()), (LINE_LETTERS, whole));
-        assert_eq!(also(&Cause::ALL), "also proximity, link lost, host stop, 14 more");
+        assert_eq!(also(&Cause::ALL), "also proximity, link lost, host stop, 15 more");
     }
 
     #[test]

@@ -304,6 +304,8 @@ fn every_robot_comes_up_arms_and_is_driven() {
                 assert!(moved > 0.0, "{name} {}: {moved}", bldc.id);
                 turn(0.0).await.unwrap_or_else(|error| panic!("{name}: {error}"));
             }
+            // Two heartbeats: a robot without motors and drives was armed only now.
+            clock.sleep(110 * MS).await;
             assert_eq!(host.safety().0, SafetyState::Armed, "{name}: {}", host.safety().1);
             let stats = host.stats().await.unwrap();
             assert_eq!((stats.late_ticks, stats.bus_retries), (0, 0), "{name}");
