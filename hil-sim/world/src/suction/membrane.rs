@@ -64,7 +64,8 @@ impl Membrane {
         let inverse = 1.0 / stretch;
         let cube = inverse * inverse * inverse;
         let left = (self.stiffening - invariant(stretch)).max(1e-3 * self.stiffening);
-        2.0 * self.shear_pa * self.thickness_m / self.radius_m * (inverse - cube * cube * inverse) * self.stiffening / left
+        2.0 * self.shear_pa * self.thickness_m / self.radius_m * (inverse - cube * cube * inverse) * self.stiffening
+            / left
     }
 
     /// Volume inside at a stretch, m³.

@@ -125,7 +125,9 @@ pub enum SuctionError {
         membrane: usize,
     },
     /// A line.
-    #[error("needs volumes, bore, lead and conductances above 0 (a leak may be 0), and critical ratios from 0 to below 1")]
+    #[error(
+        "needs volumes, bore, lead and conductances above 0 (a leak may be 0), and critical ratios from 0 to below 1"
+    )]
     Line {
         /// Which.
         line: usize,
@@ -175,7 +177,8 @@ impl SuctionPad {
         }
         for (number, cup) in cups.iter().enumerate() {
             let Cup { radius_m, suction_pa, stiffness_n_m, leak_strain, leak_per_s, peel } = *cup;
-            if !is_above(&[radius_m, suction_pa, stiffness_n_m, leak_strain, leak_per_s]) || !(0.0..=1.0).contains(&peel)
+            if !is_above(&[radius_m, suction_pa, stiffness_n_m, leak_strain, leak_per_s])
+                || !(0.0..=1.0).contains(&peel)
             {
                 return Err(SuctionError::Cup { cup: number });
             }
@@ -214,7 +217,9 @@ impl SuctionPad {
                 slope * 84_149.0 / volume_m3 * crate::MAX_STEP_S
             };
             let balloon_m3 = membrane.volume_m3(0.9);
-            if relaxes(&line.tube, balloon_m3) + relaxes(&line.tube, line.dead_m3) + relaxes(&line.orifice, line.dead_m3)
+            if relaxes(&line.tube, balloon_m3)
+                + relaxes(&line.tube, line.dead_m3)
+                + relaxes(&line.orifice, line.dead_m3)
                 >= 1.0
             {
                 return Err(SuctionError::Wide { line: number });
@@ -286,8 +291,7 @@ impl SuctionPad {
         // A strip with a free end lengthens without a force.
         let between_n = if state.is_attached == [true; 2] {
             let longer_m = middle * grown_m[MIDDLE] + outer * (grown_m[0] + grown_m[2]);
-            let compliance =
-                1.0 / stiffness_n_m + 1.0 / self.cups[0].stiffness_n_m + 1.0 / self.cups[1].stiffness_n_m;
+            let compliance = 1.0 / stiffness_n_m + 1.0 / self.cups[0].stiffness_n_m + 1.0 / self.cups[1].stiffness_n_m;
             longer_m / compliance
         } else {
             0.0
@@ -333,11 +337,8 @@ impl SuctionPad {
         let at = |shaft: usize| shafts.get(shaft).map_or(0.0, |shaft| shaft.position);
         let (before, inside) = (state.line[number].pressure_pa, state.balloon[number].pressure_pa);
         let through = line.tube.flow_kg_s(before, inside);
-        let outside = if at(line.valve) > 0.5 {
-            self.supply_pa.map(|pa| ATMOSPHERE_PA + pa)
-        } else {
-            Some(ATMOSPHERE_PA)
-        };
+        let outside =
+            if at(line.valve) > 0.5 { self.supply_pa.map(|pa| ATMOSPHERE_PA + pa) } else { Some(ATMOSPHERE_PA) };
         let from_valve = outside.map_or(0.0, |pa| line.orifice.flow_kg_s(pa, before));
         let pushed_m3 = at(line.stepper) / TAU * line.lead_m * line.bore_m2;
         // The plunger stops at the bottom.

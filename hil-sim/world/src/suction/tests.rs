@@ -33,7 +33,13 @@ fn pad(supply_pa: Option<f64>) -> SuctionPad {
 }
 
 /// Steps with the middle syringe at `volume_m3(t)` pushed in, and its valve closed (`true`) or not.
-fn run(pad: &mut SuctionPad, seconds: f64, pushed_m3: impl Fn(f64) -> f64, valve: bool, mut look: impl FnMut(&SuctionPad)) {
+fn run(
+    pad: &mut SuctionPad,
+    seconds: f64,
+    pushed_m3: impl Fn(f64) -> f64,
+    valve: bool,
+    mut look: impl FnMut(&SuctionPad),
+) {
     let mut shafts = [ShaftMotion::default(); 6];
     let mut loads = [0.0; 6];
     let scene = Scene::default();
@@ -51,10 +57,16 @@ fn run(pad: &mut SuctionPad, seconds: f64, pushed_m3: impl Fn(f64) -> f64, valve
 fn a_closed_syringe_keeps_its_gas_and_passes_the_limit_point() {
     let mut pad = pad(None).in_air();
     let (mut highest_pa, mut passes) = (0.0_f64, false);
-    run(&mut pad, 8.0, |time_s| (1e-6 * time_s).min(6e-6), true, |pad| {
-        highest_pa = highest_pa.max(pad.state().balloon[MIDDLE].gauge_pa());
-        passes |= pad.state().membrane[MIDDLE].stretch > LIMIT_STRETCH;
-    });
+    run(
+        &mut pad,
+        8.0,
+        |time_s| (1e-6 * time_s).min(6e-6),
+        true,
+        |pad| {
+            highest_pa = highest_pa.max(pad.state().balloon[MIDDLE].gauge_pa());
+            passes |= pad.state().membrane[MIDDLE].stretch > LIMIT_STRETCH;
+        },
+    );
     let SuctionState { line, balloon, membrane, .. } = *pad.state();
     let amount = |chamber: Chamber| chamber.pressure_pa * chamber.volume_m3;
     let before = ATMOSPHERE_PA * (12e-6 + MEMBRANE.volume_m3(1.0));
@@ -87,13 +99,19 @@ fn a_cup_comes_off_with_a_drop_of_pressure_and_the_other_stays() {
     let mut pad = pad(None);
     let mut drop_pa = None;
     let mut before = *pad.state();
-    run(&mut pad, 7.0, |time_s| (1e-6 * time_s).min(6e-6), true, |pad| {
-        let state = *pad.state();
-        if before.is_attached[0] && !state.is_attached[0] {
-            drop_pa = Some((before.balloon[MIDDLE].gauge_pa(), before.shear_n[0], before.membrane[MIDDLE].stretch));
-        }
-        before = state;
-    });
+    run(
+        &mut pad,
+        7.0,
+        |time_s| (1e-6 * time_s).min(6e-6),
+        true,
+        |pad| {
+            let state = *pad.state();
+            if before.is_attached[0] && !state.is_attached[0] {
+                drop_pa = Some((before.balloon[MIDDLE].gauge_pa(), before.shear_n[0], before.membrane[MIDDLE].stretch));
+            }
+            before = state;
+        },
+    );
     let (at_pa, shear_n, stretch) = drop_pa.expect("it came off");
     let state = pad.state();
     assert_eq!(state.is_attached, [false, true], "{state:?}");

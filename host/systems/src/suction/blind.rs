@@ -42,7 +42,11 @@ pub fn find(setup: &Setup, runs: &[Vec<Reading>]) -> Result<Option<Found>, Error
     let predict = |effect: Option<usize>, numbers: &[f64], run: usize| predicted(setup, effect, numbers, &runs[run]);
     let found = Search { base_start: &BASE_START, effects: &EFFECTS, observed: &observed, predict: &predict }.run()?;
     let smallest = |found: &Found| {
-        EFFECTS.iter().zip(SMALLEST).find(|(effect, _)| effect.name == found.name).map_or(f64::INFINITY, |(_, size)| size)
+        EFFECTS
+            .iter()
+            .zip(SMALLEST)
+            .find(|(effect, _)| effect.name == found.name)
+            .map_or(f64::INFINITY, |(_, size)| size)
     };
     Ok(found.filter(|found| found.size >= smallest(found)))
 }
@@ -100,9 +104,8 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
             own_pa(tried) * (1.0 - softening * (1.0 - (1.0 - behind).powi(3))) - relaxing * relaxed
                 + viscosity * 1e3 * (tried - stretch) / step_s
         };
-        let gas_pa = |tried: f64| {
-            gas_pa_m3 / (line.volume_m3 - reading.pushed_m3 + at_rest_m3 * tried.powi(3)) - ATMOSPHERE_PA
-        };
+        let gas_pa =
+            |tried: f64| gas_pa_m3 / (line.volume_m3 - reading.pushed_m3 + at_rest_m3 * tried.powi(3)) - ATMOSPHERE_PA;
         let (mut low, mut high) = (0.9, 5.0);
         for _ in 0..BISECTIONS {
             let middle = f64::midpoint(low, high);

@@ -51,9 +51,8 @@ fn a_released_dead_man_vents_the_membranes_and_leaves_the_cups() {
     let setup = Setup::of(&rig.robot().expect("a robot")).expect("a pad");
     let work = async |session: &Session<'_>| {
         let board = session.virtual_board()?;
-        let state = || -> SuctionState {
-            protocol::with_pad(session, |pad, _| *pad.state()).expect("virtual").expect("a pad")
-        };
+        let state =
+            || -> SuctionState { protocol::with_pad(session, |pad, _| *pad.state()).expect("virtual").expect("a pad") };
         let release = async {
             session.board.sleep_s(4.0).await;
             board.dead_man().set(false);
