@@ -192,6 +192,22 @@ pub enum Unit {
     N,
 }
 
+impl Unit {
+    /// Every unit, in the order of the variants.
+    pub const ALL: [Self; 10] = [
+        Self::Rad,
+        Self::RadPerS,
+        Self::M,
+        Self::MPerS,
+        Self::Duty,
+        Self::V,
+        Self::Bool,
+        Self::MPerS2,
+        Self::A,
+        Self::N,
+    ];
+}
+
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -231,6 +247,21 @@ pub enum Mode {
     Follow,
     /// Press with this force.
     Force,
+}
+
+impl Mode {
+    /// Every mode, in the order of the variants.
+    pub const ALL: [Self; 9] = [
+        Self::Position,
+        Self::Speed,
+        Self::Duty,
+        Self::Switch,
+        Self::Voltage,
+        Self::Brake,
+        Self::Home,
+        Self::Follow,
+        Self::Force,
+    ];
 }
 
 impl fmt::Display for Mode {

@@ -124,17 +124,6 @@ pub struct Cycle {
 
 const AS_BOUND: u8 = 15;
 const UNDATED: u8 = 1 << 4;
-const MODES: [Mode; 9] = [
-    Mode::Position,
-    Mode::Speed,
-    Mode::Duty,
-    Mode::Switch,
-    Mode::Voltage,
-    Mode::Brake,
-    Mode::Home,
-    Mode::Follow,
-    Mode::Force,
-];
 
 impl Cycle {
     /// Set points decided at `sent_us` on the board's clock; without that, age counts from when the board decodes them.
@@ -160,7 +149,7 @@ impl Cycle {
         }
         match self.how & AS_BOUND {
             AS_BOUND => Ok(None),
-            mode => MODES.get(usize::from(mode)).copied().map(Some).ok_or(NotThisVersion),
+            mode => Mode::ALL.get(usize::from(mode)).copied().map(Some).ok_or(NotThisVersion),
         }
     }
 
@@ -349,12 +338,12 @@ mod tests {
 
     #[test]
     fn modes_are_in_the_order_of_their_variants() {
-        for (place, mode) in MODES.into_iter().enumerate() {
+        for (place, mode) in Mode::ALL.into_iter().enumerate() {
             assert_eq!(mode as usize, place);
             assert_eq!(Cycle::new(0, Some(mode), None, SET).mode(), Ok(Some(mode)));
         }
         assert_eq!(Cycle::new(0, None, Some(1), SET).mode(), Ok(None));
-        let no_mode = MODES.len() as u8..AS_BOUND;
+        let no_mode = Mode::ALL.len() as u8..AS_BOUND;
         for how in (5..8).map(|spare| 1 << spare).chain(no_mode) {
             assert_eq!(Cycle { how, ..Cycle::new(0, None, None, SET) }.mode(), Err(NotThisVersion));
         }
@@ -445,7 +434,7 @@ mod tests {
             position_scale: 0.001,
             speed_scale: 0.25,
         };
-        for mode in MODES {
+        for mode in Mode::ALL {
             let scale = match mode {
                 Mode::Position | Mode::Follow => Some(0.001),
                 Mode::Speed => Some(0.25),

@@ -229,18 +229,18 @@ pub struct BodyReading {
 pub struct SimulatedSwitch {
     /// Channel of the simulated part.
     pub channel: ChannelId,
-    /// What closes it.
+    /// The axis or the quantity of the body that closes it.
     pub closed_by: SwitchedBy,
 }
 
 /// What closes a switch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SwitchedBy {
-    /// Nothing touches it.
+    /// An input that is always open: no axis or body reaches the switch.
     Nothing,
     /// A motor or stepper.
     Axis {
-        /// Its channel.
+        /// Channel of the motor or stepper.
         channel: ChannelId,
         /// Closed below this position, rad. A stepper's is counted from where it stands at time 0.
         below: f64,

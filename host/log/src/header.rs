@@ -18,21 +18,6 @@ pub(crate) const FORMAT: &str = "2";
 /// What a reader takes.
 pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 
-const UNITS: [Unit; 10] =
-    [Unit::Rad, Unit::RadPerS, Unit::M, Unit::MPerS, Unit::Duty, Unit::V, Unit::Bool, Unit::MPerS2, Unit::A, Unit::N];
-/// Every mode there is.
-pub(crate) const MODES: [Mode; 9] = [
-    Mode::Position,
-    Mode::Speed,
-    Mode::Duty,
-    Mode::Switch,
-    Mode::Voltage,
-    Mode::Brake,
-    Mode::Home,
-    Mode::Follow,
-    Mode::Force,
-];
-
 /// Which board was recorded, and what its channels are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
@@ -161,11 +146,11 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
 
 /// The mode of that name.
 pub(crate) fn mode_from(name: &str) -> Option<Mode> {
-    MODES.into_iter().find(|mode| mode_name(*mode) == name)
+    Mode::ALL.into_iter().find(|mode| mode_name(*mode) == name)
 }
 
 fn unit_from(name: &str) -> Option<Unit> {
-    UNITS.into_iter().find(|unit| unit.to_string() == name)
+    Unit::ALL.into_iter().find(|unit| unit.to_string() == name)
 }
 
 /// [`ChannelInfo`] in the words of the command line. JSON has no infinity: a missing limit is an open one.

@@ -6,7 +6,7 @@ use r4_protocol::{Mode, Request, Unit};
 
 use crate::{
     EncoderSample, Log, LoggedRefusal, MotorSample, SensorSample,
-    header::{MODES, mode_name},
+    header::mode_name,
     message::{is_linear, quality_name, scalar_field, state_name},
 };
 
@@ -102,7 +102,7 @@ impl Log {
                 let linear = series.is_linear();
                 let (position, speed) =
                     if linear { ("position_m", "speed_m_s") } else { ("position_rad", "speed_rad_s") };
-                for mode in MODES {
+                for mode in Mode::ALL {
                     let setpoint =
                         |sample: &MotorSample| single(sample.setpoint.value).filter(|_| sample.setpoint.mode == mode);
                     let samples = of(&series.samples, |sample| (sample.time_s, setpoint(sample)));
@@ -150,7 +150,7 @@ impl Log {
                 add(scalar_field(info.unit), kind, of(&series.samples, |(time_s, value)| (*time_s, scalar(*value))));
             }
             let linear = is_linear(info);
-            for mode in MODES {
+            for mode in Mode::ALL {
                 let commands = self.commands.iter().filter(|to| to.channel == id && to.setpoint.mode == mode);
                 let samples = of(commands, |command| (command.time_s, single(command.setpoint.value)));
                 add(&setpoint_field("command", mode, linear), Kind::Event, samples);

@@ -77,7 +77,7 @@ enum State {
     Capacitor,
     PowerAnalog,
     Calibrate,
-    /// After so many looks.
+    /// Number of polls of the status so far.
     Calibrating(u8),
     Check,
     Status,
@@ -225,7 +225,7 @@ mod tests {
         }
     }
 
-    /// A calibration that does not end, or ends with an error, is no reason to wait for ever.
+    /// A calibration that does not end, or ends with an error, does not make the driver wait indefinitely.
     #[test]
     fn a_calibration_ends_or_the_chip_is_given_up() {
         let mut driver = Nau7802::new(&CONFIG, 80);

@@ -90,7 +90,7 @@ const CONVERGENCE_MAX_MS: u16 = 49;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Model,
-    /// After so many looks.
+    /// Number of polls of the status so far.
     Stopping(u8),
     Stop(u8),
     Private(u8),
@@ -261,7 +261,7 @@ mod tests {
         assert_eq!(quality, Quality::OutOfRange);
     }
 
-    /// One that ranges on from before a restart of the board is told to stop once, and given up if it does not.
+    /// One that ranges on from before a restart of the board is stopped once, and given up if it does not.
     #[test]
     fn a_chip_that_does_not_stop_is_given_up() {
         let mut driver = Vl6180x { state: State::Stopping(0), ..Vl6180x::new(&Vl6180xConfig {}, 20) };

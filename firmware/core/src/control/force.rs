@@ -18,14 +18,14 @@ const LEAD_S: f32 = 0.1;
 /// Readings may be missing for so long until the force counts as unknown, s: five readings of a sensor of 250 Hz.
 const LOST_S: f32 = 0.02;
 
-/// Measured force of a motor, and what it tells of contact.
+/// Measured force of a motor, and whether it is in contact.
 pub(super) struct Force {
     config: ForceConfig,
     filter: LowPass,
     period_s: f32,
     /// Reading of the sensor without force, N, beyond its configured zero.
     zero_n: f32,
-    /// Filtered reading, N.
+    /// Reading of the sensor behind the low-pass, N, with its zero not taken off.
     reading_n: f32,
     has_read: bool,
     missing_s: f32,

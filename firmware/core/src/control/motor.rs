@@ -135,7 +135,7 @@ enum Following {
     Path(Reference),
     /// The search for the zero.
     Home(Homing),
-    /// A force.
+    /// A force: the reference of the position loop that the force loop moves.
     Force(Press),
 }
 

@@ -519,7 +519,7 @@ fn a_load_cell_that_fails_is_told_of_and_comes_back() {
 
 const DISTANCE: ChannelId = ChannelId::new(ChannelKind::Distance, 0);
 
-/// Lets `driver` have the bus until `count` readings, a transfer in each millisecond; `pass` is told the time.
+/// Lets `driver` have the bus until `count` readings, a transfer in each millisecond; `pass` gets the time.
 fn readings(
     driver: &mut AnyDriver,
     bus: &mut I2cBus,

@@ -229,12 +229,13 @@ fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::E
 }
 
 fn mode<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mode, D::Error> {
-    use Mode::{Brake, Duty, Force, Home, Position, Speed, Switch, Voltage};
     let text = String::deserialize(deserializer)?;
-    let known = [Position, Speed, Duty, Switch, Voltage, Brake, Home, Force];
-    let mode = known.into_iter().find(|mode| mode.to_string() == text);
+    // Points of paths have dates, which a step of this kind does not give.
+    let known = || Mode::ALL.into_iter().filter(|mode| *mode != Mode::Follow);
+    let mode = known().find(|mode| mode.to_string() == text);
     mode.ok_or_else(|| {
-        D::Error::custom(format!("`{text}` is no mode: {}", known.map(|mode| mode.to_string()).join(", ")))
+        let names: Vec<_> = known().map(|mode| mode.to_string()).collect();
+        D::Error::custom(format!("`{text}` is no mode: {}", names.join(", ")))
     })
 }
 

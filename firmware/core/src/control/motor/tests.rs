@@ -1114,7 +1114,7 @@ fn with_limited_jerk_a_path_is_left_without_a_jump() {
     }
 }
 
-/// A geared motor that a force slows down, and an object at 1 rad of 200 N/rad: 8 N/s of approach at 0.25 rad/s are 50 N/s on it.
+/// A geared motor that a force slows down, and an object at 1 rad whose stiffness is 200 N/rad.
 struct Gripper {
     bench: Bench,
     position: f64,
@@ -1125,11 +1125,10 @@ struct Gripper {
 impl Gripper {
     const STIFFNESS_N_PER_RAD: f64 = 200.0;
 
-    fn new(settle_ms: u16) -> Self {
+    fn new() -> Self {
         let base = config();
         let config = ControlConfig {
             position_pid: PidGains { kp: 8.0, ki: 4.0, kd: 0.0 },
-            settle: SettleConfig { time_ms: settle_ms, ..base.settle },
             // Watched as a real one: standing with so much duty is a stall in every other mode.
             stall: StallConfig { duty: 0.3, travel: 0.02, time_ms: 300 },
             force: Some(ForceConfig {
@@ -1170,7 +1169,7 @@ impl Gripper {
 
 #[test]
 fn a_motor_presses_an_object_with_its_force() {
-    let mut gripper = Gripper::new(250);
+    let mut gripper = Gripper::new();
     for (force_n, after_s) in [(5.0, 8), (10.0, 3), (2.0, 3)] {
         gripper.bench.command(Mode::Force, force_n);
         gripper.run(after_s * HZ);
@@ -1192,12 +1191,12 @@ fn a_motor_presses_an_object_with_its_force() {
 /// In every mode; and one that presses trips when its sensor falls silent.
 #[test]
 fn too_much_force_trips_and_so_does_none_that_is_known() {
-    let mut gripper = Gripper::new(250);
+    let mut gripper = Gripper::new();
     gripper.run(10);
     gripper.offset_n = 15.5;
     gripper.step();
     assert_eq!(gripper.bench.causes, Causes::only(Cause::ForceLimit));
-    let mut bench = Gripper::new(250).bench;
+    let mut bench = Gripper::new().bench;
     assert_eq!(bench.motor.sense_force(Some(1.0)), Causes::NONE);
     let silence = |bench: &mut Bench| (0..100).fold(Causes::NONE, |all, _| all.union(bench.motor.sense_force(None)));
     assert_eq!(silence(&mut bench), Causes::NONE, "it does not press");
@@ -1209,7 +1208,7 @@ fn too_much_force_trips_and_so_does_none_that_is_known() {
 /// Whatever mode it comes from and goes to, its duty does not jump.
 #[test]
 fn pressing_begins_and_ends_without_a_jump() {
-    let mut gripper = Gripper::new(250);
+    let mut gripper = Gripper::new();
     gripper.bench.command(Mode::Force, 6.0);
     gripper.run(8 * HZ);
     let mut last = gripper.bench.motor.duty;

@@ -4,7 +4,7 @@
 //! # What it measures
 //! The bridge is fed by AVDD, which is the converter's reference too: the code is the ratio that the bridge puts out, times the gain, in
 //! parts of half the reference. What the chip adds are an offset and white noise, both volts at its input. A filter of fourth order lies
-//! over the last four periods; a force that steps is told in full four conversions later, and so is one behind a change of the gain.
+//! over the last four periods; a step of the force is converted in full four conversions later, and so is one behind a change of the gain.
 //!
 //! # Where the datasheet leaves room
 //! - The filter: that of the converters of this kind that settle in four conversions, a sinc of fourth order. Its weights are those for an

@@ -81,7 +81,7 @@ fn the_regulators_voltage_cancels_out() {
     assert!((after - before - more).abs() < 2.0 * 1.25 * tolerance(128.0), "{before}, {after}");
 }
 
-/// One period after a step a 24th of it is told, then a half, then all but a 24th.
+/// One period after a step a 24th of it is converted, then a half, then all but a 24th.
 #[test]
 fn a_step_is_told_over_four_conversions_and_so_is_a_change_of_the_gain() {
     let mut chip = set_up(7);
