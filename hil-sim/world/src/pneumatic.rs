@@ -2,9 +2,10 @@
 
 /// Specific gas constant of dry air, J/(kg K).
 const AIR_J_KG_K: f64 = 287.05;
-/// Air of ISO 6358-1, 3.3: 100 kPa, 20 °C, 65 % relative humidity: its temperature, K, and its density, kg/m³.
+/// Temperature of the reference air of ISO 6358-1, 3.3, K: 100 kPa, 20 °C, 65 % relative humidity.
 const REFERENCE_K: f64 = 293.15;
-const REFERENCE_KG_M3: f64 = 1.185;
+/// Density of the same, kg/m³.
+pub(crate) const REFERENCE_KG_M3: f64 = 1.185;
 /// Standard atmosphere, Pa.
 pub const ATMOSPHERE_PA: f64 = 101_325.0;
 
@@ -32,19 +33,30 @@ impl Restriction {
             return 0.0;
         }
         let choked_kg_s = self.conductance_m3_s_pa * REFERENCE_KG_M3 * from_pa;
-        let subsonic = |ratio: f64| {
-            let over = (ratio - self.critical_ratio) / (1.0 - self.critical_ratio);
-            (1.0 - over * over).max(0.0).sqrt()
-        };
         let ratio = to_pa / from_pa;
         let share = if ratio <= self.critical_ratio {
             1.0
         } else if ratio < Self::LAMINAR_RATIO {
-            subsonic(ratio)
+            self.subsonic(ratio)
         } else {
-            subsonic(Self::LAMINAR_RATIO) * (1.0 - ratio) / (1.0 - Self::LAMINAR_RATIO)
+            self.subsonic(Self::LAMINAR_RATIO) * (1.0 - ratio) / (1.0 - Self::LAMINAR_RATIO)
         };
         choked_kg_s * share
+    }
+
+    /// Flow over the choked one at a pressure ratio above the critical one.
+    fn subsonic(&self, ratio: f64) -> f64 {
+        let over = (ratio - self.critical_ratio) / (1.0 - self.critical_ratio);
+        (1.0 - over * over).max(0.0).sqrt()
+    }
+
+    /// Highest rate at which the flow evens out the pressure of a chamber of `volume_m3` with its surroundings, 1/s: that near equal
+    /// pressures. Times a step's length it must stay below 1, or the pressure of [`Chamber::step`] swings.
+    #[must_use]
+    pub fn relaxation_per_s(&self, volume_m3: f64, polytropic_exponent: f64) -> f64 {
+        let steepest = self.subsonic(Self::LAMINAR_RATIO) / (1.0 - Self::LAMINAR_RATIO);
+        let kg_s_pa = self.conductance_m3_s_pa * REFERENCE_KG_M3 * steepest;
+        polytropic_exponent * AIR_J_KG_K * REFERENCE_K * kg_s_pa / volume_m3
     }
 }
 
@@ -130,6 +142,24 @@ mod tests {
             let expected_pa = ATMOSPHERE_PA * 2.0_f64.powf(exponent);
             assert!((chamber.pressure_pa / expected_pa - 1.0).abs() < 1e-9, "{exponent}: {}", chamber.pressure_pa);
         }
+    }
+
+    /// At nine tenths of the limit an explicit step comes near the pressure outside from one side; beyond twice the limit it runs away.
+    #[test]
+    fn a_step_is_stable_up_to_its_limit() {
+        let volume_m3 = 1e-6;
+        let limit_s = 1.0 / VALVE.relaxation_per_s(volume_m3, 1.4);
+        let after = |step_s: f64| {
+            let mut chamber = Chamber::at_rest(volume_m3, 1.4);
+            chamber.pressure_pa += 10.0;
+            for _ in 0..20 {
+                let inflow_kg_s = VALVE.flow_kg_s(ATMOSPHERE_PA, chamber.pressure_pa);
+                chamber.step(inflow_kg_s, volume_m3, step_s);
+            }
+            chamber.gauge_pa()
+        };
+        assert!((0.0..1e-9).contains(&after(0.9 * limit_s)), "{}", after(0.9 * limit_s));
+        assert!(after(2.2 * limit_s).abs() > 10.0, "{}", after(2.2 * limit_s));
     }
 
     proptest! {

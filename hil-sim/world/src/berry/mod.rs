@@ -28,14 +28,10 @@ use std::f64::consts::FRAC_PI_4;
 use crate::{
     GRAVITY_M_S2, MAX_STEP_S,
     body::{Body, Inertial, Pose, ShaftMotion, Twist},
-    pneumatic::{ATMOSPHERE_PA, Chamber, Restriction},
+    pneumatic::{ATMOSPHERE_PA, Chamber, REFERENCE_KG_M3, Restriction},
     scene::Scene,
 };
 
-/// Density of free air, kg/m³: ISO 6358-1, 3.3.
-const FREE_AIR_KG_M3: f64 = 1.185;
-/// `R T` of air at 20 °C, J/kg.
-const AIR_J_KG: f64 = 287.05 * 293.15;
 /// Exponent of air in chambers whose walls warm it within a stroke of 50 ms: between 1 and 1.4, the middle that pneumatics take
 /// (ISO 6358-1 leaves it open).
 const CHAMBER_EXPONENT: f64 = 1.2;
@@ -291,13 +287,8 @@ impl BerryPicker {
         {
             return Err(BerryError::Fingers);
         }
-        // Flow is steepest where both sides are nearly equal: a step must not carry more than evens them out.
-        let steepest = |flow: &Restriction| {
-            let atmosphere_pa = ATMOSPHERE_PA;
-            flow.flow_kg_s(atmosphere_pa * 1.0005, atmosphere_pa) / (atmosphere_pa * 0.0005)
-        };
-        let steepest = flows.iter().map(steepest).fold(0.0, f64::max);
-        let least_m3 = CHAMBER_EXPONENT * AIR_J_KG * steepest * MAX_STEP_S;
+        let of_a_cubic_metre = |flow: &Restriction| flow.relaxation_per_s(1.0, CHAMBER_EXPONENT);
+        let least_m3 = flows.iter().map(of_a_cubic_metre).fold(0.0, f64::max) * MAX_STEP_S;
         if dead_m3 < least_m3 {
             return Err(BerryError::Stiff { least_m3 });
         }
@@ -447,7 +438,7 @@ impl BerryPicker {
         let [low_pa, high_pa] = self.supply.runs_between_pa;
         let receiver_pa = self.receiver.gauge_pa();
         self.compressor_runs = receiver_pa < if self.compressor_runs { high_pa } else { low_pa };
-        let delivered_kg_s = if self.compressor_runs { self.supply.compressor_m3_s * FREE_AIR_KG_M3 } else { 0.0 };
+        let delivered_kg_s = if self.compressor_runs { self.supply.compressor_m3_s * REFERENCE_KG_M3 } else { 0.0 };
         let source_pa = (self.supply.regulated_pa + ATMOSPHERE_PA).min(self.receiver.pressure_pa);
         let [close_m2, open_m2] = self.cylinder.areas_m2();
         let volumes_m3 = [

@@ -211,11 +211,8 @@ impl SuctionPad {
             {
                 return Err(SuctionError::Line { line: number });
             }
-            // Slope of the laminar part, `C rho0 sqrt(2 / 0.001 / (1 - b))`, times R T / V: its share of a step.
-            let relaxes = |flow: &Restriction, volume_m3: f64| {
-                let slope = flow.conductance_m3_s_pa * 1.185 * (2.0 / 1e-3 / (1.0 - flow.critical_ratio)).sqrt();
-                slope * 84_149.0 / volume_m3 * crate::MAX_STEP_S
-            };
+            let relaxes =
+                |flow: &Restriction, volume_m3: f64| flow.relaxation_per_s(volume_m3, 1.0) * crate::MAX_STEP_S;
             let balloon_m3 = membrane.volume_m3(0.9);
             if relaxes(&line.tube, balloon_m3)
                 + relaxes(&line.tube, line.dead_m3)
