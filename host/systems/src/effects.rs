@@ -2,7 +2,7 @@
 //!
 //! Each candidate is the base model with one effect more, fitted to the recordings by nonlinear least squares. Leave-one-run-out
 //! cross-validation chooses between the candidates. The best one is claimed where its cross-validated error is below the base model's
-//! and the confidence interval of its size excludes its absence. The last run is held out: it decides nothing, and the errors before and
+//! and the confidence interval of its size excludes its absence, by no less than [`Effect::least`]. The last run is held out: it decides nothing, and the errors before and
 //! after are its.
 
 use r4_maths::{
@@ -25,6 +25,9 @@ pub struct Effect {
     pub start: &'static [f64],
     /// The size at which it is not there.
     pub absent: f64,
+    /// Smallest distance of the size from `absent` that is claimed: what a base model leaves out anyway, such as the steps of an encoder,
+    /// looks like a small effect whose interval excludes its absence. 0 where the interval alone decides.
+    pub least: f64,
 }
 
 /// Predicted observations: of the base model or the effect of a number, from parameters, of the run of a number.
@@ -88,9 +91,9 @@ impl Search<'_> {
         let place = self.base_start.len();
         let size = fit.parameters[place];
         let Some(interval) = fit.intervals(CONFIDENCE)?.get(place).copied() else { return Ok(None) };
-        let Effect { name, absent, .. } = self.effects[best];
+        let Effect { name, absent, least, .. } = self.effects[best];
         // A fit that the data do not determine has an interval without ends, which excludes nothing.
-        if !(interval.low > absent || interval.high < absent) {
+        if !(interval.low > absent || interval.high < absent) || (size - absent).abs() < least {
             return Ok(None);
         }
         let before = self.error(None, &plain, runs)?;
@@ -140,9 +143,9 @@ mod tests {
 
     const LENGTH: usize = 120;
     const EFFECTS: [Effect; 3] = [
-        Effect { name: "offset", start: &[0.1], absent: 0.0 },
-        Effect { name: "drift", start: &[0.1], absent: 0.0 },
-        Effect { name: "square", start: &[0.1], absent: 0.0 },
+        Effect { name: "offset", start: &[0.1], absent: 0.0, least: 0.0 },
+        Effect { name: "drift", start: &[0.1], absent: 0.0, least: 0.0 },
+        Effect { name: "square", start: &[0.1], absent: 0.0, least: 0.0 },
     ];
 
     /// A gain, with each effect's term.
@@ -183,6 +186,16 @@ mod tests {
     fn clean_recordings_show_nothing() {
         let claimed = (1..=200).filter(|seed| search(None, *seed).is_some()).count();
         assert!(claimed <= 4, "{claimed} of 200");
+    }
+
+    #[test]
+    fn an_effect_below_its_least_size_is_not_claimed() {
+        let observed: Vec<Vec<f64>> = (0..4).map(|run| predict(Some(0), &[2.0, 0.3], run)).collect();
+        for (least, is_claimed) in [(0.29, true), (0.31, false)] {
+            let effects = EFFECTS.map(|effect| Effect { least, ..effect });
+            let search = Search { base_start: &[1.0], effects: &effects, observed: &observed, predict: &predict };
+            assert_eq!(search.run().expect("a fit").is_some(), is_claimed, "{least}");
+        }
     }
 
     #[test]

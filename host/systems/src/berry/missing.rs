@@ -176,9 +176,9 @@ pub fn found(sheet: &Sheet, new: &[Vec<Closing>], now: &[Vec<Closing>]) -> Resul
         return Err(Error::Effects("recordings of other lengths than when the gripper was new".into()));
     }
     let effects = [
-        Effect { name: NAMES[0], start: &[5.0], absent: 0.0 },
-        Effect { name: NAMES[1], start: &[0.8], absent: 1.0 },
-        Effect { name: NAMES[2], start: &[0.7], absent: 1.0 },
+        Effect { name: NAMES[0], start: &[5.0], absent: 0.0, least: LEAST[0] },
+        Effect { name: NAMES[1], start: &[0.8], absent: 1.0, least: LEAST[1] },
+        Effect { name: NAMES[2], start: &[0.7], absent: 1.0, least: LEAST[2] },
     ];
     let observed: Vec<Vec<f64>> = now.iter().map(|run| run.iter().flat_map(numbers).collect()).collect();
     let predict = |effect: Option<usize>, parameters: &[f64], run: usize| {
@@ -209,12 +209,7 @@ pub fn found(sheet: &Sheet, new: &[Vec<Closing>], now: &[Vec<Closing>]) -> Resul
         });
         predicted.collect()
     };
-    let found = Search { base_start: &[1.0], effects: &effects, observed: &observed, predict: &predict }.run()?;
-    let matters = |found: &Found| {
-        let known = effects.iter().zip(LEAST).find(|(effect, _)| effect.name == found.name);
-        known.is_some_and(|(effect, least)| (found.size - effect.absent).abs() > least)
-    };
-    Ok(found.filter(matters))
+    Search { base_start: &[1.0], effects: &effects, observed: &observed, predict: &predict }.run()
 }
 
 /// A closing in units of scatter.

@@ -20,18 +20,17 @@ use crate::{
     effects::{Effect, Found, Search},
 };
 
-/// Candidates, with guesses of the magnitude that is looked for.
+/// Candidates, with guesses of the magnitude that is looked for. Below its least size an effect is one of the gripper's tolerances. Play: a
+/// servo's dead band of 2 us bends each finger by another 0.2 mrad when it comes from the other side, which looks like 0.04 to 0.08 mm of the
+/// rack (seeds 1 to 8, nothing hidden).
 const EFFECTS: [Effect; 4] = [
-    Effect { name: "migration", start: &[0.003], absent: 0.0 },
-    Effect { name: "slip", start: &[-2e-5], absent: 0.0 },
-    Effect { name: "backlash", start: &[5e-4], absent: 0.0 },
-    Effect { name: "zero-offset", start: &[0.01], absent: 0.0 },
+    Effect { name: "migration", start: &[0.003], absent: 0.0, least: 5e-4 },
+    Effect { name: "slip", start: &[-2e-5], absent: 0.0, least: 2e-6 },
+    Effect { name: "backlash", start: &[5e-4], absent: 0.0, least: 1.5e-4 },
+    Effect { name: "zero-offset", start: &[0.01], absent: 0.0, least: 5e-3 },
 ];
 /// Largest sizes: beyond them an effect is seen without a search. Radius of an edge, 1 mm/s of slip, 5 mm of play, 6 degrees.
 const MOST: [f64; 4] = [0.03, 1e-3, 5e-3, 0.1];
-/// Smallest sizes that are claimed; below them an effect is one of the gripper's tolerances. Play: a servo's dead band of 2 us bends each
-/// finger by another 0.2 mrad when it comes from the other side, which looks like 0.04 to 0.08 mm of the rack (seeds 1 to 8, nothing hidden).
-const LEAST: [f64; 4] = [5e-4, 2e-6, 1.5e-4, 5e-3];
 /// Newton steps for the turn of an object with round edges.
 const TURN_STEPS: usize = 8;
 
@@ -71,9 +70,7 @@ pub fn find(setup: &Setup, stops: &[Stop]) -> Result<Option<Found>, Error> {
     let Linkage { b_m, c_m, d_m } = four_bar::fit(w_m, &first);
     let predict =
         |effect: Option<usize>, parameters: &[f64], run: usize| predicted(w_m, effect, parameters, &runs[run]);
-    let search = Search { base_start: &[b_m, c_m, d_m], effects: &EFFECTS, observed: &observed, predict: &predict };
-    let least = |name: &str| EFFECTS.iter().position(|effect| effect.name == name).map_or(0.0, |place| LEAST[place]);
-    Ok(search.run()?.filter(|found| found.size.abs() >= least(found.name)))
+    Search { base_start: &[b_m, c_m, d_m], effects: &EFFECTS, observed: &observed, predict: &predict }.run()
 }
 
 fn predicted(w_m: f64, effect: Option<usize>, parameters: &[f64], run: &[Seen]) -> Vec<f64> {
