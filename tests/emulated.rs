@@ -92,6 +92,60 @@ fn the_osmc_evaluation_runs_on_an_emulated_board() {
     assert!(["small", "geared", "linear"].iter().all(|motor| of(&format!("{motor}_limit_cycles")) == 0.0), "{run}");
 }
 
+/// Metrics of a trial with seed 2, on the real image and on the simulated board.
+fn trials(system: &str, robot: &str) -> [impl Fn(&str) -> f64; 2] {
+    ["emu", "sim"].map(|kind| {
+        let board = format!("{kind}:{robot}");
+        let trial = program::good_json(&["system", "run", system, "--seed", "2", "--board", &board, "--json"]);
+        move |metric: &str| trial["values"][metric].as_f64().unwrap_or_else(|| panic!("{metric} in {trial}"))
+    })
+}
+
+/// CLOOP on the real image: the board's force loop, its load cell and its distance sensor on the emulated bus.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn a_vial_is_carried_on_an_emulated_board() {
+    let [emulated, _] = trials("cloop", "cable-loop");
+    assert_eq!([emulated("failed"), emulated("reported")], [0.0, 1.0]);
+    // The target of its study.
+    assert!(emulated("diameter_error_m") <= 5e-4, "{} m", emulated("diameter_error_m"));
+    // The band in which the board's loop rests, 0.05 N, a step of the zero that the host tells, 0.02 N, and three times the noise of 20 mN.
+    assert!(emulated("squeeze_error_n") <= 0.13, "{} N", emulated("squeeze_error_n"));
+}
+
+/// INHAND on the real image: the targets of its study for one object.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn an_object_is_measured_between_fingers_on_an_emulated_board() {
+    let [emulated, _] = trials("inhand", "two-finger-gripper");
+    assert_eq!(emulated("held"), 1.0);
+    assert!(emulated("size_error_m") <= 0.3e-3, "{} m", emulated("size_error_m"));
+    assert!(emulated("contact_error_m") <= 1e-3, "{} m", emulated("contact_error_m"));
+}
+
+/// BERRY on the real image: as many attempts as on the simulated board, none dropped, in the same time.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn berries_are_picked_on_an_emulated_board() {
+    let [emulated, simulated] = trials("berry", "berry-picker");
+    assert_eq!([emulated("dropped"), emulated("missed"), emulated("crushed")], [0.0; 3]);
+    assert_eq!(emulated("attempts"), simulated("attempts"));
+    // Samples of the pressure and of the axes come at another phase of their 2 and 5 ms, in each of a berry's two moves.
+    let [emulated, simulated] = [emulated("cycle_s"), simulated("cycle_s")];
+    assert!(emulated <= 1.0 && (emulated - simulated).abs() <= 0.02, "{emulated} s, {simulated} s");
+}
+
+/// SUCTION on the real image: detached without a burst, at the simulated board's pressure.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn a_cup_is_detached_on_an_emulated_board() {
+    let [emulated, simulated] = trials("suction", "suction-pad");
+    assert_eq!([emulated("detached"), emulated("burst")], [1.0, 0.0]);
+    // It rises by 3 kPa/s while a syringe moves, and samples come at another phase of their 5 ms, at the begin and at the stop.
+    let [emulated, simulated] = [emulated("peak_pressure_pa"), simulated("peak_pressure_pa")];
+    assert!(emulated <= 20e3 && (emulated - simulated).abs() <= 60.0, "{emulated} Pa, {simulated} Pa");
+}
+
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
 #[test]
 #[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]

@@ -61,7 +61,7 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 }
 
 /// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 7] = [
+const IMAGES: [(&str, &str); 11] = [
     ("osmc-bench", "bare"),
     ("osmc-bench", "hosted"),
     ("openscout", "bare"),
@@ -69,6 +69,10 @@ const IMAGES: [(&str, &str); 7] = [
     ("balance-tail", "bare"),
     ("hil-sim/emu/tests/robots/feedback-bench.toml", "bare"),
     ("osmc-evaluation", "bare"),
+    ("cable-loop", "bare"),
+    ("two-finger-gripper", "bare"),
+    ("berry-picker", "bare"),
+    ("suction-pad", "bare"),
 ];
 
 /// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.

@@ -1,24 +1,25 @@
-//! A gripping sequence on a board: each state with its time-out, the force loop on the host.
+//! A gripping sequence on a board: each state with its time-out. The board holds the force; the host says which, and takes the sensor's
+//! zero and drift into account.
 
 use std::{cell::RefCell, convert::Infallible, f64::consts::PI, pin::pin};
 
 use futures::future::{Either, select};
-use r4_driver::{Cycles, TelemetryStream};
-use r4_protocol::{Mode, SafetyState, Sample, Setpoint};
-use r4_rig::{Error, HostClock, Sequence, Session};
+use r4_driver::TelemetryStream;
+use r4_protocol::{ChannelId, Mode, Quality, SafetyState, Sample, Setpoint};
+use r4_rig::{Error, Sequence, Session};
 use r4_world::{AnyBody, CableLoop};
 
 use super::{
-    law::{Contact, ForceLaw, SlipWatch, Zero},
-    scene::{Scaled, Seen, Setup},
+    law::{Contact, SlipWatch, Zero},
+    scene::{Seen, Setup},
 };
 
-/// Period of force and spool angle, and so of the force loop, ms.
+/// Period of the samples of force and spool angle, ms.
 const PERIOD_MS: u16 = 10;
-/// Period of the range, ms: every reading of 1 mm noise counts.
-const RANGE_MS: u16 = 5;
-/// Commands older than this are not followed any more, ms: four periods.
-const COMMAND_TTL_MS: u16 = 40;
+/// Period of the range, ms: the distance sensor's at 50 Hz.
+const RANGE_MS: u16 = 20;
+/// Change of the sensor's zero for which the board is given a new force, N: its force loop rests within 0.05 N.
+const ZERO_STEP_N: f64 = 0.02;
 /// How often the truth is noted for a picture, s.
 const WATCHED_EVERY_S: f64 = 5e-3;
 
@@ -30,10 +31,6 @@ pub const FIRM_N: f64 = 6.0;
 const REEL_RAD_S: f64 = 1.5;
 /// Spool after slip, rad/s.
 const HURRY_RAD_S: f64 = 4.0;
-/// The spool lets out in the air from this much above the set point on, N.
-const LET_OUT_N: f64 = 0.6;
-/// Spool without a load, rad/s.
-const FAST_RAD_S: f64 = 10.0;
 /// Force above which the loop is tight, N: ten times the noise.
 const TIGHT_N: f64 = 0.3;
 /// Force that ends homing, N.
@@ -47,7 +44,7 @@ const GRIP_HEIGHT_M: f64 = 0.020;
 /// Time in the air, s, in which a vial would be carried on.
 const CARRY_S: f64 = 0.9;
 /// Readings of the range that are averaged.
-const RANGES: usize = 60;
+const RANGES: usize = 40;
 /// Range above which there is no vial at the tip, m.
 const NO_VIAL_M: f64 = 8e-3;
 
@@ -183,7 +180,7 @@ pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) 
         .armed(async || {
             let mut gripper = Gripper::open(session, setup, uses).await?;
             let report = gripper.run(&mut sequence, seen, &mut found, &mut carried).await;
-            gripper.stop()?;
+            gripper.stop().await?;
             report
         })
         .await;
@@ -192,7 +189,7 @@ pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) 
         Err(Error::StateTimedOut { state, .. }) => Report::TimedOut(state),
         Err(error) => return Err(error),
     };
-    let Some(end) = truth(session)? else { return Err(Error::NoReadings { channel: setup.force.channel }) };
+    let Some(end) = truth(session)? else { return Err(Error::NoReadings { channel: setup.force }) };
     let states = sequence.visits().iter().map(|visit| (visit.state, visit.entered_s)).collect();
     let Found { diameter_m, slips } = found;
     Ok(Outcome { report, diameter_m, slips, carried, end, lasted_s: session.board.now_s() - begin_s, states })
@@ -220,7 +217,8 @@ pub(super) struct Gripper<'s, 'b> {
     setup: &'s Setup,
     uses: Uses,
     telemetry: TelemetryStream,
-    spool: Cycles<'s, HostClock>,
+    /// What the spool was told last.
+    told: Option<Setpoint>,
     radian: f64,
     read: Read,
     zero: Zero,
@@ -229,20 +227,14 @@ pub(super) struct Gripper<'s, 'b> {
     /// Sum and number of ranges that are averaged.
     range: Option<(f64, usize)>,
     set_n: f64,
-    law: ForceLaw,
     slip: SlipWatch,
     hurries: bool,
 }
 
 /// The quantity of a sensor in a sample, if the sample is its and good.
-fn quantity(sensor: Scaled, sample: &Sample) -> Option<f64> {
+fn quantity(sensor: ChannelId, sample: &Sample) -> Option<f64> {
     match *sample {
-        Sample::Reading { channel, value, quality: r4_protocol::Quality::Good, .. } if channel == sensor.channel => {
-            Some(sensor.value(value.into()))
-        }
-        Sample::Sensor { channel, values, quality: r4_protocol::Quality::Good, .. } if channel == sensor.channel => {
-            Some(sensor.value(values[0].into()))
-        }
+        Sample::Sensor { channel, values, quality: Quality::Good, .. } if channel == sensor => Some(values[0].into()),
         _ => None,
     }
 }
@@ -251,24 +243,22 @@ impl<'s, 'b> Gripper<'s, 'b> {
     pub(super) async fn open(session: &'s Session<'b>, setup: &'s Setup, uses: Uses) -> Result<Self, Error> {
         let board = session.board;
         let telemetry = board.telemetry();
-        for channel in [setup.force.channel, setup.spool] {
+        for channel in [setup.force, setup.spool] {
             board.subscribe(channel, PERIOD_MS).await?;
         }
-        let spool = board.stream(&[(setup.spool, Mode::Speed)], COMMAND_TTL_MS).await?;
         let radian = f64::from(board.channel(setup.spool)?.resolution);
         Ok(Self {
             session,
             setup,
             uses,
             telemetry,
-            spool,
+            told: None,
             radian,
             read: Read::default(),
             zero: Zero::default(),
             home_rad: 0.0,
             range: None,
             set_n: GRIP_N,
-            law: ForceLaw::default(),
             slip: SlipWatch::default(),
             hurries: false,
         })
@@ -313,13 +303,32 @@ impl<'s, 'b> Gripper<'s, 'b> {
         if self.uses.drift { self.read.force_n - self.zero.at(self.read.time_s) } else { self.read.force_n }
     }
 
-    /// Sets the spool's speed, rad/s.
-    pub(super) fn turn(&mut self, speed_rad_s: f64) -> Result<(), Error> {
-        Ok(self.spool.set(&[speed_rad_s])?)
+    /// Tells the spool what it was not told last.
+    async fn tell(&mut self, mode: Mode, value: f64) -> Result<(), Error> {
+        let setpoint = Setpoint { mode, value: value as f32 };
+        if self.told != Some(setpoint) {
+            self.session.board.set(self.setup.spool, setpoint).await?;
+            self.told = Some(setpoint);
+        }
+        Ok(())
     }
 
-    pub(super) fn stop(&mut self) -> Result<(), Error> {
-        self.turn(0.0)
+    /// Sets the spool's speed, rad/s.
+    async fn turn(&mut self, speed_rad_s: f64) -> Result<(), Error> {
+        self.tell(Mode::Speed, speed_rad_s).await
+    }
+
+    pub(super) async fn stop(&mut self) -> Result<(), Error> {
+        self.turn(0.0).await
+    }
+
+    /// Has the board hold the set point of the force, on top of the sensor's zero as it is by now.
+    async fn press(&mut self) -> Result<(), Error> {
+        let shown_n = self.set_n + self.read.force_n - self.force_n();
+        match self.told {
+            Some(Setpoint { mode: Mode::Force, value }) if (f64::from(value) - shown_n).abs() < ZERO_STEP_N => Ok(()),
+            _ => self.tell(Mode::Force, shown_n).await,
+        }
     }
 
     /// Length of the loop, without what it stretches, m.
@@ -334,18 +343,16 @@ impl<'s, 'b> Gripper<'s, 'b> {
     }
 
     /// Turns the spool to an angle, without a load.
-    pub(super) async fn turn_to(&mut self, angle_rad: f64, takes_zero: bool) -> Result<(), Error> {
+    async fn turn_to(&mut self, angle_rad: f64, takes_zero: bool) -> Result<(), Error> {
+        self.tell(Mode::Position, angle_rad).await?;
         loop {
             self.next().await?;
             if takes_zero {
                 self.zero.add(self.read.time_s, self.read.force_n);
             }
-            let off_rad = angle_rad - self.read.angle_rad;
-            if off_rad.abs() < 0.01 {
-                return self.stop();
+            if (angle_rad - self.read.angle_rad).abs() < 0.01 {
+                return self.stop().await;
             }
-            // A speed that it can stop from: commands are late by two periods.
-            self.turn((20.0 * off_rad).clamp(-FAST_RAD_S, FAST_RAD_S))?;
         }
     }
 
@@ -365,10 +372,10 @@ impl<'s, 'b> Gripper<'s, 'b> {
         loop {
             self.next().await?;
             match &mut found {
-                Some(found) => self.hold(found)?,
+                Some(found) => self.hold(found).await?,
                 None => {
                     self.zero.add(self.read.time_s, self.read.force_n);
-                    self.stop()?;
+                    self.stop().await?;
                 }
             }
             while let Some(sample) = samples.try_next() {
@@ -382,10 +389,10 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// One period of holding: the force loop, and slip.
-    fn hold(&mut self, found: &mut Found) -> Result<(), Error> {
+    /// One period of holding: the set point of the force, and slip.
+    async fn hold(&mut self, found: &mut Found) -> Result<(), Error> {
         if !self.uses.force_loop {
-            return self.stop();
+            return self.stop().await;
         }
         let force_n = self.force_n();
         if self.uses.slip && self.slip.next(force_n, self.read.after_s) {
@@ -394,12 +401,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
         // Ahead of the set point by what comes in late.
         self.hurries &= force_n < 0.75 * self.set_n;
-        let speed_rad_s =
-            if self.hurries { -HURRY_RAD_S } else { self.law.next(self.set_n, force_n, self.read.after_s) };
-        // Creep only takes: letting out a little comes with the jump of a worm that breaks loose, which looks like slip (11 of seeds 1
-        // to 400).
-        let lets_out = force_n > self.set_n + LET_OUT_N;
-        self.turn(if lets_out { speed_rad_s } else { speed_rad_s.min(0.0) })
+        if self.hurries { self.turn(-HURRY_RAD_S).await } else { self.press().await }
     }
 
     /// Draws the retracted loop against the tip: where it is tight is home.
@@ -408,7 +410,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         for _ in 0..10 {
             self.next().await?;
             self.zero.add(self.read.time_s, self.read.force_n);
-            self.stop()?;
+            self.stop().await?;
         }
         let mut contact = Contact::default();
         loop {
@@ -422,20 +424,20 @@ impl<'s, 'b> Gripper<'s, 'b> {
                     Some(angle_rad) if self.uses.bowden => angle_rad,
                     _ => self.read.angle_rad + self.setup.stretch_rad(2.0 * self.setup.bend_radius_m, force_n),
                 };
-                return self.stop();
+                return self.stop().await;
             }
-            self.turn(-REEL_RAD_S)?;
+            self.turn(-REEL_RAD_S).await?;
         }
     }
 
     /// Brings the tip to its distance before the vial.
     async fn centre(&mut self) -> Result<(), Error> {
-        let channel = self.setup.range.channel;
+        let channel = self.setup.range;
         self.range = Some((0.0, 0));
         self.session.board.subscribe(channel, RANGE_MS).await?;
         let range_m = loop {
             self.next().await?;
-            self.stop()?;
+            self.stop().await?;
             if let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= RANGES) {
                 break sum_m / count as f64;
             }
@@ -459,7 +461,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             }
             let is_there = contact.count() > 2;
             if (!is_there && self.read.angle_rad < gone_rad) || self.read.angle_rad < missed_rad - 1.0 {
-                self.stop()?;
+                self.stop().await?;
                 return Ok(false);
             }
             let enough_n = if self.uses.force_loop { 0.75 * GRIP_N } else { GRIP_N };
@@ -471,17 +473,16 @@ impl<'s, 'b> Gripper<'s, 'b> {
                 found.diameter_m = Some((self.length_m(angle_rad) - self.setup.legs_m) / PI);
                 break;
             }
-            self.turn(-REEL_RAD_S)?;
+            self.turn(-REEL_RAD_S).await?;
         }
-        self.stop()?;
+        self.stop().await?;
         if self.uses.force_loop {
             let mut close = 0;
             while close < 5 {
                 self.next().await?;
                 let force_n = self.force_n();
                 close = if (force_n - self.set_n).abs() < 0.2 { close + 1 } else { 0 };
-                let speed_rad_s = self.law.next(self.set_n, force_n, self.read.after_s);
-                self.turn(speed_rad_s)?;
+                self.press().await?;
             }
             self.slip = SlipWatch::default();
         }
@@ -493,18 +494,18 @@ impl<'s, 'b> Gripper<'s, 'b> {
         let until_s = self.read.time_s + CARRY_S;
         while self.read.time_s < until_s {
             self.next().await?;
-            self.hold(found)?;
+            self.hold(found).await?;
         }
         self.range = Some((0.0, 0));
-        self.session.board.subscribe(self.setup.range.channel, RANGE_MS).await?;
+        self.session.board.subscribe(self.setup.range, RANGE_MS).await?;
         let range_m = loop {
             self.next().await?;
-            self.hold(found)?;
+            self.hold(found).await?;
             if let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= 10) {
                 break sum_m / count as f64;
             }
         };
-        self.session.board.subscribe(self.setup.range.channel, 0).await?;
+        self.session.board.subscribe(self.setup.range, 0).await?;
         self.range = None;
         Ok(range_m < NO_VIAL_M)
     }
@@ -515,23 +516,21 @@ impl<'s, 'b> Gripper<'s, 'b> {
         Ok(self.home_rad)
     }
 
-    /// Turns the spool slowly to an angle and stays there, noting time, angle and the sensor's force.
+    /// Turns the spool to an angle and stays there, noting time, angle and the sensor's force.
     pub(super) async fn record_to(
         &mut self,
         angle_rad: f64,
         hold_s: f64,
         samples: &mut Vec<[f64; 3]>,
     ) -> Result<(), Error> {
+        self.tell(Mode::Position, angle_rad).await?;
         let mut until_s = f64::INFINITY;
         while self.read.time_s < until_s {
             self.next().await?;
             samples.push([self.read.time_s, self.read.angle_rad, self.read.force_n]);
-            let off_rad = angle_rad - self.read.angle_rad;
-            if until_s.is_infinite() && off_rad.abs() < 0.01 {
+            if until_s.is_infinite() && (angle_rad - self.read.angle_rad).abs() < 0.01 {
                 until_s = self.read.time_s + hold_s;
             }
-            let speed_rad_s = if until_s.is_infinite() { (12.0 * off_rad).clamp(-REEL_RAD_S, REEL_RAD_S) } else { 0.0 };
-            self.turn(speed_rad_s)?;
         }
         Ok(())
     }
@@ -549,7 +548,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.move_axis(2, seen.aside_m).await?;
         sequence.state("home", 3.0, self.home()).await?;
         let open_rad = self.angle_rad(open_m);
-        sequence.state("centre", 1.5, self.centre()).await?;
+        sequence.state("centre", 2.0, self.centre()).await?;
         sequence.state("feed", 2.5, self.turn_to(open_rad, false)).await?;
         sequence.state("lower", 2.0, self.move_and(0, down_m, None)).await?;
         if !sequence.state("reel", 3.0, self.reel(seen_m, found)).await? {

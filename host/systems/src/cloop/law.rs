@@ -1,4 +1,4 @@
-//! What the controller computes, without a board: the sensor's zero and its drift, the contact, slip, and the speed of the spool.
+//! What the controller computes, without a board: the sensor's zero and its drift, the contact, slip.
 
 /// Zero of the force sensor and its drift, by least squares on readings of a slack loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -97,37 +97,6 @@ impl SlipWatch {
             *self = Self::default();
         }
         is_slip
-    }
-}
-
-/// Speed of the spool that brings a force to its set point: proportional and integral, over a loop that integrates by itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ForceLaw {
-    integral_n_s: f64,
-}
-
-impl ForceLaw {
-    /// rad/s for each N.
-    const GAIN: f64 = 0.6;
-    /// rad/s for each N s.
-    const INTEGRAL: f64 = 0.8;
-    /// Difference that is none, N: twice the noise.
-    const DEAD_N: f64 = 0.04;
-    /// Fastest, rad/s.
-    const FASTEST_RAD_S: f64 = 3.0;
-
-    /// Speed of the spool, rad/s; negative reels in.
-    pub fn next(&mut self, set_n: f64, force_n: f64, after_s: f64) -> f64 {
-        let error_n = set_n - force_n;
-        if error_n.abs() < Self::DEAD_N {
-            return 0.0;
-        }
-        let asked = Self::GAIN * error_n + Self::INTEGRAL * self.integral_n_s;
-        if asked.abs() < Self::FASTEST_RAD_S {
-            // At most what creep asks for.
-            self.integral_n_s = (self.integral_n_s + error_n * after_s).clamp(-0.25, 0.25);
-        }
-        -asked.clamp(-Self::FASTEST_RAD_S, Self::FASTEST_RAD_S)
     }
 }
 

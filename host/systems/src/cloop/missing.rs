@@ -103,7 +103,7 @@ async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, 
                 }
                 recordings.push(recording);
             }
-            gripper.stop()?;
+            gripper.stop().await?;
             let begin_s =
                 recordings.first().and_then(|first: &Recording| first.samples.first()).map_or(0.0, |first| first[0]);
             let all = recordings.iter_mut().flat_map(|recording| &mut recording.samples);

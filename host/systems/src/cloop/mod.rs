@@ -5,8 +5,8 @@
 //! printed: the `paper` arm reels in at an even speed up to a threshold of the sensor. It prints 8 failures in 1000 grips; those had
 //! other errors than the declared ones here, so that no rate on this page can be compared with it.
 //!
-//! [`grip`] is the sequence on a board, with a force loop on the host; [`law`] what it computes: zero and drift of the sensor, the
-//! contact, slip, the spool's speed. [`scene`] samples grippers, vials and disturbances. [`missing`] finds which effect a recording of the loop shows.
+//! [`grip`] is the sequence on a board, which holds the force; [`law`] what the host computes: zero and drift of the sensor, the
+//! contact, slip. [`scene`] samples grippers, vials and disturbances. [`missing`] finds which effect a recording of the loop shows.
 
 pub mod grip;
 pub mod law;
@@ -68,16 +68,16 @@ static ABOUT: About = About {
         "a knock in the air: 0 to 18 m/s2 upwards for 30 to 120 ms, 0.2 to 0.6 s after it was lifted by 20 mm, uniform",
         "Bowden tube: friction times angle 0.15 to 0.75, uniform",
         "creep of the loop: 10 to 30 % of the force, time constant 0.5 to 2 s, uniform",
-        "force sensor: zero -1 to 1 N, drift -0.05 to 0.05 N/s, uniform; noise 20 mN",
+        "force sensor: zero -1 to 1 N, drift -0.05 to 0.05 N/s, uniform; noise 20 mN beside the chip's",
         "stiffness of tip and loop 0.8 to 1.2 of the file's, spool radius 0.995 to 1.005, legs of the loop 0.3 mm, uniform",
         "loop at first 50 to 60 mm long, uniform",
-        "range sensor: offset 0.15 mm, uniform, noise 1 mm; camera: offset 0.15 mm to the side and 0.2 mm of diameter, uniform, 20 frames with noise of 0.3 mm",
+        "range sensor: offset 0.15 mm, uniform, the chip's noise and steps of 1 mm; camera: offset 0.15 mm to the side and 0.2 mm of diameter, uniform, 20 frames with noise of 0.3 mm",
     ],
     arms: &[
         board(PRINTED, "reels in at an even speed to a threshold of the force sensor, and stops"),
         board(
             OURS,
-            "force loop with zero and drift of the sensor, contact by the line of force over angle, slip watch",
+            "force loop on the board, with zero and drift of the sensor, contact by the line of force over angle, slip watch",
         ),
         board(NO_SLIP, "ours without the watch for slip"),
         board(NO_DRIFT, "ours with the sensor's zero and drift taken for nothing"),

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, rc::Rc};
 
-use r4_boards::Robot;
+use r4_boards::{BodyReading, Robot, Simulation};
 use r4_protocol::{ChannelId, ChannelKind};
 use r4_rig::Alter;
 use r4_world::{
@@ -137,10 +137,8 @@ impl Case {
         let changed = CableLoop::new((finger, bowden, self.creep, sensor), *nominal.axes(), self.vial, self.jerk);
         let changed = changed.map_err(|error| error.to_string())?;
         let range = Setup::of(robot)?.range;
-        for analog in robot.simulation.analogs.iter_mut().filter(|analog| analog.channel == range.channel) {
-            if let Some(reads) = &mut analog.reads {
-                reads.zero += self.range_off_m * reads.per_unit;
-            }
+        for sensor in robot.simulation.distances.iter_mut().filter(|sensor| sensor.channel == range) {
+            sensor.offset_m += self.range_off_m;
         }
         if let Some(body) = &mut robot.simulation.body {
             body.kind = AnyBody::CableLoop(Box::new(changed));
@@ -157,25 +155,6 @@ fn gripper(robot: &Robot) -> Result<&CableLoop, String> {
     }
 }
 
-/// A sensor and its data sheet: value = (reading - zero) / per unit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Scaled {
-    /// The channel.
-    pub channel: ChannelId,
-    /// What it gives at 0.
-    pub zero: f64,
-    /// What it gives for one unit.
-    pub per_unit: f64,
-}
-
-impl Scaled {
-    /// The quantity of a reading.
-    #[must_use]
-    pub fn value(&self, reading: f64) -> f64 {
-        (reading - self.zero) / self.per_unit
-    }
-}
-
 /// What the controller knows: the gripper's data sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
@@ -187,10 +166,10 @@ pub struct Setup {
     pub axes_m_per_rad: [f64; 3],
     /// Height of the loop while the lift is at 0, m.
     pub raised_m: f64,
-    /// N
-    pub force: Scaled,
-    /// m
-    pub range: Scaled,
+    /// Load cell at the tip.
+    pub force: ChannelId,
+    /// Distance sensor in front of the tip.
+    pub range: ChannelId,
     /// m
     pub spool_radius_m: f64,
     /// m
@@ -216,14 +195,15 @@ impl Setup {
         let body = gripper(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);
         let [spool, lift, ahead, aside] = *channels else { return Err("its loop needs a spool and three axes".into()) };
-        let scaled = |number: usize, what: &str| {
-            let of_body =
-                |analog: &&r4_boards::SimulatedAnalog| analog.reads.is_some_and(|reads| reads.number == number);
-            let analog = robot.simulation.analogs.iter().find(of_body);
-            let reads = analog.and_then(|analog| Some((analog.channel, analog.reads?)));
-            let (channel, reads) = reads.ok_or_else(|| format!("no sensor measures its {what}"))?;
-            Ok::<_, String>(Scaled { channel, zero: reads.zero, per_unit: reads.per_unit })
-        };
+        let is = |reads: Option<BodyReading>, number| reads.is_some_and(|reads| reads.number == number);
+        let Simulation { forces, distances, .. } = &robot.simulation;
+        let force = forces.iter().find(|cell| is(cell.reads, 0)).ok_or("no load cell measures its force")?.channel;
+        let range = distances.iter().find(|sensor| is(sensor.reads, 1));
+        let range = range.ok_or("no distance sensor measures its range")?.channel;
+        let spools = robot.config.motors.iter().filter(|motor| motor.id == spool);
+        if !spools.filter_map(|motor| motor.control.as_ref()).any(|control| control.force.is_some()) {
+            return Err(format!("{spool} has no force loop: its table needs a [dhb.force]"));
+        }
         let Axes { raised_m, lift_m_per_rad, ahead_m_per_rad, aside_m_per_rad } = *body.axes();
         let Finger {
             spool_radius_m, legs_m, bend_radius_m, thickness_m, strand_n, half_angle_rad, tip_n_per_m, ..
@@ -239,8 +219,8 @@ impl Setup {
             axes: [lift, ahead, aside],
             axes_m_per_rad: [lift_m_per_rad, ahead_m_per_rad, aside_m_per_rad],
             raised_m,
-            force: scaled(0, "force")?,
-            range: scaled(1, "range")?,
+            force,
+            range,
             spool_radius_m,
             legs_m,
             bend_radius_m,
