@@ -518,7 +518,7 @@ const LOOP_MISTAKES: &[Mistake] = &[
     ),
     there("spool = \"dhb0\"", "spool = \"dhb1\"", "body.cable-loop.spool", "no channel that turns `dhb1`"),
     there("legs_m = 0.012", "legs_m = 0.0", "body.cable-loop.finger.legs_m", "must be above 0"),
-    there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.analog[0].body.reading", "no `force_kg`"),
+    there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.force[0].body.reading", "no `force_kg`"),
 ];
 
 const CARRIER_MISTAKES: &[Mistake] = &[
