@@ -444,7 +444,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         Ok(self.session.board.subscribe(self.setup.range, RANGE_MS).await?)
     }
 
-    /// The mean of so many ranges, m, once they are in; the readings go on until then.
+    /// Mean of the ranges, m, and the end of the subscription; `None` while there are fewer than `readings`.
     async fn ranged(&mut self, readings: usize) -> Result<Option<f64>, Error> {
         let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= readings) else { return Ok(None) };
         self.range = None;
