@@ -1,0 +1,3 @@
+//! Maps and planning beside direct solves, closed forms and scikit-learn, and properties that must hold for any input.
+
+mod grid;
