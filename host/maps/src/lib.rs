@@ -6,6 +6,8 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`grid`] | a grid of cells with a frame: cells and points, neighbours, scalar fields with a unit |
+//! | [`occupancy`] | log-odds of obstacles from range readings, distances to obstacles, room for a robot
 
 pub mod grid;
+pub mod occupancy;
 pub mod pose;

@@ -8,8 +8,9 @@ use r4_maps::{
 
 fn frames() -> impl Strategy<Value = Frame> {
     let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
-    (pose, 0.01..10.0, 1..60usize, 1..60usize)
-        .prop_map(|(origin, cell_m, columns, rows)| Frame::new(origin, cell_m, columns, rows).unwrap())
+    (pose, 0.01..10.0, 1..60usize, 1..60usize).prop_map(|(origin, cell_m, columns, rows)| {
+        Frame::new(origin, cell_m, columns, rows).expect("within the limits")
+    })
 }
 
 proptest! {

@@ -1,3 +1,4 @@
 //! Maps and planning beside direct solves, closed forms and scikit-learn, and properties that must hold for any input.
 
 mod grid;
+mod occupancy;
