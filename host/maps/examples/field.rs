@@ -1,7 +1,7 @@
 //! Times and errors of the scalar field on a factory of 75 000 cells: `cargo run --release -p r4-maps --example field`.
 //!
 //! Readings come along the aisles of a hall of 60 m × 50 m, one a second. Prints, for each way to bring the means up to date, the
-//! time a reading takes and the error against a solve to 1e-9; then how far variances of belief propagation are off.
+//! time a reading takes and the error against a solve to 1e-8; then how far variances of belief propagation are off.
 
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ use r4_maps::{
 };
 use r4_maths::statistics::{QuantileRule, StatisticsError, quantile};
 
-const READINGS: usize = 300;
+const READINGS: usize = 200;
 
 #[derive(Debug, thiserror::Error)]
 enum Failure {
@@ -38,7 +38,7 @@ fn main() -> Result<(), Failure> {
         }
     }
     println!("\nVariance of belief propagation over the exact one, prior 1e-4:");
-    for (columns, rows, readings) in [(1, 64, 6), (8, 8, 6), (30, 30, 20), (100, 100, 60), (300, 250, 300)] {
+    for (columns, rows, readings) in [(1, 64, 6), (8, 8, 6), (30, 30, 20), (100, 100, 60), (300, 250, 200)] {
         variances(columns, rows, readings)?;
     }
     Ok(())
@@ -75,14 +75,7 @@ fn times(empty: &Field) -> Result<(), Failure> {
             took_ms.push(start.elapsed().as_secs_f64() * 1e3);
         }
         let mut solved = field.clone();
-        solved.solve(1e-9).or_else(|why| {
-            if let FieldError::NotConverged { reached, .. } = why {
-                println!("  (compared with a solve to {reached:.1e})");
-                Ok(r4_maps::field::Solved { residual: 0.0, iterations: 0 })
-            } else {
-                Err(why)
-            }
-        })?;
+        solved.solve(1e-8)?;
         let pairs = field
             .means()
             .values()

@@ -8,8 +8,10 @@
 //! | [`grid`] | a grid of cells with a frame: cells and points, neighbours, scalar fields with a unit |
 //! | [`field`] | a scalar field on the free cells from readings that age, with calibrated variances |
 //! | [`occupancy`] | log-odds of obstacles from range readings, distances to obstacles, room for a robot
+//! | [`process`] | Gaussian-process regression of place and time, and where to measure next
 
 pub mod field;
 pub mod grid;
 pub mod occupancy;
 pub mod pose;
+pub mod process;

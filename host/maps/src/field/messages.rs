@@ -1,5 +1,7 @@
 //! Gaussian belief propagation.
 //!
+//! Messages carry a correction of means that are known (0 at first), so that a solve can be handed to them and they go on from it.
+//!
 //! A message has a precision P ≤ 0 and an information P·μ, which is what is kept: both are sums at the receiver. With
 //! Aᵢⱼ = -λ, the message from i to j is P = -λ² / P(i without j) and P·μ = λ / P(i without j) · h(i without j).
 
@@ -21,7 +23,14 @@ struct Node {
     /// Diagonal of A, and what of it is the edges'.
     diagonal: f64,
     edges: f64,
-    /// h.
+    /// h of the caller, and the mean that messages correct.
+    source: f64,
+    base: f64,
+    /// λ times the sum of the neighbours' base.
+    around: f64,
+    /// Residual that the base was accepted with.
+    accepted: f64,
+    /// Residual of the base beyond that: what the messages solve for.
     information: f64,
     /// Received messages, by the direction they came from.
     precision_in: [f64; 4],
@@ -33,6 +42,10 @@ struct Node {
 impl Node {
     fn precision(&self) -> f64 {
         self.diagonal + self.precision_in.iter().sum::<f64>()
+    }
+
+    fn residual(&self) -> f64 {
+        self.source + self.around - self.diagonal * self.base - self.accepted
     }
 
     fn total(&self) -> f64 {
@@ -82,20 +95,26 @@ impl Messages {
     /// A node's own energy: the diagonal of A without edges, and h.
     pub(super) fn set(&mut self, node: usize, own: f64, information: f64) {
         let at = &mut self.nodes[node];
-        let (diagonal, mean, precision) = (at.edges + own, at.total() / at.precision(), at.precision());
-        at.pending += ((information - at.information).abs() + ((diagonal - at.diagonal) * mean).abs()) / precision;
-        at.diagonal = diagonal;
-        at.information = information;
+        let (before, correction, precision) = (*at, at.total() / at.precision(), at.precision());
+        at.diagonal = at.edges + own;
+        at.source = information;
+        at.information = at.residual();
+        let [steeper, pulled] = [at.diagonal - before.diagonal, at.information - before.information];
+        at.pending += (pulled.abs() + (steeper * correction).abs()) / precision;
         self.change(node);
         self.enqueue(node);
     }
 
     pub(super) fn mean(&self, node: usize) -> f64 {
-        self.nodes[node].total() / self.nodes[node].precision()
+        let at = &self.nodes[node];
+        at.base + at.total() / at.precision()
     }
 
-    pub(super) fn precision(&self, node: usize) -> f64 {
-        self.nodes[node].precision()
+    /// Precisions of all beliefs at their fixed point.
+    pub(super) fn precisions(&self, lattice: &Lattice) -> Vec<f64> {
+        let mut settled = self.clone();
+        settled.settle_precisions(lattice);
+        settled.nodes.iter().map(Node::precision).collect()
     }
 
     fn change(&mut self, node: usize) {
@@ -201,40 +220,25 @@ impl Messages {
         }
     }
 
-    /// Messages whose beliefs are these means: at the fixed point, both messages of an edge follow from the means of its ends.
+    /// Means that messages correct from now on: they start again, at nothing, on the residual of the means.
     ///
-    /// From h(i→j) = a (Pᵢ xᵢ - h(j→i)) and its mirror image, with a = λ / P(i without j) and b = λ / P(j without i):
-    /// h(i→j) = a (Pᵢ xᵢ - b Pⱼ xⱼ) / (1 - a b).
-    pub(super) fn set_means(&mut self, lattice: &Lattice, means: &[f64]) {
-        self.settle_precisions(lattice);
-        for node in 0..self.nodes.len() {
-            // Each edge once: in +x and +y.
-            for direction in 0..2 {
-                let near = lattice.neighbours[node][direction];
-                if near == NONE {
-                    continue;
-                }
-                let near = near as usize;
-                let (from, to) = (&self.nodes[node], &self.nodes[near]);
-                let precision = [from.precision(), to.precision()];
-                let a = self.smoothness / (precision[0] - from.precision_in[direction]);
-                let b = self.smoothness / (precision[1] - to.precision_in[back(direction)]);
-                let [mine, theirs] = [precision[0] * means[node], precision[1] * means[near]];
-                let scale = (1.0 - a * b).recip();
-                self.nodes[near].information_in[back(direction)] = a * (mine - b * theirs) * scale;
-                self.nodes[node].information_in[direction] = b * (theirs - a * mine) * scale;
-            }
-        }
-        // What the means lack of the fixed point is between them and the beliefs that these messages make.
-        for (node, mean) in self.nodes.iter_mut().zip(means) {
-            node.pending = (node.total() / node.precision() - mean).abs();
-        }
+    /// Where `is_solved`, the residual they have is accepted: a belief that has not heard from its neighbours would make an error of λ
+    /// over the prior times as much of it. Messages with these means as beliefs also follow in closed form from both ends of each edge; that enlarged the errors of
+    /// means by λ over the prior where no reading is near, and was given up.
+    pub(super) fn set_means(&mut self, lattice: &Lattice, means: &[f64], is_solved: bool) {
         self.queue.clear();
-        self.is_queued.fill(false);
-        let due = self.nodes.iter().enumerate().filter(|(_, node)| node.pending > 0.0);
-        for (index, _) in due {
-            self.is_queued[index] = true;
-            self.queue.push_back(index as u32);
+        for (index, node) in self.nodes.iter_mut().enumerate() {
+            node.base = means[index];
+            node.around = self.smoothness * lattice.near(index).map(|near| means[near]).sum::<f64>();
+            node.accepted = 0.0;
+            node.accepted = if is_solved { node.residual() } else { 0.0 };
+            node.information = if is_solved { 0.0 } else { node.residual() };
+            node.information_in = [0.0; 4];
+            node.pending = (node.information / node.precision()).abs();
+            self.is_queued[index] = node.pending > 0.0;
+            if self.is_queued[index] {
+                self.queue.push_back(index as u32);
+            }
         }
     }
 }

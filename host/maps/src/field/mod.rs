@@ -194,7 +194,7 @@ impl Field {
         moved.weigh();
         let mean = |node| self.mean(moved.lattice.cell(node)).unwrap_or(0.0);
         let means: Vec<f64> = (0..moved.lattice.nodes()).map(mean).collect();
-        moved.messages.set_means(&moved.lattice, &means);
+        moved.messages.set_means(&moved.lattice, &means, false);
         Ok(moved)
     }
 
@@ -286,28 +286,26 @@ impl Field {
         self.messages.settle(&self.lattice, threshold, budget)
     }
 
-    /// Means of all cells with an error of at most `tolerance` (in the field's unit), by preconditioned conjugate gradients
-    /// from the present beliefs; messages are set to agree with them, so that propagation goes on from there.
+    /// Means of all cells to `tolerance` (in the field's unit), by preconditioned conjugate gradients from the present beliefs;
+    /// messages correct them from then on.
     ///
-    /// The bound is rigorous: A is diagonally dominant by at least the prior, so that no error exceeds the greatest residual
-    /// over the prior (Varah, "A lower bound for the smallest singular value of a matrix", 1975).
+    /// The error is estimated by the preconditioner, twice over; [`Field::error_bound`] is rigorous and thousands of times
+    /// greater. Errors against a direct solve are in `docs/maps.md`.
     ///
     /// # Errors
     /// [`FieldError::NotConverged`]; means are then the best that were found.
+    ///
+    /// # Source
+    /// Hestenes, Stiefel 1952; aggregation multigrid: Braess, Computing 55, 1995.
     pub fn solve(&mut self, tolerance: f64) -> Result<Solved, FieldError> {
         let mut means: Vec<f64> = (0..self.lattice.nodes()).map(|node| self.messages.mean(node)).collect();
-        let solved =
-            self.hierarchy.solve(&self.observed, &self.information, &mut means, tolerance * self.weights.prior);
-        self.messages.set_means(&self.lattice, &means);
-        let bound = solved.residual / self.weights.prior;
-        if bound <= tolerance {
-            Ok(Solved { residual: solved.residual, iterations: solved.iterations })
-        } else {
-            Err(FieldError::NotConverged { reached: bound, iterations: solved.iterations })
-        }
+        let solved = self.hierarchy.solve(&self.observed, &self.information, &mut means, tolerance);
+        self.messages.set_means(&self.lattice, &means, true);
+        solved.within(tolerance)
     }
 
-    /// Upper bound of the error of all means, in the field's unit: see [`Field::solve`].
+    /// Rigorous upper bound of the error of all means, in the field's unit: the greatest residual over the prior, by which A is
+    /// diagonally dominant (Varah, Linear Algebra and its Applications 11, 1975).
     #[must_use]
     pub fn error_bound(&self) -> f64 {
         let means: Vec<f64> = (0..self.lattice.nodes()).map(|node| self.messages.mean(node)).collect();
@@ -332,7 +330,8 @@ impl Field {
     /// (Weiss, Freeman 2001 prove means only). For comparison; plans use [`Field::variances`].
     #[must_use]
     pub fn propagated_variances(&self) -> Grid<Option<f64>> {
-        self.lattice.grid(|node| self.messages.precision(node).recip())
+        let precisions = self.messages.precisions(&self.lattice);
+        self.lattice.grid(|node| precisions[node].recip())
     }
 
     /// Exact marginal variances of all cells at the field's time, unit²; `None` where the map is not free.
@@ -358,8 +357,8 @@ impl Field {
     /// # Source
     /// Sherman, Morrison, Annals of Mathematical Statistics 21, 1950.
     pub fn variances_with(&self, variances: &Grid<Option<f64>>, cell: Cell) -> Result<Grid<Option<f64>>, FieldError> {
-        // Relative to the variance of a cell that nobody has seen: far below the variance of a reading.
-        const TOLERANCE: f64 = 1e-9;
+        // Relative to the variance of a reading.
+        const TOLERANCE: f64 = 1e-7;
         if variances.frame() != self.lattice.frame() {
             return Err(GridError::Unlike.into());
         }
@@ -367,11 +366,8 @@ impl Field {
         let nodes = self.lattice.nodes();
         let (mut unit, mut column) = (vec![0.0; nodes], vec![0.0; nodes]);
         unit[node] = 1.0;
-        let solved = self.hierarchy.solve(&self.observed, &unit, &mut column, TOLERANCE);
-        if solved.residual > TOLERANCE {
-            let reached = solved.residual / self.weights.prior;
-            return Err(FieldError::NotConverged { reached, iterations: solved.iterations });
-        }
+        let tolerance = TOLERANCE / self.weights.reading;
+        self.hierarchy.solve(&self.observed, &unit, &mut column, tolerance).within(tolerance)?;
         let gain = self.weights.reading / (1.0 + self.weights.reading * column[node]);
         let old = |node| variances.get(self.lattice.cell(node)).ok().copied().flatten();
         Ok(self.lattice.grid(|node| old(node).map_or(f64::NAN, |old| old - gain * column[node] * column[node])))

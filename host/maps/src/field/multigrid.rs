@@ -6,15 +6,25 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::lattice::Lattice;
+use super::{FieldError, lattice::Lattice};
 
 /// What a solve took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solved {
-    /// Greatest absolute residual of A x = h.
-    pub residual: f64,
+    /// Estimate of the greatest error of a mean, in the field's unit.
+    pub estimate: f64,
     /// Iterations of conjugate gradients.
     pub iterations: usize,
+}
+
+impl Solved {
+    pub(super) fn within(self, tolerance: f64) -> Result<Self, FieldError> {
+        if self.estimate <= tolerance {
+            Ok(self)
+        } else {
+            Err(FieldError::NotConverged { reached: self.estimate, iterations: self.iterations })
+        }
+    }
 }
 
 /// Piecewise constant interpolation makes coarse corrections too small: factor by which they are enlarged.
@@ -22,16 +32,23 @@ pub struct Solved {
 /// Braess, "Towards Algebraic Multigrid for Elliptic Problems of Second Order", Computing 55, 1995: 1.8.
 const OVER_CORRECTION: f64 = 1.8;
 
+/// A cycle on the residual estimates the error; beside a solve to 1e-8 the greatest error was 0.85 times the greatest element of it
+/// (`example field`), and in property tests beside a dense inverse never twice as much.
+const ESTIMATE: f64 = 2.0;
+
 /// Levels stop at as many nodes: a dense factor of them costs 0.1 ms.
 const COARSEST: usize = 64;
 
 /// Never reached but by rounding: the maps of `docs/maps.md` take fewer than 60.
 const MOST_ITERATIONS: usize = 300;
 
-/// A graph of one level: edges in compressed rows.
+/// A graph of one level: edges in compressed rows, those to earlier nodes first. Vectors have one element more than there are nodes,
+/// which is 0.
 #[derive(Clone, Debug)]
 struct Level {
     starts: Vec<u32>,
+    /// First edge of each node that leads to a later one.
+    middles: Vec<u32>,
     ends: Vec<u32>,
     weights: Vec<f64>,
     /// Diagonal without readings: sum of edges plus priors.
@@ -40,6 +57,10 @@ struct Level {
     squares: Vec<[u32; 2]>,
     /// Node of the next level that each node is part of.
     parents: Vec<u32>,
+    /// On the finest level: neighbours in +x, +y, -x, -y, the element after the last node where there is none. All edges have one
+    /// weight there, and a third of the time is saved.
+    four: Vec<[u32; 4]>,
+    smoothness: f64,
 }
 
 impl Level {
@@ -52,9 +73,31 @@ impl Level {
         self.ends[range.clone()].iter().map(|end| *end as usize).zip(self.weights[range].iter().copied())
     }
 
-    /// Sum of edge weights times the neighbours' values: what A has off its diagonal, negated.
+    fn product(&self, range: std::ops::Range<u32>, x: &[f64]) -> f64 {
+        let range = range.start as usize..range.end as usize;
+        let edges = self.ends[range.clone()].iter().zip(&self.weights[range]);
+        edges.map(|(near, weight)| weight * x[*near as usize]).sum()
+    }
+
+    /// Sum of edge weights times the values of earlier neighbours.
+    fn lower(&self, node: usize, x: &[f64]) -> f64 {
+        match self.four.get(node) {
+            Some([_, _, left, down]) => self.smoothness * (x[*left as usize] + x[*down as usize]),
+            None => self.product(self.starts[node]..self.middles[node], x),
+        }
+    }
+
+    /// Sum of edge weights times the values of later neighbours.
+    fn upper(&self, node: usize, x: &[f64]) -> f64 {
+        match self.four.get(node) {
+            Some([right, up, ..]) => self.smoothness * (x[*right as usize] + x[*up as usize]),
+            None => self.product(self.middles[node]..self.starts[node + 1], x),
+        }
+    }
+
+    /// Both: what A has off its diagonal, negated.
     fn gathered(&self, node: usize, x: &[f64]) -> f64 {
-        self.edges(node).map(|(near, weight)| weight * x[near]).sum()
+        self.lower(node, x) + self.upper(node, x)
     }
 
     fn coarser(&mut self) -> Self {
@@ -102,7 +145,12 @@ impl Level {
         edges.iter().for_each(|(from, ..)| starts[*from as usize + 1] += 1);
         (1..starts.len()).for_each(|at| starts[at] += starts[at - 1]);
         self.parents = parents;
+        let earlier =
+            |node: usize| edges[..].partition_point(|(from, to, _)| (*from as usize, *to as usize) < (node, node));
         Self {
+            middles: (0..squares.len()).map(|node| earlier(node) as u32).collect(),
+            four: Vec::new(),
+            smoothness: 0.0,
             starts,
             ends: edges.iter().map(|edge| edge.1).collect(),
             weights: edges.iter().map(|edge| edge.2).collect(),
@@ -121,6 +169,8 @@ pub(super) struct Hierarchy {
 /// Vectors of one level during a solve.
 struct Work {
     diagonal: Vec<f64>,
+    /// Of the diagonal: divisions would be the longest part of each step, which the next one waits for.
+    reciprocal: Vec<f64>,
     right: Vec<f64>,
     x: Vec<f64>,
 }
@@ -137,8 +187,10 @@ impl Hierarchy {
             base.push(prior + smoothness * edges as f64);
             squares.push(lattice.cell(node).map(|along| along as u32));
         }
+        let four = lattice.neighbours.iter().map(|near| near.map(|near| near.min(nodes as u32))).collect();
         let weights = vec![smoothness; ends.len()];
-        let mut levels = vec![Level { starts, ends, weights, base, squares, parents: Vec::new() }];
+        let (middles, parents) = (Vec::new(), Vec::new());
+        let mut levels = vec![Level { starts, middles, ends, weights, base, squares, parents, four, smoothness }];
         while let Some(last) = levels.last_mut()
             && last.nodes() > COARSEST
             // Without edges between its nodes a level has nothing to hand up.
@@ -150,54 +202,53 @@ impl Hierarchy {
         Self { levels }
     }
 
-    /// Greatest absolute residual.
-    pub(super) fn residual(&self, observed: &[f64], right: &[f64], x: &[f64]) -> f64 {
+    /// Greatest absolute residual of means.
+    pub(super) fn residual(&self, observed: &[f64], right: &[f64], means: &[f64]) -> f64 {
         let level = &self.levels[0];
-        let residual =
-            |node: usize| right[node] - (level.base[node] + observed[node]) * x[node] + level.gathered(node, x);
+        let padded = [means, &[0.0]].concat();
+        let residual = |node: usize| {
+            right[node] - (level.base[node] + observed[node]) * means[node] + level.gathered(node, &padded)
+        };
         (0..level.nodes()).map(|node| residual(node).abs()).fold(0.0, f64::max)
     }
 
-    /// Improves `x` until no residual is greater than `tolerance`, or no further.
-    pub(super) fn solve(&self, observed: &[f64], right: &[f64], x: &mut [f64], tolerance: f64) -> Solved {
+    /// Improves `means` until the multigrid's estimate of the greatest error is within `tolerance`.
+    pub(super) fn solve(&self, observed: &[f64], right: &[f64], means: &mut [f64], tolerance: f64) -> Solved {
         let finest = &self.levels[0];
         let nodes = finest.nodes();
         let mut cycle = Cycle::new(&self.levels, observed);
-        let times = |x: &[f64], to: &mut [f64], diagonal: &[f64]| {
-            (0..nodes).for_each(|node| to[node] = diagonal[node] * x[node] - finest.gathered(node, x));
-        };
-        let mut product = vec![0.0; nodes];
-        times(x, &mut product, &cycle.works[0].diagonal);
-        let mut residual: Vec<f64> = right.iter().zip(&product).map(|(right, product)| right - product).collect();
-        let mut direction = vec![0.0; nodes];
-        let (mut before, mut greatest) = (0.0, greatest(&residual));
-        let mut iterations = 0;
-        while greatest > tolerance && iterations < MOST_ITERATIONS {
-            let z = cycle.apply(&residual);
+        let x = [&*means, &[0.0]].concat();
+        let residual = |node: usize| right[node] - cycle.works[0].diagonal[node] * x[node] + finest.gathered(node, &x);
+        let mut residual: Vec<f64> = (0..nodes).map(residual).collect();
+        let (mut direction, mut product) = (vec![0.0; nodes + 1], vec![0.0; nodes]);
+        let mut before = 0.0;
+        let mut solved = Solved { estimate: f64::INFINITY, iterations: 0 };
+        while solved.iterations < MOST_ITERATIONS {
+            let z = &cycle.apply(&residual)[..nodes];
+            solved.estimate = ESTIMATE * z.iter().map(|z| z.abs()).fold(0.0, f64::max);
+            if solved.estimate <= tolerance {
+                break;
+            }
             let now = dot(&residual, z);
-            let beta = if iterations == 0 { 0.0 } else { now / before };
+            let beta = if solved.iterations == 0 { 0.0 } else { now / before };
             direction.iter_mut().zip(z).for_each(|(direction, z)| *direction = z + beta * *direction);
-            times(&direction, &mut product, &cycle.works[0].diagonal);
-            let step = now / dot(&direction, &product);
+            let diagonal = &cycle.works[0].diagonal;
+            let mut curvature = 0.0;
+            for node in 0..nodes {
+                product[node] = diagonal[node] * direction[node] - finest.gathered(node, &direction);
+                curvature += product[node] * direction[node];
+            }
+            let step = now / curvature;
             if !step.is_finite() {
                 break;
             }
-            greatest = 0.0f64;
-            for node in 0..nodes {
-                x[node] += step * direction[node];
-                residual[node] -= step * product[node];
-                greatest = greatest.max(residual[node].abs());
-            }
+            means.iter_mut().zip(&direction).for_each(|(mean, direction)| *mean += step * direction);
+            residual.iter_mut().zip(&product).for_each(|(residual, product)| *residual -= step * product);
             before = now;
-            iterations += 1;
+            solved.iterations += 1;
         }
-        // Of x itself: the one above was updated, and rounding has parted them.
-        Solved { residual: self.residual(observed, right, x), iterations }
+        solved
     }
-}
-
-fn greatest(values: &[f64]) -> f64 {
-    values.iter().map(|value| value.abs()).fold(0.0, f64::max)
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -217,9 +268,10 @@ impl<'l> Cycle<'l> {
         let mut works = Vec::with_capacity(levels.len());
         let mut observed = observed.to_vec();
         for (depth, level) in levels.iter().enumerate() {
-            let diagonal = level.base.iter().zip(&observed).map(|(base, observed)| base + observed).collect();
-            let zeros = vec![0.0; level.nodes()];
-            works.push(Work { diagonal, right: zeros.clone(), x: zeros });
+            let diagonal: Vec<f64> = level.base.iter().zip(&observed).map(|(base, observed)| base + observed).collect();
+            let reciprocal = diagonal.iter().map(|diagonal| diagonal.recip()).collect();
+            let (right, x) = (vec![0.0; level.nodes()], vec![0.0; level.nodes() + 1]);
+            works.push(Work { diagonal, reciprocal, right, x });
             if let Some(next) = levels.get(depth + 1) {
                 let mut sums = vec![0.0; next.nodes()];
                 level.parents.iter().zip(&observed).for_each(|(parent, observed)| sums[*parent as usize] += observed);
@@ -248,31 +300,30 @@ impl<'l> Cycle<'l> {
             let work = &mut self.works[depth];
             if let Some(factor) = &self.coarsest {
                 let solved = factor.solve(&DVector::from_column_slice(&work.right));
-                work.x.copy_from_slice(solved.as_slice());
+                work.x[..nodes].copy_from_slice(solved.as_slice());
             } else {
                 // Parts that have no edges between them: the diagonal is all.
-                (0..nodes).for_each(|node| work.x[node] = work.right[node] / work.diagonal[node]);
+                (0..nodes).for_each(|node| work.x[node] = work.right[node] * work.reciprocal[node]);
             }
             return;
         }
         let (fine, coarse) = self.works.split_at_mut(depth + 1);
         let (work, next) = (&mut fine[depth], &mut coarse[0]);
         // Gauss-Seidel forwards from 0, and backwards below: together symmetric, as conjugate gradients need it.
-        work.x.fill(0.0);
-        (0..nodes).for_each(|node| {
-            work.x[node] = (work.right[node] + level.gathered(node, &work.x)) / work.diagonal[node];
-        });
+        for node in 0..nodes {
+            work.x[node] = (work.right[node] + level.lower(node, &work.x)) * work.reciprocal[node];
+        }
         next.right.fill(0.0);
         for node in 0..nodes {
-            let residual = work.right[node] - work.diagonal[node] * work.x[node] + level.gathered(node, &work.x);
-            next.right[level.parents[node] as usize] += residual;
+            // All that the sweep has left of the residual: each node was solved for without its later neighbours.
+            next.right[level.parents[node] as usize] += level.upper(node, &work.x);
         }
         self.level(depth + 1);
         let (fine, coarse) = self.works.split_at_mut(depth + 1);
         let (work, next) = (&mut fine[depth], &coarse[0]);
         (0..nodes).for_each(|node| work.x[node] += OVER_CORRECTION * next.x[level.parents[node] as usize]);
-        (0..nodes).rev().for_each(|node| {
-            work.x[node] = (work.right[node] + level.gathered(node, &work.x)) / work.diagonal[node];
-        });
+        for node in (0..nodes).rev() {
+            work.x[node] = (work.right[node] + level.gathered(node, &work.x)) * work.reciprocal[node];
+        }
     }
 }

@@ -3,3 +3,4 @@
 mod field;
 mod grid;
 mod occupancy;
+mod process;
