@@ -9,9 +9,11 @@
 //! | [`field`] | a scalar field on the free cells from readings that age, with calibrated variances |
 //! | [`occupancy`] | log-odds of obstacles from range readings, distances to obstacles, room for a robot
 //! | [`process`] | Gaussian-process regression of place and time, and where to measure next
+//! | [`plan`] | distances and routes over free cells, and the dynamic window that follows them
 
 pub mod field;
 pub mod grid;
 pub mod occupancy;
+pub mod plan;
 pub mod pose;
 pub mod process;

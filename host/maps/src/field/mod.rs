@@ -289,7 +289,7 @@ impl Field {
     /// Means of all cells to `tolerance` (in the field's unit), by preconditioned conjugate gradients from the present beliefs;
     /// messages correct them from then on.
     ///
-    /// The error is estimated by the preconditioner, twice over; [`Field::error_bound`] is rigorous and thousands of times
+    /// The error is estimated by the preconditioner, five times over; [`Field::error_bound`] is rigorous and thousands of times
     /// greater. Errors against a direct solve are in `docs/maps.md`.
     ///
     /// # Errors
@@ -326,7 +326,7 @@ impl Field {
         self.lattice.grid(|node| self.messages.mean(node))
     }
 
-    /// Variances as belief propagation has them, unit²: **too small** on a map with loops, by up to 2.8 times on small grids
+    /// Variances as belief propagation has them, unit²: **too small** on a map with loops, by up to 4.6 times in `docs/maps.md`
     /// (Weiss, Freeman 2001 prove means only). For comparison; plans use [`Field::variances`].
     #[must_use]
     pub fn propagated_variances(&self) -> Grid<Option<f64>> {

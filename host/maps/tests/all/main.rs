@@ -3,4 +3,5 @@
 mod field;
 mod grid;
 mod occupancy;
+mod plan;
 mod process;
