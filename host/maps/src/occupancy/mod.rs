@@ -1,8 +1,10 @@
 //! Occupancy grids: which cells are free, from range readings.
 
 mod distance;
+mod matching;
 mod traverse;
 
+pub use matching::{Matched, Search, match_scan};
 use thiserror::Error;
 pub use traverse::{Crossing, traverse};
 

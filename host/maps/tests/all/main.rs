@@ -2,6 +2,7 @@
 
 mod field;
 mod grid;
+mod matching;
 mod occupancy;
 mod plan;
 mod process;
