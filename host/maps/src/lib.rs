@@ -7,9 +7,9 @@
 //! | --- | --- |
 //! | [`grid`] | a grid of cells with a frame: cells and points, neighbours, scalar fields with a unit |
 //! | [`field`] | a scalar field on the free cells from readings that age, with calibrated variances |
-//! | [`occupancy`] | log-odds of obstacles from range readings, distances to obstacles, room for a robot, scan matching
-//! | [`process`] | Gaussian-process regression of place and time, and where to measure next
-//! | [`plan`] | distances and routes over free cells, and the dynamic window that follows them
+//! | [`occupancy`] | log-odds of obstacles from range readings, distances to obstacles, room for a robot, scan matching |
+//! | [`process`] | Gaussian-process regression of place and time, and where to measure next |
+//! | [`plan`] | distances and routes over free cells, and the dynamic window that follows them |
 
 pub mod field;
 pub mod grid;

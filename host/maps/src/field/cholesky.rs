@@ -2,7 +2,7 @@
 
 use super::lattice::Lattice;
 
-/// Rectangles of at most as many cells are not divided further. 16 and 64 took the same time within 5 %.
+/// Rectangles of at most as many cells are not divided further.
 const LEAF: usize = 32;
 
 /// Variances of all nodes: the diagonal of A⁻¹.

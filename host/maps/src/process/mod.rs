@@ -281,8 +281,7 @@ impl Process {
     /// Regression on the same samples with the kernel of greatest likelihood between two kernels, parameter by parameter. The
     /// same seed gives the same result.
     ///
-    /// A parameter that is the same in both stays so. Search: [`r4_maths::minimise::global`] over the logarithms; for 60 samples
-    /// about 1 s.
+    /// A parameter that is the same in both stays so. Search: [`r4_maths::minimise::global`] over the logarithms.
     ///
     /// # Errors
     /// [`ProcessError::TooFew`] below 3 samples, [`ProcessError::Parameter`] and [`ProcessError::Singular`].

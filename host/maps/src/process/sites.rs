@@ -18,7 +18,7 @@ pub enum Criterion {
 ///
 /// Candidates are places, m, that cover the region of interest; readings have the kernel's noise. Greedy choice is within 1 - 1/e
 /// of the best for mutual information, as long as the candidates are dense compared with the kernel's length. The time grows with
-/// the cube of the number of candidates: 400 take about 0.1 s.
+/// the cube of the number of candidates.
 ///
 /// # Errors
 /// [`ProcessError::TooFew`] without candidates, [`ProcessError::NotFinite`] for a candidate that is not finite,
