@@ -86,6 +86,9 @@ pub enum BoardError {
         /// The first use.
         first_line: usize,
     },
+    /// A sensor of the robot names a field that its world does not have.
+    #[error(transparent)]
+    NoField(crate::NoSuchField),
     /// A rule between fields, or of the firmware ([`r4_protocol::config::BoardConfig::validate`]), does not hold.
     #[error("{at}: {}{rule}", channel.map(|id| format!("{id}: ")).unwrap_or_default())]
     Rule {

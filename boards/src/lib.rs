@@ -23,15 +23,15 @@ pub use carrier::Carrier;
 pub use error::{BoardError, Location};
 pub use number::Interval;
 pub use robot::{
-    Ackermann, BodyReading, Drive, GnssOrigin, Mount, PlantFile, RangeView, Robot, SimulatedAnalog, SimulatedAngle,
-    SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedDistance, SimulatedEncoder, SimulatedForce, SimulatedGnss,
-    SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail, SimulatedRange, SimulatedRotor, SimulatedSensor,
-    SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart, Simulation, SkidSteer, SteeringLaw, SwitchedBy,
-    TruePoint, UartDevice, World,
+    Ackermann, BodyReading, Drive, FieldReading, GnssOrigin, Mount, NoSuchField, PlantFile, RangeView, Robot,
+    SelfCharge, SimulatedAnalog, SimulatedAngle, SimulatedBldc, SimulatedBody, SimulatedCurrent, SimulatedDistance,
+    SimulatedEncoder, SimulatedForce, SimulatedGnss, SimulatedImu, SimulatedMotor, SimulatedPulses, SimulatedRail,
+    SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart,
+    Simulation, SkidSteer, SteeringLaw, SwitchedBy, TruePoint, UartDevice, World,
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 11] = [
+const ROBOTS: [&str; 13] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -43,8 +43,10 @@ const ROBOTS: [&str; 11] = [
     "cable-loop",
     "berry-picker",
     "suction-pad",
+    "gas-scout",
+    "field-rover",
 ];
-const WORLDS: [&str; 2] = ["square", "stand"];
+const WORLDS: [&str; 4] = ["square", "stand", "factory", "open-field"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
 /// The names of the robots that are part of the program.

@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 22] = [
+const BUILT_IN: [(&str, &str); 26] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -40,6 +40,10 @@ const BUILT_IN: [(&str, &str); 22] = [
     ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
     ("cable-loop.toml", include_str!("../cable-loop.toml")),
     ("plants/cable-loop-spool.toml", include_str!("../plants/cable-loop-spool.toml")),
+    ("gas-scout.toml", include_str!("../gas-scout.toml")),
+    ("field-rover.toml", include_str!("../field-rover.toml")),
+    ("worlds/factory.toml", include_str!("../worlds/factory.toml")),
+    ("worlds/open-field.toml", include_str!("../worlds/open-field.toml")),
     ("suction-pad.toml", include_str!("../suction-pad.toml")),
 ];
 

@@ -20,6 +20,7 @@ use serde::Deserialize;
 
 use super::{
     Mount, Robot, SimulatedBody, World,
+    field::{self, FieldTable},
     read::Reader,
     simulation::{may_slide, may_turn, others_that_turn},
 };
@@ -415,6 +416,7 @@ pub(crate) fn read_environment(source: &Source, robot: &mut Robot) -> Result<(),
             return Err(BoardError::Rule { at: source.at("world"), channel: None, rule });
         }
         robot.simulation.enter(world);
+        robot.simulation.check_fields().map_err(|why| source.rule("world.field", why))?;
     }
     Ok(())
 }
@@ -517,6 +519,8 @@ pub(super) struct WorldTable {
     people: Vec<Walker>,
     #[serde(default, rename = "surface")]
     surfaces: Vec<Floor>,
+    #[serde(default, rename = "field")]
+    fields: Vec<FieldTable>,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -583,7 +587,8 @@ impl WorldTable {
             at("surface", index, scene.add_surface(surface))?;
         }
         let start = self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
-        Ok(World { start, on_stand: self.on_stand, scene })
+        let fields = field::check(&self.fields, &scene, source)?;
+        Ok(World { start, on_stand: self.on_stand, scene, fields })
     }
 }
 

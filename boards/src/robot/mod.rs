@@ -2,6 +2,7 @@
 
 mod body;
 mod drive;
+mod field;
 mod input;
 mod motor;
 mod output;
@@ -11,10 +12,11 @@ mod simulation;
 mod uart;
 
 use r4_protocol::{channel::ChannelId, config::BoardConfig};
-use r4_world::{AnyBody, Pose, Scene};
+use r4_world::{AnyBody, Field, Pose, Scene};
 
 pub(crate) use body::{read_body, read_environment, read_world};
 pub use drive::{Ackermann, Drive, SkidSteer, SteeringLaw};
+pub use field::{FieldReading, SelfCharge};
 pub(crate) use read::read;
 pub use sensor::{SimulatedAngle, SimulatedCurrent, SimulatedDistance, SimulatedForce, SimulatedImu, SimulatedPulses};
 pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
@@ -75,6 +77,20 @@ pub struct Simulation {
     pub body: Option<SimulatedBody>,
     /// What is around the body.
     pub scene: Scene,
+    /// What sensors on the body read by place, at time 0.
+    pub fields: Vec<Field>,
+}
+
+/// A sensor names a field that its world does not have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{channel} reads the field `{asked}`, and the world has {}: name one of these, or use another world", known.join(", "))]
+pub struct NoSuchField {
+    /// Channel of the sensor.
+    pub channel: ChannelId,
+    /// The field that it names.
+    pub asked: String,
+    /// The fields that there are.
+    pub known: Vec<String>,
 }
 
 /// What a robot is put into.
@@ -86,6 +102,8 @@ pub struct World {
     pub on_stand: bool,
     /// What is around it.
     pub scene: Scene,
+    /// What it has at every place.
+    pub fields: Vec<Field>,
 }
 
 /// A body, at rest where it starts.
@@ -199,7 +217,7 @@ pub enum RangeView {
 }
 
 /// What is at an analog input.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedAnalog {
     /// Channel of the simulated part.
     pub channel: ChannelId,
@@ -211,6 +229,8 @@ pub struct SimulatedAnalog {
     pub noise_rms_codes: f64,
     /// What of the body is measured here, in volts; `None` for a constant voltage.
     pub reads: Option<BodyReading>,
+    /// The field that is measured here, in place of both; `None` for none.
+    pub field: Option<FieldReading>,
 }
 
 /// A sensor that measures something of the body: `zero + per_unit * reading`.
@@ -256,6 +276,23 @@ impl Simulation {
         *self == Self::default()
     }
 
+    /// Checks that the world has the fields that sensors name. A world without any field is right for all: there is nothing in it.
+    ///
+    /// # Errors
+    /// [`NoSuchField`], the first that is not there.
+    pub fn check_fields(&self) -> Result<(), NoSuchField> {
+        let has = |reading: &&FieldReading| !self.fields.iter().any(|field| field.name == reading.name);
+        let sensors = self.analogs.iter().filter_map(|analog| Some((analog.channel, analog.field.as_ref()?)));
+        match sensors.into_iter().find(|(_, reading)| !self.fields.is_empty() && has(reading)) {
+            None => Ok(()),
+            Some((channel, reading)) => Err(NoSuchField {
+                channel,
+                asked: reading.name.clone(),
+                known: self.fields.iter().map(|field| field.name.clone()).collect(),
+            }),
+        }
+    }
+
     /// Gives the robot another body, at rest where the one before it stood.
     pub fn set_body(&mut self, mut body: SimulatedBody) {
         if let Some(before) = &self.body {
@@ -267,6 +304,7 @@ impl Simulation {
     /// Puts the robot into a world, in place of the one it was in.
     pub fn enter(&mut self, world: World) {
         self.scene = world.scene;
+        self.fields = world.fields;
         if world.on_stand {
             self.body = None;
         }

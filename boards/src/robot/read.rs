@@ -123,6 +123,7 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
             let mut simulation = tables.check(&reader, folder, &config, file.body.as_ref())?;
             if let Some(world) = &file.world {
                 simulation.enter(world.check(source)?);
+                simulation.check_fields().map_err(|why| source.rule("world.field", why))?;
             }
             simulation
         }

@@ -18,6 +18,7 @@ use super::{
     SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, Simulation,
     SwitchedBy, TruePoint,
     body::{Body, MountTable},
+    field::ReadingTable,
     output::NOMINAL_OSCILLATOR_HZ,
     read::Reader,
     uart::{self, GnssTable, LidarTable},
@@ -240,6 +241,8 @@ struct Analog {
     noise_rms_codes: Option<f64>,
     /// What of the body is measured there, in place of `volts`.
     body: Option<AnalogReading>,
+    /// The field that is measured there, in place of both.
+    field: Option<ReadingTable>,
 }
 
 #[derive(Deserialize)]
@@ -412,6 +415,7 @@ impl Tables {
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
             scene: Scene::default(),
+            fields: Vec::new(),
         })
     }
 }
@@ -697,7 +701,20 @@ impl Check<'_> {
     ) -> Result<SimulatedAnalog, BoardError> {
         self.claims.take("analog input", config.id.index, path)?;
         let half_way_v = f64::midpoint(config.plausible_v.min.into(), config.plausible_v.max.into());
+        let field = analog.and_then(|analog| analog.field.as_ref());
+        if let (Some(table), Some(reading)) = (analog, field) {
+            if table.volts.is_some() || table.body.is_some() {
+                return Err(self.reader.rule(path, "needs volts, body or field, and only one of them"));
+            }
+            if !self.has_body {
+                return Err(self.reader.rule(format!("{path}.field"), "the robot has no [body] to mount it on"));
+            }
+            if !reading.is_finite() {
+                return Err(self.reader.rule(format!("{path}.field.at_m"), "numbers must be finite"));
+            }
+        }
         Ok(SimulatedAnalog {
+            field: field.map(Into::into),
             channel: config.id,
             volts: analog.and_then(|analog| analog.volts).unwrap_or(half_way_v),
             volts_per_code: analog.and_then(|analog| analog.volts_per_code).unwrap_or(config.volts_per_code.into()),

@@ -10,6 +10,8 @@
 mod berry;
 mod body;
 pub mod cable_loop;
+mod dice;
+mod field;
 mod grip;
 mod outline;
 mod pneumatic;
@@ -22,6 +24,10 @@ mod wheeled;
 pub use berry::{AirSupply, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fate, Fingers, Place, ToolAxes};
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use cable_loop::{CableLoop, CableLoopError};
+pub use field::{
+    Balance, Charge, Cloud, Electric, ElectricSpec, Field, FieldError, FieldKind, Flow, FlowError, FlowSpec, Lag,
+    Plume, PlumeSpec, Wander,
+};
 pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};

@@ -165,6 +165,7 @@ impl Rig {
                 return Err(Error::NoBody { robot: name.to_owned() });
             }
             robot.simulation.enter(world);
+            robot.simulation.check_fields().map_err(r4_boards::BoardError::NoField)?;
         }
         if let Some(alter) = &self.alter {
             alter(&mut robot);

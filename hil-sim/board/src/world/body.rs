@@ -116,6 +116,17 @@ impl Coupling {
         }
     }
 
+    /// Where the body is after the time that it owes, moving on as in its last step.
+    pub(super) fn pose(&self) -> Pose {
+        self.body.pose().moved(self.body.twist(), self.owed_ns as f64 * 1e-9)
+    }
+
+    /// How fast its shafts turn, whichever way, in their mean, rad/s or m/s.
+    pub(super) fn turning(&self) -> f64 {
+        let speeds = self.motions.iter().map(|motion| motion.speed.abs());
+        speeds.sum::<f64>() / self.motions.len().max(1) as f64
+    }
+
     /// What an inertial sensor at the body's origin feels, at most [`MAX_STEP_S`] ago.
     pub(super) fn inertial(&self) -> Inertial {
         self.body.inertial()
@@ -192,9 +203,7 @@ impl World {
     /// Where the body is now; `None` for a robot without one. Since its last step, at most [`MAX_STEP_S`] ago, it moved as it did then.
     pub fn pose(&mut self) -> Option<Pose> {
         self.catch_up();
-        self.body
-            .as_ref()
-            .map(|coupling| coupling.body.pose().moved(coupling.body.twist(), coupling.owed_ns as f64 * 1e-9))
+        self.body.as_ref().map(Coupling::pose)
     }
 
     /// How the body moves, at most [`MAX_STEP_S`] ago, in its own frame; `None` for a robot without one.

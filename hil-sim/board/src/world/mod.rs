@@ -7,6 +7,7 @@ mod body;
 mod chips;
 mod drives;
 mod encoders;
+mod fields;
 mod motor;
 mod pins;
 mod stepping;
@@ -21,7 +22,7 @@ use r4_protocol::{
     ChannelId,
     config::{MAX_MOTORS, RelayConfig, RelayRole},
 };
-use r4_world::{Inertial, Scene};
+use r4_world::{Field, Inertial, Scene};
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::{
@@ -47,6 +48,7 @@ use body::{Coupling, Movers, Relay};
 use chips::Chips;
 use drives::{Bldc, Servo};
 pub use encoders::{EncoderEdge, EncoderLine};
+pub use fields::FieldSensor;
 use motor::Motor;
 pub use pins::{AnalogSource, Pins, SwitchInput};
 pub use stepping::StepPulses;
@@ -74,6 +76,9 @@ pub struct World {
     /// What couples some shafts.
     body: Option<Coupling>,
     scene: Scene,
+    fields: Vec<Field>,
+    /// When sensors of fields take their next sample; `None` without any.
+    next_field_ns: Option<u64>,
     /// Range sensors on the body, by their connectors.
     mounts: [Option<Mount>; RANGE_SENSORS],
     pins: Pins,
@@ -170,6 +175,8 @@ impl World {
             rails,
             body,
             scene: robot.simulation.scene.clone(),
+            fields: robot.simulation.fields.clone(),
+            next_field_ns: robot.simulation.analogs.iter().any(|analog| analog.field.is_some()).then_some(0),
             mounts: body::mounts(robot),
             pins,
             counters,
@@ -189,13 +196,15 @@ impl World {
     /// Brings everything to the clock's time.
     pub fn catch_up(&mut self) {
         let target_ns = self.clock.now_ns();
+        self.sense_fields();
         while self.now_ns < target_ns {
-            let change_ns = self.chips.next_change_ns();
+            let change_ns = self.chips.next_change_ns().into_iter().chain(self.next_field_ns).min();
             let until_ns = change_ns.map_or(target_ns, |at_ns| at_ns.clamp(self.now_ns, target_ns));
             self.step(until_ns);
             self.now_ns = until_ns;
             self.chips.advance(until_ns);
             self.look_at_lines();
+            self.sense_fields();
         }
         for axis in &mut self.steppers {
             axis.catch_up(target_ns);

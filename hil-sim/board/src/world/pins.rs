@@ -18,6 +18,7 @@ use super::{
     Processor, Rail, World,
     body::Coupling,
     encoders::{US_PER_MS, ticks},
+    fields::FieldSensor,
     uarts::Sender,
 };
 use crate::{
@@ -91,6 +92,8 @@ pub struct AnalogSource {
     pub volts: f64,
     /// What of the body is measured here, in volts.
     pub reads: Option<BodyReading>,
+    /// The sensor of a field that is here.
+    pub field: Option<FieldSensor>,
 }
 
 /// A UART connector with who waits for bytes from it.
@@ -139,17 +142,22 @@ impl Pins {
             noise_rms_codes,
             ..AnalogInput::new(volts_per_code * CODE_MAX / REFERENCE_V)
         };
-        let mut analogs = [const { None }; 6];
+        let mut analogs: [Option<AnalogSource>; 6] = [const { None }; 6];
         for analog in &truth.analogs {
             if let Some(place) = analogs.get_mut(usize::from(analog.channel.index)) {
                 let input = input(analog.volts_per_code, analog.noise_rms_codes);
-                *place = Some(AnalogSource { input, volts: analog.volts, reads: analog.reads });
+                *place = Some(AnalogSource {
+                    input,
+                    volts: analog.volts,
+                    reads: analog.reads,
+                    field: analog.field.clone().map(FieldSensor::new),
+                });
             }
         }
         for rail in &truth.rails {
             if let Some(place) = analogs.get_mut(usize::from(rail.analog)) {
                 let input = input(rail.volts_per_code, rail.noise_rms_codes);
-                *place = Some(AnalogSource { input, volts: rail.emf_v, reads: None });
+                *place = Some(AnalogSource { input, volts: rail.emf_v, reads: None, field: None });
             }
         }
         let budget = EdgeBudget::new(ECHO_EDGES_PER_MS, US_PER_MS);
@@ -323,8 +331,9 @@ fn divided<'p>(
 ) -> Option<(&'p AnalogInput, f64)> {
     let rail_v = rails.iter().find(|rail| usize::from(rail.spec.analog) == input).map(|rail| rail.volts);
     let source = pins.analogs.get(input)?.as_ref()?;
+    let field_v = || source.field.as_ref().map(FieldSensor::volts);
     let sensor_v = || source.reads.zip(body).map(|(reading, body)| body.measured(reading));
-    Some((&source.input, rail_v.or_else(sensor_v).unwrap_or(source.volts)))
+    Some((&source.input, rail_v.or_else(field_v).or_else(sensor_v).unwrap_or(source.volts)))
 }
 
 /// What the converter reads at an input.

@@ -27,6 +27,7 @@ fn finger() -> Robot {
         volts: ZERO_V,
         volts_per_code: volts_per_code.into(),
         noise_rms_codes: 2.3,
+        field: None,
         reads: None,
     });
     let control = robot.config.motors[0].control.as_mut().expect("it has an encoder");

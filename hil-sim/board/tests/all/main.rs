@@ -7,6 +7,7 @@ mod compatibility;
 mod control;
 mod dac_and_servo;
 mod feedback;
+mod fields;
 mod follow;
 mod force;
 mod friction;

@@ -163,6 +163,7 @@ fn with_current_sensor() -> Robot {
         volts: 2.5,
         volts_per_code,
         noise_rms_codes: 2.3,
+        field: None,
         reads: None,
     });
     let winding = robot.config.motors[0].winding.as_mut().expect("measured motors have one");

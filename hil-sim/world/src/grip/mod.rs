@@ -32,6 +32,7 @@ mod tests;
 use crate::{
     GRAVITY_M_S2,
     body::{Body, Inertial, Pose, ShaftMotion, Twist},
+    dice::Dice,
     scene::Scene,
 };
 
@@ -181,7 +182,7 @@ pub struct TwoFingers {
     velocity_m_s: [f64; 2],
     rate_rad_s: f64,
     shown_rad: [f64; 3],
-    noise: u64,
+    noise: Dice,
     has_started: bool,
     pose: Pose,
 }
@@ -244,7 +245,7 @@ impl TwoFingers {
             velocity_m_s: [0.0; 2],
             rate_rad_s: 0.0,
             shown_rad: [0.0; 3],
-            noise: encoders.seed,
+            noise: Dice::new(encoders.seed),
             has_started: false,
             pose: Pose::default(),
         })
@@ -316,25 +317,11 @@ impl TwoFingers {
         libm::hypot(self.velocity_m_s[0], self.velocity_m_s[1])
     }
 
-    /// A number of mean 0 and variance 1: the sum of twelve uniform ones less six, from the generator SplitMix64.
-    fn normal(&mut self) -> f64 {
-        let mut sum = -6.0;
-        for _ in 0..3 {
-            self.noise = self.noise.wrapping_add(0x9E37_79B9_7F4A_7C15);
-            let mut word = self.noise;
-            word = (word ^ (word >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-            word = (word ^ (word >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-            word ^= word >> 31;
-            sum += (0..4).map(|part| (f64::from((word >> (16 * part)) as u16) + 0.5) / 65_536.0).sum::<f64>();
-        }
-        sum
-    }
-
     fn show(&mut self, palm_rad: f64) {
         let true_rad = [self.sides[0].shaft_rad - UPRIGHT_RAD, self.sides[1].shaft_rad - UPRIGHT_RAD, palm_rad];
         for (number, angle_rad) in true_rad.into_iter().enumerate() {
             let Encoders { step_rad, noise_rad, offset_rad, .. } = self.encoders;
-            let felt_rad = angle_rad + offset_rad[number] + noise_rad * self.normal();
+            let felt_rad = angle_rad + offset_rad[number] + noise_rad * self.noise.normal();
             self.shown_rad[number] = libm::round(felt_rad / step_rad) * step_rad;
         }
     }

@@ -248,6 +248,10 @@ impl Scene {
         &self.segments
     }
 
+    pub(crate) fn posts(&self) -> impl Iterator<Item = Disc> {
+        self.discs.iter().copied()
+    }
+
     /// Posts and people.
     pub(crate) fn round(&self, time_s: f64) -> impl Iterator<Item = Disc> {
         self.discs.iter().copied().chain(self.people.iter().map(move |person| person.disc(time_s)))

@@ -1,0 +1,331 @@
+//! Conjugate gradients, preconditioned by a multigrid of aggregated cells.
+//!
+//! A level's nodes are the connected parts of squares of 2 × 2 of the level below, so that a coarse node never lies on both sides of
+//! a wall; its edges are sums of edges. This is the Galerkin product of a piecewise constant interpolation, and again the matrix
+//! of a field.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use super::{FieldError, lattice::Lattice};
+
+/// What a solve took.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solved {
+    /// Estimate of the greatest error of a mean, in the field's unit.
+    pub estimate: f64,
+    /// Iterations of conjugate gradients.
+    pub iterations: usize,
+}
+
+impl Solved {
+    pub(super) fn within(self, tolerance: f64) -> Result<Self, FieldError> {
+        if self.estimate <= tolerance {
+            Ok(self)
+        } else {
+            Err(FieldError::NotConverged { reached: self.estimate, iterations: self.iterations })
+        }
+    }
+}
+
+/// Piecewise constant interpolation makes a coarse level too stiff, and its corrections too small: edges between squares of twice the
+/// side sum to 2 λ, where the differential equation has λ. Edges are divided by this; priors and readings are right as they are.
+///
+/// Braess, "Towards Algebraic Multigrid for Elliptic Problems of Second Order", Computing 55, 1995: 1.8.
+const STIFFNESS: f64 = 1.8;
+
+/// A cycle on the residual estimates the error. Beside a solve to 1e-8 the greatest error was up to 2.8 times the greatest element of it
+/// (`example field`, hall with shelves).
+const ESTIMATE: f64 = 5.0;
+
+/// Levels stop at as many nodes, which are solved by a dense factor.
+const COARSEST: usize = 64;
+
+/// Never reached but by rounding: the maps of `docs/maps.md` take fewer than 30.
+const MOST_ITERATIONS: usize = 300;
+
+/// A graph of one level: edges in compressed rows, those to earlier nodes first. Vectors have one element more than there are nodes,
+/// which is 0.
+#[derive(Clone, Debug)]
+struct Level {
+    starts: Vec<u32>,
+    /// First edge of each node that leads to a later one.
+    middles: Vec<u32>,
+    ends: Vec<u32>,
+    weights: Vec<f64>,
+    /// Diagonal without readings: sum of edges plus priors.
+    base: Vec<f64>,
+    /// Where each node lies, in squares of this level.
+    squares: Vec<[u32; 2]>,
+    /// Node of the next level that each node is part of.
+    parents: Vec<u32>,
+    /// On the finest level: neighbours in +x, +y, -x, -y, the element after the last node where there is none. All edges have one
+    /// weight there.
+    four: Vec<[u32; 4]>,
+    smoothness: f64,
+}
+
+impl Level {
+    fn nodes(&self) -> usize {
+        self.base.len()
+    }
+
+    fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let range = self.starts[node] as usize..self.starts[node + 1] as usize;
+        self.ends[range.clone()].iter().map(|end| *end as usize).zip(self.weights[range].iter().copied())
+    }
+
+    fn product(&self, range: std::ops::Range<u32>, x: &[f64]) -> f64 {
+        let range = range.start as usize..range.end as usize;
+        let edges = self.ends[range.clone()].iter().zip(&self.weights[range]);
+        edges.map(|(near, weight)| weight * x[*near as usize]).sum()
+    }
+
+    /// Sum of edge weights times the values of earlier neighbours.
+    fn lower(&self, node: usize, x: &[f64]) -> f64 {
+        match self.four.get(node) {
+            Some([_, _, left, down]) => self.smoothness * (x[*left as usize] + x[*down as usize]),
+            None => self.product(self.starts[node]..self.middles[node], x),
+        }
+    }
+
+    /// Sum of edge weights times the values of later neighbours.
+    fn upper(&self, node: usize, x: &[f64]) -> f64 {
+        match self.four.get(node) {
+            Some([right, up, ..]) => self.smoothness * (x[*right as usize] + x[*up as usize]),
+            None => self.product(self.middles[node]..self.starts[node + 1], x),
+        }
+    }
+
+    /// Both: what A has off its diagonal, negated.
+    fn gathered(&self, node: usize, x: &[f64]) -> f64 {
+        self.lower(node, x) + self.upper(node, x)
+    }
+
+    fn coarser(&mut self) -> Self {
+        let nodes = self.nodes();
+        let square = |node: usize| self.squares[node].map(|along| along / 2);
+        let mut parents = vec![u32::MAX; nodes];
+        let (mut squares, mut base, mut stack) = (Vec::new(), Vec::new(), Vec::new());
+        for first in 0..nodes {
+            if parents[first] != u32::MAX {
+                continue;
+            }
+            let parent = squares.len() as u32;
+            squares.push(square(first));
+            base.push(0.0);
+            parents[first] = parent;
+            stack.push(first);
+            while let Some(node) = stack.pop() {
+                base[parent as usize] += self.base[node];
+                for (near, weight) in self.edges(node) {
+                    // The prior alone; edges are added below.
+                    base[parent as usize] -= weight;
+                    if square(near) == square(first) && parents[near] == u32::MAX {
+                        parents[near] = parent;
+                        stack.push(near);
+                    }
+                }
+            }
+        }
+        let mut edges: Vec<(u32, u32, f64)> = Vec::new();
+        for node in 0..nodes {
+            let far = self.edges(node).filter(|(near, _)| parents[*near] != parents[node]);
+            edges.extend(far.map(|(near, weight)| (parents[node], parents[near], weight / STIFFNESS)));
+        }
+        edges.sort_unstable_by_key(|(from, to, _)| (*from, *to));
+        edges.dedup_by(|next, kept| {
+            let is_same = (next.0, next.1) == (kept.0, kept.1);
+            if is_same {
+                kept.2 += next.2;
+            }
+            is_same
+        });
+        let mut starts = vec![0u32; squares.len() + 1];
+        for (from, _, weight) in &edges {
+            starts[*from as usize + 1] += 1;
+            base[*from as usize] += weight;
+        }
+        (1..starts.len()).for_each(|at| starts[at] += starts[at - 1]);
+        self.parents = parents;
+        let earlier =
+            |node: usize| edges[..].partition_point(|(from, to, _)| (*from as usize, *to as usize) < (node, node));
+        Self {
+            middles: (0..squares.len()).map(|node| earlier(node) as u32).collect(),
+            four: Vec::new(),
+            smoothness: 0.0,
+            starts,
+            ends: edges.iter().map(|edge| edge.1).collect(),
+            weights: edges.iter().map(|edge| edge.2).collect(),
+            base,
+            squares,
+            parents: Vec::new(),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Hierarchy {
+    levels: Vec<Level>,
+}
+
+/// Vectors of one level during a solve.
+struct Work {
+    diagonal: Vec<f64>,
+    /// Of the diagonal: divisions would be the longest part of each step, which the next one waits for.
+    reciprocal: Vec<f64>,
+    right: Vec<f64>,
+    x: Vec<f64>,
+}
+
+impl Hierarchy {
+    pub(super) fn new(lattice: &Lattice, smoothness: f64, prior: f64) -> Self {
+        let nodes = lattice.nodes();
+        let (mut starts, mut ends) = (vec![0u32], Vec::new());
+        let (mut base, mut squares) = (Vec::with_capacity(nodes), Vec::with_capacity(nodes));
+        for node in 0..nodes {
+            ends.extend(lattice.near(node).map(|near| near as u32));
+            let edges = ends.len() - starts[node] as usize;
+            starts.push(ends.len() as u32);
+            base.push(prior + smoothness * edges as f64);
+            squares.push(lattice.cell(node).map(|along| along as u32));
+        }
+        let four = lattice.neighbours.iter().map(|near| near.map(|near| near.min(nodes as u32))).collect();
+        let weights = vec![smoothness; ends.len()];
+        let (middles, parents) = (Vec::new(), Vec::new());
+        let mut levels = vec![Level { starts, middles, ends, weights, base, squares, parents, four, smoothness }];
+        while let Some(last) = levels.last_mut()
+            && last.nodes() > COARSEST
+            // Without edges between its nodes a level has nothing to hand up.
+            && !last.ends.is_empty()
+        {
+            let next = last.coarser();
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// Greatest absolute residual of means.
+    pub(super) fn residual(&self, observed: &[f64], right: &[f64], means: &[f64]) -> f64 {
+        let level = &self.levels[0];
+        let padded = [means, &[0.0]].concat();
+        let residual = |node: usize| {
+            right[node] - (level.base[node] + observed[node]) * means[node] + level.gathered(node, &padded)
+        };
+        (0..level.nodes()).map(|node| residual(node).abs()).fold(0.0, f64::max)
+    }
+
+    /// Improves `means` until the multigrid's estimate of the greatest error is within `tolerance`.
+    pub(super) fn solve(&self, observed: &[f64], right: &[f64], means: &mut [f64], tolerance: f64) -> Solved {
+        let finest = &self.levels[0];
+        let nodes = finest.nodes();
+        let mut cycle = Cycle::new(&self.levels, observed);
+        let x = [&*means, &[0.0]].concat();
+        let residual = |node: usize| right[node] - cycle.works[0].diagonal[node] * x[node] + finest.gathered(node, &x);
+        let mut residual: Vec<f64> = (0..nodes).map(residual).collect();
+        let (mut direction, mut product) = (vec![0.0; nodes + 1], vec![0.0; nodes]);
+        let mut before = 0.0;
+        let mut solved = Solved { estimate: f64::INFINITY, iterations: 0 };
+        while solved.iterations < MOST_ITERATIONS {
+            let z = &cycle.apply(&residual)[..nodes];
+            solved.estimate = ESTIMATE * z.iter().map(|z| z.abs()).fold(0.0, f64::max);
+            if solved.estimate <= tolerance {
+                break;
+            }
+            let now = dot(&residual, z);
+            let beta = if solved.iterations == 0 { 0.0 } else { now / before };
+            direction.iter_mut().zip(z).for_each(|(direction, z)| *direction = z + beta * *direction);
+            let diagonal = &cycle.works[0].diagonal;
+            let mut curvature = 0.0;
+            for node in 0..nodes {
+                product[node] = diagonal[node] * direction[node] - finest.gathered(node, &direction);
+                curvature += product[node] * direction[node];
+            }
+            let step = now / curvature;
+            if !step.is_finite() {
+                break;
+            }
+            means.iter_mut().zip(&direction).for_each(|(mean, direction)| *mean += step * direction);
+            residual.iter_mut().zip(&product).for_each(|(residual, product)| *residual -= step * product);
+            before = now;
+            solved.iterations += 1;
+        }
+        solved
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// One V-cycle with the readings' weights of the moment.
+struct Cycle<'l> {
+    levels: &'l [Level],
+    works: Vec<Work>,
+    /// `None` where the coarsest level has too many parts without connection for a dense factor.
+    coarsest: Option<Cholesky<f64, Dyn>>,
+}
+
+impl<'l> Cycle<'l> {
+    fn new(levels: &'l [Level], observed: &[f64]) -> Self {
+        let mut works = Vec::with_capacity(levels.len());
+        let mut observed = observed.to_vec();
+        for (depth, level) in levels.iter().enumerate() {
+            let diagonal: Vec<f64> = level.base.iter().zip(&observed).map(|(base, observed)| base + observed).collect();
+            let reciprocal = diagonal.iter().map(|diagonal| diagonal.recip()).collect();
+            let (right, x) = (vec![0.0; level.nodes()], vec![0.0; level.nodes() + 1]);
+            works.push(Work { diagonal, reciprocal, right, x });
+            if let Some(next) = levels.get(depth + 1) {
+                let mut sums = vec![0.0; next.nodes()];
+                level.parents.iter().zip(&observed).for_each(|(parent, observed)| sums[*parent as usize] += observed);
+                observed = sums;
+            }
+        }
+        let coarsest = levels.last().zip(works.last()).filter(|(level, _)| level.nodes() <= COARSEST);
+        let coarsest = coarsest.and_then(|(level, work)| {
+            let mut a = DMatrix::from_diagonal(&DVector::from_column_slice(&work.diagonal));
+            (0..level.nodes()).for_each(|node| level.edges(node).for_each(|(near, weight)| a[(node, near)] -= weight));
+            Cholesky::new(a)
+        });
+        Self { levels, works, coarsest }
+    }
+
+    fn apply(&mut self, residual: &[f64]) -> &[f64] {
+        self.works[0].right.copy_from_slice(residual);
+        self.level(0);
+        &self.works[0].x
+    }
+
+    fn level(&mut self, depth: usize) {
+        let level = &self.levels[depth];
+        let nodes = level.nodes();
+        if depth + 1 == self.levels.len() {
+            let work = &mut self.works[depth];
+            if let Some(factor) = &self.coarsest {
+                let solved = factor.solve(&DVector::from_column_slice(&work.right));
+                work.x[..nodes].copy_from_slice(solved.as_slice());
+            } else {
+                // Parts that have no edges between them: the diagonal is all.
+                (0..nodes).for_each(|node| work.x[node] = work.right[node] * work.reciprocal[node]);
+            }
+            return;
+        }
+        let (fine, coarse) = self.works.split_at_mut(depth + 1);
+        let (work, next) = (&mut fine[depth], &mut coarse[0]);
+        // Gauss-Seidel forwards from 0, and backwards below: together symmetric, as conjugate gradients need it.
+        for node in 0..nodes {
+            work.x[node] = (work.right[node] + level.lower(node, &work.x)) * work.reciprocal[node];
+        }
+        next.right.fill(0.0);
+        for node in 0..nodes {
+            // All that the sweep has left of the residual: each node was solved for without its later neighbours.
+            next.right[level.parents[node] as usize] += level.upper(node, &work.x);
+        }
+        self.level(depth + 1);
+        let (fine, coarse) = self.works.split_at_mut(depth + 1);
+        let (work, next) = (&mut fine[depth], &coarse[0]);
+        (0..nodes).for_each(|node| work.x[node] += next.x[level.parents[node] as usize]);
+        for node in (0..nodes).rev() {
+            work.x[node] = (work.right[node] + level.gathered(node, &work.x)) * work.reciprocal[node];
+        }
+    }
+}

@@ -1,0 +1,8 @@
+//! Maps and planning beside direct solves, closed forms and scikit-learn, and properties that must hold for any input.
+
+mod field;
+mod grid;
+mod matching;
+mod occupancy;
+mod plan;
+mod process;
