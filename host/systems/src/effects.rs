@@ -64,7 +64,7 @@ pub struct Found {
 impl Search<'_> {
     /// The effect that the recordings show; `None` where they show none.
     ///
-    /// An effect whose fit does not converge in any fold is no candidate.
+    /// An effect that cannot be fitted, with a run left out or with none, is no candidate.
     ///
     /// # Errors
     /// [`Error::Effects`] where there are fewer than three runs, or the base model cannot be fitted.
@@ -77,15 +77,13 @@ impl Search<'_> {
             )));
         }
         let base = self.cross_validated(None).map_err(Error::Effects)?;
-        let scored =
-            (0..self.effects.len()).filter_map(|effect| Some((effect, self.cross_validated(Some(effect)).ok()?)));
-        let Some((best, error)) = scored.min_by(|a, b| a.1.total_cmp(&b.1)) else { return Ok(None) };
-        if error >= base {
-            return Ok(None);
-        }
         let all: Vec<usize> = (0..runs).collect();
+        let scored = (0..self.effects.len()).filter_map(|effect| {
+            let error = self.cross_validated(Some(effect)).ok().filter(|error| *error < base)?;
+            Some((effect, error, self.fit(Some(effect), &all).ok()?))
+        });
+        let Some((best, _, fit)) = scored.min_by(|a, b| a.1.total_cmp(&b.1)) else { return Ok(None) };
         let plain = self.fit(None, &all).map_err(Error::Effects)?;
-        let fit = self.fit(Some(best), &all).map_err(Error::Effects)?;
         let observations = all.iter().map(|run| self.observed[*run].len()).sum();
         let fit = fit.autocorrelated(newey_west_lag(observations));
         let place = self.base_start.len();
@@ -186,6 +184,21 @@ mod tests {
     fn clean_recordings_show_nothing() {
         let claimed = (1..=200).filter(|seed| search(None, *seed).is_some()).count();
         assert!(claimed <= 4, "{claimed} of 200");
+    }
+
+    /// Both effects add the same term; the second has a parameter more, which changes nothing and cannot be fitted.
+    #[test]
+    fn an_effect_that_cannot_be_fitted_is_no_candidate() {
+        let observed: Vec<Vec<f64>> = (0..4).map(|run| predict(Some(0), &[2.0, 0.3], run)).collect();
+        let loose = Effect { name: "loose", start: &[0.1, 0.1], ..EFFECTS[0] };
+        let search = |effects: &[Effect]| {
+            let predict = |effect: Option<usize>, parameters: &[f64], run: usize| {
+                predict(effect.map(|_| 0), &parameters[..parameters.len().min(2)], run)
+            };
+            Search { base_start: &[1.0], effects, observed: &observed, predict: &predict }.run().expect("a search")
+        };
+        assert_eq!(search(&[loose]), None);
+        assert_eq!(search(&[loose, EFFECTS[0]]).map(|found| found.name), Some("offset"));
     }
 
     #[test]

@@ -107,6 +107,12 @@ impl MotionRun {
         })
     }
 
+    /// The same run with other values of the output.
+    pub(super) fn measuring(&self, measured: Vec<f64>) -> Self {
+        let all = Recording { measured, windows: OnceLock::new(), ..(*self.all).clone() };
+        Self { all: Arc::new(all), ..*self }
+    }
+
     pub(super) fn input_at(&self, sample: usize) -> f64 {
         self.all.input.get(sample).copied().unwrap_or(0.0)
     }

@@ -323,6 +323,34 @@ fn the_period_of_a_held_command_is_guessed() {
     assert!(share.abs() < 0.015 / 12.0, "{share}");
 }
 
+/// Of half a radian: far more than a fit finds that begins with a small one.
+#[test]
+fn a_large_eccentricity_is_guessed() {
+    let made = experiment(Setup::MotorPosition, Draw::Listed, Length::STANDARD, 92);
+    assert_eq!(made.hidden.truth()[0].name, "eccentricity");
+    let recordings = recorded(made.setup, &made.train);
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &Known::default(), &recordings, &[]).expect("a model");
+    let runs: Vec<&MotionRun> = runs.iter().collect();
+    let index = model.catalogue().iter().position(|candidate| candidate.name == "eccentricity").expect("an effect");
+    let base = Structure { base: model.starts(&runs).remove(0), ..Structure::default() };
+    let start = |values: &Vec<f64>| Structure {
+        terms: vec![Term::Known(index)],
+        added: vec![values.clone()],
+        base: base.base.clone(),
+    };
+    let starts = model.catalogue()[index].starts.iter().map(start).collect();
+    let current = Fit::at(&model, &runs, base.clone(), guessed(&model, &runs));
+    let (guess, left) = model.guess(starts, &current, &runs, Effort::GLANCE).expect("a guess");
+    let (_, without) = model.guess(vec![base], &current, &runs, Effort::GLANCE).expect("a guess");
+    let truth: Vec<f64> = made.hidden.truth()[0].parameters.iter().map(|parameter| parameter.value).collect();
+    let [amplitude_rad, phase_rad] = guess.added[0][..] else { panic!("two numbers") };
+    // By the last steps, and by what noise does to curves over windows.
+    assert!((amplitude_rad - truth[0]).abs() < 0.1, "{amplitude_rad}, not {}", truth[0]);
+    let off_rad = (phase_rad - truth[1]).rem_euclid(std::f64::consts::TAU);
+    assert!(off_rad.min(std::f64::consts::TAU - off_rad) < 0.2, "{phase_rad}, not {}", truth[1]);
+    assert!(left < 0.5 * without, "{left} of {without}");
+}
+
 /// A motor that winds up what it drives before that slips, like a spring: a fit without that has it follow its input at once.
 #[test]
 fn a_guess_finds_back_from_a_model_without_inertia() {

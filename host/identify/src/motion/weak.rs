@@ -18,9 +18,10 @@ use std::{ops::Range, sync::Arc};
 
 use nalgebra::{DMatrix, DVector};
 use r4_maths::statistics::{QuantileRule, quantile};
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
 
 use crate::{
-    family::{self, Candidate, Model, Parameter, Simulated, Structure},
+    family::{self, Candidate, Model, Parameter, Simulated, Structure, Term},
     fit::{Effort, Fit, cost, fit, parameters},
 };
 
@@ -152,6 +153,26 @@ impl Windows {
         self.windows.push(Window { from, weights: weights.collect() });
         self.measured.push(sum / square.sqrt());
     }
+}
+
+/// A recording as a centred sensor would have made it; `None` where the sensor went backwards.
+fn centred(run: &MotionRun, amplitude_rad: f64, phase_rad: f64) -> Option<MotionRun> {
+    /// Of Newton's method, which triples the digits: enough for amplitudes up to [`LARGEST`].
+    const ROUNDS: usize = 12;
+    const LARGEST: f64 = 0.9;
+    if amplitude_rad.is_nan() || amplitude_rad.abs() > LARGEST {
+        return None;
+    }
+    let angle_of = |measured: f64| {
+        let mut angle = measured;
+        for _ in 0..ROUNDS {
+            let (sin, cos) = (angle + phase_rad).sin_cos();
+            angle -= (angle + amplitude_rad * sin - measured) / (1.0 + amplitude_rad * cos);
+        }
+        angle
+    };
+    let measured = run.all.measured.iter().map(|&measured| angle_of(measured)).collect();
+    Some(run.measuring(measured))
 }
 
 /// The samples between two moments.
@@ -320,14 +341,13 @@ impl Model for Weak<'_> {
 }
 
 impl Motion {
-    /// Whether what is recorded is the motion itself, and nothing but the model's pushes makes it.
+    /// Whether what is recorded is the motion itself, or tells it at each moment, and nothing but the model's pushes makes it.
     fn is_seen(&self, structure: &Structure) -> bool {
-        const BEHIND: [Effect; 7] = [
+        const BEHIND: [Effect; 6] = [
             Effect::Backlash,
             Effect::Compliance,
             Effect::SensorLag,
             Effect::SensorHold,
-            Effect::Eccentricity,
             Effect::EncoderScale,
             Effect::EncoderOffset,
         ];
@@ -335,8 +355,9 @@ impl Motion {
         self.stops.is_none() && !BEHIND.iter().any(is_behind)
     }
 
-    /// The recordings that runs are parts of.
-    fn seen(&self, initial: &[Vec<f64>], runs: &[&MotionRun]) -> Option<Vec<Seen>> {
+    /// The recordings that runs are parts of; without what a sensor's eccentricity by `structure` adds to them.
+    fn seen(&self, structure: &Structure, initial: &[Vec<f64>], runs: &[&MotionRun]) -> Option<Vec<Seen>> {
+        let eccentricity = self.index(Effect::Eccentricity).and_then(|index| structure.of(index));
         let mut recordings: Vec<(&MotionRun, &Vec<f64>)> = Vec::new();
         for (run, initial) in runs.iter().zip(initial) {
             if !recordings.iter().any(|(other, _)| Arc::ptr_eq(&other.all, &run.all)) {
@@ -344,6 +365,11 @@ impl Motion {
             }
         }
         let seen = |(run, initial): &(&MotionRun, &Vec<f64>)| {
+            let centred = match eccentricity {
+                Some(&[amplitude_rad, phase_rad]) => Some(centred(run, amplitude_rad, phase_rad)?),
+                _ => None,
+            };
+            let run = centred.as_ref().unwrap_or(run);
             let windows = self.windows(run)?.clone();
             let began = if self.of_speed { initial.first()? - windows.moved.get(run.from)?.position } else { 0.0 };
             let run = MotionRun { from: 0, to: run.all.time_s.len(), ..(*run).clone() };
@@ -370,7 +396,8 @@ impl Motion {
 
     /// The motion of recordings, as it was measured, and when.
     pub(super) fn moved(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
-        let seen = self.is_seen(&current.structure).then(|| self.seen(&current.initial, runs))??;
+        let seen =
+            self.is_seen(&current.structure).then(|| self.seen(&current.structure, &current.initial, runs))??;
         let timed = |seen: Seen| -> Vec<(Moved, f64)> {
             let there = |moved: &Moved| Moved {
                 position: moved.position + seen.began,
@@ -384,7 +411,8 @@ impl Motion {
 
     /// How many windows say as much as all that there are: of those that overlap, one.
     pub(super) fn independent_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
-        let all: usize = self.seen(&current.initial, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
+        let all: usize =
+            self.seen(&current.structure, &current.initial, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
@@ -407,7 +435,7 @@ impl Motion {
     /// The recordings as windows see them, and a model for structures of the same terms, which add to `current`; `None` where
     /// it cannot be.
     fn weak(&self, structure: &Structure, current: &Fit, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
-        let seen = self.is_seen(structure).then(|| self.seen(&current.initial, runs))??;
+        let seen = self.is_seen(structure).then(|| self.seen(structure, &current.initial, runs))??;
         let began = if !self.of_speed || !is_placed(self, structure) {
             Began::Anywhere
         } else if is_placed(self, &current.structure) {
@@ -433,6 +461,39 @@ impl Motion {
         Some(Rest { weak, fit, seen, left })
     }
 
+    /// The best of some structures whose last term is an eccentricity, and of those between them, and what it leaves. Each has windows of
+    /// its own, in which the eccentricity's numbers are no parameters.
+    fn by_eccentricity(&self, starts: Vec<Structure>, current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
+        /// Steps of amplitude and phase to the first neighbours, rad; halved where none of these is better.
+        const FIRST_STEPS_RAD: [f64; 2] = [0.08, 0.4];
+        const ROUNDS: usize = 10;
+        let guess = |mut start: Structure| {
+            let (weak, seen) = self.weak(&start, current, runs)?;
+            let fixed = (start.terms.pop()?, start.added.pop()?);
+            let mut fit = weak.best(vec![self.movable(start)], &seen, Effort::GLANCE, 1).pop()?;
+            fit.structure.terms.push(fixed.0);
+            fit.structure.added.push(fixed.1);
+            Some((fit.structure, fit.cost))
+        };
+        let best = |all: Vec<Structure>| all.into_par_iter().filter_map(guess).min_by(|a, b| a.1.total_cmp(&b.1));
+        let mut found = best(starts)?;
+        let mut steps_rad = FIRST_STEPS_RAD;
+        for _ in 0..ROUNDS {
+            let beside = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|signs| {
+                let mut other = found.0.clone();
+                let numbers = other.added.iter_mut().next_back().into_iter().flatten();
+                numbers.zip(signs).zip(steps_rad).for_each(|((number, sign), step_rad)| *number += sign * step_rad);
+                other
+            });
+            if let Some(better) = best(beside.to_vec()).filter(|better| better.1 < found.1) {
+                found = better;
+            } else {
+                steps_rad = steps_rad.map(|step_rad| 0.5 * step_rad);
+            }
+        }
+        Some(found)
+    }
+
     /// The best of some structures of the same terms fitted to windows, and what it leaves.
     pub(super) fn weakly(
         &self,
@@ -441,6 +502,10 @@ impl Motion {
         runs: &[&MotionRun],
         effort: Effort,
     ) -> Option<(Structure, f64)> {
+        let eccentric = self.index(Effect::Eccentricity).map(Term::Known);
+        if eccentric.is_some() && starts.first()?.terms.last() == eccentric.as_ref() {
+            return self.by_eccentricity(starts, current, runs);
+        }
         let (weak, seen) = self.weak(starts.first()?, current, runs)?;
         let is_coarse = |start: &Structure| {
             let last = parameters(&weak, &start.terms).pop();

@@ -40,7 +40,15 @@ pub enum ExciteError {
         /// Time without telemetry, s.
         silent_s: f64,
     },
-    /// The board does not clear the trip after a stall.
-    #[error("cannot clear the stall")]
+    /// The motor stands still at every duty that the board allows.
+    #[error(
+        "{channel} does not move at any duty that the board allows before it counts as a stall: free the mechanism, check the wires of motor and sensor, or raise duty_max"
+    )]
+    Immovable {
+        /// The motor.
+        channel: ChannelId,
+    },
+    /// The board does not clear the trip that ended the excitation.
+    #[error("cannot clear the trip that ended the excitation")]
     NotCleared(#[source] DriverError),
 }

@@ -1,18 +1,18 @@
 //! Excitation: duties that make a motor's recording tell its parameters, within the limits that the board reports.
 
+mod care;
 mod error;
-mod guard;
 mod plan;
 
 use std::pin::pin;
 
 use futures::future::{Either, select};
 use r4_driver::Error as DriverError;
-use r4_protocol::{Cause, ChannelId, ChannelInfo, ChannelKind, Mode, Parameter, SafetyState, Sample, Setpoint};
+use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, Parameter, SafetyState, Sample, Setpoint};
 
+use care::Guard;
+pub use care::{Care, Excited, Next};
 pub use error::ExciteError;
-use guard::Guard;
-pub use guard::Patience;
 pub use plan::{Plan, TRAIN};
 
 use crate::{Error, Session, parameters::Parameters};
@@ -25,6 +25,10 @@ const SEND_EVERY_S: f64 = 0.02;
 const SILENT_S: f64 = 0.3;
 /// Largest duty as a share of what the board allows, so that rounding does not limit it.
 const BELOW_LIMIT: f64 = 0.98;
+/// Steps of the sensor that a motor must travel to have moved: one may be noise, two its rounding.
+const LEAST_STEPS: f64 = 2.0;
+/// Longest time that a winding is given to cool, s: four of the time constants that robots here declare (30 s).
+const COOLS_WITHIN_S: f64 = 120.0;
 /// Share of the range at either end where the motor is sent the other way.
 const MARGIN: f64 = 0.15;
 
@@ -66,23 +70,18 @@ impl Limits {
     }
 }
 
-/// Whether the board tripped because the motor stalled: another attempt with less [`Patience`] may do.
-#[must_use]
-pub fn is_stall(error: &DriverError) -> bool {
-    matches!(error, DriverError::Stopped { causes } if causes.contains(Cause::Stalled))
-}
-
-/// Arms, excites the motor by plan number `index` and disarms; clears a stall. Calls `progress` with the share that is done.
+/// Arms, excites the motor by plan number `index` and disarms; clears a trip that [`Care`] may avoid the next time. Calls `progress` with
+/// the share that is done.
 ///
 /// # Errors
-/// When the channel cannot be excited, or the board trips; [`is_stall`] is true of one that another attempt may avoid.
+/// When the channel cannot be excited, or the board trips: [`Care::judge`] tells whether another attempt helps.
 pub async fn excite(
     session: &Session<'_>,
     excitation: &Excitation,
     index: usize,
-    patience: &Patience,
+    care: &Care,
     progress: &dyn Fn(f64),
-) -> Result<(), Error> {
+) -> Result<Excited, Error> {
     let (board, channel) = (session.board, excitation.channel);
     let info = board.channel(channel)?;
     let moves = matches!(channel.kind, ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb);
@@ -100,12 +99,25 @@ pub async fn excite(
     if cap <= limits.static_duty {
         return Err(ExciteError::BelowFriction { channel, duty: cap, static_duty: limits.static_duty }.into());
     }
+    let cap = limits.static_duty + care.strength * (cap - limits.static_duty);
     let plan = Plan::new(index, excitation.length_s, limits.static_duty, cap);
-    let driven = session.armed(async || drive(session, channel, &plan, &limits, patience, progress).await).await;
-    if matches!(&driven, Err(Error::Board(error)) if is_stall(error)) {
-        board.clear().await.map_err(ExciteError::NotCleared)?;
+    let driven = session.armed(async || drive(session, channel, &plan, &limits, care, progress).await).await;
+    if driven.as_ref().is_err_and(care::is_avoidable) {
+        clear(session).await?;
     }
     driven
+}
+
+/// Clears a trip; one by heat once the winding has cooled.
+async fn clear(session: &Session<'_>) -> Result<(), Error> {
+    let mut waited_s = 0.0;
+    loop {
+        match session.board.clear().await {
+            Err(DriverError::Refused { .. }) if waited_s < COOLS_WITHIN_S => session.board.sleep_s(1.0).await,
+            cleared => return Ok(cleared.map_err(ExciteError::NotCleared)?),
+        }
+        waited_s += 1.0;
+    }
 }
 
 /// Sends the duties of `plan`, and keeps the motor within its range and from stalling.
@@ -114,18 +126,19 @@ async fn drive(
     channel: ChannelId,
     plan: &Plan,
     limits: &Limits,
-    patience: &Patience,
+    care: &Care,
     progress: &dyn Fn(f64),
-) -> Result<(), Error> {
+) -> Result<Excited, Error> {
     let board = session.board;
     let mut telemetry = board.telemetry();
     board.subscribe(channel, TELEMETRY_MS).await?;
     let (low, high) = limits.range;
     let inside = (low + MARGIN * (high - low), high - MARGIN * (high - low));
-    let mut guard = Guard::new(limits, patience);
+    let mut guard = Guard::new(limits, care);
     // A motor that begins at one end of its range is sent away from it first.
     let mut direction = 1.0;
     let (mut begin_s, mut sent, mut sent_s) = (None, None, f64::NEG_INFINITY);
+    let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
     let mut armed = false;
     loop {
         let frame = match select(pin!(telemetry.next()), pin!(board.sleep_s(SILENT_S))).await {
@@ -147,7 +160,10 @@ async fn drive(
         let Some(position) = found.map(|counts| f64::from(counts) * limits.resolution) else { continue };
         let now_s = frame.device_us as f64 * 1e-6;
         let after_s = now_s - *begin_s.get_or_insert(now_s);
-        let Some((part, planned)) = plan.at(after_s) else { return Ok(()) };
+        (lowest, highest) = (lowest.min(position), highest.max(position));
+        let Some((part, planned)) = plan.at(after_s) else {
+            return Ok(Excited { moved: highest - lowest > LEAST_STEPS * limits.resolution });
+        };
         let mut duty = direction * planned;
         if position > inside.1 && duty > 0.0 || position < inside.0 && duty < 0.0 {
             direction = -direction;

@@ -11,8 +11,8 @@ use r4_identify::{
 };
 use r4_plants::{Effect, Fitted as _, PlantKind};
 use r4_rig::{
-    Error as RigError, Session,
-    excite::{self, Excitation, Patience, TRAIN},
+    Session,
+    excite::{self, Care, Excitation, Next, TRAIN},
     recording,
 };
 
@@ -85,7 +85,7 @@ pub(super) fn put(scene: &Scene, index: usize, trial: &Trial, values: &mut Value
 fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>, Error> {
     let bench = scene.motors[index].bench;
     let excitation = Excitation { channel: bench.channel, length_s: LENGTH_S, duty: None };
-    let (mut logs, mut patience) = (Vec::new(), Patience::default());
+    let (mut logs, mut care) = (Vec::new(), Care::default());
     while logs.len() <= TRAIN {
         let rig = rig(scene, index, trial, Calibration::NONE, |_| ());
         let tap = |output| {
@@ -98,15 +98,12 @@ fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>
                 let middle = r4_rig::Quantity::new(0.05, bench.si());
                 session.move_to(bench.channel, middle, 30.0).await?;
             }
-            excite::excite(session, &excitation, number, &patience, &|_| ()).await
+            excite::excite(session, &excitation, number, &care, &|_| ()).await
         };
         let recorded = rig.recorded(tap, work);
-        match recorded.result {
-            Ok(_) => patience.succeeded(),
-            Err(RigError::Board(ref error)) if excite::is_stall(error) && patience.stalled() => continue,
-            Err(error) => return Err(error.into()),
+        if care.judge(&excitation, recorded.result.map(|(excited, _)| excited))? == Next::Keep {
+            logs.push(recorded.log);
         }
-        logs.push(recorded.log);
     }
     Ok(logs)
 }

@@ -17,7 +17,7 @@ use r4_plants::{PlantKind, PlantSpec};
 use r4_protocol::ChannelId;
 use r4_rig::{
     PlantFile,
-    excite::{self, Excitation, Patience, TRAIN},
+    excite::{self, Care, Excitation, Next, TRAIN},
     twin::{Observed, Physics, Twins},
 };
 use r4_sim::Pace;
@@ -54,7 +54,7 @@ pub(crate) struct Close {
     #[arg(long, value_name = "SHARE")]
     pub(crate) duty: Option<f64>,
     /// How long each of the three recordings is, s
-    #[arg(long = "for", default_value = "12", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long = "for", default_value = "15", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: f64,
 }
 
@@ -180,32 +180,25 @@ fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
 fn record(args: &Args, close: &Close, progress: &Shown) -> anyhow::Result<Vec<PathBuf>> {
     let excitation = Excitation { channel: close.channel, length_s: close.seconds, duty: close.duty };
     let mut files = Vec::new();
-    let mut patience = Patience::default();
+    let mut care = Care::default();
     while files.len() <= TRAIN {
         let index = files.len();
         let name = if index < TRAIN { format!("train-{}.mcap", index + 1) } else { "fresh.mcap".to_owned() };
         progress.show(Progress { step: format!("recording {name}"), share: 0.0 });
         let (excited, bytes) = session::in_memory(args, Pace::Free, async |session| {
             let done = |share: f64| progress.share(share);
-            Ok(excite::excite(session, &excitation, index, &patience, &done).await?)
+            Ok(excite::excite(session, &excitation, index, &care, &done).await)
         });
-        match excited {
-            Ok(_) => patience.succeeded(),
-            Err(error) if is_stall(&error) && patience.stalled() => {
-                eprintln!("r4: {} stalled: cleared, and again with less of that", close.channel);
-                continue;
-            }
-            Err(error) => return Err(error.context(format!("cannot record {name}"))),
+        let judged = excited.map(|(excited, _)| care.judge(&excitation, excited)).and_then(|next| Ok(next?));
+        if let Next::Again(why) = judged.with_context(|| format!("cannot record {name}"))? {
+            eprintln!("r4: {} {why}", close.channel);
+            continue;
         }
         let file = close.out.join(name);
         fs::write(&file, &bytes).with_context(|| format!("cannot write {}", file.display()))?;
         files.push(file);
     }
     Ok(files)
-}
-
-fn is_stall(error: &anyhow::Error) -> bool {
-    session::driver_error(error).is_some_and(excite::is_stall)
 }
 
 /// What is found in the recordings.
