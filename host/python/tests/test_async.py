@@ -70,6 +70,18 @@ def test_cancelling_ends_waiting_for_one_call_only() -> None:
     asyncio.run(run())
 
 
+def test_closing_ends_what_still_waits() -> None:
+    async def run() -> None:
+        board = r4.sim("osmc-bench")
+        async with board:
+            far = asyncio.create_task(board.run_for(1e6))
+            await board.run_for(0.1)
+        with pytest.raises(r4.SessionEnded, match="closed while this call waited"):
+            await far
+
+    asyncio.run(run())
+
+
 def test_errors_reach_the_task_that_asked() -> None:
     async def run() -> None:
         async with r4.sim("osmc-bench") as board:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import _thread
 import math
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -181,3 +183,15 @@ def test_hidden_effects_and_plants_change_the_motor(tmp_path: Path) -> None:
         r4.sim("osmc-bench", plants={"osmc0": tmp_path / "none.toml"}).blocking.arm()
     with pytest.raises(ValueError, match="not a channel name"):
         r4.sim("osmc-bench", plants={"motor": tmp_path / "none.toml"}).blocking.arm()
+
+
+def test_a_program_that_forgets_its_board_closes_the_session(tmp_path: Path) -> None:
+    program = f"""
+import r4
+board = r4.sim("osmc-bench", log={str(tmp_path / "run.mcap")!r}).blocking
+board.arm()
+board.run_for(0.2)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    # Its end was written.
+    assert r4.read_log(tmp_path / "run.mcap").warnings == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias, Union
 
@@ -26,6 +27,7 @@ class Session:
         self._lock = threading.Lock()
         self._native: _native.Board | None = None
         self._turns: Turns | None = None
+        self._at_end: weakref.finalize[[], Session] | None = None
         self._streams = itertools.count()
 
     def __str__(self) -> str:
@@ -37,6 +39,8 @@ class Session:
             if self._native is None:
                 self._native = _native.Board.open(self._address, **self._settings)
                 self._turns = Turns(self._native)
+                # A program that ends, or forgets its board, closes the session all the same.
+                self._at_end = weakref.finalize(self, self._native.close)
             return self._native
 
     def close(self) -> None:
@@ -44,6 +48,8 @@ class Session:
         with self._lock:
             native, turns = self._native, self._turns
             self._native = self._turns = None
+            if self._at_end is not None:
+                self._at_end.detach()
         if native is not None and turns is not None:
             turns.detach_from_any_thread()
             native.close()

@@ -8,9 +8,11 @@ results of a program do not depend on how fast the machine or a typing person is
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 from . import _native
+from .errors import SessionEnded
 
 #: Turns of the event loop without a new call before a virtual board's clock goes on. A result reaches the task that waits for it
 #: after one turn, and through ``gather`` or a task group after two more for each level: eight are enough for three levels. Four
@@ -44,16 +46,20 @@ class Turns:
             self._waiting.pop(ticket, None)
             self._requests = [one for one in self._requests if one[0] != ticket]
             self._board.abort(ticket)
-            if self._waiting:
-                self._count(loop)
-            else:
-                self._board.submit([])
+            # After the session's end there is nothing to go on with.
+            with contextlib.suppress(SessionEnded):
+                if self._waiting:
+                    self._count(loop)
+                else:
+                    self._board.submit([])
             raise
 
     def detach(self) -> None:
-        """Ends watching for results."""
+        """Ends watching for results: calls that still wait end with an error."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.remove_reader(self._board.fileno())
+            for ticket in list(self._waiting):
+                self._settle(ticket, False, SessionEnded("the session was closed while this call waited"))
         self._loop = None
 
     def detach_from_any_thread(self) -> None:
