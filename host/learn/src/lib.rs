@@ -16,7 +16,7 @@
 
 mod environments;
 mod full;
-mod goal;
+pub mod goal;
 pub mod kinematic;
 mod wheels;
 

@@ -108,6 +108,8 @@ impl Call {
 
 /// An opened board on a thread of its own.
 ///
+/// Time of a virtual board goes on only while a call is waited for: between calls its clock stands still.
+///
 /// May be used from several threads at once. Dropping it closes the session: the board makes its outputs safe.
 pub struct BoardThread {
     calls: Option<UnboundedSender<Vec<Call>>>,
