@@ -51,6 +51,25 @@ pub enum IdentifyError {
         /// Those there are.
         known: String,
     },
+    /// A role that the model does not have.
+    #[error("{model} has no role `{role}`: it has {known}")]
+    UnknownRole {
+        /// The model.
+        model: &'static str,
+        /// As given.
+        role: String,
+        /// Those there are.
+        known: String,
+    },
+    /// A recording is given twice.
+    #[error(
+        "{} is given both to fit to and to test on: give another recording to --holdout, or every:2",
+        path.display()
+    )]
+    InBothParts {
+        /// Its file.
+        path: std::path::PathBuf,
+    },
     /// A parameter out of its range.
     #[error("{name}={value} is out of range: {allowed}")]
     OutOfRange {

@@ -21,6 +21,7 @@ mod evidence;
 pub mod family;
 pub mod fit;
 pub mod motion;
+mod question;
 pub mod report;
 mod residual;
 pub mod select;
@@ -30,4 +31,5 @@ mod suspect;
 pub mod task;
 
 pub use error::IdentifyError;
+pub use question::{Question, Recordings};
 pub use task::{Identified, ModelInfo, Progress, Task, identify, models};

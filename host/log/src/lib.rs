@@ -62,6 +62,7 @@ mod write;
 pub use compare::{Difference, compare};
 pub use coverage::Coverage;
 pub use header::{Header, Recorded};
+pub use message::quality_name;
 pub use read::{
     EncoderSample, EncoderSeries, Gap, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
     MotorSeries, ReadingSample, ReadingSeries, ScalarSeries, SensorSample, SensorSeries, StateChange, Warning,

@@ -342,8 +342,9 @@ const QUALITIES: [(Quality, &str); 13] = [
     (Quality::StrongMagnet, "strong-magnet"),
 ];
 
-/// The name of `quality` in a file.
-pub(crate) fn quality_name(quality: Quality) -> &'static str {
+/// The name of `quality` in a file, as in `out-of-range`.
+#[must_use]
+pub fn quality_name(quality: Quality) -> &'static str {
     QUALITIES[quality as usize].1
 }
 

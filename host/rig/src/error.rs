@@ -9,8 +9,8 @@ use r4_sim::SimError;
 
 use crate::{
     FlashFileError, Interrupted, NotReached, NotVirtual, PlantFileError, Unsuitable, WatchError,
-    calibrate::CalibrateError, emulated::EmulatedError, excite::ExciteError, replay::ReplayError, round::RoundError,
-    scenario::ScenarioError, tune::TuneError, twin::TwinError,
+    calibrate::CalibrateError, emulated::EmulatedError, excite::ExciteError, recording::RecordingError,
+    replay::ReplayError, round::RoundError, scenario::ScenarioError, tune::TuneError, twin::TwinError,
 };
 
 /// A session could not be opened, or did not end as it should.
@@ -144,6 +144,15 @@ pub enum Error {
     /// Nothing in the simulation will ever happen again.
     #[error("the simulation came to a standstill")]
     Standstill,
+    /// The operating system gives no thread for a board.
+    #[error("cannot start a thread for the board: {0}")]
+    Thread(#[source] std::io::Error),
+    /// A recording is not complete.
+    #[error(transparent)]
+    Recording(Box<RecordingError>),
+    /// A [`BoardThread`](crate::BoardThread) has closed its session, or the call was aborted.
+    #[error("the session has ended: open the board again")]
+    SessionEnded,
     /// Another host has the board's only port.
     #[error("the simulated board is already connected")]
     Connected,
@@ -180,6 +189,7 @@ boxed!(
     Plant(PlantError),
     PlantFile(PlantFileError),
     Robot(BoardError),
+    Recording(RecordingError),
     Replay(ReplayError),
     Round(RoundError),
     Scenario(ScenarioError),

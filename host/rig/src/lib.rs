@@ -11,12 +11,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A [`Fleet`] runs several virtual boards on one clock.
+//! A [`Fleet`] runs several virtual boards on one clock. A [`BoardThread`] keeps a board on a thread of its own, for programs that wait.
 //!
 //! The rest is pure: it is given what was measured, and returns set points for channels.
 //!
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 
+mod board_thread;
 pub mod cable;
 pub mod calibrate;
 mod clock;
@@ -36,6 +37,7 @@ mod parameters;
 pub mod path;
 mod plant_file;
 pub mod quantity;
+mod query;
 pub mod recording;
 pub mod replay;
 mod rig;
@@ -49,6 +51,7 @@ pub mod tune;
 pub mod twin;
 pub mod watch;
 
+pub use board_thread::{BoardThread, Call, Desk};
 pub use clock::HostClock;
 pub use error::Error;
 pub use flash_file::{FlashFile, FlashFileError};

@@ -43,6 +43,16 @@ pub enum PathError {
         /// What is wrong with it.
         why: String,
     },
+    /// A point cannot be on a path.
+    #[error("point {index} of {channel}: {why}")]
+    Points {
+        /// The channel.
+        channel: ChannelId,
+        /// From 0.
+        index: usize,
+        /// What is wrong with it.
+        why: &'static str,
+    },
     /// A path has no way.
     #[error("a path has two points at least")]
     Short,
@@ -152,6 +162,35 @@ impl Paths {
         Ok(Self { channels: paths.into_iter().map(|(channel, points)| (channel, thinned(points))).collect() })
     }
 
+    /// Paths of points: of each channel two at least, each later than the one before, all numbers finite. Points closer than
+    /// [`THIN_S`] to the one before are left out, as of a table.
+    ///
+    /// # Errors
+    /// [`PathError::Points`], [`PathError::Short`].
+    pub fn new(channels: impl IntoIterator<Item = (ChannelId, Vec<Waypoint>)>) -> Result<Self, PathError> {
+        let mut made = Vec::new();
+        for (channel, points) in channels {
+            let mut last_s = f64::NEG_INFINITY;
+            for (index, point) in points.iter().enumerate() {
+                let numbers = [point.time_s, point.position, point.speed.unwrap_or(0.0), point.feed_forward];
+                let why = match numbers.iter().all(|number| number.is_finite()) {
+                    false => "a number of it is not finite",
+                    true if point.time_s <= last_s => "its time is not later than the one before",
+                    true => {
+                        last_s = point.time_s;
+                        continue;
+                    }
+                };
+                return Err(PathError::Points { channel, index, why });
+            }
+            if points.len() < 2 {
+                return Err(PathError::Short);
+            }
+            made.push((channel, thinned(points)));
+        }
+        if made.is_empty() { Err(PathError::Short) } else { Ok(Self { channels: made }) }
+    }
+
     /// From the first point to the last, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
@@ -226,6 +265,23 @@ impl Session<'_> {
     /// [`Unsuitable`], before anything is sent, for a channel that follows no path; when the board refuses points, which stops the
     /// channel, does not arm or disarm, or the link fails.
     pub async fn follow(&self, paths: &Paths, begin_s: Option<f64>) -> Result<Vec<Followed>, Error> {
+        let mut sending = self.prepared(paths).await?;
+        self.armed(async || self.send(&mut sending, begin_s).await).await?;
+        Ok(sending.into_iter().map(Sending::judged).collect())
+    }
+
+    /// As [`Session::follow`] on a board that is armed, and stays so.
+    ///
+    /// # Errors
+    /// As there; a board that is not armed refuses the points.
+    pub async fn follow_armed(&self, paths: &Paths, begin_s: Option<f64>) -> Result<Vec<Followed>, Error> {
+        let mut sending = self.prepared(paths).await?;
+        self.send(&mut sending, begin_s).await?;
+        Ok(sending.into_iter().map(Sending::judged).collect())
+    }
+
+    /// The paths before their first points are sent, with their motors subscribed to.
+    async fn prepared<'p>(&self, paths: &'p Paths) -> Result<Vec<Sending<'p>>, Error> {
         let mut sending = Vec::new();
         for (channel, points) in &paths.channels {
             let info = self.board.channel(*channel)?.clone();
@@ -238,8 +294,7 @@ impl Session<'_> {
         for path in &sending {
             self.board.subscribe(path.info.id, LOOK_EVERY_MS).await?;
         }
-        self.armed(async || self.send(&mut sending, begin_s).await).await?;
-        Ok(sending.into_iter().map(Sending::judged).collect())
+        Ok(sending)
     }
 
     async fn send(&self, sending: &mut [Sending<'_>], begin_s: Option<f64>) -> Result<(), Error> {
@@ -390,6 +445,22 @@ mod tests {
         ] {
             let error = Paths::parse(text).expect_err(text).to_string();
             assert!(error.ends_with(says), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn points_of_a_program_are_checked_as_those_of_a_table() {
+        let point = |time_s, position| Waypoint { time_s, position, speed: None, feed_forward: 0.0 };
+        let paths = |points: &[(f64, f64)]| Paths::new([(OSMC0, points.iter().map(|(t, p)| point(*t, *p)).collect())]);
+        let text = "time_s,osmc0.position_rad\n0,0\n0.001,0.5\n0.5,1\n";
+        assert_eq!(paths(&[(0.0, 0.0), (0.001, 0.5), (0.5, 1.0)]), Paths::parse(text));
+        assert_eq!(paths(&[(0.0, 0.0)]), Err(PathError::Short));
+        assert_eq!(Paths::new([]), Err(PathError::Short));
+        for (bad, index) in
+            [([(0.0, 0.0), (0.0, 1.0)], 1), ([(f64::NAN, 0.0), (1.0, 1.0)], 0), ([(0.0, 0.0), (1.0, f64::INFINITY)], 1)]
+        {
+            let error = paths(&bad).expect_err("bad");
+            assert!(matches!(error, PathError::Points { index: at, .. } if at == index), "{error}");
         }
     }
 

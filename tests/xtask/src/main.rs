@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
+//! | `python` | `cargo xtask python`: the Python package as a wheel, installed and tested |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash` | `cargo xtask flash`: the image written into the board |
 //! | `size` | `cargo xtask size`: what that image takes, and whether it may |
@@ -23,6 +24,7 @@ mod meter;
 mod mutants;
 mod programs;
 mod protocol;
+mod python;
 mod size;
 mod summary;
 mod test;
@@ -36,6 +38,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
+use python::Python;
 use size::Size;
 use test::Extent;
 use weight::Weight;
@@ -46,6 +49,8 @@ usage: cargo xtask <task>
   probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
   test --quick  for daily work: without the emulated processor, the corpus of bad input and the documentation
+  python        the Python package (host/python): a wheel, installed into an environment of its own and tested there; [--wheel] only
+                the wheel, [--dist] as it is given to others, [--bench] with steps of environments per second
   firmware      the image for the Arduino Giga, into target/firmware:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
@@ -70,6 +75,7 @@ enum Task {
     Help,
     Probe,
     Test(Extent),
+    Python(Python),
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
@@ -91,6 +97,7 @@ fn main() -> ExitCode {
         }
         Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test(extent)) => test::run(&root(), extent),
+        Ok(Task::Python(python)) => python.run(&root()),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
@@ -108,9 +115,10 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
         ["help" | "--help" | "-h"]
-        | ["test" | "firmware" | "flash" | "size" | "weight" | "mutants", "--help" | "-h"] => Ok(Task::Help),
+        | ["test" | "python" | "firmware" | "flash" | "size" | "weight" | "mutants", "--help" | "-h"] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
         ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
+        ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
@@ -143,6 +151,7 @@ mod tests {
         assert_eq!(of("test"), Ok(Task::Test(Extent::Full)));
         assert_eq!(of("test --quick"), Ok(Task::Test(Extent::Quick)));
         assert_eq!(of("probe"), Ok(Task::Probe));
+        assert_eq!(of("python"), Ok(Task::Python(Python::default())));
         assert_eq!(of("size --protocol"), Ok(Task::Protocol { json: false }));
         assert_eq!(of("size --protocol --json"), Ok(Task::Protocol { json: true }));
         assert_eq!(of("--help"), Ok(Task::Help));

@@ -11,6 +11,7 @@ use crate::{
     firmware::{self, Firmware},
     meter::Meter,
     programs,
+    python::Python,
     summary::{Outcome, Summary},
     toolchain::{self, SYSTEMS, TARGET},
 };
@@ -42,6 +43,8 @@ enum Run {
     Images,
     /// Runs the test programs that these arguments of cargo build, and names the slowest tests.
     Tests(&'static [&'static str]),
+    /// Builds the Python package, installs it and runs its tests.
+    Python,
     /// Calls cargo.
     Cargo {
         /// Within the repository: each has a workspace.
@@ -134,6 +137,7 @@ const FULL: &[Step] = &[
     step("images", Run::Images),
     step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--no-run"])),
     step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu,r4/parquet"])),
+    step("python", Run::Python),
     step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--doc"])),
     step(
         "docs",
@@ -216,6 +220,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
             println!("{}", Firmware::new(robot, image).build(root)?);
             Ok(())
         }),
+        Run::Python => Python::default().test(root),
         Run::Tests(arguments) => programs::run(root, arguments, &unless_set(SAME_CASES)),
         Run::Cargo { folder, arguments, environment } => {
             let target = firmware::target_folder(root)?;
@@ -254,6 +259,7 @@ impl Step {
                 format!("rustfmt, clippy, the targets {TARGET}, {}, cmake and libclang", SYSTEMS.join(", "))
             }
             Run::Tests(arguments) => command_line(".", SAME_CASES, arguments),
+            Run::Python => "cargo xtask python".into(),
             Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
         }

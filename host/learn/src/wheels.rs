@@ -1,0 +1,58 @@
+//! The task's robot: what its wheels are asked for by an action, at both fidelities.
+
+use r4_boards::{Drive, SkidSteer};
+use r4_protocol::ChannelId;
+use r4_rig::{GroundDrive, Velocity};
+
+use crate::{Action, Error};
+
+/// The built-in robot of the task.
+pub(crate) const ROBOT: &str = "openscout";
+/// Wheels on each side.
+pub(crate) const SIDE: usize = 2;
+
+/// The wheels of a skid-steer robot with two on each side.
+#[derive(Clone, Debug)]
+pub(crate) struct Wheels {
+    pub(crate) drive: SkidSteer,
+    ground: GroundDrive,
+    /// The left ones, then the right ones.
+    pub(crate) channels: Vec<ChannelId>,
+    /// Highest speed that each may be asked for, rad/s.
+    speed_max_rad_s: f64,
+}
+
+impl Wheels {
+    pub(crate) fn new() -> Result<Self, Error> {
+        let unfit = || Error::NoSkidSteer { robot: ROBOT.to_owned() };
+        let robot = r4_boards::load(ROBOT).map_err(r4_rig::Error::from)?;
+        let Some(Drive::SkidSteer(drive)) = robot.drive else { return Err(unfit()) };
+        if drive.left.len() != SIDE || drive.right.len() != SIDE {
+            return Err(unfit());
+        }
+        let channels: Vec<ChannelId> = drive.left.iter().chain(&drive.right).copied().collect();
+        let motors = robot.config.motors.iter().filter(|motor| channels.contains(&motor.id));
+        let speeds = motors.filter_map(|motor| Some(f64::from(motor.control.as_ref()?.speed_max)));
+        let speed_max_rad_s = speeds.fold(f64::INFINITY, f64::min);
+        Ok(Self { ground: GroundDrive::new(Drive::SkidSteer(drive.clone())), drive, channels, speed_max_rad_s })
+    }
+
+    /// Speeds of the wheels in the order of `channels`, rad/s. Each is kept within what it may be asked for: the outer wheels of a fast
+    /// turn would be faster.
+    pub(crate) fn speeds_rad_s(&self, [forward, yaw]: Action) -> Vec<f64> {
+        let velocity = Velocity {
+            forward_m_s: forward * self.drive.speed_max_m_s,
+            yaw_rad_s: yaw * self.drive.turn_rate_max_rad_s,
+        };
+        // In the same order: its left wheels first.
+        let setpoints = self.ground.setpoints(velocity).into_iter();
+        let most = self.speed_max_rad_s;
+        setpoints.map(|(_, setpoint)| f64::from(setpoint.value).clamp(-most, most)).collect()
+    }
+
+    /// Speeds of the left and the right rims that an action asks for, m/s.
+    pub(crate) fn rims_m_s(&self, action: Action) -> [f64; 2] {
+        let speeds = self.speeds_rad_s(action);
+        [speeds[0] * self.drive.wheel_radius_m, speeds[SIDE] * self.drive.wheel_radius_m]
+    }
+}

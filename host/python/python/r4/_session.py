@@ -1,0 +1,90 @@
+"""What both kinds of boards share: one session, opened once."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias, Union
+
+from . import _native
+from ._turns import Turns
+from .errors import SessionEnded
+
+#: Times in s and positions in rad or m, and speeds in rad/s or m/s if wanted: sequences or arrays.
+Path: TypeAlias = Union[
+    tuple[Sequence[float], Sequence[float]],
+    tuple[Sequence[float], Sequence[float], Sequence[float]],
+]
+
+
+class Session:
+    """Opens a board when it is first needed."""
+
+    def __init__(self, address: str, settings: dict[str, Any]) -> None:
+        self._address, self._settings = address, settings
+        self._lock = threading.Lock()
+        self._native: _native.Board | None = None
+        self._turns: Turns | None = None
+        self._at_end: weakref.finalize[[], Session] | None = None
+        self._streams = itertools.count()
+
+    def __str__(self) -> str:
+        return self._address
+
+    def connect(self) -> _native.Board:
+        """Opens the session unless it is open."""
+        with self._lock:
+            if self._native is None:
+                self._native = _native.Board.open(self._address, **self._settings)
+                self._turns = Turns(self._native)
+                # A program that ends, or forgets its board, closes the session all the same.
+                self._at_end = weakref.finalize(self, self._native.close)
+            return self._native
+
+    def close(self) -> None:
+        """Closes the session unless it is closed."""
+        with self._lock:
+            native, turns = self._native, self._turns
+            self._native = self._turns = None
+            if self._at_end is not None:
+                self._at_end.detach()
+        if native is not None and turns is not None:
+            turns.detach_from_any_thread()
+            native.close()
+
+    def detach(self) -> None:
+        """Ends the part of this thread's event loop."""
+        if self._turns is not None:
+            self._turns.detach()
+
+    @property
+    def native(self) -> _native.Board:
+        """The open session."""
+        if self._native is None:
+            raise SessionEnded(f"no session with {self._address}: open it by `async with`, or use `.blocking`")
+        return self._native
+
+    @property
+    def turns(self) -> Turns:
+        """Calls from event loops."""
+        self.native  # noqa: B018 - raises when there is no session
+        assert self._turns is not None
+        return self._turns
+
+    def next_stream(self) -> int:
+        """A number for a stream."""
+        return next(self._streams)
+
+
+def points(paths: Mapping[str, Path]) -> dict[str, list[tuple[float, float, float | None, float]]]:
+    """Paths as the board's thread takes them."""
+    made = {}
+    for name, path in paths.items():
+        times, positions = path[0], path[1]
+        speeds: Sequence[float | None] = path[2] if len(path) == 3 else [None] * len(times)
+        if not len(times) == len(positions) == len(speeds):
+            raise ValueError(f"{name}: {len(times)} times, {len(positions)} positions, {len(speeds)} speeds")
+        made[name] = [(t, p, s, 0.0) for t, p, s in zip(times, positions, speeds)]
+    return made

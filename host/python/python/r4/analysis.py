@@ -1,0 +1,164 @@
+"""Recordings as arrays, identification of what a model lacks, and studies of robot systems."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+
+File: TypeAlias = Union[str, "os.PathLike[str]"]
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One named series of a recording: times on the board's clock in s, and values in the unit of the name's end."""
+
+    name: str
+    #: What holds between samples: "continuous", "held", "changes" or "event".
+    kind: str
+    time_s: NDArray[np.float64]
+    #: Numbers, switches as 0 and 1; texts where a signal is no number.
+    value: NDArray[Any]
+
+
+class Log(Mapping[str, Signal]):
+    """A recording: its signals by their names, as in ``log["osmc0.position_rad"].value``."""
+
+    def __init__(self, facts: dict[str, Any], signals: list[Signal], warnings: list[str]) -> None:
+        self._signals = {signal.name: signal for signal in signals}
+        self.robot: str = facts["robot"]
+        self.board: str = facts["board"]
+        self.firmware: str = facts["firmware"]
+        #: Seed of a simulated board; None of a real one.
+        self.seed: int | None = facts["seed"]
+        self.duration_s: float = facts["duration_s"]
+        #: What of the file could not be read.
+        self.warnings = warnings
+
+    def __getitem__(self, name: str) -> Signal:
+        return self._signals[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._signals)
+
+    def __len__(self) -> int:
+        return len(self._signals)
+
+    def __repr__(self) -> str:
+        return f"<r4.Log of {self.board}, {self.duration_s:.3f} s, {len(self)} signals>"
+
+
+def read_log(path: File) -> Log:
+    """Reads a recording of ``r4 log record``, or of a session opened with ``log=``."""
+    facts, series, warnings = _native.read_log(path)
+    return Log(facts, [Signal(name, kind, t, np.asarray(v)) for name, kind, t, v in series], warnings)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What was found. ``report`` is that of ``r4 identify --json``: docs/identify.md describes its fields."""
+
+    report: dict[str, Any]
+    #: Text of a plant file with the effects in it, for ``r4.sim(plants=...)``; None where the model is of a robot's body.
+    plant: str | None
+
+    @property
+    def verdict(self) -> str:
+        """The result in a sentence."""
+        verdict: str = self.report["verdict"]
+        return verdict
+
+    @property
+    def effects(self) -> list[str]:
+        """Names of the effects that the model lacked."""
+        return [effect["name"] for effect in self.report["effects"]]
+
+
+def identify(
+    train: File | Sequence[File],
+    holdout: File | Sequence[File],
+    model: str,
+    columns: Mapping[str, str] | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    time: str | None = None,
+    split: Sequence[str] = (),
+    plant: File | None = None,
+    seed: int = 1,
+    budget_s: float | None = None,
+) -> Identified:
+    """Fits a base model to recordings, and finds the effects that it lacks.
+
+    ``train`` are recordings to fit to, ``holdout`` others that decide nothing and are reported on, or ``"every:2"``. ``columns`` are
+    columns of the model's roles, as in ``{"input": "duty", "output": "theta_rad"}``; :func:`models` lists the roles. ``parameters`` is
+    what is known, as in ``{"supply_v": 24}``; ``split`` are columns that tell the runs of one file apart; ``budget_s`` ends the search
+    after this time, which makes results depend on the machine.
+    """
+    report, text = _native.identify(
+        _files(train),
+        _files(holdout),
+        model,
+        dict(columns or {}),
+        parameters=dict(parameters or {}),
+        time=time,
+        split=list(split),
+        plant=plant,
+        seed=seed,
+        budget_s=budget_s,
+    )
+    return Identified(report, text)
+
+
+def _files(files: File | Sequence[File]) -> list[File]:
+    return [files] if isinstance(files, (str, os.PathLike)) else list(files)
+
+
+def models() -> list[dict[str, Any]]:
+    """The base models of :func:`identify`, with their roles, parameters and effects."""
+    return _native.models()
+
+
+@dataclass(frozen=True)
+class Study:
+    """Rows of a study, one for each metric of each arm, with 95 % intervals; and its trials' records."""
+
+    rows: list[dict[str, Any]]
+    records: list[dict[str, Any]]
+
+
+def study(
+    system: str,
+    *,
+    arms: Sequence[str] = (),
+    first_seed: int = 1001,
+    seeds: int = 20,
+    board: str | None = None,
+    shard: str | None = None,
+) -> Study:
+    """Runs arms of a robot system (:func:`systems`) over seeds, on all cores: what ``r4 system study`` prints.
+
+    ``arms`` are all unless some are named. ``board`` is the system's own unless another is named. ``shard="2/4"`` runs a part: it has
+    records and no rows, and :func:`merge` makes the whole of all parts.
+    """
+    rows, records = _native.study(
+        system, arms=list(arms), first_seed=first_seed, seeds=seeds, board=board, shard=shard
+    )
+    return Study(rows, records)
+
+
+def merge(parts: Sequence[Study]) -> Study:
+    """The study of which these are parts, bit for bit."""
+    rows, records = _native.merge([json.dumps(part.records) for part in parts])
+    return Study(rows, records)
+
+
+def systems() -> list[str]:
+    """Names of the robot systems."""
+    return _native.systems()

@@ -1,0 +1,170 @@
+//! `cargo xtask python`: the Python package, built as a wheel, installed into an environment of its own, and tested there.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+    time::Instant,
+};
+
+use crate::{firmware, toolchain};
+
+/// The package, in the repository.
+const PACKAGE: &str = "host/python";
+/// What tests need, with versions.
+const PINNED: &str = "host/python/tests/requirements.txt";
+
+/// What `cargo xtask python` is asked for.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Python {
+    /// As given to others: optimised, and not the profile of the tests.
+    dist: bool,
+    /// Stops once the wheel is built.
+    only_wheel: bool,
+    /// Prints steps per second too.
+    bench: bool,
+}
+
+impl Python {
+    /// From the words behind `python`.
+    pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
+        let mut python = Self::default();
+        for word in words {
+            match *word {
+                "--dist" => python.dist = true,
+                "--wheel" => python.only_wheel = true,
+                "--bench" => python.bench = true,
+                word => return Err(format!("`python` takes no `{word}`")),
+            }
+        }
+        Ok(python)
+    }
+
+    /// The task.
+    pub(crate) fn run(&self, root: &Path) -> ExitCode {
+        match self.test(root) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(problem) => {
+                eprintln!("error: {problem}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+
+    /// Builds, installs and tests.
+    pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
+        let folder = firmware::target_folder(root)?.join("python");
+        let tools = tools(root, &folder)?;
+        let wheel = self.wheel(root, &folder, &tools)?;
+        println!("{}", wheel.display());
+        if self.only_wheel {
+            return Ok(());
+        }
+        let begin = Instant::now();
+        // The same file name with other content: as one installs it, without what is installed already.
+        let install = ["-m", "pip", "install", "--quiet", "--force-reinstall", "--no-deps", "--no-index"];
+        call(tools.python().args(install).arg(&wheel))?;
+        let moved = "import r4; board = r4.sim('osmc-bench').blocking; board.arm(); \
+                     print(board.osmc[0].move_to(1.57)); board.close()";
+        call(tools.python().args(["-I", "-c", moved]).current_dir(&folder))?;
+        println!("{:.1} s from `pip install` of the wheel to a motor that has moved", begin.elapsed().as_secs_f64());
+
+        let package = root.join(PACKAGE);
+        call(
+            tools.python().args(["-m", "mypy", "--config-file", "pyproject.toml", "python/r4"]).current_dir(&package),
+        )?;
+        let stubs = ["-m", "mypy.stubtest", "r4._native", "--mypy-config-file"];
+        call(tools.python().args(stubs).arg(package.join("pyproject.toml")).current_dir(&folder))?;
+        // Serves boards for it, where it was built; the tests say that they were not run without it.
+        let program = firmware::target_folder(root)?.join("debug").join("r4");
+        let pytest = ["-m", "pytest", "--quiet", "--durations", "5", "-r", "s"];
+        call(tools.python().args(pytest).env("R4_PROGRAM", program).current_dir(&package))?;
+        if self.bench {
+            call(tools.python().arg(package.join("tests/bench.py")).current_dir(&folder))?;
+        }
+        Ok(())
+    }
+
+    /// Builds the wheel; its path. With the profile of the tests it shares what they have compiled.
+    fn wheel(&self, root: &Path, folder: &Path, tools: &Tools) -> Result<PathBuf, String> {
+        let wheels = folder.join("wheels");
+        // An older version's would be taken for this one's.
+        let _ = fs::remove_dir_all(&wheels);
+        let profile = if self.dist { "dist" } else { "dev" };
+        let mut build = tools.python();
+        build.args(["-m", "maturin", "build", "--quiet", "--locked", "--profile", profile, "--manifest-path"]);
+        build.arg(root.join(PACKAGE).join("Cargo.toml")).arg("--interpreter").arg(tools.interpreter());
+        build.arg("--out").arg(&wheels).env("CARGO", toolchain::cargo());
+        call(&mut build)?;
+        let mut built =
+            fs::read_dir(&wheels).map_err(|error| format!("maturin has made no {}: {error}", wheels.display()))?;
+        match built.next() {
+            Some(Ok(wheel)) => Ok(wheel.path()),
+            _ => Err(format!("maturin has left no wheel in {}", wheels.display())),
+        }
+    }
+}
+
+/// A Python environment.
+struct Tools(PathBuf);
+
+impl Tools {
+    fn interpreter(&self) -> PathBuf {
+        self.0.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" })
+    }
+
+    /// Its interpreter, with its programs in front of others'.
+    fn python(&self) -> Command {
+        let mut python = Command::new(self.interpreter());
+        let programs = self.interpreter().parent().map(Path::to_owned).unwrap_or_default();
+        let others = env::var_os("PATH").unwrap_or_default();
+        if let Ok(path) = env::join_paths([programs].into_iter().chain(env::split_paths(&others))) {
+            python.env("PATH", path);
+        }
+        // What is in the environment only, and no files beside the sources.
+        python.env_remove("PYTHONPATH").env("PYTHONDONTWRITEBYTECODE", "1").env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
+        python
+    }
+}
+
+/// The environment with what is pinned; made unless there is one with just that.
+fn tools(root: &Path, folder: &Path) -> Result<Tools, String> {
+    let pinned = fs::read_to_string(root.join(PINNED)).map_err(|error| format!("cannot read {PINNED}: {error}"))?;
+    let tools = Tools(folder.join("environment"));
+    let installed = folder.join("installed.txt");
+    if fs::read_to_string(&installed).is_ok_and(|installed| installed == pinned) && tools.interpreter().exists() {
+        return Ok(tools);
+    }
+    fs::create_dir_all(folder).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
+    let python = env::var_os("PYTHON").unwrap_or_else(|| "python3".into());
+    call(Command::new(python).args(["-m", "venv", "--clear"]).arg(&tools.0)).map_err(|problem| {
+        format!("{problem}\nPython 3.10 or later with its module venv is needed; PYTHON names another")
+    })?;
+    call(tools.python().args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(root.join(PINNED)))?;
+    fs::write(&installed, pinned).map_err(|error| format!("cannot write {}: {error}", installed.display()))?;
+    Ok(tools)
+}
+
+/// Runs a command, which says by itself what it has to say.
+fn call(command: &mut Command) -> Result<(), String> {
+    let status = command.status();
+    let words = [command.get_program()].into_iter().chain(command.get_args());
+    let shown = words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ");
+    match status {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("`{shown}` ended with {status}")),
+        Err(error) => Err(format!("`{shown}` cannot be started: {error}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_asked_for_is_understood() {
+        assert_eq!(Python::parse(&[]), Ok(Python::default()));
+        assert_eq!(Python::parse(&["--dist", "--wheel"]), Ok(Python { dist: true, only_wheel: true, bench: false }));
+        assert!(Python::parse(&["--fast"]).expect_err("unknown").contains("--fast"));
+    }
+}
