@@ -37,10 +37,8 @@ const SINES_HZ: [f64; 4] = [0.31, 0.73, 1.37, 2.9];
 /// The sum of four unit sines seldom exceeds this.
 const PEAK: f64 = 2.8;
 
-/// Length of a plan that is not stretched, s. The long holds of the first two, 2.4 s and more, take a motor over a whole turn, so that what
-/// depends on position shows: with holds of 0.7 s in 12 s, eccentricities of 0.3 and 0.5 rad were named otherwise (tuning seeds 60660007
-/// and 60660032). The one to test on has short ones: over a long one, a motor that cogs stops at one hill or the next by the last digit.
-const LENGTH_S: f64 = 15.0;
+/// Length of a plan that is not stretched, s.
+const LENGTH_S: f64 = 12.0;
 
 impl Plan {
     /// The plan of recording number `index` of `length_s`, up to a duty of `cap`, of a motor that starts at about `low`.
@@ -54,11 +52,11 @@ impl Plan {
                 (0.4, Rest),
                 (0.7, Hold(-0.5)),
                 (0.4, Rest),
-                (2.4, Hold(1.0)),
-                (2.4, Hold(-1.0)),
+                (0.7, Hold(1.0)),
+                (0.7, Hold(-1.0)),
                 (0.4, Rest),
                 (3.4, Ramp(1.0)),
-                (2.8, Sines(0.0)),
+                (3.2, Sines(0.0)),
                 (0.7, Hold(0.75)),
                 (0.4, Rest),
             ],
@@ -70,23 +68,23 @@ impl Plan {
                 (0.5, Hold(-0.7)),
                 (0.3, Rest),
                 (3.2, Ramp(-0.85)),
-                (2.6, Hold(-0.95)),
+                (1.6, Hold(-0.95)),
                 (0.4, Rest),
-                (3.2, Hold(0.7)),
+                (1.2, Hold(0.7)),
                 (0.4, Rest),
             ],
             _ => &[
+                (0.3, Rest),
+                (0.9, Hold(-0.8)),
                 (0.4, Rest),
-                (1.1, Hold(-0.8)),
-                (0.5, Rest),
-                (1.1, Hold(0.6)),
-                (0.6, Hold(-0.9)),
-                (0.6, Hold(0.95)),
-                (0.5, Rest),
-                (5.0, Sines(2.0)),
-                (3.3, Ramp(0.95)),
-                (1.4, Hold(0.85)),
-                (0.5, Rest),
+                (0.9, Hold(0.6)),
+                (0.5, Hold(-0.9)),
+                (0.5, Hold(0.95)),
+                (0.4, Rest),
+                (4.0, Sines(2.0)),
+                (2.6, Ramp(0.95)),
+                (1.1, Hold(0.85)),
+                (0.4, Rest),
             ],
         };
         let parts =

@@ -54,7 +54,7 @@ pub(crate) struct Close {
     #[arg(long, value_name = "SHARE")]
     pub(crate) duty: Option<f64>,
     /// How long each of the three recordings is, s
-    #[arg(long = "for", default_value = "15", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long = "for", default_value = "12", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: f64,
 }
 

@@ -7,7 +7,6 @@ mod print;
 pub(crate) mod shown;
 
 use std::{
-    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
     time::Duration,
@@ -17,11 +16,9 @@ use anyhow::{Context, bail};
 use clap::{Subcommand, builder::PossibleValuesParser};
 use r4_boards::SimulatedBody;
 use r4_identify::{
-    Identified, ModelInfo, Progress, Task,
-    data::{self, Holdout, Mapping, Options, Recorded},
+    Identified, Progress, Recordings, Task,
     family::{FittedBody, Loadable},
     report::{Explained, Report},
-    statics::hold_out,
     task::{self, FileKind},
 };
 use r4_plants::PlantSpec;
@@ -117,12 +114,6 @@ impl From<Protocol> for task::Protocol {
     }
 }
 
-/// The parameter that belongs to an encoder.
-const COUNTS: &str = "counts_per_turn";
-
-/// Models of what is at rest: the order of rows will do.
-const UNTIMED: [&str; 2] = ["static-map", "table"];
-
 /// `name=value`.
 fn pair(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
@@ -157,32 +148,25 @@ struct Written<'r> {
 }
 
 fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
-    let Some(model) = r4_identify::models().into_iter().find(|model| model.name == question.model) else {
-        bail!("no model is called {}: `r4 identify models` lists them", question.model);
-    };
-    let mut parameters: BTreeMap<String, f64> = question.param.iter().cloned().collect();
-    // It belongs to the encoder, not to the model.
-    let own = model.parameters.iter().any(|parameter| parameter.name == COUNTS);
-    let counts_per_turn = if own { parameters.get(COUNTS).copied() } else { parameters.remove(COUNTS) };
-    if let Some(counts) = counts_per_turn.filter(|counts| *counts <= 0.0) {
-        bail!("counts_per_turn={counts} makes no turn: give a number above 0");
-    }
-    let options = Options {
+    let short = |role: &str, column: &Option<String>| column.clone().map(|column| (role.to_owned(), column));
+    let named = [short("input", &question.input), short("output", &question.output)].into_iter().flatten();
+    let asked = r4_identify::Question {
+        train: question.train.clone(),
+        holdout: question.holdout.clone(),
+        model: question.model.clone(),
+        columns: named.chain(question.map.iter().cloned()).collect(),
         time: question.time.clone(),
-        untimed: UNTIMED.contains(&model.name),
-        roles: roles(question, &model)?,
         split: question.run.clone(),
-        counts_per_turn,
+        parameters: question.param.iter().cloned().collect(),
     };
+    let model = asked.model()?;
     let plant = known_plant(args)?;
-    let (train, holdout) = read(question, &options)?;
-    let mut notes: Vec<String> = Vec::new();
-    for note in train.notes.iter().chain(&holdout.notes).map(ToString::to_string) {
-        if !notes.contains(&note) {
-            eprintln!("r4: {note}");
-            notes.push(note);
-        }
+    let recordings = asked.read()?;
+    let notes = recordings.notes();
+    for note in &notes {
+        eprintln!("r4: {note}");
     }
+    let Recordings { train, holdout, parameters } = recordings;
 
     let progress = Shown::on_stderr();
     let told = |now: Progress| progress.show(now);
@@ -228,49 +212,6 @@ impl std::fmt::Display for NotExplained {
 }
 
 impl std::error::Error for NotExplained {}
-
-/// Which column plays which part, checked against what the model knows.
-fn roles(question: &Question, model: &ModelInfo) -> anyhow::Result<Vec<Mapping>> {
-    let short = |role: &str, column: &Option<String>| column.clone().map(|column| (role.to_owned(), column));
-    let named = [short("input", &question.input), short("output", &question.output)].into_iter().flatten();
-    named
-        .chain(question.map.iter().cloned())
-        .map(|(role, column)| match model.roles.iter().find(|known| known.name == role) {
-            Some(known) => Ok(Mapping { role, column, driving: known.driving }),
-            None => {
-                let roles: Vec<_> = model.roles.iter().map(|known| known.name).collect();
-                bail!("{} has no role `{role}`: it has {}", model.name, roles.join(", "))
-            }
-        })
-        .collect()
-}
-
-/// The runs to fit to and those to test on.
-fn read(question: &Question, options: &Options) -> anyhow::Result<(Recorded, Recorded)> {
-    match Holdout::parse(&question.holdout)? {
-        Holdout::Every(every) => {
-            let mut all = data::read(&question.train, options)?;
-            // Of some models one recording is enough.
-            let parts = all.runs.iter().map(|run| hold_out(&question.model, run, every)).collect::<Option<Vec<_>>>();
-            let Some(parts) = parts.filter(|parts| parts.len() == 1) else { return Ok(all.alternate(every)?) };
-            let (fitted, held_out) = parts.into_iter().unzip();
-            all.runs = fitted;
-            let rest = Recorded { runs: held_out, groups: all.groups.clone(), notes: vec![] };
-            Ok((all, rest))
-        }
-        Holdout::Files(files) => {
-            let place = |path: &PathBuf| fs::canonicalize(path).unwrap_or_else(|_| path.clone());
-            let fitted: Vec<_> = question.train.iter().map(place).collect();
-            if let Some(both) = files.iter().find(|file| fitted.contains(&place(file))) {
-                bail!(
-                    "{} is given both to fit to and to test on: give another recording to --holdout, or every:2",
-                    both.display()
-                );
-            }
-            Ok((data::read(&question.train, options)?, data::read(&files, options)?))
-        }
-    }
-}
 
 /// The robot on whose channels a body stands of which no robot was named.
 const USUAL_ROBOT: &str = "openscout";
@@ -382,13 +323,5 @@ mod tests {
         {
             assert!(question(&format!("{whole} {wrong}")).is_none(), "{wrong}");
         }
-    }
-
-    #[test]
-    fn a_role_the_model_has_not_is_answered_with_those_it_has() {
-        let identify = question("a.csv --holdout b.csv --model dc-motor --input u --output y --map yaw=z").unwrap();
-        let model = r4_identify::models().into_iter().find(|model| model.name == "dc-motor").unwrap();
-        let said = roles(&identify.question.unwrap(), &model).unwrap_err().to_string();
-        assert!(said.starts_with("dc-motor has no role `yaw`: it has ") && said.contains("input"), "{said}");
     }
 }

@@ -19,7 +19,7 @@ const ROBOT: &str = "osmc-bench";
 const CHANNEL: &str = "osmc0";
 const BOARDS: &str = "`identify close` on blind boards";
 /// Length of each of the three recordings: what `close` takes if not told otherwise.
-const SECONDS: f64 = 15.0;
+const SECONDS: f64 = 12.0;
 /// Smallest ratio of the twin's error before to that after.
 const NEARER: f64 = 5.0;
 
