@@ -35,7 +35,8 @@ pub struct Model {
 
 /// Identified from full boards of seeds 1 to 8 by [`identify`]; the test `the_numbers_are_those_of_the_experiment` runs it again.
 /// The lag is at the lower bound of the fit: the limited acceleration, the profile's 1 m/s² of the robot's file, leaves it nothing to explain.
-pub const MODEL: Model = Model { forward_gain: 1.0, yaw_gain: 1.0, acceleration_m_s2: 1.0, lag_s: 0.02, delay_s: 0.02 };
+pub const MODEL: Model =
+    Model { forward_gain: 0.990, yaw_gain: 0.932, acceleration_m_s2: 1.032, lag_s: 0.001, delay_s: 0.022 };
 
 /// The path is integrated in steps of this, s: halved, a place after 1 s changes by less than 0.1 mm.
 const PATH_STEP_S: f64 = 0.01;
