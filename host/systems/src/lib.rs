@@ -16,6 +16,7 @@ pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
+pub mod gasmap;
 pub mod inhand;
 pub mod osmc;
 #[cfg(feature = "parquet")]
@@ -102,6 +103,7 @@ pub trait System: Sync {
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
     &[
+        &gasmap::Gasmap,
         &skidcal::Skidcal,
         &osmc::Osmc,
         &cloop::Cloop,
