@@ -103,7 +103,6 @@ pub trait System: Sync {
 #[must_use]
 pub fn all() -> &'static [&'static dyn System] {
     &[
-        &gasmap::Gasmap,
         &skidcal::Skidcal,
         &osmc::Osmc,
         &cloop::Cloop,
@@ -111,6 +110,7 @@ pub fn all() -> &'static [&'static dyn System] {
         &berry::BerryPicking,
         &suction::Suction,
         &absim::Absim,
+        &gasmap::Gasmap,
         &tail::Tail,
     ]
 }

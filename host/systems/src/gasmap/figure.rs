@@ -3,10 +3,8 @@
 use r4_maps::grid::Grid;
 
 use super::{
-    CELL_M, Hall, LAWN, OURS, PRINTED, SHARE, Surveyed, errors, lawn_mower, perfectly, settings,
-    scene::Case,
-    survey::replayed,
-    surveyed,
+    CELL_M, Hall, LAWN, OURS, PRINTED, SHARE, Surveyed, errors, lawn_mower, perfectly, scene::Case, settings,
+    survey::replayed, surveyed,
 };
 use crate::{Curve, Error, Figure, Panel, Trial, View};
 
@@ -45,7 +43,15 @@ pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
     let driven = ours.driven.as_ref();
     let off = |name, off_m: &dyn Fn(usize) -> f64| {
         let path = driven.map_or(&[][..], |driven| &driven.path);
-        Curve { name, points: path.iter().enumerate().step_by(EVERY).map(|(index, (time_s, ..))| (*time_s, off_m(index))).collect() }
+        Curve {
+            name,
+            points: path
+                .iter()
+                .enumerate()
+                .step_by(EVERY)
+                .map(|(index, (time_s, ..))| (*time_s, off_m(index)))
+                .collect(),
+        }
     };
     let by_plan = |index: usize| {
         driven.map_or(0.0, |driven| r4_maps::pose::distance_m(driven.path[index].1, driven.path[index].2))
@@ -61,7 +67,11 @@ pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
         panels: vec![
             Panel {
                 title: "RMS error of the map (ppm)",
-                curves: vec![of("lawn-mower", LAWN, &lawn), of("paper's goals", PRINTED, &printed), of("ours", OURS, &ours)],
+                curves: vec![
+                    of("lawn-mower", LAWN, &lawn),
+                    of("paper's goals", PRINTED, &printed),
+                    of("ours", OURS, &ours),
+                ],
             },
             Panel {
                 title: "Error of the pose (m)",
@@ -86,8 +96,9 @@ pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
             // Shelves and what is beyond the hall are drawn like air without gas.
             map.at(centre).ok().copied().flatten().unwrap_or(0.0).max(0.0)
         };
-        let curve = |(name, of): (&'static str, &Surveyed)| {
-            Curve { name, points: of.path.iter().step_by(EVERY).map(|(_, [x_m, y_m])| (*x_m, *y_m)).collect() }
+        let curve = |(name, of): (&'static str, &Surveyed)| Curve {
+            name,
+            points: of.path.iter().step_by(EVERY).map(|(_, [x_m, y_m])| (*x_m, *y_m)).collect(),
         };
         View {
             title,

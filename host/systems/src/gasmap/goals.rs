@@ -113,7 +113,8 @@ fn block([column, row]: Cell) -> impl Iterator<Item = Cell> {
 fn sums_along(distances_m: &Grid<f64>, worth: impl Fn(Cell) -> f64) -> Grid<f64> {
     let frame = *distances_m.frame();
     let distance_m = |cell: Cell| distances_m.get(cell).copied().unwrap_or(f64::INFINITY);
-    let mut reached: Vec<Cell> = distances_m.iter().filter(|(_, way_m)| way_m.is_finite()).map(|(cell, _)| cell).collect();
+    let mut reached: Vec<Cell> =
+        distances_m.iter().filter(|(_, way_m)| way_m.is_finite()).map(|(cell, _)| cell).collect();
     reached.sort_by(|a, b| distance_m(*a).total_cmp(&distance_m(*b)));
     let mut sums = Grid::filled(frame, 0.0);
     for cell in reached {

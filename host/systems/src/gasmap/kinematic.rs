@@ -4,11 +4,7 @@ use r4_maps::pose::Point;
 use r4_rig::Place;
 use r4_world::Lag;
 
-use super::{
-    protocol::Program,
-    scene::Hall,
-    survey::SENSOR_M,
-};
+use super::{protocol::Program, scene::Hall, survey::SENSOR_M};
 
 /// Step, s.
 const STEP_S: f64 = 0.1;

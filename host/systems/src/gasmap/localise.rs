@@ -103,7 +103,8 @@ impl Localised {
             ray_m(walls_m, from, state[2] + beam.yaw_rad + turn_rad)
         };
         let Some(expected_m) = expected(&self.state, 0.0).filter(|way_m| *way_m < farthest_m) else { return false };
-        let Some([right_m, left_m]) = (|| Some([expected(&self.state, -TURN_RAD)?, expected(&self.state, TURN_RAD)?]))()
+        let Some([right_m, left_m]) =
+            (|| Some([expected(&self.state, -TURN_RAD)?, expected(&self.state, TURN_RAD)?]))()
         else {
             return false;
         };

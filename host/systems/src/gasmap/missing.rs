@@ -68,7 +68,9 @@ impl Change {
         let mut sampler = Sampler::new(seed, OF_CHANGE);
         match NAMES.iter().position(|known| *known == name)? {
             0 => Some(Self::Lag(sampler.uniform(1.0, 4.0))),
-            1 => Some(Self::Place(sampler.uniform(0.3, 0.6) * if sampler.uniform(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 })),
+            1 => {
+                Some(Self::Place(sampler.uniform(0.3, 0.6) * if sampler.uniform(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 }))
+            }
             _ => Some(Self::Interference(sampler.uniform(0.3, 1.0))),
         }
     }
@@ -168,12 +170,7 @@ fn centre(crossing: &[Sample], lag_s: f64) -> Option<(f64, f64)> {
 /// # Errors
 /// [`Error::Effects`] where a crossing met no gas, or there are too few.
 pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
-    let effects = [0, 1, 2].map(|index| Effect {
-        name: NAMES[index],
-        start: &[0.1],
-        absent: 0.0,
-        least: LEAST[index],
-    });
+    let effects = [0, 1, 2].map(|index| Effect { name: NAMES[index], start: &[0.1], absent: 0.0, least: LEAST[index] });
     // A rest may be in a stray puff; the cleanest one is not.
     let rest_ppm = laps.iter().map(|lap| lap.rest_ppm).fold(f64::INFINITY, f64::min);
     let numbers: Option<Vec<[f64; 2]>> = laps.iter().map(|lap| lap.numbers(rest_ppm, 0.0)).collect();
@@ -242,7 +239,8 @@ impl Program for Crossings {
                 }
                 self.is_straight = false;
                 self.leg += 1;
-                self.follower = (self.leg < 2).then(|| self.follower(self.laps.last().map_or(0.0, |lap| lap.speed_m_s)));
+                self.follower =
+                    (self.leg < 2).then(|| self.follower(self.laps.last().map_or(0.0, |lap| lap.speed_m_s)));
                 continue;
             }
             if self.laps.len() == LAPS {

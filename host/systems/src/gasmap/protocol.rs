@@ -91,7 +91,12 @@ pub struct Driven {
 ///
 /// # Errors
 /// When the board is not virtual, or fails otherwise than by a trip.
-pub async fn run(session: &Session<'_>, setup: &Setup, plan: &Plan, program: &mut impl Program) -> Result<Driven, Error> {
+pub async fn run(
+    session: &Session<'_>,
+    setup: &Setup,
+    plan: &Plan,
+    program: &mut impl Program,
+) -> Result<Driven, Error> {
     let board = session.board;
     let wheels: Vec<ChannelId> = setup.drive.left.iter().chain(&setup.drive.right).copied().collect();
     for channel in wheels.iter().chain([&setup.gyroscope]) {

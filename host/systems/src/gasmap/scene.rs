@@ -21,7 +21,7 @@ const AISLES: (f64, f64, f64) = (9.0, 4.0, 9.0);
 /// Ends of the aisles' two halves, m.
 const HALVES_M: [[f64; 2]; 2] = [[9.0, 27.0], [33.0, 47.0]];
 /// How often the truth is sampled for its mean, s.
-const TRUTH_EVERY_S: f64 = 20.0;
+const TRUTH_EVERY_S: f64 = 40.0;
 
 /// A leak. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -210,7 +210,12 @@ impl Survey {
         let failed = way.is_none();
         // Behind what is blocked: it waits for the way to be free again.
         let way = way.or_else(|| self.plan.way(from, goal, &[])).unwrap_or_default();
-        self.goals.push(Goal { chosen_s: time_s, at: goal, failed, propagated_off_m: self.other.take().map(|other| distance_m(goal, other)) });
+        self.goals.push(Goal {
+            chosen_s: time_s,
+            at: goal,
+            failed,
+            propagated_off_m: self.other.take().map(|other| distance_m(goal, other)),
+        });
         self.follower = Follower::new(limits(), way);
     }
 
@@ -244,9 +249,11 @@ impl Program for Survey {
         let place = [at.x_m + SENSOR_M * cos, at.y_m + SENSOR_M * sin];
         let Some(taken) = self.window.take((time_s, place, signal_ppm)) else { return };
         let frame = *self.plan.free().frame();
-        let signal = frame.cell_at(taken.last_place).map(|cell| Reading { cell, value: taken.last_ppm, at_s: taken.at_s });
+        let signal =
+            frame.cell_at(taken.last_place).map(|cell| Reading { cell, value: taken.last_ppm, at_s: taken.at_s });
         let corrected_ppm = taken.mean_ppm + self.settings.lag_s * taken.change_ppm_s;
-        let corrected = frame.cell_at(taken.middle_place).map(|cell| Reading { cell, value: corrected_ppm, at_s: taken.at_s });
+        let corrected =
+            frame.cell_at(taken.middle_place).map(|cell| Reading { cell, value: corrected_ppm, at_s: taken.at_s });
         let reading = if self.settings.lag_s > 0.0 { corrected } else { signal };
         // A cell that is not free is one of a wall, and the pose is off by centimetres.
         if let (Ok(reading), Ok(signal)) = (reading, signal)
@@ -282,6 +289,9 @@ fn by_variances(field: &Field, by: Variances) -> Grid<Option<f64>> {
     }
 }
 
+/// Maps with their times, s.
+pub type Maps = Vec<(f64, Grid<Option<f64>>)>;
+
 /// Means of a map of readings in the order in which they were taken, each `every_s`, with the times, s.
 ///
 /// # Errors
@@ -292,7 +302,7 @@ pub fn replayed(
     readings: &[Reading],
     every_s: f64,
     until_s: f64,
-) -> Result<Vec<(f64, Grid<Option<f64>>)>, String> {
+) -> Result<Maps, String> {
     let mut field = Field::new(plan.free(), weights).map_err(|error| error.to_string())?;
     let mut maps = Vec::new();
     let mut readings = readings.iter().peekable();
@@ -312,7 +322,11 @@ pub fn replayed(
 /// Root mean square difference of two maps over the cells of both, in their unit.
 #[must_use]
 pub fn rmse(map: &Grid<Option<f64>>, truth: &Grid<Option<f64>>) -> f64 {
-    let pairs = map.values().iter().zip(truth.values()).filter_map(|(map, truth)| Some((map.as_ref()? - truth.as_ref()?).powi(2)));
+    let pairs = map
+        .values()
+        .iter()
+        .zip(truth.values())
+        .filter_map(|(map, truth)| Some((map.as_ref()? - truth.as_ref()?).powi(2)));
     let (sum, count) = pairs.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
     (sum / count).sqrt()
 }
