@@ -16,6 +16,7 @@ pub mod cloop;
 pub mod effects;
 mod error;
 mod figure;
+pub mod gasmap;
 pub mod inhand;
 pub mod osmc;
 #[cfg(feature = "parquet")]
@@ -109,6 +110,7 @@ pub fn all() -> &'static [&'static dyn System] {
         &berry::BerryPicking,
         &suction::Suction,
         &absim::Absim,
+        &gasmap::Gasmap,
         &tail::Tail,
     ]
 }

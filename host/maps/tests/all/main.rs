@@ -2,6 +2,7 @@
 
 mod field;
 mod grid;
+mod gtsam;
 mod matching;
 mod occupancy;
 mod plan;

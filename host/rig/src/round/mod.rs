@@ -164,8 +164,11 @@ fn unless_refused(error: DriverError) -> Result<(), DriverError> {
     if matches!(error, DriverError::Refused { .. }) { Ok(()) } else { Err(error) }
 }
 
-/// Clears the trip and arms. Returns whether the causes were gone.
-async fn arm_again(session: &Session<'_>) -> Result<bool, Error> {
+/// Clears a trip and arms. Returns whether the causes were gone.
+///
+/// # Errors
+/// When the board fails, or stays disarmed after the trip was cleared.
+pub async fn arm_again(session: &Session<'_>) -> Result<bool, Error> {
     match session.board.clear().await {
         Ok(()) => {}
         Err(DriverError::Refused { .. }) => return Ok(false),

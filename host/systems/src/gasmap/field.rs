@@ -1,0 +1,100 @@
+//! The map itself: errors of means, over-confidence of variances, and the time that a reading takes.
+
+use std::time::Instant;
+
+use r4_maps::{
+    field::{Field, FieldError, Reading, Weights},
+    grid::{Frame, Grid},
+    pose::Pose,
+};
+
+use super::survey::PUBLISHED;
+use crate::{Limit, Row, Source, Statistic};
+
+/// Readings of the timed map, one a second along a lane.
+const READINGS: usize = 100;
+/// Cells that messages may update after a reading, and change at which they stop, ppm.
+const BUDGET: usize = 20_000;
+const THRESHOLD: f64 = 1.0;
+/// Tolerance of means after each reading, ppm: a solve to it, after the messages.
+const TOLERANCE: f64 = 1e-3;
+
+/// The hall of the published maps, 60 m by 50 m in cells of 0.2 m, without shelves: 75 000 cells.
+fn hall() -> Result<Grid<bool>, FieldError> {
+    Ok(Grid::filled(Frame::new(Pose::default(), 0.2, 300, 250)?, true))
+}
+
+/// A reading along a lane through the hall.
+fn reading(number: usize) -> Reading {
+    let (lane, along) = (number / 45, number % 45);
+    let column = if lane % 2 == 0 { 15 + 6 * along } else { 285 - 6 * along };
+    Reading { cell: [column, 30 + 25 * lane], value: 45.0 + 35.0 * (number as f64 * 0.37).sin(), at_s: number as f64 }
+}
+
+/// Time of each reading with its means brought up to date, ms.
+///
+/// # Errors
+/// When a solve does not converge.
+pub fn times_ms(readings: usize) -> Result<Vec<f64>, FieldError> {
+    let mut field = Field::new(&hall()?, PUBLISHED)?;
+    let mut times_ms = Vec::with_capacity(readings);
+    for number in 0..readings {
+        let begin = Instant::now();
+        field.observe(reading(number))?;
+        field.wildfire(THRESHOLD, BUDGET);
+        field.solve(TOLERANCE)?;
+        times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok(times_ms)
+}
+
+/// Greatest and median factor by which the variances of belief propagation are below the exact ones.
+///
+/// # Errors
+/// When the weights or readings make no field.
+pub fn over_confidence(free: &Grid<bool>, weights: Weights, readings: &[Reading]) -> Result<[f64; 2], FieldError> {
+    let mut field = Field::new(free, weights)?;
+    for reading in readings {
+        field.observe(*reading)?;
+    }
+    // Precisions of messages settle without their means.
+    field.settle(1e-9, 40 * field.cells());
+    let (exact, propagated) = (field.variances(), field.propagated_variances());
+    let pairs = exact.values().iter().zip(propagated.values());
+    let mut factors: Vec<f64> = pairs.filter_map(|(exact, propagated)| Some((*exact)? / (*propagated)?)).collect();
+    factors.sort_by(f64::total_cmp);
+    Ok([factors[factors.len() - 1], factors[factors.len() / 2]])
+}
+
+/// Row of a benchmark: the time of a reading on this machine.
+///
+/// # Errors
+/// When a solve does not converge, or the statistic cannot be computed.
+pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, crate::Error> {
+    let readings = if is_quick { READINGS / 5 } else { READINGS };
+    let failed = |error: FieldError| crate::Error::Unsuitable {
+        system: super::NAME,
+        board: "the map".into(),
+        why: error.to_string(),
+    };
+    let summary = Statistic::Quantile(0.5).of(&times_ms(readings).map_err(failed)?)?;
+    let target = Limit::AtMost(50.0);
+    Ok(vec![Row {
+        system: super::NAME.to_owned(),
+        arm: super::OURS.to_owned(),
+        metric: "update_75000_cells_ms".to_owned(),
+        unit: "ms".to_owned(),
+        n: readings,
+        failed: 0,
+        value: summary.value,
+        lo: summary.interval.low,
+        hi: summary.interval.high,
+        method: summary.method.to_owned(),
+        paired_p: None,
+        source: Source::Measured,
+        board: "kinematic".to_owned(),
+        seeds: [0, 0],
+        target: Some(target),
+        met: Some(target.is_held_by(summary.value)),
+    }])
+}
