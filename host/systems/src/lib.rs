@@ -30,6 +30,7 @@ mod statistic;
 pub mod study;
 pub mod suction;
 pub mod tail;
+pub mod whisker;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
@@ -103,6 +104,7 @@ pub trait System: Sync {
 pub fn all() -> &'static [&'static dyn System] {
     &[
         &skidcal::Skidcal,
+        &whisker::Whisker,
         &osmc::Osmc,
         &cloop::Cloop,
         &inhand::Inhand,
